@@ -4,8 +4,5 @@
 
 A Tesla Model 3 drives in synchronous mode at 100 Hz, with an IMU at 100 Hz and GNSS at 5 Hz. The truth comes from the
 world's snapshots. The package needs Python 3.8 or later and the `carla` client of the server's version. ``python -m
-sigmaswarm_carla.pack carla_recorder.pyz`` writes it as one file for machines with an old CARLA.
-
-`record` runs all drives, and `drive` runs one of them. `routes` finds a path in the map, `plans` plans a maneuver on
-it, and `driver` follows the plan. `server` prepares the server, and restores it at the end.
+sigmaswarm_carla.pack carla_recorder.pyz`` writes the package as one file for machines with an old CARLA.
 """

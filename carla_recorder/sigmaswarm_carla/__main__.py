@@ -13,7 +13,7 @@ from .record import record
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command line; return the exit code: 0 for success, 2 for an error, 130 for an interruption."""
+    """Run the command line. Return the exit code: 0 success, 2 error, 130 interrupted."""
 
     def end(*_: Any) -> None:
         raise KeyboardInterrupt
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def run() -> None:
-    """Run the command line, and exit without the interpreter's shutdown, in which the 0.9.16 client may abort."""
+    """Run the command line and exit without the interpreter's shutdown, in which the 0.9.16 client may abort."""
     code = main(sys.argv[1:])
     sys.stdout.flush()
     sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""Measure the friction of the road for several values of CARLA's tire_friction, by braking."""
+"""Measure friction for several values of CARLA's tire_friction, by braking."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SWEEP = (3.5, 2.0, 1.0, 0.5, 0.25)
 
 
 def sweep_brakes(session: Session, say: Callable[[str], None]) -> list[list[float]]:
-    """Brake hard with each tire_friction; return pairs of tire_friction and measured friction."""
+    """Brake hard with each tire_friction. Return pairs of tire_friction and measured friction."""
     found: list[list[float]] = []
     guess = 0.4
     for tire_friction in SWEEP:
@@ -37,7 +37,7 @@ def sweep_brakes(session: Session, say: Callable[[str], None]) -> list[list[floa
 
 
 def _brake(session: Session, plan: Plan, tire_friction: float, rng: random.Random) -> float:
-    """Measure the friction: the deceleration under full brakes, from 90% to 30% of the speed, divided by gravity."""
+    """Measure the friction: deceleration under full brakes from 90% to 30% of the speed, divided by gravity."""
     car = place_car(session, plan.path)
     settle(session, car)
     physics = edit_physics(session, car, tire_friction)
@@ -56,6 +56,6 @@ def _brake(session: Session, plan: Plan, tire_friction: float, rng: random.Rando
     session.clear()
     if not falling[1] > falling[0] > 0:
         raise RecorderError(
-            f"--brake-sweep: the car did not stop with tire_friction {tire_friction:g}; leave the option out"
+            f"--brake-sweep: the car did not stop with tire_friction {tire_friction:g}; leave out --brake-sweep"
         )
     return 0.6 * fast / ((falling[1] - falling[0]) * TICK) / GRAVITY

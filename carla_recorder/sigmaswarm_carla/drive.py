@@ -51,7 +51,7 @@ class Recording:
 
 
 def seed_of(*names: object) -> int:
-    """Hash names to a seed, positive and below 2**31."""
+    """Hash names to a seed, from 1 to 2**31 - 1."""
     return zlib.crc32("/".join(str(name) for name in names).encode()) % 2147483647 + 1
 
 
@@ -80,7 +80,7 @@ class Sensors:
             actor.listen(self._queues[sensor].put)
 
     def awake(self, tick: Callable[[], int]) -> int:
-        """Tick until both sensors answer, some frames after listen(); skip their first samples; return the frame."""
+        """Tick until both sensors answer, skip their first samples, and return the frame."""
         end, wait = time.monotonic() + self._timeout, 0.05
         while True:
             frame = tick()
@@ -96,7 +96,7 @@ class Sensors:
         return frame
 
     def read(self, frame: int) -> list[Any]:
-        """Wait for the IMU's and the GNSS receiver's data of a frame, and return both."""
+        """Wait for the data of IMU and GNSS receiver of a frame, and return both."""
         found: list[Any] = []
         for sensor in self._queues:
             found.append(self._get(sensor, frame, self._timeout))
@@ -111,7 +111,7 @@ class Sensors:
         )
 
     def _get(self, sensor: str, frame: int, seconds: float) -> Any:
-        """Return a sensor's data of a frame, or None if it does not arrive in time; discard older data."""
+        """Return the data of a frame, or None if it does not arrive in time. Discard older data."""
         end = time.monotonic() + seconds
         while True:
             try:
@@ -135,7 +135,7 @@ def drive(
     rng: random.Random,
     show: Callable[[float], None],
 ) -> Sensors:
-    """Drive a plan, and append its data to `recording`; they remain there if the drive fails."""
+    """Drive a plan and append its data to `recording`, also if the drive fails."""
     name, rows = recording.name, recording.rows
     sensors = Sensors(session, car, name, rng)
     driver = Driver(plan, physics.wheelbase, rng)
@@ -198,11 +198,11 @@ def state_of(session: Session, car: Any, frame: int) -> Row:
 
 
 def check_fixes(recording: Recording, noise: float) -> None:
-    """Raise RecorderError for fixes far from the car: server and client then use different geodesies."""
+    """Raise RecorderError if fixes are far from the car, since server and client then use different geodesies."""
     places = {row.t: row.place for row in recording.rows}
     off = sorted(math.hypot(x - places[t][0], y - places[t][1]) for t, x, y in recording.fixes)
     if off and off[len(off) // 2] > 3 * noise + 0.5:
         raise RecorderError(
-            f"the fixes of {recording.name} lie {off[len(off) // 2]:.1f} m from the car: server and client compute "
+            f"the fixes of {recording.name} are {off[len(off) // 2]:.1f} m from the car: server and client compute "
             "different latitudes and longitudes; use a client and a server of the same build"
         )

@@ -13,9 +13,9 @@ from .plans import Plan, allowed_speed
 from .routes import SPACING
 
 _THROTTLE = 6.5
-"""Acceleration at full throttle, m/s2; measurements in CARLA give 6.3 to 7.0."""
+"""Acceleration at full throttle, m/s2. Measured in CARLA: 6.3 to 7.0."""
 _FULL_BRAKE = ((0.0, 4.4), (4.5, 4.4), (10.0, 6.1), (14.0, 7.4))
-"""Speed, m/s, and deceleration of the stock brakes, m/s2, as measured in CARLA."""
+"""Speed, m/s, and deceleration of the stock brakes, m/s2, measured in CARLA."""
 
 
 class Control(NamedTuple):
@@ -33,7 +33,7 @@ class Driver:
     ----------
     plan : the plan to follow
     wheelbase : m
-    rng : random numbers for the deviations of a run from the plan: 0.1 m to the sides, and 0.6% of the speed
+    rng : random numbers for the deviations from the plan: 0.1 m to the sides, 0.6% of the speed
 
     Attributes
     ----------
@@ -61,11 +61,11 @@ class Driver:
 
     @property
     def arrived(self) -> bool:
-        """True if all legs have been driven."""
+        """True after all legs."""
         return self._leg >= len(self.plan.legs)
 
     def look(self, x: float, y: float, heading: float, speed: float) -> Control:
-        """Return the controls of a tick, from the position (m east and north), the heading (rad) and speed (m/s)."""
+        """Return the controls of a tick, from position (m east and north), heading (rad) and speed (m/s)."""
         self._locate(x, y)
         angle = self._steer(heading, speed)
         while not self.arrived and not self.plan.legs[self._leg].wait and self.way >= self._leg_end:
@@ -94,7 +94,7 @@ class Driver:
         self.way, self.off = i * SPACING + dx * cos + dy * sin, dy * cos - dx * sin
 
     def _steer(self, heading: float, speed: float) -> float:
-        """Return the angle of the wheels, rad; the offset from the path decays like a second-order system."""
+        """Return the angle of the wheels, rad. An offset from the path decays like a second-order system."""
         path, v = self.plan.path, max(speed, 1.0)
         i = self._nearest
         course = wrap(heading - path.heading[i] - (self.way - i * SPACING) * path.curvature[i])
@@ -106,7 +106,7 @@ class Driver:
         return math.atan(self.wheelbase * curvature)
 
     def _press(self, speed: float, angle: float) -> Control:
-        """Choose the pedals; the planned speed increases with the leg's acceleration up to the allowed speed."""
+        """Choose the pedals. The planned speed increases with the acceleration of the leg up to the allowed speed."""
         leg = self.plan.legs[self._leg]
         profile = self._allowed[self._leg]
         place = max(self.way - self._leg_end + leg.length, 0.0) / SPACING
@@ -116,12 +116,12 @@ class Driver:
         allowed = math.sqrt(max(a * a + (b * b - a * a) * part, 0.0))
         stopping = leg.wait > 0 and self._leg_end - self.way < 3.0 and allowed < 3.0
         before = self._speed
-        if stopping:  # brake by time here: as a function of distance, the last meters would take too long
+        if stopping:  # brake over time, since the last meters take too long if the speed depends on distance
             self._speed = max(min(before, allowed + 1.0) - leg.braking * TICK, 0.0)
         else:
             self._speed = max(min(before + leg.acceleration * TICK, allowed), 0.0)
         wanted = (self._speed - before) / TICK
-        self._speed = min(max(self._speed, speed - 1.5), speed + 1.5)  # where the car can't follow the plan
+        self._speed = min(max(self._speed, speed - 1.5), speed + 1.5)  # if the car can't follow the plan
         if stopping and self._speed <= 0.05 and speed < 0.2:
             self._hold, self._speed, self._acceleration, self._missing = leg.wait, 0.0, 0.0, 0.0
             self._next_leg()

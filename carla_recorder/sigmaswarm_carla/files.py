@@ -14,7 +14,7 @@ from .options import Options, RecorderError
 
 
 class Journal:
-    """The file recording.json of an output folder: options, versions, geodesy, physics and measured friction."""
+    """File recording.json of an output folder: options, versions, geodesy, physics and measured friction."""
 
     def __init__(self, options: Options) -> None:
         self._file = options.out / "recording.json"
@@ -22,7 +22,7 @@ class Journal:
         there = sorted(path.parent.name for path in options.out.glob("*/imu.csv"))
         if there and not options.resume:
             raise RecorderError(
-                f"{options.out}: contains {there[0]} already; name another folder, or add missing drives with --resume"
+                f"{options.out}: contains {there[0]} already; choose another folder, or continue with --resume"
             )
         if self._file.exists():
             self._read(options, there)
@@ -32,17 +32,19 @@ class Journal:
             held = json.loads(self._file.read_text(encoding="utf-8"))
             made = dict(held["options"])
         except (ValueError, KeyError, TypeError):
-            raise RecorderError(f"{self._file}: is not a file of the recorder; name another folder") from None
+            raise RecorderError(
+                f"{self._file}: is not a file of the recorder; choose another folder"
+            ) from None
         for key, value in options.figures().items():
             if there and made.get(key) != value:
                 raise RecorderError(
                     f"{self._file}: the existing drives were recorded with {key} {made.get(key)}, not {value}; "
-                    "name another folder, or use the same options"
+                    "choose another folder, or use the same options"
                 )
         if there and options.brake_sweep and not held.get("friction"):
             raise RecorderError(
-                f"{self._file}: the existing drives were recorded without --brake-sweep; name another folder, or "
-                "leave the option out"
+                f"{self._file}: the existing drives were recorded without --brake-sweep; choose another folder, "
+                "or leave out --brake-sweep"
             )
         self._content = {**held, "options": options.figures()}
 
@@ -59,7 +61,7 @@ class Journal:
         return interpolate(table, friction)
 
     def note(self, **entries: Any) -> None:
-        """Save entries; merge dictionaries with the saved ones."""
+        """Save entries. Dictionaries are merged with the saved dictionaries."""
         for key, value in entries.items():
             old = self._content.get(key)
             self._content[key] = (
@@ -72,7 +74,7 @@ class Journal:
 
 
 def write_drive(folder: Path, recording: Recording, about: dict[str, Any], options: Options) -> None:
-    """Write a drive's folder under a temporary name, and rename it when it is complete."""
+    """Write the folder of a drive under a temporary name, and rename the complete folder."""
     new = folder.parent / f".{folder.name}.new"
     shutil.rmtree(new, ignore_errors=True)
     new.mkdir(parents=True)
@@ -96,7 +98,7 @@ def _write_csv(path: Path, header: str, rows: Any) -> None:
 
 
 def keep_incomplete(recording: Recording, options: Options) -> None:
-    """Save the data of an incomplete drive in the folder ``incomplete``, which no command reads."""
+    """Save an incomplete drive in the folder ``incomplete``, which no command reads."""
     if not recording.rows:
         return
     parent = options.out / "incomplete"

@@ -1,4 +1,4 @@
-"""Conversions of axes, angles, latitudes and longitudes, and interpolation.
+"""Conversion of axes, angles, latitudes and longitudes; interpolation.
 
 CARLA's axes are left-handed (x east, y south; body x forward, y right). Only `polar` and `axial` convert them to
 sigmaswarm's axes (east-north-up; forward-left-up).
@@ -14,7 +14,7 @@ from typing import Any
 from .options import RecorderError
 
 METERS_PER_DEGREE = math.pi * 6378137.0 / 180.0
-"""m per degree of latitude on CARLA's sphere."""
+"""Length of a degree of latitude on CARLA's sphere, m."""
 
 
 def polar(v: Any) -> tuple[float, float, float]:
@@ -38,7 +38,7 @@ def wrap(angle: float) -> float:
 
 
 def interpolate(table: Sequence[tuple[float, float]], x: float) -> float:
-    """Interpolate linearly in a table of (x, y); beyond its ends, return the first or the last y."""
+    """Interpolate linearly in a table of (x, y), constant beyond its ends."""
     if x <= table[0][0]:
         return table[0][1]
     for (x0, y0), (x1, y1) in zip(table, table[1:]):
@@ -48,14 +48,13 @@ def interpolate(table: Sequence[tuple[float, float]], x: float) -> float:
 
 
 class Geodesy:
-    """Conversion of CARLA's latitudes and longitudes to m: Newton's method inverts the formula of the map.
+    """Conversion of CARLA's latitudes and longitudes to m: Newton's method inverts the formula of the client.
 
-    The client evaluates the formula, because it is not WGS-84 and differs between versions: 0.9.16 even mirrors north
-    and south (carla#9389).
+    The formula is not WGS-84 and differs between versions: 0.9.16 mirrors north and south (carla#9389).
     """
 
     def __init__(self, locate: Callable[[float, float], tuple[float, float]]) -> None:
-        """Store `locate`, which converts CARLA's x and y, m, to latitude and longitude, deg."""
+        """Use ``locate``, which converts CARLA's x and y, m, to latitude and longitude, deg."""
         self._locate = locate
         self.origin = locate(0.0, 0.0)
         self.east = locate(100.0, 0.0)

@@ -1,4 +1,4 @@
-"""Content of a recorded drive's drive.toml."""
+"""Content of the drive.toml of a recorded drive."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def describe(
 
 
 def _passed(row: Row, plan: Plan) -> bool:
-    """Return true if the car has reached the beginning of its maneuver."""
+    """Check if the car has reached the beginning of its maneuver."""
     path = plan.path
     i = min(round(plan.start / SPACING), len(path.x) - 1)
     dx, dy = row.place[0] - path.x[i], row.place[1] - path.y[i]
@@ -75,9 +75,9 @@ def _passed(row: Row, plan: Plan) -> bool:
 
 
 def velocity_check(rows: Sequence[Row]) -> float:
-    """Return the RMS difference between the snapshots' velocity and the central difference of their positions, m/s.
+    """Return the RMS difference between velocities and central differences of positions, m/s.
 
-    The difference is large if CARLA gives the velocity of the center of mass, but the position of the car's origin.
+    It is large if CARLA gives the velocity of the center of mass but the position of the car's origin.
     """
     total = 0.0
     for a, b, c in zip(rows, rows[1:], rows[2:]):
@@ -86,7 +86,7 @@ def velocity_check(rows: Sequence[Row]) -> float:
 
 
 def achieved(maneuver: str, recording: Recording, began: float) -> dict[str, float]:
-    """Return the values that the car achieved, with the names of the plan's ``target``."""
+    """Return the achieved values under the names of the plan's ``target``."""
     rows = recording.rows
     own = [row for row in rows if row.t >= began]
     speeds = [row.speed for row in rows]
@@ -119,7 +119,7 @@ def _length(rows: Sequence[Row]) -> float:
 
 
 def _time_to(fast: float, speeds: Sequence[float]) -> float:
-    """Return the shortest time, s, from a standstill to the speed `fast`, m/s; infinite if it is never reached."""
+    """Return the shortest time, s, from standstill to the speed `fast`, m/s; inf if it is never reached."""
     best, stood = math.inf, None
     for i, speed in enumerate(speeds):
         if speed <= 0.1:

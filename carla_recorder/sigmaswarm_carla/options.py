@@ -10,18 +10,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 RATE = 100
-"""Rate of the server's ticks and of the IMU, Hz."""
+"""Rate of ticks and IMU, Hz."""
 TICK = 1.0 / RATE
 GPS_EVERY = 20
-"""Ticks from fix to fix: 5 Hz. CARLA's sensor_tick does not stay synchronous with the frames (carla#3653)."""
+"""Ticks from fix to fix (5 Hz), since CARLA's sensor_tick does not stay synchronous (carla#3653)."""
 STAND = 1.0
-"""Duration of the standstill at the beginning of a drive, s."""
+"""Standstill at the beginning of a drive, s."""
 GRAVITY = 9.81
 KMH = 1 / 3.6
 DRY = 0.85
-"""Friction assumed for stock tires, unless --brake-sweep measures it."""
+"""Friction of stock tires without --brake-sweep."""
 BRAKE_GAIN = 2.0
-"""Factor for max_brake_torque: stock brakes stop from 50 km/h in 2.7 s, the paper's car in 2 s."""
+"""Factor of max_brake_torque: stock brakes stop the car from 50 km/h in 2.7 s, in the paper it takes 2 s."""
 
 
 class Environment(NamedTuple):
@@ -54,11 +54,11 @@ NOISE = ("accel_noise", "gyro_noise", "gyro_bias", "gps_noise")
 
 
 class RecorderError(Exception):
-    """Error that ends the recording; its message states the cause and the remedy."""
+    """Error that ends the recording. The message states cause and remedy."""
 
 
 class LostConnection(RecorderError):
-    """Error of a server that does not answer any more."""
+    """Error if the server no longer answers."""
 
 
 class FailedRun(RecorderError):
@@ -84,7 +84,7 @@ def _option(default: Any, text: str) -> Any:
 
 @dataclass(frozen=True)
 class Options:
-    """Options of a recording; each field is an option of the command line."""
+    """Options of a recording, which are the options of the command line."""
 
     out: Path = field(metadata={"help": "folder for the drive folders"})
     host: str = _option("127.0.0.1", "host of the CARLA server")
@@ -93,18 +93,18 @@ class Options:
     environments: tuple[str, ...] = _option(tuple(ENVIRONMENTS), ", ".join(ENVIRONMENTS))
     runs: int = _option(20, "number of drives of each maneuver in each environment")
     seed: int = _option(0, "seed of routes, driver and noise")
-    map: str = _option("", "town to load; if empty, the loaded town is used")
+    map: str = _option("", "town to load; by default the town that is loaded")
     accel_noise: float = _option(0.001, "standard deviation of each acceleration sample, m/s2")
     gyro_noise: float = _option(0.001, "standard deviation of each gyro sample, rad/s")
     gyro_bias: float = _option(
         0.001, "largest gyro bias, rad/s; each drive has a constant bias within +- this bound"
     )
     gps_noise: float = _option(0.56, "standard deviation of each fix, m per axis")
-    timeout: float = _option(20.0, "longest wait for an answer of the server, s")
-    patience: float = _option(120.0, "longest wait for a lost server, s")
+    timeout: float = _option(20.0, "longest time to wait for an answer of the server, s")
+    patience: float = _option(120.0, "longest time to wait for a server that no longer answers, s")
     resume: bool = _option(False, "keep existing drives and record the missing ones")
     brake_sweep: bool = _option(
-        False, "first measure the friction for several values of tire_friction, and use it"
+        False, "first measure the friction for several values of tire_friction, and use the result"
     )
 
     def figures(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Record all drives; connect again after the server was lost."""
+"""Record all drives, with a new connection after a loss of the server."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .vehicle import edit_physics, place_car, settle
 
 
 class Progress:
-    """Show progress on standard error: one changing line on a terminal, one line per drive elsewhere."""
+    """Show progress on stderr: one changing line on a terminal, elsewhere one line per drive."""
 
     def __init__(self, total: int) -> None:
         self.total, self.done = total, 0
@@ -57,13 +57,13 @@ class Progress:
 
 
 def record(options: Options) -> int:
-    """Record all missing drives; return their number.
+    """Record all missing drives. Return their number.
 
     Raises
     ------
     RecorderError
-        If the recording can't continue. Complete drives are then in `options.out`, and the data of an incomplete one
-        in its folder ``incomplete``.
+        If the recording can't continue. Complete drives are in `options.out`, an incomplete drive is in its folder
+        ``incomplete``.
     """
     journal = Journal(options)
     conditions = starmap(Condition, product(options.maneuvers, options.environments, range(options.runs)))
@@ -77,7 +77,7 @@ def record(options: Options) -> int:
 
 
 def _record(options: Options, journal: Journal, wanted: list[Condition], progress: Progress) -> None:
-    """Record drives; after a lost connection open a new session, at most three times in a row."""
+    """Record drives. After a loss of the connection open a new session, at most three times in a row."""
     checked, lost = False, 0
     before: dict[str, Any] = {}
     while wanted or (options.brake_sweep and not journal.friction):
@@ -104,14 +104,14 @@ def _record(options: Options, journal: Journal, wanted: list[Condition], progres
 
 
 def check_routes(session: Session, wanted: Sequence[Condition]) -> None:
-    """Raise RecorderError if the map lacks a route for one of the drives."""
+    """Raise RecorderError if the map lacks a route for a drive."""
     for maneuver, friction in sorted({(m, ENVIRONMENTS[e].friction) for m, e, _ in wanted}):
         with session.trouble():
             plan_maneuver(maneuver, friction, session.town, random.Random(0))
 
 
 def _wait_for(options: Options) -> bool:
-    """Wait for a lost server to come back."""
+    """Wait until a lost server answers again. Return False after `patience` s."""
     end = time.monotonic() + options.patience
     while time.monotonic() < end:
         if reachable(options.host, options.port, 1.0):
@@ -129,7 +129,7 @@ def _put_in_order(options: Options, before: dict[str, Any]) -> None:
 
 
 def record_one(session: Session, journal: Journal, progress: Progress, condition: Condition) -> None:
-    """Record one drive; if it fails, try up to three other routes."""
+    """Record one drive. After a failure try up to three other routes."""
     options, name, where = session.options, condition.name, ENVIRONMENTS[condition.environment]
     session.show_weather(condition.environment)
     for attempt in range(4):

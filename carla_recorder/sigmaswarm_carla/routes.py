@@ -1,4 +1,4 @@
-"""Search for a path in CARLA's map that fits a maneuver."""
+"""Search for a path for a maneuver in CARLA's map."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from .geometry import heading_of, polar, wrap
 from .options import RecorderError
 
 SPACING = 0.5
-"""Distance between two points of a path, m."""
+"""Distance between points of a path, m."""
 RUN_OUT = 30.0
-"""Length of road beyond the end of a maneuver, m, for the driver's preview and for longer braking."""
+"""Length of road after the end of a maneuver, m, for the driver's preview and for longer braking."""
 STRAIGHT = math.radians(3.0)
 """Largest change of heading on a straight stretch, rad."""
 WALKS = 4000
@@ -22,7 +22,7 @@ WALKS = 4000
 
 
 class Turn(NamedTuple):
-    """A bend of a path: its beginning and end (m along the path) and its angle (rad, left positive)."""
+    """A bend of a path: beginning and end (m along the path), and angle (rad, left positive)."""
 
     start: float
     end: float
@@ -68,12 +68,12 @@ class Path2D:
 
     @property
     def bend(self) -> float:
-        """Largest difference of the heading from the first one, rad."""
+        """Largest difference from the initial heading, rad."""
         return max(abs(h - self.heading[0]) for h in self.heading)
 
 
 class Need(NamedTuple):
-    """Requirements of a maneuver for its path: description, length (m), straight or not, and a test."""
+    """Requirements for the path of a maneuver: description, length (m), straight or not, and a test."""
 
     what: str
     length: float
@@ -82,7 +82,7 @@ class Need(NamedTuple):
 
 
 def straight(length: float) -> Need:
-    """Require a straight stretch of a length, m, plus `RUN_OUT`."""
+    """Require a straight path of a length, m, plus `RUN_OUT`."""
 
     def fits(path: Path2D) -> bool:
         return path.bend < STRAIGHT
@@ -94,13 +94,13 @@ def straight(length: float) -> Need:
 def find_path(town: Any, need: Need, rng: random.Random) -> Path2D:
     """Find a random path in a `carla.Map` that meets the requirements.
 
-    Walk from the waypoints of the map, in random order: straight ahead if the path must be straight, otherwise six
-    times with a random choice at each junction.
+    Walks begin at the waypoints of the map, in random order. If the path must be straight, they go straight ahead.
+    Otherwise six walks from each waypoint choose at random at each junction.
 
     Raises
     ------
     RecorderError
-        If `WALKS` walks find no such path.
+        If `WALKS` walks find no path.
     """
     starts = [w for w in town.generate_waypoints(10.0) if not w.is_junction]
     rng.shuffle(starts)
@@ -120,7 +120,7 @@ def find_path(town: Any, need: Need, rng: random.Random) -> Path2D:
 
 
 def _walk(start: Any, need: Need, rng: random.Random) -> Path2D:
-    """Walk from a waypoint until the path is long enough, the lane ends, or a path that must be straight bends."""
+    """Walk from a waypoint until the path is long enough, the lane ends, or a straight path bends."""
     points, gone, here = [start], 0.0, start
     heading = heading_of(start.transform.rotation)
     while gone < need.length + 2.0:
@@ -148,7 +148,7 @@ def _turning(way: Any) -> float:
 
 
 def _resample(points: Sequence[Any]) -> Path2D:
-    """Resample waypoints, which are about 1 m apart, to `SPACING`."""
+    """Resample waypoints with distances of about 1 m to `SPACING`."""
     places = [polar(p.transform.location) for p in points]
     headings = [heading_of(points[0].transform.rotation)]
     for p in points[1:]:

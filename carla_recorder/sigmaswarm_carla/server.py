@@ -14,11 +14,11 @@ from .geometry import Geodesy
 from .options import ENVIRONMENTS, TICK, LostConnection, Options, RecorderError
 
 _KEEP: list[Any] = []
-"""Objects of a broken connection, which are kept because their destructors would wait for the lost server."""
+"""Objects of a broken connection, kept since their destructors would wait for the lost server."""
 
 
 def reachable(host: str, port: int, seconds: float) -> bool:
-    """Return true if a program accepts connections at the port within some seconds."""
+    """Check if a program accepts connections at the port."""
     try:
         socket.create_connection((host, port), seconds).close()
     except OSError:
@@ -27,13 +27,13 @@ def reachable(host: str, port: int, seconds: float) -> bool:
 
 
 def number_of(version: str) -> str:
-    """Return the numbers of a version such as 0.9.14-2-gabc; client and server must have the same."""
+    """Return the numbers of a version such as 0.9.14-2-gabc, which must be equal for client and server."""
     found = re.match(r"\d+\.\d+\.\d+", version)
     return found.group() if found else version
 
 
 def import_carla() -> Any:
-    """Import the client; raise RecorderError if it is not installed."""
+    """Import the client. Raise RecorderError if it is not installed."""
     try:
         return import_module("carla")
     except ImportError as error:
@@ -44,11 +44,11 @@ def import_carla() -> Any:
 
 
 def connect(carla: Any, options: Options) -> Any:
-    """Connect to the server; raise RecorderError for another version, whose calls may crash this process."""
+    """Connect to the server. Raise RecorderError for another version, since its calls may crash this process."""
     place = f"{options.host}:{options.port}"
     if not reachable(options.host, options.port, options.timeout):
         raise RecorderError(
-            f"no CARLA server at {place}; start one (./CarlaUE4.sh -RenderOffScreen), or name --host and --port"
+            f"no CARLA server at {place}; start one (./CarlaUE4.sh -RenderOffScreen), or give --host and --port"
         )
     client = carla.Client(options.host, options.port)
     client.set_timeout(options.timeout)
@@ -57,7 +57,7 @@ def connect(carla: Any, options: Options) -> Any:
     except RuntimeError as error:
         raise RecorderError(
             f"the program at {place} does not answer like a CARLA server ({one_line(error)}); "
-            "name the server's --port, or increase --timeout"
+            "give the --port of the server, or increase --timeout"
         ) from None
     mine = client.get_client_version()
     if number_of(mine) != number_of(server):
@@ -74,7 +74,7 @@ def one_line(error: BaseException) -> str:
 
 
 ROLE = "sigmaswarm"
-"""Role name of the recorder's actors, by which the next call finds the actors that a crashed call left."""
+"""Role name of the recorder's actors, to find the actors of a crashed call."""
 SUBSTEP = 0.001
 """Step of the physics, s; with CARLA's default the gyro is wrong."""
 SETTINGS: dict[str, Any] = {
@@ -93,7 +93,7 @@ def _same(found: Any, wanted: Any) -> bool:
 
 
 class Session:
-    """A server prepared for a recording, and restored at the end of the `with` block, also after an error.
+    """A server that is prepared for a recording, and restored at the end of the `with` block.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Session:
     """
 
     def __init__(self, options: Options, before: dict[str, Any]) -> None:
-        """Connect; `before` keeps the server's original settings and weather from one session to the next."""
+        """Connect. `before` keeps the original settings and weather of the server over several sessions."""
         self.options, self._before = options, before
         self.actors: list[Any] = []
         self.carla = import_carla()
@@ -161,7 +161,7 @@ class Session:
             self.client.set_timeout(self.options.timeout)
 
     def _as_before(self, settings: Any) -> Any:
-        """Return the settings to restore: CARLA's defaults if a killed recorder has left its own."""
+        """Return the settings to restore, or CARLA's defaults after a killed recorder."""
         if not all(_same(getattr(settings, name), value) for name, value in SETTINGS.items()):
             return settings
         print(
@@ -208,7 +208,7 @@ class Session:
         return actor
 
     def clear(self) -> None:
-        """Remove all actors: stop and remove the sensors before the car, or the server may crash."""
+        """Remove all actors: sensors before the car, otherwise the server may crash."""
         sensors = [a for a in self.actors if a.type_id.startswith("sensor")]
         for sensor in sensors:
             if sensor.is_listening:
@@ -220,7 +220,7 @@ class Session:
         self.actors.clear()
 
     def restore(self) -> str:
-        """Restore the world; return a message about the failures, empty if there are none."""
+        """Restore the world. Return a message about failures, or an empty string."""
         if not reachable(self.options.host, self.options.port, 2.0):
             _KEEP.extend([self, *self.actors])
             return "the server does not answer: its settings and weather could not be restored"

@@ -1,4 +1,4 @@
-"""Spawn the car in CARLA, edit its physics, and control it."""
+"""Spawn the car, edit its physics, and control it."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Physics(NamedTuple):
 
 
 def edit_physics(session: Session, car: Any, tire_friction: float | None, share: float = 1.0) -> Physics:
-    """Set the friction of the tires, stronger brakes and a flat steering curve; check that the server applied them.
+    """Set friction of tires, stronger brakes and a flat steering curve, and check that the server applied them.
 
-    Without `tire_friction`, the friction is `share` times that of the stock tires.
+    Without `tire_friction`, the friction is `share` times the friction of the stock tires.
     """
     physics = car.get_physics_control()
     wheels = list(physics.wheels)
@@ -47,7 +47,7 @@ def edit_physics(session: Session, car: Any, tire_friction: float | None, share:
             if abs(getattr(got, name) - getattr(wanted, name)) > 1e-3 * getattr(wanted, name):
                 raise RecorderError(
                     f"a wheel has {name} = {getattr(got, name):g} instead of {getattr(wanted, name):g}: this "
-                    "build of CARLA ignores changes of the physics; use another one"
+                    "build of CARLA ignores changes of the physics; use another build"
                 )
     wheelbase, ahead = axles(found.wheels, car.get_transform())
     steer = math.radians(found.wheels[0].max_steer_angle)
@@ -55,10 +55,10 @@ def edit_physics(session: Session, car: Any, tire_friction: float | None, share:
 
 
 def axles(wheels: Sequence[Any], car: Any) -> tuple[float, float]:
-    """Return the wheelbase, and the distance from the rear axle to the car's origin, m.
+    """Return wheelbase and distance from the rear axle to the car's origin, m.
 
-    CARLA gives the wheels' positions in the world, in cm, front wheels first. If they do not have the proportions of a
-    car, the values of the real car are returned.
+    CARLA gives world positions in cm, front wheels first. If they do not fit a car, the values of the real car are
+    returned.
     """
     heading, (x, y, _) = heading_of(car.rotation), polar(car.location)
     places = [polar(wheel.position) for wheel in wheels]
@@ -79,7 +79,7 @@ def plain(value: Any) -> Any:
 
 
 def place_car(session: Session, path: Path2D) -> Any:
-    """Spawn the car at the beginning of a path; raise FailedRun if an obstacle is there."""
+    """Spawn the car at the beginning of a path. Raise FailedRun if an obstacle is there."""
     at = path.start.transform
     location = session.carla.Location(x=at.location.x, y=at.location.y, z=at.location.z + 0.5)
     try:
@@ -101,6 +101,6 @@ def settle(session: Session, car: Any, ticks: int = SETTLE) -> None:
 
 
 def control(session: Session, car: Any, physics: Physics, wanted: Control) -> None:
-    """Apply the driver's controls; in CARLA, positive steering is to the right."""
+    """Apply the controls. CARLA's positive steering is to the right."""
     steer = min(max(-wanted.angle / physics.steer, -1.0), 1.0)
     car.apply_control(session.carla.VehicleControl(throttle=wanted.throttle, steer=steer, brake=wanted.brake))

@@ -429,7 +429,7 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     first, second = sorted(drives.iterdir())[:2]
     assert sigmaswarm("tune", first, "--out", "t", *QUICK).code == 0
     told = sigmaswarm("evaluate", "t", first, "--json").err
-    assert "tuned on 40 of its 40 s (urban-clear-00): its scores are not held out" in told
+    assert "tuned on 40 of its 40 s (urban-clear-00), so this is not a held-out drive" in told
     assert "tuned on" not in sigmaswarm("evaluate", "t", second, "--json").err
     assert sigmaswarm("split", first, "--out", "parts", "--train-fraction", 0.8).code == 0
     cut = tomllib.loads(Path("parts/urban-clear-00-test/drive.toml").read_text())["cut_from"]

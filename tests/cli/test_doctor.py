@@ -39,7 +39,7 @@ def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
     assert (ended.code, ended.err) == (1, "")
     assert "1 SERIOUS" in ended.out
     assert "[gyro-sign] imu.csv, gz" in ended.out
-    assert "-> change the sign of gz (--fix does it)" in ended.out
+    assert "-> change the sign of gz (--fix does this)" in ended.out
 
 
 def test_tune_and_evaluate_warn_of_what_is_serious_in_a_line_and_trust_log_silences(
@@ -51,7 +51,7 @@ def test_tune_and_evaluate_warn_of_what_is_serious_in_a_line_and_trust_log_silen
         (line,) = [said for said in ended.err.splitlines() if "SERIOUS" in said]
         assert line.startswith(f"warning: {sick}: the doctor finds SERIOUS faults")
         assert (
-            f"(gyro-sign); sigmaswarm doctor {sick} --fix mended, or suppress this warning with --trust-log"
+            f"(gyro-sign); run sigmaswarm doctor {sick} --fix mended, or suppress this warning with --trust-log"
             in line
         )
     for command in (("evaluate", tuned, sick, "--json"), ("tune", sick, "--out", "u", *quick, "--json")):
@@ -69,15 +69,15 @@ def test_a_mended_copy_is_offered_where_something_can_be_mended_and_its_folder_i
         (line,) = [str(one.message) for one in warned if "SERIOUS" in str(one.message)]
         return line
 
-    assert f"; sigmaswarm doctor {sick} --fix mended, or" in told(sick)
+    assert f"; run sigmaswarm doctor {sick} --fix mended, or" in told(sick)
     write_drive(read_drive(sick), here / "mended" / good.name)  # still sick
     (here / "mended-2").mkdir()  # of another drive
-    command = re.search(r"; (sigmaswarm doctor .* --fix mended-2), or", told(here / "mended" / good.name))
+    command = re.search(r"; run (sigmaswarm doctor .* --fix mended-2), or", told(here / "mended" / good.name))
     assert command
     assert sigmaswarm(*shlex.split(command[1])[1:]).code == 0
     assert read_drive(here / "mended-2" / good.name).imu.gz.tobytes() == good.imu.gz.tobytes()
     write_drive(replace(good, imu=replace(good.imu, ax=good.imu.ax + 9.81)), here / "on its nose")
-    assert "(gravity-axis); sigmaswarm doctor 'on its nose', or suppress" in told(Path("on its nose"))
+    assert "(gravity-axis); run sigmaswarm doctor 'on its nose', or suppress" in told(Path("on its nose"))
 
 
 def test_for_machines(sigmaswarm, sick: Path):

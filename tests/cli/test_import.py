@@ -164,7 +164,7 @@ def test_options_reach_the_drive(sigmaswarm: Command, here: Path, bagged: bytes)
     ("arguments", "said"),
     [
         (("nowhere", "--out", "out"), "nowhere does not exist"),
-        (("log.mcap",), "--out is missing: name the drive's folder"),
+        (("log.mcap",), "--out is missing: give a folder for the drive"),
         (("log.mcap", "--out", "out", "--format", "rosbag"), "--format 'rosbag' is unknown; perhaps"),
         (("log.mcap", "--out", "out", "--format", "ros"), "log.mcap"),
         (("notes.md", "--out", "out"), "has an unknown format"),

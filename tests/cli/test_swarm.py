@@ -49,7 +49,7 @@ def test_evaluate_has_a_row_for_it_and_so_has_the_page(
     np.testing.assert_allclose(np.sum(shares, axis=0), 1.0, rtol=1e-6)
     assert sigmaswarm("report", "evaluation").code == 0
     page = (here / "evaluation" / "page.html").read_text()
-    assert "The swarm" in page
+    assert "Filter bank" in page
     assert "other receivers" in page
     assert "--swarm" in page
 

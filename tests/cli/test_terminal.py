@@ -147,7 +147,7 @@ def test_the_unforeseen_is_one_line_with_a_code_of_its_own(
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     ended = sigmaswarm("doctor", drive("n"))
     assert ended.code == 3
-    assert ended.err.startswith("sigmaswarm: unforeseen: ")
+    assert ended.err.startswith("sigmaswarm: unexpected error: ")
     assert ended.err.count("\n") == 1
     (story,) = tmp_path.glob("sigmaswarm-*.txt")
     assert str(story) in ended.err

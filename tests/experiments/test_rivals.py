@@ -265,7 +265,7 @@ def test_networks_are_told_against_the_filter_that_they_stand_beside(whole: Stud
         assert found.n_drives == len(of_drives)
         assert found.mean_difference == pytest.approx(np.mean([np.mean(d) for d in of_drives.values()]))
     table = study_tables(whole.results)["rivals-gains"].to_markdown()
-    assert "in favor of the network" in table
+    assert "favor the network" in table
 
 
 def test_what_a_network_leaves_as_it_is_is_not_told(whole: Study):
@@ -336,7 +336,7 @@ def test_the_page_shows_them(whole: Study):
     section = next(s for s in read_report(whole.folder).sections if s.title == "Rivals")
     captions = [table.caption.split(":")[0] for table in section.tables]
     alone = "Networks against PSO-UKF, planar8 (honest) without them"
-    assert captions == ["Rivals", alone, "Elsewhere", "Elsewhere", "Learning curves"]
+    assert captions == ["Rivals", alone, "Other drives", "Other drives", "Learning curves"]
     assert "a sample, us" in [column.title for column in section.tables[0].columns]
     assert len(section.charts) == 3  # of 30 s nothing is known
 

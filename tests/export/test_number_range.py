@@ -114,7 +114,7 @@ def test_yaml_holds_numbers(tmp_path: Path, change: dict[str, Any]):
 @pytest.mark.parametrize(
     ("target", "change", "said"),
     [
-        ("c99", {"alpha": 1e160}, "spread of the sigma points, of alpha = 1e.160, .* beyond the range"),
+        ("c99", {"alpha": 1e160}, "spread of the sigma points, of alpha = 1e.160, .* not a finite number"),
         ("c99", {"alpha": 1e-200}, "spread of the sigma points, of alpha = 1e-200"),
         ("c99", {"nominal_interval": 1e-300}, "nominal_interval = 1e-300 s: the C library keeps one second"),
         (
@@ -122,9 +122,9 @@ def test_yaml_holds_numbers(tmp_path: Path, change: dict[str, Any]):
             {"nominal_interval": 5e-324},
             "nominal_interval = .* at 10000 Hz at most; correct it",
         ),
-        ("robot_localization", {"nominal_interval": 1e-320}, "nominal_interval is beyond the range"),
-        ("robot_localization", {"process_noise": (1e307,) * 5}, "process_noise / nominal_interval is beyond"),
-        ("robot_localization", {"measurement_noise": (1e308, 1e308)}, "sum of measurement_noise is beyond"),
+        ("robot_localization", {"nominal_interval": 1e-320}, "nominal_interval is not a finite number"),
+        ("robot_localization", {"process_noise": (1e307,) * 5}, "process_noise / nominal_interval is not a"),
+        ("robot_localization", {"measurement_noise": (1e308, 1e308)}, "sum of measurement_noise is not a"),
     ],
 )
 def test_what_has_no_place_there_is_refused_in_one_line(

@@ -126,7 +126,7 @@ def test_an_unknown_ending_is_refused(tmp_path: Path, estimate: Estimate, name: 
 
 
 def test_a_place_that_can_not_be_written_is_refused(tmp_path: Path, estimate: Estimate):
-    with pytest.raises(InputError, match="nowhere: no such folder; make it first"):
+    with pytest.raises(InputError, match="nowhere: no such folder; create it first"):
         check_target(tmp_path / "nowhere" / "e.csv")
     (tmp_path / "e.csv").mkdir()
     with pytest.raises(InputError, match=r"e.csv.* folder"):
@@ -324,6 +324,6 @@ def test_the_fixes_before_a_start_are_written_as_fixes(tmp_path: Path, suffix: s
         assert f"{drive.name}: fixes before" in (tmp_path / f"f{suffix}").read_text()
     with pytest.raises(
         InputError,
-        match=r"f.tum: this format contains poses, and fixes are not poses; end the name in .csv, .geojson",
+        match=r"f.tum: this format needs poses, and fixes have no attitude; end the name in .csv, .geojson",
     ):
         write_fixes(drive, 5.0, tmp_path / "f.tum")

@@ -283,7 +283,7 @@ def test_the_page_says_where_the_rear_axle_is(tmp_path: Path):
     file["result"]["touched_bounds"] = ["rear_axle at its upper bound (4)"]
     path.write_text(tomli_w.dumps(file))
     rows = {row[0]: row for row in read_report(tmp_path).sections[0].tables[0].rows}
-    said = "distance from the rear axle forward to the IMU; negative: the IMU is behind it"
+    said = "distance of the IMU in front of the rear axle; negative: behind the rear axle"
     assert rows["rear_axle"][2] == "m"
     assert str(rows["rear_axle"][6]).startswith(said)
     assert "rear axle" not in str(rows["lateral_noise"][6])
@@ -499,7 +499,7 @@ MISTAKES: dict[str, tuple[Edit, str]] = {
     "no tracks": (lambda f: (f / "tracks.npz").unlink(), "tracks.npz: not readable"),
     "other tracks": (
         lambda f: save_tracks(load_tracks(f / "tracks.npz")[:1], f / "tracks.npz"),
-        "are not of the same drives",
+        "contain different drives",
     ),
     "binary": (lambda f: (f / "tuning.toml").write_bytes(b"\xff\xfe\0"), "tuning.toml: not readable"),
     "no history": (

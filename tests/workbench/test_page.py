@@ -52,7 +52,7 @@ def test_repair_and_back(tmp_path: Path, serve: Any, tab: Any):
     page.get_by_role("button", name="Mend: gyro-sign").click()
     for one in (page, other):
         one.get_by_text("repaired: gyro-sign").wait_for()
-    page.get_by_role("heading", name="Nothing serious").wait_for()
+    page.get_by_role("heading", name="No serious finding").wait_for()
     checked = original.with_name("monday-checked")
     mended = sigmaswarm.read_drive(checked)
     np.testing.assert_allclose(mended.imu.gz, -sigmaswarm.read_drive(original).imu.gz)

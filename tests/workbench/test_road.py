@@ -165,7 +165,7 @@ def test_road(write: Any, prepare: Any, whole: bool, tmp_path: Path, serve: Any,
     line = page.locator("pre").inner_text()
     page.get_by_role("button", name="Make the drive").click()
     page.get_by_role("link", name="Next: check it").click()
-    page.get_by_role("heading", name="Nothing serious").wait_for()
+    page.get_by_role("heading", name="No serious finding").wait_for()
     if whole:
         take_away(page, served.folder)
     (made,) = [

@@ -1,4 +1,4 @@
-"""The command line: one thin file per command. Heavy imports happen inside the commands."""
+"""The command line, one file per command. Commands import large libraries when they run."""
 
 from sigmaswarm.cli.app import main
 

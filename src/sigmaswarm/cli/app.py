@@ -1,4 +1,4 @@
-"""The `sigmaswarm` command: its subcommands, its exit codes and its error messages."""
+"""Subcommands, exit codes and error messages of the `sigmaswarm` command."""
 
 import logging
 import sys
@@ -46,11 +46,13 @@ A drive is a folder with imu.csv, gps.csv, drive.toml and, if known, truth.csv. 
     sigmaswarm report evaluation
     sigmaswarm run tuned drives/friday --out estimate.csv
 
-Another log format? `sigmaswarm import LOG --show` shows its content; `--out DRIVE` converts it to a drive.
+Other formats: `sigmaswarm import LOG --show` shows the content of a log. `sigmaswarm import LOG --out DRIVE` writes
+a drive.
 
-`sigmaswarm workbench LOG` runs all of these steps in the browser.
+`sigmaswarm workbench LOG` does all of this in the browser.
 
-No drives? `sigmaswarm simulate --out drives` simulates drives; `sigmaswarm demo` runs a small study of the paper.
+Without drives: `sigmaswarm simulate --out drives` simulates drives. `sigmaswarm demo` runs a small version of the
+paper's experiment.
 """,
     help_flags=("--help", "-h", HELP_ALL),
     help_format="markdown",
@@ -62,15 +64,15 @@ for command in (
     record_carla, plot, demo, import_, workbench,
 ):  # fmt: skip
     name = command.__name__.strip("_").replace("_", "-")
-    shortened = command in (tune, compare, simulate, import_)  # their help omits options
+    shortened = command in (tune, compare, simulate, import_)  # with options outside the short help
     more = f"`sigmaswarm {name} {HELP_ALL}` shows all options." if shortened else None
     app.command(command, name=name, default_parameter=PLAIN, help_epilogue=more)
 
 
 def completion(shell: Literal["bash", "zsh", "fish", "powershell"], /) -> None:
-    """Print a shell's completion script for commands, options and values.
+    """Print a script with which a shell completes commands, options and values.
 
-    Nothing is installed or written.
+    The command installs nothing and writes no file.
 
     For example:
 
@@ -81,7 +83,7 @@ def completion(shell: Literal["bash", "zsh", "fish", "powershell"], /) -> None:
     Parameters
     ----------
     shell
-        Your shell.
+        Name of the shell.
     """
     print(app.generate_completion(shell=shell))
 
@@ -92,7 +94,7 @@ app.command(completion, name="--completion")
 def main() -> NoReturn:
     """Run the command line and exit.
 
-    Exit codes: 0 success, 1 the doctor found serious faults, 2 wrong input, 3 unforeseen error, 130 interrupted.
+    Exit codes: 0 success, 1 serious faults of a drive (doctor), 2 wrong input, 3 unexpected error, 130 interrupted.
     """
     warnings.showwarning = _show_warning
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # without a home it reports its cache folder
@@ -110,7 +112,7 @@ def main() -> NoReturn:
 
 
 def _run() -> int:
-    """Run a command and return the exit code."""
+    """Run the command and return the exit code."""
     try:
         app(exit_on_error=False, print_error=False, console=terminal.console())
     except SystemExit as end:
@@ -140,7 +142,7 @@ def _told(code: int, said: str) -> int:
 
 
 def _unforeseen(error: Exception) -> int:
-    """Report a defect, or a lack of memory, in one line that names the file with the traceback."""
+    """Write the traceback of an unexpected error to a temporary file, and report the error in one line."""
     what = "not enough memory" if isinstance(error, MemoryError) else f"{type(error).__name__}: {error}"
     try:
         with NamedTemporaryFile("w", prefix="sigmaswarm-", suffix=".txt", delete=False) as file:
@@ -148,21 +150,21 @@ def _unforeseen(error: Exception) -> int:
         where = f"; the traceback is in {file.name}"
     except OSError:
         where = ""
-    return _told(3, f"unforeseen: {terminal.one_line(what)}{where}")
+    return _told(3, f"unexpected error: {terminal.one_line(what)}{where}")
 
 
 def _missing_out(error: Exception) -> str | None:
-    """Report that --out is missing; a missing value is reported by Cyclopts."""
+    """Return the message for a missing --out, else None. Cyclopts reports an --out without a value."""
     if not isinstance(error, MissingArgumentError) or error.keyword or "Did you mean" in str(error):
         return None
     if error.argument is None or error.argument.name != "--out" or error.argument.tokens:
         return None
     what = "file" if "run" in (error.command_chain or ()) else "folder"
-    return f"--out is missing: name a {what} for the result"
+    return f"--out is missing: give a {what} for the result"
 
 
 def _other_name(error: Exception) -> str | None:
-    """Suggest the option for the name that other libraries use."""
+    """Suggest an option of sigmaswarm if the user gave its name in another library."""
     if not isinstance(error, UnknownOptionError):
         return None
     from sigmaswarm.tuning.config import SYNONYMS

@@ -1,4 +1,4 @@
-"""Reading drives and printing results, for several commands."""
+"""Functions of several commands that read drives and print results."""
 
 import json
 import warnings
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from sigmaswarm.errors import SigmaswarmWarning
 
 MOST_SENTENCES = 3
-"""Number of sentences of an evaluation or a tuning that the terminal shows by default."""
+"""Number of remarks on an evaluation or a tuning that the terminal shows by default."""
 
 
 def read_known(place: "Location") -> "Drive":
-    """Read a drive that an earlier command has read; do not repeat the warnings about its gaps."""
+    """Read a drive without warnings about gaps, which an earlier command printed."""
     from sigmaswarm.drives.reader import read_with_warnings
 
     drive, warned = read_with_warnings(place)
@@ -32,14 +32,13 @@ def read_known(place: "Location") -> "Drive":
 
 
 def _warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> None:
-    """Print the reader's warnings about a drive; warnings about gaps only with ``gaps``."""
     for warning in warned:
         if gaps or not getattr(warning, "code", "").endswith("-gap"):
             warnings.warn(warning, stacklevel=3)
 
 
 def read_drives(places: "Sequence[Location]") -> "list[Drive]":
-    """Read drives with `read_known`; a folder of drive folders names all drives in it."""
+    """Read drives with `read_known`, and all drives in each folder of drive folders."""
     from sigmaswarm.drives.reader import all_drive_locations
 
     return [read_known(place) for place in all_drive_locations(places)]
@@ -47,7 +46,7 @@ def read_drives(places: "Sequence[Location]") -> "list[Drive]":
 
 @contextmanager
 def cluster_at(address: str | None) -> "Generator[Client | None]":
-    """Connect to the cluster at an address until the block ends; without an address yield None."""
+    """Connect to a cluster until the block ends. Yield None without an address."""
     if address is None:
         yield None
         return
@@ -60,9 +59,9 @@ def cluster_at(address: str | None) -> "Generator[Client | None]":
 def read_datasets(
     *groups: "Sequence[Location]", cluster: "Client | None" = None, trusted: bool = True, gaps: bool = False
 ) -> "list[Dataset]":
-    """Read groups of drives on a cluster's workers or in this process.
+    """Read groups of drives in this process or on the workers of a cluster.
 
-    Drives that are not ``trusted`` are checked for serious faults. With ``gaps``, warnings about gaps are printed.
+    The doctor checks drives that are not ``trusted``. ``gaps`` selects whether warnings about gaps are printed.
     """
     from sigmaswarm.cli.findings import warn_of_serious
     from sigmaswarm.cli.terminal import progress_bar
@@ -88,7 +87,7 @@ def read_datasets(
 
 
 def tuned_as_recorded(tuning: Path) -> bool:
-    """Check whether a tuning was made without preprocessing."""
+    """Check if a tuning was made without preprocessing."""
     from sigmaswarm.records import load_record
     from sigmaswarm.tuning.record import TuningConfigRecord, tuning_file
 
@@ -96,7 +95,7 @@ def tuned_as_recorded(tuning: Path) -> bool:
 
 
 def numbers_of(text: str | None, count: int, option: str, example: str) -> tuple[float, ...] | None:
-    """Parse an option of ``count`` numbers separated by commas; return None if the option is missing."""
+    """Parse ``count`` numbers separated by commas. Return None if the option is not given."""
     from sigmaswarm.errors import InputError
 
     if text is None:
@@ -113,28 +112,26 @@ def numbers_of(text: str | None, count: int, option: str, example: str) -> tuple
 
 
 def stdout() -> "Console":
-    """Return the console for results."""
     from sigmaswarm.cli.terminal import console
 
     return console(soft_wrap=True)
 
 
 def say(*lines: object) -> None:
-    """Print lines for people."""
     console = stdout()
     for line in lines:
         console.print(line)
 
 
 def print_json(content: Any) -> None:
-    """Print JSON; NaN and inf, which JSON does not have, become null."""
+    """Print JSON. NaN and inf, which JSON does not have, become null."""
     print(json.dumps(finite(content), indent=2))
 
 
 def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "Iterable[str]" = ()) -> None:
-    """Print the mean scores and the most important sentences, or with ``verbose`` all tables and sentences.
+    """Print the mean scores and the first remarks; with ``verbose`` print all tables and remarks.
 
-    ``more``: further sentences, such as the warnings of the tuning.
+    ``more`` are additional remarks, for example the warnings of the tuning.
     """
     from dataclasses import replace
 

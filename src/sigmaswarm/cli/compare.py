@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sigmaswarm.experiments.comparison import Comparison
 
 APART = ("seed", "optimizer", "scale", "prior", "inflation")
-"""Options of a tuning that a comparison varies or does not use."""
+"""Options of `tune` that `compare` does not have."""
 SHOWN = ("objective", "particles", "generations", "model")
 
 
@@ -39,8 +39,8 @@ def compare(
     """Compare optimizers with the same budget on the same drives.
 
     OUT contains comparison.md (a table with intervals and paired tests), comparison.csv, runs.csv, curves.csv,
-    comparison.png, times.csv and all tunings. The result is valid for these drives only: the intervals cover other
-    seeds but not other drives.
+    comparison.png, times.csv and all tunings. The intervals describe the spread between seeds. They do not apply to
+    other drives.
 
     For example:
 
@@ -53,17 +53,17 @@ def compare(
     out
         Folder for the tables, the figure and all runs.
     optimizers
-        Names, with settings after a colon, such as pso:polish=300; with equal budgets. All are compared with the first.
+        Names of optimizers; settings follow a colon, as in pso:polish=300. All are compared with the first.
     scales
-        Scales of the search space: log10 (the default), linear or both.
+        Scales of the search space; log10 by default.
     seeds
         Runs of each optimizer.
     validation
         Drives that the search does not use; the tuned filters are also evaluated on them.
     workers
-        Threads, or with --cluster simultaneous tunings; all cores by default. The result does not depend on the number.
+        Threads, or with --cluster simultaneous tunings; one per core by default. The result does not depend on it.
     resume
-        Continue an interrupted comparison; the result is the same, except for the times.
+        Continue an interrupted comparison. The result is the same, except for the times.
     """
     from sigmaswarm.reports.compare import comparison_table, save_comparison
 
@@ -81,7 +81,7 @@ def compare(
 def _compare(
     groups: "Sequence[Dataset]", asked: Mapping[str, Any], options: dict[str, Any]
 ) -> "tuple[Comparison, list[str]]":
-    """Compare optimizers; return the result, and a line about the model if the options do not name it."""
+    """Compare optimizers. Return the result, and a line about the model if the options do not name it."""
     from sigmaswarm.drives.sensors import sensors_of
     from sigmaswarm.tuning.defaults import with_filter
 

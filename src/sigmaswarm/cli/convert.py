@@ -18,7 +18,7 @@ def convert(
 ) -> None:
     """Convert drives between Parquet and CSV.
 
-    Parquet is smaller and much faster to read; both contain identical numbers, and every command reads both. Columns
+    Every command reads both formats. Parquet files are smaller and much faster to read, with the same numbers. Columns
     that sigmaswarm does not know are dropped with a warning.
 
     For example:
@@ -32,7 +32,7 @@ def convert(
     drives
         Drive folders or URLs, or folders of drive folders. The last argument is the folder for the converted drives.
     to
-        parquet or csv.
+        Format of the converted drives.
     """
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.table_files import TABLES
@@ -42,7 +42,7 @@ def convert(
         raise InputError("give the drives and, as the last argument, a folder for the converted drives")
     *given, last = drives
     if is_url(last):
-        raise InputError(f"{last}: is a URL; name a local folder for the converted drives")
+        raise InputError(f"{last}: is a URL; give a local folder for the converted drives")
     out, written = Path(last), list[str]()
     if any((out / table).exists() for table in TABLES):
         raise InputError(f"{last}: is a drive; give a folder for the converted drives as the last argument")

@@ -17,10 +17,11 @@ def demo(*, out: Path = Path("demo"), seed: Seed = 0, json: Json = False) -> Non
     Parameters
     ----------
     out
-        Folder for results, tables, figures and the page; an unfinished demo is continued, a finished demo shown again.
+        Folder for results, tables, figures and the page. An unfinished demo in it continues; a finished demo is shown
+        again.
     seed
-        Seed of the drives, the splits and the swarms.
+        Seed of drives, splits and swarms.
     """
     if out.is_dir() and any(out.iterdir()) and not (out / "study.toml").exists():
-        raise InputError(f"{out}: is not empty and was not made by an earlier demo; choose another --out")
+        raise InputError(f"{out}: is not empty and contains no demo; choose another --out")
     study(options=StudyOptions(out=out, quick=True, seed=seed, resume=True, json=json))

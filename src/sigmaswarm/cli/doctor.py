@@ -27,8 +27,8 @@ def doctor(
 ) -> None:
     """Check drives for wrong signs, units, axes, clocks, noise and gaps.
 
-    The IMU is compared with the motion of the fixes; truth is not used. Exit code 0: no serious fault; 1: a serious
-    fault (with --fix: one that remains in a copy); 2: a drive can't be read.
+    The doctor compares the IMU with the motion of the fixes. It does not use truth. The exit code is 0 without serious
+    faults, 1 with a serious fault (with --fix: in a copy), and 2 if a drive can't be read.
 
     For example:
 
@@ -43,9 +43,9 @@ def doctor(
     drives
         Drive folders, or folders of drive folders.
     fix
-        Folder for a repaired copy of each drive; the drives themselves are not changed.
+        Folder for a repaired copy of each drive. The drives themselves are not changed.
     lever_arm_within
-        Estimate one lever arm for all drives; --fix writes axes whose 95% interval is at most +- this many meters.
+        Estimate one lever arm of all drives; --fix writes axes with a 95% interval within +- this many meters.
     """
     read = _read(drives)
     if fix is not None:
@@ -83,14 +83,14 @@ def doctor(
 
 
 def _read(paths: list[Path]) -> "list[Drive]":
-    """Read the drives without the reader's warnings, since the diagnosis checks more."""
+    """Read the drives without warnings, since the diagnosis checks more."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DriveWarning)
         return read_drives(paths)
 
 
 def _lever_arm(drives: "list[Drive]", within: float, *, repaired: bool) -> "LeverArmEstimate | None":
-    """Estimate the lever arm of the drives, or of their repaired copies; None, with a warning, if no filter runs."""
+    """Estimate one lever arm for all drives. Warn and return None if no filter can start."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the repairs warn again when the copies are made
@@ -103,10 +103,10 @@ def _lever_arm(drives: "list[Drive]", within: float, *, repaired: bool) -> "Leve
 
 
 def _check_names(drives: "list[Drive]", out: Path) -> None:
-    """Refuse, before anything is written, copies that would replace each other or another folder."""
+    """Raise, before anything is written, if a copy would replace another copy or an existing folder."""
     names = [drive.name for drive in drives]
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"{names.count(name)} drives are named {name!r}; repair them one at a time")
         if (out / name).exists():
-            raise InputError(f"{out / name} exists already; delete it, or name another folder")
+            raise InputError(f"{out / name} exists already; delete it, or choose another folder")

@@ -35,11 +35,11 @@ class EvaluateOptions:
     Attributes
     ----------
     against
-        Second filter: a tuning, a TOML file with your parameters in [filter], or an ekf.yaml of robot_localization.
+        Second filter: a tuning, a TOML file with parameters in [filter], or an ekf.yaml of robot_localization.
     out
         Folder for scores.csv, scores.json, figures and the data for `sigmaswarm report`.
     outage_length
-        Length of the outages, s. The drift is measured at the end of an outage.
+        Length of the outages, s. The drift is the error at the end of an outage.
     outage_seed
         Seed of the outage windows.
     as_recorded
@@ -49,7 +49,7 @@ class EvaluateOptions:
     swarm
         Also evaluate a filter bank: sixteen variants of the tuned filter and their mixture.
     verbose
-        Also print the scores of each drive, the consistency, all remarks and the names of the files.
+        Also print the scores of each drive, the consistency, all remarks and the names of written files.
     """
 
     against: Path | None = None
@@ -80,9 +80,9 @@ def evaluate(
 ) -> None:
     """Evaluate a tuned filter on drives.
 
-    The filter is compared with the baseline, raw GPS, IMU only and, with --against, another filter. Use drives that
-    the tuning did not use. All methods start at the same time from the same state. Without truth the scores are the
-    consistency of the innovations and the drift over outages, relative to the hidden fixes.
+    The filter is compared with the baseline filter, raw GPS, IMU only and, with --against, another filter. Use drives
+    that the tuning did not use. All methods start at the same time from the same state. Without truth the scores are
+    the consistency of the innovations and the drift in simulated outages, measured at the hidden fixes.
 
     For example:
 
@@ -155,12 +155,12 @@ def _evaluated(
 
 
 def _warn_of_training_drives(evaluation: "Evaluation") -> None:
-    """Warn of drives that the tuning used: the errors on these drives are too small."""
+    """Warn about drives that the tuning used, since the errors on them are too small."""
     for name, found in evaluation.drives.items():
         drive = found.record
         if drive.seen_s:
             message = (
                 f"{name}: the filter was tuned on {drive.seen_s:.0f} of its {drive.duration_s:.0f} s "
-                f"({', '.join(drive.seen_in)}): its scores are not held out"
+                f"({', '.join(drive.seen_in)}), so this is not a held-out drive"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)

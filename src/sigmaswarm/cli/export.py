@@ -25,21 +25,20 @@ class ExportOptions:
     Attributes
     ----------
     to
-        filterpy: a Python script. c99: a C library. robot_localization: parameters, only a start unless tuned with
-        --model robot-localization.
+        filterpy: a Python script. c99: a C library. robot_localization: parameters, which are a starting point unless
+        tuned with --model robot-localization.
     out
         Folder to write to; created if missing.
     replay
-        c99: drive that is written as the input of the replay program.
+        c99: also write this drive as the input of the replay program.
     check
-        c99: drives on which C and `sigmaswarm run` are compared. robot-localization: drives for the errors in the
-        exported README.md.
+        c99: compare C and `sigmaswarm run` on these drives. Model robot-localization: write the errors into README.md.
     against
-        robot-localization, with --check: a second tuning to compare in README.md.
+        Model robot-localization, with --check: a second tuning for the table in README.md.
     lanes
-        c99: number of filters in the exported filter bank, 1 to 16; the bank's parameter search is not exported.
+        c99: number of filters of the exported filter bank, 1 to 16. The C code does not search parameters.
     seed
-        Seed of the variants in the filter bank.
+        Seed of the parameters in the filter bank.
     """
 
     to: Literal["filterpy", "c99", "robot_localization", "robot-localization"]
@@ -60,7 +59,7 @@ def export(
 ) -> None:
     """Export a tuned filter as C, as a Python script or for robot_localization.
 
-    Trajectories are written by `sigmaswarm run`.
+    `sigmaswarm run` writes trajectories.
 
     For example:
 
@@ -106,7 +105,6 @@ def export(
 def _accuracy(
     parameters: "sigmaswarm.FilterParameters", drives: "Sequence[Drive]", tuning: Path, against: Path | None
 ) -> str:
-    """Return the section of README.md about the accuracy on drives."""
     from sigmaswarm.exports.robot_localization import accuracy_section
     from sigmaswarm.scoring.evaluation import evaluate
     from sigmaswarm.tuning.record import seen_by, tuning_file
@@ -116,7 +114,6 @@ def _accuracy(
 
 
 def _found(checked: "Checked", lanes: int) -> str:
-    """Describe the differences on a drive in one line."""
     library = "sigmaswarm run" if lanes == 1 else "a LiveFilterBank without searches"
     line = (
         f"{checked.drive}: every state in C is within {checked.double.state:.1e} of {library} "
@@ -132,7 +129,6 @@ def _found(checked: "Checked", lanes: int) -> str:
 
 
 def _next_step(to: str, out: Path, *, replay: bool) -> str:
-    """Return the next step after an export."""
     if to == "filterpy":
         return f"python {out / 'run_filter.py'} DRIVE estimate.csv"
     if to == "c99":
@@ -141,4 +137,4 @@ def _next_step(to: str, out: Path, *, replay: bool) -> str:
     if (out / "ekf.yaml").exists():
         return f"read {out / 'README.md'}, then ros2 launch {out / 'ekf.launch.py'}"
     file = out / "robot_localization.yaml"
-    return f"read the comments of {file}, then give it to robot_localization with --params-file"
+    return f"read the comments of {file}, then pass it to robot_localization with --params-file"

@@ -1,4 +1,4 @@
-"""A diagnosis on the terminal."""
+"""Print a diagnosis on the terminal."""
 
 import re
 import shlex
@@ -20,7 +20,7 @@ _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
 
 def print_diagnosis(diagnosis: "Diagnosis") -> None:
-    """Print the findings about one drive, the serious ones first."""
+    """Print the findings about a drive."""
     from rich.table import Table
     from rich.text import Text
 
@@ -39,7 +39,7 @@ def print_diagnosis(diagnosis: "Diagnosis") -> None:
 
 
 def _said(finding: "Finding") -> str:
-    """Format a finding as three lines: fault, place with confidence, remedy; a note as one line."""
+    """Format a finding as three lines (fault, place and confidence, remedy) and a note as one line."""
     what = f"{finding.what[0].upper()}{finding.what[1:]}."
     if finding.severity == "note":
         return f"{what} [{finding.where}]"
@@ -48,12 +48,12 @@ def _said(finding: "Finding") -> str:
         f"{what}\n"
         f"[{finding.code}] {finding.where}; t = {start:.1f} to {end:.1f} s; "
         f"confidence {100 * finding.confidence:.3g}%\n"
-        f"-> {finding.remedy}{' (--fix does it)' if finding.repair else ''}"
+        f"-> {finding.remedy}{' (--fix does this)' if finding.repair else ''}"
     )
 
 
 def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> None:
-    """Warn of the serious faults of each drive, one line per drive."""
+    """Print one line about the serious faults of each drive."""
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.errors import SigmaswarmWarning
 
@@ -62,13 +62,13 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> None:
             codes = ", ".join(f.code for f in diagnosis.findings if f.severity == "serious")
             message = (
                 f"{folder}: the doctor finds SERIOUS faults, which distort the result ({codes}); "
-                f"{mending(diagnosis, folder)[0]}, or suppress this warning with --trust-log"
+                f"run {mending(diagnosis, folder)[0]}, or suppress this warning with --trust-log"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
 
 
 def cutting(diagnosis: "Diagnosis", folder: "Location") -> str:
-    """Return the command that splits a drive if a serious finding requires it, else an empty string."""
+    """Return the command that splits a drive, or an empty string if no serious finding requires a split."""
     remedies = [finding.remedy for finding in diagnosis.findings if finding.severity == "serious"]
     found = re.search(r"sigmaswarm split DRIVE --at \S+ --out parts", " ".join(remedies))
     return found[0].replace("DRIVE", shlex.quote(str(folder))) if found else ""
@@ -77,7 +77,7 @@ def cutting(diagnosis: "Diagnosis", folder: "Location") -> str:
 def mending(diagnosis: "Diagnosis", folder: "Location") -> tuple[str, Path | None]:
     """Return the command that repairs a drive, and the folder of the repaired copy.
 
-    If no fault can be repaired, return the command that shows the faults, and None.
+    If the doctor can repair no serious fault, return the command that shows the faults, and None.
     """
     command = f"sigmaswarm doctor {shlex.quote(str(folder))}"
     if not any(f.severity == "serious" and f.repair for f in diagnosis.findings):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from sigmaswarm.importing.look import Glance, Look
 
 MOST_UNREAD = 100
-"""Names of unused columns shown per table."""
+"""Number of unused columns that are named per table."""
 
 
 @dataclass(frozen=True)
@@ -35,68 +35,69 @@ class ImportOptions:
     out
         Folder of the new drive.
     show
-        Show tables or topics, rates, ranges and the planned import; write nothing.
+        Show tables or topics, rates, value ranges and the planned import. Write nothing.
     format
         Format: ros, mcap, kitti, nclt, comma2k19, rtklib, ubx, nmea, px4, ardupilot, matlab, sensor-logger, phyphox,
         gnss-logger, csv.
     gps
-        Separate log of the fixes.
+        Log of the fixes, if separate.
     truth
-        Separate log of the truth, or of a good receiver's fixes.
+        Log of the truth, or of a good receiver's fixes, if separate.
     odometer
-        Separate log of the wheel speed.
+        Log of the wheel speed, if separate.
     map
-        column=expression for a drive's columns, such as "ax=-acc_y*9.80665", "gps.t=stamp"; "az=" leaves a column out.
+        column=expression for columns of the drive, such as "ax=-acc_y*9.80665", "gps.t=stamp"; "az=" omits a column.
     time
-        Expression of the time in SOURCE's tables, s, such as "stamp*1e-9" or "utc(date)".
+        Expression for the time in s of the tables of SOURCE, such as "stamp*1e-9" or "utc(date)".
     recipe
-        A recipe saved by --save-recipe.
+        Recipe file that --save-recipe wrote.
     save_recipe
-        File in which the recipe is saved.
+        Save the recipe of this import in a file.
     imu_topic
         Topic or table of the IMU.
     gps_topic
         Topic or table of the fixes.
     velocity_topic
-        Topic of the receiver's velocity, m/s east and north.
+        Topic or table of the receiver's velocity, m/s east and north.
     truth_topic
         Topic or table of the truth.
     odometer_topic
         Topic or table of the wheel speed, m/s forward.
     mag_topic
-        Topic or table of a magnetometer in the IMU's axes, which gives a heading; or map mag.mx, mag.my.
+        Topic or table of a magnetometer with the IMU's axes, for headings; or use --map with mag.mx and mag.my.
     declination
-        Magnetic declination, deg east of true north; by default estimated from the course, with the sensor's rotation.
+        Magnetic declination, deg, east positive. By default it is estimated from the course, together with the sensor's
+        rotation.
     receive_times
-        Use the times at which messages were received, not their headers' stamps.
+        Use the receive times of messages instead of the stamps in their headers.
     part
-        Recording to read, from 1, if a clock restarts within a table.
+        Number of the recording to read, from 1, if a clock restarts within a table.
     msg
-        A .msg file, or the folder of a ROS package, with message definitions that a bag lacks.
+        Message definitions that a bag lacks: a .msg file, or the folder of a ROS package.
     mount
         Orientation of the IMU: auto, degrees about z (90), roll,pitch,yaw (0,10,90), or axes (x=-y,y=x).
     gps_offset
-        Added to the fixes' times, s.
+        Seconds to add to the times of the fixes.
     truth_offset
-        Added to the truth's times, s.
+        Seconds to add to the times of the truth.
     odometer_offset
-        Added to the odometer's times, s.
+        Seconds to add to the times of the odometer.
     origin
-        lat,lon,alt of the local frame; the first fix by default.
+        Origin of the local frame: lat,lon,alt in deg and m; the first fix by default.
     lever_arm
-        From the IMU to the antenna, m forward,left,up.
+        Vector from the IMU to the antenna: forward,left,up in m.
     heading_from_north
-        Heading at the first IMU sample, degrees clockwise from north; written as heading_deg. For slow vehicles.
+        Heading at the first IMU sample, deg clockwise from north, for vehicles too slow for a start from fixes.
     gps_from_truth
-        Make fixes from the truth: rate in Hz and white noise in m, for example 5,1.
+        Simulate fixes from the truth: rate in Hz and white noise in m, for example 5,1.
     max_rows
-        Largest number of rows of a table; 10 million by default, 28 hours at 100 Hz.
+        Maximum number of rows of a table; 10 million by default (28 hours at 100 Hz).
     max_columns
-        Largest number of columns of all tables; 100 000 by default.
+        Maximum number of columns of all tables together; 100 000 by default.
     max_unpacked_mb
-        Largest unpacked size of a chunk or of a zip's files, MB; 500 by default.
+        Maximum unpacked size of a chunk or of the files of a zip, MB; 500 by default.
     name
-        The drive's name; the folder's by default.
+        Name of the drive; by default the name of the folder.
     overwrite
         Replace an existing drive.
     """
@@ -146,7 +147,7 @@ def import_(
         Path,
         Parameter(
             name="SOURCE",
-            help="The log, a file or a folder, that contains the IMU and may contain the other sensors.",
+            help="The log with the IMU and perhaps other sensors: a file or a folder.",
         ),
     ],
     /,
@@ -155,8 +156,8 @@ def import_(
 ) -> None:
     """Import a log as a drive.
 
-    ROS bags, MCAP, CSV, Parquet, data sets, receivers, flight logs and phones; the format is detected. Begin with
-    --show, which writes nothing.
+    The log can be a ROS bag, MCAP, CSV, Parquet, a data set, or the log of a receiver, a flight controller or a phone.
+    The format is detected. Begin with --show, which writes nothing.
 
     For example:
 
@@ -171,7 +172,7 @@ def import_(
     if options.show:
         _show(request, options)
     elif options.out is None:
-        raise InputError("--out is missing: name the drive's folder, or look at the log with --show")
+        raise InputError("--out is missing: give a folder for the drive, or look at the log with --show")
     else:
         _import(request, options.out, options)
 
@@ -217,12 +218,12 @@ def _request(source: Path, options: ImportOptions) -> "Request":
 
 
 def _import(request: "Request", out: Path, options: ImportOptions) -> None:
-    """Import and write; print the assumptions."""
+    """Write the drive, and print what was read and assumed."""
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.drives.writer import require_replaceable, write_drive
     from sigmaswarm.importing.convert import import_drive
 
-    require_replaceable(out.resolve(), options.overwrite, "add --overwrite, or name another folder")
+    require_replaceable(out.resolve(), options.overwrite, "add --overwrite, or choose another folder")
     with progress_bar("importing") as show:
         imported = import_drive(request, options.name or out.resolve().name, lambda share: show(share, 1.0))
     if (heading := options.heading_from_north) is not None:
@@ -251,7 +252,7 @@ def _next_steps(diagnosis: "Diagnosis", out: Path) -> Iterator[str]:
         following, ready = f"{command}    (then {go_on})", mended or out
     yield f"next: {following}"
     yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned"
-    yield "      (or hold this drive back, to evaluate a filter tuned on others)"
+    yield "      (or keep this drive for the evaluation of a filter tuned on other drives)"
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
@@ -275,7 +276,7 @@ def _told(imported: "Imported", out: Path) -> Iterator[str]:
     yield from (f"read: {shown(read, 1000)}" for read in imported.recipe.said())
     yield from (f"note: {shown(note, 1000)}" for note in imported.notes)
     if not imported.recipe.mount:
-        yield "note: the IMU's axes are assumed to be x forward, y left, z up; state another mounting with --mount"
+        yield "note: the IMU's axes are assumed to be x forward, y left, z up; give another mounting with --mount"
     rate = 1 / drive.nominal_interval
     yield (
         f"wrote {out}: {drive.duration:.1f} s, {len(drive.imu)} IMU samples ({rate:.3g} Hz), "
@@ -308,7 +309,7 @@ def _print_look(seen: "Look", options: ImportOptions) -> None:
     planned = "The recipe that import would use (save it with --save-recipe, change it with --map):"
     console.print(f"\n{planned}", style="bold")
     recipe = "\n".join(shown(line, 1000) for line in seen.recipe.to_toml().split("\n"))
-    say(recipe or "nothing was recognized; name the columns with --map")
+    say(recipe or "nothing was recognized; give the columns with --map")
     say(*(f"note: {shown(note, 1000)}" for note in seen.notes))
     if seen.proposal:
         title = "To read the rest, add to the command"
@@ -327,14 +328,14 @@ def _print_look(seen: "Look", options: ImportOptions) -> None:
 
 
 def _command(proposal: str, options: ImportOptions) -> str:
-    """Return the given command with the drive's folder and the proposed options."""
+    """Return the command of the user with --out instead of --show, and with the proposed options."""
     typed = [word for word in sys.argv[1:] if word != "--show"]
     out = [] if options.out else ["--out", "drive"]
     return f"{shown(shlex.join(['sigmaswarm', *typed, *out]), 4000)} {shown(proposal, 4000)}".rstrip()
 
 
 def _columns(glance: "Glance") -> Iterator[str]:
-    """A line per column with values other than 0: lowest, median and highest, or an example."""
+    """Yield a line per column that is not 0: lowest, median and highest value, or an example."""
     varying = [r for r in glance.ranges if r.low or r.high or r.low is None]
     width = max((len(shown(r.column)) for r in varying), default=0)
     for r in varying:

@@ -27,13 +27,13 @@ class LearnOptions:
     out
         Folder for learned.toml, weights.npz and the filter.
     validation
-        Held-out drives for early stopping and calibration; by default a part of the drives.
+        Drives for early stopping and calibration, which the training does not use; by default a part of the drives.
     search
-        Number of further settings (units, window, learning rate) to try.
+        Number of additional settings (units, window, learning rate) to try.
     seed
-        The same seed gives the same result.
+        Seed of all random numbers. The same seed gives the same result.
     resume
-        Continue an interrupted training; the result is the same as without interruption.
+        Continue an interrupted training. The result is the same as without the interruption.
     json
         Print learned.toml as JSON.
     """
@@ -50,7 +50,7 @@ def learn(
     network: Annotated[NetworkName, Parameter(name="NETWORK", help="outage-lstm or noise-gru.")],
     tuning: Annotated[Path, Parameter(name="TUNING", help="A tuning.toml, or its folder.")],
     drives: Annotated[
-        list[str], Parameter(name="DRIVE", help="Drive folders to learn from, or folders of drive folders.")
+        list[str], Parameter(name="DRIVE", help="Drive folders to train on, or folders of drive folders.")
     ],
     /,
     *,
@@ -58,10 +58,12 @@ def learn(
 ) -> None:
     """Train a network that supports a tuned filter.
 
-    outage-lstm forecasts displacements during outages. noise-gru scales Q and R by the latest innovations, and supports
-    filters with model planar5 or planar8. OUT includes the filter, so `sigmaswarm run` and `evaluate` read OUT as a
-    tuning. Training needs the extra `learned`; running a trained network does not. By default the last quarter of each
-    drive is held out. With three or more drives, outage-lstm instead holds out the last third of the drives.
+    outage-lstm predicts the displacement in outages. noise-gru scales Q and R depending on the latest innovations; it
+    needs a filter with model planar5 or planar8. OUT also contains the filter: `sigmaswarm run` and `evaluate` read OUT
+    like a tuning. Training needs the extra `learned`, but running a trained network does not.
+
+    Without --validation, the last quarter of each drive is held out. outage-lstm with three or more drives holds out
+    the last third of the drives instead.
 
     For example:
 
@@ -99,7 +101,7 @@ def _learn(network: NetworkName, tuning: Path, drives: list[str], options: Learn
 def _summary(record: "LearnedRecord", out: Path) -> Iterator[str]:
     net, training = record.network, record.training
     yield (
-        f"{record.kind}: {net.numbers} weights, {net.units} units, window {net.window:.3g} s, learned from "
+        f"{record.kind}: {net.numbers} weights, {net.units} units, window {net.window:.3g} s, trained on "
         f"{training.driven_s / 60:.1f} minutes of driving in {training.epochs} epochs"
     )
     yield f"loss on {training.held_back}: {training.loss:.4f}, before training {training.loss_before:.4f}"

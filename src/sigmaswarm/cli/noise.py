@@ -21,17 +21,17 @@ class NoiseOptions:
     Attributes
     ----------
     tuned
-        A tuning. Its Q is shown instead of the noise of a log.
+        Show the Q of this tuning instead of the noise of a log.
     to
-        Packages whose format and units are used to print the noise or, with --out, to write it.
+        Packages: print the noise in their formats and units, or write it with --out.
     out
-        Folder to write to: the packages' files and, for a log, noise.png, noise.svg and noise.json.
+        Folder for the files of the packages and, with a LOG, noise.png, noise.svg and noise.json.
     recipe
-        A recipe of the import, saved by import --save-recipe.
+        Recipe file that `sigmaswarm import --save-recipe` wrote.
     map
-        column=expression for the IMU's columns, as for import: "ax=acc_x*9.80665".
+        column=expression for columns of the IMU, as in `sigmaswarm import`: "ax=acc_x*9.80665".
     time
-        Expression of the time, s, as for import.
+        Expression for the time in s, as in `sigmaswarm import`.
     imu_topic
         Topic or table of the IMU.
     """
@@ -48,7 +48,7 @@ class NoiseOptions:
 
 def noise(
     log: Annotated[
-        Path | None, Parameter(name="LOG", help="A drive's folder, or any log that import reads.")
+        Path | None, Parameter(name="LOG", help="A drive folder, or a log that `sigmaswarm import` can read.")
     ] = None,
     /,
     *,
@@ -56,8 +56,8 @@ def noise(
 ) -> None:
     """Measure the noise of an IMU at rest, in the units of filter packages.
 
-    The log needs no fixes. An hour at rest determines all noise terms; the standstills of a drive determine the white
-    noise only.
+    The log needs no fixes. A log of an hour at rest determines all noise terms. The standstills of a drive determine
+    only the white noise.
 
     For example:
 
@@ -84,12 +84,11 @@ def noise(
 
 
 def _found(log: Path | None, options: NoiseOptions) -> "Noise":
-    """Measure the noise of the log, or read the noise of the tuning."""
     from sigmaswarm.filters.parameters import FilterParameters
     from sigmaswarm.noise import filter_noise, imu_noise
 
     if (log is None) == (options.tuned is None):
-        raise InputError("name either a LOG or --tuned TUNING")
+        raise InputError("give either a LOG or --tuned TUNING")
     if options.tuned is not None:
         return filter_noise(FilterParameters.load(options.tuned), str(options.tuned))
     settings: dict[str, Any] = {"recipe": options.recipe, "maps": options.map, "time": options.time}
@@ -101,7 +100,6 @@ def _found(log: Path | None, options: NoiseOptions) -> "Noise":
 
 
 def _write_figure(found: "Noise", out: Path) -> list[Path]:
-    """Write the figure and the record of a measured noise."""
     import json
 
     from sigmaswarm.files import finite, write_whole

@@ -1,4 +1,4 @@
-"""Options that several commands share, options from a pydantic model, and the options of the short help."""
+"""Options of several commands, options made from a pydantic model, and the short help."""
 
 import inspect
 import sys
@@ -27,7 +27,7 @@ def full_help() -> Generator[None]:
 
 
 class _MoreOptions(Group):
-    """Options that `--help` leaves out and `--help-all` shows."""
+    """Group of options that only `--help-all` shows."""
 
     @property
     def show(self) -> bool:
@@ -35,27 +35,27 @@ class _MoreOptions(Group):
 
 
 MORE = Parameter(group=_MoreOptions("More options"))
-"""Mark of an option that the short help leaves out."""
+"""Annotation of an option that only `--help-all` shows."""
 FIELDS = Parameter(name="*", help="The options of the command line.")
-"""Mark of a record whose fields are the options of a command."""
+"""Annotation of a dataclass: its fields are the options of a command."""
 AT_LEAST_1 = Parameter(validator=validators.Number(gte=1))
 AT_LEAST_0 = Parameter(validator=validators.Number(gte=0))
 Count = Annotated[int | None, AT_LEAST_1]
 Seed = Annotated[int, AT_LEAST_0]
 Hyphened = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
-"""A text that may begin with a minus."""
+"""Text that may begin with a minus sign."""
 Places = Annotated[
     list[str], Parameter(name="DRIVE", help="Drive folders or URLs, or folders of drive folders.")
 ]
 Workers = Annotated[
     int | None,
     AT_LEAST_1,
-    Parameter(help="Threads; all cores by default. The result does not depend on the number."),
+    Parameter(help="Number of threads; by default one per core. The result does not depend on it."),
 ]
 Cluster = Annotated[
     str | None,
     Parameter(
-        help="Dask cluster that reads the drives and does the work: tcp://host:8786, a scheduler file, or local:4."
+        help="Dask cluster that reads the drives and computes: tcp://host:8786, a scheduler file, or local:4."
     ),
 ]
 TrustLog = Annotated[bool, Parameter(help="Skip the check of the drives for serious faults.")]
@@ -70,10 +70,10 @@ def options_of(
     by_data: Collection[str] = (),
     renamed: Mapping[str, str] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Add the fields of a model as options to a command; its ``**options`` receive those that the user gave.
+    """Add the fields of a model as options to a command. Its ``**options`` contain the options that the user gave.
 
-    ``shown`` are the fields in the short help, ``apart`` are fields that are not options of the command, and
-    ``by_data`` are fields whose default depends on the data. ``renamed`` maps deprecated names to the current ones.
+    ``shown``: fields in the short help. ``apart``: fields that are not options. ``by_data``: fields with a default that
+    depends on the data. ``renamed``: deprecated names and the current names.
     """
     old = {new: name for name, new in (renamed or {}).items()}
     added = {
@@ -106,7 +106,7 @@ def options_of(
 
 
 def _annotation(name: str, field: FieldInfo, old: str | None, shown: bool, constant: bool) -> Any:
-    """Type and `Parameter` of a field; for a union the first type, since the others are for Python."""
+    """Return type and `Parameter` of a field. Of a union, the command line accepts the first type only."""
     kind, option = field.annotation, f"--{name.replace('_', '-')}"
     if get_origin(kind) in (Union, UnionType):
         kind = next(member for member in get_args(kind) if member is not NoneType)

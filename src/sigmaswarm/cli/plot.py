@@ -18,7 +18,7 @@ def plot(
 ) -> None:
     """Plot the path, speed, IMU, fixes and outages of a drive.
 
-    For a simulated drive the plot also shows the target speed.
+    The plot of a simulated drive also shows the target speed.
 
     For example:
 
@@ -30,7 +30,7 @@ def plot(
     drive
         A drive folder.
     out
-        NAME.png; by default the drive's name, in the current folder.
+        NAME.png; by default the name of the drive, in the current folder.
     """
     from sigmaswarm.reports.drive import drive_figure
     from sigmaswarm.reports.figures import check_file, save

@@ -13,26 +13,26 @@ from sigmaswarm_carla.options import Options
 
 @dataclass(frozen=True, kw_only=True)
 class RecordCarlaOptions:
-    """Options of `sigmaswarm record-carla`, which are those of the recorder.
+    """Options of `sigmaswarm record-carla`, the same as the recorder's.
 
     Attributes
     ----------
     out
-        Folder in which the drive folders are made. It must not contain drives yet.
+        Folder for the drive folders. It must not contain drives, except with --resume.
     host
-        Host of the server.
+        Host of the CARLA server.
     port
-        Port of the server.
+        Port of the CARLA server.
     maneuver
         cruise, turns, accelerate, brake, outages; all by default.
     environment
         clear, night, rain, fog, slippery; all by default. Clear, night and fog have the same physics.
     runs
-        Drives of each maneuver in each environment.
+        Number of drives of each maneuver in each environment.
     seed
-        Seed of routes, driver and noise.
+        Seed of the routes, the driver and the noise.
     map
-        Town to load, such as Town06; by default the town that the server has loaded.
+        Town to load, such as Town06; by default the town that is loaded.
     accel_noise
         Standard deviation of each acceleration sample, m/s2.
     gyro_noise
@@ -42,13 +42,13 @@ class RecordCarlaOptions:
     gps_noise
         Standard deviation of each fix, m per axis.
     timeout
-        Time to wait for an answer of the server, s.
+        Longest time to wait for an answer of the server, s.
     patience
-        Time to wait for a lost server, s.
+        Longest time to wait for a server that no longer answers, s.
     brake_sweep
-        First measure the friction at each value of CARLA's tire_friction, and use the result.
+        First measure the friction for several values of CARLA's tire_friction, and use the result.
     resume
-        Keep existing drives and record the missing ones.
+        Keep existing drives and record the missing drives.
     """
 
     out: Path
@@ -72,11 +72,12 @@ class RecordCarlaOptions:
 def record_carla(*, options: Annotated[RecordCarlaOptions, FIELDS]) -> None:
     """Record drives with known truth from a CARLA server.
 
-    The maneuvers and weathers are those of the paper. The car is a Tesla Model 3.
+    The command records the maneuvers and weathers of the paper with a Tesla Model 3, by default 20 runs of each of the
+    25 conditions.
 
-    By default 20 runs of each of the paper's 25 conditions are recorded. CARLA 0.9.16 needs `pip install
-    carla==0.9.16`. For an older server, write the recorder as one file with `python -m sigmaswarm_carla.pack
-    carla_recorder.pyz`, and run the file with the Python of the server's client (docs/carla.md).
+    CARLA 0.9.16 needs `pip install carla==0.9.16`. For an older server, write the recorder into one file with `python
+    -m sigmaswarm_carla.pack carla_recorder.pyz`, and run this file with the Python of the server's client
+    (docs/carla.md).
 
     For example:
 
@@ -92,14 +93,14 @@ def record_carla(*, options: Annotated[RecordCarlaOptions, FIELDS]) -> None:
             arguments += [option] if value else []
         else:
             arguments.append(f"{option}={value}")
-    # In a separate process, since the client may kill it; this one reports that.
+    # In a separate process, since the client may end its process; this process reports that.
     process = subprocess.Popen([sys.executable, "-m", "sigmaswarm_carla", *arguments])
     while True:
         try:
             code = process.wait()
             break
         except KeyboardInterrupt:
-            continue  # the recorder gets the signal, too, and first restores the server
+            continue  # the recorder also gets the signal; it first restores the server
     if code < 0:
         raise SigmaswarmError(
             f"the CARLA client was killed by signal {-code}; complete drives are in {options.out}; continue "

@@ -20,19 +20,19 @@ class ReferenceOptions:
     Attributes
     ----------
     fixes
-        The good receiver's log (RTKLIB, NMEA, UBX, CSV, ...), or a drive folder; fixed solutions are used.
+        Log of the good receiver (RTKLIB, NMEA, UBX, CSV, ...), or a drive folder. Only fixed solutions are used.
     out
         Folder of the new drive.
     lever_arm
-        Vector from the IMU to the good receiver's antenna, m forward,left,up; by default 0,0,0.
+        Vector from the IMU to the good receiver's antenna: forward,left,up in m; by default 0,0,0.
     offset
-        Added to the good receiver's times, s.
+        Seconds to add to the good receiver's times.
     accuracy
-        Largest standard deviation per axis of a row of truth, m. Rows with larger deviations are left out.
+        Largest standard deviation of the truth per axis, m. Rows with a larger standard deviation are left out.
     fix_std
-        Lower bound of a fix's standard deviation per axis, m; also used for fixes without a stated deviation.
+        Minimum standard deviation of a fix per axis, m; also used for fixes without a standard deviation.
     seed
-        Seed of the tuning for the good receiver and of the hidden fixes.
+        Seed of the tuning for the good receiver and of the choice of hidden fixes.
     overwrite
         Replace an existing drive.
     """
@@ -58,9 +58,9 @@ def reference(
 ) -> None:
     """Compute truth from a good receiver (RTK) on the same vehicle.
 
-    The good receiver's fixes are smoothed with the drive's IMU. The new drive contains a truth.csv at the IMU's times,
-    with standard deviations. The truth has gaps while the solution is float and in outages that are too long for the
-    IMU.
+    A smoother fuses the good receiver's fixes with the drive's IMU. The new drive has a truth.csv at the IMU's times,
+    with standard deviations. The truth has gaps where the receiver has only a float solution, and in outages that are
+    too long for the IMU.
 
     For example:
 
@@ -75,7 +75,7 @@ def reference(
         name: getattr(options, name) for name in ("offset", "accuracy", "fix_std", "seed")
     }
     arm: Any = numbers_of(options.lever_arm, 3, "--lever-arm", "0.9,-0.4,1.2")
-    require_replaceable(out.resolve(), options.overwrite, "add --overwrite, or name another folder")
+    require_replaceable(out.resolve(), options.overwrite, "add --overwrite, or choose another folder")
     read = read_known(drive)
     with tuning_progress("tuning for the good receiver") as progress:
         made = sigmaswarm.reference(read, options.fixes, lever_arm=arm, progress=progress, **given)
@@ -87,13 +87,12 @@ def reference(
     for note in about["notes"]:
         stdout().print(f"note: {note}", markup=False)
     say(
-        f"used {about['fixes_taken']} of {about['fixes_given']} fixes; the truth is known to {options.accuracy:g} m "
-        f"over {about['share']:.0%} of the drive"
+        f"used {about['fixes_taken']} of {about['fixes_given']} fixes; over {about['share']:.0%} of the drive "
+        f"the standard deviation of the truth is at most {options.accuracy:g} m"
     )
     if about["stretched"] > 1:
         say(
-            f"the errors at hidden fixes exceeded the smoother's standard deviations, which were therefore multiplied "
-            f"by "
-            f"{about['stretched']:.2g}"
+            "the errors at hidden fixes exceeded the smoother's standard deviations, which were therefore multiplied "
+            f"by {about['stretched']:.2g}"
         )
     say(f"wrote {out}", f"next: sigmaswarm tune {quote(str(out))} --out tuned")

@@ -18,8 +18,7 @@ def report(
 ) -> None:
     """Write an HTML page about a folder of results.
 
-    The page needs no network and no other file. The folder was written by `sigmaswarm tune`, `sigmaswarm evaluate` or
-    `sigmaswarm study`.
+    The page needs no network and no other file.
 
     For example:
 
@@ -29,9 +28,9 @@ def report(
     Parameters
     ----------
     folder
-        A folder of results.
+        A folder that `sigmaswarm tune`, `evaluate` or `study` wrote.
     out
-        NAME.html; by default page.html in that folder.
+        NAME.html; by default page.html in FOLDER.
     """
     from sigmaswarm.reports.folders import save_page
 

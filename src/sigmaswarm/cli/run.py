@@ -26,19 +26,19 @@ class RunOptions:
     out
         NAME.csv, .mat, .tum, .kitti, .geojson, .gpx, .kml or .ros2.
     origin
-        LAT,LON of x = y = 0, degrees, for maps of a drive without an origin.
+        LAT,LON of x = y = 0 in degrees, for a map of a drive without an origin.
     truth
         Also write the drive's truth, in the format given by the file extension.
     merge
-        With --out NAME.ros2: also copy the messages of the drive's ROS 2 bag. Deprecated name: --beside.
+        With --out NAME.ros2: also copy the messages of this ROS 2 bag. --beside is the deprecated name.
     before
-        Also write the fixes before the filter's start to NAME.csv, .geojson, .gpx or .kml.
+        Also write the fixes before the start of the filter: NAME.csv, .geojson, .gpx or .kml.
     as_recorded
         Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     smooth
         Write smoothed estimates, which also use later fixes.
     bank
-        Use a filter bank: sixteen filters with different parameters. The deprecated name is --swarm.
+        Use a filter bank: sixteen filters with different parameters. --swarm is the deprecated name.
     json
         Print a summary as JSON.
     """
@@ -59,7 +59,7 @@ def run(
         Path,
         Parameter(
             name="TUNING",
-            help="A tuning.toml or its folder. Its network, if any, also runs, except with --smooth or --bank.",
+            help="A tuning.toml or its folder. --smooth and --bank do not use the network of the tuning, if any.",
         ),
     ],
     drive: Annotated[Path, Parameter(name="DRIVE", help="A drive folder.")],
@@ -70,11 +70,14 @@ def run(
     """Run a tuned filter over a drive and write its estimates.
 
     The file extension selects the format: .csv (t, x, y, vx, vy, theta and their standard deviations), .mat (MATLAB),
-    .tum and .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a ROS 2 bag, which is a folder). The bag
-    also contains innovations, NIS and a layout for Foxglove. A filter that was tuned without preprocessing runs without
-    it. The parts before and after a reset are smoothed separately. The filter bank adapts to changes of sensors or
-    surroundings. With --bank, NAME.csv is accompanied by NAME.swarm.csv, a log of the bank with one row per second, and
-    NAME.swarm.toml, the filter that the bank converged to.
+    .tum and .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a folder with a ROS 2 bag). The bag also
+    contains innovations, NIS and a layout for Foxglove.
+
+    A filter that was tuned without preprocessing also runs without it. If the filter diverges, it is reset; --smooth
+    smooths the parts before and after a reset separately.
+
+    A filter bank adapts to changes of sensors or surroundings. --bank also writes NAME.swarm.csv, a log of the bank
+    with one row per second, and NAME.swarm.toml, the filter that the bank converged to.
 
     For example:
 
@@ -93,7 +96,7 @@ def run(
 
 
 def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[str, Any], int]":
-    """Run and write; return the drive, a summary and the number of fixes that were written."""
+    """Write the estimates. Return the drive, a summary and the number of fixes that were written."""
     from sigmaswarm.exports.trajectory import (
         BAG,
         check_fixes_target,
@@ -120,7 +123,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     parameters = sigmaswarm.FilterParameters.load(tuning)
     read = read_known(drive)
     if place and read.origin:
-        raise InputError(f"{drive}: has its own origin of x and y; leave --origin out")
+        raise InputError(f"{drive}: has an origin already; leave --origin out")
     target: dict[str, Any] = {"origin": place or read.origin, "time_origin": time_origin_of(read)}
     true = true_trajectory(read) if truth else None
     check_target(out, target["origin"], options.merge)
@@ -141,7 +144,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     time = replay.timeline.imu_time
     first, last = float(time[0]), float(time[-1])
     shown = None
-    # Known before the pieces, since the bag is in order of time.
+    # The bag is in order of time, so the innovations must be known before the first estimate is written.
     if out.suffix == BAG and not options.bank and learned is None:
         shown = Recording(replay, parameters, recover=True).finished().innovations
     pieces = estimates_of(found)
@@ -171,29 +174,29 @@ def _print(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixe
         say(*(f"the filter bank: {sentence}" for sentence in summary["said"]))
         say(f"wrote {summary['swarm']}", f"wrote {summary['settled']}")
     earlier = first - float(drive.imu.time[0])
-    if earlier > 5.0:  # s, which every drive that begins in motion takes
+    if earlier > 5.0:  # s; a drive that begins in motion needs as long
         rest = f"wrote the {fixes} earlier fixes to {options.before}"
-        rest = rest if options.before else "--before NAME.csv writes the fixes"
+        rest = rest if options.before else "--before NAME.csv writes the earlier fixes"
         say(f"the first {earlier:.1f} s have no estimate: a filter starts at {START_RULE}; {rest}")
 
 
 def _bank_files(out: Path) -> tuple[Path, Path]:
-    """Files next to the estimates: the log of a filter bank, and the filter that the bank converged to."""
+    """Return the files for the log of a filter bank and for the filter that the bank converged to."""
     return out.with_name(f"{out.stem}.swarm.csv"), out.with_name(f"{out.stem}.swarm.toml")
 
 
 def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
-    """Refuse, before any work, files that can't be written or would replace another one."""
+    """Raise, before any work, if a file of the bank can't be written or is the file of another option."""
     for file in _bank_files(out):
         if file.is_dir() or file.resolve() in [other.resolve() for other in (out, *others) if other]:
             what = "is a folder" if file.is_dir() else "is also the file of another option"
             raise InputError(
-                f"{file}: the filter bank writes it next to {out}, and it {what}; choose another --out"
+                f"{file}: {what}, but --bank needs this name for its own file; choose another --out"
             )
 
 
 def _save_bank(run: Any, out: Path) -> dict[str, Any]:
-    """Write a bank's log and the filter that the bank converged to; return both paths and warnings on that filter."""
+    """Write the log of a bank and the filter that it converged to. Return the paths and warnings about the filter."""
     from sigmaswarm.files import write_whole
 
     log, spread = run.log, run.bank.spread
@@ -204,7 +207,7 @@ def _save_bank(run: Any, out: Path) -> dict[str, Any]:
 
 
 def _place(text: str) -> tuple[float, float, float]:
-    """Latitude and longitude (deg), and altitude (m, 0 by default)."""
+    """Parse latitude and longitude (deg), and altitude (m, 0 by default)."""
     try:
         latitude, longitude, *altitude = (float(part) for part in text.split(","))
         if abs(latitude) <= 90 and abs(longitude) <= 180 and len(altitude) < 2:

@@ -13,7 +13,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.wording import counted
 
 JITTER = 0.002
-"""Standard deviation of a sample's time with --jitter, s."""
+"""Standard deviation of sample times with --jitter, s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,13 +23,13 @@ class SimulateOptions:
     Attributes
     ----------
     out
-        Folder for the drive folders; it must not contain drives yet.
+        Folder for the drive folders. It must not contain drives, except with --resume.
     maneuver
         cruise, turns, accelerate, brake, outages: the maneuvers of the paper, all by default. urban: mixed driving.
     environment
         clear, night, rain, fog, slippery; all by default. Clear, night and fog have the same physics.
     runs
-        Drives of each maneuver in each environment.
+        Number of drives of each maneuver in each environment.
     imu
         ideal, mpu-6050, icm-20602, adis16465, adis16405, adis16488, gnss-ins-sim-low, gnss-ins-sim-mid,
         gnss-ins-sim-high or carla.
@@ -38,23 +38,23 @@ class SimulateOptions:
     vehicle
         model3, or model3-carla with CARLA's pedals and weak brakes.
     seed
-        Seed of routes and noise.
+        Seed of the routes and the noise.
     duration
-        Duration of an urban drive, s, at least 30; 180 by default.
+        Duration of urban drives, at least 30 s; 180 s by default.
     jitter
-        Let the sensors' clocks jitter by 2 ms.
+        Add jitter with a standard deviation of 2 ms to the sample times.
     vibration
-        Add road and engine vibration to the IMU, as in two recordings of real cars.
+        Add the vibration of road and engine to the IMU, as in two recordings of real cars.
     gnss_degradation
-        Degrade the fixes according to the weather: an assumption, not based on measurements.
+        Degrade the fixes depending on the weather: an assumption that is not based on measurements.
     terrain
-        flat, rolling or hilly; hills and banked roads tilt the car.
+        flat, rolling or hilly. Hills and banked roads tilt the car.
     odometer
-        pulses (counted, coarse), can (fine, 83 Hz) or ideal: wheel speed with scale error and slip. None by default.
+        Sensor of the wheel speed: pulses (coarse, 50 Hz), can (fine, 83 Hz) or ideal. None by default.
     heading
-        dual-antenna (0.4 deg) or ideal: the receiver gives a heading with each fix. None by default.
+        Heading of each fix from the receiver: dual-antenna (error 0.4 deg) or ideal. None by default.
     resume
-        Keep existing drives and simulate the missing ones.
+        Keep existing drives and simulate the missing drives.
     """
 
     out: Path
@@ -89,13 +89,13 @@ OF_A_DRIVE = (
     "odometer",
     "heading",
 )
-"""Options that `sigmaswarm.simulate` has under the same names."""
+"""Options with the same name in `sigmaswarm.simulate`."""
 
 
 def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
     """Simulate drives with known truth.
 
-    The car is a Tesla Model 3; maneuvers and weathers are those of the paper; sensor errors are those of real sensors.
+    The car is a Tesla Model 3. Maneuvers and weathers are those of the paper. Sensor errors are those of real sensors.
     By default 20 runs of each of the paper's 25 conditions are simulated. The same seed gives the same files.
 
     For example:
@@ -141,15 +141,15 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
 
 
 def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str, Any]) -> set[str]:
-    """Return the names of existing drives to keep; refuse any other existing file before any work."""
+    """Return the names of existing drives to keep. Raise, before any work, if OUT has other drives or is a file."""
     there = next(path for path in (out, *out.parents) if path.exists())
     if not there.is_dir():
-        raise InputError(f"{out}: {there} is a file; name another folder")
+        raise InputError(f"{out}: {there} is a file; choose another folder")
     found = {name for name in names if (out / name).exists()}
     drives = sorted(found | {path.parent.name for path in out.glob("*/imu.*")})
     if drives and not resume:
         raise InputError(
-            f"{out}: contains {drives[0]} already; name another folder, or keep the existing drives with --resume"
+            f"{out}: contains {drives[0]} already; choose another folder, or keep the existing drives with --resume"
         )
     for name in sorted(found):
         _require_made_with(out / name / "drive.toml", made_with)
@@ -157,7 +157,7 @@ def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str,
 
 
 def _require_made_with(file: Path, options: Mapping[str, Any]) -> None:
-    """Refuse to continue a folder whose drives were made with other options."""
+    """Raise if a drive was made with other options."""
     from sigmaswarm.records import read_content
     from sigmaswarm.simulation.journey import URBAN_DURATION
 
@@ -178,11 +178,13 @@ def _require_made_with(file: Path, options: Mapping[str, Any]) -> None:
             "heading": about.get("heading", {}).get("grade"),
         }
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"{file.parent}: is not a drive that simulate wrote; name another folder") from None
+        raise InputError(
+            f"{file.parent}: is not a drive that simulate wrote; choose another folder"
+        ) from None
     urban = URBAN_DURATION if options["duration"] is None else options["duration"]
-    wanted = {**options, "duration": None if made["duration"] is None else urban}  # of urban drives alone
+    wanted = {**options, "duration": None if made["duration"] is None else urban}  # of urban drives only
     for key, value in made.items():
         if value != wanted[key]:
             raise InputError(
-                f"{file}: was made with {key} {value}, not {wanted[key]}; name another folder, or the same options"
+                f"{file}: was made with {key} {value}, not {wanted[key]}; choose another folder, or the same options"
             )

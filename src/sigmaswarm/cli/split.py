@@ -34,9 +34,9 @@ def split(
     out
         Folder for the two drive folders.
     train_fraction
-        Share of the drive's time in the first part; 0.7 by default.
+        Share of the drive's duration in the first part; 0.7 by default.
     at
-        Time of the split on the drive's clock, s. Two times leave out the part between them.
+        Time of the split on the clock of the drive, s. With two times, the part between is left out.
     """
     from sigmaswarm.drives.alignment import NoStart, find_start
 

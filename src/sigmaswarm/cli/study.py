@@ -17,44 +17,45 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyOptions:
-    """Options of `sigmaswarm study`; for None the configuration's value is used.
+    """Options of `sigmaswarm study`; None stands for the value of the configuration.
 
     Attributes
     ----------
     out
         Folder for study.toml, results.json, scores.csv, tables, figures and the tunings of all trials.
     config
-        A study.toml to start from; the paper's study by default.
+        A study.toml that the other options change; by default the paper's study.
     quick
         Run a small study: 50 drives and 3 trials, in about half a minute.
     drives
         Folders or URLs of your own drives with truth, instead of simulated ones.
     trials
-        Number of repetitions, each with its own split and swarm; 20 by default.
+        Number of repetitions, each with another split and swarm; 20 by default.
     runs
-        Simulated drives of each maneuver in each environment; 20 by default.
+        Number of simulated drives of each maneuver in each environment; 20 by default.
     particles
         Size of the swarm; 30 by default.
     generations
         Generations of the swarm, including the initial one; 50 by default.
     seed
-        Seed of drives, splits and swarms.
+        Seed of drives, splits and swarms; 0 by default.
     per_condition
-        Tune one filter for each condition instead of one for all.
+        Tune one filter for each condition instead of one filter for all.
     racing
-        Evaluate the worse candidates on a few drives only, in a fifth of the time. --no-racing: as in the paper.
+        Evaluate worse candidates on few drives, which takes a fifth of the time. The paper does not (--no-racing).
     rivals
-        Compare with fuzzy rules, Bayesian optimization and two networks, also on other sensors and another car.
+        Also compare fuzzy rules, Bayesian optimization and two networks, also for other sensors and another car.
     learn_minutes
-        With --rivals: minutes of training data for a network; 20 by default.
+        With --rivals: minutes of training data for each network; 20 by default.
     elsewhere
-        With --rivals: drives with truth from other sensors or another car; without --drives such drives are simulated.
+        With --rivals: drives with truth from other sensors or another car. Without --drives and --elsewhere
+        they are simulated.
     workers
-        Number of processes (on Linux) or threads; all cores by default. With --cluster, number of simultaneous tunings.
+        Processes (on Linux) or threads, one per core by default; with --cluster, simultaneous tunings.
     cluster
-        Dask cluster: tcp://host:8786, a scheduler file, or local:4 for four processes of this machine.
+        Dask cluster: tcp://host:8786, a scheduler file, or local:4 (four processes).
     resume
-        Continue an interrupted study.
+        Continue an interrupted study. The result is the same.
     json
         Print results.json.
     """
@@ -82,18 +83,22 @@ class StudyOptions:
 def study(*, options: Annotated[StudyOptions, FIELDS]) -> None:
     """Run the paper's experiment.
 
-    Each trial tunes on a different 70% of the simulated drives and scores all methods on the others. The methods are
-    IMU only, raw GPS, three filters with manual parameters (EKF, adaptive UKF, UKF), the paper's PSO-UKF, three filters
-    tuned with the same budget (EKF, adaptive UKF, planar8) and the default filter of `tune`. Filters are tuned under
-    two protocols. paper: cost against the GPS, linear search. honest: cost against truth, logarithmic search.
+    Each trial tunes on a different 70% of the simulated drives and evaluates all methods on the other drives. The
+    methods are:
 
-    Racing is the default with 96 training drives or more. In each trial, --rivals tunes a fuzzy UKF, tunes a UKF by
-    Bayesian optimization (at most 100 evaluations), and trains outage-lstm and noise-gru for planar8. The option adds
-    drift over 15, 30 and 60 s, drives of another sensor grade and another car, and learning curves. The option needs
-    pip install 'sigmaswarm[learned,bo]'.
+    - IMU only and raw GPS;
+    - three filters with manual parameters: EKF, adaptive UKF, UKF;
+    - the paper's PSO-UKF;
+    - three filters tuned with the same budget: EKF, adaptive UKF, planar8;
+    - the default filter of `tune`.
 
-    The tables also list the paper's values. A killed study continues with --resume; the result is the same for any
-    number of workers.
+    Filters are tuned under two protocols. "paper": cost against the GPS, linear search. "honest": cost against truth,
+    logarithmic search. The tables also list the values in the paper. Racing is on by default with 96 training drives or
+    more. The result does not depend on the number of workers.
+
+    In each trial, --rivals also tunes a fuzzy UKF, tunes a UKF by Bayesian optimization (at most 100 evaluations), and
+    trains outage-lstm and noise-gru for planar8. It adds the drift after 15, 30 and 60 s, drives with other sensors and
+    another car, and learning curves. It needs `pip install 'sigmaswarm[learned,bo]'`.
 
     For example:
 
@@ -128,7 +133,7 @@ def study(*, options: Annotated[StudyOptions, FIELDS]) -> None:
 
 
 def _config(options: StudyOptions) -> "StudyConfig":
-    """Change the configuration of a file, of the study that is resumed, or of the paper by the options given."""
+    """Return the configuration of the file, the resumed study or the paper, changed by the options."""
     from sigmaswarm.experiments.study.config import QUICK, read_config
 
     of_the_run = ("out", "config", "quick", "workers", "cluster", "resume", "json")

@@ -1,4 +1,4 @@
-"""Print text without control characters on terminals that may be narrow, ASCII-only or closed; show progress bars."""
+"""Text and progress bars on terminals, which may be narrow, ASCII-only or closed."""
 
 import logging
 import os
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.search import Progress as TuningProgress
 
 LONGEST_LINE = 600
-"""Largest number of characters of an error or warning. Longer messages, for example with long paths, are shortened."""
+"""Maximum number of characters of an error or warning; longer messages are shortened."""
 NARROWEST = 20
-"""Smallest number of columns of a table."""
+"""Minimum number of columns of a table."""
 
 
 def prepare() -> None:
-    """Escape characters that the streams cannot encode, and ignore an invalid width."""
+    """Escape characters that the streams cannot encode, and ignore COLUMNS below `NARROWEST`."""
     for stream in (sys.stdout, sys.stderr):
-        if reconfigure := getattr(stream, "reconfigure", None):  # neither if the stream is closed
+        if reconfigure := getattr(stream, "reconfigure", None):  # a closed stream is None
             reconfigure(errors="backslashreplace")
     columns = os.environ.get("COLUMNS", "")
     if columns.isdecimal() and int(columns) < NARROWEST:
@@ -31,7 +31,7 @@ def prepare() -> None:
 
 
 def tell_of_compiling() -> None:
-    """Show on a terminal that kernels are compiled, when a first run begins to compile."""
+    """Print messages about the compilation of kernels, which delays a first run, if stderr is a terminal."""
     if sys.stderr is not None and sys.stderr.isatty():
         log = logging.getLogger("sigmaswarm.compilation")
         log.setLevel(logging.INFO)
@@ -40,11 +40,11 @@ def tell_of_compiling() -> None:
 
 class _OnStderr(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
-        print(f"sigmaswarm: {record.getMessage()}", file=sys.stderr)  # wherever that is by then
+        print(f"sigmaswarm: {record.getMessage()}", file=sys.stderr)  # stderr may have changed since
 
 
 def console(**options: Any) -> "Console":
-    """A console on stdout that shows text as it is: no markup, no emoji, control characters escaped."""
+    """Return a console on stdout that escapes control characters and interprets neither markup nor emoji codes."""
     from rich.console import Console
     from rich.segment import Segment
 
@@ -54,32 +54,32 @@ def console(**options: Any) -> "Console":
                 yield segment if segment.control else Segment(visible(segment.text), segment.style)
 
         def on_broken_pipe(self) -> None:
-            raise  # where it is caught by `main`; Rich would exit with 1
+            raise  # `main` catches it; Rich would exit with code 1
 
     return Plain(markup=False, emoji=False, highlight=False, **options)
 
 
 def one_line(text: object) -> str:
-    """Shorten a message to one readable line."""
+    """Write a message in one line of at most `LONGEST_LINE` characters, without control characters."""
     line = visible(" ".join(str(text).split()))
     half = LONGEST_LINE // 2
     return line if len(line) <= LONGEST_LINE else f"{line[:half]} ... {line[-half:]}"
 
 
 def mute() -> None:
-    """Discard the remaining output of a closed stream, which would cause an error message of Python at exit."""
+    """Discard the remaining output, since Python prints an error at exit if stdout is closed."""
     if sys.stdout is not None:
         try:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        except (OSError, ValueError):  # not a stream of the system's
+        except (OSError, ValueError):  # a stream without a file descriptor
             sys.stdout = None
 
 
 @contextmanager
 def tuning_progress(title: str) -> "Generator[Callable[[TuningProgress], None]]":
-    """Show the progress of a tuning and the remaining time on stderr; yield the callback for `tune`."""
+    """Show the progress of a tuning on stderr, and yield the callback for `tune`."""
     counted = "generations, best cost {task.fields[cost]}, remaining"
-    with progress_bar(title, counted, "getting ready", cost="-") as show:
+    with progress_bar(title, counted, "preparing", cost="-") as show:
         yield lambda progress: show(progress.done, progress.total, cost=f"{progress.best_cost:.3f}")
 
 
@@ -87,10 +87,10 @@ def tuning_progress(title: str) -> "Generator[Callable[[TuningProgress], None]]"
 def progress_bar(
     title: str, counted: str = "", waiting: str = "", **fields: Any
 ) -> Generator[Callable[..., None]]:
-    """Show a bar and the remaining time on stderr; yield a function of done, total and fields that updates the bar.
+    """Show a bar and the remaining time on stderr. Yield a function of done, total and fields that updates the bar.
 
-    The bar appears with the first progress, so that an error before it is one line. Until then a terminal shows
-    ``waiting``. Without ``counted`` the bar shows percent.
+    The bar appears at the first update, so that an earlier error prints one line only. Until then a terminal shows
+    ``waiting``. Without ``counted`` the bar shows a percentage.
     """
     from rich.console import Console
     from rich.progress import (

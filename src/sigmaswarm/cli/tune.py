@@ -43,7 +43,7 @@ def tune(
     """Tune a filter on drives.
 
     The filter is written to OUT/tuning.toml. Without truth.csv the filter is tuned to predict the fixes. Without
-    --model and --use the sensors in the logs determine the filter. Hold some drives back for `sigmaswarm evaluate`.
+    --model and --use the sensors of the drives determine the filter. Keep some drives for `sigmaswarm evaluate`.
 
     For example:
 
@@ -64,10 +64,11 @@ def tune(
     validation
         Drives that the search does not use; the tuned filter is also evaluated on them.
     start
-        Filter from which the search starts: a tuning, or an ekf.yaml of robot_localization, whose inputs --use selects.
+        Filter from which the search starts: a tuning, or an ekf.yaml of robot_localization (select its inputs with
+        --use).
     paper
-        The paper's settings: optimizer pso, 30 particles, 50 generations, linear scale, gps-rmse, planar5, ukf;
-        contradicting options are refused.
+        Use the paper's settings: pso, 30 particles, 50 generations, linear scale, gps-rmse, planar5, ukf. Contradicting
+        options are errors.
     resume
         Continue an interrupted tuning; the result is the same as without the interruption.
     """
@@ -92,7 +93,7 @@ def _tune(
     options: dict[str, Any],
     workers: int | None,
 ) -> "tuple[Tuning[Any], FirstLook, list[str], list[str]]":
-    """Tune; return the result, the first look at the drives, and the lines to print before and after the result."""
+    """Tune. Return the result, the first look, and the lines to print before and after the result."""
     from concurrent.futures import ThreadPoolExecutor
 
     from sigmaswarm.drives.sensors import sensors_of
@@ -133,7 +134,6 @@ def _remarks(tuning: "Tuning[Any]", look: "FirstLook") -> Iterable[str]:
 
 
 def _is_part(drive: "Drive") -> bool:
-    """Check if a drive was cut from another one."""
     return "cut_from" in drive.metadata
 
 
@@ -158,12 +158,12 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
 
 
 def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
-    """Suggest a comparison with the newest other tuning of the same drives in the parent folder."""
+    """Suggest a comparison with the newest tuning of the same drives in a sibling folder."""
     from sigmaswarm.records import load_record
     from sigmaswarm.scoring.records import SCORES_FILE
     from sigmaswarm.tuning.record import FILE, TuningRecord
 
-    files = out.resolve().parent.glob(f"*/{FILE}")  # an evaluation holds a copy of its tuning's
+    files = out.resolve().parent.glob(f"*/{FILE}")  # an evaluation contains a copy of the tuning
     others = [f for f in files if not f.parent.samefile(out) and not (f.parent / SCORES_FILE).exists()]
     for file in sorted(others, key=lambda file: file.stat().st_mtime, reverse=True)[:20]:
         try:
@@ -184,13 +184,13 @@ def _evaluate(out: Path, drive: Path | None = None) -> str:
 
 
 def _next(out: Path, given: str, name: str, *, part: bool) -> list[str]:
-    """Suggest the next command after tuning on one log: split it, to evaluate on a part that the tuning did not use."""
+    """Suggest the next commands after a tuning on one drive: evaluate, or split the drive and tune again."""
     from sigmaswarm.drives.reader import drive_folders
     from sigmaswarm.drives.urls import is_url
 
     if is_url(given):
         return [_evaluate(out)]
-    (folder, *_) = drive_folders(Path(given))  # the path may be that of its parent
+    (folder, *_) = drive_folders(Path(given))  # the path may be the parent folder
     if part:
         rest = folder.parent / f"{name.removesuffix('-train')}-test"
         return [_evaluate(out, rest if rest.is_dir() else None)]

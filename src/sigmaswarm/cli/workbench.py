@@ -19,8 +19,8 @@ def workbench(
 ) -> None:
     """Import, check, tune, evaluate and export in the browser.
 
-    The page is served on this machine only, at an address with a secret token. OUT is an ordinary folder of drives,
-    tunings and evaluations, which the other commands can also read. An interrupted tuning is resumed in OUT.
+    Only this machine can open the page; its address contains a secret token. The other commands can read the drives,
+    tunings and evaluations in OUT. An interrupted tuning in OUT can be resumed.
 
     For example:
 
@@ -31,11 +31,11 @@ def workbench(
     Parameters
     ----------
     logs
-        Logs to open; more can be dropped into the page.
+        Logs to open. You can drop more logs into the page.
     out
-        Folder for drives, tunings, evaluations and exports; created if missing.
+        Folder for drives, tunings, evaluations and exports.
     port
-        Port of the server; by default a free one.
+        Port of the server; by default a free port.
     no_browser
         Print the address without opening a browser.
     """

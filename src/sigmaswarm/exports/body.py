@@ -1,4 +1,4 @@
-"""Compute the attitude of estimates and the velocity along the body's axes; planar models are level."""
+"""Attitude of estimates and velocity in body axes; planar models are level."""
 
 import numpy as np
 
@@ -8,12 +8,12 @@ from sigmaswarm.filters.models import THETA
 
 
 def tilts_of(n: int) -> tuple[int, ...]:
-    """Indices of roll and pitch in a state of n numbers; empty for planar models."""
+    """Return the indices of roll and pitch in a state of n numbers; empty for planar models."""
     return tilted.ATTITUDE[:2] if n == tilted.N else ()
 
 
 def quaternions(mean: Array) -> Array:
-    """Quaternions (..., 4) of means (..., n): x, y, z, w, as in files."""
+    """Return quaternions (..., 4), order x, y, z, w as in files, of means (..., n)."""
     if tilts_of(mean.shape[-1]):
         return np.roll(tilted.quaternion_of(mean), -1, axis=-1)
     half = mean[..., THETA] / 2
@@ -22,7 +22,7 @@ def quaternions(mean: Array) -> Array:
 
 
 def rotations(mean: Array) -> Array:
-    """Rotations (k, 3, 3) of means (k, n), from the body to the local frame."""
+    """Return rotations (k, 3, 3) from body to local frame of means (k, n)."""
     if tilts_of(mean.shape[-1]):
         return tilted.rotation(mean)
     c, s = np.cos(mean[:, THETA]), np.sin(mean[:, THETA])
@@ -31,10 +31,10 @@ def rotations(mean: Array) -> Array:
 
 
 def body_velocity(mean: Array) -> tuple[Array, Array]:
-    """Velocity along the body axes x and y, (k, 2) m/s, from means (k, n), and its Jacobian (k, 2, 3 or 5).
+    """Return the velocity along the body axes x and y, (k, 2) m/s, of means (k, n), and its Jacobian (k, 2, 3 or 5).
 
-    The velocity is R' (vx, vy, vz). vz makes the velocity along the body's z axis 0. The Jacobian is with respect to
-    vx, vy, theta and, for a tilted model, roll and pitch.
+    The velocity is R' (vx, vy, vz), with vz so that the velocity along the body's z axis is 0. The Jacobian is with
+    respect to vx, vy, theta and, for a tilted model, roll and pitch.
     """
     c, s, vx, vy = np.cos(mean[:, THETA]), np.sin(mean[:, THETA]), mean[:, 2], mean[:, 3]
     ahead, left = c * vx + s * vy, c * vy - s * vx  # planar

@@ -1,4 +1,4 @@
-"""The filter as a C99 library, with a program that replays a drive through it."""
+"""Write the filter as a C99 library with a program that replays a drive."""
 
 import math
 from operator import itemgetter
@@ -48,14 +48,14 @@ FILES = (
     "ins_gps_shared.c",
 )
 SHORTEST_INTERVAL = 1e-4
-"""Shortest IMU interval, s. A shorter interval would need megabytes for the history of one second."""
+"""Shortest IMU interval, s. With a shorter interval the history of one second would take megabytes."""
 ALONE = Lanes()
 
 
 def c99(
     parameters: FilterParameters, interval: float, as_recorded: bool = False, lanes: Lanes = ALONE
 ) -> dict[str, str]:
-    """Return the files by name; Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`.
+    """Return the files by name. Q refers to steps of ``interval`` s; ``as_recorded`` is as in `PreparedDrive`.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def c99(
     if interval < SHORTEST_INTERVAL:
         raise InputError(
             f"nominal_interval = {interval:g} s: the C library keeps one second of samples, at "
-            f"{1 / SHORTEST_INTERVAL:g} Hz at most; correct it in [filter] of the filter's file"
+            f"{1 / SHORTEST_INTERVAL:g} Hz at most; correct it in [filter] of the file of the filter"
         )
     model = MODELS[parameters.model]
     kinds = ("ekf",) if model.tilts else model.kinds
@@ -90,7 +90,7 @@ def c99(
 def replay_rows(
     drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
 ) -> str:
-    """Return the rows of replay.c's input: the events of `replay_events` as text."""
+    """Return the events of `replay_events` as text, the input of replay.c."""
     events = replay_events(drive, model, as_recorded=as_recorded, heading=heading)
     return "".join(",".join([name, *(repr(float(z)) for z in numbers)]) + "\n" for name, numbers in events)
 
@@ -98,18 +98,17 @@ def replay_rows(
 def replay_events(
     drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
 ) -> list[tuple[str, list[float]]]:
-    """Return the inputs of a filter from a drive, sorted by time.
+    """Return the events of a drive by time: ``start``, then ``imu``, ``fix`` and ``odometer``.
 
-    The first event is ``start``; ``imu``, ``fix`` and ``odometer`` events follow. Each event has the numbers of a row
-    of replay.c's input. ``model`` determines the axes of the IMU and of the lever arm. ``heading``: fixes have
-    headings. Fixes and readings after the last IMU sample are left out, as in `build_timeline`.
+    Each event has the numbers of a row of the input of replay.c. ``model`` determines the axes of IMU and lever arm.
+    ``heading`` includes headings of fixes. Fixes and readings after the last IMU sample are left out.
 
     Raises
     ------
     InputError
-        If the drive's IMU lacks an axis that the model reads.
+        If the IMU lacks an axis of the model.
     AlignmentError
-        If the vehicle never moves far enough in the drive for the filter to start.
+        If the drive has no start for the filter.
     """
     schedule.require_axes(drive, model)
     initial, imu = initial_state(drive, as_recorded=as_recorded), drive.imu
@@ -134,10 +133,10 @@ def replay_events(
 
 
 def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
-    """Return times, s, positions, m, and, if logged, velocities, m/s, and standard deviations, m, east and north.
+    """Return rows of time, s, position, m, and if logged velocity, m/s, and standard deviations, m, east and north.
 
-    With ``heading``, the array has all columns (NaN without a velocity, 0 without a standard deviation). The last two
-    columns are the heading and its standard deviation, rad.
+    With ``heading`` the rows have all these columns (NaN without velocity, 0 without standard deviation), and heading
+    and its standard deviation, rad.
     """
     heading = heading and gps.heading is not None
     columns = [gps.time, gps.x, gps.y]
@@ -156,7 +155,7 @@ def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
 
 
 def _sigma_points(p: FilterParameters) -> tuple[float, float]:
-    """Return alpha^2 (n + kappa) and alpha^2 (n + kappa - 1) + beta, for the sigma points and their weights."""
+    """Return alpha^2 (n + kappa) and alpha^2 (n + kappa - 1) + beta."""
     of = f"the spread of the sigma points, of alpha = {p.alpha:g}, beta = {p.beta:g}, kappa = {p.kappa:g},"
     square = p.alpha**2 if p.alpha < 1e150 else math.inf
     n = len(FILTERS[p.kernel].states)
@@ -166,7 +165,7 @@ def _sigma_points(p: FilterParameters) -> tuple[float, float]:
 
 
 def fits_float(p: FilterParameters) -> bool:
-    """Return True if all numbers of a filter are in the range of C's float."""
+    """Check if all numbers of a filter are in the range of float."""
     numbers: list[float | None] = [*p.process_noise, *p.measurement_noise]
     numbers += [*p.bias_std, *p.fuzzy_widths, *p.fuzzy_gains]
     numbers += [getattr(p, name) for name in PARAMETERS if name not in ("alpha", "beta", "kappa")]
@@ -179,7 +178,6 @@ def fits_float(p: FilterParameters) -> bool:
 
 
 def _texts_of_heading(used: bool) -> dict[str, str]:
-    """Return the additions to the templates for a filter that uses headings."""
     texts = {
         "ALSO_HEADING": ", const ins_gps_real *heading",
         "NO_HEADING": ", 0",
@@ -192,7 +190,6 @@ def _texts_of_heading(used: bool) -> dict[str, str]:
 
 
 def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
-    """Return parameters and arguments of the C functions, and their statements for each axis of the IMU."""
     tilted = MODELS[p.model].tilts is not None
     axes = ["ax", "ay", *(["az", "gx", "gy"] if tilted else []), "yaw_rate"]
     turning = [axis for axis in axes if axis not in ("ay", "az")]
@@ -213,11 +210,9 @@ def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
 
 
 _STATE_NAMES = {"theta": "HEADING", "gyro_bias_z": "GYRO_BIAS"}
-"""C names of the states whose names differ from those of the model."""
 
 
 def _texts_of_states(p: FilterParameters) -> dict[str, str]:
-    """Return the enumerators of the states, and their short names in the filter's source."""
     states = MODELS[p.model].states
     names = [f"INS_GPS_{_STATE_NAMES.get(state.name, state.name.upper())}" for state in states]
     listed = [f"    {name}, /* {state.unit} */" for name, state in zip(names, states, strict=True)]

@@ -1,8 +1,4 @@
-"""Print the compiled filter's kernels as C99 for one column, without the loop over columns.
-
-A function is printed statement by statement. Each expression is rewritten before it is printed: terms that are 0 in
-this filter are removed, and names are replaced by their C text.
-"""
+"""Translate the kernels of the compiled filter to C99, for one column and without terms that are 0 in a filter."""
 
 import ast
 import inspect
@@ -24,9 +20,8 @@ STATES = (
     *("X", "Y", "VX", "VY", "HEADING", "ACCEL_X", "ACCEL_Y", "GYRO", "ROLL", "PITCH", "GYRO_X", "GYRO_Y"),
     *("FIX_ERROR_X", "FIX_ERROR_Y"),
 )
-"""Names of the elements of a state in C, in the order of the largest model."""
+"""Names of the states in C, in the order of the largest model."""
 FIX_ERROR = STATES[-2:]
-"""Names of the states of the correlated fix error, which can be appended to any model."""
 PARAMETERS = {
     "w": ("InsGpsBelief *b", "Work *work"),
     "u": ("real dt", "real steps", "const InsGpsSample *sample"),
@@ -37,7 +32,7 @@ PARAMETERS = {
     "since": ("InsGpsBelief *b",),
     "l": (),
 }
-"""C parameters that replace a kernel's parameter. A function gets only the parameters that it uses."""
+"""C parameters that replace a parameter of a kernel. A C function has only the parameters that it uses."""
 _AXES = {"gz": "sample->yaw_rate"}
 INPUTS = {
     "u": {
@@ -55,10 +50,10 @@ INPUTS = {
     "wheels": {odometer.SPEED: "wheels->speed", odometer.AGE: "wheels->age", odometer.MORE: "wheels->more"},
     "lever": {k: f"lever[{k}]" for k in range(3)},
 }
-"""C text for an element of a step, a fix, a reading and the lever arm."""
+"""C text of the elements of a step, a fix, a reading and the lever arm."""
 CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS", "angle_of": "ATAN2"}
 RENAMED = {"_": "again", "b": "b0", "since": "b->steps_since_fix", "near": "is_near", "far": "is_far"}
-"""C names of Python names that C reserves or stores elsewhere."""
+"""C names of Python names that are reserved or stored elsewhere in C."""
 _SIGNS: dict[type, str] = {
     **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%"},
     **{ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="},
@@ -69,12 +64,12 @@ _MISSING = "no row in C: "
 
 
 class Emitter:
-    """The C functions of one filter, which are printed one after another.
+    """C functions of one filter.
 
     Parameters
     ----------
     rows : dict
-        C text of the rows of parameters, or a number. Terms that become 0 are left out. None: C has no such row.
+        C text of the rows of parameters, a number, or None if C does not have the row.
     states : sequence of str
         C names of the filter's states.
     """
@@ -85,19 +80,17 @@ class Emitter:
         self.signatures: dict[str, tuple[str, list[list[str]]]] = {}  # by name in Python
 
     def add(self, function: Any, name: str = "", **known: Any) -> None:
-        """Print a kernel or a plain function; ``name`` renames it."""
+        """Translate a kernel or a plain function; ``name`` renames it."""
         if isinstance(function, Kernel):
             function, known = function.source, {**function.known, **known}
         self.texts.append(_Function(self, function, name or function.__name__.lstrip("_"), known).text())
 
     def call(self, function: str) -> str:
-        """Return a call of a printed function; the arguments have the names of the parameters."""
         name, signature = self.signatures[function]
         parameters = dict.fromkeys(p.split()[-1].lstrip("*") for each in signature for p in each)
         return f"{name}({', '.join(parameters)})"
 
     def text(self) -> str:
-        """Return the whole text: constants, the struct of values that kernels exchange, and the functions."""
         code = re.sub(r"/\*.*?\*/", "", "\n".join(self.texts), flags=re.DOTALL)
         used = [
             name for name in dict.fromkeys(re.findall(r"\b[A-Z][A-Z_0-9]+\b", code)) if name in self.constants
@@ -114,9 +107,9 @@ class Emitter:
 
 
 class _Function(ast.NodeTransformer):
-    """Translation of one function to C; as a transformer it rewrites expressions.
+    """Translation of one function to C.
 
-    In a rewritten expression, each name is C text; a number is a name such as ``R(0.5)``.
+    In a rewritten expression each name is C text; also numbers are names, for example ``R(0.5)``.
     """
 
     def __init__(
@@ -138,7 +131,6 @@ class _Function(ast.NodeTransformer):
         self.declared, self.lines, self.outs, self.returns = set[str](), list[str](), list[str](), ""
 
     def text(self) -> str:
-        """The function in C."""
         self.block(self.body, 1)
         self.drop_unused()
         code, signature = "\n".join(self.lines), list[list[str]]()
@@ -159,12 +151,11 @@ class _Function(ast.NodeTransformer):
         return f"{comment}{head}\n{{\n" + "\n".join(_wrapped(self.lines)) + "\n}\n"
 
     def parameters_of(self, name: str) -> tuple[str, ...]:
-        """C parameters that replace one parameter."""
         ours = PARAMETERS.get(name) if self.is_kernel else None
         return (f"real {self.local(name)}",) if ours is None else ours
 
     def chosen(self, statements: list[ast.stmt]) -> list[ast.stmt]:
-        """Statements without the branches that are known not to run."""
+        """Return the statements without branches that never run."""
         chosen: list[ast.stmt] = []
         for statement in statements:
             known = self.value(statement.test) if isinstance(statement, ast.If) else None
@@ -179,7 +170,7 @@ class _Function(ast.NodeTransformer):
         return chosen
 
     def drop_unused(self) -> None:
-        """Remove locals that only removed terms have read; keep calls of kernels."""
+        """Remove locals that only removed terms used. Keep calls of kernels."""
         for line in reversed(list(self.lines)):
             match = re.match(r"( +)const (?:real|bool) (\w+) = ([^;]*;)$", line)
             if match and len(re.findall(rf"(?<!>)\b{match[2]}\b", "\n".join(self.lines))) == 1:
@@ -228,7 +219,7 @@ class _Function(ast.NodeTransformer):
                 del self.lines[first:]
 
     def store_results(self, targets: list[ast.expr], call: ast.Call, depth: int) -> None:
-        """Assign the results of a call, which C returns through pointers."""
+        """Print a call with results, which C returns through pointers."""
         if ast.unparse(call.func) == "spread_of" and _number(self.fold(call.args[0])) == 0.0:
             # sigma points without spread; d/4 is only a divisor
             self.store_all(targets, [ast.Constant(1.0), ast.Constant(1.0), ast.Constant(0.0)], depth)
@@ -244,7 +235,7 @@ class _Function(ast.NodeTransformer):
         self.put(f"{self.call(call, outs)};", depth)
 
     def store_all(self, targets: list[ast.expr], values: list[ast.expr], depth: int) -> None:
-        """Print simultaneous assignments; they are sequential where none reads a target of an earlier one."""
+        """Print simultaneous assignments one after another; raise if one reads an earlier target."""
         folded = [self.fold(value) for value in values]
         written: set[str] = set()
         for k, (target, value) in enumerate(zip(targets, folded, strict=True)):
@@ -306,7 +297,7 @@ class _Function(ast.NodeTransformer):
                 end = "N" if value in (self.known.get("n"), self.names.get("N")) else str(value)
             first = self.index(steps.args[0]) if len(steps.args) == 2 else "0"
             self.put(f"for (int {name} = {first}; {name} < {end}; {name}++) {{", depth)
-        else:  # from one state around to the one before it
+        else:  # all states, beginning at one of them
             first, *_ = values = list(self.evaluate(steps))
             assert values == [*range(first, len(values)), *range(first)]
             self.put(f"for (int k = {first}; k < N + {first}; k++) {{", depth)
@@ -316,7 +307,7 @@ class _Function(ast.NodeTransformer):
         self.declared = before
         self.put("}", depth)
         if len(self.lines) == n_lines + 1:
-            del self.lines[-2:]  # all of its terms are dropped
+            del self.lines[-2:]  # without any term left
 
     # ---- places ----
 
@@ -324,9 +315,9 @@ class _Function(ast.NodeTransformer):
         return eval(ast.unparse(node), self.names | self.known)
 
     def value(self, node: ast.expr) -> Any:
-        """Value of an expression; None if it depends on the filter's state."""
+        """Return the value of an expression, or None if it depends on the state."""
         if isinstance(node, ast.BinOp) and ast.unparse(node.left) == "happens":
-            return None if self.evaluate(node.right) else 0  # an event that never occurs in this filter
+            return None if self.evaluate(node.right) else 0  # an event that this filter does not have
         try:
             return self.evaluate(node)
         except _UNKNOWN:
@@ -336,12 +327,12 @@ class _Function(ast.NodeTransformer):
         return RENAMED.get(name, name)
 
     def written(self, node: ast.expr) -> tuple[str | None, str]:
-        """`place` of an assignment's target; None where C computes the target from other values."""
+        """Return the `place` of an assignment's target, or None if C computes the target from other values."""
         place, mirror = self.place(node)
         return (None if place is not None and " * " in place else place), mirror
 
     def place(self, node: ast.expr) -> tuple[str | None, str]:
-        """C text for a local or an element of ``w``, and for its mirror element in the covariance."""
+        """Return the C text of a local or an element of ``w``, and of its mirror element in the covariance."""
         if isinstance(node, ast.Name):
             return self.local(node.id), ""
         assert isinstance(node, ast.Subscript)
@@ -387,14 +378,14 @@ class _Function(ast.NodeTransformer):
         return TypeError(f"{self.name}: {ast.unparse(node)} is not in the emitter's subset")
 
     def fold(self, node: ast.expr) -> ast.expr:
-        """Rewrite an expression with C names, without terms that are 0 in this filter."""
+        """Rewrite an expression with C names and without terms that are 0 in this filter."""
         return self.visit(node)
 
     def c(self, node: ast.expr) -> str:
         return self.print(self.fold(node))
 
     def generic_visit(self, node: ast.AST) -> ast.AST:
-        """Rewrite a copy: the parsed function is reused."""
+        """Rewrite a copy, since the parsed function is reused."""
         new = copy(node)
         for name, value in ast.iter_fields(node):
             if isinstance(value, list):
@@ -490,7 +481,7 @@ class _Function(ast.NodeTransformer):
         return f"{printed}({', '.join([*arguments, *(outs or [])])})"
 
     def print(self, node: ast.expr, outer: int = 0) -> str:
-        """C text of a rewritten expression, in parentheses where its precedence is lower than that of ``outer``."""
+        """Return the C text of a rewritten expression, in parentheses if its precedence is lower than ``outer``."""
         match node:
             case ast.Name(text):
                 if text.startswith(_MISSING):
@@ -521,7 +512,6 @@ class _Function(ast.NodeTransformer):
 
 @cache
 def _parsed(function: Callable[..., Any]) -> tuple[ast.FunctionDef, dict[int, list[str]]]:
-    """Parse a function; also return its comments by line."""
     source = textwrap.dedent(inspect.getsource(function))
     definition = ast.parse(source).body[0]
     assert isinstance(definition, ast.FunctionDef)
@@ -552,7 +542,6 @@ def _uses(text: str, name: str) -> bool:
 
 
 def _wrapped(lines: list[str]) -> list[str]:
-    """Wrap long lines, and merge declarations of one type."""
     joined = [""]
     for line in lines:
         match = re.match(r"( +(?:const )?(?:real|bool) )(\w+.*;)$", line)
@@ -575,7 +564,6 @@ def _wrapped(lines: list[str]) -> list[str]:
 
 
 def _comments(source: str) -> dict[int, list[str]]:
-    """Comments above and after each statement, by its line number."""
     found: dict[int, list[str]] = {}
     waiting: list[str] = []
     for token in tokenize.generate_tokens(io.StringIO(source).readline):

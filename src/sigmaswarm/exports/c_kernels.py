@@ -1,7 +1,7 @@
-"""Print the kernels of an exported filter as C for its model and parameters."""
+"""Translate the kernels of a filter to C for its model and parameters."""
 
 # pyright: reportPrivateUsage=false, reportArgumentType=false
-# Parts of kernels are private to their modules; only this module reads them from outside.
+# Only this module uses the private parts of kernels outside of their modules.
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,13 +15,13 @@ from sigmaswarm.filters.models import MEASURED, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
 EVENTS = ("FIX", *map(str.upper, MEASURED))
-"""Bits of `schedule` that C supports. Each filter has the bits of its features."""
+"""Bits of `schedule` in C. A filter has the bits of its features."""
 
 
 def kernels_of(
     p: FilterParameters, features: Mapping[str, bool], values: Mapping[str, str]
 ) -> dict[str, str]:
-    """Values of the template: C text of the prediction, the measurements and the step."""
+    """Return values of the template: C text of prediction, measurements and step."""
     model = FILTERS[p.kernel]
     n, tilted = len(model.states), int(model.tilts is not None)
     states = STATES if not model.fix_error else (*STATES[: n - 2], *FIX_ERROR)
@@ -77,7 +77,6 @@ def _events(features: Mapping[str, bool]) -> list[str]:
 
 
 def _add_step(emitter: Emitter, p: FilterParameters, features: Mapping[str, bool]) -> None:
-    """Add the update with a fix, and the step."""
     model = FILTERS[p.kernel]
     looks = features["USE_NIS"] or features["USE_LANES"]
     if looks:
@@ -150,7 +149,6 @@ def _add_tilted(emitter: Emitter, features: Mapping[str, bool], n: int) -> None:
 
 
 def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> dict[str, str | float | None]:
-    """C text for the rows of parameters and memory."""
     spread, fuzzy = p.kind != "ekf", p.kind == "fuzzy-ukf"
     if p.kind == "adaptive-ukf":
         q, r = "b->process_noise[{}]", "b->measurement_noise[{}]"

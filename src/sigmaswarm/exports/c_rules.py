@@ -1,7 +1,7 @@
-"""Print the rules of samples as C99 (standstill, stale fixes, gaps), from the library's own functions.
+"""Translate the rules for samples and fixes (standstill, stale fixes, gaps) from the library's functions to C99.
 
-The functions use times, fixes and small arrays. C has a separate type for times, because the float build counts ticks.
-A difference of two times is printed as ``since``. Seconds that are added to a time are printed as ``SECONDS``.
+C has a type for times, since the float build counts ticks: ``since`` is a difference of times, and ``SECONDS`` converts
+seconds that are added to a time.
 """
 
 # pyright: reportPrivateUsage=false
@@ -25,9 +25,8 @@ POINTERS = {
     **{"fixes": "const InsGpsFix *", "readings": "const InsGpsReading *", "wheels": "Wheels *"},
     **{"memory": "InsGpsBlock *", "means": "const real *", "until": "ins_gps_time *"},
 }
-"""C types of arrays; the default is ``real *``. The array ``kinds`` is a field of the fixes."""
+"""C types of arrays; by default ``real *``. The array ``kinds`` is a field of the fixes."""
 FIELDS = {"fixes": ("time", "x", "y"), "readings": ("time", "speed"), "wheels": ("speed", "age", "more")}
-"""Names of the columns of arrays."""
 TIMES = ("now", "before", "taken")
 ENUMERATORS = {"NEW": "NEW", "HELD": "AT_REST", "FROZEN": "FROZEN", "FROZEN_MOVING": "FROZEN_MOVING"}
 _TIME, _KIND = "ins_gps_time", "InsGpsFixKind"
@@ -37,7 +36,6 @@ _CASTS = {"int": "(int)", "float": "(real)"}
 
 
 def rules_of(features: Mapping[str, bool]) -> str:
-    """C text of the rules that a filter needs, preceded by their constants."""
     stands, wheels = features["USE_STANDSTILL"], features["USE_ODOMETER"]
     functions = [*ALWAYS, *(STANDSTILL if stands else ()), *([odometer.mean_reading] if wheels else [])]
     functions += [odometer.wheels_turn] if stands and wheels else []
@@ -57,7 +55,7 @@ def _described(module: Any) -> dict[str, str]:
 
 
 class _Rule(_Function):
-    """Translation of one rule to C. The first value of a local variable determines its type."""
+    """Translation of a rule to C. The first value of a local variable determines its type."""
 
     def __init__(self, emitter: Emitter, compiled: Any) -> None:
         function = getattr(compiled, "py_func", compiled)
@@ -139,7 +137,6 @@ class _Rule(_Function):
     # ---- expressions ----
 
     def type_of(self, node: ast.expr) -> str:
-        """C's type of an expression."""
         match node:
             case ast.Name(name) if name in self.types:
                 return self.types[name]
@@ -175,7 +172,6 @@ class _Rule(_Function):
         return ast.Name(name if isinstance(self.names[name], int) else f"R({name})")
 
     def constant(self, name: str) -> str:
-        """Record the use of a constant."""
         comment = f" /* {self.described[name]} */" if name in self.described else ""
         self.used[name] = f"#define {name} {self.names[name]!r}{comment}\n"
         return name

@@ -1,4 +1,4 @@
-"""Build an exported C filter, call it through its Python module, and compare it with `run_filter`."""
+"""Compile an exported C filter, run it through its Python module, and compare it with `run_filter`."""
 
 import importlib.util
 import os
@@ -29,10 +29,7 @@ _SOURCES = ("ins_gps.c", "ins_gps_align.c", "ins_gps_shared.c")
 
 @dataclass(frozen=True)
 class Difference:
-    """Largest differences between a run in C and `run_filter`; NaN if one of the runs failed.
-
-    The differences are: any state, relative to max(1, |x|); position, m; heading, rad.
-    """
+    """Largest differences: state, relative to max(1, |x|); position, m; heading, rad. NaN after a failure."""
 
     state: float
     position: float
@@ -41,7 +38,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Checked:
-    """Results on a drive in double and in float precision (float: None where the filter exceeds the range)."""
+    """Differences on a drive in double and in float, None if the filter exceeds the range of float."""
 
     drive: str
     double: Difference
@@ -57,24 +54,23 @@ def check_export(
     lanes: int = 1,
     seed: int = 0,
 ) -> list[Checked]:
-    """Build the exported C library of ``folder`` as shared objects in this folder, and run it over drives.
+    """Compile the exported C library in ``folder`` and compare it on drives, with arguments as in `export_texts`.
 
-    The other arguments are those of `export_texts`. Several lanes are compared with a `LiveFilterBank` without
-    searches.
+    Several lanes are compared with a `LiveFilterBank` without searches.
 
     Raises
     ------
     InputError
         If there is no C compiler, the build fails, or a drive lacks an input of the filter.
     AlignmentError
-        If the vehicle never moves far enough in a drive for the filter to start.
+        If a drive has no start for the filter.
     """
     all_lanes = Lanes(lanes, seed)
     built = [_shared_object(folder, "libins_gps.so")]
     if all(fits_float(p) for p in all_lanes.filters(parameters)):
         built.append(_shared_object(folder, "libins_gps_float.so", "-DINS_GPS_FLOAT"))
     checked: list[Checked] = []
-    # A process loads a path only once, so a library that is built again needs another path.
+    # A process loads a path only once, so a new build needs another path.
     with tempfile.TemporaryDirectory() as loaded:
         libraries = [Path(shutil.copy(each, loaded)) for each in built]
         for drive in drives:
@@ -88,7 +84,7 @@ def check_export(
 
 
 def _of_library(drive: Drive, parameters: FilterParameters, lanes: Lanes, *, as_recorded: bool) -> Array:
-    """Reference means (k, n) of the C filter."""
+    """Compute reference means (k, n)."""
     if lanes.n == 1:
         return run_filter(drive, parameters, recover=False, as_recorded=as_recorded).mean
     replay = replay_of(drive, as_recorded=as_recorded)
@@ -101,7 +97,7 @@ def _shared_object(folder: Path, name: str, *flags: str) -> Path:
     compiler = os.environ.get("CC") or next(filter(shutil.which, COMPILERS), None)
     if compiler is None:
         raise InputError(
-            f"no C compiler was found ({', '.join(COMPILERS)}); install one, or name it in the variable CC"
+            f"no C compiler was found ({', '.join(COMPILERS)}); install a compiler, or set the environment variable CC"
         )
     command = [
         *compiler.split(),
@@ -119,7 +115,7 @@ def _shared_object(folder: Path, name: str, *flags: str) -> Path:
         built = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     except OSError as error:
         raise InputError(
-            f"the C compiler {compiler} does not run: {error.strerror}; name another one in CC"
+            f"the C compiler {compiler} does not run: {error.strerror}; set CC to another compiler"
         ) from None
     if built.returncode != 0:
         first = next(iter(built.stderr.splitlines()), f"exit code {built.returncode}")
@@ -130,7 +126,7 @@ def _shared_object(folder: Path, name: str, *flags: str) -> Path:
 def _replay(
     folder: Path, library: Path, parameters: FilterParameters, events: Sequence[tuple[str, list[float]]]
 ) -> Array:
-    """Means (k, n) after each sample since the start, from the Python module that was exported with the filter."""
+    """Compute the means (k, n) after each sample with the exported Python module."""
     spec = importlib.util.spec_from_file_location("ins_gps", folder / "ins_gps.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -1,7 +1,7 @@
-"""Templates of exported files: selection of their parts, and values of their placeholders.
+"""Fill the templates of exported files.
 
-``@NAME@`` is replaced by a value. Between a line ``#if FEATURE`` and its ``#else`` or ``#endif``, lines stay only if
-the feature is used. Other ``#if`` lines belong to the C preprocessor and stay.
+``@NAME@`` is replaced by a value. Lines between ``#if FEATURE`` and its ``#else`` or ``#endif`` stay if the feature is
+used. Other ``#if`` lines belong to the C preprocessor.
 """
 
 import math
@@ -20,7 +20,6 @@ from sigmaswarm.versions import __version__
 
 
 def features_of(p: FilterParameters) -> dict[str, bool]:
-    """Return flags of the template parts that a filter needs."""
     measured = schedule.measured_by(p)
     lateral, stands, wheels = (name in measured for name in ("lateral", "standstill", "odometer"))
     has_tilts = MODELS[p.model].tilts is not None
@@ -60,7 +59,6 @@ PARAMETERS = (
     *("latency", "alpha", "beta", "kappa", "forgetting", "gate", "accuracy_scale", "robust_dof", "fix_error"),
     *(*NOISE_OF.values(), "rear_axle", "tire_slip", "odometer_scale", "odometer_latency"),
 )
-"""Parameters that have the same name in templates and in `FilterParameters`."""
 NUMBERS = {
     "LATENCY": "s: age of a fix at its time stamp",
     "QUARTER_GAMMA": "gamma / 4, gamma^2 = alpha^2 (n + kappa)",
@@ -77,14 +75,14 @@ NUMBERS = {
     "LARGEST_RATIO": "limit of NIS / 2 in these rules",
     "SLOWER": "ratio of the two time constants of the trend",
     "GATE": "largest normalized innovation squared (NIS) of a fix that is used",
-    "MOST_REJECTED": "after this many rejected fixes the next one is used, so that a diverged filter can recover",
-    "ACCURACY_SCALE": "this times the stated variance of a fix is added to its R",
-    "FIX_ERROR": "g: variance of the correlated fix error over the stated one",
-    "FIX_ERROR_RATE": "nominal interval over the time constant of the correlated fix error",
-    "FIX_VAR": "m2, of a fix that states no deviation",
+    "MOST_REJECTED": "after this many rejected fixes the next fix is used, so that a diverged filter can recover",
+    "ACCURACY_SCALE": "factor of the stated variance of a fix, which is added to R",
+    "FIX_ERROR": "g: variance of the correlated fix error, relative to the stated variance",
+    "FIX_ERROR_RATE": "nominal interval / time constant of the correlated fix error",
+    "FIX_VAR": "m2, variance of a fix without a stated standard deviation",
     "ROBUST_DOF": "degrees of freedom of Student's t, the distribution of the errors of fixes",
     "ITERATIONS": "iterations to find the weight of a fix",
-    "OUTLYING": "a fix of a smaller weight is an outlier",
+    "OUTLYING": "weight below which a fix is an outlier",
     "OUTLIERS": "number of consecutive outliers that show that the filter is wrong, if they span enough time",
     "PATIENCE": "nominal steps that these outliers span",
     "OUTLIERS_SPAN": "s that these outliers span",
@@ -92,21 +90,21 @@ NUMBERS = {
     "REAR_AXLE": "m from the rear axle forward to the IMU",
     "TIRE_SLIP": "s2/m: slip angle of the rear tires per lateral acceleration",
     "LATERAL_INTERVAL": "s between two lateral updates",
-    "CORNERING": "m/s2 of lateral acceleration: above it, tires slip too much",
+    "CORNERING": "m/s2, lateral acceleration above which tires slip too much",
     "STANDSTILL_INTERVAL": "s between two standstill updates",
-    "STANDSTILL_RATE_NOISE": "rad2/s2: the gyro around its bias",
-    "PER_ODOMETER_SCALE": "true speed over a reading",
+    "STANDSTILL_RATE_NOISE": "rad2/s2, of the gyro about its bias",
+    "PER_ODOMETER_SCALE": "true speed / reading",
     "ODOMETER_LATENCY": "s: age of a reading at its time stamp",
     "EVIDENCE_LASTS": "s in which evidence fades to 1/e",
     "EVIDENCE_COUNTS": "each fix counts as this share of a fix with independent errors, since fix errors are "
     "correlated",
-    "LARGEST_NIS": "limit of a fix's NIS in the evidence",
+    "LARGEST_NIS": "limit of the NIS of a fix in the evidence",
 }
-"""Numbers that a template may use, each with the comment of its definition."""
+"""Numbers that a template may use, with the comments of their definitions."""
 
 
 def defined(text: str, numbers: Mapping[str, str], form: str) -> str:
-    """Replace ``@NUMBERS@`` in a text by definitions of the `NUMBERS` that the text uses without a definition."""
+    """Replace ``@NUMBERS@`` by definitions of the `NUMBERS` that the text uses and does not define."""
     names = set(re.findall(r"\w+", text)) - set(re.findall(r"#define (\w+)", text))
     used = [name for name in NUMBERS if name in names and name in numbers]
     return text.replace("@NUMBERS@", "\n".join(form.format(n, numbers[n], NUMBERS[n]) for n in used))
@@ -124,11 +122,10 @@ CONSTANTS: Mapping[ModuleType, str] = {
     tilted: "GRAVITY",
     timeline: "CORNERING",
 }
-"""Template names of the library's constants, by module."""
 
 
 def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
-    """Return a filter's parameters and the library's constants as text; Q refers to steps of ``interval`` s."""
+    """Return parameters and constants as text. Q refers to steps of ``interval`` s."""
     constants = {name: getattr(module, name) for module, names in CONSTANTS.items() for name in names.split()}
     states = "INS_GPS_STATES" if p.fix_error is None else "INS_GPS_STATES + 2"
     texts = {"VERSION": __version__, "DESCRIPTION": f"{p.model}, {p.kind}", "MODEL": p.model}
@@ -151,16 +148,16 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
 
 
 def in_range(value: float, of: str) -> float:
-    """Return a number; raise `InputError` if it is not finite. ``of`` describes the number in the message."""
+    """Return a number. Raise `InputError` with the description ``of`` if it is not finite."""
     if not math.isfinite(value):
         raise InputError(
-            f"the filter can't be exported: {of} is beyond the range of numbers; tune it again or correct it"
+            f"the filter can't be exported: {of} is not a finite number; tune it again or correct it"
         )
     return value
 
 
 def plain(numbers: Mapping[str, float | None]) -> dict[str, str]:
-    """Return numbers as text without loss of precision; omit None."""
+    """Return numbers as exact text, without None."""
     return {
         name: str(value) if isinstance(value, int) else repr(float(value))
         for name, value in numbers.items()
@@ -169,7 +166,6 @@ def plain(numbers: Mapping[str, float | None]) -> dict[str, str]:
 
 
 def listed(numbers: Iterable[float], form: str = "{}") -> str:
-    """Return numbers separated by commas."""
     return ", ".join(form.format(repr(float(number))) for number in numbers)
 
 
@@ -177,13 +173,12 @@ _DIRECTIVE = re.compile(r"#\s*(if\w*|else|endif)\b\s*(.*)")
 
 
 def fill(name: str, features: Mapping[str, bool], values: Mapping[str, str]) -> str:
-    """Return a template with the parts for ``features``, and with ``values``; a missing value raises `KeyError`."""
+    """Fill a template. A missing value raises `KeyError`."""
     text = files("sigmaswarm.exports").joinpath("templates", name).read_text(encoding="utf-8")
     return re.sub(r"@([A-Z][A-Z_0-9]*)@", lambda place: values[place[1]], _chosen(text, features))
 
 
 def _chosen(text: str, features: Mapping[str, bool]) -> str:
-    """Return the lines of used features."""
     lines: list[str] = []
     open_parts: list[bool | None] = []  # True: used; None: for the C preprocessor
     for line in text.splitlines():

@@ -1,7 +1,6 @@
-"""The filter as a Python script that needs only NumPy and FilterPy.
+"""Write the filter as a Python script that needs only NumPy and FilterPy.
 
-The script contains the library's source of alignment, standstills, geodesy and models, which FilterPy lacks. So the
-script and the library give the same results.
+The script contains the library's source of the parts that FilterPy lacks, so both give the same results.
 """
 
 import ast
@@ -20,11 +19,11 @@ FILE = "run_filter.py"
 
 
 def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = False) -> dict[str, str]:
-    """Return the script by file name; Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`."""
+    """Return the script by file name. Q refers to steps of ``interval`` s; ``as_recorded`` is as in `PreparedDrive`."""
     p = parameters
     if p.odometer_noise is not None:
         raise InputError(
-            "the script for FilterPy does not read an odometer; export the filter as C99, or tune it without odometer"
+            "the script for FilterPy does not read an odometer; export the filter as C99, or tune without odometer"
         )
     features = features_of(p)
     model = models.MODELS[p.model]
@@ -61,16 +60,16 @@ def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = 
 
 
 def source_of(module: ModuleType, names: list[str] | None = None) -> str:
-    """Return the source of a module's constants, functions and classes; ``names`` selects some of them.
+    """Return the source of constants, functions and classes of a module, all or those in ``names``.
 
-    Imports, Numba's decorators and overloads for type checkers are left out.
+    Imports, Numba's decorators and overloads are left out.
     """
     text = inspect.getsource(module)
     lines = text.splitlines()
     parts: list[str] = []
     kept = False
-    for node in ast.parse(text).body[1:]:  # the module's docstring comes first
-        if isinstance(node, ast.Expr):  # docstring of the constant before it
+    for node in ast.parse(text).body[1:]:  # without the module's docstring
+        if isinstance(node, ast.Expr):  # docstring of a constant
             if kept:
                 parts[-1] += "\n" + "\n".join(lines[node.lineno - 1 : node.end_lineno])
             continue
@@ -85,7 +84,6 @@ def source_of(module: ModuleType, names: list[str] | None = None) -> str:
 
 
 def _name(node: ast.stmt) -> str | None:
-    """Return the name that a statement defines, if it is a constant, a function or a class."""
     if isinstance(node, ast.FunctionDef | ast.ClassDef):
         return node.name
     if not isinstance(node, ast.Assign):

@@ -1,4 +1,4 @@
-"""Make a layout for Foxglove that shows an exported bag: the track on a map, and plots of the filter's consistency.
+"""Layout for Foxglove, which shows an exported bag: track on a map, and plots of the consistency.
 
 Source of the fields: layouts that Foxglove exports (docs.foxglove.dev, "Layouts").
 """
@@ -16,11 +16,9 @@ PLOTS: Mapping[str, tuple[str, ...]] = {
     "Standard deviations: x, y (m), heading (rad)": ("sigma.vector.x", "sigma.vector.y", "sigma.vector.z"),
     "Forward speed, m/s": ("odometry.twist.twist.linear.x",),
 }
-"""Paths of messages below /sigmaswarm, by the title of the plot."""
 
 
 def layout(topics: Collection[str]) -> dict[str, Any]:
-    """Return a layout for Foxglove, with the panels for the given topics."""
     panels: dict[str, dict[str, Any]] = {}
     if (fix := "/sigmaswarm/fix") in topics:
         panels["map!track"] = {"followTopic": fix, "layer": "map", "disabledTopics": [], "zoomLevel": 16}
@@ -52,7 +50,7 @@ def _plot(title: str, paths: Collection[str]) -> dict[str, Any]:
 
 
 def _arranged(panels: list[str], direction: str = "row") -> Any:
-    """Return the panels as a binary tree, alternately side by side and stacked."""
+    """Return a binary tree of the panels, alternately side by side and stacked."""
     if len(panels) == 1:
         return panels[0]
     half, other = (len(panels) + 1) // 2, "column" if direction == "row" else "row"

@@ -1,6 +1,6 @@
-"""Write the noise of an IMU to files in the units of other packages, and as keys of drive.toml.
+"""Write the noise of an IMU in the formats and units of other packages, and as keys of drive.toml.
 
-The model of the biases is that of the package: a Gauss-Markov process (KF-GINS) or a random walk (Kalibr, drive.toml).
+Biases are a Gauss-Markov process (KF-GINS) or a random walk (Kalibr, drive.toml), as in the package.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,11 +22,10 @@ from sigmaswarm.noise.records import (
 )
 
 NoiseTarget = Literal["sigmaswarm", "kf-gins", "kalibr", "robot_localization", "matlab"]
-"""Packages with a writer."""
 
 
 def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:
-    """Return the noise of an IMU in the format of a package: texts by file name.
+    """Return the noise of an IMU in the format of a package, as texts by file name.
 
     Parameters
     ----------
@@ -46,7 +45,7 @@ def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:
     for sensor, (axes, _) in SENSORS.items():
         if not known & set(axes.split()):
             raise InputError(
-                f"{noise.name}: no axis of the {sensor} was measured; {target} needs one, so choose another log"
+                f"{noise.name}: no axis of the {sensor} was measured, but {target} needs one; choose another log"
             )
     file, written = _WRITERS[target]
     sign = "%" if target == "matlab" else "#"
@@ -67,7 +66,7 @@ _white = attrgetter("white.value")
 
 
 def _walk_of(noise: Noise, sensor: str) -> Callable[[AxisNoise], float]:
-    """Return the random walk of an axis' bias, unit/sqrt(s); the value of a typical sensor if no bias was measured."""
+    """Return the random walk of the bias of an axis, unit/sqrt(s), or without a measurement a typical value."""
 
     def walk(axis: AxisNoise) -> float:
         std, time = axis.bias(noise.longest)
@@ -173,4 +172,3 @@ _WRITERS: dict[NoiseTarget, tuple[str, Callable[[Noise], list[str]]]] = {
     "robot_localization": ("imu_covariances.yaml", _robot_localization),
     "matlab": ("imu_noise.m", _matlab),
 }
-"""File name and writer of each target."""

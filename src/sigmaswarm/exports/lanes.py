@@ -1,4 +1,4 @@
-"""Make the table of the parameters that differ between the lanes of an exported filter bank."""
+"""Table of the parameters that differ between the lanes of an exported filter bank."""
 
 from dataclasses import dataclass
 
@@ -15,10 +15,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 
 @dataclass(frozen=True)
 class Lanes:
-    """Number of filters of a bank, and the seed of their random parameters.
-
-    The filters equal the first lanes of a `LiveFilterBank` with this seed, without searches.
-    """
+    """Number of filters and seed of their parameters, as in a `LiveFilterBank` without searches."""
 
     n: int = 1
     seed: int = 0
@@ -30,7 +27,7 @@ class Lanes:
             )
 
     def filters(self, tuning: FilterParameters) -> list[FilterParameters]:
-        """Return the parameters of each lane; the first one is the tuning."""
+        """Return the parameters of each lane. Lane 0 is the tuning."""
         spread = Spread(tuning)
         return [tuning, *(spread.parameters(offsets) for offsets in self._offsets(spread)[1:])]
 
@@ -38,7 +35,6 @@ class Lanes:
         return spread.first(np.random.default_rng([self.seed, 0]))[: self.n]
 
     def values(self, tuning: FilterParameters) -> dict[str, str]:
-        """Return values for the template: the numbers of a single filter, or columns of the table of lanes."""
         filters = self.filters(tuning)
         biases = {"GYRO_BIAS_STDS": listed([p.bias_std[1] for p in filters])}  # initial
         if self.n == 1:
@@ -61,16 +57,14 @@ class Lanes:
         }
 
     def numbers(self, tuning: FilterParameters) -> dict[str, str]:
-        """C text of the numbers in which the lanes differ, by name."""
         return {name.upper(): f"lanes[b->lane].{name}" for name in _numbers(tuning)} if self.n > 1 else {}
 
 
 _NUMBERS = ("accuracy_scale", *NOISE_OF.values(), "rear_axle", "tire_slip")
-"""Numbers in which columns may differ, in addition to Q, R and the biases at the start."""
+"""Scalar parameters that may differ between lanes, in addition to Q, R and initial biases."""
 
 
 def _numbers(p: FilterParameters) -> dict[str, float]:
-    """Return the scalar parameters that may differ between lanes, if the filter has them."""
     biases = zip(SENSORS, p.bias_std, strict=True) if MODELS[p.model].sensors else ()
     numbers: dict[str, float | None] = {f"{sensor}_bias_std": std for sensor, std in biases}
     numbers |= {name: getattr(p, name) for name in _NUMBERS}
@@ -81,7 +75,6 @@ def _numbers(p: FilterParameters) -> dict[str, float]:
 
 
 def _row(p: FilterParameters, penalty: float) -> str:
-    """Return a lane as C initializer."""
     fields = [
         f".process_noise = {{{listed(p.process_noise, 'R({})')}}}",
         f".measurement_noise = {{{listed(p.measurement_noise, 'R({})')}}}",

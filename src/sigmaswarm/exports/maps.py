@@ -1,6 +1,6 @@
 """Write tracks for maps: GeoJSON (RFC 7946), GPX 1.1 and KML 2.2, in degrees on WGS-84, without heights.
 
-Times that count from 1970 are recognized by their size, and written in UTC; other times are not written as dates.
+Unix times are recognized by their size and written as dates in UTC. Other times are not written as dates.
 """
 
 import json
@@ -17,18 +17,17 @@ import numpy as np
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.files import finite, write_whole
 
-_UNIX_TIMES = (1e9, 2.5e11)
-"""Range of times that count from 1970, s (years 2001 to 9892)."""
+_UNIX_TIMES = (1e9, 2.5e11)  # s, years 2001 to 9892
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 (section 2.2) forbids even when escaped; JSON forbids half a surrogate pair."""
 
 
 _EASTMOST = 179.999999999
-"""Largest longitude in GPX, deg. GPX excludes 180 deg; the error is 0.1 mm."""
+"""Largest longitude in GPX, deg, which excludes 180 deg; the error is 0.1 mm."""
 
 
 def geojson(time: Array, places: Array, path: Path, name: str) -> None:
-    """Write one line, cut at the antimeridian (RFC 7946, 3.1.9); places (n, 2) are latitude and longitude, deg.
+    """Write a line, cut at the antimeridian (RFC 7946, 3.1.9). ``places`` (n, 2) are latitude and longitude, deg.
 
     ``coordTimes`` has the format of togeojson: a list, or for a line in parts a list of lists.
     """
@@ -45,7 +44,7 @@ def geojson(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def gpx(time: Array, places: Array, path: Path, name: str) -> None:
-    """Write one track, with a new segment where it crosses the antimeridian."""
+    """Write a track, with a new segment at the antimeridian."""
     lines = ['<gpx version="1.1" creator="sigmaswarm" xmlns="http://www.topografix.com/GPX/1/1">']
     start = f"<trk><name>{_escaped(name)}</name><trkseg>"
     for t, part in cut(time, places):
@@ -60,7 +59,7 @@ def gpx(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def kml(time: Array, places: Array, path: Path, name: str) -> None:
-    """Write a line, or several lines if it crosses the antimeridian; with dates write a gx:Track, which has times."""
+    """Write a line, cut at the antimeridian, or with dates a gx:Track."""
     if _stamps(time[:1]):
         _timed_kml(time, places, path, name)
         return
@@ -76,7 +75,7 @@ def kml(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
-    """Write all times of a track, then all places: Google's extension of KML 2.2."""
+    """Write a track with times in Google's extension of KML 2.2: all times, then all places."""
     lines = [
         '<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><Document>',
         f"<Placemark><name>{_escaped(name)}</name><gx:MultiTrack>",
@@ -88,9 +87,9 @@ def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def cut(time: Array, places: Array) -> list[tuple[Array, Array]]:
-    """Cut a track at the antimeridian: return times (k,), s, and places (k, 2), deg, of each part.
+    """Cut a track at the antimeridian. Return times (k,), s, and places (k, 2), deg, of each part.
 
-    A cut is a point on the antimeridian between two points of the track: the end of one part and the start of the next.
+    A cut is a new point on the antimeridian, which ends a part and starts the next part.
     """
     turned = np.unwrap(places[:, 1], period=360.0)
     if (turned == places[:, 1]).all():
@@ -121,7 +120,7 @@ def _escaped(text: str) -> str:
 
 
 def _stamps(time: Array) -> list[str]:
-    """Return times in UTC; none if the clock has no date."""
+    """Return times in UTC, or an empty list without dates."""
     if not (len(time) and _UNIX_TIMES[0] <= time[0] and time[-1] <= _UNIX_TIMES[1]):
         return []
     return [
@@ -131,4 +130,4 @@ def _stamps(time: Array) -> list[str]:
 
 
 MAPS: dict[str, Callable[[Array, Array, Path, str], None]] = {".geojson": geojson, ".gpx": gpx, ".kml": kml}
-"""Writers by the ending of the file. Arguments: times (n,), s; places (n, 2), deg; the name of the track."""
+"""Writers by file extension. Arguments: times (n,), s; places (n, 2), deg; path; name of the track."""

@@ -1,8 +1,8 @@
 """Write a configuration of ROS's robot_localization, from its tuned model or from another filter.
 
-robot_localization adds ``process_noise_covariance`` times the time step, so Q per nominal interval is divided by that
-interval. The gate is a Mahalanobis distance, the square root of a NIS. The state has 15 elements. Source:
-https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel, filter_base.cpp.
+robot_localization adds ``process_noise_covariance`` times the time step, so Q is divided by the nominal interval. Its
+gate is the square root of a NIS. Source: https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel,
+filter_base.cpp.
 """
 
 import math
@@ -23,22 +23,21 @@ DEFAULT_PROCESS_NOISE = (
     *(0.01, 0.01, 0.02),
     *(0.01, 0.01, 0.015),
 )
-"""Default process noise per second: x, y, z; roll, pitch, yaw; their rates; the accelerations (reset)."""
+"""Default process noise per second: x, y, z; roll, pitch, yaw; their rates; accelerations."""
 SMALL, FIRST_FIX = 1e-6, 1.0
-"""Initial variance of states that stay at 0, and smallest initial variance of x and y, m2."""
+"""Initial variance of states that stay at 0, and minimum initial variance of x and y, m2."""
 SHOWN = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
-"""Measures listed in the exported README.md."""
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
-"""Initial variances of vx, vy, yaw, ax, ay, yaw rate, if initial_state is set as in README.md."""
+"""Initial variances of vx, vy, yaw, ax, ay, yaw rate if initial_state is set as in README.md."""
 
 
 def robot_localization(parameters: FilterParameters, interval: float, _: bool = False) -> dict[str, str]:
-    """Return the files by name; Q refers to steps of ``interval`` s. ROS's filter has no preprocessing to switch off.
+    """Return the files by name. Q refers to steps of ``interval`` s. ROS's filter has no preprocessing.
 
     Raises
     ------
     InputError
-        If a variance per second is beyond the range of floating point.
+        If a variance per second is not finite.
     """
     p, (r_east, r_north) = parameters, parameters.measurement_noise
     if MODELS[p.model].measures_imu:
@@ -63,7 +62,6 @@ def _shared(p: FilterParameters, interval: float) -> dict[str, str]:
 
 
 def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
-    """Return the files for the model robot-localization, which is this ROS filter."""
     of = "process_noise / nominal_interval"
     noise, start = list(DEFAULT_PROCESS_NOISE), [SMALL] * len(DEFAULT_PROCESS_NOISE)
     first = (*(max(r, FIRST_FIX) for r in p.measurement_noise), *START_VARIANCES)
@@ -96,7 +94,6 @@ def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
 
 
 def accuracy_section(evaluation: Evaluation) -> str:
-    """Return the section of README.md on the accuracy of the tuning on drives, from an evaluation."""
     known = [m for m in SHOWN if any(evaluation.mean(k, m) is not None for k in ("tuned", UNTUNED))]
     heads = " | ".join(evaluation.measures[m].heading for m in known)
     lines = [f"| filter | {heads} |", "|---" * (len(known) + 1) + "|"]
@@ -122,7 +119,6 @@ def accuracy_section(evaluation: Evaluation) -> str:
 
 
 def _compared(evaluation: Evaluation, other: str, name: str, measure: str) -> str:
-    """Return a sentence that compares the error of ekf.yaml with that of another filter."""
     tuned, theirs = evaluation.mean("tuned", measure), evaluation.mean(other, measure)
     if not tuned or not theirs:
         return f"The errors of ekf.yaml and of {name} can't be compared: one of these filters failed."
@@ -137,7 +133,7 @@ def _compared(evaluation: Evaluation, other: str, name: str, measure: str) -> st
 
 
 def process_noise(p: FilterParameters, interval: float) -> list[float]:
-    """Return the diagonal of Q in robot_localization's order, variances per second."""
+    """Return the diagonal of Q per second, in the order of robot_localization."""
     of = "process_noise / nominal_interval"
     x, y, vx, vy, theta = (in_range(variance / interval, of) for variance in p.process_noise[:5])
     diagonal = list(DEFAULT_PROCESS_NOISE)
@@ -147,7 +143,7 @@ def process_noise(p: FilterParameters, interval: float) -> list[float]:
 
 
 def yaml_number(value: float) -> str:
-    """Return a number with a dot: some YAML readers read 1e-05 as text."""
+    """Return a number with a dot, since some YAML readers read 1e-05 as text."""
     text = repr(float(value))
     return text if "." in text else text.replace("e", ".0e")
 

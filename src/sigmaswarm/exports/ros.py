@@ -1,9 +1,7 @@
-"""Write an estimate as a ROS 2 bag with a layout for Foxglove.
+"""Write an estimate as a ROS 2 bag with a layout for Foxglove, by rosbags.
 
-The topics of a recorded bag can be included. The module needs rosbags.
-
-The estimate is /sigmaswarm/odometry, nav_msgs/Odometry. By REP-105 and the message's definition, the pose is in ``map``
-(east-north-up) and the twist in ``base_link`` (x forward, y left).
+/sigmaswarm/odometry, nav_msgs/Odometry, has the pose in ``map`` (east-north-up) and the twist in ``base_link`` (x
+forward, y left), by REP-105 and the definition of the message.
 """
 
 import heapq
@@ -34,14 +32,11 @@ SIGMA, FIX = "/sigmaswarm/sigma", "/sigmaswarm/fix"
 INNOVATION, INNOVATION_SIGMA, NIS = (
     f"/sigmaswarm/{name}" for name in ("innovation", "innovation_sigma", "nis")
 )
-INTERVAL = 0.1
-"""Interval between two messages of the topic SIGMA, and of the topic FIX, s."""
+INTERVAL = 0.1  # s, of the topics SIGMA and FIX
 NOT_ESTIMATED = 1e6
-"""Variance of quantities that a filter does not estimate: height, rates, and roll and pitch of a planar model."""
-RawMessage = tuple[int, Any, Any]
-"""Time in ns, rosbags' connection in the new bag, and the bytes of the message."""
-Message = tuple[int, str, Any]
-"""Time in ns, topic, and the message."""
+"""Variance of quantities that a filter does not estimate: height, rates; for planar models roll and pitch."""
+RawMessage = tuple[int, Any, Any]  # ns, connection in the new bag, bytes
+Message = tuple[int, str, Any]  # ns, topic, message
 
 
 def ros2(
@@ -54,16 +49,15 @@ def ros2(
     innovations: Innovations | None = None,
     merge: Path | None = None,
 ) -> None:
-    """Write a bag, which is a folder, with MCAP storage and a layout of its topics for Foxglove.
+    """Write a bag (a folder with MCAP storage) and a layout for Foxglove, with parameters as in `write_pieces`.
 
-    The parameters are those of `write_pieces`; ``path`` must not exist. Topics of ``merge`` with an unknown type are
-    omitted, with a warning.
+    ``path`` must not exist. Topics of ``merge`` with an unknown type are omitted with a warning.
 
     Raises
     ------
     InputError
-        If rosbags is not installed; a time is before 0; or ``merge`` is not a bag of these times, is damaged, or
-        already has the topic. No file remains in these cases.
+        If rosbags is not installed, a time is before 0, or ``merge`` is no bag of these times, is damaged, or already
+        has the topic. No file remains.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -73,7 +67,7 @@ def ros2(
     first, last = (end + time_origin for end in span)
     if first < 0:
         raise InputError(
-            f"{path}: a bag has no times before 0 (start is {first:g} s); shift the drive's times"
+            f"{path}: a bag has no times before 0 (start is {first:g} s); shift the times of the drive"
         )
     store = get_typestore(Stores.ROS2_HUMBLE)
     with (
@@ -98,14 +92,14 @@ def ros2(
 
 @contextmanager
 def _reader(path: Path, first: float, last: float) -> Generator[Any]:
-    """Open a ROS 2 bag (folder, .db3 or .mcap file) whose messages lie between ``first`` and ``last``, s."""
+    """Open a ROS 2 bag (folder, .db3 or .mcap file) that overlaps the time from ``first`` to ``last``, s."""
     highlevel, typesys = library("rosbags.highlevel", "ros"), library("rosbags.typesys", "ros")
     if not path.exists():
-        raise InputError(f"{path}: no such bag; name the one that the drive was imported from")
+        raise InputError(f"{path}: no such bag; give the bag from which the drive was imported")
     paths = bag_paths(path)
     if not paths:
         raise InputError(
-            f"{path}: contains no bag; name the folder with metadata.yaml, or a .db3 or .mcap file"
+            f"{path}: contains no bag; give the folder with metadata.yaml, or a .db3 or .mcap file"
         )
     if paths[0].suffix == ".bag":
         raise InputError(
@@ -127,19 +121,19 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
         if round(last * 1e9) < begin or round(first * 1e9) > end:
             raise InputError(
                 f"{path}: covers {begin / 1e9:.3f} to {end / 1e9:.3f} s, the estimate {first:.3f} to "
-                f"{last:.3f} s; name the bag that the drive was imported from"
+                f"{last:.3f} s; give the bag from which the drive was imported"
             )
         if TOPIC in reader.topics:
-            raise InputError(f"{path}: has {TOPIC} already; name the bag as it was recorded")
+            raise InputError(f"{path}: has {TOPIC} already; give the recorded bag")
         yield reader
     finally:
         reader.close()
 
 
 def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
-    """Add the topics of a bag to the new bag; return an iterator of their messages, by time.
+    """Add the topics of a bag to the new bag. Return an iterator of their messages by time.
 
-    A topic is omitted, with a warning, if neither the bag nor the latest ROS defines its type.
+    A topic is omitted with a warning if neither the bag nor the latest ROS defines its type.
     """
     added: dict[tuple[str, str], Any] = {}
     for old in reader.connections:
@@ -179,7 +173,7 @@ def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
 def _serialized(
     messages: Iterable[Message], store: Any, writer: Any, added: dict[str, Any]
 ) -> Iterator[RawMessage]:
-    """Yield messages as bytes; add a topic to the bag before its first message."""
+    """Yield messages as bytes. Add a topic to the bag before its first message."""
     for nanoseconds, topic, message in messages:
         kind = message.__msgtype__
         if topic not in added:
@@ -189,32 +183,27 @@ def _serialized(
 
 @dataclass(frozen=True)
 class Made:
-    """Factory of rosbags' messages with times of the bag's clock."""
-
     types: Any
     time_origin: float
 
     def message(self, name: str, *fields: Any) -> Any:
-        """Make a message of a type, such as std_msgs/Header, from its fields in order."""
         return self.types[name.replace("/", "/msg/")](*fields)
 
     def nanoseconds(self, time: float) -> int:
-        """Return a time on the bag's clock, ns; both parts are rounded separately to keep all digits."""
+        """Return a time on the clock of the bag, ns. Origin and time are rounded separately to keep all digits."""
         return round(float(time) * 1e9) + round(self.time_origin * 1e9)
 
     def header(self, nanoseconds: int) -> Any:
-        """Make the header of a message in the frame map."""
         stamp = self.message("builtin_interfaces/Time", nanoseconds // 10**9, nanoseconds % 10**9)
         return self.message("std_msgs/Header", stamp, "map")
 
     def vector(self, nanoseconds: int, x: float, y: float, z: float = 0.0) -> Any:
-        """Make a Vector3Stamped."""
         vector = self.message("geometry_msgs/Vector3", float(x), float(y), float(z))
         return self.message("geometry_msgs/Vector3Stamped", self.header(nanoseconds), vector)
 
 
 def _messages(pieces: Iterable[Estimate], made: Made, origin: Origin | None) -> Iterator[Message]:
-    """Yield the estimates; ten times per second also the std of x, y (m) and heading (rad), and a NavSatFix."""
+    """Yield estimates and, every `INTERVAL`, the std of x, y (m) and heading (rad) and a NavSatFix."""
     before = -1
     for estimate in pieces:
         velocity, jacobian = body_velocity(estimate.mean)
@@ -236,10 +225,10 @@ def _messages(pieces: Iterable[Estimate], made: Made, origin: Origin | None) -> 
 
 
 def _of_innovations(found: Innovations | None, made: Made) -> Iterator[Message]:
-    """Yield the innovations of the fixes, m east and north, their standard deviations, m, and the NIS."""
+    """Yield the innovations of the fixes, m east and north, with standard deviations, m, and NIS."""
     if found is None:
         return
-    sound = definite(found.covariance)  # False where the filter has failed
+    sound = definite(found.covariance)  # False after a failure of the filter
     found = Innovations(found.time[sound], found.innovation[sound], found.covariance[sound])
     sigma = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
     for t, nu, std, nis in zip(found.time, found.innovation, sigma, found.nis, strict=True):
@@ -260,16 +249,16 @@ def _fix(made: Made, nanoseconds: int, mean: Array, pose: Array, origin: Origin)
 
 
 def _pose_of(n: int) -> dict[int, int]:
-    """Return the states of the pose, and their rows in a message's covariance.
+    """Return the states of the pose and their rows in the covariance of a message.
 
-    The rows of a message's covariance are x, y, z and rotations about the fixed axes x, y and z. Roll, pitch and theta
-    are such rotations: R = Rz(theta) Ry(pitch) Rx(roll).
+    These rows are x, y, z and the rotations about the fixed axes x, y, z: roll, pitch, theta, since R = Rz(theta)
+    Ry(pitch) Rx(roll).
     """
     return {0: 0, 1: 1} | dict(zip(tilts_of(n), (3, 4), strict=False)) | {THETA: 5}
 
 
 def _odometry(made: Made, nanoseconds: int, mean: Array, pose: Array, velocity: Array, twist: Array) -> Any:
-    """Make an Odometry message; covariances are 6 x 6: x, y, z and the rotations about these axes."""
+    """Make an Odometry message. Covariances are 6 x 6: x, y, z and rotations about these axes."""
     still = made.message("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
     moves = made.message("geometry_msgs/Vector3", *map(float, velocity), 0.0)
     position = made.message("geometry_msgs/Point", *map(float, mean[:2]), 0.0)

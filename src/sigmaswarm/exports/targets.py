@@ -1,4 +1,4 @@
-"""The targets of an export: functions that return the texts of a filter's files."""
+"""Targets of an export."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,14 +16,14 @@ from sigmaswarm.filters.parameters import FilterParameters
 
 Target = Literal["filterpy", "c99", "robot_localization"]
 Alias = Literal["robot-localization"]
-"""Another name of the target robot_localization: the name of its model."""
+"""Name of the model, accepted for the target robot_localization."""
 
 TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]] = {
     "filterpy": filterpy,
     "c99": c99,
     "robot_localization": robot_localization,
 }
-"""Functions that return texts by file name. Arguments: parameters, nominal interval (s), ``as_recorded``."""
+"""Functions of parameters, nominal interval (s) and ``as_recorded``, which return texts by file name."""
 
 
 def export_texts(
@@ -35,23 +35,23 @@ def export_texts(
     lanes: int = 1,
     seed: int = 0,
 ) -> dict[str, str]:
-    """Return the files of a filter for a target: their texts by name.
+    """Return the texts of the files of a filter by file name.
 
     Parameters
     ----------
     parameters : FilterParameters
-        Parameters with ``nominal_interval``, which every tuning has.
+        Parameters with ``nominal_interval``, as in every tuning.
     target : {"filterpy", "c99", "robot_localization"}
-        robot-localization is another name of the last.
+        robot-localization is also accepted.
     replay : Drive, optional
         c99: also write this drive as replay.csv, the input of the replay program.
     as_recorded : bool
-        filterpy, c99: use stale fixes, and treat gaps in the IMU as ordinary steps.
+        filterpy, c99: use stale fixes, and treat IMU gaps as ordinary steps.
     lanes : int
         c99: number of filters with different parameters. The estimate is their mixture, as in a `LiveFilterBank`
         without searches.
     seed : int
-        c99: seed of the parameters of the lanes.
+        c99: seed of the parameters of the filters.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def export_texts(
 
 
 def _checked(parameters: FilterParameters, target: Target) -> float:
-    """Check that a target supports a filter; return the IMU interval of Q, s."""
+    """Check that a target supports a filter. Return the IMU interval of Q, s."""
     if target not in TARGETS:
         raise InputError(f"there is no export target {target!r}; choose one of {', '.join(TARGETS)}")
     if MODELS[parameters.model].tilts and target != "c99":
@@ -108,7 +108,7 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
 
 
 def write_texts(texts: Mapping[str, str], folder: str | Path) -> list[Path]:
-    """Write the files of an export into a folder, which is made if missing; files of the same names are replaced."""
+    """Write the files of an export into a folder, which is created if missing. Replace files of the same names."""
     folder = Path(folder)
     with staged_files(folder) as new:
         for name, text in texts.items():
@@ -120,5 +120,5 @@ def write_texts(texts: Mapping[str, str], folder: str | Path) -> list[Path]:
 def export_filter(
     parameters: FilterParameters, target: Target | Alias, folder: str | Path, **options: Any
 ) -> list[Path]:
-    """Write the files of a filter for a target; parameters as in `export_texts` and `write_texts`."""
+    """Write the files of a filter, with arguments as in `export_texts`. Return their paths."""
     return write_texts(export_texts(parameters, target, **options), folder)

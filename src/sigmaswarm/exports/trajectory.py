@@ -1,4 +1,4 @@
-"""Writers of estimates, one per file format; the ending of the file selects the format."""
+"""Write estimates to files. The file extension selects the format."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -19,7 +19,7 @@ from sigmaswarm.geodesy import Origin, enu_to_geodetic
 
 
 def write_estimate(estimate: Estimate, path: str | Path, **options: Any) -> None:
-    """Write an estimate to a file; ``options`` are those of `write_pieces`."""
+    """Write an estimate to a file, with options as in `write_pieces`."""
     span = (float(estimate.time[0]), float(estimate.time[-1]))
     write_pieces([estimate], span, path, **options)
 
@@ -35,19 +35,17 @@ def write_pieces(
     merge: str | Path | None = None,
     name: str | None = None,
 ) -> None:
-    """Write an estimate in the format that the file's ending states; the division into pieces does not affect the file.
+    """Write an estimate to a file. The extension selects the format. The division into pieces does not affect the file.
 
-    ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); also planar8's biases, and tilted12's
-    roll and pitch, with std.
-    ``.mat``, for MATLAB: t, the states by name, and covariance (n, states, states).
-    ``.tum``: one line ``t x y z qx qy qz qw`` per estimate, z = 0 and the attitude as a quaternion.
-    ``.kitti``: one line of 12 numbers per estimate, the pose's 3 x 4 matrix row by row, without time.
-    ``.ros2``: a ROS 2 bag (a folder) with the estimate as nav_msgs/Odometry; with an origin also as
-    sensor_msgs/NavSatFix; standard deviations, innovations, NIS, and a layout for Foxglove.
-    ``.geojson``, ``.gpx``, ``.kml``: the track in degrees.
+    ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); for planar8 and tilted12 also biases,
+    roll and pitch with standard deviations. ``.mat``, for MATLAB: t, the states by name, and covariance (n, states,
+    states). ``.tum``: one line ``t x y z qx qy qz qw`` per estimate, z = 0 and the attitude as a quaternion.
+    ``.kitti``: one line of 12 numbers per estimate, the 3 x 4 matrix of the pose row by row, without time. ``.ros2``: a
+    ROS 2 bag (a folder) with the estimate as nav_msgs/Odometry and, with an origin, as sensor_msgs/NavSatFix; also
+    standard deviations, innovations, NIS, and a layout for Foxglove. ``.geojson``, ``.gpx``, ``.kml``: the track in
+    degrees.
 
-    Maps and .mat need all pieces in memory, the other formats one piece. If a piece can't be computed, no file is
-    written.
+    Maps and .mat need all pieces in memory, the other formats one piece. After an error no file remains.
 
     Parameters
     ----------
@@ -56,20 +54,20 @@ def write_pieces(
         Times of the first and the last estimate, s.
     path : str or Path
     origin : (latitude deg, longitude deg, altitude m), optional
-        Position of x = y = 0; maps need it.
+        Position of x = y = 0; required for maps.
     time_origin : float
-        Time on the log's clock, s, at which the estimate's times are 0; for bags and maps. See `time_origin_of`.
+        Time on the clock of the log at which the times of the estimate are 0, s (`time_origin_of`); for bags and maps.
     innovations : Innovations, optional
         .ros2: innovations of the filter.
     merge : str or Path, optional
-        .ros2: a ROS 2 bag whose messages are copied unchanged into the new bag.
+        .ros2: copy the messages of this ROS 2 bag unchanged into the new bag.
     name : str, optional
-        Name of the track in a map; by default the file's name.
+        Name of the track in a map; by default the name of the file.
 
     Raises
     ------
     InputError
-        If the ending is unknown, the folder does not exist, a map has no origin, or ``merge`` can't be used.
+        If the extension is unknown, the folder does not exist, a map has no origin, or ``merge`` can't be used.
     """
     path = Path(path)
     check_target(path, origin, merge)
@@ -97,10 +95,10 @@ def write_fixes(
     origin: Origin | None = None,
     time_origin: float = 0.0,
 ) -> int:
-    """Write the fixes before the start of a filter at ``until`` s; return their number.
+    """Write the fixes before ``until``, s, for example before the start of a filter. Return their number.
 
-    ``.csv``: t, x, y (s, m). ``.geojson``, ``.gpx``, ``.kml``: a separate track. The other formats contain poses and
-    raise `InputError`.
+    Formats: ``.csv`` (t, x, y in s and m), and the maps ``.geojson``, ``.gpx`` and ``.kml``. Other formats contain
+    poses and raise `InputError`.
     """
     path = Path(path)
     check_fixes_target(path, origin)
@@ -118,20 +116,19 @@ def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
     """Raise `InputError` if `write_fixes` can't write to a file."""
     if path.suffix not in (endings := (".csv", *MAPS)):
         raise InputError(
-            f"{path}: this format contains poses, and fixes are not poses; end the name in {', '.join(endings)}"
+            f"{path}: this format needs poses, and fixes have no attitude; end the name in {', '.join(endings)}"
         )
     check_target(path, origin)
 
 
 def time_origin_of(drive: Drive) -> float:
-    """Return the time on the log's clock, s, at which a drive's times are 0: the value stored by the import, else 0."""
+    """Return the time on the clock of the log at which the times of a drive are 0, s; 0 if the import stored none."""
     stated = drive.metadata.get("time_origin_s", 0.0)
     usable = isinstance(stated, int | float) and abs(stated) < _LATEST_ORIGIN  # not NaN
     return float(stated) if usable else 0.0
 
 
 def check_target(path: Path, origin: Origin | None = None, merge: str | Path | None = None) -> None:
-    """Raise `InputError` if `write_estimate` can't write to a file."""
     endings = [*_WRITERS, BAG, *MAPS]
     if path.suffix not in endings:
         raise InputError(
@@ -144,16 +141,16 @@ def check_target(path: Path, origin: Origin | None = None, merge: str | Path | N
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():
-        raise InputError(f"{path.parent}: no such folder; make it first")
+        raise InputError(f"{path.parent}: no such folder; create it first")
     if path.suffix in MAPS and origin is None:
         raise InputError(
-            f"{path}: a map needs degrees, and the drive has no origin on the earth; give "
+            f"{path}: a map needs degrees, but the drive has no origin; give "
             "--origin LAT,LON, or origin in its drive.toml, or write .csv, .mat, .tum, .kitti or .ros2"
         )
 
 
 def true_trajectory(drive: Drive) -> Estimate:
-    """Return a drive's truth as an estimate; raise `InputError` if it has none."""
+    """Return the truth of a drive as an estimate. Raise `InputError` without truth."""
     truth = drive.truth
     if truth is None:
         raise InputError(f"{drive.name}: has no truth.csv; leave --truth out")
@@ -167,7 +164,7 @@ def _csv(pieces: Iterable[Estimate], file: BinaryIO) -> None:
 
 
 def _mat(pieces: Iterable[Estimate], file: BinaryIO) -> None:
-    """Write a MATLAB file. The format begins with the array size, so all pieces stay in memory."""
+    """Write a MATLAB file. The format begins with the array size, so all pieces must be in memory."""
     from scipy.io import savemat
 
     parts = [estimate.columns() | {"covariance": estimate.covariance} for estimate in pieces]
@@ -191,10 +188,8 @@ def _kitti(pieces: Iterable[Estimate], file: BinaryIO) -> None:
         np.savetxt(file, pose.reshape(-1, 12), fmt="%.9f")
 
 
-_LATEST_ORIGIN = 1e12
-"""Largest time origin of a log, s."""
+_LATEST_ORIGIN = 1e12  # s
 BAG = ".ros2"
-"""Ending of a folder that `ros2` writes."""
 _WRITERS: dict[str, Callable[[Iterable[Estimate], BinaryIO], None]] = {
     ".csv": _csv,
     ".mat": _mat,

@@ -1,1 +1,1 @@
-"""Reports of results: charts, tables, pictures and pages."""
+"""Charts, tables, pictures and pages of results."""

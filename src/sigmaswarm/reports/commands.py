@@ -1,4 +1,4 @@
-"""The command that repeats a result, from the configuration that was saved with it."""
+"""Command that repeats a result, from the saved configuration."""
 
 import shlex
 from collections.abc import Collection, Mapping, Sequence
@@ -13,18 +13,18 @@ from sigmaswarm.tuning.config import RENAMED, TuneConfig
 from sigmaswarm.tuning.defaults import with_guards
 
 STATED = ("objective", "particles", "generations", "trials", "seed", "model", "use")
-"""Options that the command states even at their defaults."""
+"""Options that the command contains even at their defaults."""
 DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.items()}
 GUARDS = ("prior", "inflation")
-"""Options whose default in `tune` depends on the objective."""
+"""Options of `tune` with a default that depends on the objective."""
 
 
 def tune_command(
     config: Mapping[str, Any], drives: Sequence[str], validation: Sequence[str]
 ) -> tuple[str, str]:
-    """Return the command of a tuning and its limits; no command for a custom model."""
+    """Return the command of a tuning and a note. For a custom model the command is empty."""
     if isinstance(config.get("model"), dict):
-        return "", "The model is a model of your own: repeat the tuning in Python, with sigmaswarm.tune."
+        return "", "The tuning has a custom model: repeat it in Python with sigmaswarm.tune."
     config = {RENAMED.get(name, name): value for name, value in config.items()}
     options = {name: config[name] for name in STATED if name in config}
     usual = _usual(config)
@@ -38,30 +38,24 @@ def tune_command(
     for name, value in options.items():
         words += _option(f"--{name.replace('_', '-')}", value)
     words += ["--validation", *validation] if validation else []
-    return shlex.join(
-        words
-    ), "The command names the drives: replace their names by the paths of your folders."
+    return shlex.join(words), "Replace the names of the drives by the paths of their folders."
 
 
 def evaluate_command(
     drives: Sequence[str], outage_length: float, outage_seed: int, *, also: Collection[str] = ()
 ) -> tuple[str, str]:
-    """Return the command of an evaluation and its limits."""
     words = ["sigmaswarm", "evaluate", "tuning.toml", *drives, "--out", "again"]
     words += ["--outage-length", f"{outage_length:g}", "--outage-seed", str(outage_seed)]
     options = {OWN: ["--against", "against.toml"], SMOOTHED: ["--smooth"], SWARM: ["--swarm"]}
-    words += [word for method in also for word in options.get(method, ())]  # a network is in the folder
-    note = (
-        "tuning.toml is the one in this page's folder. Drives are given by name: replace the names by the "
-        "paths of your folders."
-    )
+    words += [word for method in also for word in options.get(method, ())]  # the folder contains a network
+    note = "tuning.toml is in the folder of this page. Replace the names of the drives by the paths of their folders."
     return shlex.join(words), note
 
 
 def _usual(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the default options of `tune`, some of which depend on the model and the objective."""
+    """Return the defaults of `tune` for the model and the objective of a configuration."""
     usual = DEFAULTS | dict.fromkeys(GUARDS, 0.0)
-    with suppress(ValidationError, KeyError):  # of another version
+    with suppress(ValidationError, KeyError):  # a model of another version
         usual["kind"] = TuneConfig.model_validate({"model": config["model"]}).kind
     asked = {name: config[name] for name in DEFAULTS if name in config and name not in GUARDS}
     with suppress(ValidationError, InputError):  # an objective of another version

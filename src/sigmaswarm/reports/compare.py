@@ -1,4 +1,4 @@
-"""Make the table and the figure of a comparison of optimizers, and write their files."""
+"""Table and figure of a comparison of optimizers."""
 
 from pathlib import Path
 
@@ -15,7 +15,6 @@ from sigmaswarm.tables import Cell, Column, Table
 
 
 def save_comparison(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write the tables and the figure of a comparison into its folder; return the paths."""
     with staged_files(folder) as new:
         table = new / "comparison.md"
         write_whole(table, comparison_table(comparison).to_markdown())
@@ -52,20 +51,19 @@ def comparison_table(comparison: Comparison) -> Table:
         if alone
         else ""
     )
-    few = "" if tested else f"\n\nToo few seeds for a test: {FEWEST_SEEDS} or more."
+    few = "" if tested else f"\n\nToo few seeds for a test, which needs {FEWEST_SEEDS} or more."
     note = (
         f"{comparison.seeds} seeds, {comparison.budget} evaluations each. Values: median [95% interval of the median] "
-        f"and worst "
-        f"run. p: paired Wilcoxon test against {comparison.contenders[0].label}, with Holm's correction over the "
-        "rows. Steps: filter steps, as a share of those of all evaluations on all drives. Touched bounds: number of "
-        f"runs in which a parameter ended at a bound. Trained on {', '.join(comparison.drives)}; "
-        f"held out: {', '.join(comparison.test) or 'none'}.{rival}{few}"
+        f"and worst run. p: paired Wilcoxon test against {comparison.contenders[0].label}, with Holm's correction over "
+        "the rows. Steps: filter steps relative to the steps of all evaluations on all drives. Touched bounds: number "
+        f"of runs in which a parameter ended at a bound. Training drives: {', '.join(comparison.drives)}. "
+        f"Held-out drives: {', '.join(comparison.test) or 'none'}.{rival}{few}"
     )
     return Table("", tuple(columns), tuple(rows), note=note)
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Draw the cost as a function of the evaluations, with quartiles, and the last cost of every run."""
+    """Draw the cost over the evaluations, with quartiles, and the final cost of every run."""
     last = "held_out_cost" if "held_out_cost" in comparison.measures else "cost"
     contenders = comparison.contenders
     looks = many_looks(len(contenders), 1.6)
@@ -82,7 +80,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
             middle, low, high = (np.where(np.isfinite(c) & (spent <= end), c, np.nan) for c in costs)
             band(ax, spent, low, high, Look(look.color, opacity=0.12))
             curve(ax, spent, middle, look, contender.label)
-        ax.set(xlabel="evaluations on all training drives", ylabel="training cost, lowest so far")
+        ax.set(xlabel="evaluations on all training drives", ylabel="lowest training cost so far")
         ax.set_ylim(*_frame(comparison))
 
     def runs(ax: Axes) -> None:
@@ -98,13 +96,13 @@ def comparison_figure(comparison: Comparison) -> Figure:
 
     charts = (
         Chart(f"Median and quartiles of {comparison.seeds} seeds", courses),
-        Chart("Every run, and the medians", runs),
+        Chart("All runs and their medians", runs),
     )
     return figure_of(*charts, size=(12, max(4.2, 1.6 + 0.28 * len(contenders))), legend="below")
 
 
 def _frame(comparison: Comparison) -> tuple[float | None, float | None]:
-    """Return the range from the lowest cost to the median of the contenders at a tenth of the budget."""
+    """Return the limits of the cost axis: lowest cost, and median over optimizers at a tenth of the budget."""
     medians = comparison.curves["median"].to_numpy().reshape(len(comparison.contenders), -1)
     finite = medians[np.isfinite(medians)]
     if not len(finite):

@@ -1,4 +1,4 @@
-"""Draw a drive on one page: path, speed, IMU, fixes, outages, and target and achieved values."""
+"""Picture of a drive: path, speed, IMU, fixes, outages, target and achieved values."""
 
 from typing import Any
 
@@ -10,20 +10,19 @@ from matplotlib.transforms import Bbox
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.reports.style import BLUE, GREY, PURPLE, VERMILION
 
-Gaps = list[tuple[float, float]]
-"""Start and end of each interval without fixes, s."""
+Gaps = list[tuple[float, float]]  # start and end of intervals without fixes, s
 
 
 def drive_figure(drive: Drive) -> Figure:
-    """Draw a recorded or simulated drive, with truth or without, on 12 by 9 inches."""
+    """Draw a drive on 12 by 9 inches."""
     figure = Figure(figsize=(12, 9), layout="constrained")
     grid = figure.add_gridspec(4, 2, width_ratios=[1, 1.35])
     imu, time = drive.imu, drive.gps.time
-    steps = np.diff(time)  # a gap: more than 2.5 of the usual intervals
+    steps = np.diff(time)  # an interval above 2.5 times the median is a gap
     after = np.flatnonzero(steps > 2.5 * np.median(steps)) if len(time) > 2 else []
     gaps: Gaps = [(float(time[i]), float(time[i + 1])) for i in after]
     first = float(imu.time[0])
-    # large time stamps (seconds of a week, an epoch) count from the start of the drive
+    # large time stamps (GPS seconds of week, Unix time) are shown relative to the start of the drive
     origin = first if abs(first) > 1000 else 0.0
     _draw_path(figure.add_subplot(grid[:3, 0]), drive, gaps)
     _draw_figures(figure.add_subplot(grid[3, 0]), drive)
@@ -80,7 +79,7 @@ def _draw_speed(axes: Axes, drive: Drive, origin: float) -> None:
 
 
 def _draw_lines(axes: Axes, when: Array, lines: dict[str, tuple[Array, str]]) -> None:
-    # The first line is the most important one, and is drawn on top.
+    # The first line is the most important line, so it is drawn on top.
     for order, (name, (values, color)) in enumerate(lines.items()):
         axes.plot(when, values, color=color, lw=0.8, label=name, zorder=3 - 0.1 * order)
     _legend_above(axes)
@@ -98,7 +97,7 @@ def _draw_fixes(axes: Axes, drive: Drive, gaps: Gaps, origin: float) -> None:
         axes.set_ylim(bottom=0.0)
         axes.set_ylabel("time from fix\nto fix, s")
         return
-    # NaN where fixes are missing interrupts the line.
+    # NaN interrupts the line at a gap.
     after_gaps = np.searchsorted(gps.time, [end for _, end in gaps])
     when = np.insert(gps.time - origin, after_gaps, np.nan)
     for values, true, color, name in ((gps.x, truth.x, BLUE, "east"), (gps.y, truth.y, VERMILION, "north")):
@@ -110,7 +109,6 @@ def _draw_fixes(axes: Axes, drive: Drive, gaps: Gaps, origin: float) -> None:
 
 
 def _draw_figures(axes: Axes, drive: Drive) -> None:
-    """Draw the table of target and achieved values of a simulated drive."""
     axes.axis("off")
     tables: list[Any] = [drive.metadata.get(key) for key in ("target", "achieved")]
     target, achieved = (

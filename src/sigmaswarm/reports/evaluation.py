@@ -1,4 +1,4 @@
-"""Write the folder of an evaluation; draw bars of the methods, consistency, tracks and errors over time."""
+"""Files and pictures of an evaluation: bars of the methods, consistency, tracks and errors over time."""
 
 from collections.abc import Mapping
 from itertools import accumulate
@@ -50,17 +50,17 @@ from sigmaswarm.tuning.record import FILE, HISTORY_FILE, tuning_file
 from sigmaswarm.wording import names_shown
 
 DRAWN = ("raw_gps", UNTUNED, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth")
-"""The series of a track, the last one on top: the line of the tuned filter is wider than that of the truth."""
+"""Series of a track from bottom to top. The tuned filter has a wider line than the truth, so it is below."""
 HEADING_SHOWN = (1.0, 30.0)
-"""Smallest and largest limit of the axis of heading errors, deg; a diverged filter has larger errors."""
+"""Limits of the range of the heading axis, deg, since a diverged filter has large errors."""
 
 
 def save_evaluation(
     evaluation: Evaluation, folder: Path, tuning: Path | None = None, network: Learned | None = None
 ) -> list[Path]:
-    """Write the records and pictures of an evaluation; return the paths of all files.
+    """Write the records and pictures of an evaluation into a folder. Return the paths of all files.
 
-    ``tuning``, the tuning.toml that was evaluated or its folder, and ``network`` are copied into the folder.
+    The folder also gets copies of ``tuning`` (the evaluated tuning.toml or its folder) and ``network``.
     """
     with staged_files(folder) as new:
         written = [*evaluation.save(new), save(comparison(evaluation), new / "comparison.png")]
@@ -80,7 +80,7 @@ def save_evaluation(
 
 
 def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
-    """Copy a tuning.toml (or that of a folder), its history and its fingerprints; return the paths of the copies."""
+    """Copy a tuning.toml, its history and its fingerprints into a folder. Return the paths of the copies."""
     file = tuning_file(tuning)
     written: list[Path] = []
     for name in (FILE, HISTORY_FILE, SEEN_FILE):
@@ -92,7 +92,6 @@ def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
 
 
 def track_figure(evaluation: Evaluation, drive: str) -> Figure:
-    """Draw the tracks of all methods on one drive."""
     found = evaluation.drives.get(drive)
     if found is None or found.picture is None:
         raise InputError(f"no track of {drive!r}; choose from {names_shown(evaluation.drives)}")
@@ -100,13 +99,17 @@ def track_figure(evaluation: Evaluation, drive: str) -> Figure:
 
 
 def comparison(evaluation: Evaluation) -> Figure:
-    """Draw bars of the mean scores of each method, if there are any."""
     charts = method_bars(evaluation.view, titled=True)
     if not charts:
 
         def draw(ax: Axes) -> None:
             ax.set_axis_off()
-            ax.text(0.5, 0.5, "nothing can be compared: no truth, and no outage fits", ha="center")
+            ax.text(
+                0.5,
+                0.5,
+                "nothing can be compared: no truth, and the drives are too short for an outage",
+                ha="center",
+            )
 
         return figure_of(Chart("", draw), size=(6.4, 3.4))
     columns = min(len(charts), 3)
@@ -115,10 +118,10 @@ def comparison(evaluation: Evaluation) -> Figure:
 
 
 def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, ...]:
-    """Draw bars of the means over the drives, a chart for each measure that any method has.
+    """Draw bars of the means over the drives, one chart per measure.
 
-    The scale does not depend on IMU only and fixes alone. A bar that would leave it ends there, with an arrow at the
-    text. ``titled``: the measure is the title, not the label of the axis.
+    IMU only and fixes alone do not set the scale; a bar beyond the scale is cut and has an arrow. With ``titled``, the
+    name of the measure is the title instead of the axis label.
     """
 
     def bars(measure: Measure, values: Mapping[str, float]) -> Chart:
@@ -145,7 +148,7 @@ def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, .
 
 
 def consistency(name: str, evaluated: Evaluated) -> Figure | None:
-    """Draw the NIS of the tuned filter over time and as a histogram, and the autocorrelation of its innovations.
+    """Draw NIS over time, histogram of NIS, and autocorrelation of the innovations of the tuned filter.
 
     Return None if the filter failed or had too few fixes.
     """
@@ -171,25 +174,25 @@ def consistency(name: str, evaluated: Evaluated) -> Figure | None:
         middle = (edges[1:] + edges[:-1]) / 2
         ax.bar(middle, share, float(edges[1]), color=SILVER, alpha=1.0, lw=1.0, edgecolor=GREY)
         curve(ax, middle, np.exp(-middle / 2) / 2, Look(BLACK, 1.2), "consistent filter")
-        ax.set(xlabel="NIS (the last bar: and above)", ylabel="share per unit")
+        ax.set(xlabel="NIS (the last bar includes larger values)", ylabel="share per unit")
 
     def lags(ax: Axes) -> None:
         ax.axhspan(-found.white_band, found.white_band, color=MIST, alpha=1.0, lw=0)
         ax.axhline(0.0, **Look(GREY, 0.8).line)
         at = np.arange(1, len(found.autocorrelation) + 1)
         ax.vlines(at, 0.0, found.autocorrelation, color=tuned, lw=3.0, alpha=1.0)
-        ax.set(xlabel="fixes apart", ylabel="autocorrelation", ylim=(-1.0, 1.0))
+        ax.set(xlabel="lag, fixes", ylabel="autocorrelation", ylim=(-1.0, 1.0))
 
     charts = (
         Chart(f"{name}: {found.inside_gate:.1%} inside", over_time),
         Chart(f"mean {found.mean_nis:.2f}, consistent: {low:.2f} to {high:.2f}", histogram),
-        Chart("innovations (grey: white, 95%)", lags),
+        Chart("innovations (grey: white noise, 95%)", lags),
     )
     return figure_of(*charts, size=(11, 3.4))
 
 
 def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
-    """Draw the whole track, and a close-up where the car turns most (the paper's Fig. 3)."""
+    """Draw the whole track and a close-up of the sharpest turn (the paper's Fig. 3)."""
     half, (x, y) = CLOSE_UP / 2, picture.turn
 
     def paths(ax: Axes, series: Mapping[str, Columns]) -> None:
@@ -203,7 +206,7 @@ def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
         corners = half * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
         curve(ax, x + corners[0], y + corners[1], Look(CHARCOAL, 0.8))
         low, high = picture.frame
-        # the range of the fixes: a diverged filter must not set the scale
+        # the fixes set the scale, not a diverged filter
         margin = 0.08 * float((high - low).max())
         as_map(ax, *zip(low - margin, high + margin, strict=True))
 
@@ -216,10 +219,7 @@ def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
 
 
 def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
-    """Draw position and heading error over time with the 3-sigma bounds of the tuned and the smoothed filter.
-
-    Return None without truth.
-    """
+    """Draw position and heading error over time with 3-sigma bounds. Return None without truth."""
     series = picture.whole.series
     if "position_error" not in series["tuned"]:
         return None
@@ -233,7 +233,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
         for name in methods:
             curve(ax, series[name]["time"], series[name]["position_error"], LOOKS[name], labels[name])
         ax.set(ylabel="position error, m")
-        logarithmic(ax.yaxis)  # from centimeters to hundreds of meters, so that all methods are visible
+        logarithmic(ax.yaxis)  # errors range from centimeters to hundreds of meters
         ax.set_ylim(0.03, None)
 
     def heading(ax: Axes) -> None:
@@ -253,7 +253,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
 
 
 def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
-    """Draw the stacked weights of the filters of a bank over time, and their distance from the tuning."""
+    """Draw the stacked weights of the filters of a bank, and their distance from the tuning, over time."""
     shares, moved = (tracks.series.get("swarm" + ending) for ending in (SHARES, MOVED))
     if shares is None or moved is None:
         return ()

@@ -1,4 +1,4 @@
-"""The page of an evaluation: the scores of the tuned filter and of the methods it is compared with."""
+"""Page of an evaluation: scores of the tuned filter and of other methods."""
 
 from pathlib import Path
 
@@ -31,29 +31,26 @@ from sigmaswarm.tuning.record import FILE, NOT_VALIDATED, TuningRecord
 from sigmaswarm.wording import in_order
 
 LINES = ("truth", *ALSO, "tuned", OWN, UNTUNED, FIXES, "imu_only", "raw_gps")
-"""The series of the tracks, the first one on top."""
+"""Series of the tracks, from top to bottom."""
 SHOWN = ("truth", "tuned", *ALSO, OWN, UNTUNED, "raw_gps")
-"""Series that are visible when the page opens."""
 VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
-"""Verdicts on the consistency that are warnings."""
+"""Verdicts on the consistency that the page shows as warnings."""
 BANK = (
-    "Sixteen filters of one tuning, with different parameters, predict each fix; their weights in the estimate depend "
-    "on how well they predicted the last minute. Every 10 s while the vehicle moves, the filters with the lowest "
-    "weights are replaced by the results of a search over the last minute. If the parameters move far from the "
-    "tuning, the vehicle, its sensors or its surroundings differ from those of the tuning. One decade is a factor of "
-    "ten in a variance."
+    "A filter bank has sixteen filters with different parameters. The weight of a filter in the estimate depends on "
+    "how well it predicted the fixes of the last minute. Every 10 s while the vehicle moves, a search over the last "
+    "minute replaces the filters with the lowest weights. If the parameters move far from the tuning, the vehicle, its "
+    "sensors or its surroundings differ from those of the tuning. One decade is a factor of ten in a variance."
 )
 
 
 def evaluation_report(folder: Path) -> Report:
-    """Read the folder that `sigmaswarm evaluate --out` wrote."""
     file = load_record(TuningRecord, folder / FILE)
     view = read_view(folder, file)
     scores, setup, nees = view.scores, view.setup, not view.blind
     drives = load_tracks(folder / TRACKS_FILE)
     if not list(scores.drives) == [d.name for d in setup.data] == [t.name for t in drives]:
         raise InputError(
-            f"{folder}: scores.json, evaluation.json and tracks.npz are not of the same drives; "
+            f"{folder}: scores.json, evaluation.json and tracks.npz contain different drives; "
             "repeat `sigmaswarm evaluate`"
         )
     absent = {OWN, FIXES, *ALSO} - {*scores.mean}
@@ -73,7 +70,7 @@ def evaluation_report(folder: Path) -> Report:
         sections=(
             Section("Tracks and errors over time" if nees else "Tracks over time", tracks=tracks),
             _comparison(view),
-            *((Section("The swarm", (BANK,), charts=swarm),) if swarm else ()),
+            *((Section("Filter bank", (BANK,), charts=swarm),) if swarm else ()),
             Section("Consistency", (explained_consistency(nees),), (view.consistency_table(),)),
             *(
                 (Section("Position radius", (explained_radius(),), (view.radius_table(),)),)
@@ -94,7 +91,7 @@ def evaluation_report(folder: Path) -> Report:
 
 
 def read_view(folder: Path, file: TuningRecord) -> EvaluationView:
-    """Read the scores and the setup of an evaluation; ``file`` is the tuning that was evaluated."""
+    """Read the scores and the setup of an evaluation of the tuning in ``file``."""
     scores = load_record(ScoresRecord, folder / SCORES_FILE)
     setup = load_record(EvaluationRecord, folder / ASKED_FILE)
     require_sealed(folder, setup)
@@ -115,7 +112,7 @@ def _figures(view: EvaluationView) -> tuple[tuple[str, str, str], ...]:
             figures.append((measure.title, f"{tuned:.3g} {measure.unit}", note))
     if known := [c.mean_nis for c in view.scores.consistency.values() if c]:
         nis = sum(known) / len(known)
-        figures.append(("mean NIS", f"{nis:.3g}", "2 where predictions agree with the covariances"))
+        figures.append(("mean NIS", f"{nis:.3g}", "2 if the filter is consistent"))
     return tuple(figures)
 
 

@@ -1,6 +1,6 @@
-"""Charts, drawn with matplotlib as PNG, as SVG files and as SVG for pages.
+"""Draw charts with matplotlib as PNG and SVG.
 
-The same chart gives an identical file. The global state of pyplot is not changed.
+The same chart gives an identical file. The global state of pyplot does not change.
 """
 
 import re
@@ -35,8 +35,8 @@ from sigmaswarm.wording import visible
 class Chart:
     """A plot: ``draw`` draws marks and labels on matplotlib's axes.
 
-    ``rows`` is the number of names along the vertical axis, which determines the height on a page. A page shows at most
-    two ``broad`` charts in a row.
+    ``rows``, the number of names at the vertical axis, determines the height on a page. A page shows at most two
+    ``broad`` charts in a row.
     """
 
     title: str
@@ -46,31 +46,29 @@ class Chart:
 
 
 def curve(ax: Axes, x: ArrayLike, y: ArrayLike, look: Look, name: str = "") -> None:
-    """Draw a line through points with a name in the legend; NaN and inf leave a gap."""
+    """Draw a line through points, with gaps at NaN and inf."""
     values = np.asarray(y, np.float64)
     ax.plot(x, np.where(np.isinf(values), np.nan, values), **look.line, label=name)
 
 
 def band(ax: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, look: Look, name: str = "") -> None:
-    """Fill the area between two curves."""
     ax.fill_between(x, low, high, color=look.color, alpha=look.opacity, lw=0, label=name)
 
 
 def name_rows(ax: Axes, names: Sequence[str]) -> None:
-    """Name the positions 0, 1, ... of the vertical axis, from the top."""
     ax.set_yticks(range(len(names)), names, fontsize=8)
     ax.set_ylim(len(names) - 0.4, -0.6)
 
 
 def logarithmic(axis: Axis) -> None:
-    """Use a logarithmic scale with plain numbers: a small range has few powers of ten."""
+    """Use a logarithmic scale with plain numbers, since a small range contains few powers of ten."""
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # pyright: ignore
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(_Between())
 
 
 class _Between(Formatter):
-    """Format 2 and 5 times a power of ten, for an axis that spans little more than one power."""
+    """Label 2 and 5 times a power of ten on an axis that spans little more than one decade."""
 
     def __call__(self, x: float, pos: int | None = None) -> str:
         low, high = sorted(self.axis.get_view_interval())  # pyright: ignore
@@ -79,19 +77,19 @@ class _Between(Formatter):
 
 
 def as_map(ax: Axes, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Use the same scale for east and north; a range may grow to fill the frame."""
+    """Use the same scale for east and north. A range may grow to fill the frame."""
     ax.set(aspect="equal", adjustable="datalim", xlabel="east, m", ylabel="north, m")
     ax.set_xlim(*x, auto=True)
     ax.set_ylim(*y, auto=True)
 
 
 def short_number(value: float) -> str:
-    """Format the number at a bar: three digits, and no powers of ten."""
+    """Format a number with three digits and without powers of ten."""
     return f"{value:.3g}" if value < 1000 else f"{value:.0f}"
 
 
 def hover_id(text: str) -> str:
-    """Return the identifier of an artist that carries a hover text into an SVG."""
+    """Encode a hover text as an artist's identifier, from which `_svg` makes a title element."""
     return f"hover-{urlsafe_b64encode(text.encode()).decode()}"
 
 
@@ -102,10 +100,10 @@ def figure_of(
     legend: Literal["none", "inside", "below"] = "inside",
     **shared: Any,
 ) -> Figure:
-    """Draw charts next to each other, or in a number of columns, on a figure of a size in inches.
+    """Draw charts in a row or in columns on a figure of a ``size`` in inches.
 
-    One legend below all charts contains the names of the first chart. ``sharex`` and ``sharey`` are matplotlib's
-    options.
+    The legend "below" all charts contains the names of the first chart only. ``shared`` are ``sharex`` and ``sharey``
+    of matplotlib.
     """
     columns = columns or len(charts)
     figure = Figure(figsize=size, layout="constrained")
@@ -133,9 +131,9 @@ def _legend_below(figure: Figure, columns: int) -> None:
 
 
 def _plain(artist: Artist) -> None:
-    """Draw titles and legends literally, since names of drives are not formulas.
+    """Draw texts literally, since names of drives are not formulas.
 
-    Numbers at axes are excepted, since they may contain powers, and creating their ticks is slow.
+    Axes are excepted: their numbers may contain powers, and creating their ticks is slow.
     """
     if isinstance(artist, Text):
         artist.set_parse_math(False)
@@ -145,27 +143,25 @@ def _plain(artist: Artist) -> None:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a PNG file that is identical in each run."""
     _plain(figure)
     with whole_file(path) as file, warnings.catch_warnings():
-        # a name may have letters that are missing in the font
+        # the font may lack letters of a name
         warnings.filterwarnings("ignore", message="Glyph")
-        figure.dpi = 130  # `savefig` would draw the figure twice: drawing includes the layout
+        figure.dpi = 130  # `savefig` would draw the figure twice, with the layout each time
         FigureCanvasAgg(figure).print_png(file, metadata={"Software": None})
     return path
 
 
 def save_both(figure: Figure, stem: Path) -> list[Path]:
-    """Write a PNG and an SVG."""
     path = stem.with_name(f"{stem.name}.svg")
     write_whole(path, _svg(figure))
     return [save(figure, stem.with_name(f"{stem.name}.png")), path]
 
 
 def svg(chart: Chart) -> str:
-    """Return a chart without its title as an SVG element that is as wide as its container.
+    """Return a chart without its title as an SVG element as wide as its container.
 
-    Sizes are in inches; the page enlarges the chart by 1.2 on a phone and by 1.8 on a screen.
+    Sizes are in inches. The page enlarges the chart by 1.2 on a phone and by 1.8 on a screen.
     """
     with rc_context({"font.size": 8, "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7}):
         figure = figure_of(replace(chart, title=""), size=(3.4, 2.4), legend="none")
@@ -182,7 +178,7 @@ def svg(chart: Chart) -> str:
 
 
 def _svg(figure: Figure, **settings: str) -> str:
-    """Draw an SVG without a date; hover texts become title elements of their marks."""
+    """Draw an SVG without a date. Hover texts become title elements."""
     _plain(figure)
     file = StringIO()
     metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
@@ -198,10 +194,10 @@ def _svg(figure: Figure, **settings: str) -> str:
 
 
 def check_file(path: Path, suffix: str = ".png") -> None:
-    """Raise `InputError` if a file of that type cannot be written, before any work is done."""
+    """Raise `InputError` if a file of this type cannot be written."""
     if path.suffix != suffix:
         raise InputError(f"{path}: unknown format; end the name in {suffix}")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():
-        raise InputError(f"{path.parent}: no such folder; make it first")
+        raise InputError(f"{path.parent}: no such folder; create it first")

@@ -1,4 +1,4 @@
-"""The page of a folder of results."""
+"""Page of a folder of results."""
 
 from pathlib import Path
 
@@ -11,11 +11,10 @@ from sigmaswarm.reports.study_page import study_report
 from sigmaswarm.reports.tuning import tuning_report
 
 REPORTS = {"scores.json": evaluation_report, "results.json": study_report, "tuning.toml": tuning_report}
-"""The file that identifies a type of folder, and its page; the first file found determines the type."""
 
 
 def read_report(folder: Path) -> Report:
-    """Read a folder of results; raise `InputError` if it is not one, or a file is missing or damaged."""
+    """Read a folder of results. Raise `InputError` for another folder, or a missing or damaged file."""
     if not folder.is_dir():
         wrong = "is a file" if folder.exists() else "no such folder"
         raise InputError(f"{folder}: {wrong}; give a folder that tune, evaluate or study wrote")
@@ -31,7 +30,7 @@ def read_report(folder: Path) -> Report:
 
 
 def save_page(folder: Path, out: Path | None = None) -> Path:
-    """Write the page of a folder of results, by default into it; return its path."""
+    """Write the page of a folder of results, by default as page.html in it. Return the path."""
     if out is not None:
         check_file(out, ".html")
     read = read_report(folder)

@@ -1,4 +1,4 @@
-"""Figure of the Allan deviation of an IMU with the slopes of its noise terms."""
+"""Figure of the Allan deviation of an IMU."""
 
 import math
 
@@ -19,13 +19,7 @@ _SLOPES = (
 
 
 def noise_figure(noise: Noise) -> Figure:
-    """Draw the measured Allan deviation of each axis, the fitted model, and the slopes of its parts, log-log.
-
-    Parameters
-    ----------
-    noise : Noise
-        Measured on a log; a filter's noise has no Allan deviation.
-    """
+    """Draw measured Allan deviation, fitted model and slopes per axis. ``noise`` must be measured, not a filter's."""
     charts = [
         Chart(f"{axis.axis}{', drifts' * bool(axis.drift)}", lambda ax, axis=axis: _draw(ax, axis))
         for axis in noise.axes
@@ -34,7 +28,7 @@ def noise_figure(noise: Noise) -> Figure:
     size = (4.2 * columns, 3.4 * -(-len(charts) // columns) + 0.4)
     figure = figure_of(*charts, size=size, columns=columns, legend="below")
     total = sum(length for _, length in noise.stretches)
-    figure.suptitle(f"{noise.name}: static for {total:.0f} s, the longest stretch {noise.longest:.0f} s")
+    figure.suptitle(f"{noise.name}: static for {total:.0f} s, longest stretch {noise.longest:.0f} s")
     return figure
 
 

@@ -1,7 +1,6 @@
 """A report as one HTML file, which needs no network and no other file.
 
-Charts are SVG drawings by matplotlib, like the PNG files. Tracks are interactive drawings by plotly.js, whose basic
-bundle is part of the page (MIT license, see assets/). The bundle and the tracks are compressed.
+matplotlib draws the charts as SVG. plotly.js draws the tracks; its basic bundle is in the page (MIT license, assets/).
 """
 
 import base64
@@ -28,17 +27,16 @@ from sigmaswarm.tables import Cell, Column, Table, numbers_of, shown
 from sigmaswarm.versions import __version__
 
 LONG = 24
-"""Characters of a cell above which its column gets a minimum width."""
+"""Number of characters of a cell above which the column gets a minimum width."""
 TERMS = {
-    "NIS": "normalized innovation squared: a fix's deviation from its prediction, relative to the predicted covariance",
+    "NIS": "normalized innovation squared: deviation of a fix from the prediction, relative to the covariance",
     "NEES": "normalized estimation error squared: the position error relative to the filter's covariance",
     "RMSE": "root of the mean squared error",
-    "whiteness p": "probability that uncorrelated innovations look at least as correlated as these (Ljung-Box test "
-    "over "
-    "ten fixes)",
+    "whiteness p": "probability that uncorrelated innovations seem as correlated as these or more (Ljung-Box test "
+    "over ten fixes)",
     "correlation": "correlation of consecutive innovations; 0 if the filter is consistent",
     "consistent": "range of mean NIS of a consistent filter (95%)",
-    "95% gate": "share of the fixes whose NIS is below 5.99; 95% if the filter is consistent",
+    "95% gate": "share of the fixes with a NIS below 5.99; 95% if the filter is consistent",
     "outage drift": "position error at the end of an outage of the fixes, RMS over all outages",
     "position 50%": "median of the position error",
     "position 95%": "95th percentile of the position error",
@@ -46,28 +44,24 @@ TERMS = {
     "fixes alone": "a constant-velocity filter without the IMU",
     "raw GPS": "the receiver's fixes, without a filter",
     "IMU only": "the filter without fixes after its start",
-    "3 sigma": "three standard deviations according to the filter's covariance",
+    "3 sigma": "three standard deviations from the covariance of the filter",
     "cost": "value of the objective; lower is better",
     "density": "noise density that corresponds to the variance",
 }
-"""Terms of headings and labels with the explanations that the page shows on hover."""
 DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot", "none": "none"}
-"""Line styles of matplotlib, and their names in plotly.js."""
 _TERM = re.compile(
     "|".join(rf"(?<!\w){re.escape(term)}(?!\w)" for term in sorted(TERMS, key=len, reverse=True))
 )
 MOST_NUMBERS = 250_000
-"""Largest number of values in all tracks of a page, so that the page stays below 2 MB; with more drives each track has
-fewer points."""
+"""Maximum number of values of all tracks of a page, so that the page stays below 2 MB. Longer tracks are thinned."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackView:
-    """Tracks to explore.
+    """Interactive tracks.
 
-    ``labels`` and ``looks`` contain an entry for each series, the top one first. The series in ``shown`` are visible
-    when the page opens. ``main`` is the series whose 3 sigma and NIS are shown first, and whose heading error sets the
-    scale.
+    ``labels`` and ``looks`` have an entry per series, from top to bottom. The series in ``shown`` are visible when the
+    page opens. The 3 sigma and NIS of ``main`` are shown first, and its heading error sets the scale.
     """
 
     drives: Sequence[Tracks]
@@ -79,8 +73,6 @@ class TrackView:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the page: text, then tables, charts and tracks."""
-
     title: str
     text: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
@@ -90,11 +82,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Report:
-    """The content of a page.
-
-    ``lead`` is the result in a few sentences; ``figures`` are labels, numbers with their units, and notes;
-    ``remarks`` are warnings. At most one section has tracks. ``command`` repeats the result, if there is one.
-    """
+    """Content of a page. ``figures`` are labels, numbers with units, and notes. At most one section has tracks."""
 
     title: str
     lead: tuple[str, ...]
@@ -108,11 +96,7 @@ class Report:
 
 
 def page(report: Report) -> str:
-    """Render the page.
-
-    Every text of the report is escaped, and the page's policy forbids any request, so that no text, such as a drive's
-    name, can run code or load anything.
-    """
+    """Render the page. All texts are escaped and the page can make no request, since names of drives may be hostile."""
     tracks = next((section.tracks for section in report.sections if section.tracks), None)
     return (
         _environment()
@@ -148,7 +132,6 @@ def _plotly() -> str:
 
 
 def _packed(text: str) -> str:
-    """Compress a text for the page's script; base64 needs no escaping."""
     return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
 
 
@@ -173,7 +156,7 @@ def _view(view: TrackView) -> dict[str, Any]:
 
 
 def _tracks(tracks: Tracks, share: float) -> dict[str, Any]:
-    """Thin and round to the millimeter and millisecond; large time stamps count from the drive's beginning."""
+    """Thin the tracks and round to mm and ms. Large time stamps are relative to the start of the drive."""
     first = min(float(columns["time"][0]) for columns in tracks.series.values())
     origin = first if abs(first) > 1000 else 0.0
     series: dict[str, Any] = {}
@@ -192,7 +175,6 @@ def _tracks(tracks: Tracks, share: float) -> dict[str, Any]:
 
 
 def _cell(cell: Cell, column: Column) -> dict[str, Any]:
-    """Return text, style and sort key of a cell."""
     if isinstance(cell, str):
         return {"text": cell, "style": "long" if len(cell) > LONG else "", "key": None}
     known = numbers_of(cell)
@@ -200,7 +182,6 @@ def _cell(cell: Cell, column: Column) -> dict[str, Any]:
 
 
 def _terms(text: str) -> Markup:
-    """Escape a text and mark the terms in it."""
     return Markup(
         _TERM.sub(lambda found: f'<abbr title="{escape(TERMS[found[0]])}">{found[0]}</abbr>', escape(text))
     )

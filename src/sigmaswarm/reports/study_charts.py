@@ -1,4 +1,4 @@
-"""The charts of a study (means with intervals, spread over drives, convergence, one drive), and its files."""
+"""Charts of a study (means with intervals, spread over drives, convergence, one drive) and its files."""
 
 from collections.abc import Sequence
 from math import inf
@@ -36,24 +36,22 @@ COLORS = {
     "paper": STUDY_LOOKS["paper-pso-ukf"].color,
     "honest": STUDY_LOOKS["honest-pso-ukf"].color,
 }
-"""Colors of the protocols."""
 REACH = 12
-"""The scale ends at this multiple of the lowest mean, so that good methods can be distinguished."""
+"""End of the scale as a multiple of the lowest mean, so that good methods can be distinguished."""
 DRAWN: dict[str, tuple[str, Look]] = {
     "ukf-defaults": ("UKF, manual: defaults", Look(ORANGE, 1.0, "--")),
     f"paper-{MAIN}": ("PSO-UKF (paper: against the GPS)", STUDY_LOOKS[f"paper-{MAIN}"]),
     f"honest-{MAIN}": ("PSO-UKF (honest: against truth)", STUDY_LOOKS[f"honest-{MAIN}"]),
 }
-"""Labels and looks of the filters drawn over one drive, by series."""
 RULE = Look(SLATE, 1.0, "--")
 
 
 def means_chart(
     results: Results, measure: str, reach: float = REACH, mark: float | None = None
 ) -> Chart | None:
-    """Draw the means of every method with two intervals, on a logarithmic scale.
+    """Draw the mean of every method with two intervals, on a logarithmic scale.
 
-    A mean beyond the scale is drawn as an arrow with the number, without intervals.
+    A mean beyond the scale is an arrow with the number, without intervals.
     """
     rows = [(row, row.mean) for row in results.means(measure) if row.mean]
     if not rows:
@@ -105,9 +103,9 @@ def spread_chart(
     *,
     all_rows: bool = False,
 ) -> Chart | None:
-    """Draw boxes over the drives (quartiles, whiskers from 5 to 95%) on a logarithmic scale.
+    """Draw boxes over the drives (quartiles, whiskers at 5 and 95%) on a logarithmic scale.
 
-    ``all_rows``: include methods without this measure.
+    ``all_rows`` includes methods without this measure.
     """
     rows = [s for s in spreads if s.measure == measure and s.high > 0]
     if not rows:
@@ -144,9 +142,9 @@ def spread_chart(
 def convergence_chart(
     results: Results, protocol: str, methods: Sequence[str] = (), *, log: bool = True
 ) -> Chart | None:
-    """Draw the best cost after each generation, of all methods or of some: the paper's Fig. 2."""
+    """Draw the best cost over generations (the paper's Fig. 2), for all or some methods."""
     mine = [c for c in results.convergence if c.protocol == protocol and c.method in (methods or [c.method])]
-    if any(c.group != ALL for c in mine):  # one line per condition: there is room for one method only
+    if any(c.group != ALL for c in mine):  # one line per condition leaves room for one method only
         mine = [c for c in mine if c.method == mine[0].method]
     if not mine:
         return None
@@ -164,7 +162,7 @@ def convergence_chart(
 
 
 def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool) -> None:
-    """Draw the middle 80% of the trials, their median, and the generation at which it settles."""
+    """Draw median and middle 80% of the trials, and the generation from which on the median is within 1%."""
     key = f"{course.protocol}-{course.method}"
     color = STUDY_LOOKS[key].color if key in STUDY_LOOKS else GREEN
     whole, settles = course.group == ALL, course.stable
@@ -177,13 +175,12 @@ def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool
     name = "median" if alone else results.label(course.method) if whole else course.group
     curve(ax, x, middle, Look(color, 2.0), name)
     diamond = Look(color, 1.2, NO_LINE, "D", 6.75).line
-    said = f"within 1% from generation {settles} on (the paper: {theirs})" if alone else ""
+    said = f"within 1% from generation {settles} on (paper: {theirs})" if alone else ""
     hover = hover_id(f"within 1% of its last value from generation {settles} on")
     ax.plot(settles, middle[settles - 1], **diamond, gid=hover, label=said)
 
 
 def curve_charts(results: Results) -> tuple[Chart, ...]:
-    """Draw the learning curves, a chart for each measure with values."""
     rivals = results.rivals
     if rivals is None:
         return ()
@@ -211,7 +208,6 @@ def curve_charts(results: Results) -> tuple[Chart, ...]:
 
 
 def trajectory_chart(picture: Picture) -> Chart:
-    """Draw truth, GPS, manual and tuned filters at the sharpest turn (the paper's Fig. 3)."""
 
     def draw(ax: Axes) -> None:
         named = {"raw_gps": ("GPS", LOOKS["raw_gps"]), **DRAWN, "truth": ("truth", LOOKS["truth"])}
@@ -224,7 +220,6 @@ def trajectory_chart(picture: Picture) -> Chart:
 
 
 def error_charts(picture: Picture) -> tuple[Chart, ...]:
-    """Draw position and heading error over time with the filter's 3 sigma: two charts per filter."""
 
     def chart(title: str, columns: Columns, look: Look, what: str, *, last: bool) -> Chart:
         def draw(ax: Axes) -> None:
@@ -233,7 +228,7 @@ def error_charts(picture: Picture) -> tuple[Chart, ...]:
             band(ax, time, -sigma if signed else np.zeros(len(time)), sigma, Look(MIST))
             curve(ax, time, error, look)
             known = np.abs(error[np.isfinite(error)])
-            # the error sets the scale, not the band
+            # the error sets the scale, since the band may be wide
             reach = 1.5 * float(known.max()) + 1e-3 if len(known) else 1.5
             ax.set(xlabel="time, s" if last else "", ylabel=f"{what}, {'deg' if signed else 'm'}")
             ax.set_ylim(-reach if signed else 0.0, reach)
@@ -250,7 +245,6 @@ def error_charts(picture: Picture) -> tuple[Chart, ...]:
 
 
 def nis_charts(picture: Picture) -> tuple[Chart, ...]:
-    """Draw the NIS of each filter over time; for a consistent filter 95% of the values lie below the gate."""
 
     def chart(name: str, look: Look, columns: Columns) -> Chart:
         def draw(ax: Axes) -> None:
@@ -268,7 +262,7 @@ def nis_charts(picture: Picture) -> tuple[Chart, ...]:
 
 
 def save_study(study: Study, folder: Path) -> list[Path]:
-    """Write the tables of a study, each as Markdown, LaTeX and CSV, and its figures, each as PNG and SVG."""
+    """Write the tables of a study as Markdown, LaTeX and CSV, and its figures as PNG and SVG. Return the paths."""
     record = study.record
     found = tables.study_tables(study.results) | {
         "runtime": tables.runtime_table(record.results, record.live)
@@ -299,7 +293,7 @@ def study_figures(study: Study) -> dict[str, Figure]:
     -------
     dict of str to matplotlib.figure.Figure
         ``convergence`` (the paper's Fig. 2), ``trajectory`` (the paper's Fig. 3), ``boxes`` (errors over drives),
-        ``errors`` (over time) and ``nis``; with rivals ``learning-curve``. The global state of pyplot is not changed.
+        ``errors`` (over time) and ``nis``. With rivals also ``learning-curve``.
     """
     results, spreads, picture = study.results, study.record.spreads, study.picture
     courses = [convergence_chart(results, protocol, [MAIN], log=False) for protocol in results.protocols]

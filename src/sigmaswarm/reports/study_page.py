@@ -1,4 +1,4 @@
-"""The page of a study: the paper's tables next to ours, and every method under both protocols."""
+"""Page of a study: tables of the paper and ours, and all methods under both protocols."""
 
 from collections.abc import Iterable
 from math import inf
@@ -14,12 +14,11 @@ from sigmaswarm.reports.study_tables import DRIFT, ERRORS, HEADING, POSITION, co
 from sigmaswarm.reports.style import STUDY_LOOKS
 
 RIVALS = ("ukf-datasheet", "ukf-defaults", "raw-gps")
-CONSISTENT = 2.0
-"""Mean NIS of a position with a consistent filter."""
+CONSISTENT = 2.0  # mean NIS of a consistent filter
 BEYOND_CHANCE = (1.0, 4.0)
-"""Bounds outside of which a mean NIS shows wrong covariances, for any number of fixes."""
+"""A mean NIS outside of these bounds shows wrong covariances, for any number of fixes."""
 UNLUCKY = 1.2
-"""Ratio of a trial's cost to the lowest cost above which the trial counts as a failed search."""
+"""Ratio of highest to lowest cost of the trials above which the page warns."""
 IN_CONDITIONS = (
     ("untuned", "raw-gps"),
     ("untuned", "ukf-defaults"),
@@ -29,13 +28,10 @@ IN_CONDITIONS = (
     ("honest", "pso-ekf"),
     ("honest", "pso-planar8"),
 )
-"""Protocols and methods in the table of conditions."""
 SHOWN = ("truth", "honest-pso-ukf", "paper-pso-ukf", "raw_gps")
-"""Series whose tracks are visible when the page opens."""
 
 
 def study_report(folder: Path) -> Report:
-    """Read the folder of a `sigmaswarm study`."""
     record = StudyRecord.read(folder)
     results = record.results
     searched = (tables.optimum_table(results), tables.trials_table(results))
@@ -62,7 +58,7 @@ def study_report(folder: Path) -> Report:
         config=results.config.model_dump(mode="json"),
         versions=record.versions,
         command="sigmaswarm study --out again --config study.toml",
-        command_note="study.toml is the one in this page's folder.",
+        command_note="study.toml is in the folder of this page.",
     )
 
 
@@ -70,7 +66,6 @@ def study_report(folder: Path) -> Report:
 
 
 def _result(results: Results, protocol: str) -> str:
-    """Summarize the result under a protocol in a sentence."""
     found, objective = results.summary(protocol, MAIN, POSITION), results.protocols[protocol].objective
     start = f"Tuned for {objective} (the {protocol} protocol), {results.label(MAIN)}"
     if found is None or found.mean is None:
@@ -90,7 +85,6 @@ def _result(results: Results, protocol: str) -> str:
 
 
 def _figures(results: Results) -> tuple[tuple[str, str, str], ...]:
-    """Return the main numbers, with those of the paper in their notes."""
     shown = [(p, POSITION, "position RMSE", "m", "table_2", "rmse_m") for p in reversed(results.protocols)]
     shown += [("honest", HEADING, "heading error", "deg", "table_3", "heading_deg")]
     shown += [("honest", DRIFT, "drift over 5 s", "m", "table_3", "outage_drift_m")]
@@ -110,20 +104,20 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
     if touching := sum(bool(t.touched_bounds) for t in mine):
         yield (
             f"{protocol}: {touching} of {len(mine)} tunings of {main} ended at a bound: "
-            "their optimum may lie outside the search space"
+            "the optimum may be outside of the search space"
         )
     costs = [t.cost for t in mine]
     if costs and max(costs) > UNLUCKY * min(costs):
         yield (
             f"{protocol}: the tunings of {main} differ: their training costs are "
-            f"{min(costs):.3g} to {max(costs):.3g} m; tune several times and take the best"
+            f"{min(costs):.3g} to {max(costs):.3g} m; tune several times and use the best result"
         )
     nis = results.summary(protocol, MAIN, "nis")
     if nis is not None and nis.mean is not None and not BEYOND_CHANCE[0] < nis.mean < BEYOND_CHANCE[1]:
         wrong = "overconfident" if nis.mean > BEYOND_CHANCE[1] else "underconfident"
         yield (
             f"{protocol}: {main} is {wrong}: its mean NIS is {nis.mean:.3g}, "
-            "but 2 if a filter is consistent; do not rely on its covariances"
+            "while a consistent filter has 2; do not rely on its covariances"
         )
     unsure = [
         results.label(c.against)
@@ -131,7 +125,7 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
         if (c.protocol, c.measure) == (protocol, POSITION) and c.holm_p > 0.05
     ]
     if unsure:
-        yield f"{protocol}: the difference in position from {'; '.join(unsure)} may be chance (p over 0.05)"
+        yield f"{protocol}: the difference in position from {'; '.join(unsure)} may be due to chance (p above 0.05)"
 
 
 # ---- the evidence ----
@@ -147,8 +141,7 @@ def _tables(results: Results) -> Section:
         if (c := comparison(results, protocol, POSITION, rival)) and c.improvement is not None
     ]
     text = (
-        "The paper's values next to ours: means over trials, each on its held-out drives. The paper's RMSE is "
-        "relative to "
+        "Values of the paper and ours: means over trials, each on its held-out drives. The paper's RMSE is relative to "
         "the GPS fixes after the update, so a filter that copies the fixes has an RMSE of 0.",
         f"Improvement over the manual UKF (equation 5): {'; '.join(improvements)}.",
     )
@@ -165,7 +158,7 @@ def _intervals(results: Results) -> Section:
     text = (
         "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) is the spread due to swarm and split. "
         "It contains the mean over new drives in only about half of the cases. The bootstrap interval over drives and "
-        "trials contains this mean in 95% of the cases in a full study, and in 85 to 95% in a small one.",
+        "trials contains this mean in 95% of the cases in a full study, and in 85 to 95% in a small study.",
         "An arrow means that the mean is beyond the scale.",
     )
     charts = _known((*charts, means_chart(results, "nis", inf, mark=CONSISTENT)))
@@ -181,9 +174,9 @@ def _spread(record: StudyRecord) -> Section:
     results, spreads = record.results, record.spreads
     charts = [spread_chart(results, spreads, measure) for measure in ERRORS]
     text = (
-        "One value per drive, the mean over its trials. Box: quartiles; whiskers: 5 to 95% of drives.",
-        "The mean NIS of a consistent filter is 2; above 2 it is overconfident, below underconfident. Position errors "
-        "alone do not determine the scale of the covariances.",
+        "Each drive has one value, the mean over its trials. Box: quartiles. Whiskers: 5 to 95% of the drives.",
+        "The mean NIS of a consistent filter is 2. A larger value means overconfident, a smaller value underconfident. "
+        "Position errors alone do not determine the scale of the covariances.",
     )
     charts = _known((*charts, spread_chart(results, spreads, "nis", mark=CONSISTENT)))
     return Section("Spread over drives, and consistency", text, (tables.consistency_table(results),), charts)
@@ -195,7 +188,7 @@ def _tracks(record: StudyRecord) -> tuple[Section, ...]:
         protocol, _, method = series.partition("-")
         tuned = protocol in results.protocols
         labels[series] = results.label(method, protocol) if tuned else results.label(series.replace("_", "-"))
-    text = "Held-out drives of the trial with the lowest training cost, and the filters tuned in it."
+    text = "Held-out drives and filters of the trial with the lowest training cost."
     view = TrackView(record.tracks, labels, STUDY_LOOKS, SHOWN, f"honest-{MAIN}")
     return (Section("Tracks and errors over time", (text,), tracks=view),) if record.tracks else ()
 
@@ -204,8 +197,8 @@ def _comparisons(results: Results) -> Section:
     text = (
         f"{results.label(MAIN)} against every other method, drive by drive. Improvement (equation 5): the relative "
         "reduction of the mean error, with a bootstrap interval over drives.",
-        "p: Wilcoxon's signed-rank test, with Holm's correction over the methods. Rank-biserial correlation is the "
-        "effect size: 1 is better on every drive, -1 worse on every drive.",
+        "p: Wilcoxon's signed-rank test, with Holm's correction over the methods. The rank-biserial correlation is the "
+        "effect size: 1 means better on every drive, -1 worse on every drive.",
     )
     found = [
         tables.comparison_table(results, p, measure)
@@ -216,25 +209,23 @@ def _comparisons(results: Results) -> Section:
 
 
 def _rivals(record: StudyRecord) -> tuple[Section, ...]:
-    """Show data, times and drift of rivals, their scores on other sensors and cars, and learning curves."""
     found = tuple(tables.rivals_tables(record.results, record.rival_times).values())
-    text = "Networks are trained in each trial, for the filter tuned in it, on its training drives."
+    text = "Each trial trains the networks on its training drives, for the filter that it tuned."
     notes = dict.fromkeys(table.note for table in found)
     return (Section("Rivals", (text, *notes), found, curve_charts(record.results)),) if found else ()
 
 
 def _conditions(results: Results) -> tuple[Section, ...]:
     table = tables.conditions_table(results, POSITION, IN_CONDITIONS)
-    text = ("Other measures and methods are in tables/ of this page's folder.",)
+    text = ("The folder tables/ next to this page contains other measures and methods.",)
     return (Section("Conditions", text, (table,)),) if len(table.rows) > 2 else ()
 
 
 def _convergence(results: Results) -> Section:
     theirs = results.paper["figure_2"]["stable_generation"]
     text = (
-        "The median over trials, and the range of the middle 80% of them. The diamond marks the generation after "
-        "which the median "
-        f"stays within 1% of its last value. In the paper's figure 2 the cost settles at generation {theirs}."
+        "Median over trials and range of the middle 80% of the trials. The diamond marks the generation from which on "
+        f"the median is within 1% of its last value. In the paper's figure 2 this is generation {theirs}."
     )
     charts = _known(convergence_chart(results, protocol) for protocol in results.protocols)
     return Section("Convergence", (text,), (tables.convergence_table(results),), charts)

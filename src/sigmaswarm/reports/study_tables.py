@@ -1,4 +1,4 @@
-"""Make the tables of a study: the paper's results next to ours, comparisons, conditions, search results and rivals."""
+"""Tables of a study: results of the paper and ours, comparisons, conditions, search results and rivals."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -24,46 +24,42 @@ ROWS = [
     for method, row in METHODS.items()
     for protocol in row.protocols or (UNTUNED,)
 ]
-"""Protocol and method of each row of a study, and the paper's row next to it."""
+"""Protocol, method and the corresponding row of the paper, for each row of a table."""
 LIVE_NAMES = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf"}
-"""Filter types whose run times are measured, by the paper's row."""
 MANUAL = "ukf-datasheet"
-"""The manually tuned filter of equation 5."""
+"""Manually tuned filter that equation 5 refers to."""
 LENGTHS = {DRIFT: "5 s", **{measure: f"{length:g} s" for measure, length in LONG_OUTAGES.items()}}
-"""Lengths of the outages, by measure."""
 AWAY = {
     POSITION: "position, m",
     HEADING: "heading, deg",
     DRIFT: "drift over 5 s, m",
     "outage_drift_30_s_m": "drift over 30 s, m",
 }
-"""Measures in the tables of other drives and of learning curves, with their titles."""
 NEW_DRIVES = "95% for new drives"
 PAIRED = (
-    "One value per drive, the mean over its trials; drives on which either compared method failed are left out; "
-    "95% intervals by bootstrap over drives; negative differences and positive improvements are in favor of the {}."
+    "Each drive has one value, the mean over its trials. Drives on which one of the two methods failed are left out. "
+    "95% intervals: bootstrap over drives. Negative differences and positive improvements favor the {}."
 )
 INTERVALS = (
-    "The interval over trials (as in the paper) is the uncertainty from optimizer and split; it contains the mean "
-    "over new drives in only about half of the cases. The other two are intervals for new drives. The bootstrap "
-    "interval contains this mean in 95% of the cases in a full study, and in 85 to 95% in a small one. The interval "
-    "from the corrected t contains the mean as often or more, and is too wide if the optimizer's results vary much."
+    "The interval over trials (as in the paper) is the uncertainty from optimizer and split. It contains the mean "
+    "over new drives in only about half of the cases. The other two intervals are for new drives. The bootstrap "
+    "interval contains this mean in 95% of the cases in a full study, and in 85 to 95% in a small study. The interval "
+    "from the corrected t contains it as often or more, and is too wide if the results of the optimizer vary much."
 )
 EFFORT = (
-    "Labelled: driving with truth that the tuning used. Learned: driving without truth from which a network learned. "
-    "Numbers: number of free parameters of tuning and training. Drifts with the 95% interval for new drives "
-    "(bootstrap over "
-    "drives and trials), of outages placed once in each drive; -: no drive is long enough."
+    "Labelled: driving time with truth, for the tuning. Learned: driving time without truth, for the training of a "
+    "network. Numbers: number of free parameters of tuning and training. Drifts: one outage per drive, with the 95% "
+    "interval for new drives (bootstrap over drives and trials); -: no drive is long enough."
 )
 TIMES = (
-    "Training: processor time of a trial; for a network without the tuning of its filter. A sample: processor time of "
-    "an IMU sample when the filter, called from Python, runs over a whole drive."
+    "Training: processor time of a trial; for a network without the tuning of its filter. A sample: processor time "
+    "per IMU sample of a run over a whole drive from Python."
 )
 Row = tuple[Cell, ...]
 
 
 def _figures(title: str, digits: int = 2, **more: Any) -> Column:
-    """Make a column of numbers in the format of the paper: decimals only below 100."""
+    """Make a column of numbers in the format of the paper, with decimals below 100 only."""
 
     def printed(value: float) -> str:
         return f"{value:.{digits}f}" if abs(value) < 100 else f"{value:,.0f}"
@@ -76,26 +72,24 @@ def _digits(title: str, digits: int) -> Column:
 
 
 def _with_intervals(titles: Iterable[str], interval: str = "95%") -> list[Column]:
-    """Return a column of numbers and a column of intervals for each title."""
     return [column for title in titles for column in (_figures(title), _figures(interval, joined=True))]
 
 
 def _mean_cells(found: VariantSummary | None) -> Row:
-    """Return the cells of a mean and its interval for new drives."""
     return (found.mean, found.bootstrap_interval) if found else (None, None)
 
 
 def _table(
     caption: str, columns: Sequence[Column], rows: Sequence[Row], results: Results, note: str = ""
 ) -> Table:
-    """Make a table whose rows of the main method are emphasized."""
+    """Make a table that emphasizes the rows of the main method."""
     main = {results.label(MAIN, protocol) for protocol in results.protocols}
     strong = frozenset(i for i, row in enumerate(rows) if row[0] in main)
     return Table(caption, tuple(columns), tuple(rows), strong, note)
 
 
 def study_tables(results: Results) -> dict[str, Table]:
-    """Return all tables of a study except those of run times, which differ between runs.
+    """Return all tables of a study except the run times, which differ between runs.
 
     Parameters
     ----------
@@ -105,9 +99,9 @@ def study_tables(results: Results) -> dict[str, Table]:
     Returns
     -------
     dict of str to Table
-        ``table-1`` to ``table-3`` with the paper's figures, ``comparison-honest`` and ``comparison-paper``, three of
-        the conditions, ``optimum``; with rivals ``rivals``, ``rivals-gains``, ``elsewhere-1`` and so on, and
-        ``learning-curve``. Each has to_markdown(), to_latex() and to_csv(); a notebook shows it as it is.
+        ``table-1`` to ``table-3`` (with the numbers of the paper), ``comparison-honest`` and ``comparison-paper``,
+        three tables ``conditions-...``, and ``optimum``. With rivals also ``rivals``, ``rivals-gains``, ``elsewhere-1``
+        and so on, and ``learning-curve``. Each has to_markdown(), to_latex() and to_csv(); notebooks display it.
     """
     return {
         "table-1": table_1(results),
@@ -123,12 +117,11 @@ def study_tables(results: Results) -> dict[str, Table]:
 
 
 def _rows(results: Results) -> list[tuple[str, str, str | None]]:
-    """Return the rows of a study's methods."""
     return [row for row in ROWS if row[1] in results.methods]
 
 
 def table_1(results: Results) -> Table:
-    """Tabulate the paper's Table I: RMSE of IMU only, UKF and PSO-UKF, against the GPS and against truth."""
+    """Tabulate the paper's Table I: RMSE of IMU only, UKF and PSO-UKF against GPS and truth."""
     paper = results.paper["table_1"]
     rows: list[Row] = []
     for protocol, method, paper_row in _rows(results):
@@ -181,14 +174,14 @@ def table_3(results: Results) -> Table:
         rows.append(tuple(row))
     caption = "Table III. Heading error, deg, and drift over a 5 s outage, m"
     note = (
-        "In brackets the 95% interval for new drives (bootstrap over drives and trials). "
-        "Run times are in a table of their own."
+        "In brackets: 95% interval for new drives (bootstrap over drives and trials). "
+        "Another table lists the run times."
     )
     return _table(caption, columns, rows, results, note)
 
 
 def runtime_table(results: Results, live: Mapping[str, Mapping[str, float]]) -> Table:
-    """Tabulate the last column of the paper's Table III: an update of the live filter."""
+    """Tabulate the time of an update of the live filter: the last column of the paper's Table III."""
     paper = results.paper["table_3"]
     rows: list[Row] = []
     for name, times in live.items():
@@ -202,21 +195,21 @@ def runtime_table(results: Results, live: Mapping[str, Mapping[str, float]]) -> 
     for title in ("ours, an IMU sample", "ours, an IMU sample with a fix"):
         columns += [_figures(title, 4), _figures("95% of the calls", 4, joined=True)]
     note = (
-        "Medians over one drive of the live filter, called from Python, on the machine that ran the study; in brackets "
-        "the range of 95% of the calls. Tuning does not change these times. The paper's limit for real time is "
+        "Median times of calls of the live filter from Python over one drive, on the machine that ran the study. In "
+        "brackets: range of 95% of the calls. Tuning does not change these times. The paper's limit for real time is "
         f"{results.paper['real_time_limit_ms']:g} ms."
     )
     return Table("Table III, run time: ms per update", tuple(columns), tuple(rows), note=note)
 
 
 def comparison(results: Results, protocol: str, measure: str, against: str) -> PairedComparison | None:
-    """Return the comparison of the PSO-UKF of a protocol with another method, if the study has it."""
+    """Return the comparison of a protocol's PSO-UKF with another method, or None if the study has none."""
     wanted = (protocol, measure, against)
     return next((c for c in results.comparisons if (c.protocol, c.measure, c.against) == wanted), None)
 
 
 def objectives_compared(results: Results) -> str:
-    """Explain, with results of the study, why the paper's objective is misleading."""
+    """Explain with numbers of the study why the paper's objective is misleading."""
     wanted = (("paper", "gps_rmse_m"), ("paper", POSITION), (UNTUNED, POSITION), ("honest", POSITION))
     found = [results.summary(p, "raw-gps" if p == UNTUNED else MAIN, measure) for p, measure in wanted]
     if None in (means := [each and each.mean for each in found]):
@@ -224,14 +217,13 @@ def objectives_compared(results: Results) -> str:
     return (
         "The study has two objectives, since the paper's objective compares the estimate with the GPS fix that the "
         "filter has just used: a filter that copies the fixes has the lowest cost. Tuned for the paper's objective, "
-        "the "
-        "PSO-UKF has an RMSE of {:.2f} m relative to the fixes, but of {:.2f} m relative to the truth; the fixes have "
-        "{:.2f} m. Tuned against truth by the same swarm, the PSO-UKF has {:.2f} m relative to the truth."
+        "the PSO-UKF has an RMSE of {:.2f} m relative to the fixes, but of {:.2f} m relative to the truth. The RMSE of "
+        "the fixes is {:.2f} m. Tuned against truth by the same swarm, the PSO-UKF has an RMSE of {:.2f} m relative to "
+        "the truth."
     ).format(*means)
 
 
 def consistency_table(results: Results) -> Table:
-    """Tabulate the mean NIS of every filter."""
     rows = [
         (results.label(r.method, r.protocol), r.mean, r.sd, r.bootstrap_interval)
         for r in results.means("nis")
@@ -241,7 +233,6 @@ def consistency_table(results: Results) -> Table:
 
 
 def comparison_table(results: Results, protocol: str, measure: str) -> Table:
-    """Compare the PSO-UKF of a protocol with every other method, drive by drive."""
     unit = "deg" if measure == HEADING else "m"
     columns = (Column("against"), *_paired_columns(f"difference, {unit}", "Wilcoxon p (Holm)"))
     rows = tuple(
@@ -256,19 +247,16 @@ def comparison_table(results: Results, protocol: str, measure: str) -> Table:
 
 
 def _paired_columns(difference: str, p: str) -> list[Column]:
-    """Make the columns of `_paired_cells`."""
     intervals = _with_intervals([difference, "improvement (eq. 5), %"])
     return [*intervals, _digits(p, 2), _figures("rank-biserial"), _figures("drives", 0)]
 
 
 def _paired_cells(c: PairedComparison) -> Row:
-    """Return the cells of a paired comparison."""
     improvement = (c.improvement, c.improvement_interval)
     return (c.mean_difference, c.interval, *improvement, c.holm_p, c.rank_biserial, c.n_drives)
 
 
 def conditions_table(results: Results, measure: str, variants: Sequence[Variant] = ()) -> Table:
-    """Tabulate a measure in each condition, of all variants or of some."""
     found = {
         (r.maneuver, r.environment, r.protocol, r.method): r.mean
         for r in results.summaries
@@ -287,7 +275,6 @@ def conditions_table(results: Results, measure: str, variants: Sequence[Variant]
 
 
 def _trials(results: Results) -> dict[tuple[str, str, str], list[TrialTuning]]:
-    """Group the trials by protocol, method and group."""
     found: dict[tuple[str, str, str], list[TrialTuning]] = {}
     for tuned in results.tunings:
         found.setdefault((tuned.protocol, tuned.method, tuned.group), []).append(tuned)
@@ -295,14 +282,14 @@ def _trials(results: Results) -> dict[tuple[str, str, str], list[TrialTuning]]:
 
 
 def _by_group(caption: str, columns: Sequence[Column], rows: Sequence[Row], results: Results) -> Table:
-    """Omit the second column, the group of drives, if there is only one group."""
+    """Make a table without the second column (group of drives) if there is only one group."""
     if all(row[1] in (ALL, "") for row in rows):
         columns, rows = [columns[0], *columns[2:]], [(row[0], *row[2:]) for row in rows]
     return _table(caption, columns, rows, results)
 
 
 def convergence_table(results: Results) -> Table:
-    """Tabulate the generation at which the median over trials settles."""
+    """Tabulate the generation after which the median cost over trials stays within 1% of its last value."""
     columns = [Column("method"), Column("drives"), Column("settles at generation")]
     rows = [
         (results.label(c.method, c.protocol), c.group, c.stable, c.median[-1]) for c in results.convergence
@@ -311,7 +298,6 @@ def convergence_table(results: Results) -> Table:
 
 
 def trials_table(results: Results) -> Table:
-    """Tabulate the costs of the trials and the bounds that they touch."""
     costs = ("lowest cost", "median cost", "highest cost")
     columns = [*map(Column, ("method", "drives", "trials")), *(Column(title, "m") for title in costs)]
     columns += map(Column, ("evaluations", "failures", "touched bounds, number of trials"))
@@ -327,7 +313,6 @@ def trials_table(results: Results) -> Table:
 
 
 def optimum_table(results: Results, methods: Sequence[str] = ()) -> Table:
-    """Tabulate the parameters of the best trial of each tuning, or of some methods, and those of the paper."""
     sigma = ("alpha", "beta", "kappa")
     o: dict[str, Any] = results.paper["table_1"]["optimum"]
     rows: list[Row] = [("paper", "", *(o[key] for key in sigma), f"{o['q']:g}", f"{o['r']:g}", None)]
@@ -346,7 +331,6 @@ def optimum_table(results: Results, methods: Sequence[str] = ()) -> Table:
 def rivals_tables(
     results: Results, times: Mapping[str, Mapping[str, float]] | None = None
 ) -> dict[str, Table]:
-    """Return the tables of a study with rivals, by the names of their files."""
     if results.rivals is None:
         return {}
     places = dict.fromkeys(row.place for row in results.rivals.elsewhere)
@@ -362,7 +346,7 @@ def rivals_tables(
 
 
 def rivals_table(results: Results, times: Mapping[str, Mapping[str, float]]) -> Table:
-    """Tabulate data, free parameters and drift of each tuned or trained method, and processor ``times`` if given."""
+    """Tabulate data, number of free parameters, drift and processor ``times`` of each tuned or trained method."""
     columns = [Column("method"), *(_figures(title, 0) for title in ("labelled, s", "learned, s", "numbers"))]
     columns += [_figures("training, s", 1), _figures("a sample, us", 2)] if times else []
     columns += _with_intervals(f"drift over {length}, m" for length in LENGTHS.values())
@@ -378,7 +362,6 @@ def rivals_table(results: Results, times: Mapping[str, Mapping[str, float]]) -> 
 
 
 def _gains_table(results: Results, rivals: RivalResults) -> Table:
-    """Compare the filter with and without each network, drive by drive, in a table."""
     columns = (Column("network"), Column("measure"), *_paired_columns("difference", "Wilcoxon p"))
     rows = tuple(
         (results.label(c.method), results.measures[c.measure], *_paired_cells(c)) for c in rivals.gains
@@ -391,7 +374,6 @@ def _gains_table(results: Results, rivals: RivalResults) -> Table:
 
 
 def _elsewhere_table(results: Results, rivals: RivalResults, place: str) -> Table:
-    """Tabulate every method on drives of other sensors or of another car."""
     by = {(row.protocol, row.method, row.measure): row for row in rivals.elsewhere if row.place == place}
     rows = [
         (
@@ -401,20 +383,18 @@ def _elsewhere_table(results: Results, rivals: RivalResults, place: str) -> Tabl
         for protocol, method in dict.fromkeys(variant[:2] for variant in by)
     ]
     note = (
-        "The filters and networks of all trials, tuned and trained on the study's own drives; 95% intervals for new "
-        f"drives (bootstrap over drives and trials). Drives: {max(row.n_drives for row in by.values())}."
+        "Filters and networks of all trials, tuned and trained on the drives of the study. 95% intervals for new "
+        f"drives: bootstrap over drives and trials. Drives: {max(row.n_drives for row in by.values())}."
     )
     columns = [Column("method"), *_with_intervals(AWAY.values())]
-    return _table(f"Elsewhere: {place}", columns, rows, results, note)
+    return _table(f"Other drives: {place}", columns, rows, results, note)
 
 
 def curve_points(rivals: RivalResults, method: str, measure: str) -> list[CurvePoint]:
-    """Return the points of a learning curve that have values."""
     return [p for p in rivals.curve if (p.method, p.measure) == (method, measure) and p.n_drives]
 
 
 def _curve_table(results: Results, rivals: RivalResults) -> Table:
-    """Tabulate errors over the minutes of training data of a network."""
     columns = [Column("method"), _digits("minutes", 3), *_with_intervals(AWAY.values())]
     rows: list[Row] = []
     for method, minutes in dict.fromkeys((p.method, p.minutes) for p in rivals.curve):
@@ -424,8 +404,7 @@ def _curve_table(results: Results, rivals: RivalResults) -> Table:
             row += [point.mean, point.interval] if point else [None, None]
         rows.append(tuple(row))
     note = (
-        "Results of the first trial on its held-out drives; 0 minutes: the filter alone. The 95% intervals are a "
-        "bootstrap "
-        "over drives and do not include the variation between trainings."
+        "Results of the first trial on its held-out drives; 0 minutes: the filter alone. 95% intervals: bootstrap "
+        "over drives, without the variation between trainings."
     )
     return _table("Learning curves", columns, rows, results, note)

@@ -1,4 +1,4 @@
-"""Style of all pictures: colors that color-blind readers can distinguish, and lines that stay legible in grey."""
+"""Style of all pictures, for color-blind readers and grey prints."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +9,7 @@ from sigmaswarm.scoring.measures import ALSO, METHODS, method_names
 
 @dataclass(frozen=True)
 class Look:
-    """Style of a line: line style and marker of matplotlib, width and marker size in points."""
+    """Style of a line, with line style and marker of matplotlib; sizes are in points."""
 
     color: str
     width: float = 1.2
@@ -20,7 +20,6 @@ class Look:
 
     @property
     def line(self) -> dict[str, Any]:
-        """Return keywords of `Axes.plot`."""
         marker = {"marker": self.marker, "ms": self.size} if self.marker else {}
         return {"color": self.color, "lw": self.width, "ls": self.style, "alpha": self.opacity, **marker}
 
@@ -31,7 +30,7 @@ VERMILION, PURPLE, SKY, INDIGO = "#D55E00", "#CC79A7", "#56B4E9", "#332288"
 CHARCOAL, SLATE, GREY, SILVER, MIST = "#4d4d4d", "#51585f", "#999999", "#cccccc", "#e5e5e5"
 NO_LINE = "none"
 
-# Line styles differ, too, so that a grey print stays legible.
+# Line styles also differ, so that a grey print stays legible.
 LOOKS: dict[str, Look] = {
     "truth": Look(BLACK, 1.2),
     "tuned": Look(BLUE, 2.2),
@@ -56,11 +55,11 @@ STUDY_LOOKS: dict[str, Look] = {
     "imu_only": Look("#51585F", 1.2, ":"),
     "raw_gps": LOOKS["raw_gps"],
 }
-"""Styles of the series in a study's tracks, the first one on top."""
+"""Styles of the series in the tracks of a study, from top to bottom."""
 LABELS = {"truth": "truth", **method_names(also=(OWN, *ALSO)), **METHODS}
 
 
 def many_looks(n: int, width: float) -> list[Look]:
-    """Return styles of many lines; line styles distinguish lines of equal color."""
+    """Return ``n`` styles; line styles distinguish lines of equal color."""
     colors, styles = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, BLACK), ("-", "--", ":", "-.")
     return [Look(colors[i % 7], width, styles[i // 7 % 4]) for i in range(n)]

@@ -1,4 +1,4 @@
-"""The page and the pictures of a tuning: cost, parameters with their ranges, convergence and drives."""
+"""Page and pictures of a tuning: cost, parameters with ranges, convergence and drives."""
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
@@ -30,21 +30,18 @@ from sigmaswarm.wording import counted
 
 MEANINGS = {
     "latency": (
-        "age of the fixes' positions at which this filter predicts best; the doctor estimates this age separately, as "
-        "a "
-        "clock offset, from turns and accelerations alone"
+        "delay of the fixes for which this filter predicts best; the doctor estimates this delay in another way, as a "
+        "clock offset, from turns and accelerations"
     ),
-    "rear_axle": "distance from the rear axle forward to the IMU; negative: the IMU is behind it",
+    "rear_axle": "distance of the IMU in front of the rear axle; negative: behind the rear axle",
 }
-"""Explanations of parameters whose name and unit do not suffice."""
 SIGMA_POINTS = {"alpha", "beta", "kappa"}
-"""Sigma-point parameters, which an extended filter does not have."""
 
 
 def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Path]:
-    """Write convergence.csv and the figures of a tuning into its folder; return the pictures' paths.
+    """Write convergence.csv and the figures of a tuning into its folder. Return the paths of the pictures.
 
-    ``track`` is the track on a training drive: see `scoring.tracks.picture_of`.
+    ``track`` is a track on a training drive (`scoring.tracks.picture_of`).
     """
     save_history(tuning, folder)
     labels = LABELS | method_names(tuning.parameters.kind, tuning.parameters.model)
@@ -55,20 +52,18 @@ def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Pa
 
 
 def save_history(tuning: Tuning, folder: Path) -> None:
-    """Write convergence.csv into the folder of a tuning."""
     History.of(tuning.trials).save(folder / HISTORY_FILE)
 
 
 def convergence(tuning: Tuning) -> Figure:
-    """Draw the best cost so far and the median cost of the generations (the paper's Fig. 2)."""
     chart = _convergence_chart(History.of(tuning.trials), tuning.best_trial, tuning.config.objective)
     return figure_of(chart, size=(6.4, 4.0))
 
 
 def _convergence_chart(history: History, best_trial: int, objective: str) -> Chart:
-    """Draw the best cost so far and the median cost of each generation; the best trial is bold.
+    """Draw the best cost so far and the median cost of each generation, the best trial bold.
 
-    The scale is logarithmic if all costs are positive; the cost of a likelihood may be negative.
+    The scale is logarithmic if all costs are positive. The cost of a likelihood may be negative.
     """
 
     def draw(ax: Axes) -> None:
@@ -94,7 +89,6 @@ def _convergence_chart(history: History, best_trial: int, objective: str) -> Cha
 
 
 def tuning_report(folder: Path) -> Report:
-    """Read the folder that `sigmaswarm tune` wrote."""
     file = load_record(TuningRecord, folder / FILE)
     result = file.result
     if result is None:
@@ -102,7 +96,7 @@ def tuning_report(folder: Path) -> Report:
             f"{folder / FILE}: has no [result] table; give a folder that `sigmaswarm tune` wrote"
         )
     figures = [("cost", f"{result.cost:.4g}", f"{result.objective}, training drives")]
-    held_out = "The scores on other drives are not known yet: run sigmaswarm evaluate."
+    held_out = "The errors on other drives are not known yet: run sigmaswarm evaluate."
     if (cost := result.validation_cost) is not None and (gap := result.validation_gap) is not None:
         how = f"{abs(gap):.1%} {'worse' if gap > 0 else 'better'} than on the training drives"
         figures.append(("cost on held-out drives", f"{cost:.4g}", how))
@@ -134,15 +128,13 @@ def tuning_report(folder: Path) -> Report:
 
 
 def filter_name(file: TuningRecord) -> str:
-    """Return model and filter type, for a title."""
     model = file.config.get("model", file.filter.get("model", "a filter"))
     if isinstance(model, dict):
-        return str(model.get("name", "a model of your own"))
+        return str(model.get("name", "a custom model"))
     return f"{model} ({file.config.get('kind', file.filter.get('kind', 'ukf'))})"
 
 
 def what_was_tuned(file: TuningRecord) -> str:
-    """Return a sentence on the filter, the drives and the objective."""
     if file.result is None:
         return f"The filter is {filter_name(file)}; its file has no record of a tuning."
     length = sum(d.duration_s or 0 for d in file.data)
@@ -152,7 +144,6 @@ def what_was_tuned(file: TuningRecord) -> str:
 
 
 def parameters_section(file: TuningRecord) -> Section:
-    """List every parameter with its unit, its range, and a remark."""
     ranges = file.within_1_percent_of_the_cost
     touched = {bound.parameter: bound.place for bound in (file.result.touched_bounds if file.result else ())}
     rows: list[tuple[Cell, ...]] = []
@@ -169,8 +160,8 @@ def parameters_section(file: TuningRecord) -> Section:
         rows.append((NOISE_SCALE, 1.0, "", *ends, "", "together, one factor"))
     titles = ("parameter", "value", "unit", "from", "to", "density", "remark")
     text = (
-        "From and to: the values at which the cost is 1% higher if all other parameters stay unchanged. At the bound: "
-        "at the bound of the search the cost is less than 1% higher."
+        "From and to: values at which the cost is 1% higher while all other parameters stay unchanged. "
+        "At the bound: even at the bound of the search the cost is less than 1% higher."
     )
     table = Table("", tuple(map(Column, titles)), tuple(rows))
     return Section("Parameters", (text,) if ranges else (), (table,))
@@ -181,14 +172,13 @@ def _end(end: End | None) -> Cell:
 
 
 def _searched_as(name: str, known: Collection[str], file: TuningRecord) -> str:
-    """Return the name of a parameter in the search, which several may share: q_x and q_y are q_xy, q_roll is q_tilt."""
+    """Return the name of a parameter in the search: q_x and q_y are q_xy, q_roll is q_tilt."""
     model = MODELS.get(str(file.filter.get("model")))
     shared = {f"q_{state.name}": f"q_{state.shared}" for state in (model.states if model else ())}
     return name if name in known else (shared | {"r_x": "r_xy", "r_y": "r_xy"}).get(name, name)
 
 
 def _parameters(file: TuningRecord) -> Iterator[tuple[str, Cell, str, str]]:
-    """Return the name, value, unit and density of every parameter of the filter."""
     names = {
         "process_noise": [f"q_{state}" for state in file.units.get("states", [])],
         "measurement_noise": ["r_x", "r_y"],
@@ -207,7 +197,7 @@ def _parameters(file: TuningRecord) -> Iterator[tuple[str, Cell, str, str]]:
 
 
 def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]:
-    """Show best and median cost over generations for every trial; nothing if the folder has no history."""
+    """Show the cost over generations of every trial, if the folder has a history."""
     path = folder / HISTORY_FILE
     if not path.exists() or file.result is None:
         return ()
@@ -215,7 +205,7 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
     history = History.load(path)
     if not np.array_equal([trial.best[-1] for trial in history.trials], costs):
         raise InputError(
-            f"{path}: does not belong to {FILE} next to it; repeat the command, or restore the original file"
+            f"{path}: does not belong to the {FILE} in this folder; repeat the command, or restore the original file"
         )
     chart = _convergence_chart(history, best, file.result.objective)
     charts = (replace(chart, title="Cost over generations"),)
@@ -227,7 +217,7 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
 
 
 def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
-    """List the drives; for evaluated drives state whether they were held out, if that is known."""
+    """List the drives, and if known whether evaluated drives were held out."""
 
     def held_out(drive: DriveRecord) -> Cell:
         if drive.seen_s:
@@ -246,17 +236,17 @@ def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
         columns[Column("scored from", "s")] = [d.scored_from_s for d in data]
     if any(d.seen_s is not None for d in data):
         columns[Column("held out")] = [held_out(d) for d in data]
-    text = f"Filters start, and scores begin, at {START_RULE}."
+    text = f"Filters and scores start at {START_RULE}."
     table = Table("", tuple(columns), tuple(zip(*columns.values(), strict=True)))
     return Section(title, (text,) if started else (), (table,))
 
 
 def shown_config(config: dict[str, Any]) -> dict[str, Any]:
-    """Return the configuration that the search used, without the coefficients of other optimizers.
+    """Return the configuration of the search, without the coefficients of other optimizers.
 
-    A user's model is shown by its name and fingerprint.
+    A custom model is shown as name and fingerprint.
     """
-    if config.get("optimizer", "pso") != "pso":  # old files do not state the optimizer, which was pso
+    if config.get("optimizer", "pso") != "pso":  # in old files without an optimizer it was pso
         config = {key: value for key, value in config.items() if key not in SWARM}
     model = config.get("model")
     if isinstance(model, dict):

@@ -2,7 +2,6 @@
 
     maneuvers -> planning -> dynamics -> journey -> terrain -> motion -> imu, gps, odometer -> scenarios -> Drive
 
-`simulate` makes one drive, `simulate_many` all conditions; `with_outliers` adds outliers to the fixes of any drive.
 docs/simulator.md lists the modelled effects.
 """
 

@@ -1,4 +1,4 @@
-"""Simulate all conditions and runs in threads, since the compiled car runs without the interpreter's lock."""
+"""Simulate all conditions and runs in threads, since compiled code releases the interpreter's lock."""
 
 import os
 from collections import deque
@@ -17,11 +17,9 @@ if TYPE_CHECKING:
     from distributed import Client
 
 PAPER_MANEUVERS = tuple(name for name in MANEUVERS if name != "urban")
-"""The five maneuvers of the paper."""
 
 
 def simulated_source(*what: Any, **options: Any) -> tuple[Drive, list[SigmaswarmWarning]]:
-    """Simulate a drive as the `Source` of a worker of a cluster."""
     return simulate(*what, **options), []
 
 
@@ -42,36 +40,35 @@ def simulate_many(
     Parameters
     ----------
     maneuvers, environments : sequence of str
-        Names; the paper's 25 conditions by default.
+        Names; by default the paper's 25 conditions.
     runs : int
-        Drives of each condition.
+        Number of drives of each condition.
     executor : concurrent.futures.Executor, optional
-        Runs the simulations; a pool of threads by default.
+        Executor of the simulations; by default a pool of threads.
     workers : int, optional
-        Threads of that pool; one per core by default.
+        Number of threads of the pool; by default one per core.
     use : callable, optional
-        Called with each drive in its thread, for example to write it; its result is yielded instead of the
+        Function of a drive, called in its thread, for example to write the drive. Its result is yielded instead of the
         drive.
     ahead : int
-        Largest number of drives simulated in advance: at least the number of workers.
+        Maximum number of drives simulated in advance; at least the number of workers.
     leave_out : container of str
-        Names of drives to skip, such as those of an interrupted call.
+        Names of drives to skip, for example after an interruption.
     **options
-        See `simulate`; ``duration`` applies only to "urban".
+        Options of `simulate`; ``duration`` applies to "urban" only.
 
     Yields
     ------
     Drive, or the result of `use`
-        The drives are in the order maneuver, environment, run, for any number of workers; each is yielded when it is
-        ready.
+        In the order maneuver, environment, run, for any number of workers; each as soon as it is ready.
 
     Raises
     ------
     InputError
-        As in `simulate`; raised before the first drive.
+        As in `simulate`, before the first drive.
     """
     duration = options.pop("duration", None)
-    # Checks the names that only later drives use; the first drive checks everything else.
+    # Check the names for later drives; the first drive checks all other options.
     for maneuver in maneuvers:
         named(maneuver, MANEUVERS, "maneuver")
     for environment in environments:
@@ -102,9 +99,7 @@ def simulate_many(
 
 
 def simulated_on(client: "Client", *what: Any, **options: Any) -> Iterator[Drive]:
-    """Run `simulate_many` on the workers of a Dask cluster; drives arrive in order.
-
-    If a worker stops, Dask simulates its drives on other workers.
+    """Run `simulate_many` on the workers of a Dask cluster. If a worker stops, other workers simulate its drives.
 
     Raises
     ------

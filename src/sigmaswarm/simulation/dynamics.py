@@ -1,18 +1,16 @@
-"""Simulate a car and its driver with compiled code: a two-track model with a closed-loop driver.
+"""Compiled simulation of a car, a two-track model, and its driver.
 
-All kernels are in this file, because Numba's cache does not detect changes in a kernel that is imported from another
-file. The model consists of these parts:
+- Tires have a relaxation length, and their forces stay inside the friction circle (combined slip).
+- Motor, brake, rolling resistance and tire act on each wheel. Anti-lock and traction control reduce its torque if its
+  slip exceeds the slip of the tire's peak force.
+- The body moves in the plane under the tire forces and the air drag. Roll and pitch are second-order responses to the
+  accelerations; springs and dampers transfer the load.
 
-- each tire relaxes towards its slip and gives a force inside the friction circle (combined slip);
-- each wheel is driven by motor, brake, rolling resistance and tire; anti-lock and traction control reduce the torque of
-  a wheel whose slip exceeds that of the tire's peak;
-- the body moves in the plane under the four forces and the drag of the air; roll and pitch follow the
-  accelerations as second-order responses, and the forces of their springs and dampers transfer the load.
+Integration: classical Runge-Kutta at 1 kHz. The driver acts at 100 Hz. All kernels are in this file, since Numba's
+cache does not detect changes of imported kernels.
 
-The integration is the classical Runge-Kutta method at 1 kHz. The driver acts at 100 Hz.
-
-Frames: local east-north and body (x forward, y left, z up). Wheels: front left, front right, rear left, rear
-right. [P] on the lines: H. B. Pacejka, "Tire and Vehicle Dynamics" (similarity method, transient tires, low speed).
+Frames: local east-north and body (x forward, y left, z up). Wheels: front left, front right, rear left, rear right.
+[P]: H. B. Pacejka, "Tire and Vehicle Dynamics" (similarity method, transient tires, low speed).
 """
 
 import math
@@ -25,33 +23,27 @@ from sigmaswarm.compilation import cached
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.81
-"""Gravity as in CARLA, m/s2."""
-STEP = 0.001
-"""Step of the integration, s."""
-STEPS_PER_LOOK = 10
-"""Integration steps per control step of the driver."""
-AIR_DENSITY = 1.204
-"""Density of air at 20 degrees and sea level, kg/m3."""
+GRAVITY = 9.81  # m/s2, as in CARLA
+STEP = 0.001  # s, of the integration
+STEPS_PER_LOOK = 10  # integration steps per step of the driver
+AIR_DENSITY = 1.204  # kg/m3, at 20 degrees and sea level
 
-# The state's components. A wheel's own states follow one another: WHEEL + 0 ... WHEEL + 3.
+# Indices of the state. Each of WHEEL, KAPPA and ALPHA is the first of four wheels.
 X, Y, YAW, VX, VY, YAW_RATE, STEER, PEDAL, ROLL, ROLL_RATE, PITCH, PITCH_RATE = range(12)
 WHEEL, KAPPA, ALPHA = 12, 16, 20
 STATES = 24
-# Recorded columns: the first twelve of the state, and these.
+# Recorded columns: the first twelve states, and these.
 AX, AY, YAW_ACCEL, ROLL_ACCEL, PITCH_ACCEL, PEAK_KAPPA, PEAK_ALPHA, FRICTION_USE, REAR_SPIN = range(12, 21)
 RECORDED = 21
 
-_LOW_SPEED = (
-    3.0  # m/s; at lower speeds the tire has a damper, or a standing car would oscillate on its tires [P]
-)
-_NOTHING = 1e-60  # of any state; smaller values become zero, since subnormal numbers are slow
+_LOW_SPEED = 3.0  # m/s; below, a damper prevents that a standing car oscillates on its tires [P]
+_NOTHING = 1e-60  # smaller states become zero, since subnormal numbers are slow
 _LOW_SPEED_DAMPING = 0.15  # slip per m/s of sliding
-_BRAKE_VISCOSITY = 1000.0  # N m s/rad; makes a brake's dry friction continuous at standstill
+_BRAKE_VISCOSITY = 1000.0  # N m s/rad; makes the dry friction of a brake continuous at standstill
 
 
 class Vehicle(NamedTuple):
-    """A car's parameters, SI units. For values and sources see `sigmaswarm.simulation.vehicle`."""
+    """Parameters of a car. Values and sources: `sigmaswarm.simulation.vehicle`."""
 
     mass: float  # kg
     yaw_inertia: float  # kg m2
@@ -62,11 +54,11 @@ class Vehicle(NamedTuple):
     drag_area: float  # m2, drag coefficient times frontal area
     rolling_resistance: float  # force over load
     wheel_radius: float  # m
-    wheel_inertia: float  # kg m2, with its share of the motor
+    wheel_inertia: float  # kg m2, with a share of the motor
     slip_stiffness: float  # longitudinal force over load, per unit of slip
-    cornering_front: float  # lateral force over load, per rad, compliances of the suspension included
+    cornering_front: float  # lateral force over load, per rad, with the compliance of the suspension
     cornering_rear: float
-    load_sensitivity: float  # relative decrease of the three above at twice the wheel's static load
+    load_sensitivity: float  # relative decrease of the three stiffnesses above at twice the static load
     tire_shape: float  # C of the magic formula
     relaxation_longitudinal: float  # m
     relaxation_lateral: float  # m
@@ -91,10 +83,10 @@ class Vehicle(NamedTuple):
 
 
 class Drivetrain(NamedTuple):
-    """Common quantities of the four wheels at one time."""
+    """Quantities that all wheels share at one time."""
 
     tangent: float  # of the steering angle
-    peak: float  # slip where the force of a tire peaks
+    peak: float  # slip of the peak force of a tire
     drive: float  # N m, of all motors
     brake: float  # N m, of all brakes
     friction: float
@@ -102,7 +94,7 @@ class Drivetrain(NamedTuple):
 
 @cached(nogil=True, error_model="numpy")
 def _lookup(x: float, knots: Array, values: Array) -> float:
-    """Interpolate linearly, with constants beyond both ends."""
+    """Interpolate linearly, constant beyond both ends."""
     if x <= knots[0]:
         return values[0]
     for i in range(1, len(knots)):
@@ -120,7 +112,7 @@ def _clip(x: float, low: float, high: float) -> float:
 
 @cached(nogil=True, error_model="numpy")
 def _wheel_loads(car: Vehicle, ax: float, ay: float) -> tuple[float, float, float, float]:
-    """Return the vertical load on each wheel, N, under the accelerations (m/s2) that the suspension transmits."""
+    """Return the vertical load of each wheel, N; ``ax`` and ``ay``, m/s2, are transmitted by the suspension."""
     front = car.mass * (GRAVITY * car.rear - car.height * ax) / (car.front + car.rear)
     rear = car.mass * GRAVITY - front
     across = car.mass * car.height * ay / car.track
@@ -144,10 +136,10 @@ def _tire(
     friction: float,
     car: Vehicle,
 ) -> tuple[float, float, float, float]:
-    """Return the force of a tire, N, with its longitudinal and its combined slip, both relative to linear grip.
+    """Return longitudinal and lateral force, N, and normalized longitudinal and combined slip of a tire.
 
-    By the similarity method, slips normalized by stiffness over friction are added as vectors. The magic formula of the
-    length of the sum gives the force [P]. So the force never exceeds friction x load.
+    Similarity method [P]: slips, normalized by stiffness over friction, add as vectors, and the magic formula of the
+    sum gives the force, at most friction x load.
     """
     stiffness = 1.0 - car.load_sensitivity * (load / static_load - 1.0)
     slip_x = car.slip_stiffness * stiffness * kappa / friction
@@ -160,21 +152,18 @@ def _tire(
 
 @cached(nogil=True, error_model="numpy")
 def _relax(rate: float, deflection: float, sliding: bool) -> float:
-    """Return the rate of a tire's deflection; a sliding tire does not deflect further."""
+    """Return the rate of a tire's deflection. A sliding tire does not deflect further."""
     return 0.0 if sliding and rate * deflection > 0.0 else rate
 
 
 @cached(nogil=True, error_model="numpy")
 def _torques(s: Array, car: Vehicle) -> tuple[float, float]:
-    """Return the total torques, N m, of all motors and of all brakes for a pedal position.
-
-    The pedal goes from coasting to full throttle, or from coasting to full brake.
-    """
+    """Return the total torques, N m, of all motors and all brakes. A pedal at 0 is coasting."""
     speed = max(s[VX], 0.0)
     coast = _lookup(speed, car.pedal_speed, car.coast)
     drive = coast + max(s[PEDAL], 0.0) * (_lookup(speed, car.pedal_speed, car.full_throttle) - coast)
     brake = max(-s[PEDAL], 0.0) * (coast - _lookup(speed, car.pedal_speed, car.full_brake))
-    # The maps are accelerations of the whole car, including its turning wheels.
+    # The maps are accelerations of the car with its rotating wheels.
     lever = (car.mass + 4.0 * car.wheel_inertia / car.wheel_radius**2) * car.wheel_radius
     return drive * lever, brake * lever
 
@@ -183,10 +172,10 @@ def _torques(s: Array, car: Vehicle) -> tuple[float, float]:
 def _spin_up(
     spin: float, slip: float, load: float, force: float, drive: float, brake: float, car: Vehicle
 ) -> float:
-    """Return the angular acceleration of a wheel, rad/s2, under torques (N m) and its tire's force (N).
+    """Return the angular acceleration of a wheel, rad/s2, under torques, N m, and tire force, N.
 
-    Idealized anti-lock and traction control reduce the torques, beginning at the slip of the tire's peak (1), to 0 at
-    twice that slip.
+    Idealized anti-lock and traction control reduce the torques from the slip of the peak force (1) to 0 at twice this
+    slip.
     """
     control = _clip(2.0 - slip, 0.0, 1.0)
     most = control * brake
@@ -199,12 +188,12 @@ def _spin_up(
 def _wheel(
     i: int, s: Array, rate: Array, load: float, shared: Drivetrain, car: Vehicle
 ) -> tuple[float, float, float]:
-    """Return the force of wheel i along the body's axes, N, and its moment, N m; fill the rates of its own states."""
+    """Return force, N, in body axes and moment, N m, of wheel i. Fill the rates of its states."""
     at_front = i < 2
     along = car.front if at_front else -car.rear
     across = 0.5 * car.track if i % 2 == 0 else -0.5 * car.track
     wheelbase = car.front + car.rear
-    # Ackermann: all wheels turn about one point on the rear axle's line.
+    # Ackermann: all wheels turn about one point on the line of the rear axle.
     turned = wheelbase * shared.tangent / (wheelbase - across * shared.tangent) if at_front else 0.0
     cos = 1.0 / math.sqrt(1.0 + turned * turned)
     sin = turned * cos
@@ -228,7 +217,7 @@ def _wheel(
     )
     sliding = slip > 3.0 * shared.peak
     travel = abs(roll_speed)
-    # The slip of a tire follows that of its wheel over the relaxation length [P].
+    # The slip of the tire follows the slip of the wheel over the relaxation length [P].
     kappa_rate = (slide_speed - travel * kappa) / car.relaxation_longitudinal
     alpha_rate = (-side_speed - travel * alpha) / car.relaxation_lateral
     rate[KAPPA + i] = _relax(kappa_rate, kappa, sliding)
@@ -244,7 +233,6 @@ def _wheel(
 
 @cached(nogil=True, error_model="numpy")
 def _swing(target: float, value: float, rate: float, frequency: float, damping: float) -> float:
-    """Return the second derivative of a second-order response."""
     return frequency**2 * (target - value) - 2.0 * damping * frequency * rate
 
 
@@ -252,10 +240,10 @@ def _swing(target: float, value: float, rate: float, frequency: float, damping: 
 def _derivative(
     s: Array, rate: Array, steer: float, pedal: float, friction: float, car: Vehicle
 ) -> tuple[float, float, float]:
-    """Fill `rate` with the state's rate of change, under desired steering (rad) and pedal.
+    """Fill `rate` with the derivative of the state under desired steering (rad) and pedal.
 
-    Return the acceleration of the center of gravity along the body's axes, m/s2, and the total force of the tires
-    divided by friction times weight.
+    Return the acceleration of the center of gravity in body axes, m/s2, and the total tire force relative to friction x
+    weight.
     """
     vx, vy, yaw_rate = s[VX], s[VY], s[YAW_RATE]
     # The springs and dampers transmit the load transfer.
@@ -286,7 +274,7 @@ def _derivative(
     rate[YAW_RATE] = moment / car.yaw_inertia
     rate[STEER] = _clip((steer - s[STEER]) / car.steer_lag, -car.steer_rate, car.steer_rate)
     rate[PEDAL] = _clip((pedal - s[PEDAL]) / car.pedal_lag, -car.pedal_rate, car.pedal_rate)
-    # Roll and pitch are stored as the acceleration (m/s2) that would cause them at rest.
+    # Roll and pitch are stored as the constant acceleration (m/s2) that would cause them.
     rate[ROLL] = s[ROLL_RATE]
     rate[ROLL_RATE] = _swing(ay, s[ROLL], s[ROLL_RATE], car.roll_frequency, car.roll_damping)
     rate[PITCH] = s[PITCH_RATE]
@@ -310,10 +298,7 @@ def _record(row: Array, s: Array, rate: Array, ax: float, ay: float, use: float)
 def _advance(
     s: Array, k: Array, row: Array, steer: float, pedal: float, friction: float, car: Vehicle
 ) -> None:
-    """Do one Runge-Kutta step of the state, in place; `row` records the state before it.
-
-    k: (5, states), the rates of the four stages, and the state at which the next rate is computed.
-    """
+    """Do one Runge-Kutta step in place. `row` records the state before it; `k` (5, states) is work space."""
     trial = k[4]
     ax, ay, use = _derivative(s, k[0], steer, pedal, friction, car)
     _record(row, s, k[0], ax, ay, use)
@@ -331,7 +316,7 @@ def _advance(
 
 @cached(nogil=True, error_model="numpy")
 def start_state(x: float, y: float, yaw: float, speed: float, car: Vehicle) -> Array:
-    """Return the state, shape (24,), of a car that rolls straight ahead at `speed` (m/s)."""
+    """Return the state (24,) of a car that rolls straight ahead at `speed`, m/s."""
     s = np.zeros(STATES)
     s[X], s[Y], s[YAW], s[VX] = x, y, yaw, speed
     s[WHEEL : WHEEL + 4] = speed / car.wheel_radius
@@ -340,9 +325,9 @@ def start_state(x: float, y: float, yaw: float, speed: float, car: Vehicle) -> A
 
 @cached(nogil=True, error_model="numpy")
 def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, pedal: Array) -> Array:
-    """Drive from a `start_state` with commands at each millisecond; return the recorded columns, (n, 21).
+    """Drive from a `start_state` with commands at each millisecond. Return the record (n, 21).
 
-    ``steer`` (n,) is the wanted angle of the road wheels, rad, ``pedal`` (n,) goes from -1, full brake, to 1.
+    ``steer`` (n,) is the desired angle of the road wheels, rad. ``pedal`` (n,) is -1 (full brake) to 1.
     """
     record = np.empty((len(steer), RECORDED))
     k, s = np.zeros((5, STATES)), start.copy()
@@ -353,10 +338,10 @@ def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, ped
 
 @cached(nogil=True, error_model="numpy")
 def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) -> tuple[float, int, float]:
-    """Return the desired steering angle, rad, the nearest point's index, and the distance along the path, m.
+    """Return the desired steering angle, rad, the index of the nearest point, and the distance along the path, m.
 
-    The angle is the sum of a feedforward of the previewed curvature and a feedback, with which an offset decays like a
-    second-order system whose frequency grows with speed up to 1.5 rad/s.
+    The angle has a feedforward from the curvature ahead and a feedback. With the feedback an offset decays like a
+    second-order system with a frequency of up to 1.5 rad/s, proportional to speed.
     """
     while nearest < len(path) - 2:
         dx, dy = s[X] - path[nearest + 1, 0], s[Y] - path[nearest + 1, 1]
@@ -386,7 +371,7 @@ def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) ->
 
 @cached(nogil=True, error_model="numpy")
 def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> float:
-    """Return the desired pedal, -1 to 1. Rows of the plan: speed m/s, acceleration m/s2, distance m."""
+    """Return the desired pedal, -1 to 1. ``now`` and ``soon`` are rows of the plan."""
     if soon[0] < 0.02 and abs(s[VX]) < 0.3:
         return -0.25  # hold the car with the brake
     speed = max(s[VX], 0.0)
@@ -402,14 +387,14 @@ def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> floa
 def run_closed_loop(
     car: Vehicle, friction: float, start: Array, path: Array, spacing: float, plan: Array
 ) -> Array:
-    """Let the driver follow a path and a plan of speed from a `start_state`; return the recorded columns, (10 m, 21).
+    """Let the driver follow a path and a plan from a `start_state`. Return the record (10 m, 21).
 
     Parameters
     ----------
     path : ndarray, shape (p, 4)
         East m, north m, heading rad (not wrapped), curvature 1/m, every `spacing` m.
     plan : ndarray, shape (m, 3)
-        Speed m/s, acceleration m/s2 and distance along the path m at each control step of the driver (10 ms).
+        Speed m/s, acceleration m/s2 and distance along the path m, every 10 ms.
     """
     record = np.empty((len(plan) * STEPS_PER_LOOK, RECORDED))
     k, s, nearest = np.zeros((5, STATES)), start.copy(), 0

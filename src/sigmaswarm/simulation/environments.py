@@ -1,8 +1,7 @@
-"""Environments of a drive: friction of the road, and the assumed effect of weather on satellite navigation.
+"""Environments: friction of the road, and the assumed effect of weather on satellite navigation.
 
-In CARLA, weather does not change traction (carla-simulator/carla#655); in reality, darkness and fog do not. So clear,
-night and fog have the same physics and are only labels in the paper's 25 conditions; three of the five environments
-differ.
+Darkness and fog do not change traction, and in CARLA no weather does (carla-simulator/carla#655). So clear, night and
+fog have the same physics, and three of the paper's five environments differ.
 """
 
 from dataclasses import dataclass
@@ -15,16 +14,15 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Environment:
-    """One environment.
+    """Friction and weather of a drive.
 
     Attributes
     ----------
     name : str
     friction : float
-        Peak friction of tire on road.
+        Peak friction between tire and road.
     gnss_noise_factor : float
-        **An assumption, not a measurement**: factor of the weather on the receiver's errors, used by simulations
-        with ``gnss_degradation``.
+        Factor of the weather on the receiver's errors with ``gnss_degradation``: **an assumption, not a measurement**.
     source : str
         Source of the friction.
     """
@@ -36,7 +34,7 @@ class Environment:
 
     @property
     def physics(self) -> str:
-        """Name of the physics of environments with this friction: dry, wet or snow."""
+        """Name of the friction: dry, wet or snow."""
         return {0.85: "dry", 0.65: "wet", 0.25: "snow"}.get(self.friction, f"friction {self.friction:g}")
 
 
@@ -56,7 +54,7 @@ ENVIRONMENTS = {
 
 
 def named(value: str | T, table: dict[str, T], what: str) -> T:
-    """Look up a name in a table of records; return a record unchanged. Raise `InputError` if the name is unknown."""
+    """Look up a name in a table, or return a record unchanged. Raise `InputError` for an unknown name."""
     if not isinstance(value, str):
         return value
     if value not in table:

@@ -1,8 +1,7 @@
-"""Simulate a GPS receiver: grades with their sources, errors, and outliers.
+"""Simulate a GPS receiver: grades, errors and outliers.
 
-Sources: gnss-ins-sim; u-blox data sheets (M8: 2.5 m CEP, which is 2.1 m per axis; 0.05 m/s); the CARLA
-Leaderboard's sensor set-up (5e-6 deg). Position errors of real receivers are correlated over about a minute
-(Sensors 2020, 20, 6050).
+Sources: gnss-ins-sim; u-blox data sheets (M8: 2.5 m CEP, which is 2.1 m per axis; 0.05 m/s); the CARLA Leaderboard's
+sensor set-up (5e-6 deg). Position errors of real receivers are correlated over about a minute (Sensors 2020, 20, 6050).
 """
 
 import math
@@ -18,7 +17,7 @@ from sigmaswarm.simulation.motion import LeverArm, Motion
 
 EARTH_RADIUS = 6378137.0
 METERS_PER_DEGREE = math.pi * EARTH_RADIUS / 180.0
-"""Length of a degree of latitude on CARLA's sphere, 111 319.49 m; its radius is `EARTH_RADIUS`, m."""
+"""Length of a degree of latitude on CARLA's sphere of radius `EARTH_RADIUS`, m."""
 
 
 @dataclass(frozen=True)
@@ -32,18 +31,18 @@ class GpsGrade:
     markov_time : float
         Correlation time, s.
     velocity_std : float or None
-        Standard deviation per axis, m/s; None for a receiver that reports neither speed nor course.
+        Standard deviation of the velocity per axis, m/s; None if the receiver reports neither speed nor course.
     latency : float
-        Age of a fix at its time stamp, s. It is 0 in all grades, since loggers stamp fixes with their time of validity;
-        receivers report fixes 0.05 to 0.2 s later.
+        Age of a fix at its time stamp, s. It is 0 in all grades, since loggers stamp fixes with their time of validity.
+        Receivers report fixes 0.05 to 0.2 s later.
     lever_arm : tuple of float
         Vector from the IMU to the antenna, m forward, left, up.
     stated_factor : float
-        Ratio of the stated standard deviation to the true one.
+        Stated standard deviation divided by the true standard deviation.
     loss : float
         Probability that a fix is lost.
     carla : bool
-        True if the noise is white in degrees and CARLA's geodesy is applied.
+        Add white noise in degrees, with CARLA's geodesy.
     """
 
     name: str
@@ -89,21 +88,20 @@ GPS_GRADES = {
         ),
     )
 }
-"""Grades by name."""
 
 
 @dataclass(frozen=True)
 class HeadingGrade:
-    """A named grade of the heading that a receiver gives with each fix.
+    """A named grade of the heading of a receiver.
 
     Attributes
     ----------
     white_std, markov_std : float
-        Standard deviations, rad, of the white noise of each heading and of the first-order Gauss-Markov error.
+        Standard deviations of the white noise and of the first-order Gauss-Markov error, rad.
     markov_time : float
         Correlation time, s.
     mounting : float
-        Angle of the antennas' baseline, rad, counter-clockwise from forward; the receiver does not know it.
+        Angle of the antennas' baseline, rad, counter-clockwise from forward, unknown to the receiver.
     """
 
     name: str
@@ -127,11 +125,10 @@ HEADING_GRADES = {
         ),
     )
 }
-"""Grades by name."""
 
 
 def with_heading(fixes: Gps, time: Array, yaw: Array, grade: HeadingGrade, rng: np.random.Generator) -> Gps:
-    """Add a heading to fixes at times (n,), s, with known yaw (n,), rad; other fixes get no heading."""
+    """Add headings to fixes, from the true ``yaw`` (n,), rad, at ``time`` (n,), s."""
     interval = float(np.median(np.diff(time)))
     noise = grade.white_std * rng.standard_normal(len(time))
     noise += grade.markov_std * gauss_markov(rng, len(time), 1, interval / grade.markov_time)[:, 0]
@@ -142,7 +139,7 @@ def with_heading(fixes: Gps, time: Array, yaw: Array, grade: HeadingGrade, rng: 
 
 
 def degrade(grade: GpsGrade, factor: float) -> GpsGrade:
-    """Multiply a grade's position and velocity errors by a factor of the weather, which is an assumption."""
+    """Multiply position and velocity errors of a grade by a factor."""
     errors = {name: getattr(grade, name) for name in ("white_std", "markov_std", "velocity_std")}
     return replace(grade, **{name: std and factor * std for name, std in errors.items()})
 
@@ -154,7 +151,7 @@ def measure_gps(
     rng: np.random.Generator,
     outages: list[tuple[float, float]],
 ) -> Gps:
-    """Measure the antenna's motion, at the fixes' time stamps (n,), s, minus the grade's latency.
+    """Make fixes with time stamps (n,), s, from the antenna's motion at these times minus the latency of the grade.
 
     There are no fixes in the outages, (start, end) in s. The number of draws does not depend on the grade.
     """
@@ -168,7 +165,7 @@ def measure_gps(
 
     place = antenna.position[:, :2]
     x, y = _through_degrees(place, white).T if grade.carla else (place + white + markov).T
-    std = grade.stated_factor * grade.std  # ideal fixes state none: 0 is no deviation
+    std = grade.stated_factor * grade.std  # ideal fixes have none, since 0 is not valid
     stated = np.full(len(times), std) if std > 0 else None
     moving = grade.velocity_std is not None
     fixes = Gps(
@@ -184,7 +181,7 @@ def measure_gps(
 
 
 def _through_degrees(place: Array, noise: Array) -> Array:
-    """Add noise (n, 2), m, in degrees, as CARLA does on a map with origin 0, 0: on a Mercator plane."""
+    """Add noise (n, 2), m, in degrees like CARLA, on a Mercator plane with origin 0, 0."""
     radius, equator = EARTH_RADIUS, math.log(math.tan(math.radians(90.0) / 2))
     lat = 2 * np.degrees(np.arctan(np.exp((radius * equator + place[:, 1]) / radius))) - 90
     lat += noise[:, 1] / METERS_PER_DEGREE
@@ -201,24 +198,24 @@ def with_outliers(
     offset: float = 20.0,
     length: tuple[float, float] = (0.2, 1.0),
 ) -> Drive:
-    """Add bursts of outliers to a drive's fixes; all fixes of a burst share one error, as in multipath.
+    """Add bursts of outliers to the fixes of a drive. As in multipath, all fixes of a burst have the same error.
 
     Parameters
     ----------
     drive : Drive
     rng : numpy.random.Generator
-        Draws each burst's first fix, its length and the direction of its error, all uniformly.
+        Draws first fix, length and direction of each burst uniformly.
     share : float
-        Share of outliers, in [0, 0.5]; it may be exceeded by a part of the last burst.
+        Share of outliers, in [0, 0.5]. The last burst may exceed it.
     offset : float
         Size of the error, m.
     length : (float, float)
-        Shortest and longest burst, s. Bursts that meet become one.
+        Shortest and longest burst, s. Bursts that overlap are joined.
 
     Raises
     ------
     InputError
-        If ``share`` or ``length`` can't be used.
+        If ``share`` or ``length`` is out of range.
     """
     if not (0 <= share <= 0.5 and 0 <= length[0] <= length[1] < np.inf):
         raise InputError(
@@ -233,5 +230,5 @@ def with_outliers(
         x[burst] += offset * np.cos(way)
         y[burst] += offset * np.sin(way)
         off |= burst
-    # degrees, where the log had them, would contradict
+    # latitude and longitude of the log no longer apply
     return replace(drive, frame="enu", gps=replace(drive.gps, x=x, y=y, lat=None, lon=None, alt=None))

@@ -1,9 +1,6 @@
-"""Simulate an IMU: grades with their sources, and the errors of each grade.
+"""Simulate an IMU: grades and errors.
 
-Sources, cited after the values:
-
-[T] the datasheet of the chip. [I] i2Nav's awesome-gins-datasets: found by tuning on a car. [N] NaveGo.
-[G] gnss-ins-sim. [L] the CARLA Leaderboard's sensor set-up. [R] from memory, not verified.
+Sources: [T] data sheet of the chip. [L] the CARLA Leaderboard's sensor set-up. [R] from memory, not verified.
 """
 
 import math
@@ -27,17 +24,17 @@ class Triad:
     Attributes
     ----------
     noise_density : float
-        Density of the white noise, unit per sqrt(Hz); the standard deviation of a sample is this times sqrt(rate).
+        Density of the white noise, unit/sqrt(Hz). The standard deviation of a sample is the density times sqrt(rate).
     bias_std : float
         Standard deviation of the first-order Gauss-Markov bias.
     turn_on : float
-        Limit of the constant bias of a run, which is uniform within +- this value.
+        Limit of the constant bias of a drive, uniform within +- this value.
     scale, misalignment : float
-        Limits of relative errors, which are uniform within +- this value for each axis and for each pair of axes.
+        Limits of relative errors of each axis and each pair of axes, uniform within +- these values.
     reach : float
-        Largest measurable value.
+        Limit of the measured value.
     resolution : float
-        Quantization step; 0 for none.
+        Quantization step; 0 without quantization.
     """
 
     noise_density: float = 0.0
@@ -51,7 +48,7 @@ class Triad:
 
 @dataclass(frozen=True)
 class ImuGrade:
-    """A named grade of IMU; `bias_time` (s) is the correlation time of both Gauss-Markov biases."""
+    """A named grade of IMU. `bias_time` is the correlation time of the Gauss-Markov biases, s."""
 
     name: str
     accel: Triad = field(default_factory=Triad)
@@ -62,12 +59,12 @@ class ImuGrade:
 
 
 def _accel(per_sqrt_hour: float, bias: float, **more: float) -> Triad:
-    """Make accelerometers from values in m/s/sqrt(h) and m/s2."""
+    """Convert from m/s/sqrt(h) and m/s2."""
     return Triad(per_sqrt_hour / 60, bias, **more)
 
 
 def _gyro(per_sqrt_hour: float, bias_per_hour: float, **more: float) -> Triad:
-    """Make gyros from values in deg/sqrt(h) and deg/h."""
+    """Convert from deg/sqrt(h) and deg/h."""
     return Triad(per_sqrt_hour * _DEG / 60, bias_per_hour * _DEG / 3600, **more)
 
 
@@ -114,7 +111,7 @@ IMU_GRADES = {
         ImuGrade("gnss-ins-sim-high", _accel(2.5e-5, 3.6e-6), _gyro(2e-3, 0.1), source="gnss-ins-sim"),
         ImuGrade(
             "carla",
-            # A sample's deviation is 0.001 in both units [L]; as a density at 100 Hz. The bias is a choice.
+            # 0.001 per sample at 100 Hz in both units [L], as a density. The bias is an assumption.
             Triad(1e-4),
             Triad(1e-4, turn_on=1e-3),
             carla=True,
@@ -122,22 +119,22 @@ IMU_GRADES = {
         ),
     )
 }
-"""Grades by name: real sensors from the worst to the best, then CARLA's sensor."""
+"""Grades by name, from the worst to the best real sensor, then simulated sensors."""
 
 
 def gauss_markov(rng: np.random.Generator, count: int, axes: int, ratio: float) -> Array:
     """Draw stationary first-order Gauss-Markov sequences (count, axes) of unit variance.
 
-    ``ratio`` is the time between samples divided by the correlation time.
+    ``ratio`` is the sampling interval divided by the correlation time.
     """
     shocks = rng.standard_normal((count, axes))
     keep = math.exp(-ratio)
-    shocks[1:] *= math.sqrt(1 - keep**2)  # the first one keeps the stationary variance
+    shocks[1:] *= math.sqrt(1 - keep**2)  # the first value has the stationary variance
     return np.asarray(lfilter([1.0], [1.0, -keep], shocks, axis=0))
 
 
 def _spoil(true: Array, triad: Triad, interval: float, bias_time: float, rng: np.random.Generator) -> Array:
-    """Add a triad's errors to true values (n, 3). The grade scales the draws; their number does not depend on it."""
+    """Add the errors of a triad to true values (n, 3). The number of draws does not depend on the grade."""
     turn_on = triad.turn_on * rng.uniform(-1, 1, 3)
     mixing = triad.misalignment * rng.uniform(-1, 1, (3, 3))
     np.fill_diagonal(mixing, 1 + triad.scale * rng.uniform(-1, 1, 3))
@@ -150,7 +147,7 @@ def _spoil(true: Array, triad: Triad, interval: float, bias_time: float, rng: np
 def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Generator) -> Imu:
     """Measure the motion of the IMU's position at ``times`` (n,), s.
 
-    For a `carla` grade the acceleration is CARLA's (see `carla_force`), and the first two samples are missing.
+    A `carla` grade uses `carla_force`, which lacks the first two samples.
     """
     force, rate = motion.specific_force, motion.angular_rate
     if grade.carla:
@@ -163,10 +160,10 @@ def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Ge
 
 
 def carla_force(times: Array, motion: Motion) -> Array:
-    """Compute specific force like CARLA's IMU sensor, shape (n - 2, 3); the first row belongs to the third sample.
+    """Compute specific force (n - 2, 3) like CARLA's IMU sensor, from the third sample on.
 
-    The force is the second difference of the last three positions, which is late by one tick, plus gravity, in the
-    current attitude (carla-simulator/carla, InertialMeasurementUnit.cpp).
+    It is the second difference of the last three positions, one tick late, plus gravity, in the present attitude
+    (carla-simulator/carla, InertialMeasurementUnit.cpp).
     """
     steps = np.diff(times)[:, None]
     speeds = np.diff(motion.position, axis=0) / steps

@@ -1,4 +1,4 @@
-"""Drive a maneuver: the car's states at each millisecond, and the achieved values."""
+"""Drive a maneuver, and measure the achieved values."""
 
 from dataclasses import dataclass
 
@@ -26,20 +26,16 @@ from sigmaswarm.simulation.environments import Environment, named
 from sigmaswarm.simulation.maneuvers import KMH, MANEUVERS, Maneuver, Road, urban
 from sigmaswarm.simulation.planning import LOOK, SPACING, draw_sway, lay_path, plan_speed
 
-STAND = 1.0
-"""Duration of the standstill at the beginning, s."""
-URBAN_DURATION = 180.0
-"""Default duration of "urban", s."""
+STAND = 1.0  # s, at the beginning
+URBAN_DURATION = 180.0  # s, default
 
 
 @dataclass(frozen=True)
 class Journey:
-    """A driven maneuver."""
-
     maneuver: Maneuver
-    path: Array  # (p, 4): east m, north m, heading rad, curvature 1/m, which the driver follows
-    record: Array  # (n, 21), the car's states at each millisecond, see `dynamics`
-    start: float  # s, beginning of the maneuver itself, after the warm-up
+    path: Array  # (p, 4): east m, north m, heading rad, curvature 1/m
+    record: Array  # (n, 21), states of the car at each millisecond (`dynamics`)
+    start: float  # s, end of the warm-up
     outages: list[tuple[float, float]]  # (start, end), s, without fixes
 
 
@@ -51,7 +47,7 @@ def take_journey(
     duration: float | None = None,
     warm_up: bool = True,
 ) -> Journey:
-    """Draw a maneuver and drive it; for the parameters see `simulate`."""
+    """Draw a maneuver and drive it, with parameters as in `simulate`."""
     road = Road(where.friction)
     seconds = URBAN_DURATION if duration is None else duration
     drawn = urban(road, rng, seconds) if name == "urban" else named(name, MANEUVERS, "maneuver")(road, rng)
@@ -69,9 +65,9 @@ def take_journey(
 
 
 def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
-    """Measure the time, s, from one speed to another, m/s, in the steepest change; NaN if a speed is never reached.
+    """Measure the shortest time, s, between two speeds, m/s; NaN if a speed is never reached.
 
-    The time is measured from the last sample before the change to the first sample after it, as with a stopwatch.
+    The time is from the last sample before the change to the first sample after it.
     """
     speed = speed if rising else speed[::-1]
     begins, ends = np.flatnonzero(speed <= slow), np.flatnonzero(speed >= fast)
@@ -81,7 +77,7 @@ def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
 
 
 def achieved_figures(name: str, journey: Journey, fixes: Array) -> dict[str, float]:
-    """Return the values that a journey achieved, named like the maneuver's targets; ``fixes`` (m,) are times, s."""
+    """Return achieved values under the names of the targets. ``fixes`` (m,) are times, s."""
     record, start = journey.record, journey.start
     speed = np.hypot(record[:, VX], record[:, VY])
     top, first = float(speed.max()) / KMH, int(start / STEP)
@@ -113,7 +109,7 @@ def achieved_figures(name: str, journey: Journey, fixes: Array) -> dict[str, flo
 
 
 def _gap(fixes: Array, start: float, end: float) -> float:
-    """Return the time between the last fix before an outage and the first one after it, s."""
+    """Return the time from the last fix before an outage to the first fix after it, s."""
     before, after = fixes[fixes < start], fixes[fixes >= end]
     return float(after[0] - before[-1]) if len(before) and len(after) else float("nan")
 
@@ -123,10 +119,10 @@ def _length(record: Array) -> float:
 
 
 def _turned(record: Array) -> tuple[float, float]:
-    """Measure the left and the right turn, deg, from the headings before, between and after them."""
+    """Measure the left and the right turn, deg."""
     yaw = np.degrees(record[:, YAW])
     extreme = int(np.argmax(np.abs(yaw - yaw[0])))
-    # Between the turns the heading is constant; its median over the inner quarters is robust.
+    # Between the turns the heading is constant.
     middle = float(np.median(yaw[np.abs(yaw - yaw[extreme]) < 10.0]))
     first, second = middle - float(yaw[0]), float(yaw[-1]) - middle
     return (first, second) if first > 0 else (second, first)

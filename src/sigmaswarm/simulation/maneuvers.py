@@ -1,8 +1,7 @@
-"""The paper's maneuvers as routes, and `urban`, minutes of mixed driving.
+"""Routes of the paper's maneuvers, and `urban`, minutes of mixed driving.
 
-Each maneuver is a function of the road's friction and a random generator that returns a `Maneuver`: its legs and its
-target values. If the paper's target is impossible with this friction, the legs use the friction limit. A drive stores
-target and achieved values.
+If the paper's target is impossible on a road, the driver uses the friction limit. A drive stores target and achieved
+values.
 """
 
 import math
@@ -14,50 +13,45 @@ import numpy as np
 from sigmaswarm.simulation.dynamics import GRAVITY
 from sigmaswarm.simulation.planning import Leg
 
-KMH = 1 / 3.6
-"""Speed of 1 km/h in m/s."""
+KMH = 1 / 3.6  # m/s
 QUARTER = math.pi / 2
-HARD_EASE = 0.2
-"""Time in which a hard driver reaches an acceleration, s."""
-_LIMIT = 0.96  # share of the friction; the rest is a margin for steering
+HARD_EASE = 0.2  # s, in which acceleration builds up in hard driving
+_LIMIT = 0.96  # share of the friction limit; the rest is for steering
 
 
 @dataclass(frozen=True)
 class Road:
-    """Accelerations that a driver uses on a road of this friction."""
+    """Limits of the accelerations on a road of this friction."""
 
     friction: float
 
     def hard(self, wanted: float) -> float:
-        """Limit a desired acceleration, m/s2, to the friction of the road."""
+        """Limit an acceleration, m/s2, to the friction of the road."""
         return min(wanted, _LIMIT * self.friction * GRAVITY)
 
     def easy(self, wanted: float) -> float:
-        """Limit a desired acceleration, m/s2, to that of everyday driving: half of the friction limit."""
+        """Limit an acceleration, m/s2, to half of the friction limit, for everyday driving."""
         return min(wanted, 0.5 * self.friction * GRAVITY)
 
 
 @dataclass(frozen=True)
 class Maneuver:
-    """A route and its target values."""
-
     legs: list[Leg]
-    target: dict[str, float]  # the paper's figures, units in the names
-    # (start, end), s after the maneuver's own start, when there are no fixes
+    target: dict[str, float]  # values of the paper, with units in the names
+    # (start, end), s after the start of the maneuver itself, without fixes
     outages: list[tuple[float, float]]
-    first: int = 0  # index of the first leg of the maneuver itself; a filter starts on the legs before it
+    first: int = 0  # index of the first leg after the warm-up, on which a filter starts
 
 
 def straight(road: Road, length: float, kmh: float) -> Leg:
-    """Drive a straight leg with everyday accelerations."""
     return Leg(length, kmh * KMH, road.easy(2.5), road.easy(2.5))
 
 
 def turn(road: Road, angle: float, radius: float, kmh: float, lateral: float) -> list[Leg]:
     """Turn by an angle (rad, left positive): clothoid, arc, clothoid.
 
-    The driver slows down before the bend and accelerates after it, so that the lateral acceleration stays below
-    `lateral` (m/s2) and below 70% of the friction limit, which leaves a margin for braking.
+    The speed in the bend keeps the lateral acceleration below `lateral` (m/s2) and below 70% of the friction limit,
+    which leaves a margin for braking.
     """
     curvature = math.copysign(1 / radius, angle)
     bend = min(0.6 * radius, 0.8 * abs(angle) * radius)  # each clothoid turns by bend / (2 radius)
@@ -69,12 +63,12 @@ def turn(road: Road, angle: float, radius: float, kmh: float, lateral: float) ->
 
 
 def hard(length: float, speed: float, acceleration: float, braking: float, wait: float = 0.0) -> Leg:
-    """Drive a straight leg hard (m, m/s, m/s2, m/s2, s)."""
+    """Drive a straight leg with hard accelerations. Units: m, m/s, m/s2, m/s2, s."""
     return Leg(length, speed, acceleration, braking, wait=wait, ease=HARD_EASE, fading=0.0)
 
 
 def warm_up(road: Road, kmh: float = 34.0) -> list[Leg]:
-    """Pull away and drive at least 30 m at 5 m/s or more, so that a filter can start."""
+    """Drive at least 30 m at 5 m/s or more, so that a filter can start."""
     kmh = kmh if road.friction > 0.4 else 0.8 * kmh
     pull_away = 1.15 * (kmh * KMH) ** 2 / 2 / road.easy(2.5)
     return [straight(road, pull_away + 32.0, kmh)]
@@ -84,7 +78,7 @@ def cruise(road: Road, rng: np.random.Generator) -> Maneuver:
     """(i) Straight cruise for 500 m."""
     kmh = rng.uniform(85, 95) if road.friction > 0.4 else rng.uniform(60, 70)
     speed, push = kmh * KMH, road.easy(3.0)
-    # Distance over which the fading acceleration a (1 - f v) reaches the speed.
+    # Distance in which the fading acceleration a (1 - f v) reaches the speed.
     fading = 0.02
     pull_away = (-speed / fading - math.log(1 - fading * speed) / fading**2) / push
     legs = [Leg(pull_away + 25.0, speed, push, push, fading=fading), straight(road, 500.0, kmh)]
@@ -108,13 +102,13 @@ def accelerate(road: Road, rng: np.random.Generator) -> Maneuver:
     push = road.hard(speed / 4.95)
     (start,) = warm_up(road)
     halt = replace(start, length=start.length + 16.0, wait=rng.uniform(1.5, 2.5))
-    # A little beyond 60 km/h, so that the swaying driver reaches it.
+    # Slightly above 60 km/h, since the driver's speed sways.
     away = hard(speed**2 / 2 / push + rng.uniform(60, 90), 1.03 * speed, push, road.easy(2.5))
     return Maneuver([halt, away], {"speed_kmh": 60.0, "time_s": 5.0}, [], first=1)
 
 
 def brake(road: Road, rng: np.random.Generator) -> Maneuver:
-    """(iv) 50 km/h to 0 within 2 s, then on."""
+    """(iv) 50 km/h to 0 within 2 s, then continue."""
     speed = 1.02 * 50 * KMH
     push = road.hard(50 * KMH / 1.88)
     pull_away = 1.2 * speed**2 / 2 / road.easy(2.5)
@@ -125,7 +119,7 @@ def brake(road: Road, rng: np.random.Generator) -> Maneuver:
 
 
 def outages(road: Road, rng: np.random.Generator) -> Maneuver:
-    """(v) GPS outages of 3-5 s, while driving a mix of cruise, turns, acceleration and braking."""
+    """(v) GPS outages of 3-5 s in a mix of cruise, turns, acceleration and braking."""
     side = 1 if rng.random() < 0.5 else -1
     legs = warm_up(road, 40.0)
     first = len(legs)
@@ -184,4 +178,4 @@ MANEUVERS: dict[str, Callable[[Road, np.random.Generator], Maneuver]] = {
     "outages": outages,
     "urban": urban,
 }
-"""Maneuvers by name, in the order of the paper, which has the first five."""
+"""Maneuvers by name. The paper has the first five."""

@@ -1,10 +1,9 @@
-"""Compute the motion of a point on the car's body from the car's recorded states, and add vibration.
+"""Motion of a point of the car's body, from the recorded states of the car, and vibration.
 
-The body pitches and rolls about its center of gravity, which moves in the plane or on a sloping road. Attitude: yaw,
-then pitch (positive nose down), then roll (positive left side up), each about the body's new axis. So positive lateral
-acceleration (a left turn) rolls the body to the right, and gravity adds to the sensor's reading in the direction of the
-acceleration. Pitch and roll of the road and of the suspension are added. The equations are exact rigid-body kinematics
-in closed form.
+The body pitches and rolls about its center of gravity. Attitude: yaw, then pitch (positive nose down), then roll
+(positive left side up), each about the new body axis. So a left turn rolls the body to the right, and gravity increases
+the measured lateral acceleration. Pitch and roll of road and suspension are added. The equations are exact rigid-body
+kinematics.
 """
 
 import math
@@ -38,21 +37,17 @@ from sigmaswarm.simulation.dynamics import (
 
 LeverArm = tuple[float, float, float]
 
-# Vibration: white-noise densities of two public recordings of real cars, from differences of neighboring samples at 5
-# to 16 m/s: rtklibexplorer's GNSS_IMU (Colorado, consumer MEMS) and comma2k19 (a phone's chip). They are 3 to 8 times
-# those of the former at standstill, and about 20 times an MPU-6050's data sheet. Bumps and spectra are not modelled,
-# except that the springs return a body that rolls or pitches: its rates have no part below their frequency, or white
-# noise would turn the body by degrees in a minute, which gravity would show as acceleration.
+# Vibration: white-noise densities from differences of neighboring samples at 5 to 16 m/s in two public recordings of
+# real cars: rtklibexplorer's GNSS_IMU (Colorado, consumer MEMS) and comma2k19 (chip of a phone). They are 3 to 8 times
+# the Colorado densities at standstill, and about 20 times the data sheet of an MPU-6050. Bumps and spectra are not
+# modelled. Roll and pitch rates have no part below the frequency of the springs: white noise would rotate the body by
+# degrees in a minute, and gravity would appear as acceleration.
 FORCE_DENSITY = (0.06, 0.025, 0.04)
 """Density of the specific force, m/s2/sqrt(Hz) forward, left, up, at `FULL_SPEED` and above."""
 RATE_DENSITY = (0.002, 0.003, 0.0005)
-"""Density of the angular rate, rad/s/sqrt(Hz), about the same axes; in the only recording of the second axis it is
-0.010.
-"""
-FULL_SPEED = 5.0
-"""Speed, m/s, below which the vibration is proportional to the speed."""
-SPRINGS = 1.0
-"""Frequency of a car's body on its springs, Hz, an assumption."""
+"""Density of the angular rate, rad/s/sqrt(Hz), about the same axes. The only recording of the left axis has 0.010."""
+FULL_SPEED = 5.0  # m/s; below, vibration is proportional to speed
+SPRINGS = 1.0  # Hz, natural frequency of the body on its springs; an assumption
 
 
 @dataclass(frozen=True)
@@ -63,12 +58,12 @@ class Motion:
     velocity: Array  # (n, 3) m/s
     rotation: Array  # (n, 3, 3), from body to local axes
     yaw: Array  # (n,) rad, not wrapped
-    specific_force: Array  # (n, 3) m/s2, in the body frame: the reading of an ideal IMU at the point
+    specific_force: Array  # (n, 3) m/s2, in the body frame, as of an ideal IMU
     angular_rate: Array  # (n, 3) rad/s, in the body frame
 
 
 def sample(record: Array, times: Array) -> Array:
-    """Interpolate the record (n, 21 or 30) linearly between milliseconds, at times (k,), s."""
+    """Interpolate the record (n, 21 or 30) linearly at times (k,), s."""
     place = np.clip(times / STEP, 0, len(record) - 1)
     before = np.minimum(place.astype(np.intp), len(record) - 2)
     weight = (place - before)[:, None]
@@ -88,16 +83,15 @@ def _rotation(yaw: Array, pitch: Array, roll: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return the cross products of vectors (n, 3) and (n, 3) or (3,); `numpy.cross` is slower for small n."""
+    """Return the cross products of vectors (n, 3) and (n, 3) or (3,), faster than `numpy.cross` for small n."""
     (a1, a2, a3), (b1, b2, b3) = a.T, b.T
     return np.column_stack([a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1])
 
 
 def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm | Array) -> Motion:
-    """Return the motion of a point of the body, ``lever_arm`` (m forward, left, up) from the center of gravity.
+    """Return the motion of the point at ``lever_arm`` (m forward, left, up) from the center of gravity.
 
-    ``rows`` (n, 21) are recorded states of `sigmaswarm.simulation.dynamics`, or (n, 30) with those of the road of
-    `terrain`.
+    ``rows`` are recorded states of `dynamics` (n, 21), or with the road of `terrain` (n, 30).
     """
     arm = np.array(lever_arm)
     yaw = rows[:, YAW]
@@ -145,15 +139,12 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm | Array) -> Mot
 
 
 def vibrate(motion: Motion, rate: float, strength: float, rng: np.random.Generator) -> Motion:
-    """Add vibration to the specific force and angular rate, sampled at ``rate`` Hz.
-
-    Strength 1 gives the vibration of the recorded cars (`FORCE_DENSITY`, `RATE_DENSITY`).
-    """
+    """Add vibration to specific force and angular rate sampled at ``rate`` Hz; 1 is the strength in real cars."""
     speed = np.linalg.norm(motion.velocity, axis=1, keepdims=True)
     level = strength * np.sqrt(rate) * np.minimum(speed / FULL_SPEED, 1.0)
     shaking = rng.standard_normal((2, *motion.specific_force.shape)) * level
     kept = math.exp(-2 * math.pi * SPRINGS / rate)
-    # a first-order high pass
+    # first-order high pass
     shaking[1, :, :2] = lfilter([kept, -kept], [1.0, -kept], shaking[1, :, :2], axis=0)
     return replace(
         motion,

@@ -1,8 +1,4 @@
-"""Simulate an odometer: pulses of the rear wheels, including slip.
-
-The wheels drive and brake the car (`dynamics`), so they spin and lock. Each passing tooth gives a pulse; a reading is
-the speed of the pulses in a window before it. The control unit assumes a slightly wrong tire size.
-"""
+"""Simulate an odometer that counts pulses of the rear wheels in a window, with slip and a wrong tire size."""
 
 from dataclasses import dataclass
 
@@ -19,13 +15,13 @@ class OdometerGrade:
     Attributes
     ----------
     rate : float
-        Readings per second, Hz.
+        Rate of the readings, Hz.
     window : float
-        Length of the counting window before a reading, s; the age of the reading is half of it.
+        Length of the counting window before a reading, s. The age of the reading is half of it.
     teeth : int
-        Pulses per turn of the wheels.
+        Pulses per revolution of a wheel.
     scale_std : float
-        Standard deviation of the scale error, drawn for each drive: reading / true speed - 1.
+        Standard deviation of the scale error (reading / true speed - 1), drawn for each drive.
     resolution : float
         Resolution of the speed on the bus, m/s.
     slowest : float
@@ -64,15 +60,14 @@ ODOMETER_GRADES = {
         ),
     )
 }
-"""Grades by name. The scale error of 1% (wear and pressure of tires) is from the author's memory; the car of comma2k19
-measures 0.8% too little.
-"""
+"""Grades by name. The scale error of 1% (wear and pressure of tires) is from the author's memory. The car of comma2k19
+measures 0.8% too little."""
 
 
 def measure_odometer(
     record: Array, car: Vehicle, grade: OdometerGrade, rng: np.random.Generator
 ) -> tuple[Odometer, float]:
-    """Measure the speed of a recorded drive (n, `RECORDED` or more); return the readings and the drawn scale."""
+    """Measure the speed of a record (n, 21 or more). Return the readings and the drawn scale."""
     scale = 1.0 + grade.scale_std * rng.standard_normal()
     phase, tooth = rng.uniform(0.0, 1.0, 2)
     time = np.arange(grade.window + phase / grade.rate, (len(record) - 1) * STEP, 1 / grade.rate)

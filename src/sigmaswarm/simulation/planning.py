@@ -1,8 +1,6 @@
-"""Plan a path in space and a speed in time from the legs of a route.
+"""Plan a path in the plane and a speed over time from the legs of a route.
 
-A route is a list of legs. Each leg has a curvature that changes linearly (straight line, arc, clothoid), a speed and
-accelerations. `lay_path` joins the legs in the plane; `plan_speed` finds the fastest speed that all legs allow and that
-acceleration and braking can follow.
+The curvature of a leg changes linearly: straight line, arc or clothoid.
 """
 
 from collections.abc import Sequence
@@ -14,54 +12,48 @@ from scipy.ndimage import minimum_filter1d, uniform_filter1d
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array
 
-SPACING = 0.1
-"""Distance between two points of a path, m."""
-LOOK = 0.01
-"""Interval of the driver's control, s."""
+SPACING = 0.1  # m, between points of a path
+LOOK = 0.01  # s, between steps of the driver
 RUN_OUT = 60.0
-"""Length of straight road beyond the last leg, m, for the driver's preview and for longer stops."""
+"""Straight road after the last leg, m, for the driver's preview and for longer stops."""
 SWAY_OFFSET, SWAY_SPEED = 0.10, 0.006
-"""Amplitudes of a driver's sway: m from the ideal line, and as a share of the speed."""
+"""Amplitudes of the driver's sway: m from the ideal line, and relative to the speed."""
 
 
 @dataclass(frozen=True)
 class Leg:
-    """A part of a route."""
-
     length: float  # m
-    speed: float  # m/s, the fastest allowed
-    acceleration: float = 2.5  # m/s2, the largest that the driver plans
+    speed: float  # m/s, limit
+    acceleration: float = 2.5  # m/s2, limit of the plan
     braking: float = 2.5  # m/s2, positive
     curvature: float = 0.0  # 1/m, at the beginning; positive to the left
     curvature_end: float = 0.0  # 1/m
-    lateral: float = 3.0  # m/s2, the largest that the driver plans in a bend
-    wait: float = 0.0  # s, standstill at the leg's end; 0 drives on
-    ease: float = 1.0  # s, over which accelerations build up and fade
-    # s/m, decrease of the acceleration per m/s: drivers accelerate less near the desired speed
+    lateral: float = 3.0  # m/s2, limit of the plan in a bend
+    wait: float = 0.0  # s, standstill at the end; 0 for none
+    ease: float = 1.0  # s, in which accelerations build up and fade
+    # s/m, relative decrease of the acceleration per m/s, since drivers accelerate less at high speed
     fading: float = 0.02
 
 
 @dataclass(frozen=True)
 class Sway:
-    """Deviation of a human driver from the ideal line and speed: sums of three sine waves along the path."""
+    """Deviation of a human driver from ideal line and speed: sums of three sine waves along the path."""
 
     phases: Array  # (2, 3) rad
     wavelengths: Array  # (3,) m
 
     def waves(self, way: Array, row: int) -> Array:
-        """Return the waves, shape (3, n), at distances along the path (m)."""
         return np.sin(2 * np.pi * way / self.wavelengths[:, None] + self.phases[row][:, None]) / np.sqrt(3)
 
 
 def draw_sway(rng: np.random.Generator) -> Sway:
-    """Draw a driver's sway: random phases, wavelengths of 110 to 260 m."""
     return Sway(rng.uniform(0, 2 * np.pi, (2, 3)), rng.uniform([110, 150, 200], [150, 200, 260]))
 
 
 def lay_path(legs: Sequence[Leg], heading: float, sway: Sway) -> Array:
     """Return the path, shape (n, 4): east m, north m, heading rad, curvature 1/m, every `SPACING` m.
 
-    The path begins at the origin. Heading and position integrate the curvature, by trapezoids and midpoints.
+    The path begins at the origin. Trapezoids integrate the curvature, midpoints the heading.
     """
     ends = np.cumsum([0.0, *(leg.length for leg in legs), RUN_OUT])
     way = np.arange(0.0, ends[-1], SPACING)
@@ -69,7 +61,7 @@ def lay_path(legs: Sequence[Leg], heading: float, sway: Sway) -> Array:
     for leg, start, end in zip(legs, ends[:-2], ends[1:-1], strict=True):
         on = (way >= start) & (way < end)
         curvature[on] = leg.curvature + (leg.curvature_end - leg.curvature) * (way[on] - start) / leg.length
-    # An offset A sin(k s) bends the path by its second derivative.
+    # An offset A sin(k s) adds its second derivative to the curvature.
     wave_numbers = 2 * np.pi / sway.wavelengths
     curvature -= SWAY_OFFSET * wave_numbers**2 @ sway.waves(way, 0)
     turned = np.cumsum((curvature[1:] + curvature[:-1]) / 2) * SPACING
@@ -82,7 +74,7 @@ def lay_path(legs: Sequence[Leg], heading: float, sway: Sway) -> Array:
 
 @cached(nogil=True, error_model="numpy")
 def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
-    """Lower the squared speeds, in place, until acceleration and braking can follow them; shapes (n,)."""
+    """Reduce squared speeds (n,) in place until acceleration and braking can follow them."""
     for i in range(1, len(squared)):
         rest = max(1.0 - fading[i - 1] * np.sqrt(squared[i - 1]), 0.1)
         squared[i] = min(squared[i], squared[i - 1] + gain[i - 1] * rest)
@@ -91,9 +83,9 @@ def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
 
 
 def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
-    """Return the plan, shape (m, 3): speed m/s, acceleration m/s2, distance m, every `LOOK` s.
+    """Return the fastest plan, shape (m, 3): speed m/s, acceleration m/s2, distance m, every `LOOK` s.
 
-    The car stands for ``stand`` s before the start; with None it starts in motion, at the speed of the first leg.
+    The car first stands for ``stand`` s; with None it starts in motion at the speed of the first leg.
     """
     ends = np.cumsum([0.0, *(leg.length for leg in legs)])
     way = np.arange(0.0, ends[-1] + SPACING / 2, SPACING)
@@ -118,13 +110,13 @@ def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
 
 
 def _in_time(way: Array, speed: Array, waits: Array, ease: Array) -> Array:
-    """Sample the speed along the path every `LOOK` s, and smooth its kinks by a moving average."""
-    step = 2 * np.diff(way) / (speed[1:] + speed[:-1])  # exact where the acceleration is constant
+    """Sample the speed along the path every `LOOK` s, and smooth it by a moving average."""
+    step = 2 * np.diff(way) / (speed[1:] + speed[:-1])  # exact for constant acceleration
     arrival = np.concatenate([[0.0], np.cumsum(step + waits[:-1])])
     times = np.column_stack([arrival, arrival + waits]).ravel()
     looks = np.arange(0.0, times[-1], LOOK)
     planned = np.interp(looks, times, np.repeat(speed, 2))
-    # The average is as wide as the legs state; the narrow one of a hard leg also applies to the second around it.
+    # The legs set the width of the average; the small width of a hard leg also applies to 1 s before and after it.
     width = minimum_filter1d(np.interp(looks, times, np.repeat(ease, 2)), round(2.0 / LOOK))
     half = uniform_filter1d(width, round(0.5 / LOOK), mode="nearest") / 2
     far = np.concatenate([[looks[0] - 2], looks, [looks[-1] + 2]])

@@ -1,7 +1,7 @@
-"""Simulate one drive: a journey, its sensors and the truth.
+"""Simulate one drive: journey, sensors and truth.
 
-Seed, maneuver, environment and run identify a drive. Each sensor derives its random numbers from these values and its
-own name, so a change of one sensor does not change the random numbers of the others.
+Seed, maneuver, environment, run and the name of a sensor determine its random numbers, so that a change of one sensor
+does not change the data of others.
 """
 
 import math
@@ -34,7 +34,7 @@ from sigmaswarm.simulation.vehicle import find_vehicle
 
 @dataclass(frozen=True)
 class Scenario:
-    """The configuration of a simulated drive, checked; `simulate` describes the fields."""
+    """Checked configuration of a simulated drive. `simulate` describes the fields."""
 
     maneuver: str = "urban"
     environment: str | Environment = "clear"
@@ -48,7 +48,7 @@ class Scenario:
     jitter: float = 0.0
     duration: float | None = None
     warm_up: bool = True
-    imu_place: LeverArm = (0.2, 0.0, 0.1)  # in the center console
+    imu_place: LeverArm = (0.2, 0.0, 0.1)  # center console
     vibration: float = 0.0
     gnss_degradation: bool = False
     terrain: str | Terrain = "flat"
@@ -59,7 +59,7 @@ class Scenario:
         for what in ("imu_rate", "gps_rate"):
             if not 0 < (rate := getattr(self, what)) <= 1 / STEP:
                 raise InputError(
-                    f"{what} is {rate:g} Hz; the simulator computes the car's motion at 1000 Hz: choose 0 to 1000"
+                    f"{what} is {rate:g} Hz; choose more than 0 and at most 1000 Hz, the rate of the simulated motion"
                 )
         for what in ("jitter", "vibration"):
             if not 0 <= (value := getattr(self, what)) < math.inf:
@@ -79,47 +79,45 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
     environment : str or Environment
         "clear", "night", "rain", "fog" or "slippery".
     seed, run : int
-        Together with maneuver and environment these identify the drive; equal values give the same drive. 0 by default.
+        0 by default. Equal maneuver, environment, seed and run give the same drive.
     imu, gps : str or ImuGrade, GpsGrade
-        See `IMU_GRADES` and `GPS_GRADES`; "icm-20602" and "ublox-m8" by default.
+        Names in `IMU_GRADES` and `GPS_GRADES`, or records; "icm-20602" and "ublox-m8" by default.
     vehicle : str or Vehicle
-        "model3" (the real car's pedals, the default) or "model3-carla".
+        "model3" (pedals of the real car, the default) or "model3-carla".
     imu_rate, gps_rate : float
         Sampling rates, Hz, at most 1000; 100 and 5 by default.
     jitter : float
-        Standard deviation of each sample's time, s, clipped to 0.4 of the interval; 0 by default.
+        Standard deviation of the sample times, s, clipped at 0.4 of the interval; 0 by default.
     duration : float, optional
         Duration of "urban", s; 180 by default.
     warm_up : bool
-        Begin with at least 30 m at 5 m/s or more, so that a filter can align (the default). Without it a drive begins
+        Begin with at least 30 m at 5 m/s or more, so that a filter can align (the default). Otherwise the drive begins
         in motion with the maneuver itself.
     imu_place : tuple of float
-        Position of the IMU, m forward, left, up of the center of gravity, (0.2, 0, 0.1) by default. The truth refers to
-        this point.
+        Position of the IMU, m forward, left and up of the center of gravity; (0.2, 0, 0.1) by default. The truth refers
+        to this point.
     vibration : float
-        Level of the vibration by road and engine, 0 by default. 1 is the level in two recordings of real cars, where
-        the noise in data sheets is far too small. CARLA's IMU has no vibration.
+        Level of the vibration of road and engine, 0 by default as in CARLA. 1 is the level in two recordings of real
+        cars, which have much more noise than data sheets state.
     gnss_degradation : bool
-        Multiply the receiver's errors by the environment's factor: **an assumption, not a measurement**.
+        Multiply the errors of the receiver by the factor of the environment: **an assumption, not a measurement**.
     terrain : str or Terrain
-        "flat" (the default), "rolling" or "hilly": slopes of the road, which change the car's attitude and therefore
-        the IMU's data. The path in the plane, and therefore the truth, is the same (within millimeters, since the IMU
-        is above the center).
+        "flat" (the default), "rolling" or "hilly". Slopes of the road change attitude and IMU data. The truth in the
+        plane is the same within millimeters.
     odometer : str or OdometerGrade, optional
-        "pulses", "can" or "ideal": see `ODOMETER_GRADES`. No odometer by default.
+        "pulses", "can" or "ideal" (`ODOMETER_GRADES`); no odometer by default.
     heading : str or HeadingGrade, optional
-        "dual-antenna" or "ideal": the receiver gives a heading, see `HEADING_GRADES`. None by default.
+        Heading of each fix: "dual-antenna" or "ideal" (`HEADING_GRADES`); no heading by default.
 
     Returns
     -------
     Drive
-        The drive, with truth at the IMU's nominal times. Its metadata contain the models, and target and achieved
-        values.
+        Drive with truth at the IMU's nominal times. The metadata contain models, target values and achieved values.
 
     Raises
     ------
     InputError
-        For an unknown name or an impossible rate.
+        For an unknown name or an invalid value.
     """
     return _drive(Scenario(maneuver, environment, **options))
 
@@ -137,7 +135,7 @@ def _drive(s: Scenario) -> Drive:
         return np.random.default_rng(np.random.SeedSequence([s.seed, s.run, *names]))
 
     journey = take_journey(s.maneuver, where, car, stream("driver"), s.duration, s.warm_up)
-    record, slopes = journey.record, {}  # a flat road adds no keys, as in files of early versions
+    record, slopes = journey.record, {}  # without keys for a flat road, as in files of early versions
     if ground != TERRAINS["flat"]:
         record = drive_on(record, lay_road(journey.path[:, 3], ground, stream("road")), car)
         slopes = {"terrain": ground.name} | _slope_figures(record)
@@ -147,7 +145,7 @@ def _drive(s: Scenario) -> Drive:
 
     end, place = (len(record) - 1) * STEP, np.array(s.imu_place)
     nominal = _times(end, s.imu_rate)
-    # CARLA ticks without jitter.
+    # CARLA's ticks have no jitter.
     ticks = nominal if imu.carla else _times(end, s.imu_rate, s.jitter, stream("imu clock"))
     stamps = _times(end, s.gps_rate, s.jitter, stream("gps clock"))
     stamps = stamps[stamps >= gps.latency]
@@ -187,12 +185,11 @@ def _drive(s: Scenario) -> Drive:
 
 
 def drive_name(maneuver: str, environment: str, run: int) -> str:
-    """Return the name of a simulated drive, which is also the name of its folder."""
     return f"{maneuver}-{environment}-{run:02d}"
 
 
 def check_duration(maneuver: str, duration: float | None) -> None:
-    """Raise `InputError` for a duration (s) that a maneuver can't have."""
+    """Raise `InputError` if a maneuver can't have this duration, s."""
     if duration is None:
         return
     if maneuver != "urban":
@@ -200,11 +197,11 @@ def check_duration(maneuver: str, duration: float | None) -> None:
             f"duration is {duration:g} s for {maneuver!r}; only 'urban' has one, of 30 s or more"
         )
     if not 30 <= duration < math.inf:
-        raise InputError(f"duration is {duration:g} s; an urban drive takes 30 s or more")
+        raise InputError(f"duration is {duration:g} s; choose 30 s or more")
 
 
 def _times(end: float, rate: float, jitter: float = 0.0, rng: np.random.Generator | None = None) -> Array:
-    """Draw sample times from 0 to `end`, s, strictly increasing."""
+    """Return sample times from 0 to `end`, s, strictly increasing."""
     times = np.arange(int(end * rate + 1e-6) + 1) / rate
     if rng is None or jitter == 0:
         return times
@@ -230,7 +227,6 @@ def _scenario_figures(s: Scenario, where: Environment) -> dict[str, Any]:
 
 
 def _slope_figures(record: Array) -> dict[str, float]:
-    """Return statistics of the road's slopes and climb."""
     grade, bank = (np.tan(record[:, i]) for i in (ROAD_PITCH, ROAD_ROLL))
     figures = {
         "grade_std_percent": 100 * np.std(grade),
@@ -252,7 +248,7 @@ def _place_figures(place: LeverArm, car: Vehicle) -> dict[str, float]:
 
 
 def _noise_figures(imu: ImuGrade, gps: GpsGrade) -> dict[str, Any]:
-    """Return the values from data sheets under the keys that filters read, and the other values in tables."""
+    """Return data-sheet values under the keys that filters read, and all other values in tables."""
     sensors = {"accel": imu.accel, "gyro": imu.gyro}
     figures = {f"{name}_noise_density": triad.noise_density for name, triad in sensors.items()}
     figures["gps_std_m"] = gps.std
@@ -261,7 +257,7 @@ def _noise_figures(imu: ImuGrade, gps: GpsGrade) -> dict[str, Any]:
         return {f"{name}_{kind}": getattr(triad, kind) for kind in kinds for name, triad in sensors.items()}
 
     return {
-        **{key: value for key, value in figures.items() if value > 0},  # ideal sensors state none
+        **{key: value for key, value in figures.items() if value > 0},  # ideal sensors have none
         **({"gps_lever_arm_m": list(gps.lever_arm)} if any(gps.lever_arm) else {}),
         "imu_noise": {
             "grade": imu.name,

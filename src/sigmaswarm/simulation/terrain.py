@@ -1,21 +1,18 @@
 """Simulate hills: grade and bank of the road, for a car that drives as on a flat road.
 
-The car's path in the plane, and therefore the truth, is that of the flat road, since the driver compensates for the
-slope and distances are horizontal. Slopes change the car's height and the body's attitude, which follows the road and,
-through the suspension, gravity's component along the road. Both depend on the distance s along the path:
+The path in the plane is the path on a flat road, since the driver compensates for the slope. Slopes change the height
+of the car, and its attitude directly and, due to gravity, through the suspension. They depend on the distance s:
 
-    grade pitch p(s), bank roll f(s);  road's slope ahead  -tan p,  to the left  tan f / cos p
-    height' = slope ahead x vx + slope to the left x vy,  so that the velocity lies in the road
+    grade pitch p(s), bank roll f(s);  slope of the road ahead  -tan p,  to the left  tan f / cos p
+    height' = slope ahead x vx + slope to the left x vy
 
 Grade and bank are second-order Gauss-Markov processes along the path, autocovariance std^2 (1 + d/L) exp(-d/L) (R. G.
-Brown and P. Y. C. Hwang, "Introduction to Random Signals and Applied Kalman Filtering", ch. 3), through cubic splines,
-so that the angular acceleration of the body has no jumps. The bank adds a crossfall to the right and leans into bends.
+Brown and P. Y. C. Hwang, "Introduction to Random Signals and Applied Kalman Filtering", ch. 3). Cubic splines avoid
+jumps of the angular acceleration. The bank also has a crossfall to the right and a superelevation in bends.
 
-Sources, cited after the values:
-
-[M] measured by `benchmarks/road_slopes.py`: KITTI's residential and hill drives, rtklibexplorer's Colorado drive.
-[A] AASHTO, "A Policy on Geometric Design of Highways and Streets": cross slope, superelevation in towns and in snow.
-[R] from memory or chosen, not verified.
+Sources, cited after the values: [M] measured by `benchmarks/road_slopes.py`: KITTI's residential and hill drives,
+rtklibexplorer's Colorado drive. [A] AASHTO, "A Policy on Geometric Design of Highways and Streets": cross slope,
+superelevation in towns and in snow. [R] from memory or chosen, not verified.
 """
 
 import math
@@ -47,30 +44,30 @@ from sigmaswarm.simulation.dynamics import (
 )
 from sigmaswarm.simulation.planning import SPACING
 
-# Columns after those that the car records: the road's roll and pitch (rad) with two derivatives, and the height.
+# Columns after the record of the car: roll and pitch (rad) of the road and its height (m), with two derivatives.
 ROAD_ROLL, ROAD_ROLL_RATE, ROAD_ROLL_ACCEL = range(RECORDED, RECORDED + 3)
 ROAD_PITCH, ROAD_PITCH_RATE, ROAD_PITCH_ACCEL = range(RECORDED + 3, RECORDED + 6)
 HEIGHT, CLIMB, CLIMB_ACCEL = range(RECORDED + 6, RECORDED + 9)
 
-_KNOTS = 2.0  # m, between the splines' knots
-_BEYOND = 50.0  # m, extent of the profiles beyond both ends of the path
-_EASED = 10.0  # m, standard deviation of the smoothing of a bend's curvature for the bank
+_KNOTS = 2.0  # m, between the knots of the splines
+_BEYOND = 50.0  # m, length of the profiles beyond both ends of the path
+_EASED = 10.0  # m, standard deviation of the smoothing of the curvature for the bank
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """Statistics of a road's slopes; slopes are tangents, lengths m.
+    """Statistics of the slopes of a road. Slopes are tangents, lengths m.
 
     Attributes
     ----------
     grade_std, grade_length, grade_limit : float
-        Standard deviation, correlation length and bound of the slope along the road; inf for no bound.
+        Standard deviation, correlation length and bound (inf for none) of the slope along the road.
     bank_std, bank_length, bank_limit : float
         Standard deviation, correlation length and bound of the slope across the road.
     crossfall : float
         Mean slope down to the right, for drainage.
     superelevation : float
-        Largest slope into bends, at `banked_radius` (m); sharper bends, at intersections, have smaller slopes.
+        Largest slope in bends, at `banked_radius` (m). Sharper bends, at intersections, have smaller slopes.
     """
 
     name: str
@@ -116,41 +113,41 @@ TERRAINS = {
         ),
     )
 }
-"""Terrains by name, from the easiest for a planar filter; the radius at which bends are banked most is [R]."""
+"""Terrains by name, from the easiest for a planar filter. `banked_radius` is [R]."""
 
 
 @dataclass(frozen=True)
 class Road:
-    """Pitch (positive downhill) and roll (positive left side up) of a road, rad, over the distance, m."""
+    """Pitch (positive downhill) and roll (positive left side up) of a road, rad, over distance, m."""
 
     pitch: CubicSpline
     roll: CubicSpline
 
 
 def _wander(rng: np.random.Generator, count: int, std: float, length: float, limit: float) -> Array:
-    """Draw a second-order Gauss-Markov sequence at the knots, saturated smoothly near the limit."""
+    """Draw a second-order Gauss-Markov sequence at the knots, with smooth saturation near the limit."""
     keep = np.exp(-_KNOTS / length)
     settled = int(10 * length / _KNOTS)
     drawn = lfilter([1.0], [1.0, -2 * keep, keep**2], rng.standard_normal(settled + count))
-    of_filter = np.sqrt((1 + keep**2) / (1 - keep**2) ** 3)  # its stationary standard deviation
+    of_filter = np.sqrt((1 + keep**2) / (1 - keep**2) ** 3)  # stationary standard deviation
     values = np.asarray(drawn)[settled:] * (std / of_filter)
     if math.isinf(limit):
         return values
     if limit <= 0:
         return 0 * values
-    # Beyond two thirds of the limit the sequence approaches it, with a continuous slope.
+    # Above two thirds of the limit, a smooth curve approaches the limit.
     soft = limit / 3
     beyond = np.maximum(np.abs(values) - 2 * soft, 0.0)
     return np.sign(values) * (np.abs(values) - beyond + soft * np.tanh(beyond / soft))
 
 
 def lay_road(curvature: Array, terrain: Terrain, rng: np.random.Generator) -> Road:
-    """Draw the slopes of a road whose path has this curvature (p,), 1/m, every `SPACING` m."""
+    """Draw the slopes of a road. ``curvature`` (p,), 1/m, is of the path, every `SPACING` m."""
     length = len(curvature) * SPACING
     at = np.arange(-_BEYOND, length + _BEYOND, _KNOTS)
     grade = _wander(rng, len(at), terrain.grade_std, terrain.grade_length, terrain.grade_limit)
     bank = _wander(rng, len(at), terrain.bank_std, terrain.bank_length, terrain.bank_limit)
-    # Positive to the left; a left bend leans to the left, left side down.
+    # Positive left side up; in a left bend the left side is lower.
     sharp = terrain.banked_radius * gaussian_filter1d(curvature, _EASED / SPACING, mode="nearest")
     lean = -terrain.superelevation * 2 * sharp / (1 + sharp**2)
     bank += terrain.crossfall + np.interp(at, np.arange(len(curvature)) * SPACING, lean)
@@ -159,12 +156,9 @@ def lay_road(curvature: Array, terrain: Terrain, rng: np.random.Generator) -> Ro
 
 
 def drive_on(record: Array, road: Road, car: Vehicle) -> Array:
-    """Return the record (n, 30) of a car on this road, from the record on a flat road, (n, 21).
-
-    Roll and pitch refer to the suspension; the columns ROAD_ROLL to CLIMB_ACCEL are added.
-    """
+    """Add the columns ROAD_ROLL to CLIMB_ACCEL, and effects on the suspension, to a record (n, 21) of a flat road."""
     vx, vy, turn = record[:, VX], record[:, VY], record[:, YAW_RATE]
-    # Along the body's own axes, which turn.
+    # Derivatives in the rotating body axes.
     vx_rate, vy_rate = record[:, AX] + turn * vy, record[:, AY] - turn * vx
     way = _integral(vx)
     (p, p1, p2), (f, f1, f2) = (  # with two derivatives in time
@@ -178,7 +172,7 @@ def drive_on(record: Array, road: Road, car: Vehicle) -> Array:
     climb_rate = ahead_rate * vx + ahead * vx_rate + left_rate * vy + left * vy_rate
 
     tilted = np.column_stack([record, f, f1, f2, p, p1, p2, _integral(climb), climb, climb_rate])
-    # The road's axes, seen from the level axes that turn with the car; force along them less the flat road's.
+    # Force in the axes of the road, minus the force on a flat road.
     up = climb_rate + GRAVITY
     along = np.cos(p) * record[:, AX] - np.sin(p) * up
     normal = np.sin(p) * record[:, AX] + np.cos(p) * up
@@ -192,15 +186,14 @@ def drive_on(record: Array, road: Road, car: Vehicle) -> Array:
 
 
 def _integral(values: Array) -> Array:
-    """Integrate by trapezoids over milliseconds, from 0."""
+    """Integrate values at each `STEP` by trapezoids."""
     return np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2)]) * STEP
 
 
 def _swing(target: Array, frequency: float, damping: float) -> Array:
-    """Return the second-order response (n, 3), its rate and its acceleration, from rest at the first target.
+    """Return second-order response, rate and acceleration (n, 3), from rest at the first target.
 
-    The system is linear, so responses to parts of the target can be added. The discretization is exact for a target
-    that is linear between milliseconds.
+    The discretization is exact for a target that is linear between samples.
     """
     a, b = [[0.0, 1.0], [-(frequency**2), -2 * damping * frequency]], [[0.0], [frequency**2]]
     system = np.array(a), np.array(b), np.eye(2), np.zeros((2, 1))

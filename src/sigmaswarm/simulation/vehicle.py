@@ -1,10 +1,8 @@
-"""Named cars: a Tesla Model 3, and CARLA's model of it.
+"""Cars: a Tesla Model 3, and CARLA's model of it.
 
-Sources, cited after the values:
-
-[C] CARLA 0.9's vehicle.tesla.model3 as listed by public scoring scripts, and pedal maps measured in CARLA. [O] opendbc
-and other public lists of the real car's measures. [R] from memory or typical of the class, not verified. [D] derived
-from the others.
+Sources, cited after the values: [C] CARLA 0.9's vehicle.tesla.model3 as listed by public scoring scripts, and pedal
+maps measured in CARLA. [O] opendbc and other public lists. [R] from memory or typical of the class, not verified. [D]
+derived from other values.
 """
 
 import math
@@ -16,7 +14,7 @@ from sigmaswarm.simulation.environments import named
 
 
 def _table(*values: float) -> np.ndarray:
-    # Writable, as a user's array is: to the compiler a read-only one has another type.
+    # Writable like a user's array, since a read-only array has another type in Numba.
     return np.array(values)
 
 
@@ -30,21 +28,21 @@ MODEL_3 = Vehicle(
     drag_area=0.23 * 2.22,  # [R]
     rolling_resistance=0.010,  # [R]
     wheel_radius=0.335,  # [R] 235/45 R18
-    wheel_inertia=2.0,  # [R] wheel 1.2, motor through the gear the rest
-    slip_stiffness=20.0,  # [R] the rivals' BMW 320i has 22.3 (commonroad-vehicle-models)
-    cornering_front=15.0,  # [R] softer than the bare tire: steering gives way; 0.7 deg/g understeer
+    wheel_inertia=2.0,  # [R] wheel 1.2, the rest is the motor's share
+    slip_stiffness=20.0,  # [R] commonroad-vehicle-models: 22.3 for a BMW 320i
+    cornering_front=15.0,  # [R] less than the tire's, due to the compliance of the steering; 0.7 deg/g understeer
     cornering_rear=18.5,  # [R]
     load_sensitivity=0.2,  # [R]
-    tire_shape=1.4,  # [R] 1.35 laterally, 1.64 longitudinally in commonroad-vehicle-models
-    relaxation_longitudinal=0.15,  # [R] 0.04-0.3 m are measured
+    tire_shape=1.4,  # [R] commonroad-vehicle-models: 1.35 lateral, 1.64 longitudinal
+    relaxation_longitudinal=0.15,  # [R] measurements: 0.04-0.3 m
     relaxation_lateral=0.40,  # [R]
     drive_front_share=0.45,  # [R] dual motor
-    brake_front_share=0.60,  # [R] about the axle loads of a hard stop
+    brake_front_share=0.60,  # [R] about the share of the axle loads in a hard stop
     roll_front_share=0.55,  # [R]
     steer_max=0.61,  # [R] 35 deg
     steer_rate=0.70,  # [D] 480 deg/s at the steering wheel [R] over a ratio of 12 [O]
     steer_lag=0.05,  # [R]
-    pedal_rate=7.0,  # [R] 0.14 s from nothing to all
+    pedal_rate=7.0,  # [R] 0.14 s for a full stroke
     pedal_lag=0.06,  # [R]
     roll_gain=math.radians(4.0) / GRAVITY,  # [R] 4 deg/g
     roll_frequency=2 * math.pi * 1.5,  # [R]
@@ -52,33 +50,32 @@ MODEL_3 = Vehicle(
     pitch_gain=math.radians(3.0) / GRAVITY,  # [R] 3 deg/g
     pitch_frequency=2 * math.pi * 1.5,  # [R]
     pitch_damping=0.3,  # [R]
-    # The real car's pedals [R]: 0-100 km/h in about 4.5 s, lifting off recuperates, brakes beyond what
-    # tires hold.
+    # Pedals of the real car [R]: 0-100 km/h in about 4.5 s, recuperation without pedals, brakes beyond the grip of the
+    # tires.
     pedal_speed=_table(0.0, 1.0, 5.0, 20.0, 30.0, 45.0),
     full_throttle=_table(6.3, 6.5, 6.5, 6.5, 4.5, 2.8),
     coast=_table(0.0, 0.0, -1.5, -1.5, -1.1, -0.7),
     full_brake=_table(-11.0, -11.0, -11.0, -11.0, -11.0, -11.0),
 )
-"""The real car, dual motor."""
+"""Real car, dual motor."""
 
 MODEL_3_CARLA = MODEL_3._replace(
     mass=1845.0,  # [C]
     drag_area=0.15 * 3.2,  # [C] coefficient; area [D] of its bounding box 2.16 m x 1.49 m
     steer_max=math.radians(70.0),  # [C]
-    # CARLA's pedals, measured [C]. Between the measured speeds: coasting is assumed to fade below 10 m/s, and
-    # the weak brakes to hold up to 4.5 m/s, which gives the 2.66 s from 50 km/h.
+    # Pedals of CARLA, measured [C]. Assumptions between the measured speeds: coasting fades below 10 m/s, and the
+    # braking below 4.5 m/s is constant, so that a stop from 50 km/h takes the measured 2.66 s.
     pedal_speed=_table(0.0, 4.5, 10.0, 14.0, 30.0),
     full_throttle=_table(6.3, 6.6, 6.8, 7.0, 7.0),
     coast=_table(0.0, -0.71, -1.58, -1.58, -1.58),
     full_brake=_table(-4.4, -4.4, -6.1, -7.4, -7.4),
 )
-"""CARLA's mass, drag and pedals; its stock brakes stop the car from 50 km/h in 2.7 s."""
+"""Mass, drag and pedals of CARLA; its brakes stop the car from 50 km/h in 2.7 s."""
 
 VEHICLES = {"model3": MODEL_3, "model3-carla": MODEL_3_CARLA}
-"""Cars by name."""
 
 
 def find_vehicle(vehicle: str | Vehicle) -> tuple[str, Vehicle]:
-    """Return name and parameters of a car given by name or as a record."""
+    """Return name and parameters of a car, given as a name or a record."""
     name = vehicle if isinstance(vehicle, str) else "custom"
     return name, named(vehicle, VEHICLES, "vehicle")

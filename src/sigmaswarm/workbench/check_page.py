@@ -1,4 +1,4 @@
-"""Step 2: show the findings on a drive, each with a plot; repair and cut the drive, and undo this."""
+"""Step 2: findings on a drive with plots; repairs and cuts, which can be undone."""
 
 from dataclasses import replace
 from typing import Any
@@ -12,18 +12,15 @@ from sigmaswarm.workbench.parts import Page, button, card, line, link, message, 
 from sigmaswarm.workbench.plots import agreement_plot, show_map, time_plot
 from sigmaswarm.workbench.state import CHECKED, LEFT_OUT, Workbench
 
-SHORTEST = 30.0
-"""Length of the shortest part that can be kept, s."""
+SHORTEST = 30.0  # s, of a part that a button keeps
 Step = dict[str, Any]
-"""``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s; steps are done in order."""
+"""``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s."""
 Agreements = dict[str, Agreement]
 Checked = tuple[list[Drive], list[Step], Diagnosis, Agreements]
-"""Result of the steps: the drive after each step, the steps, and diagnosis and agreements of the last drive."""
+"""Drive before and after each step, the steps, and diagnosis and agreements of the last drive."""
 
 
 class CheckPage(Page):
-    """The drive that is checked: the original, the steps applied to it, and the remaining findings."""
-
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
         self.stages: list[Drive] = []
@@ -35,11 +32,9 @@ class CheckPage(Page):
 
     @property
     def originals(self) -> list[str]:
-        """The drives that can be checked."""
         return [name for name in self.bench.drive_names if not name.endswith(CHECKED)]
 
     def content(self) -> None:
-        """Make the content of the step."""
         names = self.originals
         if not names:
             text("p", "No drive yet.")
@@ -60,7 +55,6 @@ class CheckPage(Page):
             link("Next: tune a filter on it", "tune")
 
     def choose(self, name: str) -> None:
-        """Check another drive."""
         self.done = ""
         self._open(name)
         self.refresh()
@@ -72,16 +66,15 @@ class CheckPage(Page):
         self.start("reading and checking the drive", self._checked, name, None, then=self._taken)
 
     def _do(self, waiting: str, steps: list[Step]) -> None:
-        """Do all steps; the results of earlier steps are cached."""
+        """Apply all steps, with cached results of unchanged steps."""
         self.start(waiting, self._checked, self._opened, steps, then=self._taken)
         self.refresh()
 
     def add(self, step: Step) -> None:
-        """Do a repair or a cut."""
         self._do("repairing and checking" if "repair" in step else "cutting", [*self.steps, step])
 
     def leave_out(self, start: float, end: float) -> None:
-        """Make two drives that leave out the part between two times."""
+        """Make two drives without the part between two times, s."""
         self.start("cutting", self._parted, self.stages[-1], (start, end), then=self._was_parted)
         self.refresh()
 
@@ -95,7 +88,7 @@ class CheckPage(Page):
             plan = self.bench.choices.setdefault("plan", {})
             plan |= dict.fromkeys((whole, whole + CHECKED), LEFT_OUT)
             self._open(names[0])
-            self.done = f"wrote drives/{names[0]} and {names[1]}; check both. {whole} is left out of tunings"
+            self.done = f"wrote drives/{names[0]} and {names[1]}; check both. Tunings leave out {whole}"
         self.refresh()
 
     def _taken(self, checked: Checked | None) -> None:
@@ -111,7 +104,7 @@ class CheckPage(Page):
             self._findings.refresh()
 
     def _checked(self, name: str, steps: list[Step] | None) -> Checked:
-        """Apply the steps to a drive, by default those saved, write the result, and check it."""
+        """Apply the steps (by default the saved steps) to a drive, write the result, and check it."""
         stages, known, target = self.stages, self.steps, name + CHECKED
         if steps is None:
             saved = self.bench.read(target).metadata if target in self.bench.drive_names else {}
@@ -130,7 +123,6 @@ class CheckPage(Page):
         return stages, steps, sigmaswarm.diagnose(stages[-1]), _agreements(stages[-1])
 
     def _steps(self) -> None:
-        """Show the applied steps, each with a button to undo it."""
         for number, step in enumerate(self.steps):
             if "repair" in step:
                 said = "repaired: " + ", ".join(step["repair"])
@@ -139,7 +131,7 @@ class CheckPage(Page):
             rest = [*self.steps[:number], *self.steps[number + 1 :]]
             with card("done"), line("between"):
                 text("h3", said)
-                back = button("Undo", lambda rest=rest: self._do("undoing it", rest), "undo")
+                back = button("Undo", lambda rest=rest: self._do("undoing the step", rest), "undo")
                 back.props(f'aria-label="Undo: {said}"').set_enabled(not self.waiting)
 
     @ui.refreshable_method
@@ -148,7 +140,7 @@ class CheckPage(Page):
         with ui.element("div").classes("section"):
             serious = sum(finding.severity == "serious" for finding in findings)
             with line("between"):
-                text("h2", f"{counted(serious, 'serious finding')}" if serious else "Nothing serious")
+                text("h2", f"{counted(serious, 'serious finding')}" if serious else "No serious finding")
                 mendable = list(dict.fromkeys(f.code for f in findings if f.repair is not None))
                 if len(mendable) > 1:
                     every = button("Mend all", lambda: self.add({"repair": mendable}), "done_all", main=True)
@@ -157,7 +149,7 @@ class CheckPage(Page):
                 if finding.severity != "note":
                     self._card(finding)
             if notes := [f for f in findings if f.severity == "note"]:
-                with ui.expansion(f"Good to know: {counted(len(notes), 'note')}").classes("card"):
+                with ui.expansion(counted(len(notes), "note")).classes("card"):
                     for finding in notes:
                         self._card(finding)
 
@@ -181,7 +173,6 @@ class CheckPage(Page):
                 agreement_plot(shown, finding.span, after.get(shown.key))
 
     def _ways(self, finding: Finding) -> None:
-        """Show the buttons that repair a finding."""
         first, last = (float(t) for t in self.stages[-1].imu.time[[0, -1]])
         steps: dict[str, Step] = {"Mend": {"repair": [finding.code]}} if finding.repair else {}
         if (at := finding.cut) is not None:
@@ -195,7 +186,7 @@ class CheckPage(Page):
                 mend.props(f'aria-label="{label}: {finding.code}"').set_enabled(not self.waiting)
 
     def _cut(self) -> None:
-        """Select a span with the mouse or by numbers; keep only it, or leave it out."""
+        """Select a time span with the mouse or by numbers, to keep only it or to leave it out."""
         drive = self.stages[-1]
         time = drive.imu.time
         low, high = float(time[0]), float(time[-1])
@@ -241,9 +232,9 @@ def _apply(drive: Drive, step: Step) -> Drive:
 
 
 def _look_ahead(drive: Drive, diagnosis: Diagnosis) -> dict[str, tuple[Agreements, str]]:
-    """Try each repair; return the agreements after it, and a sentence if the repair is withheld."""
+    """Try each repair. Return the agreements after it, and a sentence if the repair is withheld."""
     after: dict[str, tuple[Agreements, str]] = {}
-    said = "This repair is withheld, since a filter predicts the fixes worse with it. Check the log yourself."
+    said = "The doctor withholds this repair, since a filter predicts the fixes worse with it. Check the log yourself."
     for code in dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None):
         mended = sigmaswarm.repair(drive, diagnosis, only=[code])
         withheld = code in mended.metadata.get("withheld", ())

@@ -1,4 +1,4 @@
-"""The page around the five steps, and the addresses of files."""
+"""The frame around the five steps, and the addresses of files."""
 
 import io
 import zipfile
@@ -35,7 +35,7 @@ FAVICON = (
 
 
 class Frame:
-    """The pages of a workbench; each is shared by all tabs that show it."""
+    """Pages of the steps. All tabs share one page per step."""
 
     def __init__(self, bench: Workbench) -> None:
         self.bench, self.runs = bench, Runs(bench)
@@ -48,7 +48,6 @@ class Frame:
         }
 
     def register(self) -> None:
-        """Give every step and every file its address."""
         own = files("sigmaswarm.workbench")
         ui.add_css(own.joinpath("style.css").read_text(), shared=True)
         ui.add_head_html(f"<script>{own.joinpath('page.js').read_text()}</script>", shared=True)
@@ -59,7 +58,7 @@ class Frame:
         app.get("/download/{kind}/{name}")(self._download)
 
     def _first(self) -> str:
-        """Return the step to continue with: the last one with content."""
+        """Return the last step with content."""
         if self.bench.log or not self.bench.drives:
             return "log"
         return "tune" if self.bench.finished or self.bench.unfinished else "check"
@@ -87,12 +86,11 @@ class Frame:
             self.pages[step].show()
 
     def _report(self, kind: str, name: str) -> Response:
-        """Return the page of `sigmaswarm.report`, which loads nothing else."""
         page, wrong = attempt(self._page_of, kind, name)
         return PlainTextResponse(wrong, 404) if page is None else HTMLResponse(page)
 
     def _page_of(self, kind: str, name: str) -> str:
-        """Read the page in the folder of a result, or write it there, as `sigmaswarm report` does."""
+        """Return the page of a result, as `sigmaswarm report` writes it. Write it if it is missing."""
         folder = self.bench.path(kind, name)
         file = folder / "page.html"
         if file.is_file() and not file.is_symlink():
@@ -100,7 +98,6 @@ class Frame:
         return sigmaswarm.report(folder, file)
 
     def _download(self, kind: str, name: str) -> Response:
-        """Return the folder of a result as a zip."""
         path, wrong = attempt(self.bench.path, kind, name)
         if path is None or not path.is_dir():
             return PlainTextResponse(wrong or f"no {kind} {name}", 404)

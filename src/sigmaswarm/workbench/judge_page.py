@@ -11,18 +11,15 @@ from sigmaswarm.workbench.state import Workbench, attempt
 
 
 class JudgePage(Page):
-    """The choice of filter, rival and drives, and the page of the evaluation."""
-
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
         self.chosen: dict[str, Any] = {}
 
     def content(self) -> None:
-        """Make the content of the step."""
         tunings, chosen = self.bench.finished, self.chosen
         if not tunings:
             text("p", "No tuned filter yet.")
-            link("Tune one", "tune")
+            link("Tune a filter", "tune")
             return
         if chosen.get("tuning") not in tunings:
             chosen |= {"tuning": tunings[-1], "drives": self._held(tunings[-1])}
@@ -54,7 +51,7 @@ class JudgePage(Page):
         self.refresh()
 
     def _held(self, name: str) -> list[str]:
-        """Return the drives that a tuning held back, else the drives that the tuning did not use."""
+        """Return the validation drives of a tuning, or else the drives that it did not use."""
         tuning, _ = attempt(Tuning.load, self.bench.path("tunings", name))
         if tuning is None:
             return []
@@ -74,7 +71,7 @@ class JudgePage(Page):
         self.refresh()
 
     def _evaluate(self, chosen: dict[str, Any]) -> str:
-        """Evaluate and save; return the evaluation's name."""
+        """Evaluate and save. Return the name of the evaluation."""
         folder, rival = self.bench.path("tunings", chosen["tuning"]), chosen.get("against")
         tuning = Tuning.load(folder)
         against = Tuning.load(self.bench.path("tunings", rival)) if rival else None
@@ -95,7 +92,7 @@ class JudgePage(Page):
         with ui.element("div").classes("section"):
             with line():
                 select("Evaluation", names, shown, self._show)
-                link("Open the report by itself", f"report/evaluations/{shown}")
+                link("Open the report on a separate page", f"report/evaluations/{shown}")
                 link("Next: export it", "take")
             frame = ui.element("iframe").classes("report")
             frame.props["src"] = f"report/evaluations/{shown}"

@@ -17,15 +17,12 @@ from sigmaswarm.workbench.table_panel import TablePanel
 
 
 class LogPage(OpenLog):
-    """The open log: its tables, and its conversion to a drive."""
-
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
         self.panels: list[TablePanel] = []
         self.mounting = MountingPanel(self)
 
     def content(self) -> None:
-        """Show the step; its parts are updated one by one."""
         if self.opened != self.bench.log:
             self.reread()
         self._pick()
@@ -37,7 +34,7 @@ class LogPage(OpenLog):
         self._finish()
 
     def refresh(self) -> None:
-        """Show changes; remaining rows of a table keep their place and focus."""
+        """Show changes. Unchanged rows of a table keep place and focus."""
         shown = [panel.glance.table for panel in self.panels]
         if self.look and shown == [glance.table for glance in self.look.tables]:
             uses = columns.uses_of(self.look)
@@ -53,7 +50,6 @@ class LogPage(OpenLog):
 
     @ui.refreshable_method
     def _pick(self) -> None:
-        """Choose a log, or drop one."""
         sources = {str(path): self._named(path) for path in self.bench.sources}
         with card():
             if sources:
@@ -74,7 +70,7 @@ class LogPage(OpenLog):
                 max_total_size=MOST_UPLOADED,
                 on_multi_upload=self._dropped,
                 on_rejected=lambda: ui.notify(
-                    "larger than 2 GB; name it on the command line: sigmaswarm workbench LOG"
+                    "larger than 2 GB; open it from the command line: sigmaswarm workbench LOG"
                 ),
                 label="Drop a file or a folder here, or press + and choose all files of one log",
             )
@@ -82,12 +78,12 @@ class LogPage(OpenLog):
             drop.classes("drop").props(f':filter="{only_files}"')
 
     def _named(self, path: Path) -> str:
-        """The log's name, within its folder."""
+        """Return the name of a log, for a file in a folder with the name of the folder."""
         inside = path.parent in self.bench.named or path.parent.parent == self.bench.folder / "logs"
         return f"{path.parent.name} / {path.name}" if inside else path.name
 
     async def _dropped(self, event: MultiUploadEventArguments) -> None:
-        """Save the files of one drop: a single file as it is, several as a folder."""
+        """Save dropped files in a folder, and open the folder or the only file."""
         files, dropped = event.files, await ui.run_javascript("window.nameOfDrop()")
         if odd := [file.name for file in files if not NAME.fullmatch(file.name)]:
             self.wrong = (
@@ -102,7 +98,6 @@ class LogPage(OpenLog):
         self.open(str(folder / files[0].name if len(files) == 1 else folder))
 
     def open(self, path: str) -> None:
-        """Open another log."""
         self.bench.choices["log"] = path
         self.bench.save()
         self.look, self.drive, self.found, self.panels, self.wrong = None, None, (), [], ""
@@ -112,7 +107,6 @@ class LogPage(OpenLog):
 
     @ui.refreshable_method
     def _notes(self) -> None:
-        """Show the assumptions of the import, and a proposal for the rest."""
         if (look := self.look) is None:
             return
         with ui.element("div").classes("section"):
@@ -121,12 +115,11 @@ class LogPage(OpenLog):
                 text("p", note, "soft")
             if look.proposal:
                 with card("warning"):
-                    text("p", f"Not recognized automatically, but the names suggest: {look.proposal}")
+                    text("p", f"Not recognized automatically. The names suggest: {look.proposal}")
                     text("p", look.evidence, "soft")
                     button("Use this", self._propose, "auto_fix_high", main=True)
 
     def _propose(self) -> None:
-        """Use the proposal's settings as choices."""
         for key, proposed in (self.look.settings if self.look else {}).items():
             self.bench.log_choices.setdefault(key, {}).update(proposed)
         self.choose()
@@ -138,7 +131,6 @@ class LogPage(OpenLog):
 
     @ui.refreshable_method
     def _agreement(self) -> None:
-        """Measured gravity, turn rate and acceleration, and their expected values."""
         if (drive := self.drive) is None:
             return
         with ui.element("div").classes("section"):
@@ -154,14 +146,13 @@ class LogPage(OpenLog):
 
     @ui.refreshable_method
     def _finish(self) -> None:
-        """Name the drive and write it."""
         if (log := self.bench.log) is None or self.look is None:
             return
         choices = self.bench.log_choices
         name = choices.get("name") or self.bench.free("drives", log.stem)
         again = choices.get("made") == name
         with card():
-            text("h2", "Make a drive from it")
+            text("h2", "Make a drive from the log")
             with line("end"):
                 field = ui.input("Name of the drive", value=name).classes("grow")
                 field.on("change", lambda: self.choose(name=field.value))
@@ -173,7 +164,7 @@ class LogPage(OpenLog):
                 link("Next: check it", "check")
 
     def _make(self, name: str, *, again: bool) -> None:
-        """Write the drive; it replaces an earlier drive of this log, and the repairs of that drive."""
+        """Write the drive. It replaces an earlier drive of this log and its checked copy."""
         if self.drive is None:
             return
         path, wrong = attempt(self.bench.path, "drives", name)

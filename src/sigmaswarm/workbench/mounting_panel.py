@@ -1,4 +1,4 @@
-"""Mounting of the IMU in the vehicle: three angles, and a sketch that rotates with them."""
+"""Mounting of the IMU in the vehicle: three angles, and a sketch."""
 
 from functools import partial
 from importlib.resources import files
@@ -17,20 +17,20 @@ from sigmaswarm.workbench.state import attempt
 
 ANGLES = ("roll", "pitch", "yaw")
 SETTLED = 0.6
-"""Time without a change after which the log is read again, s."""
+"""Time after the last change until the log is read again, s."""
 
 CENTER, SCALE = np.array([170.0, 136.0]), 46
 """Pixels, and pixels per m, of car.svg."""
 VIEW = np.array([(-0.530, 0.848, 0.0), (-0.345, -0.216, 0.914), (0.775, 0.484, 0.407)])
-"""Rows: right, up and towards the viewer of car.svg, in the vehicle's axes."""
+"""Rows: unit vectors right, up and towards the viewer of car.svg, in the axes of the vehicle."""
 MOUNTED = np.array([-0.4, 0.0, 1.15])
-"""Position at which the IMU is drawn, m."""
+"""Position of the drawn IMU, m, in the axes of the vehicle."""
 AXES = (("x", VERMILION), ("y", GREEN), ("z", BLUE))
 DIRECTIONS = (("forward", "backward"), ("left", "right"), ("up", "down"))
 
 
 class MountingPanel:
-    """The choice of the mounting. The sketch is updated at once, the plots after a pause."""
+    """Choice of the mounting. The sketch changes at once, the plots after a pause."""
 
     def __init__(self, page: OpenLog) -> None:
         self.page = page
@@ -38,12 +38,10 @@ class MountingPanel:
 
     @property
     def state(self) -> tuple[bool, str]:
-        """The state that the panel depends on: whether a log is open, and its mounting."""
         return self.page.look is not None, self.page.bench.log_choices.get("mount", "")
 
     @ui.refreshable_method
     def show(self) -> None:
-        """Show the panel."""
         self.shown = opened, mount = self.state
         if not opened:
             return
@@ -73,7 +71,6 @@ class MountingPanel:
         self.page.choose(**{key: value.strip() if isinstance(value, str) else value})
 
     def _angles(self, rotation: Array, picture: ui.html, field: ui.input) -> None:
-        """Three sliders, for mouse and arrow keys."""
         sliders: list[ui.slider] = []
 
         def moved() -> None:
@@ -98,17 +95,16 @@ class MountingPanel:
                 sliders.append(slider)
 
     def _settings(self) -> None:
-        """Show settings that few logs need."""
         chosen = self.page.bench.log_choices.get
         offset = ui.number(
-            "Added to the times of the fixes, s (--gps-offset)", value=chosen("gps_offset_s"), step=0.01
+            "Seconds to add to the times of the fixes (--gps-offset)", value=chosen("gps_offset_s"), step=0.01
         )
         arm = ui.input(
-            "From the IMU to the antenna, m forward,left,up (--lever-arm)",
+            "Vector from IMU to antenna: forward,left,up in m (--lever-arm)",
             value=chosen("gps_lever_arm_m", ""),
         )
         part = ui.number(
-            "Recording to read, if a clock restarts in the log (--part)",
+            "Number of the recording, if a clock restarts in the log (--part)",
             value=chosen("part"),
             min=1,
             precision=0,
@@ -119,13 +115,7 @@ class MountingPanel:
 
 
 def sketch(rotation: Array) -> str:
-    """Draw the vehicle and the sensor's axes.
-
-    Parameters
-    ----------
-    rotation : (3, 3)
-        Rotation from the sensor's axes to the vehicle's axes, as in ``parse_mount``.
-    """
+    """Draw the vehicle and the axes of the sensor as SVG; ``rotation`` (3, 3) is as in `parse_mount`."""
     corners = np.array([(0.3, 0.2, 0.0), (-0.3, 0.2, 0.0), (-0.3, -0.2, 0.0), (0.3, -0.2, 0.0)])
     box = _polygon(_place(MOUNTED + corners @ rotation.T), 'fill="#ffffffcc" stroke="#1c2024"')
     parts = [_arrow(np.array([2.2, 0.0, 0.6]), np.array([3.3, 0.0, 0.6]), "#51585f", "forward"), box]
@@ -139,7 +129,7 @@ def sketch(rotation: Array) -> str:
 
 
 def _place(points: Array) -> Array:
-    """Pixels (n, 2) of points (n, 3), m."""
+    """Project points (n, 3), m, to pixels (n, 2)."""
     return CENTER + SCALE * ((points - np.array([0.2, 0.0, 0.8])) @ VIEW[:2].T) * [1.0, -1.0]
 
 
@@ -166,6 +156,5 @@ def _arrow(start: Array, end: Array, color: str, name: str) -> str:
 
 
 def _direction(axis: Array) -> str:
-    """Return the direction of the vehicle nearest to an axis."""
     k = int(np.argmax(np.abs(axis)))
     return DIRECTIONS[k][int(axis[k] < 0)]

@@ -1,4 +1,4 @@
-"""The open log of step 1: the choices made for it, and the resulting drive."""
+"""The open log of step 1, the choices for it, and the drive."""
 
 from functools import partial
 from pathlib import Path
@@ -13,12 +13,10 @@ from sigmaswarm.workbench.parts import Page, message, text
 from sigmaswarm.workbench.state import Workbench, attempt
 
 Reading = tuple[Look | None, Drive | None, tuple[Agreement, ...], str]
-"""The content of a log, its drive, the agreements in it, and the message of an error."""
+"""Content of a log, its drive, the agreements, and an error message."""
 
 
 class OpenLog(Page):
-    """The open log with its content, the choices made for it, and the resulting drive."""
-
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
         self.look: Look | None = None
@@ -29,34 +27,29 @@ class OpenLog(Page):
 
     @ui.refreshable_method
     def status(self) -> None:
-        """Show the work in progress, and the last result."""
         self.messages()
         if self.wrong and self.look and self.look.tables:
             text(
                 "p",
-                "Choose below what each column is used for (--map); the log is read again after every choice.",
+                "Choose the use of each column below (--map). Each choice reads the log again.",
             )
         message(self.done, "good")
 
     def choose(self, **choices: Any) -> None:
-        """Change choices for the open log, and read it again."""
         self.bench.log_choices.update(choices)
         self.bench.save()
         self.reread()
         self.status.refresh()
 
     def assign(self, table: str, column: str, target: str | None) -> None:
-        """Use a column for another quantity."""
         if self.look:
             columns.assign(self.bench.log_choices, self.look, table, column, target or columns.UNUSED)
             self.choose()
 
     def express(self, target: str, expression: str) -> None:
-        """Read a target by another expression."""
         self.choose(maps={**self.bench.log_choices.get("maps", {}), target: expression})
 
     def reread(self) -> None:
-        """Inspect the log and import it in the background."""
         self.opened, self.done = self.bench.log, ""
         if self.opened:
             self.start("reading the log", _read, self.opened, {**self.bench.log_choices}, then=self._taken)
@@ -67,7 +60,6 @@ class OpenLog(Page):
         self.refresh()
 
     def find_mounting(self) -> None:
-        """Find the mounting in the log itself."""
         if log := self.bench.log:
             choices = {**self.bench.log_choices, "mount": ""}
             self.start("looking for the mounting", partial(_mounting, log), choices, then=self._mounted)
@@ -81,7 +73,7 @@ class OpenLog(Page):
 
 
 def _read(log: Path, choices: dict[str, Any]) -> Reading:
-    """Inspect a log and import it; an error of a later stage leaves the earlier results."""
+    """Inspect a log and import it. After an error the results of earlier stages are kept."""
     settings = columns.settings_of(choices)
     drive, found = None, ()
     look, wrong = attempt(sigmaswarm.inspect_log, log, **settings)
@@ -93,5 +85,4 @@ def _read(log: Path, choices: dict[str, Any]) -> Reading:
 
 
 def _mounting(log: Path, choices: dict[str, Any]) -> str:
-    """Find the mounting that a log shows."""
     return find_mount(sigmaswarm.import_log(log, **columns.settings_of(choices)))[1]

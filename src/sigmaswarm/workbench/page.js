@@ -1,11 +1,11 @@
-// Keep the keyboard's place: an element that was replaced hands its focus to the one of the same name.
+// Keep the keyboard focus: if an element was replaced, focus the new element with the same name.
 (() => {
   let last = null, name = "";
   const named = (e) => (e.closest("[role=slider]") || e).getAttribute("aria-label") || (e.closest("label") || e).innerText;
   document.addEventListener("focusin", (e) => { last = e.target; name = named(last); });
   const restore = () => {
     for (const input of document.querySelectorAll(".drop a.q-btn input:not([inert])")) {
-      input.inert = true; // the button around it opens it
+      input.inert = true; // the button around the input opens it
       input.closest("a").setAttribute("aria-label", "Choose the files of a log");
     }
     if (!last || last.isConnected || document.activeElement !== document.body || !name) return;
@@ -14,7 +14,7 @@
   };
   new MutationObserver(restore).observe(document.documentElement, { childList: true, subtree: true });
 
-  // A dropped folder is read here: browsers hand an uploader its files only one by one.
+  // Read a dropped folder here, since a browser gives an uploader single files only.
   window.droppedFolders = new Set();
   let nameOfDrop = "";
   window.nameOfDrop = () => { const name = nameOfDrop; nameOfDrop = ""; return name; };

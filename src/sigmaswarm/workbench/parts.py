@@ -1,4 +1,4 @@
-"""Common elements of the steps: a page with work in the background, and small pieces of a page."""
+"""Page of a step with work in the background, and elements of pages."""
 
 import asyncio
 import json
@@ -12,11 +12,11 @@ from sigmaswarm.workbench.state import Workbench, attempt
 
 T = TypeVar("T")
 SETTLED = 0.1
-"""Time within which a later request replaces an earlier one, s."""
+"""Time within which a new request replaces the previous request, s."""
 
 
 class Page:
-    """A step: its content, which all tabs show, the work in progress, and the last error."""
+    """A step: content, work in progress (``waiting``) and last error (``wrong``), the same in all tabs."""
 
     def __init__(self, bench: Workbench) -> None:
         self.bench = bench
@@ -25,22 +25,20 @@ class Page:
 
     @ui.refreshable_method
     def show(self) -> None:
-        """Show the step in a tab."""
         self.content()
 
     def content(self) -> None:
         """Make the content of the step."""
 
     def refresh(self) -> None:
-        """Show changes in all tabs."""
         self.show.refresh()
 
     def start(
         self, waiting: str, work: Callable[..., T], *arguments: Any, then: Callable[[T | None], Any]
     ) -> None:
-        """Do work on a thread, which continues if the tab is closed; only the last of several requests is done.
+        """Work on a thread, also after the tab is closed. A new request replaces the previous request.
 
-        ``then`` receives the result, or None after an error, which is stored in ``wrong``.
+        ``then`` receives the result, or None after an error, which ``wrong`` contains.
         """
         self.waiting, self._latest = waiting, self._latest + 1
         background_tasks.create(self._work(self._latest, work, arguments, then))
@@ -55,19 +53,17 @@ class Page:
             then(result)
 
     def messages(self) -> None:
-        """Show the work in progress, and the last error."""
         message(self.waiting, "wait")
         message(self.wrong, "bad")
 
 
 def text(tag: str, content: str, classes: str = "") -> None:
-    """Show a heading or a paragraph."""
     with ui.element(tag).classes(classes):
         ui.label(content)
 
 
 def message(content: str, kind: str) -> None:
-    """Show a sentence: bad, good, or wait with a spinner. Screen readers announce it."""
+    """Show a sentence of kind bad, good or wait (with a spinner). Screen readers announce it."""
     if content:
         with ui.element("div").classes(f"message {kind}").props('role="status"'):
             if kind == "wait":
@@ -76,7 +72,6 @@ def message(content: str, kind: str) -> None:
 
 
 def command(line: str) -> None:
-    """Show a command with a button that copies it."""
     with ui.element("div").classes("command"):
         text("pre", line)
         copy = ui.button("Copy as command", icon="content_copy").props("outline no-caps")
@@ -87,18 +82,15 @@ def command(line: str) -> None:
 
 @contextmanager
 def card(kind: str = ""):
-    """A framed part of the page."""
     with ui.element("section").classes(f"card {kind}") as element:
         yield element
 
 
 def line(classes: str = "") -> ui.element:
-    """A row of elements that wraps."""
     return ui.element("div").classes(f"line {classes}")
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Show a plain table."""
     scrolled = ui.element("div").classes("wide").props('tabindex="0" role="region" aria-label="table"')
     with scrolled, ui.element("table").classes("plain"):
         with ui.element("thead"), ui.element("tr"):
@@ -113,7 +105,7 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 def select(label: str, options: Any, value: Any, choose: Callable[[Any], Any], **more: Any) -> ui.select:
-    """A dropdown; ``choose`` receives the new value. A value that is no option is shown as none."""
+    """Make a dropdown. ``choose`` receives the new value. A value that is not in the options is shown as none."""
     known = isinstance(value, list) or value in options
     made = ui.select(options, label=label, value=value if known else None, **more).classes("grow")
     made.on_value_change(lambda event: choose(event.value))
@@ -121,19 +113,16 @@ def select(label: str, options: Any, value: Any, choose: Callable[[Any], Any], *
 
 
 def button(label: str, on_click: Callable[[], Any], icon: str = "", *, main: bool = False) -> ui.button:
-    """A button; ``main`` marks the next step."""
     made = ui.button(label, on_click=on_click, icon=icon or None)
     return made.props("unelevated" if main else "outline")
 
 
 def link(label: str, href: str, *, download: bool = False) -> None:
-    """A link within the workbench."""
     with ui.element("a").props(f'href="{href}"' + (" download" if download else "")).classes("plain"):
         ui.label(label)
 
 
 def number(value: float | None) -> str:
-    """Format a number for display."""
     if value is None:
         return ""
     return f"{value:.10g}" if abs(value) >= 1e6 else f"{value:.5g}"

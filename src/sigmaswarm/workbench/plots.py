@@ -1,4 +1,4 @@
-"""Make plots of any length: the server sends the smallest and largest value per pixel of the visible part."""
+"""Plots of any length: the server sends the extremes per pixel of the visible part."""
 
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, cast
@@ -11,18 +11,15 @@ from sigmaswarm import Agreement, Drive
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.reports.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
-PIXELS = 600
-"""Number of columns of a plot, each with two points."""
+PIXELS = 600  # columns of a plot, with two points each
 EAST = "east, m"
-"""Label of the horizontal axis of a map; both axes have one scale."""
+"""Label of the horizontal axis of a map, which marks a plot with equal scales."""
 MOST_PLACES, MOST_POINTS = 3000, 600
-"""Largest number of points of a line on a map, and largest number of markers, each of which is an element of the
-page."""
+"""Maximum number of points of a line on a map, and of markers (each is an element of the page)."""
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, BLACK)
 Series = tuple[Array, Array]
-"""Times (n,) and values (n,), or places east and north (n,), m."""
+"""Times (n,), s, and values (n,); or east and north (n,), m."""
 Lines = list[dict[str, Any]]
-"""Lines of a figure of plotly."""
 CONFIG = {"displayModeBar": False, "responsive": True, "doubleClick": "reset"}
 AXIS = {
     "gridcolor": "#e8ebee",
@@ -43,7 +40,7 @@ LAYOUT: dict[str, Any] = {
 
 
 def envelope(series: Series, start: float = -np.inf, end: float = np.inf) -> Series:
-    """Reduce values between two times to the smallest and the largest value of each of `PIXELS` columns."""
+    """Reduce the values between two times to the extremes in each of `PIXELS` columns."""
     time, values = series
     first, last = np.searchsorted(time, start), np.searchsorted(time, end, side="right")
     time, values = time[max(first - 1, 0) : last + 1], values[max(first - 1, 0) : last + 1]
@@ -56,7 +53,6 @@ def envelope(series: Series, start: float = -np.inf, end: float = np.inf) -> Ser
 
 
 def thinned(x: Array, y: Array, most: int = MOST_PLACES) -> Series:
-    """Take every n-th point of a track."""
     step = max(-(-len(x) // most), 1)
     return x[::step], y[::step]
 
@@ -68,7 +64,7 @@ def lines(
     dashed: Collection[str] = (),
     pale: Mapping[str, Series] | None = None,
 ) -> Lines:
-    """Return the lines of a plot, those in ``points`` as points; ``pale`` are earlier lines in the same colors."""
+    """Make the lines of a plot. ``points`` are drawn as markers; ``pale`` are lines before a change in equal colors."""
     made: Lines = []
     for color, (label, (x, y)) in zip(COLORS * 4, series.items(), strict=False):
         drawn: dict[str, Any] = {"mode": "lines", "line": {"color": color, "width": 1.4}}
@@ -85,7 +81,7 @@ def lines(
 
 
 def show_plot(title: str, x: str, y: str, drawn: Lines, height: int = 260, **layout: Any) -> ui.plotly:
-    """Show a plot; its title is read by screen readers."""
+    """Show a plot with a title for screen readers."""
     across: dict[str, Any] = AXIS | {"title": {"text": x}}
     up: dict[str, Any] = AXIS | {"title": {"text": y}} | ({"scaleanchor": "x"} if x == EAST else {})
     whole = LAYOUT | {"xaxis": across, "yaxis": up, "height": height, "uirevision": title} | layout
@@ -96,7 +92,6 @@ def show_plot(title: str, x: str, y: str, drawn: Lines, height: int = 260, **lay
 
 
 def redraw(plot: ui.plotly, drawn: Lines) -> None:
-    """Replace the lines of a plot."""
     cast("dict[str, Any]", plot.figure)["data"] = drawn
     plot.update()
 
@@ -112,9 +107,9 @@ def time_plot(
     on_select: Callable[[float, float], Any] | None = None,
     **layout: Any,
 ) -> None:
-    """Show series over time. Zooming in fetches the detail; with ``on_select`` the mouse selects a span instead.
+    """Show series over time. Zooming in loads details; with ``on_select`` the mouse selects a time span instead.
 
-    For ``dashed`` and ``pale`` see `lines`; ``span``, s, is shaded if it is not the whole time.
+    ``dashed`` and ``pale`` are as in `lines`. ``span``, s, is shaded if it is shorter than the drive.
     """
 
     def visible(start: float = -np.inf, end: float = np.inf) -> Lines:
@@ -148,7 +143,7 @@ def time_plot(
 def agreement_plot(
     found: Agreement, span: tuple[float, float] | None = None, after: Agreement | None = None
 ) -> None:
-    """Plot measured values next to expected ones; ``after``: the values after a repair."""
+    """Plot measured and expected values; ``after`` are the values after a repair."""
     changed = after is not None and any(
         not _same(found.measured.get(k), s) for k, s in after.measured.items()
     )
@@ -172,19 +167,16 @@ def _same(a: Series | None, b: Series) -> bool:
 
 
 def map_lines(drive: Drive, tracks: Mapping[str, Series] | None = None) -> Lines:
-    """Return the fixes of a drive, its truth, if known, and further tracks."""
     truth = {"truth": thinned(drive.truth.x, drive.truth.y)} if drive.truth else {}
     shown = {"fixes": thinned(drive.gps.x, drive.gps.y, MOST_POINTS)} | truth | {**(tracks or {})}
     return lines(shown, points=("fixes",))
 
 
 def show_map(drive: Drive, title: str, height: int = 260) -> ui.plotly:
-    """Show a drive east and north, m."""
     return show_plot(title, EAST, "north, m", map_lines(drive), height)
 
 
 def sparkline(values: Array, width: int = 120, height: int = 26) -> str:
-    """A small line of a column's values, as SVG."""
     values = values[np.isfinite(values)]
     if len(values) < 2:
         return ""

@@ -1,4 +1,4 @@
-"""Tunings that run in threads of the server. A killed tuning can be resumed from its folder."""
+"""Tunings in threads of the server. A killed tuning can be resumed from its folder."""
 
 import threading
 import time
@@ -16,12 +16,13 @@ from sigmaswarm.workbench.state import Workbench
 
 @dataclass
 class Run:
-    """A tuning that runs or has ended.
+    """A running or finished tuning.
 
     Attributes
     ----------
-    history : lowest cost by trial, and after each generation
-    track : track of the best filter so far, over the drive that is held back or else over the first drive
+    shown_on : first validation drive, or else first training drive
+    history : for each trial, lowest cost after each generation
+    track : track of the best filter so far on ``shown_on``
     """
 
     name: str
@@ -37,7 +38,6 @@ class Run:
 
     @property
     def state(self) -> str:
-        """The present state, as a sentence."""
         if self.error or self.ended:
             return "failed" if self.error else "done"
         if self.stopping:
@@ -46,7 +46,7 @@ class Run:
         return "last checks" if done else "running" if self.progress else "compiling"
 
     def advance(self, progress: Progress) -> bool:
-        """Store the progress; return False to stop the tuning."""
+        """Store the progress. Return False to stop the tuning."""
         self.history.setdefault(progress.trial, []).append(progress.best_cost)
         self.progress = progress
         if progress.parameters is not None and time.monotonic() - self.drawn_at > 1.5:  # s
@@ -54,7 +54,7 @@ class Run:
             try:
                 estimate = sigmaswarm.run(self.shown_on, progress.parameters)
                 self.track = thinned(estimate.mean[:, 0], estimate.mean[:, 1])
-            except sigmaswarm.SigmaswarmError:  # this filter fails there; the next may not
+            except sigmaswarm.SigmaswarmError:  # this filter failed; the next filter may not
                 self.track = None
         self.version += 1
         return not self.stopping
@@ -64,7 +64,6 @@ class Run:
         self.stopping, self.version = True, self.version + 1
 
     def tune(self, drives: Sequence[Drive], options: Mapping[str, Any]) -> None:
-        """Tune to the end, to a stop or to an error."""
         try:
             sigmaswarm.tune(drives, progress=self.advance, **options)
         except TuningStopped:
@@ -76,8 +75,6 @@ class Run:
 
 
 class Runs:
-    """All tunings of this server, by name."""
-
     def __init__(self, bench: Workbench) -> None:
         self.bench = bench
         self.runs: dict[str, Run] = {}
@@ -86,7 +83,6 @@ class Runs:
     def begin(
         self, name: str, drives: Sequence[Drive], held: Sequence[Drive], options: Mapping[str, Any]
     ) -> None:
-        """Start a tuning, or continue it."""
         run, folder = Run(name, (held or drives)[0]), self.bench.path("tunings", name)
         if options.get("resume"):
             run.history = {n: list(best) for n, best in saved_history(folder).items()}
@@ -96,7 +92,7 @@ class Runs:
         self._threads[-1].start()
 
     def resume(self, name: str) -> None:
-        """Resume a stopped or killed tuning, begun here or on the command line."""
+        """Resume a stopped or killed tuning, also a tuning of the command line."""
         options, data = saved_options(self.bench.path("tunings", name))
         known = self.bench.choices.get("tunings", {}).get(name, {})
         drives = [self.bench.read(one) for one in known.get("drives", [one["name"] for one in data])]
@@ -104,7 +100,7 @@ class Runs:
         self.begin(name, drives, held, {**options, "resume": True})
 
     def stop_all(self) -> None:
-        """Stop all tunings after the current generation, and wait for their ends."""
+        """Stop all tunings after the current generation and wait for their end."""
         for run in self.runs.values():
             run.stop()
         for thread in self._threads:
@@ -112,6 +108,6 @@ class Runs:
 
 
 def best_so_far(history: Sequence[float]) -> Series:
-    """Generations and costs of a trial, without the failures."""
+    """Return generations and costs of a trial, with NaN for failures."""
     costs = np.array(history)
     return np.arange(1.0, len(costs) + 1), np.where(np.isfinite(costs), costs, np.nan)

@@ -1,4 +1,4 @@
-"""The workbench's web server: on this machine only, with every address protected by a secret token."""
+"""Web server of the workbench, for this machine only; all addresses contain a secret token."""
 
 import hmac
 import secrets
@@ -25,13 +25,12 @@ Send = Callable[[Scope], Awaitable[None]]
 
 
 class Guard:
-    """Filter of requests: refuse those without the token, from pages of other hosts, or of too large a size."""
+    """Refuse requests without the token, from pages of other hosts, or with a body above `MOST_UPLOADED`."""
 
     def __init__(self, app: Any, token: str, port: int) -> None:
         self.app, self.prefix, self.hosts = app, f"/{token}/", {f"{HOST}:{port}", f"localhost:{port}"}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve or refuse one request, one websocket."""
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return
@@ -43,7 +42,7 @@ class Guard:
             await refusal(scope, receive, send)
         elif int(headers.get(b"content-length", "0") or 0) > MOST_UPLOADED:
             refusal = PlainTextResponse(
-                "413: the upload is larger than 2 GB; name the log on the command line: sigmaswarm workbench LOG",
+                "413: the upload is larger than 2 GB; open the log from the command line: sigmaswarm workbench LOG",
                 413,
             )
             await refusal(scope, receive, send)
@@ -52,7 +51,7 @@ class Guard:
 
     @staticmethod
     def _bounded(receive: Receive) -> Receive:
-        """Count the bytes of a body, independent of its headers."""
+        """Disconnect after `MOST_UPLOADED` bytes, since a header may state another length."""
         taken = 0
 
         async def counted() -> Scope:
@@ -65,7 +64,7 @@ class Guard:
 
     @staticmethod
     def _with_headers(send: Send) -> Send:
-        """Keep the token out of logs of other sites, and forbid other sites to embed the page."""
+        """Keep the token out of referrers, and forbid other sites to embed the page."""
 
         async def sent(message: Scope) -> None:
             if message["type"] == "http.response.start":
@@ -77,9 +76,8 @@ class Guard:
 
 
 def serve(folder: Path, logs: list[Path], *, port: int = 0, browse: bool = True) -> None:
-    """Serve the workbench of a folder until it is interrupted."""
     bench = Workbench(folder, logs)
-    warnings.simplefilter("ignore", SigmaswarmWarning)  # the page shows notes and findings itself
+    warnings.simplefilter("ignore", SigmaswarmWarning)  # the page shows notes and findings
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -103,7 +101,10 @@ def serve(folder: Path, logs: list[Path], *, port: int = 0, browse: bool = True)
         show_welcome_message=False,
     )
     address = f"http://{HOST}:{port}/{token}/"
-    print(f"workbench: {address}\nfolder:    {bench.folder}\nstop with Ctrl+C; nothing is lost", flush=True)
+    print(
+        f"workbench: {address}\nfolder:    {bench.folder}\nstop with Ctrl+C; all results are saved",
+        flush=True,
+    )
     if browse:
         webbrowser.open(address)
     config = uvicorn.Config(

@@ -1,4 +1,4 @@
-"""The workbench's folder: drives, tunings and evaluations by name, and the choices made so far."""
+"""Folder of the workbench: drives, tunings and evaluations by name, and the user's choices."""
 
 import json
 import re
@@ -14,24 +14,22 @@ from sigmaswarm.files import make_folder, write_json
 
 KINDS = ("logs", "drives", "tunings", "evaluations", "exports")
 DRIVE, TUNING = "drive.toml", "tuning.toml"
-"""Files that identify the folder of a drive, and the folder of a tuning."""
 LEFT_OUT = "leave it out"
-"""Choice for a drive in the plan of a tuning."""
 CHECKED = "-checked"
-"""Ending of the name of a drive's repaired and cut copy; its drive.toml lists the ``steps``."""
+"""Suffix of the name of a repaired or cut copy; its drive.toml lists the ``steps``."""
 NAME = re.compile(r"[\w][\w .()+-]{0,99}")
 MOST_UPLOADED = 2_000_000_000
-"""Largest size of an upload, bytes; a larger log is named on the command line."""
+"""Maximum size of an upload, bytes; the command line opens larger logs."""
 T = TypeVar("T")
 
 
 class Workbench:
-    """The folder of the workbench, made if missing, and the logs outside of it that the user named."""
+    """Folder of the workbench, created if missing, and logs from the command line."""
 
     def __init__(self, folder: Path, logs: Sequence[Path] = ()) -> None:
         for log in logs:
             if not log.exists():
-                raise InputError(f"{log} does not exist; name a log file or its folder")
+                raise InputError(f"{log} does not exist; give a log file or its folder")
         self.folder = make_folder(folder).resolve()
         for kind in KINDS:
             make_folder(self.folder / kind)
@@ -43,18 +41,18 @@ class Workbench:
             self.choices["log"] = str(self.named[0])
 
     def save(self) -> None:
-        """Write the choices, so that a new server continues with them."""
+        """Write the choices for the next server."""
         write_json(self._file, self.choices)
 
     def path(self, kind: str, name: str) -> Path:
-        """Return the folder of a drive, tuning, ... by its name; refuse names that point to other places."""
+        """Return the folder of a drive, tuning, ... by name. Raise for names that lead to other places."""
         path = self.folder / kind / name
         if kind not in KINDS or not NAME.fullmatch(name) or path.is_symlink():
             raise InputError(f"{name!r} is not a valid name; use letters, digits, - and _")
         return path
 
     def names(self, kind: str, holds: str = "") -> list[str]:
-        """List the names of a kind whose folders contain a file, the newest last."""
+        """List the names of a kind with a file ``holds`` in the folder, the newest last."""
         found = [p for p in (self.folder / kind).iterdir() if NAME.fullmatch(p.name) and not p.is_symlink()]
         found = [p for p in found if not holds or (p / holds).is_file()]
         return [p.name for p in sorted(found, key=lambda p: (p.stat().st_mtime, p.name))]
@@ -67,28 +65,26 @@ class Workbench:
 
     @property
     def drives(self) -> list[str]:
-        """Drives to work with: a checked copy replaces its original."""
+        """Drives for tunings: a checked copy replaces the original."""
         names = self.drive_names
         return [name for name in names if name + CHECKED not in names]
 
     @property
     def drive_names(self) -> list[str]:
-        """All drives, including the checked copies and the parts."""
         return self.names("drives", DRIVE)
 
     def read(self, name: str) -> Drive:
-        """Read a drive, or return it from the cache."""
         path = self.path("drives", name)
         return self._cached(path, path.stat().st_mtime_ns)
 
     def write(self, drive: Drive) -> str:
-        """Write a drive under its own name, in place of an earlier one; return the name."""
+        """Write a drive, which replaces a drive of the same name. Return the name."""
         sigmaswarm.write_drive(drive, self.path("drives", drive.name), overwrite=True)
         return drive.name
 
     @property
     def sources(self) -> list[Path]:
-        """Logs that can be opened: named logs, dropped logs, and the files in these."""
+        """Logs that can be opened: logs of the command line, dropped logs, and the files in both."""
         tops = [*self.named, *(self.folder / "logs" / name for name in self.names("logs"))]
         inside = [
             p for top in tops if top.is_dir() for p in sorted(top.iterdir()) if not p.name.startswith(".")
@@ -97,13 +93,11 @@ class Workbench:
 
     @property
     def log(self) -> Path | None:
-        """The log that is open; None without one."""
         chosen = self.choices.get("log")
         return next((path for path in self.sources if str(path) == chosen), None)
 
     @property
     def log_choices(self) -> dict[str, Any]:
-        """The choices for the open log."""
         return self.choices.setdefault("logs", {}).setdefault(str(self.log), {})
 
     @property
@@ -115,11 +109,9 @@ class Workbench:
 
     @property
     def finished(self) -> list[str]:
-        """Tunings that have a result."""
         return self.names("tunings", TUNING)
 
     def remove(self, kind: str, name: str) -> None:
-        """Delete a result of the workbench."""
         path = self.path(kind, name)
         if path.exists():
             shutil.rmtree(path)
@@ -132,7 +124,7 @@ def _read_version(path: Path, _: int) -> Drive:
 def _read_choices(file: Path) -> dict[str, Any]:
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):  # none yet, or damaged: the choices are made again
+    except (OSError, ValueError):  # missing or damaged
         return {}
     return cast("dict[str, Any]", content) if isinstance(content, dict) else {}
 

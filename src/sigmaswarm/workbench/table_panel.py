@@ -1,4 +1,4 @@
-"""One table of a log: its columns with a plot, and the use of each."""
+"""A table of a log: columns with plots and their uses."""
 
 from functools import partial
 from typing import Any
@@ -14,22 +14,21 @@ from sigmaswarm.workbench.parts import number, select, table, text
 from sigmaswarm.workbench.plots import sparkline
 
 MOST_COLUMNS = 30
-"""Largest number of columns of a table that can be edited; columns in use come first."""
+"""Maximum number of columns of a table on the page; columns in use are first."""
 
 
 class TablePanel:
-    """A table that can be folded; a choice redraws only the rows that it changes."""
+    """A table that can be folded. A choice redraws only the rows that it changes."""
 
     def __init__(self, page: OpenLog, look: Look, glance: Glance) -> None:
         self.page, self.look, self.glance, self.uses = page, look, glance, columns.uses_of(look)
         shown = sorted(glance.ranges, key=lambda r: (glance.table, r.column) not in self.uses)
         self.rows = [ColumnRow(self, one) for one in shown[:MOST_COLUMNS]]
         used = (glance.table, shown[0].column) in self.uses if shown else False
-        # Until a drive can be made, tables in use are unfolded, and all tables of a log with few.
+        # Until a drive can be made, tables in use are unfolded, in a log with few tables all tables.
         self.unfolded = page.drive is None and (used or len(look.tables) <= 4)
 
     def update(self, look: Look, uses: Uses) -> None:
-        """Show new information on the same table."""
         self.look, self.uses = look, uses
         for row in self.rows:
             if row.state() != row.shown:
@@ -37,7 +36,6 @@ class TablePanel:
 
     @property
     def heading(self) -> str:
-        """Return the table's name, and the columns of a drive that are read from it."""
         roles: dict[str, set[str]] = {}
         for (table_, _), found in self.uses.items():
             for target, _ in found if table_ == self.glance.table else ():
@@ -47,7 +45,7 @@ class TablePanel:
         return f"{self.glance.table}: {said or 'not used'}"
 
     def show(self) -> None:
-        """Show the table; its columns are sent when it is first unfolded."""
+        """Show the table. The server sends the columns when the table is first unfolded."""
         glance = self.glance
         rows = f"{glance.rows} rows" if glance.rows is not None else ""
         rate = f"{glance.rate:.4g} Hz" if glance.rate else ""
@@ -82,20 +80,16 @@ def _cell(value: Any) -> str:
 
 
 class ColumnRow:
-    """A column: name, plot, use, unit, expression, and its faults below."""
-
     def __init__(self, panel: TablePanel, about: Range) -> None:
         self.panel, self.about = panel, about
         self.shown: Any = None
 
     def state(self) -> tuple[list[tuple[str, str]], list[str]]:
-        """Return the use of the column, and its faults."""
         found = self.panel.uses.get((self.panel.glance.table, self.about.column), [])
         return found, self._faults(found[0][0] if found else "")
 
     @ui.refreshable_method
     def show(self) -> None:
-        """Show the row."""
         self.shown = found, faults = self.state()
         page, about, table_ = self.panel.page, self.about, self.panel.glance.table
         target, expression = found[0] if found else (UNUSED, "")
@@ -131,7 +125,7 @@ class ColumnRow:
         field.on("change", lambda: page.express(target, field.value or ""))
 
     def _faults(self, target: str) -> list[str]:
-        """Sentences about the column: reasons not to read it as guessed, and an error that names it."""
+        """Return reasons not to use the column as guessed, and the error that names it."""
         page, column = self.panel.page, self.about.column
         mapped = page.bench.log_choices.get("maps", {})
         faults = [

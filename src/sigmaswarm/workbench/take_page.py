@@ -1,4 +1,4 @@
-"""Step 5: export the filter as C, for ROS or for Python, or its trajectories."""
+"""Step 5: export the filter as C, for ROS or for Python, and its trajectories."""
 
 import shlex
 from functools import partial
@@ -29,31 +29,27 @@ TARGETS = {
     ),
     "robot_localization": (
         "ROS robot_localization",
-        "Needs ROS 2 and robot_localization, whose filter has no IMU biases: the exported values are only a start.",
+        "Needs ROS 2 and robot_localization. Its filter has no IMU biases, so the values are only a starting point.",
         "ros2 launch ekf.launch.py",
     ),
 }
-"""For each target its name, its requirements, and the next command."""
 ENDINGS = {".csv": "CSV with standard deviations", ".tum": "TUM poses, for evo", ".kitti": "KITTI poses",
            ".mat": "MATLAB", ".geojson": "GeoJSON map", ".gpx": "GPX map", ".kml": "KML map",
            ".ros2": "ROS 2 bag"}  # fmt: skip
 
 
 class TakePage(Page):
-    """The choice of a filter, its exports and its trajectories."""
-
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
         self.chosen: dict[str, Any] = {}
         self.outcomes: dict[str, tuple[str, str]] = {}
-        """By target: a sentence on the written files, and the sentence on an error."""
+        """Message about written files and error message, by target."""
 
     def content(self) -> None:
-        """Make the content of the step."""
         tunings, drives = self.bench.finished, self.bench.drive_names
         if not tunings:
             text("p", "No tuned filter yet.")
-            link("Tune one", "tune")
+            link("Tune a filter", "tune")
             return
         for key, names in (("tuning", tunings), ("drive", drives)):
             if self.chosen.get(key) not in names:
@@ -92,7 +88,7 @@ class TakePage(Page):
 
     def _trajectories(self) -> None:
         text("h2", "Trajectories")
-        text("p", "The filter's estimates over the drive. Maps need a drive with degrees.", "soft")
+        text("p", "Estimates over the drive. Maps need a drive with an origin in degrees.", "soft")
         with line("end"):
             ending, smooth = self.chosen.get("ending", ".csv"), self.chosen.get("smooth", False)
             select("Format", ENDINGS, ending, partial(self._choose, "ending"))
@@ -103,7 +99,6 @@ class TakePage(Page):
         self._outcome("track", "")
 
     def _outcome(self, target: str, then: str) -> None:
-        """Show the written files, the download, and the next command."""
         good, wrong = self.outcomes.get(target, ("", ""))
         message(wrong, "bad")
         message(good, "good")
@@ -121,13 +116,13 @@ class TakePage(Page):
         self.refresh()
 
     def _write(self, target: str) -> str:
-        """Write an export or a trajectory; return a sentence on it."""
+        """Write an export or a trajectory. Return a message about it."""
         tuning = self.bench.path("tunings", self.chosen["tuning"])
         name, folder = self.chosen["drive"], make_folder(self._folder(target))
         drive = self.bench.read(name) if name else None
         if target == "track":
             if drive is None:
-                raise sigmaswarm.InputError("there is no drive to run over; make one from a log")
+                raise sigmaswarm.InputError("there is no drive to run the filter over; import a log first")
             file = folder / f"{name}{self.chosen.get('ending', '.csv')}"
             if file.suffix == ".ros2" and file.exists():
                 file = folder / f"{name}-{len(list(folder.iterdir()))}.ros2"

@@ -1,4 +1,4 @@
-"""Step 3: tune a filter, watch it, stop and resume it, and compare tunings."""
+"""Step 3: start, watch, stop, resume and compare tunings."""
 
 from collections.abc import Callable
 from functools import partial
@@ -17,28 +17,25 @@ from sigmaswarm.workbench.state import CHECKED, LEFT_OUT, Workbench, attempt
 
 TRAIN, SPLIT, HOLD = "tune on it", "tune on the first 70%, hold back the rest", "hold it back"
 MODELS = {
-    "": "chosen by the log",
+    "": "chosen from the sensors",
     "planar5": "planar5 (the paper's)",
     "planar8": "planar8",
     "tilted12": "tilted12",
 }
 STARTING = "reading the drives, to tune on them"
-"""Work in progress that a change of a choice must not interrupt."""
+"""Work that a change of a choice must not interrupt."""
 COMPARED = 6
-"""Number of the newest tunings whose convergence is shown."""
 Update = Callable[[], None]
 
 
 class TunePage(Page):
-    """The choice of drives and of the filter, and the tunings."""
-
     def __init__(self, bench: Workbench, runs: Runs) -> None:
         super().__init__(bench)
         self.runs = runs
         self.why: list[str] = []
 
     def content(self) -> None:
-        """Show the step; a timer of each tab checks the running tunings."""
+        """Show the step. A timer in each tab checks the running tunings."""
         if self.plan and not self.why and not self.waiting:
             self._explain()
         self._setup()
@@ -63,12 +60,11 @@ class TunePage(Page):
         ui.timer(0.7, look)  # s
 
     def refresh(self) -> None:
-        """Show the changed choices."""
         self._setup.refresh()
 
     @property
     def plan(self) -> dict[str, str]:
-        """Return the use of each drive: as chosen, or by default the last one is held back."""
+        """Use of each drive. By default the last drive is held back, and a single drive is split."""
         names = [n for n in self.bench.drives if not n.endswith(("-train", "-test"))] or self.bench.drives
         chosen = self.bench.choices.get("plan", {})
         used = [name for name in names if chosen.get(name) != LEFT_OUT]
@@ -95,7 +91,7 @@ class TunePage(Page):
                 select("Filter", MODELS, options.get("model", ""), partial(choose, "model"))
                 use, names = options.get("use") or [], list(get_args(Option))
                 more = select("Measurements (--use)", names, use, partial(choose, "use"), multiple=True)
-                more.props('hint="none: chosen by the log"')
+                more.props('hint="none: chosen from the sensors"')
             with line():
                 for key, usual in {"particles": 30, "generations": 50, "trials": 1, "seed": 0}.items():
                     size = ui.number(key, value=options.get(key, usual), min=0, precision=0).classes("size")
@@ -121,7 +117,6 @@ class TunePage(Page):
         return {k: v for k, v in self.bench.choices.get("options", {}).items() if v not in ("", [])}
 
     def _explain(self) -> None:
-        """Show the filter to be tuned, and why."""
         self.start("reading the drives", self._reasons, then=self._explained)
 
     def _explained(self, why: list[str] | None) -> None:
@@ -147,7 +142,7 @@ class TunePage(Page):
         self.refresh()
 
     def _drives(self) -> tuple[list[Drive], list[Drive]]:
-        """Read the drives, and split some of them as chosen, like `sigmaswarm split`."""
+        """Read the drives. Split drives as chosen, like `sigmaswarm split`."""
         drives: list[Drive] = []
         held: list[Drive] = []
         for name, what in self.plan.items():
@@ -157,11 +152,13 @@ class TunePage(Page):
             elif what in (TRAIN, HOLD):
                 (drives if what == TRAIN else held).append(self.bench.read(name))
         if not drives:
-            raise sigmaswarm.InputError("no drive to tune on is chosen; tune on at least one")
+            raise sigmaswarm.InputError(
+                f"no drive is chosen for the tuning; choose {TRAIN!r} for at least one"
+            )
         return drives, held
 
     def _cards(self) -> dict[str, Update]:
-        """Show running, failed and interrupted tunings; return functions that update the cards."""
+        """Show running, failed and interrupted tunings. Return functions that update the cards."""
         updates = {r.name: self._run_card(r) for r in self.runs.runs.values() if not r.ended or r.error}
         for name in self.bench.unfinished:
             if name not in updates:
@@ -177,7 +174,7 @@ class TunePage(Page):
         self.refresh()
 
     def _run_card(self, run: Run) -> Update:
-        """Show a tuning; return a function that updates the card."""
+        """Show a tuning. Return a function that updates the card."""
         with card("warning" if run.error else ""):
             with line("between"):
                 with ui.element("h2"):
@@ -220,7 +217,6 @@ class TunePage(Page):
 
     @ui.refreshable_method
     def _finished(self) -> None:
-        """Show the results side by side."""
         names = self.bench.finished
         if not names:
             return
@@ -244,7 +240,7 @@ class TunePage(Page):
                     for remark in tuning.remarks:
                         text("p", remark, "soft")
                     _parameters(tuning.parameters)
-                    link("The page of this tuning", f"report/tunings/{name}")
+                    link("Page of this tuning", f"report/tunings/{name}")
             link("Next: judge it", "judge")
 
 
@@ -256,13 +252,13 @@ def _figure(label: str) -> ui.label:
 
 def _row(tuning: Tuning[Any]) -> list[str]:
     config, held = tuning.config, tuning.validation
-    chosen = f"{config.model} ({config.kind})" if isinstance(config, TuneConfig) else "own model"
+    chosen = f"{config.model} ({config.kind})" if isinstance(config, TuneConfig) else "custom model"
     judged = f"{held.cost:.4g} on {', '.join(held.drives)}" if held else "none"
     return [chosen, config.objective, f"{tuning.cost:.4g}", judged, ", ".join(d["name"] for d in tuning.data)]
 
 
 def _parameters(parameters: Any) -> None:
-    """Return the numbers of the filter in its file; none for models of the user's own."""
+    """Show the parameters of the filter, except for a custom model."""
     if isinstance(parameters, FilterParameters):
         rows: list[list[str]] = []
         for name, value in parameters.to_dict().items():

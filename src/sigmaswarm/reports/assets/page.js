@@ -2,7 +2,7 @@
 (async () => {
   const el = (id) => document.getElementById(id);
   const data = el("data") && JSON.parse(await unpacked("data"));
-  // A finger that scrolls the page must not zoom: on touch screens the fields "from" and "to" do.
+  // On touch screens a drag scrolls the page, and the fields "from" and "to" zoom.
   const TOUCH = matchMedia("(pointer: coarse)").matches;
   const EXPLORED = { responsive: true, displaylogo: false, modeBarButtons: [["zoom2d", "pan2d", "resetScale2d"]] };
   const PAPER_WIDTH = 660; // px of an A4 page between its margins
@@ -40,7 +40,7 @@
       return cell.classList.contains("number") ? null : cell.textContent;
     };
     const compare = (a, b) => {
-      if (a === null || b === null) return (a === null) - (b === null); // what can't be said comes last
+      if (a === null || b === null) return (a === null) - (b === null); // unknown values are last
       if (typeof a !== typeof b) return typeof a === "number" ? -1 : 1;
       const order = typeof a === "number" ? a - b : a.localeCompare(b, "en", { numeric: true });
       return descending ? -order : order;
@@ -61,7 +61,7 @@
   // ---- tracks and errors ----
 
   const LINES = data?.lines ?? [];
-  const DRAWN = LINES.map((line) => line.series).reverse(); // the last one on top
+  const DRAWN = LINES.map((line) => line.series).reverse(); // from bottom to top
   const look = (name) => LINES.find((line) => line.series === name);
   const state = { drive: null, window: null, known: true }; // known: the drive has truth
 
@@ -84,7 +84,7 @@
     };
   }
 
-  // The frame holds what is near the car: a method that runs away must not set the scale.
+  // Truth and fixes set the range of the map, since a diverged method would hide the others.
   function frame() {
     const ends = (column) => {
       let [low, high] = [Infinity, -Infinity];
@@ -138,7 +138,7 @@
 
   const finite = (traces) => traces.flatMap((t) => t.y).filter((v) => v !== null);
 
-  // Position, heading and NIS, of which only those are drawn that have something to show.
+  // Panels of position, heading and NIS; empty panels are left out.
   function panels() {
     const position = [...bounds("position_3sigma", false), ...errorsOf("position_error")];
     const heading = [...bounds("heading_3sigma", true), ...errorsOf("heading_error")];
@@ -151,7 +151,7 @@
   }
 
   const PANEL_HEIGHT = 188; // px
-  const GAP = 0.04; // between panels, of the plot's height
+  const GAP = 0.04; // between panels, as a share of the plot's height
 
   function drawErrors() {
     const drawn = panels();
@@ -169,7 +169,7 @@
       }
       return panel.traces.map((trace) => ({ ...trace, yaxis: `y${id}` }));
     });
-    // The time stands below the lowest panel, whichever that is.
+    // The time axis is below the lowest panel.
     wanted.xaxis = axis({ title: { text: `time, s${origin}` }, anchor: drawn.length > 1 ? `y${drawn.length}` : "y",
       zeroline: false, ...(state.window ? { range: state.window } : { autorange: true }) });
     if (!drawn.length) {
@@ -181,19 +181,19 @@
     Plotly.react("errors", traces, wanted, EXPLORED);
   }
 
-  // From what is small enough to be nothing, up to the largest value drawn: exponents, as plotly.js wants them.
+  // Range from a negligible value to the largest value, as exponents of ten for plotly.js.
   function logRange(traces, low, high) {
     return [low, finite(traces).reduce((a, b) => Math.max(a, 1.3 * b), high)].map(Math.log10);
   }
 
-  // Where there are no errors, the bounds fill their panel.
+  // Without errors, the bounds set the range.
   function positionRange(traces) {
     const values = finite(traces).filter((v) => v > 0);
     if (state.known || !values.length) return logRange(traces, 0.03, 1);
     return logRange(traces, values.reduce((a, b) => Math.min(a, b)) / 1.5, 0);
   }
 
-  // As far as the main filter goes; a lost heading must not hide a good one.
+  // The main filter sets the range, since the heading of a diverged method would hide the others.
   function headingRange(traces) {
     const errors = state.known ? [{ y: state.drive.series[data.main]?.heading_error ?? [] }] : traces;
     const most = finite(errors).map(Math.abs).reduce((a, b) => Math.max(a, b), state.known ? 4 : 0.1);
@@ -237,7 +237,7 @@
 
   const option = (value, text) => Object.assign(document.createElement("option"), { value, textContent: text });
 
-  // The dashes are as long as plotly.js draws them.
+  // Lengths of dashes as in plotly.js.
   const DASHES = { solid: "", dash: "9 9", dashdot: "9 3 3 3", dot: "3 3" };
 
   function swatch(color, dash) {
@@ -272,7 +272,7 @@
     el("window").addEventListener("change", (event) => askForWindow(event.target.id));
   }
 
-  // The fields always say what is drawn: what can't be is put back. An empty field is the drive's own end.
+  // The fields show the drawn window. Invalid input is reset; an empty field means the end of the drive.
   function askForWindow(changed) {
     const whole = wholeTime();
     const wanted = ["from", "to"].map((id, i) => {
@@ -280,7 +280,7 @@
       return el(id).value === "" ? whole[i] : Number(el(id).value);
     });
     const kept = [Math.max(wanted[0], whole[0]), Math.min(wanted[1], whole[1])];
-    // Who moves on along the drive says "from" first: "to" is still the old one.
+    // A later "from" is usually entered before a later "to", so the old "to" is dropped.
     if (changed === "from" && kept[0] >= kept[1]) kept[1] = whole[1];
     const sound = kept[0] < kept[1];
     const asIs = sound && kept.every((v, i) => Math.abs(v - wanted[i]) < 0.01);
@@ -301,13 +301,13 @@
     el("errors").on("plotly_unhover", () => showMoment(Infinity));
   }
 
-  // ---- the command, and paper ----
+  // ---- copying the command, and printing ----
 
   async function copyCommand() {
     const text = el("command").textContent;
     try {
       await navigator.clipboard.writeText(text);
-    } catch { // an old browser, or one that forbids it to files
+    } catch { // an old browser, or a browser that forbids this for local files
       const area = Object.assign(document.createElement("textarea"), { value: text });
       document.body.append(area);
       area.select();
