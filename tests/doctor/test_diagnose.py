@@ -506,8 +506,7 @@ def test_a_diagnosis_that_is_kept_is_that_of_the_same_numbers_and_name():
     assert ("filler", str(module.KEPT - 1)) in module._kept  # the oldest ones go
 
 
-@pytest.mark.parametrize("sense", [1.0, -1.0])
-@pytest.mark.parametrize("scale", [0.84, 1.2])
+@pytest.mark.parametrize(("sense", "scale"), [(1.0, 0.84), (-1.0, 1.2)])
 def test_a_scale_of_the_gyro_shows_in_whole_turns_too(sense: float, scale: float):
     """Circles: what changes within a window may be slip; a wrong scale also shows in whole turns."""
     rng, t = np.random.default_rng(1), np.arange(0, 100, 0.02)
