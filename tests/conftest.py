@@ -21,7 +21,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # A busy machine is no failure, and the same commit gets the same verdict; ``HYPOTHESIS_PROFILE=long``, as in
 # `make test-long`, and ``search`` look farther.
 patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("sigmaswarm", patient, derandomize=True, max_examples=40)
+settings.register_profile("sigmaswarm", patient, derandomize=True, max_examples=25)
 settings.register_profile("long", patient, derandomize=True, max_examples=200)
 settings.register_profile("search", patient, max_examples=1000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "sigmaswarm"))
@@ -41,12 +41,14 @@ def pytest_collect_file(file_path: Path) -> Generator[None, list[pytest.Collecto
 
 
 def pytest_collection_finish() -> None:
-    """Simulate the same drive once, and keep the collected tests out of garbage collections.
+    """Simulate and diagnose the same drive once, and keep the collected tests out of garbage collections.
 
     Garbage collections would take 6% of the processor's time. Tests of the simulation itself use `simulated_anew`.
     """
     if scenarios := sys.modules.get("sigmaswarm.simulation.scenarios"):
         scenarios._drive = lru_cache(64)(scenarios._drive)
+    if doctor := sys.modules.get("sigmaswarm.doctor.diagnose"):
+        doctor.KEPT = 1000
     gc.collect()
     gc.freeze()
 

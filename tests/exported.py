@@ -29,9 +29,8 @@ OPTIMIZED = ("-O2",)
 """As users build it: the optimizer also finds what to warn of."""
 SANITIZERS = (
     "-O0",  # the optimizer takes four fifths of the build, and removes what the sanitizers look for
-    "-g",
     "-fsanitize=address,undefined,float-divide-by-zero,float-cast-overflow",
-    "-fsanitize-undefined-trap-on-error",  # a third less to compile; without it a report says where
+    "-fsanitize-undefined-trap-on-error",  # a third less to compile; without it, and with -g, a report says where
 )
 NO_TRAP = ("-fno-sanitize=float-divide-by-zero",)  # IEEE's inf is meant: all_finite finds it
 

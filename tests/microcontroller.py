@@ -75,7 +75,6 @@ def build_for(
         *has(parameters),
         *flags,
         optimize,
-        "-g",
         "-ffunction-sections",
         "-fdata-sections",
         f"-I{folder}",

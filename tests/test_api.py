@@ -256,6 +256,7 @@ def test_an_unknown_option_suggests_the_right_one(given: str, suggested: str):
         sigmaswarm.tune([DRIVE], **{given: 3})
 
 
+@pytest.mark.long
 def test_a_type_checker_knows_the_options(tmp_path: Path):
     pytest.importorskip("pyright", reason="pyright is not installed (dependency group check)")
     (tmp_path / "right.py").write_text(

@@ -85,7 +85,7 @@ def check_drivable(plan: dict) -> None:
 @pytest.mark.parametrize("version", VERSIONS)
 def test_every_maneuver_finds_its_way(version: str):
     names = ("cruise", "turns", "accelerate", "brake", "outages")
-    asked = [(name, friction, seed) for name in names for friction in (0.85, 0.25) for seed in range(3)]
+    asked = [(name, *at) for name in names for at in ((0.85, 0), (0.85, 1), (0.25, 2))]
     plans, _ = ask(version, write_town(COLUMNS, ROWS, TAIL), asked)
     begins = set()
     for (name, _, _), plan in zip(asked, plans, strict=True):
@@ -103,7 +103,7 @@ def test_every_maneuver_finds_its_way(version: str):
             assert start > 55.0
         else:
             assert np.ptp(heading) < math.radians(3)
-    assert len(begins) > len(names) * 4  # not always the same route
+    assert len(begins) > len(names) * 2  # not always the same route
     assert all(3.0 <= long <= 4.8 for plan in plans for _, long in plan["outages"])
 
 

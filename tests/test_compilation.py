@@ -172,7 +172,7 @@ SPOILED = {
     "cut": lambda content: content[:40],
     "half": lambda content: content[: len(content) // 2],
     "text": lambda content: b"not a pickle",
-    **{f"bit at {share}": (lambda content, share=share: flipped(content, share)) for share in (0.3, 0.5, 0.7, 0.97)},
+    **{f"bit at {share}": (lambda content, share=share: flipped(content, share)) for share in (0.5, 0.97)},
 }  # fmt: skip
 
 
@@ -221,7 +221,7 @@ def _without_rights() -> list[str]:
     ("variable", "command"),
     quickly(
         [("HOME", False), ("NUMBA_CACHE_DIR", False), ("XDG_CACHE_HOME", False), ("HOME", True)],
-        lambda variable, command: variable != "XDG_CACHE_HOME" and not command,
+        lambda variable, command: variable == "HOME" and not command,
     ),
 )
 def test_a_read_only_install_without_a_writable_home(tmp_path: Path, variable: str, command: bool):

@@ -133,7 +133,12 @@ def assert_same_numbers(new: Path, old: Path) -> None:
 # --- drives -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("folder", sorted(EXPECTED["drives"]))
+@pytest.mark.parametrize(
+    "folder",
+    quickly(
+        [(f,) for f in sorted(EXPECTED["drives"])], lambda f: sorted(EXPECTED["drives"]).index(f) % 2 == 0
+    ),
+)
 def test_drives_are_read_and_diagnosed_as_before(corpus: Path, folder: str):
     expected = EXPECTED["drives"][folder]
     drive = sigmaswarm.read_drive(folder)

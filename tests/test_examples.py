@@ -1,13 +1,19 @@
 """The notebooks of examples/: executed from the first cell to the last, and what they claim holds."""
 
+import ast
+import inspect
 import json
 import shutil
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import pytest
+
+import sigmaswarm
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -22,6 +28,11 @@ def texts(cell: dict[str, Any]) -> str:
     return "".join("".join(text) for text in shown)
 
 
+def lines(cell: dict[str, Any]) -> list[str]:
+    """The Python of a cell, without commands of IPython."""
+    return [line for line in "".join(cell["source"]).splitlines() if not line.startswith(("%", "!"))]
+
+
 MANEUVERS = '"turns", "brake"'
 SIZES = '"environments": ("clear",), "runs": 2, "trials": 2, "particles": 8, "generations": 12'
 CHANGES = {
@@ -32,7 +43,9 @@ CHANGES = {
 """What makes the paper's notebook quick, by the cell."""
 
 
-@pytest.fixture(scope="module", params=["tiny", pytest.param("as it is", marks=pytest.mark.long)])
+@pytest.fixture(
+    scope="module", params=[pytest.param(size, marks=pytest.mark.long) for size in ("tiny", "as it is")]
+)
 def paper(
     tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest
 ) -> dict[str, dict[str, Any]]:
@@ -71,6 +84,28 @@ def test_the_paper_s_figures_stand_beside_ours(paper: dict[str, dict[str, Any]])
         assert figure in texts(paper[name])
     for name in ("sweep", "convergence", "trajectory"):
         assert any("image/png" in output.get("data", {}) for output in paper[name]["outputs"])
+
+
+def test_the_paper_s_notebook_uses_names_and_options_that_exist():
+    """The quick test of what `make test-long` executes."""
+    tree = ast.parse("\n".join(line for cell in code(EXAMPLES / "paper.ipynb") for line in lines(cell)))
+    names = {alias.asname or alias.name for n in ast.walk(tree) if isinstance(n, ast.Import) for alias in n.names
+             if alias.name == "sigmaswarm"}  # fmt: skip
+    called = 0
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("sigmaswarm"):
+            module = import_module(str(node.module))
+            assert all(hasattr(module, alias.name) for alias in node.names)
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in names:
+            assert hasattr(sigmaswarm, node.attr), node.attr
+        if isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[0] in names:
+            function = getattr(sigmaswarm, ast.unparse(node.func).split(".")[1])
+            options = [keyword.arg for keyword in node.keywords if keyword.arg]
+            taken = inspect.signature(function).parameters.values()
+            if isinstance(function, FunctionType) and not any(p.kind == p.VAR_KEYWORD for p in taken):
+                assert {*options} <= {p.name for p in taken}
+                called += 1
+    assert called
 
 
 def test_what_is_checked_in_was_executed_in_order_and_is_small():

@@ -61,7 +61,7 @@ TABLES: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.mark.parametrize("table", ["imu", "gps", "truth"])
+@pytest.mark.parametrize("table", ["imu", "truth"])
 @pytest.mark.parametrize("how", TABLES)
 def test_a_table_of_a_drive_is_refused_by_its_name(how: str, table: str, drive: Path):
     file = drive / f"{table}.csv"

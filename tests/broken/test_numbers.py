@@ -48,8 +48,13 @@ def spoiled(
     return {**tables, table: tables[table].with_columns(cell)}
 
 
-@pytest.mark.parametrize("value", VALUES)
-@pytest.mark.parametrize(("table", "column"), COLUMNS)
+@pytest.mark.parametrize(
+    ("table", "column", "value"),
+    quickly(
+        [(*column, value) for column in COLUMNS for value in VALUES],
+        lambda *case: (COLUMNS.index(case[:2]) + [*map(repr, VALUES)].index(repr(case[2]))) % 2 == 0,
+    ),
+)
 def test_a_cell_is_refused_with_row_and_column(
     table: str, column: str, value: float, tables: dict[str, pl.DataFrame], tmp_path: Path
 ):

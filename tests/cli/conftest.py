@@ -55,6 +55,17 @@ def unpainted_unless_painted(request: pytest.FixtureRequest) -> None:
         request.getfixturevalue("unpainted")
 
 
+@pytest.fixture
+def doctored() -> None:
+    """For tests that look at what `tune` and others warn of: the doctor takes a quarter of these tests' time."""
+
+
+@pytest.fixture(autouse=True)
+def undoctored_unless_doctored(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if "doctored" not in request.fixturenames:
+        monkeypatch.setattr("sigmaswarm.cli.findings.warn_of_serious", lambda *_: None)
+
+
 @pytest.fixture(scope="session")
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two simulated drives."""

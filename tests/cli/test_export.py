@@ -53,6 +53,7 @@ def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: 
 
 
 @needs_gcc
+@pytest.mark.usefixtures("unoptimized")
 def test_lanes_are_checked_against_the_swarm(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
     drive = drives / "urban-clear-00"
     ended = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--lanes", 3, "--check", drive)
@@ -90,9 +91,10 @@ def test_the_way_that_the_page_shows(sigmaswarm: Command, tuned: Path, drives: P
 
 
 @needs_gcc
+@pytest.mark.usefixtures("unoptimized")
 def test_the_c_is_checked_on_drives(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
     ended = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--check", drives / "urban-clear-00")
-    assert ended.code == 0
+    assert ended.code == 0, ended.err
     pattern = (
         r"^urban-clear-00: every state in C is within (\S+) of sigmaswarm run"
         r".*in float the difference is at most (\S+) mm and (\S+) degrees$"

@@ -13,7 +13,7 @@ import pytest
 from processes import Process, run
 from sigmaswarm import FilterParameters, evaluate, files, read_drive
 from sigmaswarm.reports.evaluation import save_evaluation
-from support import quickly
+from support import no_pictures, quickly
 
 COMMAND = """
 from sigmaswarm.cli import main
@@ -60,7 +60,8 @@ def evaluated(drives: Path, tuned: Path, tmp_path_factory: pytest.TempPathFactor
     """A folder with an evaluation."""
     folder = tmp_path_factory.mktemp("evaluated") / "e"
     found = evaluate(read_drive(drives / "urban-clear-00"), FilterParameters.load(tuned))
-    save_evaluation(found, folder, tuned)
+    with no_pictures():
+        save_evaluation(found, folder, tuned)
     return folder
 
 
@@ -176,11 +177,11 @@ def test_a_full_disk_leaves_what_was_there(
 def test_a_disk_that_is_full_at_each_write(
     sigmaswarm, arguments, drives: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ):
-    """Each file in turn can't be flushed; what was there stays, and no file is of the new result alone."""
+    """The first file, the middle or the last one can't be flushed: what was there stays, no new file is alone."""
     words = arguments(name)
     found, flushed = whole(sigmaswarm, words, monkeypatch)
     sync = os.fsync
-    for at in range(1, flushed + 1):
+    for at in sorted({1, (flushed + 1) // 2, flushed}):
         shutil.rmtree("out", ignore_errors=True)
         old, left = put_old(name, found, drives / "urban-clear-01"), [at]
 

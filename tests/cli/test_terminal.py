@@ -129,7 +129,7 @@ def test_a_reader_that_is_gone_is_no_mistake(drive, arguments: list[str]):
 def test_a_full_output_is_told(drive):
     drive("n")
     with Path("/dev/full").open("wb") as full:
-        done = command("doctor", "named", stdout=full)
+        done = command("split", "named", "--out", "parts", stdout=full)
     assert done.returncode == 2
     assert done.stderr == b"sigmaswarm: the output: No space left on device\n"
 

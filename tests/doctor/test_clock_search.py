@@ -13,12 +13,12 @@ from support import DRIVES, needs_shared, quickly
 
 @cache
 def drive() -> Drive:
-    return sigmaswarm.simulate("urban", run=3, duration=150, gps="white-1m")
+    return sigmaswarm.simulate("urban", run=3, duration=150, gps="white-1m", imu_rate=50)
 
 
 @pytest.mark.parametrize(
     "offset",
-    quickly([(s,) for s in (-37.0, -18.0, -6.0, 4.0, 18.0, 33.0)], lambda s: s in (-37.0, 4.0)),
+    quickly([(s,) for s in (-37.0, -18.0, -6.0, 4.0, 18.0, 33.0)], lambda s: s == -37.0),
 )
 def test_an_offset_of_seconds_is_found_and_mended(offset: float):
     late = replace(drive(), gps=replace(drive().gps, time=drive().gps.time + offset))

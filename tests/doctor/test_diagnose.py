@@ -23,13 +23,13 @@ from sigmaswarm.tuning.defaults import with_filter
 from support import DRIVES, limited_memory, make_drive, needs_shared, quickly
 
 MEMS = {
-    "icm-20602": {"imu": "icm-20602", "gps": "ublox-m8"},
-    "mpu-6050": {"imu": "mpu-6050", "gps": "white-1m"},
+    "icm-20602": {"imu": "icm-20602", "gps": "ublox-m8", "imu_rate": 50.0},
+    "mpu-6050": {"imu": "mpu-6050", "gps": "white-1m", "imu_rate": 50.0},
     "slow": {"imu": "icm-20602", "gps": "white-1m", "imu_rate": 25.0, "gps_rate": 2.0},
 }
 """Simulated drives through a town."""
 REAL = ["kitti-09-30-0033", "kitti-09-26-0101", "kitti-09-26-0022", "colorado-1", "kingston-1", "comma2k19"]
-QUICK = {*zip([*MEMS, *MEMS], ["cruise", "turns", "accelerate", "brake", "outages", "urban"], strict=True)}
+QUICK = {*zip(MEMS, ["accelerate", "turns", "urban"], strict=True)}
 UNSEEN = {
     ("colorado-1", "0.2 s late"),  # its own fixes are about 0.1 s early by its truth, which hides half of it
     (
@@ -78,7 +78,7 @@ def test_a_planted_fault_is_named(name: str, fault: str):
     ("name", "fault"),
     quickly(
         product(["kitti-09-30-0033", "colorado-1", "comma2k19"], FAULTS),
-        lambda name, fault: name == "colorado-1" and fault in ("axes-swapped", "stated x 10"),
+        lambda name, fault: name == "colorado-1" and fault == "stated x 10",
     ),
 )
 def test_a_fault_planted_in_a_recording_is_named(name: str, fault: str):
@@ -94,7 +94,7 @@ def test_a_fault_planted_in_a_recording_is_named(name: str, fault: str):
     "name",
     quickly(
         [(name,) for name in (*REAL, "kitti-09-30-0034", "kitti-09-30-0018", "dresden")],
-        lambda name: name in ("kitti-09-30-0033", "colorado-1", "kingston-1", "comma2k19", "dresden"),
+        lambda name: name in ("colorado-1", "kingston-1", "comma2k19"),
     ),
 )
 def test_a_good_recording_raises_no_alarm(name: str):
@@ -218,7 +218,7 @@ def test_a_gyro_that_does_not_follow_the_course_is_no_straight_road():
 @pytest.mark.parametrize(
     ("maneuver", "runs"),
     quickly(
-        [("turns", 2), ("urban", 2), ("cruise", 1), *product(["turns", "urban", "cruise"], [8])],
+        [("turns", 1), ("urban", 1), ("cruise", 1), *product(["turns", "urban", "cruise"], [8])],
         lambda _, runs: runs < 8,
     ),
 )
@@ -228,7 +228,7 @@ def test_an_offset_of_the_size_that_would_have_been_seen_is_seen(maneuver: str, 
     held = []
     length = 50.0 if maneuver == "urban" else None
     for run in range(runs):
-        drive = sigmaswarm.simulate(maneuver, run=run, duration=length, gps="white-1m", imu="mpu-6050")
+        drive = sigmaswarm.simulate(maneuver, run=run, duration=length, **MEMS["mpu-6050"])
         clean = sigmaswarm.diagnose(drive)
         size = clean.visible_clock_offset
         if "clock-offset" in clean.codes:
@@ -506,8 +506,7 @@ def test_a_diagnosis_that_is_kept_is_that_of_the_same_numbers_and_name():
     assert ("filler", str(module.KEPT - 1)) in module._kept  # the oldest ones go
 
 
-@pytest.mark.parametrize("sense", [1.0, -1.0])
-@pytest.mark.parametrize("scale", [0.84, 1.2])
+@pytest.mark.parametrize(("sense", "scale"), [(1.0, 0.84), (-1.0, 1.2)])
 def test_a_scale_of_the_gyro_shows_in_whole_turns_too(sense: float, scale: float):
     """Circles: what changes within a window may be slip; a wrong scale also shows in whole turns."""
     rng, t = np.random.default_rng(1), np.arange(0, 100, 0.02)

@@ -9,7 +9,8 @@ import pytest
 
 from sigmaswarm.doctor.checks.heading import check_heading
 from sigmaswarm.doctor.diagnose import diagnose
-from sigmaswarm.doctor.evidence import gather
+from sigmaswarm.doctor.evidence import Evidence, gather
+from sigmaswarm.doctor.findings import Diagnosis, Finding
 from sigmaswarm.doctor.repairs import repair
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.tables import NO_HEADING
@@ -32,7 +33,17 @@ FAULTS: dict[str, tuple[Callable[[Array], Array], str, str]] = {
 
 @cache
 def good() -> Drive:
-    return simulate("urban", gps="white-1m", duration=90, heading="dual-antenna", seed=1)
+    return simulate("urban", gps="white-1m", duration=90, heading="dual-antenna", seed=1, imu_rate=50)
+
+
+@cache
+def evidence() -> Evidence:
+    return gather(good())
+
+
+def found_in(drive: Drive) -> list[Finding]:
+    """Findings of a drive that differs from the good one in the heading alone."""
+    return list(check_heading(replace(evidence(), drive=drive)))
 
 
 def with_column(heading: Array, std: Array | None = None) -> Drive:
@@ -52,21 +63,21 @@ def test_faults_are_named_and_repaired(name: str):
     assert heading is not None and std is not None
     degrees = name in ("degrees", "as NMEA")
     drive = with_column(spoil(heading), np.degrees(std) if degrees else std)
-    (found,) = check_heading(gather(drive))
+    (found,) = found_in(drive)
     assert found.code == code and said in found.what
     assert found.severity == ("warning" if name == "mounted askew" else "serious")
-    mended = repair(drive, replace(diagnose(drive), findings=(found,)))
+    mended = repair(drive, Diagnosis(drive.name, (found,)))
     assert mended.gps.heading is not None and mended.gps.std_heading is not None
     assert np.abs(wrap_angle(mended.gps.heading - heading)).max() < np.radians(1.0)
     np.testing.assert_allclose(mended.gps.std_heading, std)
-    assert not any(check_heading(gather(mended)))
+    assert not found_in(mended)
 
 
 @pytest.mark.parametrize("late", [0.4, -0.3])
 def test_a_delay_is_found_by_the_gyro(late: float):
     heading, time = good().gps.heading, good().gps.time
     assert heading is not None
-    (found,) = check_heading(gather(with_column(np.interp(time - late, time, np.unwrap(heading)))))
+    (found,) = found_in(with_column(np.interp(time - late, time, np.unwrap(heading))))
     assert found.code == "heading-delay" and found.repair is None
     assert abs(float(found.what.split()[3]) - abs(late)) < 0.06
     assert ("later" in found.what) == (late > 0)
@@ -74,7 +85,7 @@ def test_a_delay_is_found_by_the_gyro(late: float):
 
 def test_noise_follows_no_convention():
     rng = np.random.default_rng(0)
-    (found,) = check_heading(gather(with_column(rng.uniform(-3.0, 3.0, len(good().gps)))))
+    (found,) = found_in(with_column(rng.uniform(-3.0, 3.0, len(good().gps))))
     assert found.what == "heading does not follow the positions in any known convention"
 
 
@@ -83,8 +94,8 @@ def test_a_fix_without_a_heading_has_none_after_a_repair():
     assert heading is not None and std is not None
     lost = np.arange(len(heading)) % 5 == 0
     drive = with_column(np.where(lost, 0.0, np.degrees(heading)), np.where(lost, NO_HEADING, np.degrees(std)))
-    (found,) = check_heading(gather(drive))
-    mended = repair(drive, replace(diagnose(drive), findings=(found,))).gps
+    (found,) = found_in(drive)
+    mended = repair(drive, Diagnosis(drive.name, (found,))).gps
     assert mended.std_heading is not None
     np.testing.assert_allclose(mended.std_heading, np.where(lost, NO_HEADING, std))
 

@@ -24,7 +24,9 @@ GRADES = ["mpu-6050", "icm-20602", "adis16405", "ideal"]
 
 @cache
 def drive_of(grade: str, terrain: str = "rolling") -> Drive:
-    return sigmaswarm.simulate("urban", duration=150, imu=grade, gps="white-1m", terrain=terrain, run=4)
+    return sigmaswarm.simulate(
+        "urban", duration=150, imu=grade, gps="white-1m", terrain=terrain, run=4, imu_rate=50
+    )
 
 
 def estimate(drive: Drive, rotation: np.ndarray):
@@ -55,17 +57,20 @@ def slowly_converging() -> Drive:
     return clip(drive, first + 60, first + 120)
 
 
-@pytest.mark.parametrize("name", ["icm-20602", "mpu-6050", "slow"])
-def test_the_estimate_of_a_turned_drive_is_the_turned_estimate(name: str):
+@pytest.mark.parametrize(
+    ("name", "seeds"),
+    quickly([("slow", 1), ("mpu-6050", 1), ("slow", 3), ("icm-20602", 3)], lambda _, n: n == 1),
+)
+def test_the_estimate_of_a_turned_drive_is_the_turned_estimate(name: str, seeds: int):
     drive = slowly_converging() if name == "slow" else drive_of(name)
     plain, _ = estimate(drive, np.eye(3))
-    for seed in range(3):
+    for seed in range(seeds):
         rotation = Rotation.random(random_state=seed).as_matrix()
         found, _ = estimate(drive, rotation)
         assert np.degrees(angle_of(found.rotation @ rotation @ plain.rotation.T)) < 0.1
 
 
-@pytest.mark.parametrize("terrain", ["flat", "rolling", "hilly"])
+@pytest.mark.parametrize("terrain", ["flat", "hilly"])
 def test_the_direction_of_travel_depends_on_no_hill(terrain: str):
     drive, turn = drive_of("icm-20602", terrain), Rotation.from_euler("zy", (4, -3), degrees=True)
     course = course_of(drive.gps.time, drive.gps.x + 1j * drive.gps.y)
@@ -74,7 +79,7 @@ def test_the_direction_of_travel_depends_on_no_hill(terrain: str):
     assert np.degrees(std).max() < 1.0
 
 
-@pytest.mark.parametrize(("sensor", "terrain"), [("a", "flat"), ("g", "flat"), ("g", "hilly")])
+@pytest.mark.parametrize(("sensor", "terrain"), [("a", "flat"), ("g", "hilly")])
 def test_a_sensor_that_reports_the_opposite_turns_no_axis(sensor: str, terrain: str):
     drive = drive_of("icm-20602", terrain)
     names = [sensor + axis for axis in "xyz"]
@@ -86,7 +91,11 @@ def test_a_sensor_that_reports_the_opposite_turns_no_axis(sensor: str, terrain: 
 
 @pytest.mark.parametrize(
     "names",
-    [("ax",), ("ay",), ("az",), ("ax", "gz"), ("ay", "gz"), ("ax", "ay", "az", "gx", "gy", "gz")],
+    quickly(
+        [((n,),) for n in ("ax", "ay", "az")]
+        + [(("ax", "gz"),), (("ay", "gz"),), (("ax", "ay", "az", "gx", "gy", "gz"),)],
+        lambda names: names in (("ax",), ("az",), ("ay", "gz")),
+    ),
 )
 def test_a_mirror_image_is_no_mounting(names: tuple[str, ...]):
     """Only the leaning of the body distinguishes the third to fifth case from a mounting rotated by 180 degrees."""
@@ -97,7 +106,10 @@ def test_a_mirror_image_is_no_mounting(names: tuple[str, ...]):
 
 
 @needs_shared
-@pytest.mark.parametrize("names", [("az",), ("ax",), ("ay",), ("ax", "gz")])
+@pytest.mark.parametrize(
+    "names",
+    quickly([(("az",),), (("ax",),), (("ay",),), (("ax", "gz"),)], lambda names: names == ("ax", "gz")),
+)
 @pytest.mark.filterwarnings("ignore::sigmaswarm.errors.DriveWarning")
 def test_a_phone_with_a_reversed_axis_is_not_turned_around(names: tuple[str, ...]):
     """Its accelerometers report the opposite of specific force; with one more reversed axis a mounting was sure."""
@@ -108,9 +120,9 @@ def test_a_phone_with_a_reversed_axis_is_not_turned_around(names: tuple[str, ...
     assert found.confidence == "no"
 
 
-@pytest.mark.parametrize("gps", ["white-1m", "ublox-m8", "f9p-rtk"])
+@pytest.mark.parametrize("gps", ["ublox-m8", "f9p-rtk"])
 def test_a_straight_road_gives_no_yaw(gps: str):
-    found, _ = estimate(sigmaswarm.simulate("cruise", gps=gps), np.eye(3))
+    found, _ = estimate(sigmaswarm.simulate("cruise", gps=gps, imu_rate=50), np.eye(3))
     assert found.confidence == "no"
 
 
@@ -119,7 +131,7 @@ def test_a_straight_road_gives_no_yaw(gps: str):
     "name",
     quickly(
         [("colorado-1",), ("dresden",), ("kitti-09-30-0018",), ("kitti-09-30-0033",)],
-        lambda name: "kitti" not in name,
+        lambda name: name == "colorado-1",
     ),
 )
 def test_a_recording_is_found_within_3_degrees(name: str):
@@ -134,7 +146,7 @@ def test_a_recording_is_found_within_3_degrees(name: str):
 
 
 @pytest.mark.parametrize(
-    "angles", quickly([((0, -65, 0),), ((10, -20, 5),), ((180, 0, 90),)], lambda angles: angles[0] != 10)
+    "angles", quickly([((0, -65, 0),), ((10, -20, 5),), ((180, 0, 90),)], lambda angles: angles[0] == 0)
 )
 def test_a_phone_in_a_holder_is_one_finding_whose_repair_is_a_rotation(angles: tuple[float, float, float]):
     drive = drive_of("icm-20602", "flat")

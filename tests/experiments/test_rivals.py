@@ -348,6 +348,7 @@ class Stopped(Exception):
     pass
 
 
+@pytest.mark.long
 def test_interrupted_it_ends_in_the_same_bytes(whole: Study, tmp_path: Path):
     """In a training of a trial, then in one of a learning curve: epochs that are done are not repeated."""
     out = tmp_path / "parts"
@@ -393,6 +394,7 @@ def test_the_configuration_is_saved_with_it(whole: Study):
     assert whole.results.content()["config"]["learn_minutes"] == 2.4
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*gaps, the longest")
 def test_drives_of_one_s_own_and_drives_elsewhere(whole: Study, tmp_path: Path):
     for drive in whole.design.drives[:5]:

@@ -70,7 +70,7 @@ def run(
 @pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT",)], ids=["double", "float"])
 @pytest.mark.parametrize("name", CASES)
 def test_a_sound_filter_has_not_failed(name: str, flags: tuple[str, ...], tmp_path: Path):
-    failed, least = run(tmp_path, name, SOUND, *flags, samples=3000)
+    failed, least = run(tmp_path, name, SOUND, *flags, samples=1000)
     assert not failed
     assert least > -1e-3
 

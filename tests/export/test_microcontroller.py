@@ -81,7 +81,7 @@ def test_a_board_finds_what_the_run_finds(tmp_path: Path, name: str):
     ("name", "machine"),
     quickly(
         product(FILTERS, (M4F, M7)),
-        lambda name, machine: (name, machine) in (("tilted12", M4F), ("planar8 ukf", M7)),
+        lambda name, machine: (name, machine) == ("tilted12", M4F),
     ),
     ids=lambda each: each.name if isinstance(each, Machine) else each,
 )
@@ -107,17 +107,18 @@ def test_float_is_as_good_kilometres_from_the_origin(tmp_path: Path):
 def test_what_it_costs_stays_within_bounds(tmp_path: Path):
     p = given("planar8 ukf")
 
-    def instructions(q: FilterParameters, program: Path | None = None) -> tuple[float, float, Path]:
-        program = program or build_for(M4F, tmp_path / str(q.gate), q, NO_HISTORY, FLOAT)
-        board = replay_on(M4F, program, city(), q.model)
+    drive = clip(city(), 0.0, 15.0)
+
+    def instructions(q: FilterParameters) -> tuple[float, float]:
+        program = build_for(M4F, tmp_path / str(q.gate), q, NO_HISTORY, FLOAT)
+        board = replay_on(M4F, program, drive, q.model)
         fixed, both = board.fixes > 0, board.predict + board.update
         assert board.stack < 1024
-        return board.predict[~fixed].mean(), both[fixed].mean(), program
+        return board.predict[~fixed].mean(), both[fixed].mean()
 
-    predict, both, program = instructions(p)
-    without, *_ = instructions(tuned(p.model, p.kind, 0.01, everything=False))
+    predict, both = instructions(p)
+    without, _ = instructions(tuned(p.model, p.kind, 0.01, everything=False))
     assert both < 9000 and predict < 1.5 * without
-    assert (predict, both) == instructions(p, program)[:2]  # they are counted, not timed
 
 
 @needs_arm
@@ -166,7 +167,7 @@ def test_random_calls_trap_nothing_on_a_board(
             ("weighed", (FLOAT,), 5),
             ("tilted", (), 3),
         ],
-        lambda case, flags, lanes: case in ("every option", "adaptive") or (case == "weighed") == (lanes > 1),
+        lambda case, flags, lanes: lanes == 1 and case in ("every option", "tilted"),
     ),
 )
 def test_random_calls_do_no_harm(tmp_path: Path, case: str, flags: tuple[str, ...], lanes: int):

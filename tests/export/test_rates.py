@@ -25,7 +25,7 @@ from support import DRIVES, needs_shared, quickly
 
 TUNED_AT = 100.0
 P = tuned("planar8", "ukf", 1 / TUNED_AT)
-RATES = quickly([(rate,) for rate in (10.0, 50.0, 200.0, 1000.0)], lambda rate: rate != 200.0)
+RATES = quickly([(rate,) for rate in (10.0, 50.0, 200.0, 1000.0)], lambda rate: rate in (10.0, 200.0))
 
 
 @cache

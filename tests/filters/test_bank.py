@@ -107,9 +107,7 @@ def everything(of: LiveFilterBank) -> bytes:
             )
             for late in (0.0, 0.23)
         ],
-        lambda model, option, late: (
-            (late > 0 and option.get("kind") != "ukf") or (option is ALL and model == "planar8")
-        ),
+        lambda model, option, late: late > 0 and option.get("kind") != "ukf",
     ),
 )
 def test_lane_0_is_the_tuning_by_itself(model: str, option: dict[str, float], late: float):
@@ -372,7 +370,7 @@ def test_a_run_is_the_stream():
 
 
 @pytest.mark.parametrize(  # before, in and after a search
-    "at", quickly([(11.9,), (13.2,), (13.9,), (15.1,), (15.9,), (17.0,)], lambda at: at in (13.2, 15.1, 17.0))
+    "at", quickly([(11.9,), (13.2,), (13.9,), (15.1,), (15.9,), (17.0,)], lambda at: at in (13.2, 17.0))
 )
 def test_that_all_lanes_fail_is_told_at_once_and_it_starts_anew(at: float):
     p = parameters("planar8", **ALL)

@@ -126,8 +126,7 @@ def test_what_is_planted_is_found_by_a_tilted_filter():
 @pytest.mark.filterwarnings("ignore::sigmaswarm.DriveWarning")
 @pytest.mark.parametrize(
     ("name", "plant"),
-    [("colorado-1", "turned"), ("kitti-09-30-0033", "turned"), ("kitti-09-30-0018", "turned"),
-     ("colorado-1", "aside"), ("kitti-09-30-0018", "aside"), ("kitti-09-30-0018", "silent")],
+    [("colorado-1", "turned"), ("kitti-09-30-0018", "aside"), ("kitti-09-30-0018", "silent")],
 )  # fmt: skip
 def test_what_is_planted_in_a_recording_is_found(name: str, plant: str):
     check_planted(name, plant, SET)
@@ -141,7 +140,7 @@ ROADS = ["urban", "turns", "cruise", "brake", "outages"]
     ("maneuver", "gps"),
     quickly(
         product(ROADS, RECEIVERS),
-        lambda maneuver, gps: (ROADS.index(maneuver) + RECEIVERS.index(gps)) % 5 in (0, 2),
+        lambda maneuver, gps: (ROADS.index(maneuver) + RECEIVERS.index(gps)) % 5 == 0,
     ),
 )
 def test_no_sound_filter_starts_anew_on_a_simulated_drive(maneuver: str, gps: str):
@@ -303,7 +302,9 @@ def test_the_rough_heading_of_a_stream_is_that_of_an_alignment(bias: float):
 LIVE = {plant: (plant, SET) for plant in PLANTS} | {"turned-tilted12": ("turned", TILTED)}
 
 
-@pytest.mark.parametrize(("plant", "p"), quickly(LIVE.values(), lambda plant, p: plant != "aside"), ids=LIVE)
+@pytest.mark.parametrize(
+    ("plant", "p"), quickly(LIVE.values(), lambda plant, p: plant != "aside" and p is SET), ids=LIVE
+)
 def test_live_is_the_run(plant: str, p: FilterParameters):
     drive, start = PLANTS[plant](drive_of("simulated"))
     run = run_filter(drive, p, initial=start)
@@ -325,7 +326,7 @@ def test_live_is_the_run_while_nothing_can_be_aligned():
     assert lost.any()
 
 
-@pytest.mark.parametrize("late", [0.1, 0.5])
+@pytest.mark.parametrize("late", quickly([(0.1,), (0.5,)], lambda late: late == 0.5))
 def test_fixes_that_come_late_are_looked_at(late: float):
     drive, start = turned(drive_of("simulated"))
     (at,) = run_filter(drive, SET, initial=start).restarts

@@ -113,7 +113,9 @@ def test_jacobian_of_the_yaw_of_an_attitude_is_its_derivative():
         np.testing.assert_allclose(h.jacobian(state)[:, i], numeric, rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize(("model", "kind", "option"), CASES)
+@pytest.mark.parametrize(
+    ("model", "kind", "option"), quickly(CASES, lambda *case: case[:2] != ("tilted12", "ukf"))
+)
 def test_compiled_filter_agrees_with_the_textbook(model: str, kind: str, option: str):
     drive = thinned(hilly() if model == "tilted12" and option == "all" else driven(option), model, kind)
     p = filter_of(model, kind, option)
@@ -175,7 +177,7 @@ def test_lane_zero_of_a_bank_takes_headings_and_its_searches_replay_them():
 @pytest.mark.usefixtures("unoptimized")
 @pytest.mark.parametrize(
     ("model", "kind", "option"),
-    quickly(CASES[:8], lambda *case: case in (CASES[0], *CASES[3:5], *CASES[6:])),
+    quickly(CASES[:8], lambda *case: case in (CASES[4], CASES[6])),
 )
 def test_c_library_gives_the_estimates_of_a_run(model: str, kind: str, option: str, tmp_path: Path):
     drive = hilly() if model == "tilted12" and option == "all" else driven(option)

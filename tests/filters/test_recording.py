@@ -52,10 +52,14 @@ def as_bits(recording: Recording) -> dict[str, bytes]:
 )
 def test_pieces_of_any_length_give_the_whole_runs_bits(model: str, kind: str, option: str):
     p = parameters(model, kind=kind, **OPTIONS[option])
-    for replay in (replay_of(equipped), replay_of(two_receivers), replay_of(equipped, forecast_replay)):
+    for replay, lengths in (
+        (replay_of(equipped), (1, -1)),
+        (replay_of(two_receivers), (7,)),
+        (replay_of(equipped, forecast_replay), (1000,)),
+    ):
         n = len(replay.timeline.imu_time)
         whole = as_bits(Recording(replay, p, samples=n))
-        for samples in (1, 7, 1000, n - 1):
+        for samples in (length % n for length in lengths):
             in_pieces = as_bits(Recording(replay, p, samples=samples))
             assert [name for name in whole if whole[name] != in_pieces[name]] == [], samples
         sums = run_replays([replay], [p])

@@ -9,7 +9,17 @@ import pytest
 from filterpy.kalman import KalmanFilter, MerweScaledSigmaPoints
 from filterpy.kalman import UnscentedKalmanFilter as FilterPyUkf
 
-from filter_cases import KINDS, OPTIONS, WEIGHED, equipped, parameters, rough, straying, two_receivers
+from filter_cases import (
+    KINDS,
+    OPTIONS,
+    WEIGHED,
+    equipped,
+    parameters,
+    rough,
+    stands_for_all,
+    straying,
+    two_receivers,
+)
 from filters.test_consistency import band, draw, model_parameters, runs_needed, start, time_line
 from oracles.filterpy_car import upper_root_theta_first
 from sigmaswarm.drives.alignment import InitialState, initial_state
@@ -45,9 +55,10 @@ def apart(a: Estimate, b: Estimate) -> float:
 # --- The textbook's form -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("option", ["plain", "all", "robust"])
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("model", ["planar5", "planar8"])
+@pytest.mark.parametrize(
+    ("model", "kind", "option"),
+    quickly(product(("planar5", "planar8"), KINDS, ("plain", "all", "robust")), stands_for_all),
+)
 def test_compiled_is_the_textbooks(model: str, kind: str, option: str):
     """The closed form of the cross-covariance is that of the sigma points; what stretches P is a part of it."""
     if option == "robust" and kind not in ("ukf", "ekf"):

@@ -11,9 +11,12 @@ from fuzzing.check import break_files, check, copied
 from fuzzing.seeds import SEEDS
 from importing.test_datasets import imu_csv
 from sigmaswarm.drives.drive import Drive
+from support import quickly
 
 
-@pytest.mark.parametrize("name", SEEDS)
+@pytest.mark.parametrize(
+    "name", quickly([(name,) for name in SEEDS], lambda name: [*SEEDS].index(name) % 2 == 0)
+)
 @settings(
     max_examples=2,
     derandomize=True,

@@ -65,7 +65,7 @@ def test_what_is_proposed_makes_the_drive_that_was_logged(tmp_path: Path, togeth
     assert drive.gps.std_x == pytest.approx(np.full(len(drive.gps), 1.0), abs=1e-3)
 
 
-@pytest.mark.parametrize("rates", ["yaw_rate_dps_cw", "yaw_rate_ccw", "turn rate [deg/s]"])
+@pytest.mark.parametrize("rates", ["yaw_rate_dps_cw", "turn rate [deg/s]"])
 def test_an_imu_of_two_tables(tmp_path: Path, rates: str):
     """Odd names in both, and both with a time of the same name; the proposal is pasted."""
     folder = write_log(tmp_path / "log")
@@ -118,7 +118,7 @@ MISNAMED = {
 
 
 @pytest.mark.parametrize(
-    ("fault",), quickly(((name,) for name in MISNAMED), lambda fault: "exchanged" in fault or "az" in fault)
+    ("fault",), quickly(((name,) for name in MISNAMED), lambda fault: "exchanged" in fault)
 )
 def test_what_is_wrong_with_the_third_axes_is_corrected_too(tmp_path: Path, fault: str):
     """The doctor only warns of most of it: planar filters do not feel it."""

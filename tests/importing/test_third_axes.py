@@ -7,6 +7,7 @@ import pytest
 
 from fuzzing.seeds import SEEDS
 from sigmaswarm.importing.formats import READERS
+from support import quickly
 
 FIXES_ALONE = {"rtklib", "ubx", "nmea"}
 ONE_GYRO = {"csv", "parquet", "drive-enu"}
@@ -18,7 +19,9 @@ def test_every_reader_is_asked():
     assert {SEEDS[name].form for name in WITH_ALL} - {""} == READERS.keys() - FIXES_ALONE
 
 
-@pytest.mark.parametrize("name", WITH_ALL)
+@pytest.mark.parametrize(
+    "name", quickly([(name,) for name in WITH_ALL], lambda name: WITH_ALL.index(name) % 2 == 0)
+)
 def test_the_third_axes_are_kept(name: str, tmp_path: Path):
     seed = SEEDS[name]
     imu = seed.read(seed.write(tmp_path), tmp_path).imu

@@ -11,6 +11,7 @@ import pytest
 from importing.logs import EPOCH, a_drive, assert_close, imported
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.timeline import unwrap
+from support import quickly
 
 DRIVE = a_drive(12.0)
 IMU, GPS = DRIVE.imu, DRIVE.gps
@@ -134,7 +135,7 @@ def test_names_of_times(tmp_path: Path, form: str):
         ("time_of_day", 1, 86400),
     ],
 )
-@pytest.mark.parametrize("before", [4.0, 11.0])
+@pytest.mark.parametrize("before", quickly([(4.0,), (11.0,)], lambda before: before == 4.0))
 def test_counters_that_wrap_go_on(tmp_path: Path, name: str, scale: float, period: int, before: float):
     write(tmp_path, name, lambda t: f"{(round(t * scale, 6) - before * scale) % period:.10g}")
     assert apart(tmp_path) < 1.1e-3

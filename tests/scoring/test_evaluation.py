@@ -266,7 +266,7 @@ def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evalu
 def test_a_filter_that_lost_its_way_is_named(evaluation: Evaluation):
     assert evaluation.restarted == ()
     assert evaluation.to_dict()["restarts"] == {d.name: {"tuned": [], "untuned": []} for d in DRIVES}
-    drive = sigmaswarm.simulate("urban", run=1, gps="white-1m", duration=90)
+    drive = sigmaswarm.simulate("urban", run=1, gps="white-1m", duration=90, imu_rate=50)
     off = (drive.gps.time > 30) & (drive.gps.time < 75)
     aside = replace(drive, gps=replace(drive.gps, x=drive.gps.x + 300.0 * off))
     gated = replace(GOOD, gate=9.2, process_noise=(1e-6, 1e-6, 1e-4, 1e-4, 1e-8))

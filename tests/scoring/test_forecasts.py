@@ -85,7 +85,7 @@ def test_gaussian_innovations_keep_their_nis_under_students_t(dof: float, scale:
     assert scale == pytest.approx(scale_of(dof), rel=1e-12)
     assert scale == pytest.approx(rounded, abs=5e-4)
     # by chance, too: of all S = k I the one that is least unlikely has k = 1; with c = v it is too small
-    nu = np.random.default_rng(0).standard_normal((200_000, 2))
+    nu = np.random.default_rng(0).standard_normal((50_000, 2))
 
     def best(c: float) -> float:
         return minimize_scalar(

@@ -54,7 +54,9 @@ def test_a_log_that_shows_nothing_of_the_error_gets_no_figure():
 
 def test_what_a_filter_says_of_itself_is_what_it_is_off_where_the_log_bears_it_out():
     """Fixes with white errors and a filter that is right: the word is within a third of the truth."""
-    drives = [sigmaswarm.simulate("urban", run=run, gps="white-1m", duration=60) for run in range(3)]
+    drives = [
+        sigmaswarm.simulate("urban", run=run, gps="white-1m", duration=60, imu_rate=50) for run in range(3)
+    ]
     tuning = tune([replace(d, truth=None) for d in drives[:2]], particles=12, generations=6, seed=2)
     off = evaluate(drives[2], tuning.parameters).value(drives[2].name, "tuned", "position_rmse_m")
     blind = evaluate(replace(drives[2], truth=None), tuning.parameters)

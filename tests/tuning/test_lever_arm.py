@@ -76,19 +76,16 @@ def urban() -> Drive:
 
 @pytest.fixture(scope="module")
 def found(urban: Drive) -> LeverArmEstimate:
-    return estimate_lever_arm(urban, within=0.25)
+    return estimate_lever_arm(replace(urban, truth=None), within=0.25)
 
 
-def test_an_urban_drive_shows_the_arm_without_truth_and_each_time_the_same(
-    urban: Drive, found: LeverArmEstimate
-):
+def test_an_urban_drive_shows_the_arm_without_truth(found: LeverArmEstimate):
     assert found.observable == (True, True)
     assert abs(found.forward - 2.1) < 0.2
     assert abs(found.left + 0.7) < 0.2
     assert str(found).startswith(
         f"antenna {found.forward:.2f} m ahead (+-{found.std[0]:.2f} m) and {-found.left:.2f} m right (+-0."
     )
-    assert estimate_lever_arm(replace(urban, truth=None), within=0.25) == found
 
 
 def test_an_estimate_becomes_the_stated_arm_and_the_height_stays(urban: Drive, found: LeverArmEstimate):

@@ -125,6 +125,7 @@ class _Fit:
         self._matrix = np.zeros((2, 2))
         self._usual = np.zeros(2)  # mean bias, m/s2
         self._spread = BIAS_SPREAD[1]
+        self._kept: dict[float, tuple[list[Any], Complex]] = {}
         self.bias = np.zeros((len(rows), 2))
 
     def at(self, late: float, rounds: int = 4) -> Regression:
@@ -150,19 +151,25 @@ class _Fit:
 
     def _terms(self, late: float) -> tuple[Complex, list[Complex], list[Complex]]:
         """Return the positions, and the columns of the common unknowns and of each window's unknowns, all (w, n)."""
+        if late not in self._kept:  # most calls repeat the delay of the call before
+            self._kept = {late: self._paths(late)}
+        ((vx, x), (vy, y), (vb, b)), position = self._kept[late]
+        (xx, xy), (yx, yy) = self._matrix
+        usual, t = complex(*self._usual), self._course.time[self._rows]
+        speed = (xx + 1j * yx) * vx + (xy + 1j * yy) * vy + usual * vb
+        t = (t - t.mean(axis=1, keepdims=True)) / (t[:, -1:] - t[:, :1])
+        own = [np.ones_like(b), t + 0j, b - b.mean(axis=1, keepdims=True)]
+        return position - usual * b, [x, y, 1j * x, 1j * y, -speed, b, 1j * b], own
+
+    def _paths(self, late: float) -> tuple[list[Any], Complex]:
+        """Return single and double integrals of ax, of ay and of 1, and the IMU's positions, all (w, n)."""
         imu, rows, course = self._drive.imu, self._rows, self._course
         direction = np.exp(1j * heading_of(imu.time, course, self._rate, late))
-        at, usual = course.time - late, complex(*self._usual)
+        at = course.time - late
 
         def path(force: Array) -> list[Any]:
             once = integral(imu.time, direction * force)
             return [np.interp(at, imu.time, v)[rows] for v in (once, integral(imu.time, once))]
 
-        (vx, x), (vy, y), (vb, b) = path(imu.ax), path(imu.ay), path(np.ones(len(imu)))
-        (xx, xy), (yx, yy) = self._matrix
-        speed = (xx + 1j * yx) * vx + (xy + 1j * yy) * vy + usual * vb
-        t = course.time[rows]
-        t = (t - t.mean(axis=1, keepdims=True)) / (t[:, -1:] - t[:, :1])
         lever = complex(*self._drive.lever_arm) * np.interp(at, imu.time, direction)[rows]
-        own = [np.ones_like(b), t + 0j, b - b.mean(axis=1, keepdims=True)]
-        return course.position[rows] - lever - usual * b, [x, y, 1j * x, 1j * y, -speed, b, 1j * b], own
+        return [path(force) for force in (imu.ax, imu.ay, np.ones(len(imu)))], course.position[rows] - lever

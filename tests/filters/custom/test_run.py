@@ -18,6 +18,7 @@ from sigmaswarm import (
     run_textbook,
 )
 from sigmaswarm.drives.timeline import build_timeline
+from sigmaswarm.filters.custom import run as module
 from sigmaswarm.filters.custom.run import Runner, _run
 from sigmaswarm.filters.models import planar5
 from sigmaswarm.filters.parameters import FilterParameters
@@ -170,6 +171,25 @@ def test_a_process_that_wraps_its_angle_is_the_same_filter():
     for run in both(VARIED, log, PARAMETERS | {"variant": WRAPS}):
         assert np.abs(run.mean[:, 0]).max() < 4  # it is wrapped
         np.testing.assert_allclose(run.nll, plain.nll, rtol=0, atol=1e-8)
+
+
+def test_other_bounds_or_another_noise_need_no_compilation(monkeypatch: pytest.MonkeyPatch):
+    log = pendulum_log(duration=2.0)
+    expected = run_model(log, PENDULUM, PARAMETERS | {"r_angle": 2 * PARAMETERS["r_angle"]})
+    monkeypatch.setattr(module, "build_kernel", lambda *_, **__: pytest.fail("compiled again"))
+    other = replace(PENDULUM, measurement_noise=lambda p: np.array([2 * p.r_angle]))
+    assert run_model(log, other, PARAMETERS).mean.tobytes() == expected.mean.tobytes()
+
+
+def test_a_kernel_that_no_longer_returns_the_textbook_s_numbers_is_built_again(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """As when a value has changed that its functions read from a module."""
+    runner, fits, built = Runner(PENDULUM, [pendulum_log(duration=2.0)]), iter([False, True]), list[str]()
+    monkeypatch.setattr(module, "_same", lambda *_: next(fits))
+    monkeypatch.setattr(module, "build_kernel", lambda *_, **__: built.append("again") or runner.kernel)
+    assert module.kernel_of(replace(PENDULUM), runner.steps[0]) is runner.kernel
+    assert built == ["again"]
 
 
 # --- What can't be compiled --------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from scipy.stats import mannwhitneyu, qmc
 from oracles.landscapes import HIGH, LANDSCAPES, LOW
 from sigmaswarm.tuning.optimizers import OPTIMIZERS, create_optimizer
 from sigmaswarm.tuning.optimizers.sampling import SobolSearch
+from support import quickly
 
 
 def batches(optimizer, cost) -> list[int]:
@@ -57,7 +58,9 @@ def test_the_polish_waits_for_a_finite_cost():
     assert told == 300
 
 
-@pytest.mark.parametrize("landscape", LANDSCAPES)
+@pytest.mark.parametrize(
+    "landscape", quickly([(name,) for name in LANDSCAPES], lambda name: [*LANDSCAPES].index(name) % 2 == 0)
+)
 def test_a_polish_is_worth_its_evaluations(landscape: str):
     found = {}
     for polish in (0, 300):

@@ -23,6 +23,9 @@ everyone = pytest.mark.parametrize(
 # of a Gaussian process: what it promises is the same however little it looks around
 CHEAP = {"bo": {"batch": 6, "candidates": 30, "searches": 0}}
 with_and_without = pytest.mark.parametrize("polish", [0, 25])
+without_a_process = pytest.mark.parametrize(
+    "name", quickly([(name,) for name in OPTIMIZERS], lambda name: name != "bo")
+)
 
 
 def made(name: str, seed: int = 3, **changes: Any) -> Optimizer:
@@ -80,7 +83,7 @@ def test_a_restored_optimizer_goes_on_bit_for_bit(name: str, polish: int, betwee
     assert len(whole) >= 10
 
 
-@everyone
+@without_a_process
 @with_and_without
 def test_a_restored_optimizer_ignores_what_its_fresh_copy_had_done(name: str, polish: int, tmp_path: Path):
     for stop in (3, 9) if name == "bo" else (2, 5, 9):
@@ -94,7 +97,7 @@ def test_a_restored_optimizer_ignores_what_its_fresh_copy_had_done(name: str, po
         assert generations(other) == generations(optimizer)
 
 
-@everyone
+@without_a_process
 @with_and_without
 def test_one_seed_one_result(name: str, polish: int):
     first = generations(made(name, polish=polish))
@@ -184,7 +187,7 @@ def test_a_plateau(name: str):
     assert optimizer.global_cost == 1.0
 
 
-@everyone
+@without_a_process
 def test_it_goes_on_where_the_optimum_is_found_to_the_last_bit(name: str):
     optimizer = made(name, budget=120 if name == "bo" else 6000)
     while len(points := optimizer.ask()):

@@ -6,7 +6,7 @@ import math
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from numbers import Real
 from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any, Literal
@@ -146,7 +146,7 @@ class Model:
     @cached_property
     def record(self) -> Any:
         """The class of p: a named tuple, which NumPy code and Numba both accept."""
-        return namedtuple("p", [t.name for t in self.parameters])  # pyright: ignore[reportUntypedNamedTuple]
+        return _record(tuple(t.name for t in self.parameters))
 
     def values(self, parameters: Mapping[str, Any]) -> Any:
         """Return p from parameters by name; raise `InputError` if one is missing, unknown or not finite."""
@@ -180,6 +180,12 @@ class Model:
         }
         functions = (self.f, self.h, self.process_noise, self.measurement_noise)
         return plain | {"sha256": fingerprint(repr(plain), *functions)}
+
+
+@cache
+def _record(names: tuple[str, ...]) -> Any:
+    """One class for equal names: Numba compiles a kernel again for another class."""
+    return namedtuple("p", names)  # pyright: ignore[reportUntypedNamedTuple]
 
 
 def as_covariance(noise: Any) -> Array:

@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import numpy as np
 from numba.core.errors import NumbaError
@@ -13,7 +13,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.compiled.custom import build_kernel
 from sigmaswarm.filters.custom.log import Log, Steps, build_steps
-from sigmaswarm.filters.custom.model import SCALING_NAMES, Model, as_covariance
+from sigmaswarm.filters.custom.model import SCALING_NAMES, Model, as_covariance, fingerprint
 from sigmaswarm.filters.textbook.custom import TextbookModel
 from sigmaswarm.filters.textbook.ekf import complex_step
 from sigmaswarm.filters.textbook.loop import FAILURES, Trajectory, run_steps, smooth_steps
@@ -205,6 +205,8 @@ def _nothing(steps: Steps, *, covariances: bool, failed: int = -1) -> Filtered:
 
 
 _KERNELS: "WeakKeyDictionary[Model, Any]" = WeakKeyDictionary()
+_BUILT: "WeakValueDictionary[str, Any]" = WeakValueDictionary()
+"""Kernels of these models by their functions: a model with other bounds or another R needs no compilation."""
 
 
 def kernel_of(model: Model, steps: Steps) -> Any:
@@ -221,17 +223,22 @@ def _compiled(model: Model, steps: Steps) -> Any:
     )
     trial = trial_parameters(model)
     diagonal = np.ndim(model.process_noise(1.0, model.values(trial))) == 1
+    functions = model.f, model.h, model.process_noise
+    key = fingerprint(*functions, diagonal)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Numba's, on slow constructs in a user's function
-            kernel = build_kernel(model.f, model.h, model.process_noise, diagonal=diagonal)
+            kernel = _BUILT.get(key) or build_kernel(*functions, diagonal=diagonal)
             compiled = _run(model, kernel, few, trial, covariances=True)
     except (NumbaError, TypeError, NotImplementedError) as error:  # Numba also raises other errors
         why = _reason(error)
     else:
         textbook = _run(model, None, few, trial, covariances=True)
         if _same(compiled, textbook):
+            _BUILT[key] = kernel
             return kernel
+        if _BUILT.pop(key, None):  # a value that the functions read from a module has changed
+            return _compiled(model, steps)
         why = "the compiled functions return other numbers"
     warnings.warn(
         f"model {model.name}: its functions can't be compiled ({why}); the textbook filter runs them, about a hundred "
