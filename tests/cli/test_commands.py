@@ -432,7 +432,7 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     tune = ("tune", "parts/urban-clear-00-train", *QUICK, "--model", "planar5")
     assert sigmaswarm(*tune, "--out", "part").code == 0
     told = sigmaswarm("evaluate", "part", first, "--json").err
-    assert "tuned on 32 of its 40 s (urban-clear-00-train): its scores are not held out" in told
+    assert "tuned on 32 of its 40 s (urban-clear-00-train), so this is not a held-out drive" in told
     said = sigmaswarm("evaluate", "part", first, "--out", "e").out
     sentence = (
         "On 1 drive (NOT held out: the tuning used 32 of the 40 s of urban-clear-00, in urban-clear-00-train)"
