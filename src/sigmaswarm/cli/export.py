@@ -102,6 +102,9 @@ def export(
         print_json({"written": [str(path) for path in written], **found})
         return
     say(*(f"wrote {path}" for path in written), *(_found(each, lanes) for each in checked))
+    if mounting and to == "c99":
+        angles = ", ".join(f"{angle:g}" for angle in mounting)
+        say(f"ins_gps_turn_imu() turns raw samples by the mounting of the training drives ({angles} deg)")
     say(f"next: {_next_step(to, out, replay=drive is not None)}")
 
 
