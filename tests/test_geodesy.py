@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu, wrap_angle
+from sigmaswarm.doctor.mounting import AXES
+from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu, roll_pitch_yaw, rotation_of, wrap_angle
 
 longitude = st.floats(-180, 180)
 altitude = st.floats(-400, 9000)
@@ -77,3 +79,13 @@ def test_the_ends_of_the_interval():
     assert wrap_angle(np.pi) == np.pi
     np.testing.assert_array_equal(wrap_angle(np.array([np.pi, -np.pi])), [np.pi, np.pi])
     assert isinstance(wrap_angle(1), float)
+
+
+def test_angles_and_rotation_are_inverse_also_where_x_is_vertical():
+    for matrix in AXES:
+        np.testing.assert_array_equal(rotation_of(*roll_pitch_yaw(matrix, 1)), matrix)
+    for seed in range(20):
+        matrix = Rotation.random(random_state=seed).as_matrix()
+        np.testing.assert_allclose(rotation_of(*roll_pitch_yaw(matrix, 9)), matrix, rtol=0, atol=1e-10)
+        upright = rotation_of(0.0, 90.0 - 10.0 ** -(seed + 1), 25.0)
+        np.testing.assert_allclose(rotation_of(*roll_pitch_yaw(upright, 9)), upright, rtol=0, atol=1e-9)

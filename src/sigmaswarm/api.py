@@ -210,7 +210,8 @@ def export(
     folder : str or Path, optional
         Folder for the files; by default nothing is written.
     **options
-        ``replay`` (a Drive), ``as_recorded``, ``lanes``, ``seed``: see ``sigmaswarm export --help``.
+        ``replay`` (a Drive), ``as_recorded``, ``lanes``, ``seed``: see ``sigmaswarm export --help``. ``mounting``:
+        roll, pitch and yaw, deg, of an IMU whose raw samples are to be turned; by default that of the tuning.
 
     Returns
     -------
@@ -223,8 +224,14 @@ def export(
         If the target is unknown or does not support the model.
     """
     from sigmaswarm.exports.targets import export_texts, write_texts
+    from sigmaswarm.tuning.record import tuned_mounting
 
-    texts = export_texts(filter_of(parameters), to, **options)
+    known = filter_of(parameters)
+    if isinstance(parameters, str | Path):
+        options.setdefault("mounting", tuned_mounting(Path(parameters)))
+    elif isinstance(parameters, Tuning):
+        options.setdefault("mounting", parameters.mounting)
+    texts = export_texts(known, to, **options)
     if folder is not None:
         write_texts(texts, folder)
     return texts

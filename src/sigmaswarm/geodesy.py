@@ -39,9 +39,30 @@ def enu_to_geodetic(enu: ArrayLike, origin: Origin) -> Array:
     return np.stack(pymap3d.enu2geodetic(east, north, up, *origin), axis=-1)
 
 
+def rotation_of(roll: float, pitch: float, yaw: float) -> Array:
+    """Return the rotation (3, 3) by angles, deg, about fixed axes: x, then y, then z, as in ``import --mount``."""
+    return _turn(2, math.radians(yaw)) @ _turn(1, math.radians(pitch)) @ _turn(0, math.radians(roll))
+
+
+def _turn(axis: int, angle: float) -> Array:
+    """Return the rotation (3, 3) by an angle, rad, about an axis; exact for quarter turns."""
+    quarter = angle / (math.pi / 2)
+    c, s = math.cos(angle), math.sin(angle)
+    if abs(quarter - round(quarter)) < 1e-12:
+        c, s = float(round(c)), float(round(s))
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.eye(3)
+    matrix[i, i] = matrix[j, j] = c
+    matrix[i, j], matrix[j, i] = -s, s
+    return matrix
+
+
 def roll_pitch_yaw(rotation: Array, digits: int = 0) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw, deg, of a rotation (3, 3), as for ``import --mount``."""
-    pitch = -math.asin(float(np.clip(rotation[2, 0], -1, 1)))
-    angles = math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])
+    """Return the angles of `rotation_of`, deg, rounded; the roll is 0 if the pitch is 90 or -90 deg."""
+    level = math.hypot(rotation[0, 0], rotation[1, 0])
+    roll, yaw = math.atan2(rotation[2, 1], rotation[2, 2]), math.atan2(rotation[1, 0], rotation[0, 0])
+    if level < 1e-9:  # x is vertical: only yaw - roll, or yaw + roll, is determined
+        roll, yaw = 0.0, math.atan2(-rotation[0, 1], rotation[1, 1])
+    angles = roll, math.atan2(-rotation[2, 0], level), yaw
     roll, pitch, yaw = (round(math.degrees(angle), digits) + 0.0 for angle in angles)
     return roll, pitch, yaw

@@ -4,10 +4,12 @@ import json
 import re
 import shutil
 import subprocess
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 from cli.conftest import Command
 
@@ -23,6 +25,21 @@ def test_export_names_what_it_wrote(sigmaswarm: Command, tuned: Path, here: Path
     assert following.startswith("next: ") and "ros/robot_localization.yaml" in following
     ended = sigmaswarm("export", tuned, "--to", "filterpy", "--out", "py", "--json")
     assert json.loads(ended.out) == {"written": ["py/run_filter.py"]}
+
+
+def test_c_of_a_tuning_with_a_mounting_says_so(sigmaswarm: Command, tuned: Path, here: Path):
+    def mounted(*angles: float) -> str:
+        content = tomllib.loads(tuned.read_text())
+        data = [{"name": "monday", "imu_mounting_deg": angles}]
+        Path("tuning.toml").write_text(tomli_w.dumps(content | {"data": data}))
+        return "tuning.toml"
+
+    said = sigmaswarm("export", mounted(0.0, 10.5, 90.0), "--to", "c99", "--out", "c").out
+    assert "raw samples by the mounting of the training drives (0, 10.5, 90 deg)" in said
+    assert "ins_gps_turn_imu" in Path("c/ins_gps.c").read_text()
+    assert "ins_gps_turn_imu" not in sigmaswarm("export", tuned, "--to", "c99", "--out", "d").out
+    ended = sigmaswarm("export", mounted(0.0, np.nan, 90.0), "--to", "c99", "--out", "e")
+    assert (ended.code, ended.err.count("\n")) == (2, 1) and "imu_mounting_deg" in ended.err
 
 
 def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: Path, here: Path):

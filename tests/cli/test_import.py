@@ -275,6 +275,16 @@ def test_show_says_what_nobody_reads(sigmaswarm: Command, here: Path):
     assert tail in said, said
 
 
+def test_show_names_the_mounting_that_its_note_recommends(sigmaswarm: Command, here: Path):
+    rows = [f"{i / 100},0,0,-9.81,0,{i},0" for i in range(300)]
+    (here / "log.csv").write_text("t,ax,ay,az,gz,x,y\n" + "\n".join(rows) + "\n")
+    said = sigmaswarm("import", "log.csv", "--show").out
+    command = "sigmaswarm import log.csv --out drive --mount x=x,y=-y"
+    assert "the z axis points down" in said and f"\nnext: {command}\n" in said
+    with_mount = sigmaswarm("import", "log.csv", "--show", "--mount", "x=x,y=-y").out
+    assert "points down" not in with_mount and with_mount.count("--mount") == 1
+
+
 @pytest.mark.parametrize("option", ["--max-rows", "--max-columns", "--max-unpacked-mb"])
 def test_limits_are_options(sigmaswarm: Command, here: Path, option: str):
     rows = [f"{i / 100},0,0,0,{i},0" for i in range(300)]

@@ -6,11 +6,15 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import sigmaswarm
 from doctor.faults import FAULTS, MORE, codes_of
 from sigmaswarm import Diagnosis, Drive, Finding
 from sigmaswarm.doctor.findings import Repair
+from sigmaswarm.doctor.mounting import turned
+from sigmaswarm.doctor.repairs import repair as repaired
+from sigmaswarm.importing.mounting import parse_mount
 from support import DRIVES, needs_shared, quickly
 
 MENDABLE = [fault for fault in [*FAULTS, *MORE] if fault != "gaps"]
@@ -194,3 +198,72 @@ def test_a_repair_that_makes_forecasts_worse_is_withheld(code: str, repair: Repa
     with pytest.warns(sigmaswarm.SigmaswarmWarning, match="withheld"):
         mended = sigmaswarm.repair(sick, replace(found, findings=(*found.findings, wrong)))
     np.testing.assert_allclose(mended.imu.ax, good.imu.ax, atol=1e-9)
+
+
+BEFORE = (10.0, 20.0, 30.0)
+"""The mounting that the import has applied, deg."""
+OTHER = Rotation.random(random_state=3).as_matrix()
+ABOUT_X = np.diag([1.0, -1.0, -1.0])
+
+
+def about_z(angle: float) -> np.ndarray:
+    return Rotation.from_euler("z", angle).as_matrix()
+
+
+def rotate(matrix: np.ndarray) -> Repair:
+    return Repair("rotate", tuple(matrix.ravel().tolist()))
+
+
+@pytest.mark.parametrize(
+    ("axes", "repairs", "rotation"),
+    [
+        (6, [rotate(OTHER)], OTHER),
+        (6, [Repair("turn", (0.3,)), rotate(OTHER)], about_z(0.3) @ OTHER),
+        (6, [rotate(Rotation.from_euler("xyz", BEFORE, degrees=True).as_matrix().T)], "taken back"),
+        (6, [Repair("gyro", (2.0, np.pi / 180)), Repair("level", (0.3, 0.1))], np.eye(3)),
+        (6, [Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, 1.02)), rotate(OTHER)], OTHER),
+        (6, [Repair("accelerometer", (0.0, -1.0, 1.0, 0.0, 1.0))], "no rotation"),
+        (6, [Repair("tilt-rates", (-1.0, 0.0, 0.0, 1.0))], "no rotation"),
+        (6, [Repair("accelerometer", (-1.0, 0.0, 0.0, -1.0, -1.0))], "no rotation"),
+        (3, [Repair("accelerometer", (0.0, -1.0, 1.0, 0.0, 1.0))], about_z(np.pi / 2)),
+        (3, [Repair("accelerometer", (1.0, 0.0, 0.0, -1.0, 1.0)), Repair("gyro", (2.0, -1.0))], ABOUT_X),
+        (3, [Repair("turn", (0.3,))], about_z(0.3)),
+        (3, [Repair("accelerometer", (1.0, 0.0, 0.0, -1.0, 1.0))], "no rotation"),
+    ],
+)
+def test_the_mounting_is_the_rotation_from_the_raw_samples(axes: int, repairs: list[Repair], rotation):
+    stated = BEFORE if axes == 6 else (0.0, 0.0, 30.0)
+    before = Rotation.from_euler("xyz", stated, degrees=True).as_matrix()
+    drive = drive_of("simulated, short")
+    if axes == 3:
+        drive = replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None))
+    drive = replace(drive, metadata={"imu_mounting_deg": [*stated]})
+    findings = [
+        Finding(r.action, "serious", "wrong", "imu.csv", (0.0, 1.0), 0.999, "mend", r) for r in repairs
+    ]
+    mended = repaired(drive, Diagnosis(drive.name, tuple(findings)))
+    if isinstance(rotation, str):
+        assert mended.mounting is None
+        return
+    whole = parse_mount(",".join(map(str, mended.mounting)))
+    np.testing.assert_allclose(whole, rotation @ before, atol=1e-9)
+    if axes == 6 and {r.action for r in repairs} <= {"rotate", "turn"}:  # the numbers, too
+        raw = turned(drive.imu, before.T)
+        np.testing.assert_allclose(turned(raw, whole).gy, mended.imu.gy, atol=1e-9)
+
+
+def test_the_remedy_of_a_turned_drive_is_the_mounting_of_its_log():
+    """The doctor finds what is left of the mounting, but an import starts from the raw samples."""
+    good = sigmaswarm.simulate("urban", gps="white-1m", duration=120, terrain="flat", run=4)
+    total = Rotation.from_euler("xyz", (0, -25, 90), degrees=True).as_matrix()
+    raw = replace(good, imu=turned(good.imu, total.T))
+    imported = replace(
+        raw, imu=turned(raw.imu, about_z(np.pi / 2)), metadata={"imu_mounting_deg": [0, 0, 90]}
+    )
+    diagnosis = sigmaswarm.diagnose(imported)
+    (found,) = [finding for finding in diagnosis.findings if finding.code == "mounting"]
+    again = parse_mount(found.remedy.rpartition("--mount ")[2])
+    mended = sigmaswarm.repair(imported, diagnosis)
+    assert np.degrees(Rotation.from_matrix(again @ total.T).magnitude()) < 3
+    for rotation in (again, parse_mount(",".join(map(str, mended.mounting)))):
+        np.testing.assert_allclose(turned(raw.imu, rotation).ax, mended.imu.ax, atol=0.05)

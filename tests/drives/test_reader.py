@@ -115,6 +115,14 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
         text("drive.toml", 'gps_std_m = "1 m"'),
         ["drive.toml", "gps_std_m = '1 m'", "write for example"],
     ),
+    "mounting-short": (
+        text("drive.toml", "imu_mounting_deg = 90.0"),
+        ["drive.toml", "imu_mounting_deg = 90.0", "write for example imu_mounting_deg = [0.0, 10.0, 90.0]"],
+    ),
+    "mounting-large": (
+        text("drive.toml", "imu_mounting_deg = [0.0, 0.0, 361.0]"),
+        ["drive.toml", "is not an angle; give roll, pitch and yaw in degrees"],
+    ),
     "std-zero": (text("drive.toml", "gps_std_m = 0"), ["drive.toml", "gps_std_m = 0", "positive"]),
     "name-with-slash": (text("drive.toml", 'name = "../up"'), ["drive.toml", "'../up'", "slashes"]),
     "file-header-only": (keep_rows("gps.csv", 0), ["gps.csv", "contains no rows", "one row per sample"]),

@@ -60,7 +60,7 @@ def test_a_place_without_a_value_is_an_error():
 )
 def test_no_place_and_no_part_is_left_over(target, model: str, kind: str, everything: bool):
     p = tuned(model, kind, 0.01, everything=everything)
-    texts = [*TARGETS[target](p, 0.01).values()]
+    texts = [*TARGETS[target](p, 0.01).values(), *TARGETS[target](p, 0.01, False, (0.0, 10.0, 90.0)).values()]
     if target == "c99":
         texts += c99(p, 0.01, lanes=Lanes(3)).values()
     for text in texts:

@@ -39,6 +39,9 @@ def test_the_mounting_is_found(tmp_path: Path, roll: float, pitch: float, yaw: f
     assert np.sqrt(np.mean((made.imu.ax - drive.imu.ax) ** 2)) < 9.81 * np.sin(np.radians(5))
     assert made.imu.az is not None
     assert np.median(made.imu.az) == pytest.approx(9.8, abs=0.2)
+    raw = replace(drive, imu=turned(drive.imu, rotation.T)).imu
+    mount = ",".join(map(str, made.mounting))
+    np.testing.assert_allclose(turned(raw, parse_mount(mount)).gx, made.imu.gx, atol=1e-9)
 
 
 def test_a_log_that_does_not_show_it_is_refused_with_the_reason(tmp_path: Path):

@@ -1,11 +1,15 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from importing.logs import a_drive, imported
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.mounting import parse_mount, rotate
+from sigmaswarm.importing.recipe import Recipe
 
 angles = st.floats(-180, 180)
 
@@ -48,6 +52,28 @@ def test_a_sensor_turned_left_sees_a_start_on_its_right():
     np.testing.assert_array_equal(turned["ax"], push)
     np.testing.assert_array_equal(turned["ay"], still)
     np.testing.assert_array_equal(turned["gz"], push)
+
+
+@pytest.mark.parametrize(
+    ("mount", "stated"),
+    [
+        ("", None),
+        ("0,0,0", None),
+        ("90", [0.0, 0.0, 90.0]),
+        ("x=-y,y=x", [0.0, 0.0, 90.0]),
+        ("x=x,y=-y", [180.0, 0.0, 0.0]),
+        ("12.25", [0.0, 0.0, 12.25]),
+    ],
+)
+def test_the_drive_states_it(tmp_path: Path, mount: str, stated: list[float] | None):
+    """Also that of an IMU with three axes; x=x,y=-y then needs no other axis."""
+    log = a_drive(5.0)
+    rows = np.column_stack([log.imu.time, log.imu.ax, log.imu.ay, log.imu.gz])
+    np.savetxt(tmp_path / "imu.csv", rows, delimiter=",", header="time_s,ax,ay,gz", comments="")
+    fixes = np.column_stack([log.gps.time, log.gps.lat, log.gps.lon])
+    np.savetxt(tmp_path / "gps.csv", fixes, "%.12f", ",", header="time_s,lat,lon", comments="")
+    drive = imported(tmp_path, recipe=Recipe(mount=mount)).drive
+    assert drive.metadata.get("imu_mounting_deg") == stated
 
 
 def test_what_is_missing_matters_only_where_it_is_needed():

@@ -13,6 +13,7 @@ from rosbags.typesys import get_types_from_msg
 
 from importing.bags import ROS1, ROS2, Message, Writer2, messages, write_ros
 from importing.logs import EPOCH, a_drive, assert_close, imported
+from sigmaswarm.doctor.mounting import turned
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.convert import Request, import_drive
 from sigmaswarm.importing.look import look
@@ -81,6 +82,12 @@ def test_numbers_are_known_by_their_names(tmp_path: Path, kind: str, pair: tuple
     assert_close(got.gps, GPS, "lat lon", 1e-9)
     np.testing.assert_allclose(got.imu.time - got.imu.time[0], IMU.time - IMU.time[0], atol=2e-6)
     np.testing.assert_allclose(got.gps.time[0] - got.imu.time[0], GPS.time[0] - IMU.time[0], atol=2e-6)
+
+
+def test_an_axis_that_points_down_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(globals(), "IMU", turned(IMU, np.diag([1.0, -1.0, -1.0])))
+    notes = imported(write_ros(tmp_path / "bag", of_kinds(ROS2, *PAIRS[0]))).notes
+    assert any("accel_m_s2[2] is negative: the z axis points down" in note for note in notes)
 
 
 @pytest.mark.parametrize(("pair",), quickly(((pair,) for pair in PAIRS), lambda pair: pair == PAIRS[0]))

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from importing.bags import ROS1, ROS2, messages, odometry, write_mcap, write_ros
 from importing.logs import EPOCH, ORIGIN, a_drive, assert_close, imported
+from sigmaswarm.doctor.mounting import turned
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.recipe import Recipe
@@ -108,6 +109,17 @@ def test_several_imus_are_chosen_among(tmp_path: Path):
     assert any("/imu/data taken for the imu, not /imu/second" in note for note in first.notes)
     second = imported(bag, choice=Choice({"imu": "imu/second"}))
     assert np.all(second.drive.imu.ax == 7.0)
+
+
+@pytest.mark.parametrize("custom", [False, True])
+def test_an_axis_that_points_down_is_told(tmp_path: Path, custom: bool):
+    down = replace(DRIVE, imu=turned(DRIVE.imu, np.diag([1.0, -1.0, -1.0])))
+    bag = write_ros(tmp_path / "bag", messages(down, custom=custom))
+    assert any("the z axis points down" in note for note in imported(bag, recipe=AT).notes)
+    got = imported(bag, recipe=replace(AT, mount="x=x,y=-y"))
+    assert not any("points down" in note for note in got.notes)
+    assert_same(got.drive)
+    assert not any("points down" in note for note in imported(write(tmp_path, "ros1", custom=custom)).notes)
 
 
 def test_wheel_odometry_is_no_truth_unless_chosen(tmp_path: Path):

@@ -3,7 +3,7 @@
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -72,6 +72,7 @@ def export(
     from sigmaswarm.exports.check import check_export
     from sigmaswarm.exports.targets import export_texts, write_texts
     from sigmaswarm.filters.models import MODELS
+    from sigmaswarm.tuning.record import tuned_mounting
 
     to, out, lanes, seed = options.to, options.out, options.lanes, options.seed
     parameters = sigmaswarm.FilterParameters.load(tuning)
@@ -86,19 +87,23 @@ def export(
         )
     drive = read_known(options.replay) if options.replay else None
     drives = read_drives(options.check or [])
-    recorded = tuned_as_recorded(tuning)
-    texts = export_texts(parameters, to, replay=drive, as_recorded=recorded, lanes=lanes, seed=seed)
+    recorded, mounting = tuned_as_recorded(tuning), tuned_mounting(tuning)
+    settings: dict[str, Any] = {"as_recorded": recorded, "lanes": lanes, "seed": seed}
+    texts = export_texts(parameters, to, replay=drive, mounting=mounting, **settings)
     if drives and ros:
         texts["README.md"] += _accuracy(parameters, drives, tuning, options.against)
     written = write_texts(texts, out)
     checked: list[Checked] = []
     if drives and not ros:
-        checked = check_export(out, parameters, drives, as_recorded=recorded, lanes=lanes, seed=seed)
+        checked = check_export(out, parameters, drives, **settings)
     if options.json:
         found = {"checked": [asdict(each) for each in checked]} if checked else {}
         print_json({"written": [str(path) for path in written], **found})
         return
     say(*(f"wrote {path}" for path in written), *(_found(each, lanes) for each in checked))
+    if mounting and to == "c99":
+        angles = ", ".join(f"{angle:g}" for angle in mounting)
+        say(f"ins_gps_turn_imu() turns raw samples by the mounting of the training drives ({angles} deg)")
     say(f"next: {_next_step(to, out, replay=drive is not None)}")
 
 

@@ -324,14 +324,16 @@ def _print_look(seen: "Look", options: ImportOptions) -> None:
         more = f" and {len(columns) - MOST_UNREAD} more" if len(columns) > MOST_UNREAD else ""
         say(f"{shown(table)}: {', '.join(map(shown, columns[:MOST_UNREAD]))}{more}")
     if seen.works:
-        say(f"\nnext: {_command(seen.proposal, options)}")
+        say(f"\nnext: {_command(seen, options)}")
 
 
-def _command(proposal: str, options: ImportOptions) -> str:
+def _command(seen: "Look", options: ImportOptions) -> str:
     """Return the command of the user with --out instead of --show, and with the proposed options."""
     typed = [word for word in sys.argv[1:] if word != "--show"]
     out = [] if options.out else ["--out", "drive"]
-    return f"{shown(shlex.join(['sigmaswarm', *typed, *out]), 4000)} {shown(proposal, 4000)}".rstrip()
+    # A proposal is checked with the axes as they are.
+    out += ["--mount", seen.mount] if seen.mount and not seen.proposal else []
+    return f"{shown(shlex.join(['sigmaswarm', *typed, *out]), 4000)} {shown(seen.proposal, 4000)}".rstrip()
 
 
 def _columns(glance: "Glance") -> Iterator[str]:

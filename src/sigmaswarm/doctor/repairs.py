@@ -1,7 +1,7 @@
 """Repair the faults that a diagnosis found. The given drive and its truth are not changed."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -11,10 +11,11 @@ import numpy as np
 from sigmaswarm.doctor.checks.heading import HEADINGS
 from sigmaswarm.doctor.checks.odometer import without
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
-from sigmaswarm.doctor.findings import Diagnosis
+from sigmaswarm.doctor.findings import Diagnosis, Repair
 from sigmaswarm.doctor.mounting import turned
-from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.tables import NO_HEADING
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.mounting import with_rotation
+from sigmaswarm.drives.tables import NO_HEADING, Imu
 from sigmaswarm.geodesy import wrap_angle
 
 
@@ -30,17 +31,45 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     Returns
     -------
     Drive
-        A drive of the same name; ``repaired`` in its metadata lists the findings that were repaired.
+        A drive of the same name; ``repaired`` in its metadata lists the findings that were repaired, and
+        ``imu_mounting_deg`` includes the rotation of the axes.
     """
     found = [(f.code, f.repair) for f in diagnosis.findings if f.repair is not None]
     if not found:
         return drive
+    repairs = [r for _, r in found]
+    rotation = _rotation(drive, [r for r in repairs if r.action in AXES])
+    drive = _applied(drive, repairs)
+    repaired = [*drive.metadata.get("repaired", []), *dict.fromkeys(code for code, _ in found)]
+    return replace(drive, metadata=with_rotation(drive.metadata, rotation) | {"repaired": repaired})
+
+
+def _applied(drive: Drive, repairs: Sequence[Repair]) -> Drive:
     for action, apply in ACTIONS.items():
         # Latest jump first: closing it leaves the times of earlier jumps unchanged.
-        for values in sorted((r.values for _, r in found if r.action == action), reverse=True):
+        for values in sorted((r.values for r in repairs if r.action == action), reverse=True):
             drive = apply(drive, *values)
-    repaired = [*drive.metadata.get("repaired", []), *dict.fromkeys(code for code, _ in found)]
-    return replace(drive, metadata={**drive.metadata, "repaired": repaired})
+    return drive
+
+
+def _rotation(drive: Drive, repairs: Sequence[Repair]) -> Array | None:
+    """Return the rotation (3, 3) that repairs of the IMU's axes are together; None if they are no rotation.
+
+    The repairs are applied to an IMU whose samples are the unit vectors. Factors are left out, since they are units and
+    scales. An IMU without all six axes is turned about z, or exchanges axes: only ax, ay and gz count.
+    """
+    names = [n for n in ("ax", "ay", "az", "gx", "gy", "gz") if getattr(drive.imu, n) is not None]
+    columns = {name: np.eye(3)["xyz".index(name[1])] for name in names}
+    imu, six = _applied(replace(drive, imu=Imu(np.zeros(3), **columns)), repairs).imu, len(names) == 6
+    force = _unit_rows(imu.ax, imu.ay, imu.az if six else imu.gz)
+    rates = _unit_rows(imu.gx, imu.gy, imu.gz) if six else force
+    same = np.allclose(force, rates, atol=1e-6) and np.allclose(force @ force.T, np.eye(3), atol=1e-6)
+    return force if same and np.linalg.det(force) > 0 else None
+
+
+def _unit_rows(*rows: Array | None) -> Array:
+    matrix = np.array(rows, np.float64)
+    return matrix / np.maximum(np.linalg.norm(matrix, axis=1)[:, None], 1e-12)
 
 
 def _with(sensor: str, drive: Drive, **columns: Any) -> Drive:
@@ -147,6 +176,8 @@ def _close_jump(drive: Drive, moment: float, jump: float) -> Drive:
     return drive
 
 
+AXES = {"rotate", "gyro", "tilt-rates", "accelerometer", "turn"}
+"""Actions that change the IMU's axes."""
 ACTIONS: dict[str, Callable[..., Drive]] = {
     "shift-clock": partial(_shift, "gps"),
     "drop-samples": partial(_drop, "imu"),

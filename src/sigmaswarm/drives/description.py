@@ -21,6 +21,7 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "gps_lever_arm_std_m": ((2, 3), "[0.05, 0.05, 0.1]"),
     "gps_std_m": ((0,), "1.5"),
     "heading_deg": ((0,), "90.0"),
+    "imu_mounting_deg": ((3,), "[0.0, 10.0, 90.0]"),
     "accel_noise_density": ((0,), "0.004"),
     "gyro_noise_density": ((0,), "0.0001"),
     "accel_bias_walk": ((0,), "0.0001"),
@@ -28,6 +29,10 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "imu_stated_noise": ((2,), "[1e-4, 1e-2]"),
 }
 """Keys of drive.toml that filters use: allowed numbers of elements (0: a plain number), and an example."""
+_ANGLES = {
+    "heading_deg": "degrees counter-clockwise from east",
+    "imu_mounting_deg": "roll, pitch and yaw in degrees",
+}
 
 
 def read_description(path: Path) -> dict[str, Any]:
@@ -72,9 +77,9 @@ def _require_numbers(key: str, value: Any, path: Path) -> None:
     what = None
     if not numbers or not plain or length not in lengths:
         what = f"can't be used; write for example {key} = {example}"
-    elif key == "heading_deg" and abs(numbers[0]) > 360:
-        what = "is not an angle; give degrees counter-clockwise from east, -360 to 360"
-    elif key not in ("heading_deg", "gps_lever_arm_m") and not min(numbers) > 0:
+    elif key in _ANGLES and max(map(abs, numbers)) > 360:
+        what = f"is not an angle; give {_ANGLES[key]}, -360 to 360"
+    elif key not in (*_ANGLES, "gps_lever_arm_m") and not min(numbers) > 0:
         what = "must be positive; leave it out if it is not known"
     if what:
         raise DriveError(f"{path}: {key} = {value_shown(value)} {what}")

@@ -10,6 +10,7 @@ import numpy as np
 from sigmaswarm import notebook
 from sigmaswarm.drives.checks import checked
 from sigmaswarm.drives.frames import tables_from_frames
+from sigmaswarm.drives.mounting import KEY, Angles
 from sigmaswarm.drives.tables import Array, Gps, Imu, Odometer, Table, Truth
 
 T = TypeVar("T")
@@ -130,6 +131,12 @@ class Drive:
         """Heading at the first IMU sample, rad: ``heading_deg`` of drive.toml, else None."""
         stated = self.metadata.get("heading_deg")
         return None if stated is None else float(np.radians(float(stated)))
+
+    @property
+    def mounting(self) -> Angles | None:
+        """Roll, pitch and yaw by which the IMU was turned, deg: ``imu_mounting_deg`` of drive.toml, else None."""
+        stated = self.metadata.get(KEY)
+        return None if stated is None else (float(stated[0]), float(stated[1]), float(stated[2]))
 
     @property
     def duration(self) -> float:

@@ -4,9 +4,10 @@ import hashlib
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, FiniteFloat
 
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.mounting import KEY
 
 START_RULE = (
     "the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster), or, on a slower drive, "
@@ -23,6 +24,7 @@ class DriveRecord(BaseModel):
     imu_samples: int | None = None
     fixes: int | None = None
     has_truth: bool | None = None
+    imu_mounting_deg: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     sha256: str = ""
     truth_share: float | None = None
     """Share of an evaluated drive's scored time in which truth is known."""
@@ -41,6 +43,7 @@ def described(drive: Drive) -> dict[str, Any]:
         "imu_samples": len(drive.imu),
         "fixes": len(drive.gps),
         "has_truth": drive.truth is not None,
+        **({KEY: [*drive.mounting]} if drive.mounting else {}),
         "sha256": fingerprint(drive),
     }
 

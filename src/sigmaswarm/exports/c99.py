@@ -8,6 +8,7 @@ import numpy as np
 from sigmaswarm.drives import standstill
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Gps
+from sigmaswarm.drives.mounting import Angles
 from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c_emitter import STATES
@@ -30,6 +31,7 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.student import OUTLIERS_SPAN
+from sigmaswarm.geodesy import rotation_of
 from sigmaswarm.versions import __version__
 
 FILES = (
@@ -53,9 +55,15 @@ ALONE = Lanes()
 
 
 def c99(
-    parameters: FilterParameters, interval: float, as_recorded: bool = False, lanes: Lanes = ALONE
+    parameters: FilterParameters,
+    interval: float,
+    as_recorded: bool = False,
+    mounting: Angles | None = None,
+    lanes: Lanes = ALONE,
 ) -> dict[str, str]:
     """Return the files by name. Q refers to steps of ``interval`` s; ``as_recorded`` is as in `PreparedDrive`.
+
+    ``mounting``: roll, pitch and yaw of the IMU, deg; the files then have a function that turns raw samples.
 
     Raises
     ------
@@ -76,10 +84,14 @@ def c99(
         "USE_DOUBLE": not all(fits_float(p) for p in lanes.filters(parameters)),
         "USE_AS_RECORDED": as_recorded,
         "USE_LANES": several,
+        "USE_MOUNTING": mounting is not None,
         "USE_EXP": several or features["USE_FIX_ERROR"],
     }
     values = values_of(parameters, interval) | _only_in_c(parameters, interval) | lanes.values(parameters)
     values |= kernels_of(parameters, features, values)
+    if mounting is not None:
+        values["MOUNTING"] = "{:g}, {:g} and {:g}".format(*mounting)
+        values["ROTATION"] = ", ".join(f"{{{listed(row, 'R({})')}}}" for row in rotation_of(*mounting))
     values["RULES"] = rules_of(features)
     texts = {name: fill(f"{name}.in", features, values) for name in FILES}
     numbers = {name: f"R({value})" for name, value in values.items()} | lanes.numbers(parameters)

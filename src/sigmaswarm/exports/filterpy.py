@@ -9,6 +9,7 @@ from types import ModuleType
 
 from sigmaswarm import geodesy
 from sigmaswarm.drives import alignment, alignment_fit, frozen, gaps, gyro_seen, standstill, tables
+from sigmaswarm.drives.mounting import Angles
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.features import defined, features_of, fill, listed, values_of
 from sigmaswarm.filters import models, schedule
@@ -18,8 +19,13 @@ from sigmaswarm.filters.textbook import ekf
 FILE = "run_filter.py"
 
 
-def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = False) -> dict[str, str]:
-    """Return the script by file name. Q refers to steps of ``interval`` s; ``as_recorded`` is as in `PreparedDrive`."""
+def filterpy(
+    parameters: FilterParameters, interval: float, as_recorded: bool = False, _: Angles | None = None
+) -> dict[str, str]:
+    """Return the script by file name. Q refers to steps of ``interval`` s; ``as_recorded`` is as in `PreparedDrive`.
+
+    The script reads drives, which are in the axes of the vehicle.
+    """
     p = parameters
     if p.odometer_noise is not None:
         raise InputError(

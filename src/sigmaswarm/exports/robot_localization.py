@@ -7,6 +7,7 @@ filter_base.cpp.
 
 import math
 
+from sigmaswarm.drives.mounting import Angles
 from sigmaswarm.exports.features import features_of, fill, in_range, values_of
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
@@ -31,8 +32,12 @@ START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
 """Initial variances of vx, vy, yaw, ax, ay, yaw rate if initial_state is set as in README.md."""
 
 
-def robot_localization(parameters: FilterParameters, interval: float, _: bool = False) -> dict[str, str]:
+def robot_localization(
+    parameters: FilterParameters, interval: float, _: bool = False, mounting: Angles | None = None
+) -> dict[str, str]:
     """Return the files by name. Q refers to steps of ``interval`` s. ROS's filter has no preprocessing.
+
+    ``mounting``: roll, pitch and yaw of the IMU, deg, which ROS turns by a static transform.
 
     Raises
     ------
@@ -41,27 +46,30 @@ def robot_localization(parameters: FilterParameters, interval: float, _: bool = 
     """
     p, (r_east, r_north) = parameters, parameters.measurement_noise
     if MODELS[p.model].measures_imu:
-        return _configuration(p, interval)
+        return _configuration(p, interval, mounting)
     numbers = {
         "R_EAST": r_east,
         "R_NORTH": r_north,
         "R_UP": in_range(r_east + r_north, "the sum of measurement_noise"),
     }
-    values = values_of(p, interval) | _shared(p, interval)
+    values = values_of(p, interval) | _shared(p, interval, mounting)
     values |= {name: yaml_number(value) for name, value in numbers.items()}
     values["NODE"] = "ekf_filter_node" if p.kind == "ekf" else "ukf_filter_node"
     values["PROCESS_NOISE"] = _diagonal(process_noise(p, interval))
-    return {FILE: fill(f"{FILE}.in", features_of(p), values)}
+    used = features_of(p) | {"USE_MOUNTING": mounting is not None}
+    return {FILE: fill(f"{FILE}.in", used, values)}
 
 
-def _shared(p: FilterParameters, interval: float) -> dict[str, str]:
+def _shared(p: FilterParameters, interval: float, mounting: Angles | None) -> dict[str, str]:
+    angles = zip(("roll", "pitch", "yaw"), map(math.radians, mounting or ()), strict=False)
     return {
+        "TRANSFORM": " ".join(f"--{name} {angle:.9g}" for name, angle in angles),
         "FREQUENCY": yaml_number(in_range(round(1 / interval, 3) or 1 / interval, "1 / nominal_interval")),
         "REJECTION_THRESHOLD": yaml_number(math.sqrt(p.gate or 0.0)),
     }
 
 
-def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
+def _configuration(p: FilterParameters, interval: float, mounting: Angles | None) -> dict[str, str]:
     of = "process_noise / nominal_interval"
     noise, start = list(DEFAULT_PROCESS_NOISE), [SMALL] * len(DEFAULT_PROCESS_NOISE)
     first = (*(max(r, FIRST_FIX) for r in p.measurement_noise), *START_VARIANCES)
@@ -78,7 +86,7 @@ def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
         "GYRO_THRESHOLD": math.sqrt(p.imu_gate[0]),
         "ACCEL_THRESHOLD": math.sqrt(p.imu_gate[1]),
     }
-    values = _shared(p, interval) | {
+    values = _shared(p, interval, mounting) | {
         **{name: yaml_number(value) for name, value in numbers.items()},
         "VERSION": __version__,
         "REMOVE_GRAVITY": "false",
@@ -88,7 +96,10 @@ def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
         "R_LATERAL": lateral,
         "FIX_COVARIANCE": f"{stated}{r_x!r} and {r_y!r} m2",
     }
-    used = features_of(p) | {"USE_IMU_GATE": math.isfinite(max(p.imu_gate))}
+    used = features_of(p) | {
+        "USE_IMU_GATE": math.isfinite(max(p.imu_gate)),
+        "USE_MOUNTING": mounting is not None,
+    }
     names = {"ekf.yaml": "ekf.yaml.in", "ekf.launch.py": "ekf.launch.py.in", "README.md": "ekf_readme.md.in"}
     return {file: fill(template, used, values) for file, template in names.items()}
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.mounting import Angles
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c99 import c99, replay_rows
 from sigmaswarm.exports.filterpy import filterpy
@@ -18,12 +19,12 @@ Target = Literal["filterpy", "c99", "robot_localization"]
 Alias = Literal["robot-localization"]
 """Name of the model, accepted for the target robot_localization."""
 
-TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]] = {
+TARGETS: dict[Target, Callable[..., dict[str, str]]] = {
     "filterpy": filterpy,
     "c99": c99,
     "robot_localization": robot_localization,
 }
-"""Functions of parameters, nominal interval (s) and ``as_recorded``, which return texts by file name."""
+"""Functions that return texts by file name. Arguments: parameters, nominal interval (s), ``as_recorded``, mounting."""
 
 
 def export_texts(
@@ -32,6 +33,7 @@ def export_texts(
     *,
     replay: Drive | None = None,
     as_recorded: bool = False,
+    mounting: Angles | None = None,
     lanes: int = 1,
     seed: int = 0,
 ) -> dict[str, str]:
@@ -47,6 +49,8 @@ def export_texts(
         c99: also write this drive as replay.csv, the input of the replay program.
     as_recorded : bool
         filterpy, c99: use stale fixes, and treat IMU gaps as ordinary steps.
+    mounting : (float, float, float), optional
+        c99, robot_localization: roll, pitch and yaw of the IMU in the vehicle, deg, for raw samples.
     lanes : int
         c99: number of filters with different parameters. The estimate is their mixture, as in a `LiveFilterBank`
         without searches.
@@ -68,8 +72,8 @@ def export_texts(
             raise InputError(f"--replay is for --to c99 only: {target} has no program that replays a drive")
         if lanes > 1:
             raise InputError(f"--lanes is for --to c99 only: {target} runs one filter")
-        return TARGETS[target](parameters, interval, as_recorded)
-    texts = c99(parameters, interval, as_recorded, side_by_side)
+        return TARGETS[target](parameters, interval, as_recorded, mounting)
+    texts = c99(parameters, interval, as_recorded, mounting, side_by_side)
     if replay is not None:
         texts["replay.csv"] = replay_rows(
             replay, parameters.model, as_recorded=as_recorded, heading=parameters.heading_noise is not None

@@ -62,6 +62,9 @@ class LiveState:
 class LiveFilter:
     """A Kalman filter that processes one sample at a time.
 
+    Samples are in the axes of the vehicle. SciPy's ``Rotation.from_euler("xyz", tuning.mounting, degrees=True)`` turns
+    those of an IMU that is mounted as in the training drives.
+
     A fix waits for the next IMU sample, which propagates the filter to the time of the fix and then to that of the
     sample. For a fix that is at most ``history`` seconds late, the filter returns to the fix's time and processes the
     later samples again. So the state equals the result of `run_filter` for the same data in order. Fixes of the same

@@ -8,6 +8,7 @@ import numpy as np
 
 from sigmaswarm.drives.checks import shortage_of
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
+from sigmaswarm.drives.mounting import with_rotation
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, wrap_angle
 from sigmaswarm.importing.dates import LONG_AGO, SECOND, Nanoseconds
@@ -98,7 +99,7 @@ def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
         metadata["gps"] = f"synthetic from truth, {rate:g} Hz, white noise {noise:g} m per axis, seed {SEED}"
     if recipe.gps_lever_arm_m:
         metadata["gps_lever_arm_m"] = list(recipe.gps_lever_arm_m)
-    return metadata
+    return with_rotation(metadata, parse_mount(recipe.mount)) if recipe.mount else metadata
 
 
 def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Role, Array], int]:

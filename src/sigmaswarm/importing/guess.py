@@ -13,6 +13,8 @@ from sigmaswarm.importing.source import Fault, Guess, Part, Role
 from sigmaswarm.importing.times import Found, find_time, median_of, numbers_of, written
 from sigmaswarm.wording import names_shown
 
+Z_DOWN = "x=x,y=-y"
+"""Mounting of an IMU with x forward, y right, z down."""
 SAMPLE = 2000
 _WHEELS = re.compile(r"odo|wheel|(?:^|[^a-z])can(?:[^a-z]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
@@ -186,7 +188,12 @@ def _downward(imu: Columns) -> str:
     gravity = imu.norm(["ax", "ay", "az"]) if imu.has("ax", "ay", "az") else 0.0
     if "az" not in imu or median_of(numbers_of(imu.frame[imu.names["az"].column])) >= -0.5 * gravity:
         return ""  # without gravity in it, its sign means nothing
+    return points_down(imu.names["az"].column)
+
+
+def points_down(column: str) -> str:
+    """Describe a vertical axis that points down, and the remedy."""
     return (
-        f"{imu.names['az'].column} is negative: the z axis points down; if x points forward and y to the right, "
-        "use --mount x=x,y=-y, and check the result with `sigmaswarm doctor`"
+        f"{column} is negative: the z axis points down; if x points forward and y to the right, use --mount "
+        f"{Z_DOWN}, and check the result with `sigmaswarm doctor`"
     )

@@ -16,6 +16,7 @@ from sigmaswarm.importing.convert import Request, complete_recipe, opened
 from sigmaswarm.importing.dates import SECOND
 from sigmaswarm.importing.expressions import compile_expression, fits, time_expression
 from sigmaswarm.importing.gather import ROW
+from sigmaswarm.importing.guess import Z_DOWN
 from sigmaswarm.importing.proposal import Proposal, judged, proposed
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Fault, Log, Role
@@ -56,7 +57,8 @@ class Look:
     ``proposal``: options of `sigmaswarm import` for unrecognized columns, the same as ``settings`` of `import_log`,
     with their ``evidence``. ``works``: True if the import with these options succeeds; without a proposal, if IMU and
     fixes were recognized. ``unread``: by table, the columns that are not read, also with the proposal. ``faults``:
-    reasons not to read a column unchanged. ``rows``: the first rows of each table.
+    reasons not to read a column unchanged. ``rows``: the first rows of each table. ``mount``: the mounting that a note
+    recommends.
     """
 
     tables: tuple[Glance, ...]
@@ -71,6 +73,7 @@ class Look:
         default_factory=dict[str, pl.DataFrame], repr=False, compare=False
     )
     settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    mount: str = ""
 
     def numbers(self, table: str, column: str) -> Array:
         return numbers_of(self.rows[table][column]).to_numpy().astype(np.float64)
@@ -111,7 +114,8 @@ def look(request: Request) -> Look:
     faults = tuple(fault for guess in guesses.values() for fault in guess.faults)
     rows = {name: frame for tables_of in first.values() for name, frame in tables_of.items()}
     whole = tuple(tables), recipe, tuple(dict.fromkeys(notes))
-    return Look(*whole, said, evidence, works, unread, faults, rows, settings)
+    down = not recipe.mount and any(guess.downward for guess in guesses.values())
+    return Look(*whole, said, evidence, works, unread, faults, rows, settings, Z_DOWN if down else "")
 
 
 def _unread(

@@ -9,7 +9,9 @@ import numpy as np
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.mounting import turned
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.mounting import with_rotation
 from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import rotation_of
 
 AUTO = "auto"
 _AXES = "xyz"
@@ -28,7 +30,9 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
     note = (
         f"mounting {mount} deg found in the log ({mounting.confidence}, standard deviation {total:.1f} deg)"
     )
-    return replace(drive, imu=turned(drive.imu, parse_mount(mount))), mount, note
+    rotation = parse_mount(mount)
+    metadata = with_rotation(drive.metadata, rotation)
+    return replace(drive, imu=turned(drive.imu, rotation), metadata=metadata), mount, note
 
 
 def parse_mount(text: str) -> Array:
@@ -45,7 +49,7 @@ def parse_mount(text: str) -> Array:
     if all("=" in part for part in parts):
         return _from_axes(text, parts)
     try:
-        angles = [math.radians(float(part)) for part in parts]
+        angles = [float(part) for part in parts]
     except ValueError:
         angles = []
     if len(angles) not in (1, 3) or not all(map(math.isfinite, angles)):
@@ -54,20 +58,7 @@ def parse_mount(text: str) -> Array:
             "(x=-y,y=x)"
         )
     roll, pitch, yaw = angles if len(angles) == 3 else (0.0, 0.0, angles[0])
-    return _turn(2, yaw) @ _turn(1, pitch) @ _turn(0, roll)
-
-
-def _turn(axis: int, angle: float) -> Array:
-    """Return the rotation (3, 3) by an angle, rad, about an axis; exact for quarter turns."""
-    quarter = angle / (math.pi / 2)
-    c, s = math.cos(angle), math.sin(angle)
-    if abs(quarter - round(quarter)) < 1e-12:
-        c, s = float(round(c)), float(round(s))
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    matrix = np.eye(3)
-    matrix[i, i] = matrix[j, j] = c
-    matrix[i, j], matrix[j, i] = -s, s
-    return matrix
+    return rotation_of(roll, pitch, yaw)
 
 
 def _from_axes(text: str, parts: list[str]) -> Array:

@@ -11,10 +11,12 @@ from pydantic import AliasChoices, BaseModel, BeforeValidator, Field
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.fingerprint import DriveRecord
+from sigmaswarm.drives.mounting import Angles, common_mounting
 from sigmaswarm.drives.overlap import SEEN_FILE, Landmarks, load_landmarks, whole_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.fixes_alone import MotionNoise
+from sigmaswarm.filters.robot_yaml import YAML
 from sigmaswarm.limits import require_text
 from sigmaswarm.records import load_record
 from sigmaswarm.tuning.box import TouchedBound
@@ -67,7 +69,13 @@ class TuningConfigRecord(BaseModel):
     config: dict[str, Any] = Field(default_factory=dict)
 
 
-class TuningRecord(TuningConfigRecord):
+class TuningDataRecord(BaseModel):
+    """``[[data]]`` of tuning.toml."""
+
+    data: list[DriveRecord] = Field(default_factory=list[DriveRecord])
+
+
+class TuningRecord(TuningConfigRecord, TuningDataRecord):
     """tuning.toml; a file of `FilterParameters` has only the tables ``filter`` and ``units``."""
 
     filter: dict[str, float | str | list[float]]
@@ -78,11 +86,18 @@ class TuningRecord(TuningConfigRecord):
     fixes_alone: MotionNoise | None = None
     forecasts: list[Forecast] = Field(default_factory=list[Forecast])
     versions: dict[str, str] = Field(default_factory=dict)
-    data: list[DriveRecord] = Field(default_factory=list[DriveRecord])
 
 
 def tuning_file(path: Path) -> Path:
     return path / FILE if path.is_dir() else path
+
+
+def tuned_mounting(path: Path) -> Angles | None:
+    """Return the mounting on which the training drives of a tuning agree; None for parameters without a tuning."""
+    if path.suffix in YAML:
+        return None
+    data = load_record(TuningDataRecord, tuning_file(path)).data
+    return common_mounting(drive.imu_mounting_deg for drive in data)
 
 
 def seen_by(file: Path) -> list[Landmarks]:

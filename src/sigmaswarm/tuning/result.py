@@ -10,6 +10,7 @@ import tomli_w
 from typing_extensions import TypeVar
 
 from sigmaswarm import notebook
+from sigmaswarm.drives.mounting import KEY, Angles, common_mounting
 from sigmaswarm.drives.overlap import Landmarks
 from sigmaswarm.errors import InputError, warn_deprecated
 from sigmaswarm.files import write_whole
@@ -132,6 +133,11 @@ class Tuning(Generic[P]):
     def unidentified(self) -> list[str]:
         """Parameters that can have any value within their bounds while the cost rises by less than 1%."""
         return [s.name for s in self.sensitivities if not s.identified]
+
+    @property
+    def mounting(self) -> Angles | None:
+        """Roll, pitch and yaw of the IMU in the vehicle, deg, if the training drives agree on a mounting, else None."""
+        return common_mounting(entry.get(KEY) for entry in self.data)
 
     @property
     def remarks(self) -> list[str]:
@@ -331,6 +337,8 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
         yield to_do("search longer, with more trials, or polish", why)
     if car and "truth" in objective:
         yield OF_THESE_SENSORS
+    if t.mounting is None and any(KEY in entry for entry in t.data):
+        yield f"the IMU's mountings of the training drives differ ({KEY}), so exports do not contain a rotation"
     if t.start_cost is not None:
         yield f"the filter that the search started from has cost {notebook.number(t.start_cost)} with the same inputs"
     if t.validation is None:

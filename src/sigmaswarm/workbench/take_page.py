@@ -8,7 +8,7 @@ from typing import Any
 from nicegui import ui
 
 import sigmaswarm
-from sigmaswarm import FilterParameters, time_origin_of, write_estimate
+from sigmaswarm import time_origin_of, write_estimate
 from sigmaswarm.files import make_folder
 from sigmaswarm.workbench.parts import Page, button, card, command, line, link, message, select, text
 from sigmaswarm.workbench.state import Workbench, attempt
@@ -130,5 +130,5 @@ class TakePage(Page):
             write_estimate(estimate, file, origin=drive.origin, time_origin=time_origin_of(drive), name=name)
             return f"wrote {file}"
         more = {"replay": drive} if target == "c99" and drive else {}
-        texts = sigmaswarm.export(FilterParameters.load(tuning), target, folder, **more)  # pyright: ignore
+        texts = sigmaswarm.export(tuning, target, folder, **more)  # pyright: ignore
         return f"wrote {len(texts)} files to {folder}"

@@ -11,6 +11,8 @@ from sigmaswarm.doctor.mounting import SERIOUS, angle_of
 from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.drives.alignment import NoStart, find_start
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.mounting import NOT_TURNED
+from sigmaswarm.geodesy import roll_pitch_yaw, rotation_of
 
 MOVED, STANDS_OUT = math.radians(18.0), 4.0
 """Change of gravity's direction if the IMU was moved: in rad, and in typical errors of a median.
@@ -40,12 +42,15 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
     elif mounting is not None and mounting.needed:
         roll, pitch, yaw = mounting.degrees
         total, angle = float(np.linalg.norm(mounting.std)), angle_of(mounting.repair)
+        # The import starts from raw samples.
+        before = rotation_of(*(evidence.drive.mounting or NOT_TURNED))
+        mount = ",".join(f"{degrees:g}" for degrees in roll_pitch_yaw(mounting.repair @ before, 1))
         yield Finding(
             "mounting", "serious" if angle > SERIOUS else "warning",
             f"the IMU is turned relative to the vehicle: roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg "
             f"(standard deviation {math.degrees(total):.1f} deg in total, {mounting.confidence})",
             WHERE, evidence.span, confidence_of(angle / total),
-            f"turn all six axes: import with --mount {roll:g},{pitch:g},{yaw:g}",
+            f"turn all six axes: import with --mount {mount}",
             Repair("rotate", tuple(mounting.repair.ravel().tolist())),
         )  # fmt: skip
 

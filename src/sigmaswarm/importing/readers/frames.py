@@ -1,12 +1,12 @@
 """Poses of the IMU and the antenna in the vehicle, by the static transforms of ROS (/tf_static)."""
 
-import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.geodesy import roll_pitch_yaw
 from sigmaswarm.importing.source import Placement, Table
 
 BASES = ("base_link", "base_footprint")
@@ -49,7 +49,7 @@ def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | No
     rotation, at = of_imu[base]
     lever = of_antenna[base][1] - at if base in of_antenna else None
     return Placement(
-        mount=",".join(f"{angle:.9g}" for angle in _angles(rotation)),
+        mount=",".join(f"{angle:.9g}" for angle in roll_pitch_yaw(rotation, 6)),
         lever_arm=None if lever is None else (float(lever[0]), float(lever[1]), float(lever[2])),
         frames=(base, imu, antenna),
     )
@@ -77,14 +77,3 @@ def _ancestors(tree: Tree, frame: str) -> dict[str, Pose]:
         frame, (rotation, translation) = tree[frame]
         pose = rotation @ pose[0], rotation @ pose[1] + translation
     return found
-
-
-def _angles(rotation: Array) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw, deg, to 1e-6: about x, then y, then z of the vehicle."""
-    roll = math.atan2(rotation[2, 1], rotation[2, 2])
-    pitch = math.asin(max(-1.0, min(1.0, -rotation[2, 0])))
-    yaw = math.atan2(rotation[1, 0], rotation[0, 0])
-    if abs(rotation[2, 0]) > 1 - 1e-12:  # only yaw - roll, or yaw + roll, is determined
-        roll, yaw = 0.0, math.atan2(-rotation[0, 1], rotation[1, 1])
-    roll, pitch, yaw = (round(math.degrees(angle), 6) + 0.0 for angle in (roll, pitch, yaw))
-    return roll, pitch, yaw

@@ -97,6 +97,7 @@ class _Messages:
                         guess,
                         roles={**guess.roles, role: other.roles[role]},
                         notes=guess.notes + other.notes,
+                        downward=other.downward if role == "imu" else guess.downward,
                         faults=guess.faults + tuple(f for f in other.faults if f.role == role),
                     )
         return replace(guess, placed=self._placement(guess))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.guess import points_down
 from sigmaswarm.importing.readers.fields import getter, stamp_of
 from sigmaswarm.importing.source import Choice, Guess, Part, Role, Table
 from sigmaswarm.wording import names_shown
@@ -98,7 +99,7 @@ class Topics:
                 )
             roles["odometer"] = (self._part(wheels, {"speed": speed}),)
             self.notes.append(f"{wheels} taken as the wheels' speed, m/s forward")
-        return Guess(roles, tuple(self.notes), metadata=metadata)
+        return Guess(roles, tuple(self.notes), metadata=metadata, downward=self._downward(imu) if imu else "")
 
     def _having(self, paths: Mapping[str, str]) -> set[str]:
         return {t for t, table in self.tables.items() if prefix(table, paths) is not None}
@@ -206,6 +207,14 @@ class Topics:
             else:
                 self.notes.append(f"{topic}: header stamps are not set; receive times used")
         return Part(topic, {"t": time, **columns})
+
+    def _downward(self, topic: str) -> str:
+        """Return a sentence if the vertical axis points down in the first message of an IMU, else ""."""
+        message = self.first(topic)
+        columns = [self._named(topic, _IMU)[axis] for axis in ("ax", "ay", "az")]
+        force = [getter(column)(message[2]) for column in columns] if message else [0.0]
+        known = all(isinstance(value, float) for value in force)
+        return points_down(columns[2]) if known and force[-1] < -0.5 * math.hypot(*force) else ""
 
     def _note_frame(self, topic: str) -> None:
         message = self.first(topic)
