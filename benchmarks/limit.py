@@ -75,7 +75,7 @@ for function in (operator.lt, operator.le, operator.gt, operator.ge, operator.eq
 
 def count() -> None:
     """Print operations per lane of a predict and of a fix; needs NUMBA_DISABLE_JIT=1."""
-    absorb = measurements.absorbers(MODELS["planar5"])["absorb_fix"]
+    absorb = measurements.measurement_kernels(MODELS["planar5"])["update_fix"]
     counting = SimpleNamespace(sqrt=lambda x: Counting._do("sqrt", math.sqrt, x), log=math.log, pi=math.pi)
     # each has names of its own, put there when it was written out
     for names in (planar5.predict_planar5.written.names, absorb.written.names, vars(lanes)):

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from sigmaswarm import SigmaswarmWarning, evaluate, read_drive, split_time, tune
-from sigmaswarm.scoring.drifts import UNTUNED
+from sigmaswarm.scoring.drifts import BASELINE
 from sigmaswarm.scoring.measures import MEASURES, METHODS
 
 KITTI = ("kitti-09-26-0022", "kitti-09-26-0101", "kitti-09-30-0018", "kitti-09-30-0033", "kitti-09-30-0034")
@@ -65,7 +65,7 @@ def rows(training, test, options):
             evaluations = [evaluate(test, tuning.parameters) for tuning in tunings]
             figures = [[e.mean("tuned", m) for m in MEASURES] for e in evaluations]
             yield f"**tuned, {objective}**", [spread(column) for column in np.array(figures, float).T]
-    for method in ("raw_gps", UNTUNED, "imu_only"):
+    for method in ("raw_gps", BASELINE, "imu_only"):
         values = [evaluations[0].mean(method, m) for m in MEASURES]
         yield METHODS[method], ["-" if v is None else f"{v:.2f}" for v in values]
 

@@ -1,6 +1,6 @@
 """The rival on JAX: kalman-py's UnscentedKalmanFilter, the whole time loop compiled.
 
-Its `filter` knows no input and absorbs a measurement at every step. So the process looks its IMU sample up by the
+Its `filter` knows no input and updates a measurement at every step. So the process looks its IMU sample up by the
 step's number, which stands in for ``dt``; and the drive must have a fix at every IMU sample. `check` holds it to
 sigmaswarm's filter on the same drive.
 """
@@ -25,7 +25,7 @@ class Rival:
 
     def __init__(self, drive: Drive, p: FilterParameters, initial: InitialState) -> None:
         line = build_timeline(drive, initial.time)
-        assert line.absorbs.all() and line.sampled.all()
+        assert line.updates.all() and line.sampled.all()
         np.testing.assert_allclose(line.q_scale, 1.0, atol=1e-9)  # its Q is the same at every step
         self.fixes, self.steps = line.fixes[:, :2], np.arange(len(line.dt), dtype=float)
         inputs = jnp.array(np.column_stack([line.dt, line.ax, line.ay, line.gz]))

@@ -91,7 +91,7 @@ def update(mean, covariance, points, gamma, wm, wc, r, zx, zy):
 
 
 @njit(cache=True, error_model="numpy")
-def run(mean, covariance, gamma, wm, wc, q, r, dt, q_scale, imu, absorbs, sampled, fixes, track):
+def run(mean, covariance, gamma, wm, wc, q, r, dt, q_scale, imu, updates, sampled, fixes, track):
     """The filter over a course; ``track`` (n_samples, 5) is written."""
     points = np.empty((2 * len(mean) + 1, len(mean)))
     n_fixes = n_samples = 0
@@ -99,7 +99,7 @@ def run(mean, covariance, gamma, wm, wc, q, r, dt, q_scale, imu, absorbs, sample
         predict(
             mean, covariance, points, gamma, wm, wc, q * q_scale[k], dt[k], imu[k, 0], imu[k, 1], imu[k, 2]
         )
-        if absorbs[k]:
+        if updates[k]:
             update(mean, covariance, points, gamma, wm, wc, r, fixes[n_fixes, 0], fixes[n_fixes, 1])
             n_fixes += 1
         if sampled[k]:
@@ -118,7 +118,7 @@ def means(course: Course, p: FilterParameters) -> np.ndarray:
     track = np.empty((course.n_samples, n))
     mean, covariance = course.initial.mean.copy(), course.initial.covariance.copy()
     q, r = np.array(p.process_noise), np.array(p.measurement_noise)
-    steps = (course.dt, course.q_scale, course.imu, course.absorbs, course.sampled, course.fixes)
+    steps = (course.dt, course.q_scale, course.imu, course.updates, course.sampled, course.fixes)
     run(mean, covariance, math.sqrt(gamma2), wm, wc, q, r, *steps, track)
     return track
 

@@ -61,7 +61,7 @@ class Course:
         end = int(np.searchsorted(np.cumsum(line.dt), seconds + 1e-6))
         self.dt, self.q_scale = line.dt[:end], line.q_scale[:end]
         self.imu = np.column_stack([line.ax, line.ay, line.gz])[:end]
-        self.absorbs, self.sampled, self.fixes = line.absorbs[:end], line.sampled[:end], line.fixes[:, :2]
+        self.updates, self.sampled, self.fixes = line.updates[:end], line.sampled[:end], line.fixes[:, :2]
         self.n_samples = int(self.sampled.sum())
         self.share = self.n_samples / len(line.imu_time)
         time = line.imu_time[: self.n_samples]
@@ -75,12 +75,12 @@ class Course:
         q = np.diag(10.0 ** point[3:8])
         fixes, track = iter(self.fixes), []
         try:
-            for dt, u, scale, absorbs, sampled in zip(
-                self.dt, self.imu, self.q_scale, self.absorbs, self.sampled, strict=True
+            for dt, u, scale, updates, sampled in zip(
+                self.dt, self.imu, self.q_scale, self.updates, self.sampled, strict=True
             ):
                 ukf.Q = q * scale
                 ukf.predict(dt=dt, u=u)
-                if absorbs:
+                if updates:
                     ukf.update(next(fixes))
                 if sampled:
                     track.append(ukf.x[:2])

@@ -61,10 +61,10 @@ def events(course):
     assert course.sampled.all()
     fixes = iter(course.fixes.tolist())
     end = course.initial.time + np.cumsum(course.dt)
-    for t, dt, u, absorbs in zip(
-        end.tolist(), course.dt.tolist(), course.imu.tolist(), course.absorbs, strict=True
+    for t, dt, u, updates in zip(
+        end.tolist(), course.dt.tolist(), course.imu.tolist(), course.updates, strict=True
     ):
-        yield t, dt, u, next(fixes) if absorbs else None
+        yield t, dt, u, next(fixes) if updates else None
 
 
 def run_filterpy(course, parameters):
@@ -84,22 +84,22 @@ def run_filterpy(course, parameters):
 
 
 def run_live(course, parameters, late, kind=LiveFilter):
-    """The fix comes before the sample that absorbs it; or ``late`` samples after it, and the filter goes back."""
+    """The fix comes before the sample that updates it; or ``late`` samples after it, and the filter goes back."""
     clock, due = Clock(), []
     live = kind(parameters, course.initial, nominal_interval=0.01)
     for k, (t, _, u, z) in enumerate(list(events(course))):
         if z:
             due.append((k + late, t, z))
         before = between = now()
-        absorbs = due and due[0][0] == k
-        if absorbs and not late:
+        updates = due and due[0][0] == k
+        if updates and not late:
             live.update(*due.pop()[1:])
             between = now()
             clock.update.append(between - before)
         live.predict(t, u)
         after = now()
-        clock.both.append(after - before) if absorbs and not late else clock.predict.append(after - between)
-        if absorbs and late:
+        clock.both.append(after - before) if updates and not late else clock.predict.append(after - between)
+        if updates and late:
             before = now()
             live.update(*due.pop()[1:])
             clock.update.append(now() - before)

@@ -37,7 +37,7 @@ def point(parameter_sets):
 
 @pytest.fixture(scope="session")
 def crowded(drive):
-    """The drive with a fix at every IMU sample, since kalman-py's filter absorbs one at every step."""
+    """The drive with a fix at every IMU sample, since kalman-py's filter updates one at every step."""
     # To the last fix: those behind it would repeat, as a frozen receiver's do.
     drive = clip(drive, drive.imu.time[0], drive.gps.time[-1] + 1e-3)
     gps, time = drive.gps, drive.imu.time

@@ -15,7 +15,7 @@ import numpy as np
 from defaults import cases
 from sigmaswarm import FilterParameters, SigmaswarmWarning, evaluate
 from sigmaswarm.drives.sensors import suggest_filter
-from sigmaswarm.scoring.drifts import UNTUNED
+from sigmaswarm.scoring.drifts import BASELINE
 from sigmaswarm.tuning.space import search_space
 
 MEASURES = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m", "long_outage_drift_m")
@@ -36,7 +36,7 @@ def main() -> None:
         training, test = parts()
         taken = suggest_filter([*training, *test])
         found = evaluate(test, some_filter(taken.model, taken.use))
-        cells = (found.mean(UNTUNED, m) for m in MEASURES)
+        cells = (found.mean(BASELINE, m) for m in MEASURES)
         told = " | ".join("-" if v is None else f"{v:.2f}" for v in cells)
         print(f"| {name} | {taken.model} + {', '.join(taken.use[2:])} | {told} |", flush=True)
 

@@ -48,14 +48,14 @@ def steps_with_fixes(
     """Each step's number and the fix absorbed at its end."""
     fixes = iter(timeline.fixes)
     for i in range(len(timeline.dt))[:n_steps]:
-        yield i, next(fixes) if timeline.absorbs[i] else None
+        yield i, next(fixes) if timeline.updates[i] else None
 
 
 def wheels_at(timeline: Timeline) -> np.ndarray:
     """What the odometer says at each step's end, (k, 3); zeros where nothing."""
     said = np.zeros((len(timeline.dt), 3))
     if timeline.wheels is not None:
-        said[timeline.wheels.absorbs] = timeline.wheels.rows
+        said[timeline.wheels.updates] = timeline.wheels.rows
     return said
 
 
@@ -71,7 +71,7 @@ def some_steps(timeline: Timeline, sets: Sequence[FilterParameters], n: int) -> 
             chosen.update(steps[np.linspace(0, len(steps) - 1, n).astype(int)].tolist())
     after = timeline.end - timeline.end[np.argmax(timeline.dt)]
     return chosen | set(
-        np.flatnonzero((after >= 0) & (after < 1) & ((after == 0) | timeline.absorbs)).tolist()
+        np.flatnonzero((after >= 0) & (after < 1) & ((after == 0) | timeline.updates)).tolist()
     )
 
 

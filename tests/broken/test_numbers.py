@@ -168,7 +168,7 @@ def test_a_covariance_that_is_lost_is_reported_at_once(kind: str, model: str):
     live = LiveFilter(parameters(model, kind=kind), START, nominal_interval=0.01, recover=False)
     live.predict(100.01, (0.0, 0.0, 0.0))
     assert not live.state.failed
-    live._belief[at(0, 1)] = 1e3 * live._belief[at(0, 0)]
+    live._filter_state[at(0, 1)] = 1e3 * live._filter_state[at(0, 0)]
     assert live.state.failed
     for k in range(2, 40):
         live.predict(100 + 0.01 * k, (0.0, 0.0, 0.0))

@@ -20,7 +20,7 @@ def test_start_and_time_line_are_those_of_the_drive():
     start = initial_state(DRIVE)
     np.testing.assert_array_equal(ready.initial.mean, start.mean)
     line, own = ready.timeline(), build_timeline(DRIVE, start.time)
-    for name in ("end", "steps", "absorbs", "sampled", "fixes", "sample"):
+    for name in ("end", "steps", "updates", "sampled", "fixes", "sample"):
         np.testing.assert_array_equal(getattr(line, name), getattr(own, name))
 
 
@@ -47,7 +47,7 @@ def test_fixes_that_are_hidden_leave_the_steps_and_those_removed_do_not():
         assert getattr(hidden, name) is getattr(whole, name), name
     usable = (DRIVE.gps.time > whole.start) & (DRIVE.gps.time <= DRIVE.imu.time[-1])
     assert int(hidden.hides.sum()) == int(HIDDEN[usable].sum()) > 0
-    np.testing.assert_array_equal(hidden.hides | hidden.absorbs, whole.absorbs)
+    np.testing.assert_array_equal(hidden.hides | hidden.updates, whole.updates)
     assert len(hidden.drive.gps) == len(removed.drive.gps) == int((~HIDDEN).sum())
     gone = build_timeline(replace(DRIVE, gps=DRIVE.gps.select(~HIDDEN)), whole.start)
     np.testing.assert_array_equal(removed.steps, gone.steps)

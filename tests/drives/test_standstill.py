@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu
-from sigmaswarm.drives.frozen import FROZEN_MOVING, judged
 from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.stale_fixes import STALE_MOVING, judged
 from sigmaswarm.drives.standstill import MEANS, fixes_stand, is_calm, new_memory, standing
 from sigmaswarm.simulation.scenarios import simulate
 from support import DRIVES, needs_shared, quickly
@@ -20,7 +20,7 @@ class Plain:
 
     def __init__(self, drive: Drive) -> None:
         imu = drive.imu
-        self.gps = drive.gps.select(judged(drive.gps) != FROZEN_MOVING)
+        self.gps = drive.gps.select(judged(drive.gps) != STALE_MOVING)
         self.time, self.values = imu.time, np.array([imu.ax, imu.ay, imu.gz])
         self.block = np.floor(imu.time / 0.05)
         self.floor: list[float | None] = [None] * 3
@@ -156,7 +156,7 @@ def test_frozen_fixes_of_a_driving_car_are_no_evidence():
     t = np.arange(0.0, 12.0, 0.5)
     fixes = np.column_stack([t, np.minimum(t, 5.0) * 9.0, 0 * t])
     kinds = judged(Gps(t, fixes[:, 1], fixes[:, 2]))
-    assert (kinds[t > 5.0] == FROZEN_MOVING).all()
+    assert (kinds[t > 5.0] == STALE_MOVING).all()
     assert not fixes_stand(fixes, kinds, len(t), 11.9, np.empty(1))
     assert fixes_stand(fixes, 0 * kinds, len(t), 11.9, np.empty(1))
 

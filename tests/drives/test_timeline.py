@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu
-from sigmaswarm.drives.frozen import FROZEN
+from sigmaswarm.drives.stale_fixes import STALE
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 from support import make_drive
 
@@ -83,7 +83,7 @@ def test_the_steps_are_those_of_a_plain_loop(case: tuple[Drive, float]):
     assert line.ay.tolist() == [1000.0 + k for k in driving]
     assert line.gz.tolist() == [2000.0 + k for k in driving]
     assert line.gap.tolist() == naive.gap
-    assert line.absorbs.tolist() == [j is not None for j in naive.fix]
+    assert line.updates.tolist() == [j is not None for j in naive.fix]
     assert line.sampled.tolist() == naive.sampled
     absorbed = [j for j in naive.fix if j is not None]
     assert line.fixes[:, :2].tolist() == [[j + 0.25, -j - 0.5] for j in absorbed]
@@ -102,7 +102,7 @@ def test_what_holds_for_every_time_line(case: tuple[Drive, float]):
     end = drive.imu.time[-1]
     again = np.flatnonzero(line.dt == 0)  # only where two fixes have one time
     assert np.all(line.dt >= 0)
-    assert np.all(line.absorbs[again] & line.absorbs[again - 1])
+    assert np.all(line.updates[again] & line.updates[again - 1])
     assert line.dt.sum() == end - start
     assert line.sampled[-1]
     assert line.imu_time.tolist() == [t for t in drive.imu.time if t > start]
@@ -120,7 +120,7 @@ def test_a_fix_between_two_samples_splits_the_step():
     line = build_timeline(drive_of([0, 8, 16], [11]), 0.0)
     assert (line.dt / TICK).tolist() == [8, 3, 5]
     assert line.ax.tolist() == [1, 2, 2]  # both parts are driven by the sample at their end
-    assert line.absorbs.tolist() == [False, True, False]
+    assert line.updates.tolist() == [False, True, False]
     assert line.sampled.tolist() == [True, False, True]
     assert line.q_scale.tolist() == [1, 3 / 8, 5 / 8]  # together the whole step's Q
 
@@ -128,7 +128,7 @@ def test_a_fix_between_two_samples_splits_the_step():
 def test_a_fix_at_a_sample_s_time_splits_nothing():
     line = build_timeline(drive_of([0, 8, 16], [8]), 0.0)
     assert (line.dt / TICK).tolist() == [8, 8]
-    assert line.absorbs.tolist() == [True, False]
+    assert line.updates.tolist() == [True, False]
     assert line.sampled.tolist() == [True, True]
 
 
@@ -143,7 +143,7 @@ def test_two_fixes_of_one_time():
     line = build_timeline(drive_of([0, 8, 16], [3, 3, 8, 8, 11]), 0.0)
     line = line.hiding(np.array([0, 1, 1, 0, 0], dtype=bool))
     assert (line.dt / TICK).tolist() == [3, 0, 5, 0, 3, 5]
-    assert line.absorbs.tolist() == [True, False, False, True, True, False]
+    assert line.updates.tolist() == [True, False, False, True, True, False]
     assert line.hides.tolist() == [False, True, True, False, False, False]
     assert line.sampled.tolist() == [False, False, False, True, False, True]
     assert line.fixes[:, 0].tolist() == [0.25, 1.25, 2.25, 3.25, 4.25]
@@ -194,8 +194,8 @@ def test_frozen_fixes_are_left_out():
     frozen = np.isin(np.arange(len(gps)), [30, 31, 32])
     stuck = replace(gps, x=np.where(frozen, gps.x[29], gps.x), y=np.where(frozen, gps.y[29], gps.y))
     line, without = (build_timeline(replace(drive, gps=fixes), 2.0) for fixes in (stuck, gps.select(~frozen)))
-    assert (line.kinds >= FROZEN).tolist() == frozen.tolist()
-    for name in ("steps", "ax", "absorbs", "fixes", "fix_time", "sampled"):
+    assert (line.kinds >= STALE).tolist() == frozen.tolist()
+    for name in ("steps", "ax", "updates", "fixes", "fix_time", "sampled"):
         np.testing.assert_array_equal(getattr(line, name), getattr(without, name))
     hidden = np.isin(np.arange(len(gps)), [28, 31, 40])
     assert line.hiding(hidden).hides.sum() == 2
@@ -209,5 +209,5 @@ def test_a_jittery_drive_is_merged_like_the_loop_does(seed: int):
     line, naive = build_timeline(drive, 1.234), walk(drive, 1.234)
     np.testing.assert_array_equal(line.dt, naive.dt)
     np.testing.assert_array_equal(line.ax, drive.imu.ax[naive.sample])
-    np.testing.assert_array_equal(line.absorbs, [j is not None for j in naive.fix])
+    np.testing.assert_array_equal(line.updates, [j is not None for j in naive.fix])
     assert line.dt.sum() == pytest.approx(drive.imu.time[-1] - 1.234, abs=1e-12)

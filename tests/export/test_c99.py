@@ -162,7 +162,7 @@ def test_two_fixes_of_one_time_are_both_absorbed(tmp_path: Path, kind: str):
 )
 def test_frozen_fixes_and_gaps_are_those_of_the_run(tmp_path: Path, model: str, kind: str):
     p, ready = given(model, kind, "all"), PreparedDrive(rough())
-    assert ready.frozen.sum() == 5
+    assert ready.stale.sum() == 5
     assert ready.timeline().gap.any()
     assert distance(replay(build(tmp_path, p), rough()).mean, run_filter(ready, p).mean) < 1e-11
     plain = run_filter(PreparedDrive(rough(), ready.initial, as_recorded=True), p).mean

@@ -59,7 +59,7 @@ def test_it_weighs_fixes_as_the_run_does(tmp_path: Path, kind: str, option: str)
 def test_frozen_fixes_and_gaps_are_those_of_the_run(tmp_path: Path, kind: str):
     drive = clip(rough(), 4.0, 14.0)
     ready = PreparedDrive(drive)
-    assert ready.frozen.sum() == 5
+    assert ready.stale.sum() == 5
     assert ready.timeline().gap.any()
     p = parameters("planar8", kind=kind, nominal_interval=0.01, **OPTIONS["all"])
     assert distance(run_script(tmp_path, p, drive).mean, run_filter(ready, p).mean) < 1e-10

@@ -90,7 +90,7 @@ def whole() -> LiveFilterBank:
 
 def everything(of: LiveFilterBank) -> bytes:
     """All numbers of the lanes, and what they differ in."""
-    return of._numbers[: swarm.MARKED].tobytes() + of.offsets.tobytes() + of._population.tobytes()
+    return of._numbers[: swarm.N_CHECKPOINT].tobytes() + of.offsets.tobytes() + of._population.tobytes()
 
 
 @pytest.mark.parametrize(
@@ -288,9 +288,9 @@ def test_a_process_that_is_killed_goes_on_from_what_it_saved_with_the_same_bits(
 def test_a_search_finds_what_loses_less_and_the_same_each_time():
     p = parameters("planar8", **ALL)
     filter = fed(LiveFilterBank, p, searches=False)
-    taped = filter._tape(0, int(filter._numbers[swarm.TAPED]))
+    logged = filter._logged_steps(0, int(filter._numbers[swarm.LOGGED]))
     begins, told = filter._snapshots[0].lanes[:, 0], Evidence(0.0, start().time)
-    steps = Steps(p.model, taped, np.array([1.0, 0.5, 1.2]))
+    steps = Steps(p.model, logged, np.array([1.0, 0.5, 1.2]))
     zero = np.zeros(len(filter.spread.names))
     wrong = zero.copy()
     wrong[filter.spread.names.index(R)] = 2.0
@@ -316,7 +316,7 @@ def test_a_search_finds_what_loses_less_and_the_same_each_time():
     assert first.lane.tobytes() == again.lane.tobytes()
     assert first.known == again.known
     assert first.known.evidence == pytest.approx(evidence_of(first.offsets), rel=1e-9)
-    few = Steps(p.model, taped[:300], np.zeros(3))
+    few = Steps(p.model, logged[:300], np.zeros(3))
     assert search(filter.spread, few, begins, told, zero, population, 0.01, (0,)) is None
 
 

@@ -104,7 +104,7 @@ def draw(p: FilterParameters, runs: int, seed: int) -> tuple[np.ndarray, np.ndar
         change[:, 0], change[:, 1] = s[:, 2] * dt + east * dt**2 / 2, s[:, 3] * dt + north * dt**2 / 2
         change[:, 2], change[:, 3], change[:, 4] = east * dt, north * dt, (line.gz[i] - w) * dt
         s = s + change + rng.standard_normal(s.shape) * np.sqrt(np.array(p.process_noise) * line.q_scale[i])
-        if line.absorbs[i]:
+        if line.updates[i]:
             cos, sin = np.cos(s[:, 4]), np.sin(s[:, 4])
             antenna = s[:, :2] + np.stack([cos * forward - sin * left, sin * forward + cos * left], axis=1)
             fixes.append(antenna + rng.standard_normal((runs, 2)) * np.sqrt(p.measurement_noise))
@@ -117,7 +117,7 @@ def draw_tilted(p: FilterParameters, runs: int, rng: np.random.Generator) -> tup
     line, initial = time_line(), start(p.n_states)
     imu, antenna = line.imu(tilted.AXES), tilted.Antenna((line.lever[0], line.lever[1], line.lever[2]))
     std = np.sqrt(np.array(p.process_noise))
-    states, fixes = np.empty((len(line.dt), runs, p.n_states)), np.empty((int(line.absorbs.sum()), runs, 2))
+    states, fixes = np.empty((len(line.dt), runs, p.n_states)), np.empty((int(line.updates.sum()), runs, 2))
     for j in range(runs):
         s = tilted.plus(initial.mean, rng.multivariate_normal(0 * initial.mean, initial.covariance))
         seen = iter(fixes[:, j])
@@ -125,7 +125,7 @@ def draw_tilted(p: FilterParameters, runs: int, rng: np.random.Generator) -> tup
             moved = tilted.tilted12(s, dt, imu[i])
             s = tilted.plus(moved, np.sqrt(line.q_scale[i]) * std * rng.standard_normal(len(std)))
             states[i, j] = s
-            if line.absorbs[i]:
+            if line.updates[i]:
                 next(seen)[:] = antenna(s) + rng.standard_normal(2) * np.sqrt(p.measurement_noise)
     return states, fixes
 

@@ -90,7 +90,7 @@ def test_the_extended_filter_is_filterpy_s():
         theirs.F, theirs.Q = f, np.diag(p.process_noise) * line.q_scale[i]
         theirs.x = planar5(theirs.x, dt, np.array([ax, ay, line.gz[i]]))
         theirs.P = f @ theirs.P @ f.T + theirs.Q
-        if line.absorbs[i]:
+        if line.updates[i]:
             theirs.update(next(fixes)[:2], lambda x: h, lambda x: h @ x)
         if line.sampled[i]:
             means.append(theirs.x.copy())

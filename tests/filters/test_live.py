@@ -142,7 +142,7 @@ def test_frozen_fixes_and_gaps_are_those_of_the_run(model: str, late: float):
     p, drive = parameters(model, **OPTIONS["all"]), rough()
     ready = PreparedDrive(drive)
     line = ready.timeline()
-    assert ready.frozen.sum() == 5
+    assert ready.stale.sum() == 5
     assert np.unique(line.gap).size == 3
     run = run_filter(ready, p)
     means, covariances, filter = live(drive, p, ready.initial, late)
@@ -150,7 +150,7 @@ def test_frozen_fixes_and_gaps_are_those_of_the_run(model: str, late: float):
         np.testing.assert_allclose(means, run.mean, rtol=0, atol=1e-12)
         np.testing.assert_allclose(covariances, run.covariance, rtol=1e-9, atol=1e-14)
     np.testing.assert_allclose(filter.state.mean, run.mean[-1], rtol=0, atol=1e-12)
-    assert (filter.too_late, filter.frozen) == (0, ready.frozen.sum())
+    assert (filter.too_late, filter.frozen) == (0, ready.stale.sum())
     as_recorded = run_filter(PreparedDrive(drive, ready.initial, as_recorded=True), p)
     means, _, plain = live(drive, p, ready.initial, as_recorded=True)
     np.testing.assert_allclose(means, as_recorded.mean, rtol=0, atol=1e-12)

@@ -80,7 +80,10 @@ def test_a_swarm_bears_what_a_filter_bears(option: str, calls: list[Call]):
         hear(filter, calls)
     counts = [(of.too_late, of.time_jumps, of.frozen) for of in (alone, swarm)]
     assert counts[0] == counts[1]
-    assert swarm._belief[: live.N_BELIEF].tobytes() == alone._belief[: live.N_BELIEF].tobytes()
+    assert (
+        swarm._filter_state[: live.N_FILTER_STATE].tobytes()
+        == alone._filter_state[: live.N_FILTER_STATE].tobytes()
+    )
 
 
 @pytest.mark.parametrize("kind", quickly([(k,) for k in KINDS], lambda kind: kind in ("ukf", "adaptive-ukf")))

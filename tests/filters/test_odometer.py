@@ -142,7 +142,7 @@ def test_readings_are_put_together_as_said(interval: float, imu_rate: float):
     line = build_timeline(replace(drive, odometer=odometer), 3.0)
     wheels, wanted = measurements_of(odometer, line.start, line.end, line.sampled), naive(odometer, line)
     assert len(wanted) >= 5
-    np.testing.assert_array_equal(line.end[wheels.absorbs], [row[0] for row in wanted])
+    np.testing.assert_array_equal(line.end[wheels.updates], [row[0] for row in wanted])
     np.testing.assert_array_equal(wheels.rows, [row[1:] for row in wanted])
 
 

@@ -87,7 +87,7 @@ def test_compiled_filter_takes_the_oracles_steps_everywhere_in_the_papers_box(na
     timeline, initial = ready(name)
     errors = compiled_against_extended(timeline, initial, as_parameters(box_table(64)), until=700)
     assert np.max(timeline.dt[:700]) > (1.5 if name == SIMULATED else 0.06)  # a gap is among them
-    assert timeline.absorbs[:700].sum() > 25
+    assert timeline.updates[:700].sum() > 25
     assert np.isfinite(errors.turn).all(), "a lane failed inside the box"
     # At the first fix after the long gap a handful of sets loses up to 12 digits of a variance: no more than they
     # must. Everywhere else it is 1e-9 and much less, but for a lost heading's long step, ten million times what it
@@ -149,7 +149,7 @@ def test_filters_that_weigh_fixes_take_the_oracles_steps(model: str, kind: str, 
     timeline, initial = ready(name)
     timeline = replace(timeline, fixes=straying(timeline))
     sets = weighed(box_sets(model, kind, 32))
-    steps = some_steps(timeline, sets, 20) | set(np.flatnonzero(timeline.absorbs)[::2].tolist())
+    steps = some_steps(timeline, sets, 20) | set(np.flatnonzero(timeline.updates)[::2].tolist())
     errors = compiled_against_extended(timeline, initial, sets, steps)
     known = errors.known
     assert known.mean() > 0.4
@@ -270,7 +270,7 @@ def test_a_run_adds_up_its_steps(kind: str, model: str):
         total += compiled.sums[:3]
         if timeline.sampled[i]:
             means.append(compiled.state[0])
-    n_fixes = int(timeline.absorbs[:n].sum())
+    n_fixes = int(timeline.updates[:n].sum())
     assert n_fixes > 8
     assert n_fixes % 8  # the product of det S is moved into its logarithm after every 8, and at the end
     start = first_steps(timeline, n)
@@ -290,14 +290,14 @@ def first_steps(timeline: Timeline, n: int) -> Timeline:
         for name in (
             "end",
             "steps",
-            "absorbs",
+            "updates",
             "hides",
             "sampled",
             "cornering",
             "sample",
         )
     }
-    fixes, samples = (int(getattr(timeline, name)[:n].sum()) for name in ("absorbs", "sampled"))
+    fixes, samples = (int(getattr(timeline, name)[:n].sum()) for name in ("updates", "sampled"))
     return replace(timeline, **first, fixes=timeline.fixes[:fixes], imu_time=timeline.imu_time[:samples])
 
 

@@ -152,7 +152,7 @@ def test_what_is_recorded_adds_up_to_the_sums(model: str, kind: str, option: str
     whole, line, targets = recording.whole(), replay.timeline, replay.targets
     said = recording.innovations
     nu, s = said.innovation, said.covariance
-    hidden = line.hides[line.hides | line.absorbs]
+    hidden = line.hides[line.hides | line.updates]
     added = {
         "nis": said.nis.sum(),
         "log_determinant": np.log(np.linalg.det(s)).sum(),

@@ -27,7 +27,7 @@ from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.errors import InputError, SigmaswarmError
-from sigmaswarm.filters.divergence import LOOK_INTERVAL
+from sigmaswarm.filters.divergence import CHECK_INTERVAL
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS, planar5
 from sigmaswarm.filters.parameters import FilterParameters
@@ -230,7 +230,7 @@ def test_it_ends_at_a_restart_and_begins_again_behind_it():
     whole = smooth(drive, SURE, initial=wrong)
     assert whole.restarts == run_filter(drive, SURE, initial=wrong).restarts != ()
     at = whole.restarts[0]
-    assert at % LOOK_INTERVAL < 1.0
+    assert at % CHECK_INTERVAL < 1.0
     before = whole.time < at
     p = replace(SURE, nominal_interval=drive.nominal_interval)
     cut = smooth(clip(drive, end=at + 1e-6), p, initial=wrong)

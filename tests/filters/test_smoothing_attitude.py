@@ -52,7 +52,7 @@ def posterior(line, p, initial, rounds: int = 8) -> tuple[np.ndarray, np.ndarray
                 precision[b, b] += w
                 right[a] -= f.T @ w @ off
                 right[b] += w @ off
-            if line.absorbs[i]:
+            if line.updates[i]:
                 h, z = antenna.jacobian(states[i + 1]), next(fixes)[:2]
                 precision[b, b] += h.T @ noise @ h
                 right[b] += h.T @ noise @ (z - antenna(states[i + 1]))

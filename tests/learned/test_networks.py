@@ -191,7 +191,7 @@ def test_features_are_means_and_shakes():
 def test_outages_are_told_in_time():
     line = replay_of(silent()).timeline
     found = outages.outage_windows(line, axes=AXES, window=6.0)
-    time, last = line.imu_time, line.end[line.absorbs]
+    time, last = line.imu_time, line.end[line.updates]
     before = last[np.searchsorted(last, time[found.end], side="right") - 1]
     assert (time[found.end] - before >= outages.OUTAGE_AFTER).all()
     np.testing.assert_allclose(time[found.end] - time[found.begin], outages.HORIZON, atol=0.0101)

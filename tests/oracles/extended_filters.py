@@ -73,7 +73,7 @@ class SigmaPointForm:
         s, c = transposed(weighted) @ spread + r, transposed(offsets) @ weighted
         return Innovation(z.innovation(mean) - moved, s, c, r)
 
-    def absorb(self, mean, p, seen: Innovation, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
+    def correct(self, mean, p, seen: Innovation, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
         c, nu = whiten(seen.s, transposed(seen.c)), whiten(seen.s, seen.nu[..., None])
         return mean + (transposed(c) @ nu)[..., 0], p - transposed(c) @ c  # x + K nu, P - K S K^T
 
@@ -90,7 +90,7 @@ class JacobianForm:
         h = z.jacobian(mean)
         return Innovation(z.innovation(mean), h @ p @ transposed(h) + r, p @ transposed(h), r)
 
-    def absorb(self, mean, p, seen: Innovation, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
+    def correct(self, mean, p, seen: Innovation, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
         c = whiten(seen.s, transposed(seen.c))
         gain = transposed(c) @ whiten(seen.s, np.broadcast_to(np.eye(seen.s.shape[-1]), seen.s.shape))
         rest = np.eye(p.shape[-1], dtype=Extended) - gain @ z.jacobian(mean)
@@ -207,7 +207,7 @@ class ExtendedCar:
     def _absorb(self, z: Measurement, variance: np.ndarray, gate: float = np.inf) -> None:
         r = variance[:, None, None] * np.eye(z.jacobian(self.mean).shape[1], dtype=Extended)
         seen = self.form.measure(self.mean, self.covariance, z, r)
-        mean, covariance = self.form.absorb(self.mean, self.covariance, seen, z)
+        mean, covariance = self.form.correct(self.mean, self.covariance, seen, z)
         used = self.used = _nis(seen) <= gate if gate < np.inf else np.ones(len(mean), dtype=bool)
         self.mean = np.where(used[:, None], mean, self.mean)
         self.covariance = np.where(used[:, None, None], covariance, self.covariance)
@@ -230,7 +230,7 @@ class ExtendedCar:
         known, nu = whiten(seen.s, m), whiten(seen.s, seen.nu[..., None])
         residual = seen.nu - (transposed(known) @ nu)[..., 0]
         self.squared_residual = np.sum(np.where(used[:, None], residual, seen.nu) ** 2, axis=1)
-        mean, covariance = self.form.absorb(self.mean, self.covariance, seen, z)
+        mean, covariance = self.form.correct(self.mean, self.covariance, seen, z)
         if self.kind == "adaptive-ukf":
             moved = (transposed(whiten(seen.s, transposed(seen.c))) @ nu)[..., 0]  # K nu
             self._adapt(used, residual, m - transposed(known) @ known, moved, covariance)

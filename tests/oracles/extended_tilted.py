@@ -74,8 +74,8 @@ class TiltedForm(JacobianForm):
         f[:, np.array(ERROR)[:, None], GYRO] = -dt * middle
         return new, f @ p @ transposed(f) + q
 
-    def absorb(self, mean, p, seen, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
-        moved, covariance = super().absorb(mean, p, seen, z)
+    def correct(self, mean, p, seen, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
+        moved, covariance = super().correct(mean, p, seen, z)
         return plus(mean, moved - mean), covariance
 
 
@@ -117,8 +117,8 @@ class TiltedPoints(SigmaPointForm):
         middle = attitude(states) @ half
         return middle @ half, (middle @ force[..., None])[..., 0]
 
-    def absorb(self, mean, p, seen, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
-        moved, covariance = super().absorb(mean, p, seen, z)
+    def correct(self, mean, p, seen, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
+        moved, covariance = super().correct(mean, p, seen, z)
         return plus(mean, moved - mean), covariance
 
 

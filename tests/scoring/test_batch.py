@@ -152,7 +152,7 @@ def at_the_fixes(drive: Drive, p: FilterParameters) -> tuple[list[float], list[f
         ukf.predict(
             dt, np.array([line.ax[k], line.ay[k], line.gz[k]]), np.diag(p.process_noise) * line.q_scale[k]
         )
-        if line.absorbs[k]:
+        if line.updates[k]:
             z = next(fixes)[:2]
             seen = ukf.update(z, np.diag(p.measurement_noise))
             squares.append(float(np.sum((z - ukf.mean[:2]) ** 2)))

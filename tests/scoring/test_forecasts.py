@@ -54,7 +54,7 @@ def by_textbook(drive: Drive, parameters: FilterParameters, hidden: np.ndarray):
     h = gps_position(tuple(line.lever[:2]), parameters.latency)
     found, fixes = [], iter(line.fixes)
     for i in range(len(line.dt)):
-        absorbed, line.absorbs[i] = line.absorbs[i], False
+        absorbed, line.updates[i] = line.updates[i], False
         fix_flag = car.flags[i]
         car.flags[i] = 0
         car.step(i)  # predicts only
@@ -64,7 +64,7 @@ def by_textbook(drive: Drive, parameters: FilterParameters, hidden: np.ndarray):
             found.append((innovation.nu, innovation.variance, bool(line.hides[i])))
             if absorbed:
                 car._update_with_fix(z, np.zeros(2), float(line.end[i]))
-        line.absorbs[i], car.flags[i] = absorbed, fix_flag
+        line.updates[i], car.flags[i] = absorbed, fix_flag
     nu, s, hides = zip(*found, strict=True)
     return np.array(nu), np.array(s), np.array(hides)
 

@@ -25,7 +25,7 @@ def test_it_reaches_tune_batch_evaluate_and_run():
         assert batch.scores[0][0].position_rmse == evaluated.mean("tuned", "position_rmse_m")
         assert problem.replays.scores([p])[0, 0].position_rmse == batch.scores[0][0].position_rmse
         (drive_found,) = evaluated.drives.values()
-        assert drive_found.frozen == (0 if as_recorded else 5)
+        assert drive_found.stale_fixes == (0 if as_recorded else 5)
         found[as_recorded] = batch.costs[0], problem.steps[0]
     assert found[True][0] != found[False][0]
     assert found[True][1] == found[False][1] + 5  # the frozen fixes end steps of their own
@@ -39,7 +39,7 @@ def test_raw_fixes_are_scored_with_the_frozen_ones():
 
 
 def unfrozen(drive):
-    return replace(drive, gps=drive.gps.select(~PreparedDrive(drive).frozen))
+    return replace(drive, gps=drive.gps.select(~PreparedDrive(drive).stale))
 
 
 def test_the_papers_protocol_is_as_recorded():

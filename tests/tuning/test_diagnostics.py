@@ -69,7 +69,7 @@ def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     assert good.fixes_alone == MotionNoise.typical([noise_of(PreparedDrive(town()))])
     short = good.forecasts[1]
     measured = drifts_of(PreparedDrive(town()), good.parameters, 2, length=5.0, noise=good.fixes_alone)
-    assert (short.tuned_m, short.untuned_m, short.fixes_alone_m) == pytest.approx(measured)
+    assert (short.tuned_m, short.baseline_m, short.fixes_alone_m) == pytest.approx(measured)
     assert "NOT BEATEN" in str(replace(short, fixes_alone_m=short.tuned_m))
     assert "NOT BEATEN" not in str(replace(short, fixes_alone_m=1.01 * short.tuned_m))
     assert f"drift without fixes: {good.forecasts[0]}" in repr(good)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sigmaswarm.tuning.box import Box, Dimension
+from sigmaswarm.tuning.bounds import Bounds, Dimension
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE, Sensitivity, sensitivities
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
@@ -23,7 +23,7 @@ class Bowl:
         lowest, highest = (1e-4, 1e4) if logarithmic else (-4.0, 4.0)
         names = [f"p{i}" for i in range(len(weights))]
         dimensions = [Dimension(name, "", 0, lowest, highest, spread=logarithmic) for name in names]
-        self.space = Box(tuple(dimensions), "log10")
+        self.space = Bounds(tuple(dimensions), "log10")
         self.weights, self.optimum = np.array(weights), np.array(optimum)
 
     def costs(self, points, executor):

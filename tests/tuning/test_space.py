@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.tuning.box import TouchedBound
+from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.space import search_space
 
 LOWEST = [1e-3, 0.0, 0.0] + [1e-5] * 7

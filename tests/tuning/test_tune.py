@@ -17,7 +17,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.simulation import simulate
 from sigmaswarm.tuning.batch import run_batch
-from sigmaswarm.tuning.box import TouchedBound
+from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.sensitivity import Sensitivity

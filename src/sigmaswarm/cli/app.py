@@ -107,7 +107,7 @@ def main() -> NoReturn:
     except OSError as error:  # the reader of the output is gone, or the disk is full
         terminal.mute()
         if not isinstance(error, BrokenPipeError):
-            code = _told(2, f"the output: {error.strerror or error}")
+            code = _fail(2, f"the output: {error.strerror or error}")
     sys.exit(code)
 
 
@@ -120,23 +120,23 @@ def _run() -> int:
     except (SigmaswarmError, CycloptsError) as error:
         hint = "; see --help" if isinstance(error, CycloptsError) else ""
         said = _missing_out(error) or _other_name(error) or terminal.one_line(error).removesuffix(".")
-        return _told(2, f"{said}{hint}")
+        return _fail(2, f"{said}{hint}")
     except KeyboardInterrupt:
         resumable = sys.argv[1:2] in (["tune"], ["compare"], ["simulate"], ["study"])
         print(file=sys.stderr)
-        return _told(130, "interrupted" + "; repeat the command with --resume to continue" * resumable)
+        return _fail(130, "interrupted" + "; repeat the command with --resume to continue" * resumable)
     except BrokenPipeError:  # `sigmaswarm ... | head` is no mistake
         terminal.mute()
     except OSError as error:  # no permission, a network drive that is gone
         if not error.filename:  # the output itself
             terminal.mute()
-        return _told(2, f"{error.filename or 'the output'}: {error.strerror or error}")
+        return _fail(2, f"{error.filename or 'the output'}: {error.strerror or error}")
     except Exception as error:
         return _unforeseen(error)
     return 0
 
 
-def _told(code: int, said: str) -> int:
+def _fail(code: int, said: str) -> int:
     print(f"sigmaswarm: {terminal.one_line(said)}", file=sys.stderr)
     return code
 
@@ -150,7 +150,7 @@ def _unforeseen(error: Exception) -> int:
         where = f"; the traceback is in {file.name}"
     except OSError:
         where = ""
-    return _told(3, f"unexpected error: {terminal.one_line(what)}{where}")
+    return _fail(3, f"unexpected error: {terminal.one_line(what)}{where}")
 
 
 def _missing_out(error: Exception) -> str | None:

@@ -236,7 +236,7 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
     if options.json:
         print_json(_summary(imported, out) | {"doctor": diagnosis.to_dict()})
         return
-    say(*_told(imported, out))
+    say(*_report(imported, out))
     print_diagnosis(diagnosis)
     say(*_next_steps(diagnosis, out))
 
@@ -269,7 +269,7 @@ def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
     }
 
 
-def _told(imported: "Imported", out: Path) -> Iterator[str]:
+def _report(imported: "Imported", out: Path) -> Iterator[str]:
     drive = imported.drive
     truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
     wheels = f", {len(drive.odometer)} of the odometer" if drive.odometer else ""

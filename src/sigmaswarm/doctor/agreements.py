@@ -9,7 +9,7 @@ from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps
 from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.frozen import frozen_fixes
+from sigmaswarm.drives.stale_fixes import stale_fixes
 
 FEWEST = 8  # fixes, for a course
 SLOWEST = 1.0  # m/s, lowest speed at which a course is shown
@@ -87,7 +87,7 @@ def _gravity(drive: Drive) -> Agreement:
 
 def _of_motion(drive: Drive) -> Iterator[Agreement]:
     imu, gps = drive.imu, drive.gps
-    used = ~frozen_fixes(gps) & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
+    used = ~stale_fixes(gps) & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
     time, position = gps.time[used], gps.x[used] + 1j * gps.y[used]
     if len(time) < FEWEST or not (np.diff(time) > 0).all():
         return

@@ -14,8 +14,8 @@ from sigmaswarm.doctor.windows import Complex
 from sigmaswarm.doctor.yaw_fit import EXPLAINED, YawFit, fit_yaw
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
-from sigmaswarm.drives.frozen import frozen_fixes
 from sigmaswarm.drives.sensors import white_noise
+from sigmaswarm.drives.stale_fixes import stale_fixes
 
 SEARCHED = 2.3
 """Largest offset that the fit finds, s; the tried delays end at 2.5 s."""
@@ -109,7 +109,7 @@ def _read(drive: Drive) -> Evidence:
 
 def _gather(drive: Drive) -> Evidence:
     gps, imu = drive.gps, drive.imu
-    position, stale = gps.x + 1j * gps.y, frozen_fixes(gps)
+    position, stale = gps.x + 1j * gps.y, stale_fixes(gps)
     inside = ~stale & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
     off = np.zeros(len(gps), dtype=np.bool_)
     off[inside] = jumps(gps.time[inside], position[inside])

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment_fit import Fit, InitialState
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.frozen import frozen_fixes
 from sigmaswarm.drives.gyro_seen import CONTRADICTS, MOST_BIAS, GyroSeen
+from sigmaswarm.drives.stale_fixes import stale_fixes
 from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
@@ -69,7 +69,7 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     drive : Drive
         A drive; the truth is not used.
     as_recorded : bool
-        Also use stale fixes as positions: see `drives.frozen`.
+        Also use stale fixes as positions: see `drives.stale_fixes`.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | NoS
     """Return the start as `initial_state` does, or the reason why there is none."""
     # a filter can start only if IMU samples follow
     usable = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1])
-    usable = usable if as_recorded else usable & ~frozen_fixes(drive.gps)
+    usable = usable if as_recorded else usable & ~stale_fixes(drive.gps)
     if drive.heading is not None:
         return _stated_start(drive, usable)
     headed = usable & (headings_of(drive.gps)[1] <= MOST_STATED_STD**2)

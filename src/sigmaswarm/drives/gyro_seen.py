@@ -45,7 +45,7 @@ class GyroSeen:
     taken: float
     turns: Array
 
-    def beside(self, known: float) -> "GyroSeen":
+    def with_bias(self, known: float) -> "GyroSeen":
         """Return the evidence about the unchanged gyro, if a known bias about up, rad/s, was subtracted before."""
         bias = self.bias.copy()
         bias[UP] += known

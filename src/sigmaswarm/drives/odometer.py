@@ -18,7 +18,7 @@ from sigmaswarm.drives.drive import Array, Odometer
 INTERVAL = 0.1  # s, shortest time between measurements, and largest age of a reading in one
 SLOW = 0.5
 """Speed below which the odometer may read too low, m/s; the square is added to the variance of lower readings."""
-STALE = 1.0  # s, age above which a reading does not show whether the wheels turn
+LARGEST_AGE = 1.0  # s, age above which a reading does not show whether the wheels turn
 
 SPEED, AGE, MORE = range(3)
 """Columns of a measurement: mean of the readings, m/s, their mean age, s, and additional variance in R, m2/s2."""
@@ -28,11 +28,11 @@ SPEED, AGE, MORE = range(3)
 class Wheels:
     """Odometer measurements of the steps of a time line.
 
-    ``absorbs`` (k,) marks steps that end with one of ``rows`` (o, 3), see SPEED ... MORE. ``turn`` (k,) marks steps at
+    ``updates`` (k,) marks steps that end with one of ``rows`` (o, 3), see SPEED ... MORE. ``turn`` (k,) marks steps at
     whose end the wheels turn, so that the car does not stand.
     """
 
-    absorbs: NDArray[np.bool_]
+    updates: NDArray[np.bool_]
     rows: Array
     turn: NDArray[np.bool_]
 
@@ -43,10 +43,10 @@ def measurements_of(odometer: Odometer, start: float, end: Array, sampled: NDArr
     The first sample of each interval with a new reading uses the readings since the last measurement.
     """
     readings = np.column_stack([odometer.time, odometer.speed])
-    absorbs, turn = np.zeros((2, len(end)), dtype=np.bool_)
+    updates, turn = np.zeros((2, len(end)), dtype=np.bool_)
     rows = np.empty((np.count_nonzero(sampled), 3))
-    n = _measure_all(readings, start, end, sampled, absorbs, turn, rows)
-    return Wheels(absorbs, rows[:n].copy(), turn)
+    n = _measure_all(readings, start, end, sampled, updates, turn, rows)
+    return Wheels(updates, rows[:n].copy(), turn)
 
 
 @cached
@@ -55,7 +55,7 @@ def _measure_all(
     start: float,
     end: Array,
     sampled: NDArray[np.bool_],
-    absorbs: NDArray[np.bool_],
+    updates: NDArray[np.bool_],
     turn: NDArray[np.bool_],
     rows: Array,
 ) -> int:
@@ -68,7 +68,7 @@ def _measure_all(
             turn[k] = wheels_turn(readings, r, now)
             slot = slot_of(now, start, INTERVAL)
             if slot != last_slot and mean_reading(readings, r, now, before, taken, rows[n]):
-                absorbs[k] = True
+                updates[k] = True
                 n, last_slot, taken = n + 1, slot, now
             before = now
     return n
@@ -83,7 +83,7 @@ def slot_of(t: Any, start: float, interval: float) -> Any:
 @cached
 def wheels_turn(readings: Array, end: int, now: float) -> bool:
     """Return True if the wheels turn; the first ``end`` rows of ``readings``, time and speed, are up to now."""
-    return end > 0 and readings[end - 1, 0] > now - STALE and abs(readings[end - 1, 1]) >= SLOW
+    return end > 0 and readings[end - 1, 0] > now - LARGEST_AGE and abs(readings[end - 1, 1]) >= SLOW
 
 
 @cached

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.frozen import FROZEN, judged
+from sigmaswarm.drives.stale_fixes import STALE, judged
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 
 SMALL = 500_000  # steps of a time line that is kept in memory: more than an hour, 40 MB
@@ -35,13 +35,13 @@ class PreparedDrive:
 
     @cached_property
     def kinds(self) -> Array:
-        """Kind of each fix, (number of fixes,), see `drives.frozen`; all are new with ``as_recorded``."""
+        """Kind of each fix, (number of fixes,), see `drives.stale_fixes`; all are new with ``as_recorded``."""
         return np.zeros(len(self.drive.gps)) if self.as_recorded else judged(self.drive.gps)
 
     @property
-    def frozen(self) -> NDArray[np.bool_]:
+    def stale(self) -> NDArray[np.bool_]:
         """Mask of stale fixes, (number of fixes,)."""
-        return self.kinds >= FROZEN
+        return self.kinds >= STALE
 
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
         """Return the steps of a filter with all fixes except the ``hidden`` ones (g,); computed once.

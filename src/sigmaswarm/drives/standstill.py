@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.frozen import FROZEN_MOVING
+from sigmaswarm.drives.stale_fixes import STALE_MOVING
 
 BLOCK = 0.05  # s
 SECOND = 20  # complete blocks in the second that must be calm
@@ -58,7 +58,7 @@ PIECE = 100_000  # samples per copy, to limit the memory
 
 
 def standing(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
-    """Detect standstill at each IMU sample, (n,), from earlier data; ``kinds`` of the fixes are as in `frozen`."""
+    """Detect standstill at each IMU sample, (n,), from earlier data; ``kinds`` of the fixes are as in `stale_fixes`."""
     imu, gps = drive.imu, drive.gps
     stands = np.zeros(len(imu.time), dtype=np.bool_)
     fixes = np.column_stack([gps.time, gps.x, gps.y])
@@ -229,8 +229,8 @@ def fixes_stand(fixes: Array, kinds: Array, n: int, now: float, until: Array) ->
     """Return True if a straight-line fit to the last seconds' fixes has a low speed; rows begin with t, x, y.
 
     Of the first ``n`` rows, those up to ``now`` are read, except stale fixes of a driving car (``kinds``, see
-    `frozen`). The result is valid until ``until[0]`` if no fix is added. After an outage the window must first be full:
-    half a window has three times the noise, and a departing car would appear to stand.
+    `stale_fixes`). The result is valid until ``until[0]`` if no fix is added. After an outage the window must first be
+    full: half a window has three times the noise, and a departing car would appear to stand.
     """
     count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     first, last, k = 0, 0, n - 1
@@ -238,7 +238,7 @@ def fixes_stand(fixes: Array, kinds: Array, n: int, now: float, until: Array) ->
     while k >= 0 and fixes[k, 0] >= now - FIX_WINDOW:
         if fixes[k, 0] > now:
             until[0] = fixes[k, 0]
-        elif kinds[k] != FROZEN_MOVING:
+        elif kinds[k] != STALE_MOVING:
             first = k
             last = max(last, k)
             age, x, y = now - fixes[k, 0], fixes[k, 1] - fixes[last, 1], fixes[k, 2] - fixes[last, 2]

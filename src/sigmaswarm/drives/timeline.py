@@ -5,7 +5,7 @@ the same sample, and updates the filter at its own time. The second of two fixes
 has a step of length 0. Process noise is the variance per nominal interval (the median) and scales with dt / nominal.
 
 In a gap of the IMU the input is the mean of the samples around it (`drives.gaps`). Stale fixes are left out
-(`drives.frozen`). With ``as_recorded`` both rules are off.
+(`drives.stale_fixes`). With ``as_recorded`` both rules are off.
 """
 
 from collections.abc import Sequence
@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import Alignments
 from sigmaswarm.drives.drive import Array, Drive, Gps
-from sigmaswarm.drives.frozen import FROZEN, judged
 from sigmaswarm.drives.gaps import gaps_before
 from sigmaswarm.drives.odometer import Wheels, measurements_of
+from sigmaswarm.drives.stale_fixes import STALE, judged
 from sigmaswarm.drives.standstill import standing
 from sigmaswarm.drives.tables import headings_of
 
@@ -47,7 +47,7 @@ class Timeline:
     sample : (k,) int, index of the IMU sample that drives each step
     driving : (n, 3) or (n, 6) the IMU's ``axes``, m/s2 and rad/s, that drive the steps up to each of its samples; all
         shared by all time lines of a drive
-    absorbs : (k,) bool, True if a fix updates the filter at the step's end
+    updates : (k,) bool, True if a fix updates the filter at the step's end
     hides : (k,) bool, True if a fix at the step's end is hidden from the filter; its forecast is scored
     sampled : (k,) bool, True if the step ends at the time of an IMU sample
     fixes : (f, 8) position, m east, north; velocity, m/s east, north (0 without one); stated variance, m2 east, north
@@ -59,7 +59,7 @@ class Timeline:
     lever : (3,) m forward, left and up from the IMU to the antenna
     cornering : (k,) bool, True if the tires slip at high lateral acceleration
     drive : Drive without the hidden fixes
-    kinds : (g,) the kind of each fix of that drive, see `drives.frozen`; all `NEW` with ``as_recorded``
+    kinds : (g,) the kind of each fix of that drive, see `drives.stale_fixes`; all `NEW` with ``as_recorded``
     imu_time : (n,) s, the IMU's times after the start
     nominal_interval : s
     """
@@ -69,7 +69,7 @@ class Timeline:
     steps: Array
     sample: NDArray[np.int32]
     driving: Array
-    absorbs: NDArray[np.bool_]
+    updates: NDArray[np.bool_]
     hides: NDArray[np.bool_]
     sampled: NDArray[np.bool_]
     fixes: Array
@@ -129,21 +129,21 @@ class Timeline:
 
     @cached_property
     def alignments(self) -> Alignments:
-        return Alignments(self.drive, usable=self.kinds < FROZEN)
+        return Alignments(self.drive, usable=self.kinds < STALE)
 
     def hiding(self, hidden: NDArray[np.bool_]) -> "Timeline":
         """Return the same steps with some of the drive's fixes, (g,), hidden; other arrays are shared."""
         hides = np.zeros(len(self.end), dtype=np.bool_)
-        hides[self.absorbs] = hidden[_usable(self.drive, self.start, self.kinds)]
-        return replace(self, absorbs=self.absorbs & ~hides, hides=hides, **self._seen(hidden))
+        hides[self.updates] = hidden[_usable(self.drive, self.start, self.kinds)]
+        return replace(self, updates=self.updates & ~hides, hides=hides, **self._seen(hidden))
 
     def without(self, hidden: NDArray[np.bool_]) -> "Timeline":
         """Return the steps of the drive without some fixes, (g,), bit-identical to those of `build_timeline`."""
-        absorbs = self.absorbs.copy()
-        absorbs[self.absorbs] = ~hidden[_usable(self.drive, self.start, self.kinds)]
+        updates = self.updates.copy()
+        updates[self.updates] = ~hidden[_usable(self.drive, self.start, self.kinds)]
         moment = np.cumsum(np.diff(self.end, prepend=self.start) > 0.0)  # several fixes may share a time
-        meets = np.bincount(moment[absorbs], minlength=len(self.end) + 1) > 0
-        keeps = absorbs | (self.sampled & ~meets[moment])
+        meets = np.bincount(moment[updates], minlength=len(self.end) + 1) > 0
+        keeps = updates | (self.sampled & ~meets[moment])
         of_imu = np.zeros(len(meets), dtype=np.bool_)
         of_imu[moment[self.sampled]] = True
         end, steps, seen = self.end[keeps], self.steps[keeps], self._seen(hidden)
@@ -154,7 +154,7 @@ class Timeline:
             end=end,
             steps=steps,
             sample=self.sample[keeps],
-            absorbs=absorbs[keeps],
+            updates=updates[keeps],
             hides=np.zeros(len(end), dtype=np.bool_),
             sampled=of_imu[moment[keeps]] & _is_last(end),
             cornering=self.cornering[keeps],
@@ -197,7 +197,7 @@ def build_timeline(
         steps=steps,
         sample=sample.astype(np.int32),
         driving=driving,
-        absorbs=_among(ends, fixes.time),
+        updates=_among(ends, fixes.time),
         hides=np.zeros(len(ends), dtype=np.bool_),
         sampled=_among(ends, imu_time) & _is_last(ends),
         lever=np.array([*drive.lever_arm, drive.antenna_height]),
@@ -212,7 +212,7 @@ def build_timeline(
 
 def _usable(drive: Drive, start: float, kinds: Array) -> NDArray[np.bool_]:
     time = drive.gps.time
-    return (time > start) & (time <= drive.imu.time[-1]) & (kinds < FROZEN)
+    return (time > start) & (time <= drive.imu.time[-1]) & (kinds < STALE)
 
 
 def _driving(drive: Drive, gap_ends: NDArray[np.intp]) -> Array:

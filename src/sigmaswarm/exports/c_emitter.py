@@ -23,13 +23,13 @@ STATES = (
 """Names of the states in C, in the order of the largest model."""
 FIX_ERROR = STATES[-2:]
 PARAMETERS = {
-    "w": ("InsGpsBelief *b", "Work *work"),
+    "w": ("InsGpsEstimate *b", "Work *work"),
     "u": ("real dt", "real steps", "const InsGpsSample *sample"),
     "z": ("const InsGpsFix *fix",),
     "lever": ("const real *lever",),
     "wheels": ("const Wheels *wheels",),
     "happens": ("unsigned happens",),
-    "since": ("InsGpsBelief *b",),
+    "since": ("InsGpsEstimate *b",),
     "l": (),
 }
 """C parameters that replace a parameter of a kernel. A C function has only the parameters that it uses."""

@@ -30,7 +30,7 @@ def kernels_of(
     emitter.add(lanes._near, "sine_cosine_near")
     emitter.add(lanes.sincos, "sine_cosine")
     if features["USE_SCALAR"]:
-        emitter.add(measurements._absorb_one, n=n)
+        emitter.add(measurements._update_one, n=n)
     if tilted:
         _add_tilted(emitter, features, n)
     else:
@@ -41,17 +41,17 @@ def kernels_of(
     if features["USE_HEADING"]:
         measure = tilted12.measure_heading_tilted if tilted else measurements._measure_heading
         emitter.add(measure, "measure_heading", n=n)
-        emitter.add(measurements.absorb_heading, tilted=tilted, measure_heading=measure)
+        emitter.add(measurements.update_heading, tilted=tilted, measure_heading=measure)
     if model.fix_error:
         _add_fix_error(emitter, n, features)
-    emitter.add(measurements._absorb_two, **both, fold=tilted12.fold)
+    emitter.add(measurements._update_two, **both, fold=tilted12.fold)
     if features["USE_VELOCITY_OR_STANDSTILL"]:
-        emitter.add(measurements._take_velocity, n=n, _absorb_two=measurements._absorb_two)
+        emitter.add(measurements._take_velocity, n=n, _update_two=measurements._update_two)
     if features["USE_VELOCITY"]:
-        emitter.add(measurements.absorb_velocity)
+        emitter.add(measurements.update_velocity)
     if features["USE_STANDSTILL"]:
         gyro = tuple(model.gyro_axes.values())
-        emitter.add(measurements.absorb_standstill, **both, gyro_biases=gyro)
+        emitter.add(measurements.update_standstill, **both, gyro_biases=gyro)
     emitter.add(measurements._keep_digits, **both, unscented=0, fix_error=int(model.fix_error))
     if features["USE_STRETCH"]:
         emitter.add(measurements._stretch, n=n)
@@ -78,12 +78,17 @@ def _events(features: Mapping[str, bool]) -> list[str]:
 
 def _add_step(emitter: Emitter, p: FilterParameters, features: Mapping[str, bool]) -> None:
     model = FILTERS[p.kernel]
-    looks = features["USE_NIS"] or features["USE_LANES"]
-    if looks:
+    stores_innovation = features["USE_NIS"] or features["USE_LANES"]
+    if stores_innovation:
         emitter.add(measurements._look)
     emitter.add(
-        measurements.absorb_fix,
-        **{"looks": looks, "gated": features["USE_GATE"], "adaptive": 1, "note_prior": 0},
+        measurements.update_fix,
+        **{
+            "stores_innovation": stores_innovation,
+            "gated": features["USE_GATE"],
+            "adaptive": 1,
+            "note_prior": 0,
+        },
         **{"fading": features["USE_STRONG_TRACKING"], "fuzzy": features["USE_FUZZY"]},
         **{"robust": features["USE_ROBUST"], "adapting": features["USE_ADAPTIVE"]},
         fix_error=model.fix_error,
@@ -91,7 +96,7 @@ def _add_step(emitter: Emitter, p: FilterParameters, features: Mapping[str, bool
     )
     emitter.add(step._grow, tilted=int(model.tilts is not None))
     if model.tilts:  # the template contains the prediction
-        state, sample = ["InsGpsBelief *b", "Work *work"], [*PARAMETERS["u"]]
+        state, sample = ["InsGpsEstimate *b", "Work *work"], [*PARAMETERS["u"]]
         emitter.signatures["predict_tilted12"] = "predict_tilted12", [state, sample]
     absent = {name: 0 for name in (*EVENTS, "HIDDEN") if name not in _events(features)}
     emitter.add(
@@ -99,7 +104,7 @@ def _add_step(emitter: Emitter, p: FilterParameters, features: Mapping[str, bool
         predict=step._PREDICTIONS[p.model][0],
         carry=fix_error.carry if features["USE_PLANAR_FIX_ERROR"] else 0,
         grow=step._grow,
-        **{name: getattr(measurements, name) for name in vars(measurements) if name.startswith("absorb_")},
+        **{name: getattr(measurements, name) for name in vars(measurements) if name.startswith("update_")},
         **{"settle": 0, "note_prior": 0},
         **absent,
     )
@@ -121,10 +126,10 @@ def _add_planar(emitter: Emitter, model: str, features: Mapping[str, bool], n: i
     along = measurements._measure_along
     if features["USE_LATERAL"]:
         emitter.add(along, "measure_lateral", n=n, lateral=1, bias=MEAN.index("W") if has_biases else -1)
-        emitter.add(measurements.absorb_lateral, tilted=0, measure_lateral=along)
+        emitter.add(measurements.update_lateral, tilted=0, measure_lateral=along)
     if features["USE_ODOMETER"]:
         emitter.add(along, "measure_odometer", n=n, lateral=0, bias=MEAN.index("A") if has_biases else -1)
-        emitter.add(measurements.absorb_odometer, tilted=0, measure_odometer=along)
+        emitter.add(measurements.update_odometer, tilted=0, measure_odometer=along)
 
 
 def _add_fix_error(emitter: Emitter, n: int, features: Mapping[str, bool]) -> None:
@@ -142,10 +147,10 @@ def _add_tilted(emitter: Emitter, features: Mapping[str, bool], n: int) -> None:
     along = tilted12.measure_along_tilted
     if features["USE_LATERAL"]:
         emitter.add(along, "measure_lateral", n=n, **tilted12.ALONG["lateral"])
-        emitter.add(measurements.absorb_lateral, tilted=1, measure_lateral=along)
+        emitter.add(measurements.update_lateral, tilted=1, measure_lateral=along)
     if features["USE_ODOMETER"]:
         emitter.add(along, "measure_odometer", n=n, **tilted12.ALONG["odometer"])
-        emitter.add(measurements.absorb_odometer, tilted=1, measure_odometer=along)
+        emitter.add(measurements.update_odometer, tilted=1, measure_odometer=along)
 
 
 def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> dict[str, str | float | None]:

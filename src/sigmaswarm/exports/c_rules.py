@@ -1,7 +1,7 @@
 """Translate the rules for samples and fixes (standstill, stale fixes, gaps) from the library's functions to C99.
 
-C has a type for times, since the float build counts ticks: ``since`` is a difference of times, and ``SECONDS`` converts
-seconds that are added to a time.
+C has a type for times, since the float build counts ticks: ``seconds_between`` is a difference of times, and
+``SECONDS`` converts seconds that are added to a time.
 """
 
 # pyright: reportPrivateUsage=false
@@ -13,10 +13,10 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from sigmaswarm.drives import frozen, gaps, odometer, standstill
+from sigmaswarm.drives import gaps, odometer, stale_fixes, standstill
 from sigmaswarm.exports.c_emitter import Emitter, _Function
 
-ALWAYS = gaps.gap_of, gaps.usual_after, frozen._speed_at, frozen.kind_of
+ALWAYS = gaps.gap_of, gaps.usual_after, stale_fixes._speed_at, stale_fixes.kind_of
 STANDSTILL = (
     *(standstill._clear, standstill._copy, standstill._merge, standstill._merge_quarter),
     *(standstill._begin_block, standstill.calm_after, standstill.is_as_it_was, standstill.fixes_stand),
@@ -28,7 +28,7 @@ POINTERS = {
 """C types of arrays; by default ``real *``. The array ``kinds`` is a field of the fixes."""
 FIELDS = {"fixes": ("time", "x", "y"), "readings": ("time", "speed"), "wheels": ("speed", "age", "more")}
 TIMES = ("now", "before", "taken")
-ENUMERATORS = {"NEW": "NEW", "HELD": "AT_REST", "FROZEN": "FROZEN", "FROZEN_MOVING": "FROZEN_MOVING"}
+ENUMERATORS = {"NEW": "NEW", "HELD": "AT_REST", "STALE": "STALE", "STALE_MOVING": "STALE_MOVING"}
 _TIME, _KIND = "ins_gps_time", "InsGpsFixKind"
 _TYPES = {float: "real", int: "int", bool: "bool", None: "void"}
 _CALLS = {"min": "SMALLER", "max": "LARGER", "math.hypot": "HYPOT"}
@@ -191,7 +191,7 @@ class _Rule(_Function):
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
         kinds = [self.type_of(node.left), self.type_of(node.right)]
         if kinds == [_TIME, _TIME]:
-            return ast.Name(f"since({self.c(node.right)}, {self.c(node.left)})")
+            return ast.Name(f"seconds_between({self.c(node.right)}, {self.c(node.left)})")
         if kinds[0] == _TIME:
             seconds = ast.Name(f"SECONDS({self.constant(ast.unparse(node.right))})")
             return ast.BinOp(self.visit(node.left), node.op, seconds)

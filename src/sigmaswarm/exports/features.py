@@ -112,7 +112,7 @@ def defined(text: str, numbers: Mapping[str, str], form: str) -> str:
 
 CONSTANTS: Mapping[ModuleType, str] = {
     alignment: "REFITS",
-    divergence: "LOOK_INTERVAL LATEST_LOOK MANY_SIGMAS HEADING_OFF POSITION_OFF SPEED_STD",
+    divergence: "CHECK_INTERVAL LATEST_CHECK MANY_SIGMAS HEADING_OFF POSITION_OFF SPEED_STD",
     fuzzy: "LARGEST_RATIO SLOWER",
     gyro_seen: "CONTRADICTS STRANGE STRANGE_STD YAW_STD TURN_SHARE LEAN_STD MOST_BIAS",
     live: "LEAP AGREES",

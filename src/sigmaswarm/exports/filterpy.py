@@ -8,7 +8,7 @@ import inspect
 from types import ModuleType
 
 from sigmaswarm import geodesy
-from sigmaswarm.drives import alignment, alignment_fit, frozen, gaps, gyro_seen, standstill, tables
+from sigmaswarm.drives import alignment, alignment_fit, gaps, gyro_seen, stale_fixes, standstill, tables
 from sigmaswarm.drives.mounting import Angles
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.features import defined, features_of, fill, listed, values_of
@@ -51,7 +51,7 @@ def filterpy(
         else "MerweScaledSigmaPoints, UnscentedKalmanFilter",
         "MODEL_SOURCE": "\n\n\n".join(sources),
         "WRAP_SOURCE": source_of(geodesy, ["wrap_angle"]),
-        "FROZEN_SOURCE": source_of(frozen),
+        "STALE_SOURCE": source_of(stale_fixes),
         "GAPS_SOURCE": source_of(gaps),
         "GAP_SOURCE": source_of(schedule, ["GAP_TURN_STD", "GAP_ACCELERATION_STD", "gap_covariance"]),
         "ALIGNMENT_SOURCE": "\n\n\n".join(

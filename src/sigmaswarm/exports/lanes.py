@@ -78,7 +78,7 @@ def _row(p: FilterParameters, penalty: float) -> str:
     fields = [
         f".process_noise = {{{listed(p.process_noise, 'R({})')}}}",
         f".measurement_noise = {{{listed(p.measurement_noise, 'R({})')}}}",
-        f".against = R({penalty!r})",
+        f".penalty = R({penalty!r})",
         *(f".{name} = R({value!r})" for name, value in _numbers(p).items()),
     ]
     return "    {" + ",\n     ".join(fields) + "}"

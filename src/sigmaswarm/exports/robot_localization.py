@@ -12,7 +12,7 @@ from sigmaswarm.exports.features import features_of, fill, in_range, values_of
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.robot_yaml import PLACES
-from sigmaswarm.scoring.drifts import OWN, UNTUNED
+from sigmaswarm.scoring.drifts import BASELINE, OWN
 from sigmaswarm.scoring.evaluation import Evaluation
 from sigmaswarm.versions import __version__
 
@@ -105,11 +105,11 @@ def _configuration(p: FilterParameters, interval: float, mounting: Angles | None
 
 
 def accuracy_section(evaluation: Evaluation) -> str:
-    known = [m for m in SHOWN if any(evaluation.mean(k, m) is not None for k in ("tuned", UNTUNED))]
+    known = [m for m in SHOWN if any(evaluation.mean(k, m) is not None for k in ("tuned", BASELINE))]
     heads = " | ".join(evaluation.measures[m].heading for m in known)
     lines = [f"| filter | {heads} |", "|---" * (len(known) + 1) + "|"]
     names = {
-        UNTUNED: "default process noise, same inputs",
+        BASELINE: "default process noise, same inputs",
         "tuned": "ekf.yaml",
         OWN: evaluation.names.get(OWN, ""),
     }
@@ -119,7 +119,7 @@ def accuracy_section(evaluation: Evaluation) -> str:
             lines.append(f"| {name} | " + " | ".join("-" if v is None else f"{v:.3g}" for v in values) + " |")
     said = [
         _compared(evaluation, over, names[over], known[0])
-        for over in (UNTUNED, OWN)
+        for over in (BASELINE, OWN)
         if over in evaluation.names and known
     ]
     seen = [name for name, found in evaluation.drives.items() if found.record.seen_s]

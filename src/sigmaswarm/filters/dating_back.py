@@ -56,7 +56,7 @@ def dated_back(
     ready = prepared(drive)
     found, gps = ready.initial, ready.drive.gps
     before = (gps.time > max(found.time - longest, ready.drive.imu.time[0])) & (gps.time < found.time)
-    fixes = np.flatnonzero(before & ~ready.frozen & np.isfinite(gps.x + gps.y))
+    fixes = np.flatnonzero(before & ~ready.stale & np.isfinite(gps.x + gps.y))
     model = FILTERS[parameters.kernel]
     lacking = [
         i

@@ -21,7 +21,7 @@ from sigmaswarm.drives.drive import Array, Drive, Gps, Imu
 from sigmaswarm.drives.odometer import slot_of
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.live import LEAP
-from sigmaswarm.filters.compiled.watch import LATEST_LOOK, LOOK_INTERVAL
+from sigmaswarm.filters.compiled.monitor import CHECK_INTERVAL, LATEST_CHECK
 from sigmaswarm.filters.models import GYRO_BIAS, THETA, planar5
 from sigmaswarm.geodesy import wrap_angle
 
@@ -43,18 +43,18 @@ class CheckTimes:
 
 
 def check_times(line: Timeline) -> CheckTimes:
-    """Find the first IMU sample after new fixes in each `LOOK_INTERVAL`.
+    """Find the first IMU sample after new fixes in each `CHECK_INTERVAL`.
 
     A sample after a long gap is omitted, since a live filter accepts it only with the next one.
     """
-    sampled, updating = np.flatnonzero(line.sampled), np.flatnonzero(line.absorbs)
+    sampled, updating = np.flatnonzero(line.sampled), np.flatnonzero(line.updates)
     before = np.searchsorted(updating, sampled, side="right")  # fixes up to each sample
     fresh = np.flatnonzero(np.diff(before, prepend=0) > 0)
     step, last = sampled[fresh], updating[before[fresh] - 1]
     silence = np.diff(line.end[sampled], prepend=line.start)[fresh]
-    soon = (line.end[step] - line.end[last] <= LATEST_LOOK) & (silence <= LEAP)
+    soon = (line.end[step] - line.end[last] <= LATEST_CHECK) & (silence <= LEAP)
     step, last = step[soon], last[soon]
-    slot = slot_of(line.end[step], line.start, LOOK_INTERVAL)
+    slot = slot_of(line.end[step], line.start, CHECK_INTERVAL)
     first = np.unique(slot, return_index=True)[1]
     fix = np.searchsorted(line.fix_time, line.end[last[first]], side="right") - 1
     return CheckTimes(step[first], fix)
@@ -260,7 +260,7 @@ def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> 
         return None
     if found is None or found.gyro is None or not gyro_bias:
         return found
-    return replace(found, gyro=found.gyro.beside(gyro_bias))
+    return replace(found, gyro=found.gyro.with_bias(gyro_bias))
 
 
 def at_fix(time: float, fix: Array, variance: Array, theta: float, lever: Array) -> InitialState:

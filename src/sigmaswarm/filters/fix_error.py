@@ -70,7 +70,7 @@ def augmented(model: CarModel) -> CarModel:
 
 
 def _tilts(own: Tilts) -> Tilts:
-    def beside(function: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
+    def on_own_states(function: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
         both = np.add if function is own.plus else np.subtract
         return lambda a, b: np.concatenate([function(a[:-2], b[:-2]), both(a[-2:], b[-2:])])
 
@@ -85,7 +85,7 @@ def _tilts(own: Tilts) -> Tilts:
     def as_angles(state: Array, covariance: Array) -> Array:
         return own.as_angles(state[..., :-2], covariance[..., :-2, :-2])
 
-    return Tilts(beside(own.plus), beside(own.minus), nearest, transition, as_angles)
+    return Tilts(on_own_states(own.plus), on_own_states(own.minus), nearest, transition, as_angles)
 
 
 UNSCENTED = "tilted12, unscented"

@@ -9,7 +9,7 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.drives.frozen import FROZEN
+from sigmaswarm.drives.stale_fixes import STALE
 from sigmaswarm.drives.standstill import FIX_WINDOW, new_memory
 from sigmaswarm.drives.table_files import LARGEST
 from sigmaswarm.drives.tables import NO_HEADING
@@ -18,8 +18,8 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.compiled.layout import N_KEPT, R, state_rows
 from sigmaswarm.filters.compiled.memory import LiveArrays, Memory
+from sigmaswarm.filters.compiled.monitor import MONITOR_SPAN
 from sigmaswarm.filters.compiled.single import single_step
-from sigmaswarm.filters.compiled.watch import WATCHED
 from sigmaswarm.filters.divergence import Check, DivergenceMonitor, aligned_by, at_fix, steps_since
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
@@ -69,7 +69,7 @@ class LiveFilter:
     sample. For a fix that is at most ``history`` seconds late, the filter returns to the fix's time and processes the
     later samples again. So the state equals the result of `run_filter` for the same data in order. Fixes of the same
     time, for example from two receivers, are used one after the other. An identical fix is a repeated message and is
-    ignored. A stale fix is stored but not used: see `drives.frozen`.
+    ignored. A stale fix is stored but not used: see `drives.stale_fixes`.
 
     While the IMU is silent, the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`).
     A sample stamped more than 10 s ahead waits for a second sample within a second of its stamp. Then both are used, as
@@ -152,20 +152,22 @@ class LiveFilter:
             1, int(np.ceil(1.25 * max(history, (lag or -1.0) + nominal_interval) / nominal_interval))
         )
         seen = samples + int(FIX_WINDOW / nominal_interval)  # at most as many fixes as samples
-        belief = _believe(p, initial, nominal_interval, lever_arm)
-        belief[live.AS_RECORDED], belief[live.LATE_BY] = as_recorded, history
+        filter_state = _trust_times(p, initial, nominal_interval, lever_arm)
+        filter_state[live.AS_RECORDED], filter_state[live.LATE_BY] = as_recorded, history
         counts = np.zeros(live.N_COUNTS, dtype=np.int64)
         self._memory = Memory(
             single_step(kernel),
             LiveArrays(
-                belief,
+                filter_state,
                 counts,
                 new_memory()[: 0 if p.standstill_noise is None else None],
                 np.zeros((MOST_WAITING + seen, live.N_FIX)),
                 np.zeros((0 if p.odometer_noise is None else MOST_READINGS + int(200 * history), 2)),
                 np.zeros((samples, live.N_RECORD)),
                 np.zeros((0, 0)),
-                np.zeros((2 + int(FASTER_IMU * WATCHED / nominal_interval) if recover else 0, live.N_SAMPLE)),
+                np.zeros(
+                    (2 + int(FASTER_IMU * MONITOR_SPAN / nominal_interval) if recover else 0, live.N_SAMPLE)
+                ),
             ),
         )
         self._interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
@@ -200,7 +202,7 @@ class LiveFilter:
         except _NO_NUMBERS as error:
             raise InputError(f"an IMU sample that is not all numbers: {error}") from None
         # Most samples need no check.
-        if took == live.DUE or (self._holds and took and t > self._belief[live.START]):
+        if took == live.DUE or (self._holds and took and t > self._filter_state[live.START]):
             self._check_divergence(t, due=took == live.DUE)
 
     def update(
@@ -294,7 +296,7 @@ class LiveFilter:
     def _variance_of(self, fix: Array) -> Array:
         """Return the diagonal of R of a fix, (2,) m2."""
         stated = fix[live.FIX_VAR_X : live.FIX_VAR_Y + 1]
-        return self._belief[[R.RX, R.RY]] + self._belief[R.ACCURACY] * stated
+        return self._filter_state[[R.RX, R.RY]] + self._filter_state[R.ACCURACY] * stated
 
     def _check(self, now: float, fix: Array, mean: Array, covariance: Array, gyro_bias: float = 0.0) -> Check:
         time = float(fix[live.FIX_TIME])
@@ -314,11 +316,11 @@ class LiveFilter:
 
     @property
     def _samples(self) -> Array:
-        """Samples of the last `WATCHED` seconds and the one before: time, ax, ay, gz, and gx, gy if read."""
+        """Samples of the last `MONITOR_SPAN` seconds and the one before: time, ax, ay, gz, and gx, gy if read."""
         of, columns = self._memory.arrays, [0, *_ALIGNING[: 5 if "gx" in self._axes else 3]]
         newest, n = int(of.counts[live.NEWEST]), int(of.counts[live.N_LATELY])
         samples = of.lately[np.arange(newest - n + 1, newest + 1) % len(of.lately)][:, columns]
-        return samples[max(0, int(np.searchsorted(samples[:, 0], samples[-1, 0] - WATCHED)) - 1) :]
+        return samples[max(0, int(np.searchsorted(samples[:, 0], samples[-1, 0] - MONITOR_SPAN)) - 1) :]
 
     def _aligned(self, gyro_bias: float) -> InitialState | None:
         return aligned_by(self._samples, self._counted_fixes[:, : live.FIX_Y + 1], self._lever, gyro_bias)
@@ -328,22 +330,22 @@ class LiveFilter:
         of = self._memory.arrays
         fixes = of.fixes[: of.counts[live.N_FIXES]]
         finite = np.isfinite(fixes[:, [live.FIX_X, live.FIX_Y]]).all(axis=1)
-        return fixes[(fixes[:, live.KIND] < FROZEN) & finite]
+        return fixes[(fixes[:, live.KIND] < STALE) & finite]
 
     def _reset(self, start: InitialState) -> None:
         """Reset the filter and clear the history, so that earlier fixes are too late."""
         rows = KernelArray((self.parameters,)).start([start], [self._interval])
-        self._belief[:N_KEPT] = rows[0, :, 0]
+        self._filter_state[:N_KEPT] = rows[0, :, 0]
         counts = self._memory.arrays.counts
         counts[live.N_HISTORY] = counts[live.OLDEST] = 0
 
     @property
-    def _belief(self) -> Array:
-        return self._memory.arrays.belief
+    def _filter_state(self) -> Array:
+        return self._memory.arrays.filter_state
 
     def _estimate(self) -> tuple[Array, Array]:
         """Return mean (n,), with the heading not wrapped, and covariance (n, n)."""
-        mean, covariance = state_estimate(self._belief[self._state, np.newaxis], self.parameters.kernel)
+        mean, covariance = state_estimate(self._filter_state[self._state, np.newaxis], self.parameters.kernel)
         return mean[0], covariance[0]
 
     @property
@@ -364,13 +366,13 @@ class LiveFilter:
     @property
     def frozen(self) -> int:
         """See `LiveFilter`."""
-        return int(self._memory.arrays.counts[live.N_FROZEN])
+        return int(self._memory.arrays.counts[live.N_STALE])
 
     @property
     def state(self) -> LiveState:
         """The state estimate after the last IMU sample and all fixes up to its time."""
-        time, definite = float(self._belief[live.TIME]), self._calls.definite(self._memory.handle)
-        return self._state_at(time, self._belief[self._state], definite)
+        time, definite = float(self._filter_state[live.TIME]), self._calls.definite(self._memory.handle)
+        return self._state_at(time, self._filter_state[self._state], definite)
 
     @property
     def smoothed(self) -> LiveState:
@@ -394,11 +396,11 @@ class LiveFilter:
         with np.errstate(all="ignore"):  # overflow is reported as failed
             mean, covariance = (of[0] for of in state_estimate(packed[:, np.newaxis], self.parameters.kernel))
         lost = self._monitor is not None and self._monitor.lost
-        sound = definite and self._belief[live.OK] == 1.0 and self._plausible
-        return told(time, mean, covariance, lost, sound)
+        sound = definite and self._filter_state[live.OK] == 1.0 and self._plausible
+        return live_state(time, mean, covariance, lost, sound)
 
 
-def told(time: float, mean: Array, covariance: Array, lost: bool, sound: bool) -> LiveState:
+def live_state(time: float, mean: Array, covariance: Array, lost: bool, sound: bool) -> LiveState:
     """Make a state with a wrapped heading; changes ``mean``."""
     sound = sound and bool(np.isfinite(mean).all() and np.isfinite(covariance).all())
     if np.pi < abs(mean[THETA]) < np.inf or mean[THETA] == -np.pi:
@@ -425,7 +427,7 @@ def _squared(std: Sequence[float] | None) -> tuple[float, float]:
     return float(std[0]) ** 2, float(std[1]) ** 2
 
 
-def _believe(
+def _trust_times(
     p: FilterParameters, initial: InitialState, nominal_interval: float, lever_arm: Sequence[float]
 ) -> Array:
     v = np.zeros(live.N_ALL)
@@ -438,7 +440,7 @@ def _believe(
     v[live.LATERAL_INTERVAL] = 0.0 if p.lateral_noise is None else LATERAL_INTERVAL
     v[live.STANDSTILL_INTERVAL] = 0.0 if p.standstill_noise is None else STANDSTILL_INTERVAL
     v[live.LAST_SAMPLE] = v[live.SEEN_FIX] = -np.inf
-    v[live.LOOKED] = -1.0
+    v[live.LAST_CHECK] = -1.0
     given = MODELS[p.model].imu
     nothing = len(given)  # zeros follow the model's axes
     v[live.ORDER] = [given.index(axis) if axis in given else nothing for axis in AXES]

@@ -41,7 +41,7 @@ class Targets:
     theta: Array  # (m,), rad
     counts: NDArray[np.bool_]  # (m,), True if the heading is compared
     end: NDArray[np.int32]  # (k,), number of targets before the end of each step
-    noise: Array = field(default_factory=lambda: run.NO_DOUBTS)
+    noise: Array = field(default_factory=lambda: run.NO_DEVIATIONS)
 
     @classmethod
     def none(cls, timeline: Timeline) -> "Targets":

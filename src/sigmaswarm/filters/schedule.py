@@ -111,16 +111,16 @@ def flags_of(line: Timeline, used: Set[str]) -> NDArray[np.uint16]:
     acceleration; the bit of standstills, which that model lacks, marks these samples.
     """
     wheels = line.wheels if "odometer" in used else None
-    flags = np.zeros(len(line.absorbs), dtype=np.uint16)
-    flags[line.absorbs] |= FIX
+    flags = np.zeros(len(line.updates), dtype=np.uint16)
+    flags[line.updates] |= FIX
     flags[line.hides] |= HIDDEN
     flags[line.sampled] |= IMU
     if "velocity" in used and line.has_velocity:
-        flags[line.absorbs] |= VELOCITY
+        flags[line.updates] |= VELOCITY
     if "heading" in used:
         found = np.zeros(len(flags), dtype=np.bool_)
-        found[line.absorbs | line.hides] = line.fixes[:, FIX_VAR_THETA] < np.inf
-        flags[found & line.absorbs] |= HEADING
+        found[line.updates | line.hides] = line.fixes[:, FIX_VAR_THETA] < np.inf
+        flags[found & line.updates] |= HEADING
     if "lateral" in used:
         flags[_every(line, ~line.cornering & line.sampled, LATERAL_INTERVAL)] |= LATERAL
     if "standstill" in used:
@@ -129,7 +129,7 @@ def flags_of(line: Timeline, used: Set[str]) -> NDArray[np.uint16]:
     if "ay" in used:
         flags[line.sampled] |= STANDSTILL
     if wheels is not None:
-        flags[wheels.absorbs] |= ODOMETER
+        flags[wheels.updates] |= ODOMETER
     return flags
 
 

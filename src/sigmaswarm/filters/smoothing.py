@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.filters.compiled.run import NEXT_STEP, NO_INNOVATIONS, taped_kernel
+from sigmaswarm.filters.compiled.run import NEXT_STEP, NO_INNOVATIONS, logging_kernel
 from sigmaswarm.filters.compiled.smoothing import smooth_back
-from sigmaswarm.filters.compiled.tape import taped_rows
+from sigmaswarm.filters.compiled.step_log import logged_rows
 from sigmaswarm.filters.divergence import DivergenceMonitor
 from sigmaswarm.filters.models import THETA, require_driven_by_imu
 from sigmaswarm.filters.packing import state_estimate
@@ -100,8 +100,8 @@ class _Forward(Recording):
         self.checkpoints: list[_Checkpoint] = []
         self._measured = measured_by(parameters)
         name = parameters.kernel
-        self._kernel: Any = taped_kernel(name)
-        self._width = len(taped_rows(name)) + 1  # the last column is 1 while the filter is sound
+        self._kernel: Any = logging_kernel(name)
+        self._width = len(logged_rows(name)) + 1  # the last column is 1 while the filter is sound
         self._first, self._logged = 0, np.empty((0, self._width, 1))
         self._resets: list[tuple[int, Array]] = []
 

@@ -243,9 +243,9 @@ def _require_sensors(
         columns = [name.meaning for table in logs[path].tables.values() for name in read_names(table.columns)]
         if role == "imu" and "ax" in columns and not {"gx", "gy", "gz"} & {*columns}:
             there += " (it has accelerations, but no column is known as an angular rate)"
-        beside = path.iterdir() if role == "gps" and path.is_dir() else ()
+        around = path.iterdir() if role == "gps" and path.is_dir() else ()
         more = next(
-            (f"; {f.name} is not read, since it is {kind}" for f in beside if (kind := unread(f))), ""
+            (f"; {f.name} is not read, since it is {kind}" for f in around if (kind := unread(f))), ""
         )
         raise InputError(
             f"{path}: no {what} found in {there}; {remedy}, or name the columns with --map (--show lists "

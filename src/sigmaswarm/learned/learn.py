@@ -49,7 +49,7 @@ Learner = OutageLearner | NoiseLearner
 LEARNERS: Mapping[str, type[Learner]] = {outage_lstm.NAME: OutageLearner, noise_gru.NAME: NoiseLearner}
 """Training of each type of network.
 
-``start``: settings of the first training. ``box``: bounds of the search, as logarithms to the base of 2. ``lesson``
+``start``: settings of the first training. ``bounds``: bounds of the search, as logarithms to the base of 2. ``lesson``
 prepares the input of `fit`. ``finish`` returns the weights of the best network and further entries of its record.
 """
 

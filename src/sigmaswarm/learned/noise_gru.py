@@ -72,9 +72,9 @@ class NoiseRun(PausingRecording):
         line = replay.timeline
         self._q = slice(Q0, Q0 + parameters.n_states)
         self._own_q, self._own_r = self._rows[0, self._q].copy(), self._rows[0, [R.RX, R.RY]].copy()
-        steps, samples_at = np.flatnonzero(line.absorbs), np.flatnonzero(line.sampled)
+        steps, samples_at = np.flatnonzero(line.updates), np.flatnonzero(line.sampled)
         next_sample = np.minimum(np.searchsorted(samples_at, steps), len(samples_at) - 1).tolist()
-        fixes = (np.cumsum(line.absorbs | line.hides)[steps] - 1).tolist()
+        fixes = (np.cumsum(line.updates | line.hides)[steps] - 1).tolist()
         # The last fix before each sample, and its time.
         self._last = dict(zip(next_sample, zip(fixes, line.end[steps].tolist(), strict=True), strict=True))
         self._marks = np.array([*self._last], dtype=np.intp)

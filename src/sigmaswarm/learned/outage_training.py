@@ -228,9 +228,9 @@ def forecast_losses(
     for (replay, held_back_from), known in zip(cases, windows, strict=True):
         line = replay.timeline
         found = OutageRun(replay, parameters, network, windows=known).finished().innovations
-        fixes = line.hides | line.absorbs
+        fixes = line.hides | line.updates
         hidden = line.hides[fixes] & (line.fix_time > held_back_from)
-        outage = np.cumsum(line.absorbs)[fixes]
+        outage = np.cumsum(line.updates)[fixes]
         each = negative_log_t(found.innovation, found.covariance, FORECAST_DOF, FORECAST_SCALE)
         each = np.where(np.isfinite(each), each, np.inf)
         losses += [float(each[hidden & (outage == number)].mean()) for number in np.unique(outage[hidden])]

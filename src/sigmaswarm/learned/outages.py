@@ -45,7 +45,7 @@ def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Win
     ``axes`` of the IMU are the inputs; ``window`` is their length, s.
     """
     time = line.imu_time
-    came = np.concatenate([[line.start], line.end[line.absorbs]])
+    came = np.concatenate([[line.start], line.end[line.updates]])
     spans = [
         (fix, until)
         for fix, until in zip(came, np.append(came[1:], np.inf), strict=True)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from sigmaswarm.experiments.comparison import COMPARED, FEWEST_SEEDS, Comparison
 from sigmaswarm.files import staged_files, write_whole
 from sigmaswarm.reports.figures import Chart, band, curve, figure_of, name_rows, save
-from sigmaswarm.reports.style import NO_LINE, Look, many_looks
+from sigmaswarm.reports.style import NO_LINE, Look, many_styles
 from sigmaswarm.tables import Cell, Column, Table
 
 
@@ -66,7 +66,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
     """Draw the cost over the evaluations, with quartiles, and the final cost of every run."""
     last = "held_out_cost" if "held_out_cost" in comparison.measures else "cost"
     contenders = comparison.contenders
-    looks = many_looks(len(contenders), 1.6)
+    looks = many_styles(len(contenders), 1.6)
 
     def courses(ax: Axes) -> None:
         for i, (contender, look) in enumerate(zip(contenders, looks, strict=True)):

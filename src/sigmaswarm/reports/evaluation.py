@@ -30,17 +30,17 @@ from sigmaswarm.reports.style import (
     GREEN,
     GREY,
     LABELS,
-    LOOKS,
     MIST,
     NO_LINE,
     ORANGE,
     PURPLE,
     SILVER,
+    STYLES,
     Look,
-    many_looks,
+    many_styles,
 )
 from sigmaswarm.scoring.consistency import GATE_95
-from sigmaswarm.scoring.drifts import FIXES, LEARNED, OWN, UNTUNED
+from sigmaswarm.scoring.drifts import BASELINE, FIXES, LEARNED, OWN
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation
 from sigmaswarm.scoring.measures import Measure
 from sigmaswarm.scoring.records import seal
@@ -49,7 +49,7 @@ from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, tuning_file
 from sigmaswarm.wording import names_shown
 
-DRAWN = ("raw_gps", UNTUNED, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth")
+DRAWN = ("raw_gps", BASELINE, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth")
 """Series of a track from bottom to top. The tuned filter has a wider line than the truth, so it is below."""
 HEADING_SHOWN = (1.0, 30.0)
 """Limits of the range of the heading axis, deg, since a diverged filter has large errors."""
@@ -131,7 +131,7 @@ def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, .
 
         def draw(ax: Axes) -> None:
             shown = [min(v, longest) for v in values.values()]
-            ax.barh(range(len(shown)), shown, color=[LOOKS[m].color for m in values], alpha=1.0, lw=0.0)
+            ax.barh(range(len(shown)), shown, color=[STYLES[m].color for m in values], alpha=1.0, lw=0.0)
             for i, value in enumerate(values.values()):
                 text = f" {short_number(value)}{' →' * (value > longest)}"
                 ax.annotate(text, (shown[i], i), va="center", fontsize=8)
@@ -155,7 +155,7 @@ def consistency(name: str, evaluated: Evaluated) -> Figure | None:
     found, innovations = evaluated.consistency, evaluated.innovations
     if found is None or innovations is None:
         return None
-    nis, tuned = innovations.nis, LOOKS["tuned"].color
+    nis, tuned = innovations.nis, STYLES["tuned"].color
     low, high = found.nis_band
 
     def over_time(ax: Axes) -> None:
@@ -197,7 +197,7 @@ def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
 
     def paths(ax: Axes, series: Mapping[str, Columns]) -> None:
         for name in (name for name in DRAWN if name in series):
-            curve(ax, series[name]["x"], series[name]["y"], LOOKS[name], labels[name])
+            curve(ax, series[name]["x"], series[name]["y"], STYLES[name], labels[name])
 
     def whole(ax: Axes) -> None:
         paths(ax, picture.whole.series)
@@ -231,7 +231,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
             radius, text = series[name]["position_3sigma"], f"3 sigma of the {labels[name]}"
             curve(ax, series[name]["time"], radius, Look(GREY, 1.0, style), text)
         for name in methods:
-            curve(ax, series[name]["time"], series[name]["position_error"], LOOKS[name], labels[name])
+            curve(ax, series[name]["time"], series[name]["position_error"], STYLES[name], labels[name])
         ax.set(ylabel="position error, m")
         logarithmic(ax.yaxis)  # errors range from centimeters to hundreds of meters
         ax.set_ylim(0.03, None)
@@ -241,7 +241,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
             sigma = series[name]["heading_3sigma"]
             band(ax, series[name]["time"], -sigma, sigma, Look(color))
         for name in methods:
-            curve(ax, series[name]["time"], series[name]["heading_error"], LOOKS[name])
+            curve(ax, series[name]["time"], series[name]["heading_error"], STYLES[name])
         values = [np.abs(series[name]["heading_error"]) for name in methods]
         shown = np.concatenate([*values, series["tuned"]["heading_3sigma"]])
         known = np.isfinite(shown).any()
@@ -268,7 +268,7 @@ def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
     def distance(ax: Axes) -> None:
         ax.axhline(0.0, **Look(GREY, 0.8).line)
         offsets = [name for name in moved if name not in ("time", "rear_axle")]
-        for name, look in zip(offsets, many_looks(len(offsets), 1.2), strict=True):
+        for name, look in zip(offsets, many_styles(len(offsets), 1.2), strict=True):
             curve(ax, moved["time"], moved[name], look, name)
         ax.set(xlabel="time, s", ylabel="decades of variance")
 

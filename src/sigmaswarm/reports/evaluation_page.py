@@ -7,7 +7,7 @@ from sigmaswarm.records import load_record
 from sigmaswarm.reports.commands import evaluate_command
 from sigmaswarm.reports.evaluation import method_bars, swarm_charts
 from sigmaswarm.reports.page import Report, Section, TrackView
-from sigmaswarm.reports.style import LABELS, LOOKS
+from sigmaswarm.reports.style import LABELS, STYLES
 from sigmaswarm.reports.tuning import (
     convergence_section,
     data_section,
@@ -16,7 +16,7 @@ from sigmaswarm.reports.tuning import (
     shown_config,
     what_was_tuned,
 )
-from sigmaswarm.scoring.drifts import FIXES, OWN, UNTUNED
+from sigmaswarm.scoring.drifts import BASELINE, FIXES, OWN
 from sigmaswarm.scoring.measures import ALSO, method_names
 from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord, require_sealed
 from sigmaswarm.scoring.tracks import TRACKS_FILE, load_tracks
@@ -30,9 +30,9 @@ from sigmaswarm.scoring.view import (
 from sigmaswarm.tuning.record import FILE, NOT_VALIDATED, TuningRecord
 from sigmaswarm.wording import in_order
 
-LINES = ("truth", *ALSO, "tuned", OWN, UNTUNED, FIXES, "imu_only", "raw_gps")
+LINES = ("truth", *ALSO, "tuned", OWN, BASELINE, FIXES, "imu_only", "raw_gps")
 """Series of the tracks, from top to bottom."""
-SHOWN = ("truth", "tuned", *ALSO, OWN, UNTUNED, "raw_gps")
+SHOWN = ("truth", "tuned", *ALSO, OWN, BASELINE, "raw_gps")
 VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
 """Verdicts on the consistency that the page shows as warnings."""
 BANK = (
@@ -55,7 +55,7 @@ def evaluation_report(folder: Path) -> Report:
         )
     absent = {OWN, FIXES, *ALSO} - {*scores.mean}
     labels = LABELS | dict(view.names)
-    tracks = TrackView(drives, {m: labels[m] for m in LINES if m not in absent}, LOOKS, SHOWN, "tuned")
+    tracks = TrackView(drives, {m: labels[m] for m in LINES if m not in absent}, STYLES, SHOWN, "tuned")
     swarm = tuple(chart for drive in drives for chart in swarm_charts(drive))
     also = [method for method in (OWN, *ALSO) if method in scores.mean]
     command, note = evaluate_command(list(scores.drives), setup.outage_length_s, setup.outage_seed, also=also)
@@ -105,7 +105,7 @@ def read_view(folder: Path, file: TuningRecord) -> EvaluationView:
 def _figures(view: EvaluationView) -> tuple[tuple[str, str, str], ...]:
     figures: list[tuple[str, str, str]] = []
     for name, measure in view.measures.items():
-        rival = OWN if OWN in view.scores.mean else view.best_untuned(name) or UNTUNED
+        rival = OWN if OWN in view.scores.mean else view.best_baseline(name) or BASELINE
         tuned, other = view.scores.mean_of("tuned", name), view.scores.mean_of(rival, name)
         if tuned is not None:
             note = "" if other is None else f"{view.names[rival]}: {other:.3g} {measure.unit}"

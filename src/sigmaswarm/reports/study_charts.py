@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sigmaswarm.experiments.study.config import ALL, MAIN, UNTUNED
+from sigmaswarm.experiments.study.config import ALL, BASELINE, MAIN
 from sigmaswarm.experiments.study.record import Convergence, CurvePoint, Results, Spread
 from sigmaswarm.experiments.study.study import Study
 from sigmaswarm.files import make_folder, staged_files, write_whole
@@ -27,21 +27,21 @@ from sigmaswarm.reports.figures import (
     short_number,
 )
 from sigmaswarm.reports.study_tables import AWAY, curve_points
-from sigmaswarm.reports.style import CHARCOAL, GREEN, LOOKS, MIST, NO_LINE, ORANGE, SLATE, STUDY_LOOKS, Look
+from sigmaswarm.reports.style import CHARCOAL, GREEN, MIST, NO_LINE, ORANGE, SLATE, STUDY_STYLES, STYLES, Look
 from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.scoring.tracks import CLOSE_UP, NIS, Columns, Picture
 
 COLORS = {
-    UNTUNED: SLATE,
-    "paper": STUDY_LOOKS["paper-pso-ukf"].color,
-    "honest": STUDY_LOOKS["honest-pso-ukf"].color,
+    BASELINE: SLATE,
+    "paper": STUDY_STYLES["paper-pso-ukf"].color,
+    "honest": STUDY_STYLES["honest-pso-ukf"].color,
 }
 REACH = 12
 """End of the scale as a multiple of the lowest mean, so that good methods can be distinguished."""
 DRAWN: dict[str, tuple[str, Look]] = {
     "ukf-defaults": ("UKF, manual: defaults", Look(ORANGE, 1.0, "--")),
-    f"paper-{MAIN}": ("PSO-UKF (paper: against the GPS)", STUDY_LOOKS[f"paper-{MAIN}"]),
-    f"honest-{MAIN}": ("PSO-UKF (honest: against truth)", STUDY_LOOKS[f"honest-{MAIN}"]),
+    f"paper-{MAIN}": ("PSO-UKF (paper: against the GPS)", STUDY_STYLES[f"paper-{MAIN}"]),
+    f"honest-{MAIN}": ("PSO-UKF (honest: against truth)", STUDY_STYLES[f"honest-{MAIN}"]),
 }
 RULE = Look(SLATE, 1.0, "--")
 
@@ -164,7 +164,7 @@ def convergence_chart(
 def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool) -> None:
     """Draw median and middle 80% of the trials, and the generation from which on the median is within 1%."""
     key = f"{course.protocol}-{course.method}"
-    color = STUDY_LOOKS[key].color if key in STUDY_LOOKS else GREEN
+    color = STUDY_STYLES[key].color if key in STUDY_STYLES else GREEN
     whole, settles = course.group == ALL, course.stable
     low, middle, high = (
         [inf if v is None else v for v in values] for values in (course.low, course.median, course.high)
@@ -188,7 +188,7 @@ def curve_charts(results: Results) -> tuple[Chart, ...]:
     def chart(measure: str, points: Sequence[Sequence[CurvePoint]]) -> Chart:
         def draw(ax: Axes) -> None:
             for own in points:
-                x, look = [p.minutes for p in own], LOOKS[own[0].method]
+                x, look = [p.minutes for p in own], STYLES[own[0].method]
                 mean, low, high = np.array([(p.mean, *p.interval) for p in own], np.float64).T
                 band(ax, x, low, high, Look(look.color, opacity=0.15))
                 curve(ax, x, mean, Look(look.color, 2.0, look.style, "o"), results.label(own[0].method))
@@ -210,7 +210,7 @@ def curve_charts(results: Results) -> tuple[Chart, ...]:
 def trajectory_chart(picture: Picture) -> Chart:
 
     def draw(ax: Axes) -> None:
-        named = {"raw_gps": ("GPS", LOOKS["raw_gps"]), **DRAWN, "truth": ("truth", LOOKS["truth"])}
+        named = {"raw_gps": ("GPS", STYLES["raw_gps"]), **DRAWN, "truth": ("truth", STYLES["truth"])}
         for series, (name, look) in named.items():
             curve(ax, picture.close[series]["x"], picture.close[series]["y"], look, name)
         (x, y), half = picture.turn, CLOSE_UP / 2

@@ -11,7 +11,7 @@ from sigmaswarm.reports.figures import Chart
 from sigmaswarm.reports.page import Report, Section, TrackView
 from sigmaswarm.reports.study_charts import convergence_chart, curve_charts, means_chart, spread_chart
 from sigmaswarm.reports.study_tables import DRIFT, ERRORS, HEADING, POSITION, comparison
-from sigmaswarm.reports.style import STUDY_LOOKS
+from sigmaswarm.reports.style import STUDY_STYLES
 
 RIVALS = ("ukf-datasheet", "ukf-defaults", "raw-gps")
 CONSISTENT = 2.0  # mean NIS of a consistent filter
@@ -184,12 +184,12 @@ def _spread(record: StudyRecord) -> Section:
 
 def _tracks(record: StudyRecord) -> tuple[Section, ...]:
     results, labels = record.results, dict[str, str]()
-    for series in STUDY_LOOKS:
+    for series in STUDY_STYLES:
         protocol, _, method = series.partition("-")
         tuned = protocol in results.protocols
         labels[series] = results.label(method, protocol) if tuned else results.label(series.replace("_", "-"))
     text = "Held-out drives and filters of the trial with the lowest training cost."
-    view = TrackView(record.tracks, labels, STUDY_LOOKS, SHOWN, f"honest-{MAIN}")
+    view = TrackView(record.tracks, labels, STUDY_STYLES, SHOWN, f"honest-{MAIN}")
     return (Section("Tracks and errors over time", (text,), tracks=view),) if record.tracks else ()
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
 from typing import Any
 
-from sigmaswarm.experiments.study.config import ALL, HELPED, LONG_OUTAGES, MAIN, METHODS, UNTUNED
+from sigmaswarm.experiments.study.config import ALL, BASELINE, HELPED, LONG_OUTAGES, MAIN, METHODS
 from sigmaswarm.experiments.study.record import (
     CurvePoint,
     PairedComparison,
@@ -22,7 +22,7 @@ ERRORS = {POSITION: "position RMSE against truth", HEADING: "heading error", DRI
 ROWS = [
     (protocol, method, row.paper)
     for method, row in METHODS.items()
-    for protocol in row.protocols or (UNTUNED,)
+    for protocol in row.protocols or (BASELINE,)
 ]
 """Protocol, method and the corresponding row of the paper, for each row of a table."""
 LIVE_NAMES = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf"}
@@ -210,8 +210,8 @@ def comparison(results: Results, protocol: str, measure: str, against: str) -> P
 
 def objectives_compared(results: Results) -> str:
     """Explain with numbers of the study why the paper's objective is misleading."""
-    wanted = (("paper", "gps_rmse_m"), ("paper", POSITION), (UNTUNED, POSITION), ("honest", POSITION))
-    found = [results.summary(p, "raw-gps" if p == UNTUNED else MAIN, measure) for p, measure in wanted]
+    wanted = (("paper", "gps_rmse_m"), ("paper", POSITION), (BASELINE, POSITION), ("honest", POSITION))
+    found = [results.summary(p, "raw-gps" if p == BASELINE else MAIN, measure) for p, measure in wanted]
     if None in (means := [each and each.mean for each in found]):
         return ""
     return (

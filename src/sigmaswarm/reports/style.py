@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from sigmaswarm.scoring.drifts import FIXES, OWN, UNTUNED
+from sigmaswarm.scoring.drifts import BASELINE, FIXES, OWN
 from sigmaswarm.scoring.measures import ALSO, METHODS, method_names
 
 
@@ -31,7 +31,7 @@ CHARCOAL, SLATE, GREY, SILVER, MIST = "#4d4d4d", "#51585f", "#999999", "#cccccc"
 NO_LINE = "none"
 
 # Line styles also differ, so that a grey print stays legible.
-LOOKS: dict[str, Look] = {
+STYLES: dict[str, Look] = {
     "truth": Look(BLACK, 1.2),
     "tuned": Look(BLUE, 2.2),
     "smoothed": Look(INDIGO, 1.6),
@@ -39,27 +39,27 @@ LOOKS: dict[str, Look] = {
     "outage-lstm": Look(SKY, 1.6, "--"),
     "noise-gru": Look(PURPLE, 1.6, "--"),
     "against": Look(SKY, 1.6),
-    UNTUNED: Look(PURPLE, 1.2, "-."),
+    BASELINE: Look(PURPLE, 1.2, "-."),
     FIXES: Look(ORANGE, 1.2, "--"),
     "imu_only": Look(VERMILION, 1.2, ":"),
     "raw_gps": Look(GREEN, 0.0, NO_LINE, ".", 4.0, 0.7),
 }
-STUDY_LOOKS: dict[str, Look] = {
-    "truth": LOOKS["truth"],
-    "honest-pso-ukf": LOOKS["tuned"],
+STUDY_STYLES: dict[str, Look] = {
+    "truth": STYLES["truth"],
+    "honest-pso-ukf": STYLES["tuned"],
     "paper-pso-ukf": Look(VERMILION, 1.4, "-."),
     "honest-pso-ekf": Look(SKY, 1.4),
     "honest-pso-planar8": Look(INDIGO, 1.4, "--"),
-    "ukf-datasheet": LOOKS[UNTUNED],
+    "ukf-datasheet": STYLES[BASELINE],
     "ukf-defaults": Look(ORANGE, 0.8, "--", opacity=0.5),
     "imu_only": Look("#51585F", 1.2, ":"),
-    "raw_gps": LOOKS["raw_gps"],
+    "raw_gps": STYLES["raw_gps"],
 }
 """Styles of the series in the tracks of a study, from top to bottom."""
 LABELS = {"truth": "truth", **method_names(also=(OWN, *ALSO)), **METHODS}
 
 
-def many_looks(n: int, width: float) -> list[Look]:
+def many_styles(n: int, width: float) -> list[Look]:
     """Return ``n`` styles; line styles distinguish lines of equal color."""
     colors, styles = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, BLACK), ("-", "--", ":", "-.")
     return [Look(colors[i % 7], width, styles[i // 7 % 4]) for i in range(n)]

@@ -56,7 +56,7 @@ class Consistency(BaseModel):
     white_band : float
         Half width of the 95% band of the autocorrelation of white innovations.
     white_p : float
-        p-value of the test for whiteness of G. M. Ljung and G. E. P. Box (1978).
+        p-value of the test for whiteness of G. M. Ljung and G. E. P. Bounds (1978).
     mean_nees : float or None
         Mean NEES of the position at truth times: 2 for a consistent filter, None without truth. It has no band, since
         position errors are correlated over time.

@@ -31,7 +31,7 @@ SWARM = "swarm"  # a filter bank of the tuned filter
 LEARNED = ("outage-lstm", "noise-gru")
 OWN = "against"  # another tuning, or the user's own filter
 FIXES = "fixes_alone"  # a constant-velocity filter without the IMU
-UNTUNED = "untuned"  # the baseline
+BASELINE = "untuned"  # the baseline
 
 
 class Run(Protocol):
@@ -79,24 +79,24 @@ class Outages:
         filters: Mapping[str, FilterParameters],
         also: Runs = MappingProxyType({}),
         *,
-        watched: bool = True,
+        monitored: bool = True,
     ) -> None:
         """Run methods with the fixes hidden, without storing their estimates.
 
-        With ``watched`` filters are monitored and reset after divergence. Otherwise they run as one batch.
+        With ``monitored`` filters are monitored and reset after divergence. Otherwise they run as one batch.
         """
         for seed in self.seeds:
             self._ready.forget()
-            self._run_placed(seed, filters, also, watched=watched)
+            self._run_placed(seed, filters, also, monitored=monitored)
         self._ready.forget()
 
     def _run_placed(
-        self, seed: Seed, filters: Mapping[str, FilterParameters], also: Runs, *, watched: bool
+        self, seed: Seed, filters: Mapping[str, FilterParameters], also: Runs, *, monitored: bool
     ) -> None:
         """Run one placement; a separate function, so that its memory is freed before the next."""
         outages = outage_replay(self._ready, length=self._length, seed=seed)
         ends = self._ends[self.seeds.index(seed)]
-        if watched:
+        if monitored:
             sums = joined([self._recorded(m, outages, p, ends).sums for m, p in filters.items()], axis=1)
         else:
             sums = run_replays([outages], [*filters.values()])

@@ -27,7 +27,7 @@ from sigmaswarm.filters.run import Innovations, run_imu_only
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
-from sigmaswarm.scoring.drifts import FIXES, OWN, SMOOTHED, SWARM, UNTUNED, Outages, Run, Runs
+from sigmaswarm.scoring.drifts import BASELINE, FIXES, OWN, SMOOTHED, SWARM, Outages, Run, Runs
 from sigmaswarm.scoring.measures import ALSO, DRIFTS, MEASURES, METHODS, Measure, measures, method_names
 from sigmaswarm.scoring.radius import TRACKING, RadiusRecord, lasting_variance, radius_record
 from sigmaswarm.scoring.records import (
@@ -113,7 +113,7 @@ class Evaluated:
     """Results of all methods on a drive.
 
     ``restarts`` are times of resets, s, by method; ``drifts`` are by measure. ``consistency`` and ``innovations``
-    belong to the tuned filter. ``picture`` has more points than ``tracks``. ``frozen`` is the number of stale fixes.
+    belong to the tuned filter. ``picture`` has more points than ``tracks``. ``stale_fixes`` is a number of fixes.
     """
 
     scores: Mapping[str, Score]
@@ -123,7 +123,7 @@ class Evaluated:
     picture: Picture | None = None
     record: DriveRecord = field(default_factory=lambda: DriveRecord(name=""))
     restarts: Mapping[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
-    frozen: int = 0
+    stale_fixes: int = 0
     drifts: Mapping[str, DriftRecord] = field(default_factory=dict[str, DriftRecord])
     findings: tuple[str, ...] = ()
     truth_offset: str = ""
@@ -200,7 +200,7 @@ class Evaluation:
     def _key(self, method: str) -> str:
         return next((key for key, name in self.names.items() if name == method), method)
 
-    def improvement(self, over: str = UNTUNED, measure: str = "position_rmse_m") -> float | None:
+    def improvement(self, over: str = BASELINE, measure: str = "position_rmse_m") -> float | None:
         """Return 100 (manual - tuned) / manual, % (the paper's equation 5), of the means over drives."""
         manual, tuned = self.mean(over, measure), self.mean("tuned", measure)
         return None if not manual or tuned is None else 100 * (manual - tuned) / manual
@@ -228,7 +228,7 @@ class Evaluation:
     @property
     def record(self) -> ScoresRecord:
         """The content of scores.json."""
-        drives, rivals = self.drives, [m for m in (OWN, UNTUNED, FIXES) if m in self.names]
+        drives, rivals = self.drives, [m for m in (OWN, BASELINE, FIXES) if m in self.names]
         failed = {name: [m for m, s in found.scores.items() if s.failed] for name, found in drives.items()}
         return ScoresRecord(
             drives={d: {m: {k: self.value(d, m, k) for k in MEASURES} for m in self.names} for d in drives},
@@ -242,7 +242,7 @@ class Evaluation:
             drifts={name: dict(found.drifts) for name, found in drives.items() if found.drifts},
             failed={name: methods for name, methods in failed.items() if methods},
             radius={name: dict(found.radius) for name, found in drives.items() if found.radius},
-            stale_fixes={name: found.frozen for name, found in drives.items() if found.frozen},
+            stale_fixes={name: found.stale_fixes for name, found in drives.items() if found.stale_fixes},
         )
 
     @property
@@ -404,7 +404,7 @@ def _evaluated(
             scored_from_s=round(start - float(drive.imu.time[0]), 3),
             truth_share=share_known(drive.truth, start, end),
         ),
-        frozen=int(ready.frozen.sum()),
+        stale_fixes=int(ready.stale.sum()),
         drifts={measure: of.record for measure, of in outages.items() if of.seeds},
         findings=findings_of(drive),
         truth_offset=truth_offset(drive),

@@ -5,20 +5,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sigmaswarm.scoring.drifts import FIXES, LEARNED, OWN, SMOOTHED, SWARM, UNTUNED
+from sigmaswarm.scoring.drifts import BASELINE, FIXES, LEARNED, OWN, SMOOTHED, SWARM
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 
 METHODS = {
     "tuned": "tuned filter",
-    UNTUNED: "baseline",
+    BASELINE: "baseline",
     FIXES: "fixes alone",
     "raw_gps": "raw GPS",
     "imu_only": "IMU only",
 }
 """Display names of the rows of every comparison."""
 HOW_FIXES = "Fixes alone is a constant-velocity filter without the IMU; its noise parameters are fitted to {}"
-HOW_AGAINST = "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
+HOW_TO_COMPARE = (
+    "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
+)
 ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"} | {
     name: f"tuned, {name}" for name in LEARNED
 }
@@ -46,7 +48,7 @@ def method_names(
     return first | {method: name for method, name in ALSO.items() if method in also} | METHODS | first
 
 
-def how_untuned(tuned: str) -> str:
+def baseline_note(tuned: str) -> str:
     if tuned.endswith("robot-localization"):
         return (
             "The baseline is robot_localization with its default process noise, the IMU's variances 0.0001 rad2/s2 "

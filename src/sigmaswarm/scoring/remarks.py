@@ -7,7 +7,7 @@ import numpy as np
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.filters.divergence import said_of_restarts
 from sigmaswarm.scoring.consistency import CORRELATED, Consistency
-from sigmaswarm.scoring.drifts import FIXES, UNTUNED
+from sigmaswarm.scoring.drifts import BASELINE, FIXES
 from sigmaswarm.scoring.measures import DRIFTS, METHODS, POSITION_MEASURES, Measure
 from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import FirstLook
@@ -65,7 +65,7 @@ def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
 
 def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[str, ...]:
     said: list[str] = []
-    for method, name in ((UNTUNED, "the baseline"), (FIXES, "the filter that uses only the fixes")):
+    for method, name in ((BASELINE, "the baseline"), (FIXES, "the filter that uses only the fixes")):
         known = {
             m: (tuned, other)
             for m in ("position_rmse_m", "heading_rmse_deg", *DRIFTS)
@@ -97,7 +97,7 @@ def said_of_first_look(look: FirstLook) -> str:
     name, rmse = look.picture.whole.name, look.position_rmse
     if np.isfinite(rmse["tuned"]):
         others = ", ".join(
-            f"{METHODS[m]} {rmse[m]:.2g} m" for m in (UNTUNED, "raw_gps") if np.isfinite(rmse[m])
+            f"{METHODS[m]} {rmse[m]:.2g} m" for m in (BASELINE, "raw_gps") if np.isfinite(rmse[m])
         )
         return (
             f"{rmse['tuned']:.2g} m RMSE on {name} ({others}), a training drive: "

@@ -45,7 +45,7 @@ def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: 
 def drift_reference(ready: PreparedDrive) -> Gps | Truth:
     """Return truth, else the fixes without stale ones."""
     drive = ready.drive
-    return drive.gps.select(~ready.frozen) if drive.truth is None else drive.truth
+    return drive.gps.select(~ready.stale) if drive.truth is None else drive.truth
 
 
 def drift_weights(ready: PreparedDrive, ends: Array) -> Array | None:

@@ -24,7 +24,7 @@ from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import Estimate, replay_of
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
-from sigmaswarm.scoring.drifts import UNTUNED, Run
+from sigmaswarm.scoring.drifts import BASELINE, Run
 from sigmaswarm.scoring.score import PieceErrors, Score, distance_from, score_raw_gps
 from sigmaswarm.scoring.thinning import CloseUp, Columns, Thinned
 from sigmaswarm.scoring.truth import is_known
@@ -70,7 +70,7 @@ class Picture:
 
 def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameters]:
     """Return the baseline and the tuned filter, which is last, so that it is drawn on top."""
-    return {UNTUNED: baseline(drive, like=tuned), "tuned": tuned}
+    return {BASELINE: baseline(drive, like=tuned), "tuned": tuned}
 
 
 class Tracker:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from sigmaswarm import notebook
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
 from sigmaswarm.scoring.consistency import FORECASTS, Consistency, size_of, verdicts
-from sigmaswarm.scoring.drifts import FIXES, OWN, UNTUNED
-from sigmaswarm.scoring.measures import DRIFTS, HOW_AGAINST, HOW_FIXES, Measure, how_untuned, measures
+from sigmaswarm.scoring.drifts import BASELINE, FIXES, OWN
+from sigmaswarm.scoring.measures import DRIFTS, HOW_FIXES, HOW_TO_COMPARE, Measure, baseline_note, measures
 from sigmaswarm.scoring.radius import DOF, LEVELS, LOW, TRACKING, RadiusRecord, factor_of
 from sigmaswarm.scoring.records import EvaluationRecord, Measured, ScoresRecord
 from sigmaswarm.scoring.remarks import (
@@ -45,8 +45,8 @@ class EvaluationView:
     def blind(self) -> bool:
         return all(drive.has_truth is False for drive in self.setup.data)
 
-    def best_untuned(self, measure: str) -> str | None:
-        known = {m: v for m in ("raw_gps", FIXES, UNTUNED) if (v := self.scores.mean_of(m, measure))}
+    def best_baseline(self, measure: str) -> str | None:
+        known = {m: v for m in ("raw_gps", FIXES, BASELINE) if (v := self.scores.mean_of(m, measure))}
         return min(known, key=known.__getitem__, default=None)
 
     # ---- tables ----
@@ -148,7 +148,7 @@ class EvaluationView:
             tuned = mean_of("tuned", measure)
             if tuned is None:
                 continue
-            rivals = (OWN, self.best_untuned(measure))  # a gain over a worse method would be misleading
+            rivals = (OWN, self.best_baseline(measure))  # a gain over a worse method would be misleading
             each = [
                 _compared(tuned, value, self.names[m]) for m in rivals if m and (value := mean_of(m, measure))
             ]
@@ -186,9 +186,9 @@ class EvaluationView:
         methods = self.scores.mean
         fitted = "the training drives" if self.setup.fixes_alone else "each drive"
         return (
-            *([f"{how_untuned(self.names['tuned'])}."] if UNTUNED in methods else []),
+            *([f"{baseline_note(self.names['tuned'])}."] if BASELINE in methods else []),
             *([f"{HOW_FIXES.format(fitted)}."] if FIXES in methods else []),
-            *([] if OWN in methods else [f"{HOW_AGAINST}."]),
+            *([] if OWN in methods else [f"{HOW_TO_COMPARE}."]),
         )
 
     def radii(self) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model, fingerprint
 from sigmaswarm.filters.custom.run import Runner, run_model
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.tuning.box import Box, Dimension
+from sigmaswarm.tuning.bounds import Bounds, Dimension
 from sigmaswarm.tuning.config import SearchConfig
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.problem import Problem
@@ -78,7 +78,7 @@ def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> Mo
         )
     targets = [truth_rmse(log, model) for log in logs] if config.objective == "truth-rmse" else None
     own = [Dimension(t.name, "", 0, t.lowest, t.highest, spread=t.logarithmic) for t in model.parameters]
-    space = Box((*(SCALING if model.kind == "ukf" else ()), *own), config.scale)
+    space = Bounds((*(SCALING if model.kind == "ukf" else ()), *own), config.scale)
     return ModelProblem(config, space, [*map(_described, logs)], model, logs, Runner(model, logs), targets)
 
 

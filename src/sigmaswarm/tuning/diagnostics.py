@@ -21,14 +21,14 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.run import replay_of
-from sigmaswarm.scoring.drifts import FIXES, UNTUNED, Outages
+from sigmaswarm.scoring.drifts import BASELINE, FIXES, Outages
 from sigmaswarm.scoring.remote import Replays
 from sigmaswarm.scoring.targets import FORECAST_LENGTHS, LONG_OUTAGE_LENGTH
 from sigmaswarm.wording import to_do
 
 NAMED = 3
 """Number of drives named in one message, and checked for drift."""
-WATCHED = 3600.0  # s of a drive that are checked for divergence; a longer check needs more memory
+MONITORED = 3600.0  # s of a drive that are checked for divergence; a longer check needs more memory
 FAR = 1.5
 """Ratio to the baseline's drift above which a warning is given."""
 FEW = 2
@@ -54,16 +54,16 @@ SCALE_NEAR = 0.2
 
 @dataclass(frozen=True)
 class Forecast:
-    """RMS drifts, m, over outages of one length, s, on training drives; ``untuned_m``: baseline."""
+    """RMS drifts, m, over outages of one length, s, on training drives; ``baseline_m``: baseline."""
 
     length_s: float
     tuned_m: float
-    untuned_m: float
+    baseline_m: float
     fixes_alone_m: float
 
     def __str__(self) -> str:
         beaten = "" if self.tuned_m < self.fixes_alone_m else ": NOT BEATEN"
-        others = f"fixes alone {self.fixes_alone_m:.3g} m{beaten}, baseline {self.untuned_m:.3g} m"
+        others = f"fixes alone {self.fixes_alone_m:.3g} m{beaten}, baseline {self.baseline_m:.3g} m"
         return f"{self.length_s:g} s {self.tuned_m:.3g} m ({others})"
 
 
@@ -119,14 +119,14 @@ def drift_warnings(found: Iterable[tuple[float, ...]]) -> list[str]:
 def restarts_of(ready: PreparedDrive, parameters: FilterParameters) -> tuple[str, list[float]]:
     """Return a drive's name and the times, s, at which a monitored filter was reset in its first hour."""
     start = float(ready.drive.imu.time[0])
-    replay = replay_of(_part(ready, start, start + WATCHED))
+    replay = replay_of(_part(ready, start, start + MONITORED))
     return ready.drive.name, Recording(replay, parameters, recover=True).finished().restarts
 
 
 def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
     """Return the lag-1 autocorrelation of innovations in the first hour, averaged over both axes."""
     start = float(ready.drive.imu.time[0])
-    replay = replay_of(_part(ready, start, start + WATCHED))
+    replay = replay_of(_part(ready, start, start + MONITORED))
     found = Recording(replay, parameters).finished().innovations
     with np.errstate(all="ignore"):  # a failed filter gives NaN and infinity
         nu = found.innovation / np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
@@ -174,9 +174,9 @@ def drifts_of(
         outages = Outages(part, length=length, seed=0, most=most)
     except InputError:  # the car does not move in this part
         return np.nan, np.nan
-    filters = {"tuned": parameters, UNTUNED: baseline(ready.drive, like=parameters)}
+    filters = {"tuned": parameters, BASELINE: baseline(ready.drive, like=parameters)}
     also = {} if noise is None else {FIXES: partial(FixesAlone, noise=noise)}
-    outages.run(filters, also, watched=False)
+    outages.run(filters, also, monitored=False)
     return tuple(outages.drift(method) for method in (*filters, *also))
 
 

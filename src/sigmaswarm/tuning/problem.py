@@ -24,7 +24,7 @@ from sigmaswarm.filters.schedule import require_named_axes
 from sigmaswarm.scoring.batch import Scores
 from sigmaswarm.scoring.remote import Replays
 from sigmaswarm.tuning.batch import check_drives, replays_for
-from sigmaswarm.tuning.box import Box
+from sigmaswarm.tuning.bounds import Bounds
 from sigmaswarm.tuning.config import SearchConfig, TuneConfig
 from sigmaswarm.tuning.diagnostics import (
     Forecast,
@@ -56,7 +56,7 @@ class Problem(ABC, Generic[P]):
     """
 
     config: SearchConfig
-    space: Box
+    space: Bounds
     data: list[dict[str, Any]]
 
     @property

@@ -19,7 +19,7 @@ from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.filters.robot_yaml import YAML
 from sigmaswarm.limits import require_text
 from sigmaswarm.records import load_record
-from sigmaswarm.tuning.box import TouchedBound
+from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.diagnostics import Forecast
 from sigmaswarm.tuning.search import Trial
 

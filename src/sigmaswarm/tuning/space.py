@@ -17,7 +17,7 @@ from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.filters.parameters import FilterParameters, clash
 from sigmaswarm.filters.table import ParameterTable
-from sigmaswarm.tuning.box import Box, Dimension
+from sigmaswarm.tuning.bounds import Bounds, Dimension
 from sigmaswarm.tuning.options import Option, Scale
 
 OPTIONS: tuple[Option, ...] = get_args(Option)
@@ -96,7 +96,7 @@ KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class SearchSpace(Box):
+class SearchSpace(Bounds):
     """Bounds of the parameters of built-in models; ``fixed``: fields that are not searched."""
 
     fixed: dict[str, Any]

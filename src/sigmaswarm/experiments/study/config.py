@@ -27,7 +27,7 @@ from sigmaswarm.wording import first_mistake
 
 ALL = "all"
 """Group of all conditions, and an unknown maneuver or environment."""
-UNTUNED = "untuned"  # protocol
+BASELINE = "untuned"  # protocol
 ProtocolName = Literal["paper", "honest"]
 
 

@@ -25,11 +25,11 @@ import polars as pl
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.study.config import ALL, UNTUNED, Protocol, StudyConfig
+from sigmaswarm.experiments.study.config import ALL, BASELINE, Protocol, StudyConfig
 from sigmaswarm.files import finite, write_json
 from sigmaswarm.records import load_record
 from sigmaswarm.scoring.tracks import Tracks, load_tracks
-from sigmaswarm.tuning.box import TouchedBound
+from sigmaswarm.tuning.bounds import TouchedBound
 
 Variant = tuple[str, str]  # protocol, method
 
@@ -211,9 +211,9 @@ class Results(_Part):
     paper: dict[str, Any]
     rivals: RivalResults | None = None
 
-    def label(self, method: str, protocol: str = UNTUNED) -> str:
+    def label(self, method: str, protocol: str = BASELINE) -> str:
         name = self.methods.get(method, method)
-        return name if protocol == UNTUNED else f"{name} ({protocol})"
+        return name if protocol == BASELINE else f"{name} ({protocol})"
 
     def means(self, measure: str) -> list[VariantSummary]:
         """Return the summaries over all conditions."""

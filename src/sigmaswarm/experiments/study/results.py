@@ -19,7 +19,7 @@ from sigmaswarm.experiments.statistics import (
     trial_interval,
     trial_means,
 )
-from sigmaswarm.experiments.study.config import ALL, HELPED, MAIN, PAPER_RESULTS, PROTOCOLS, UNTUNED
+from sigmaswarm.experiments.study.config import ALL, BASELINE, HELPED, MAIN, PAPER_RESULTS, PROTOCOLS
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.networks import Trained, Training
 from sigmaswarm.experiments.study.record import (
@@ -39,7 +39,7 @@ from sigmaswarm.experiments.study.record import (
 )
 from sigmaswarm.experiments.study.scores import ScoreTable
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.tuning.box import TouchedBound
+from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.search import Trial
 
 
@@ -111,7 +111,7 @@ def summarize(values: Array, strata: Sequence[str], test_per_train: float, draws
 def _comparisons(scores: ScoreTable, draws: Draws) -> Iterator[PairedComparison]:
     """Compare PSO-UKF with the methods without tuning or tuned under the same protocol."""
     for protocol in PROTOCOLS:
-        others = [v for v in scores.values if v[0] in (UNTUNED, protocol) and v[1] != MAIN]
+        others = [v for v in scores.values if v[0] in (BASELINE, protocol) and v[1] != MAIN]
         for measure in _compared(scores):
             yield from _against(scores, (protocol, MAIN), measure, others, draws)
 

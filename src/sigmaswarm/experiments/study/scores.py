@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.experiments.study.config import UNTUNED
+from sigmaswarm.experiments.study.config import BASELINE
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.networks import Trained, score_networks
 from sigmaswarm.experiments.study.record import Variant
@@ -104,7 +104,7 @@ def score_all(
     for name, method in design.config.methods.items():
         if not method.protocols:
             unfiltered = name in ("imu-only", "raw-gps", "fixes-alone")
-            values[UNTUNED, name] = (
+            values[BASELINE, name] = (
                 _unfiltered(name, design) if unfiltered else score(_manual_jobs(name, design))
             )
     for variant in dict.fromkeys(task.variant for task in parameters):

@@ -24,11 +24,11 @@ from sigmaswarm.filters.compiled import live, swarm
 from sigmaswarm.filters.compiled.lagged import again_call
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, at, state_rows
 from sigmaswarm.filters.compiled.memory import Memory
-from sigmaswarm.filters.compiled.swarm import N_TAPE, TAPE, swarm_step
+from sigmaswarm.filters.compiled.swarm import N_LOG_ROW, STEP_LOG, swarm_step
 from sigmaswarm.filters.divergence import DivergenceMonitor
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
-from sigmaswarm.filters.live import LiveFilter, LiveState, told
+from sigmaswarm.filters.live import LiveFilter, LiveState, live_state
 from sigmaswarm.filters.models import GYRO_BIAS, THETA
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
@@ -74,7 +74,7 @@ class Mixture:
 class _Snapshot:
     """A state from which a replay can begin."""
 
-    taped: int  # number of logged steps
+    logged: int  # number of logged steps
     time: float
     fixed_at: float  # of the last fix before the snapshot, s
     lanes: Array  # (N_KEPT, LANES)
@@ -84,26 +84,26 @@ class _Snapshot:
 
 @dataclass(frozen=True, eq=False)
 class _Pending:
-    """A running search that replays the log up to step ``taped``, from the ancestor of lane ``led``.
+    """A running search that replays the log up to step ``logged``, from the ancestor of lane ``led``.
 
     A copy by fork or pickle searches in the calling thread.
     """
 
-    taped: int
+    logged: int
     led: int
     arguments: tuple[Any, ...]
     process: int
     found: "Future[Found | None]"
 
     @classmethod
-    def begun(cls, taped: int, led: int, *arguments: Any) -> "_Pending":
-        return cls(taped, led, arguments, os.getpid(), _searcher().submit(search, *arguments))
+    def begun(cls, logged: int, led: int, *arguments: Any) -> "_Pending":
+        return cls(logged, led, arguments, os.getpid(), _searcher().submit(search, *arguments))
 
     def result(self) -> Found | None:
         return self.found.result() if self.process == os.getpid() else search(*self.arguments)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _Pending.begun, (self.taped, self.led, *self.arguments)
+        return _Pending.begun, (self.logged, self.led, *self.arguments)
 
 
 class LiveFilterBank(LiveFilter):
@@ -127,7 +127,7 @@ class LiveFilterBank(LiveFilter):
         Seed of the lanes' first offsets and of the search.
     searches : bool
         Search for better filters during the drive; False: no lane is replaced.
-    believe_times : bool
+    trust_times : bool
         Accept all time stamps, for a recording with sorted samples.
 
     Attributes
@@ -154,7 +154,7 @@ class LiveFilterBank(LiveFilter):
         as_recorded: bool = False,
         seed: int = 0,
         searches: bool = True,
-        believe_times: bool = False,
+        trust_times: bool = False,
     ) -> None:
         super().__init__(
             parameters,
@@ -173,7 +173,7 @@ class LiveFilterBank(LiveFilter):
         self._kernel = parameters.kernel
         self._settled = len(self._memory.arrays.history)  # late fixes change this number of samples at most
         self._memory = self._with_lanes(nominal_interval)
-        self._belief[live.BELIEVES_TIMES] = believe_times
+        self._filter_state[live.TRUSTS_TIMES] = trust_times
         self._start_lanes(initial, slice(None))
         self._together = DivergenceMonitor() if recover else None
         self._last_sound = self._mixed()
@@ -181,7 +181,7 @@ class LiveFilterBank(LiveFilter):
         self._pending: _Pending | None = None
         self._due = initial.time + SEARCH_EVERY
         self._n_begun = 0
-        Steps(self._kernel, np.empty((0, N_TAPE)), np.zeros(3)).run(
+        Steps(self._kernel, np.empty((0, N_LOG_ROW)), np.zeros(3)).run(
             self._rows_of(self._numbers)[:, :8].copy()
         )
         again_call()
@@ -189,19 +189,19 @@ class LiveFilterBank(LiveFilter):
     def _with_lanes(self, nominal_interval: float) -> Memory:
         of_one = self._memory.arrays
         longest = SEARCH_EVERY + SEARCH_TAKES + REPLAYED
-        tape = int(2.5 * longest / nominal_interval) + self._settled  # at most as many fixes as samples
-        wider = np.zeros(live.BEHIND + TAPE + tape * N_TAPE)
-        wider[: live.N_ALL] = of_one.belief
-        wider[live.BEHIND + swarm.TAPE_LENGTH] = tape
-        of_one.counts[live.SPARE] = live.MARK_EVERY
-        longer = np.zeros((self._settled + live.MARK_EVERY, live.N_RECORD))
-        marks = np.zeros((len(longer) // live.MARK_EVERY + 2, swarm.MARKED))
-        arrays = of_one._replace(belief=wider, history=longer, marks=marks)
+        step_log = int(2.5 * longest / nominal_interval) + self._settled  # at most as many fixes as samples
+        wider = np.zeros(live.BEHIND + STEP_LOG + step_log * N_LOG_ROW)
+        wider[: live.N_ALL] = of_one.filter_state
+        wider[live.BEHIND + swarm.LOG_LENGTH] = step_log
+        of_one.counts[live.SPARE] = live.CHECKPOINT_EVERY
+        longer = np.zeros((self._settled + live.CHECKPOINT_EVERY, live.N_RECORD))
+        checkpoints = np.zeros((len(longer) // live.CHECKPOINT_EVERY + 2, swarm.N_CHECKPOINT))
+        arrays = of_one._replace(filter_state=wider, history=longer, checkpoints=checkpoints)
         return Memory(swarm_step(self._kernel), arrays)
 
     @property
     def _numbers(self) -> Array:
-        return self._belief[live.BEHIND :]
+        return self._filter_state[live.BEHIND :]
 
     def _start_lanes(self, start: InitialState, lanes: slice) -> None:
         """Start some lanes, and set the evidence of all lanes to 0."""
@@ -210,10 +210,10 @@ class LiveFilterBank(LiveFilter):
         rows[CONSTANT_ROWS, lanes] = self.spread.constants(self._own_constants, self.offsets[lanes])
         sound = np.isfinite(rows[state_rows(self._kernel)]).all(axis=0) & (rows[R.OK] == 1.0)
         self._numbers[swarm.EVIDENCE] = np.where(sound, 0.0, -np.inf)
-        self._numbers[swarm.AGAINST] = self.spread.penalty(self.offsets)
-        self._numbers[swarm.AGAINST][self._counted :] = np.inf
+        self._numbers[swarm.PENALTY] = self.spread.penalty(self.offsets)
+        self._numbers[swarm.PENALTY][self._counted :] = np.inf
         self._numbers[swarm.FIXED_AT] = start.time
-        swarm.weigh(self._belief)
+        swarm.weigh(self._filter_state)
 
     def _started(self, start: InitialState) -> Array:
         """Return rows (N_KEPT, LANES)."""
@@ -223,8 +223,8 @@ class LiveFilterBank(LiveFilter):
     def count_only(self, lanes: int) -> None:
         """Give weight only to the first lanes, like an export with this number of lanes. Use it without searches."""
         self._counted = lanes
-        self._numbers[swarm.AGAINST][lanes:] = np.inf
-        swarm.weigh(self._belief)
+        self._numbers[swarm.PENALTY][lanes:] = np.inf
+        swarm.weigh(self._filter_state)
 
     @property
     def _own_constants(self) -> Array:
@@ -238,44 +238,44 @@ class LiveFilterBank(LiveFilter):
     def predict(self, t: float, imu: Sequence[float]) -> None:
         """Process an IMU sample, as `LiveFilter.predict`."""
         super().predict(t, imu)
-        if t >= self._due and self._belief[live.TIME] >= self._due:
+        if t >= self._due and self._filter_state[live.TIME] >= self._due:
             self._move()
 
     def _move(self) -> None:
         """Begin a search, or use its result."""
-        now = float(self._belief[live.TIME])
+        now = float(self._filter_state[live.TIME])
         pending, self._pending = self._pending, None
         if pending is not None:
             found = pending.result()
             if found is not None:
-                self._replace(found, pending.taped, pending.led)
+                self._replace(found, pending.logged, pending.led)
         elif self._searches:
             self._pending = self._begin()
         self._due = now + (SEARCH_TAKES if self._pending else SEARCH_EVERY - SEARCH_TAKES)
 
-    def _settled_mark(self) -> tuple[int, Array, Array] | None:
+    def _settled_checkpoint(self) -> tuple[int, Array, Array] | None:
         """Return the last checkpoint before all late fixes: its record's number, the record, the checkpoint."""
         of = self._memory.arrays
-        counts, history, marks = of.counts, of.history, of.marks
+        counts, history, checkpoints = of.counts, of.history, of.checkpoints
         n, kept = int(counts[live.N_SAMPLES]), int(counts[live.N_HISTORY])
-        number = max(0, n - self._settled) // live.MARK_EVERY * live.MARK_EVERY
+        number = max(0, n - self._settled) // live.CHECKPOINT_EVERY * live.CHECKPOINT_EVERY
         place = number - (n - kept)
         if place < 0:  # the checkpoint was before the last reset
             return None
         record = history[(int(counts[live.OLDEST]) + place) % len(history)]
-        return place, record, marks[number // live.MARK_EVERY % len(marks)]
+        return place, record, checkpoints[number // live.CHECKPOINT_EVERY % len(checkpoints)]
 
     def _snapshot(self, numbers: Array, time: float) -> _Snapshot:
         rows, evidence = self._rows_of(numbers).copy(), numbers[swarm.EVIDENCE].copy()
         return _Snapshot(
-            int(numbers[swarm.TAPED]), time, float(numbers[swarm.FIXED_AT]), rows, evidence, np.arange(LANES)
+            int(numbers[swarm.LOGGED]), time, float(numbers[swarm.FIXED_AT]), rows, evidence, np.arange(LANES)
         )
 
     def _begin(self) -> _Pending | None:
-        mark = self._settled_mark()
-        if mark is None:
+        checkpoint = self._settled_checkpoint()
+        if checkpoint is None:
             return None
-        _, record, numbers = mark
+        _, record, numbers = checkpoint
         here = self._snapshot(numbers, float(record[live.TIME]))
         self._snapshots = [s for s in (*self._snapshots, here) if s.time >= here.time - REPLAYED - 1e-6]
         if not numbers[swarm.WEIGHT].any():  # all lanes have failed
@@ -283,36 +283,36 @@ class LiveFilterBank(LiveFilter):
         leads = int(np.argmax(numbers[swarm.WEIGHT]))
         if np.hypot(*here.lanes[[R.U, R.V], leads]) <= FASTER:
             return None
-        begins = next(s for s in self._snapshots if self._is_taped(s.taped))
+        begins = next(s for s in self._snapshots if self._is_logged(s.logged))
         self._n_begun += 1
         was = int(begins.ancestors[leads])
-        lever = self._belief[live.LEVER].copy()
-        steps = Steps(self._kernel, self._tape(begins.taped, here.taped), lever)
+        lever = self._filter_state[live.LEVER].copy()
+        steps = Steps(self._kernel, self._logged_steps(begins.logged, here.logged), lever)
         chance = self._seed, self._n_begun
         return _Pending.begun(
-            *(here.taped, leads, self.spread, steps, begins.lanes[:, was]),
+            *(here.logged, leads, self.spread, steps, begins.lanes[:, was]),
             *(Evidence(float(begins.evidence[was]), begins.fixed_at), self.offsets[leads].copy()),
             *(self._population, self._interval, chance),
         )
 
-    def _is_taped(self, first: int) -> bool:
-        return first >= int(self._numbers[swarm.TAPED]) - int(self._numbers[swarm.TAPE_LENGTH])
+    def _is_logged(self, first: int) -> bool:
+        return first >= int(self._numbers[swarm.LOGGED]) - int(self._numbers[swarm.LOG_LENGTH])
 
-    def _tape(self, first: int, last: int) -> Array:
-        """Return steps ``first`` to ``last`` - 1, (k, N_TAPE)."""
-        length = int(self._numbers[swarm.TAPE_LENGTH])
-        tape = self._numbers[TAPE:].reshape(length, N_TAPE)
-        return tape[np.arange(first, last) % length]
+    def _logged_steps(self, first: int, last: int) -> Array:
+        """Return steps ``first`` to ``last`` - 1, (k, N_LOG_ROW)."""
+        length = int(self._numbers[swarm.LOG_LENGTH])
+        step_log = self._numbers[STEP_LOG:].reshape(length, N_LOG_ROW)
+        return step_log[np.arange(first, last) % length]
 
     def _replace(self, found: Found, replayed: int, led: int) -> None:
         """Replace the worst lanes, and reprocess the last samples."""
-        mark = self._settled_mark()
-        if mark is None:
+        checkpoint = self._settled_checkpoint()
+        if checkpoint is None:
             return
-        place, record, numbers = mark
-        if not (numbers[swarm.WEIGHT].any() and self._is_taped(replayed)):
+        place, record, numbers = checkpoint
+        if not (numbers[swarm.WEIGHT].any() and self._is_logged(replayed)):
             return
-        since = self._tape(replayed, int(numbers[swarm.TAPED]))
+        since = self._logged_steps(replayed, int(numbers[swarm.LOGGED]))
         rng = np.random.default_rng([self._seed, self._n_begun, 1])
         rows, weight = self._rows_of(numbers), numbers[swarm.WEIGHT].copy()
         evidence = numbers[swarm.EVIDENCE]
@@ -339,19 +339,21 @@ class LiveFilterBank(LiveFilter):
         new = [*worst, *failed]  # the constants of the other lanes may have been adapted
         rows[CONSTANT_ROWS, new] = self.spread.constants(self._own_constants, self.offsets[new])
         rows[np.ix_(np.array(SCALED), np.array(new))] = 1.0
-        numbers[swarm.AGAINST] = self.spread.penalty(self.offsets)
+        numbers[swarm.PENALTY] = self.spread.penalty(self.offsets)
         self._population = found.population
         self.n_searches += 1
-        belief, counts, _, fixes, speeds, history, marks, _ = self._memory.arrays
-        belief[live.BEHIND : live.BEHIND + swarm.MARKED] = numbers
-        swarm.weigh(belief)
+        filter_state, counts, _, fixes, speeds, history, checkpoints, _ = self._memory.arrays
+        filter_state[live.BEHIND : live.BEHIND + swarm.N_CHECKPOINT] = numbers
+        swarm.weigh(filter_state)
         numbers[swarm.WEIGHT] = self._numbers[swarm.WEIGHT]
-        belief[: live.N_BELIEF] = record[: live.N_BELIEF]
-        again_call()(self._memory.step.address, belief, counts, fixes, speeds, history, marks, place, True)
+        filter_state[: live.N_FILTER_STATE] = record[: live.N_FILTER_STATE]
+        again_call()(
+            self._memory.step.address, filter_state, counts, fixes, speeds, history, checkpoints, place, True
+        )
 
     def _brought_on(self, found: Found, since: Array) -> tuple[Array, float]:
         """Return the search result's lane (N_KEPT,) and evidence after the steps that followed its replay."""
-        steps = Steps(self._kernel, since, self._belief[live.LEVER].copy())
+        steps = Steps(self._kernel, since, self._filter_state[live.LEVER].copy())
         lane, known = steps.followed(found.lane, found.known)
         return lane, known.evidence
 
@@ -418,7 +420,7 @@ class LiveFilterBank(LiveFilter):
 
     def _reset(self, start: InitialState) -> None:
         super()._reset(start)
-        self._rows_of(self._numbers)[:, 0] = self._belief[:N_KEPT]
+        self._rows_of(self._numbers)[:, 0] = self._filter_state[:N_KEPT]
         evidence = self._numbers[swarm.EVIDENCE]
         if not np.isfinite(evidence[0]):  # failed before: use the least evidence of all lanes
             evidence[0] = evidence[np.isfinite(evidence)].min(initial=0.0)
@@ -427,8 +429,10 @@ class LiveFilterBank(LiveFilter):
     def _begin_history(self) -> None:
         counts = self._memory.arrays.counts
         counts[live.N_HISTORY] = counts[live.OLDEST] = 0
-        counts[live.N_SAMPLES] = -(-int(counts[live.N_SAMPLES]) // live.MARK_EVERY) * live.MARK_EVERY
-        self._snapshots = [self._snapshot(self._numbers, float(self._belief[live.TIME]))]
+        counts[live.N_SAMPLES] = (
+            -(-int(counts[live.N_SAMPLES]) // live.CHECKPOINT_EVERY) * live.CHECKPOINT_EVERY
+        )
+        self._snapshots = [self._snapshot(self._numbers, float(self._filter_state[live.TIME]))]
         self._pending = None
 
     @property
@@ -484,7 +488,7 @@ class LiveFilterBank(LiveFilter):
         """State estimate of the mixture after the last IMU sample and all fixes up to its time."""
         mean, covariance = self._mixed()
         sound = self._plausible and _is_definite(covariance)
-        return told(float(self._belief[live.TIME]), mean, covariance, self.lost, sound)
+        return live_state(float(self._filter_state[live.TIME]), mean, covariance, self.lost, sound)
 
     @property
     def lost(self) -> bool:

@@ -90,7 +90,7 @@ class BankRun:
             searches=searches,
             recover=recover,
             as_recorded=as_recorded,
-            believe_times=True,
+            trust_times=True,
         )
         self.failure: str | None = None
         self._log: list[tuple[float, Array, Array]] = []

@@ -54,7 +54,7 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Logged steps of a filter bank (k, N_TAPE), and the other inputs of `run_lanes`."""
+    """Logged steps of a filter bank (k, N_LOG_ROW), and the other inputs of `run_lanes`."""
 
     kernel: str
     rows: Array

@@ -75,7 +75,7 @@ def build_kernel(
         return True
 
     def run(
-        dt, source, absorbs, records, inputs, measurements, mean0, covariance0, angles, measured_angles,
+        dt, source, updates, records, inputs, measurements, mean0, covariance0, angles, measured_angles,
         scaling, noise, p, means, covariances, nis, nll,
     ):  # fmt: skip
         """Take all steps, write to the last four arrays; return the step of a failure, or -1."""
@@ -86,7 +86,7 @@ def build_kernel(
         predicted, nu, cross = np.empty(m), np.empty(m), np.empty((n, m))
         s, root_s = np.empty((m, m)), np.zeros((m, m))
         for step in range(dt.size):
-            row, at = absorbs[step], records[step]
+            row, at = updates[step], records[step]
             if dt[step] > 0 and not predict(
                 mean, covariance, root, drawn, moved, state, weights, dt[step], inputs[source[step]], p, angles
             ):  # fmt: skip
@@ -97,7 +97,7 @@ def build_kernel(
                     measurements[row], noise, p, measured_angles,
                 ):  # fmt: skip
                     return step
-                nis[row], log_det = _absorb(mean, covariance, nu, s, cross, root_s)
+                nis[row], log_det = _update(mean, covariance, nu, s, cross, root_s)
                 nll[row] = 0.5 * (nis[row] + log_det + m * math.log(_TWO_PI))
             if not _finite(mean, covariance):
                 return step
@@ -180,7 +180,7 @@ def _add_products(a, b, weights, out):
 
 
 @_kernel
-def _absorb(mean, covariance, nu, s, cross, root):
+def _update(mean, covariance, nu, s, cross, root):
     """Compute x + K nu and P - K S K^T; return NIS and log det S. All are NaN if S has no root.
 
     With S = L L^T, y = L^-1 nu and W = C L^-T: K nu = W y, K S K^T = W W^T, and the NIS is y^T y.

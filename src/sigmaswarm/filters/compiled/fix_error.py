@@ -1,7 +1,7 @@
 """Closed form of `filters.fix_error`: the correlated fix error b, in the last two states.
 
 The process does not depend on b, so a prediction only multiplies b's columns of P by F, from scratch rows of the
-model's prediction. In an unscented filter F is the statistical linearization, see `tape`.
+model's prediction. In an unscented filter F is the statistical linearization, see `step_log`.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -42,7 +42,7 @@ def age_fix_error(w, z, since):
 
 
 def move_fix_error(w, *, n, noted):
-    """Propagate b from the last fix to this one; ``noted``: index of phi in a row of `tape`, or 0."""
+    """Propagate b from the last fix to this one; ``noted``: index of phi in a row of `step_log`, or 0."""
     for l in range(LANES):
         phi = w[R.PHI, l]
         for j in range(n - 2, n):

@@ -3,27 +3,27 @@
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
 from sigmaswarm.compilation import once
-from sigmaswarm.filters.compiled.live import N_ALL, take_again
+from sigmaswarm.filters.compiled.live import N_ALL, replay
 from sigmaswarm.filters.compiled.run import cached_by_sources
 
-N_TAPED = N_ALL
+N_LOGGED = N_ALL
 """Index of the number of logged steps, after a live filter's state; the log follows."""
-TAPE = N_ALL + 1
+STEP_LOG = N_ALL + 1
 
 
 def _again(sources):
-    def again(step, v, counts, fixes, speeds, history, marks, first, corrects):
+    def again(step, v, counts, fixes, speeds, history, checkpoints, first, corrects):
         if sources == "":  # never; so the name is closed over
             return
-        take_again(step, v, counts, fixes, speeds, history, marks, first, corrects)
+        replay(step, v, counts, fixes, speeds, history, checkpoints, first, corrects)
 
     return again
 
 
 @once
 def again_call():
-    """Return `live.take_again` as a compiled function.
+    """Return `live.replay` as a compiled function.
 
-    For a smoother ``step`` is the address of `single_step`, and its log is at N_TAPED.
+    For a smoother ``step`` is the address of `single_step`, and its log is at N_LOGGED.
     """
     return cached_by_sources(_again, "live again")

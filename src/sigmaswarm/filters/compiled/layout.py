@@ -89,7 +89,7 @@ SCRATCH = (
     *(f"ROOT{k}" for k in range(48)), *(f"PIVOT{k}" for k in range(6)), *(f"SLOPE{k}" for k in range(30)),
     *(f"BEND{k}" for k in range(30)), *(f"SHIFT{k}" for k in range(5)), *(f"EXTRA{k}" for k in range(25)),
     "UPWARD", "POINT_FAR", "POINT_W", "POINT_X", "POINT_Y", "POINT_Z",
-    # Inputs of a smoother: the prediction, and the process's coefficients. See `tape`.
+    # Inputs of a smoother: the prediction, and the process's coefficients. See `step_log`.
     *(f"PRIOR_{name}" for name in (*MEAN, *QUATERNION, *COVARIANCE)), *(f"MOVE{k}" for k in range(26)),
 )  # fmt: skip
 

@@ -3,15 +3,15 @@
 The filter is the first lane of the rows in `layout`. A step (see `single`) is called by its address, so this file is
 compiled once for all models. The memory is eight arrays:
 
-    belief  (N_ALL,) the state, which a late fix resets to an earlier one; then settings and values without reset
+    filter_state (N_ALL,) the state, which a late fix resets to an earlier one; then settings and values without reset
     counts  (N_COUNTS,) lengths of the filled parts of the other arrays, and counts of ignored data
     memory  (N_MEMORY, 8) memory of the standstill detection, see `drives.standstill`; no rows if unused
     fixes   (f, N_FIX) sorted by time, equal times by arrival; each with its kind
     speeds  (r, 2) odometer readings by time, s and m/s; no rows if unused
     history (h, N_RECORD) ring buffer: the last samples, and the state before each sample
-    marks   (m, k) ring buffer of checkpoints before each MARK_EVERY-th sample: the k numbers after the state, which
-            the step also changes; no rows if k is 0
-    lately  (l, N_SAMPLE) ring buffer: the last samples, for the divergence monitor (see `watch`); no rows if unused
+    checkpoints (m, k) ring buffer: before each CHECKPOINT_EVERY-th sample, the k numbers after the state, which the
+            step also changes; no rows if k is 0
+    lately  (l, N_SAMPLE) ring buffer: the last samples, for the divergence monitor (see `monitor`); no rows if unused
 
 A sample contains its time and the IMU's axes in the order of `timeline.AXES`, 0 for an unused axis.
 """
@@ -27,17 +27,23 @@ from numba import float64, int64, njit
 from numba.core.dispatcher import Dispatcher
 
 from sigmaswarm.compilation import once
-from sigmaswarm.drives.frozen import FROZEN, kind_of
 from sigmaswarm.drives.gaps import gap_of, usual_after
-from sigmaswarm.drives.odometer import INTERVAL, STALE, mean_reading, slot_of, wheels_turn
+from sigmaswarm.drives.odometer import INTERVAL, LARGEST_AGE, mean_reading, slot_of, wheels_turn
+from sigmaswarm.drives.stale_fixes import STALE, kind_of
 from sigmaswarm.drives.standstill import FIX_WINDOW, MEANS, fixes_stand, is_as_it_was, is_calm
 from sigmaswarm.drives.timeline import AX, AXES, AY, CORNERING, DT, GAP, N_STEP, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 from sigmaswarm.filters.compiled.layout import COVARIANCE, N_KEPT, P0, R
 from sigmaswarm.filters.compiled.memory import memory_at
+from sigmaswarm.filters.compiled.monitor import (
+    CHECK_INTERVAL,
+    LATEST_CHECK,
+    MONITOR_SPAN,
+    last_fix,
+    rough_heading,
+)
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.single import take_step
-from sigmaswarm.filters.compiled.watch import LATEST_LOOK, LOOK_INTERVAL, WATCHED, last_fix, rough_heading
 from sigmaswarm.filters.schedule import FIX, HEADING, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 
 # The state: rows, constants and sums as in `layout`; its time; scale of Q since the last fix; the intervals of the last
@@ -47,15 +53,15 @@ OK = R.OK
 TIME, SINCE, LATERAL_SLOT, STANDSTILL_SLOT, ODOMETER_SLOT, ODOMETER_TIME = range(N_FILTER, N_FILTER + 6)
 STOP_TIME = N_FILTER + 6  # of the last moment of calm and constant fixes; then the stop's ax, ay
 STOP = slice(STOP_TIME + 1, STOP_TIME + 3)
-N_BELIEF = STOP.stop
+N_FILTER_STATE = STOP.stop
 # Values that no late fix resets. An interval of 0: the filter does not use that constraint.
 N_SAMPLE = 1 + len(AXES)
-NOMINAL, START, LATERAL_INTERVAL, STANDSTILL_INTERVAL, AS_RECORDED, USUAL_INTERVAL, BELIEVES_TIMES = range(
-    N_BELIEF, N_BELIEF + 7
+NOMINAL, START, LATERAL_INTERVAL, STANDSTILL_INTERVAL, AS_RECORDED, USUAL_INTERVAL, TRUSTS_TIMES = range(
+    N_FILTER_STATE, N_FILTER_STATE + 7
 )
 # Divergence monitor: largest delay of fixes, s; the time of the last fix seen; the interval of the last check.
-LATE_BY, SEEN_FIX, LOOKED = range(N_BELIEF + 7, N_BELIEF + 10)
-LEVER = slice(N_BELIEF + 10, N_BELIEF + 13)
+LATE_BY, SEEN_FIX, LAST_CHECK = range(N_FILTER_STATE + 7, N_FILTER_STATE + 10)
+LEVER = slice(N_FILTER_STATE + 10, N_FILTER_STATE + 13)
 SAMPLE = slice(LEVER.stop, LEVER.stop + N_SAMPLE)  # the last one
 LAST_SAMPLE = SAMPLE.start  # its time
 (
@@ -73,27 +79,29 @@ FACTOR = slice(DIMENSION + 1, DIMENSION + 1 + len(COVARIANCE))  # room for the C
 N_ALL = FACTOR.stop
 
 (
-    N_FIXES, N_HISTORY, OLDEST, HOLDS_SAMPLE, HOLDS_FIX, TOO_LATE, TIME_JUMPS, N_FROZEN, N_SPEEDS,
+    N_FIXES, N_HISTORY, OLDEST, HOLDS_SAMPLE, HOLDS_FIX, TOO_LATE, TIME_JUMPS, N_STALE, N_SPEEDS,
     N_SAMPLES,  # number of samples ever added to the history
     SPARE,  # records that are stored only to continue from a checkpoint
     N_LATELY, NEWEST,  # number of samples in ``lately``, and the row of the last one
     CAME_LATE,  # 1 if the last fix was late
 ) = range(14)  # fmt: skip
 N_COUNTS = 14
-NOTHING, HELD, BELIEVED = range(3)  # a fix far ahead: none; it waits for a second one; it is confirmed
+NOTHING, HELD, CONFIRMED = range(3)  # a fix far ahead: none; it waits for a second one; it is confirmed
 
 BEHIND = 8 * math.ceil(N_ALL / 8)  # index of the numbers after the state, a multiple of the widest vectors
-MARK_EVERY = 16  # samples between two checkpoints: the numbers after the state are many and rarely needed
+CHECKPOINT_EVERY = (
+    16  # samples between two checkpoints: the numbers after the state are many and rarely needed
+)
 
-CHECK_EVERY = MARK_EVERY  # samples between two checks of P, which is also checked after each fix
+CHECK_EVERY = CHECKPOINT_EVERY  # samples between two checks of P, which is also checked after each fix
 ROUNDING = 1e-8  # largest size of a negative eigenvalue of the correlations that counts as rounding
 
 LEAP = 10.0  # s; a sample or fix with a larger lead over the filter waits for a second one
 AGREES = 1.0 + 1e-6  # s between two stamps far ahead that agree: one, plus rounding of times since 1970
 
 # The step (DT ... GY) that ends at a sample's time; 1 if the last second was calm, and its means.
-S_TIME = N_BELIEF
-S_STEP = slice(N_BELIEF + 1, N_BELIEF + 1 + N_STEP)
+S_TIME = N_FILTER_STATE
+S_STEP = slice(N_FILTER_STATE + 1, N_FILTER_STATE + 1 + N_STEP)
 S_AXES = slice(S_STEP.start + AX, S_STEP.stop)
 S_CALM = S_STEP.stop
 S_MEANS = slice(S_CALM + 1, S_CALM + 5)
@@ -166,7 +174,7 @@ def _check(v):
 
 
 @_plain
-def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
+def _process_sample(step, v, counts, fixes, speeds, t, u, calm, means, number):
     """Process the fixes up to a sample's time, then the odometer and the constraints of a car."""
     before, nothing = v[TIME], np.zeros(11)
     no_fix, wheels = nothing[:8], nothing[8:]
@@ -176,7 +184,7 @@ def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
         first -= 1
     for f in range(first, end):
         z = fixes[f]
-        if z[KIND] >= FROZEN:
+        if z[KIND] >= STALE:
             continue
         happens = FIX | VELOCITY if z[HAS_VELOCITY] > 0.0 else FIX
         if z[FIX_VAR_THETA] < math.inf:
@@ -194,7 +202,7 @@ def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
         if slot != v[ODOMETER_SLOT] and mean_reading(speeds, came, t, before, v[ODOMETER_TIME], wheels):
             happens |= ODOMETER
             v[ODOMETER_SLOT], v[ODOMETER_TIME] = slot, t
-    if calm and _stands(v, fixes, end, t, means) and not wheels_turn(speeds, came, t):
+    if calm and _is_standstill(v, fixes, end, t, means) and not wheels_turn(speeds, came, t):
         slot = slot_of(t, v[START], v[STANDSTILL_INTERVAL])
         if slot != v[STANDSTILL_SLOT]:
             happens |= STANDSTILL
@@ -214,7 +222,7 @@ def _until(rows, n, now):
 
 
 @_plain
-def _stands(v, fixes, end, now, means):
+def _is_standstill(v, fixes, end, now, means):
     """Return True if, after a calm second, the fixes up to row ``end`` and the stop so far show a standstill."""
     if not fixes_stand(fixes, fixes[:, KIND], end, now, np.empty(1)):
         return False
@@ -223,9 +231,9 @@ def _stands(v, fixes, end, now, means):
 
 
 @_plain
-def _lies_ahead(v, t):
+def _is_far_ahead(v, t):
     """Return True if a time is so far ahead of the filter's time that a second stamp must confirm it."""
-    return t - v[TIME] > LEAP and v[BELIEVES_TIMES] == 0.0
+    return t - v[TIME] > LEAP and v[TRUSTS_TIMES] == 0.0
 
 
 @_plain
@@ -234,12 +242,12 @@ def _record(counts, history, k):
 
 
 @_plain
-def _keep(v, counts, fixes, history, z):
+def _store_fix(v, counts, fixes, history, z):
     """Insert a fix by time; without free rows, first remove fixes that are no longer needed."""
     if counts[N_FIXES] == fixes.shape[0]:
         oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
         old = 0
-        for needed in (WATCHED, FIX_WINDOW):  # s; the monitor can miss some old fixes
+        for needed in (MONITOR_SPAN, FIX_WINDOW):  # s; the monitor can miss some old fixes
             while old < counts[N_FIXES] and fixes[old, FIX_TIME] <= oldest - needed:
                 old += 1
             if old > 0:
@@ -249,7 +257,7 @@ def _keep(v, counts, fixes, history, z):
         counts[N_FIXES] -= old
         if old == 0:
             last = fixes[counts[N_FIXES] - 1, FIX_TIME]
-            if not (_lies_ahead(v, last) and z[0] < last):
+            if not (_is_far_ahead(v, last) and z[0] < last):
                 return LEFT_OUT
             counts[N_FIXES] -= 1  # a fix that is stamped far ahead is removed
             counts[TIME_JUMPS] += 1
@@ -268,17 +276,17 @@ def _keep(v, counts, fixes, history, z):
     if v[AS_RECORDED] == 0.0:
         for f in range(at, counts[N_FIXES]):  # later fixes may repeat it
             fixes[f, KIND] = kind_of(fixes, fixes[:, KIND], f)
-        if fixes[at, KIND] >= FROZEN:
-            counts[N_FROZEN] += 1
+        if fixes[at, KIND] >= STALE:
+            counts[N_STALE] += 1
     return TAKEN
 
 
 @_plain
-def _keep_speed(v, counts, speeds, history, t, speed):
+def _store_reading(v, counts, speeds, history, t, speed):
     if counts[N_SPEEDS] == speeds.shape[0]:
         oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
         old = 0
-        while old < counts[N_SPEEDS] and speeds[old, 0] <= oldest - STALE:
+        while old < counts[N_SPEEDS] and speeds[old, 0] <= oldest - LARGEST_AGE:
             old += 1
         for r in range(old, counts[N_SPEEDS]):
             _copy(speeds[r], speeds[r - old], 2)
@@ -298,7 +306,7 @@ def _keep_speed(v, counts, speeds, history, t, speed):
 
 
 @_plain
-def _go_on(step, v, counts, memory, fixes, speeds, history, marks, sample):
+def _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoints, sample):
     """Process an IMU sample with an accepted time; in a gap, use the mean of the samples around the gap."""
     t, last, gap = sample[0], v[SAMPLE], 0.0
     if last[0] > -math.inf:
@@ -313,16 +321,16 @@ def _go_on(step, v, counts, memory, fixes, speeds, history, marks, sample):
     if t <= v[START]:
         _copy(sample, last, N_SAMPLE)
         if calm:  # a stop may have begun before
-            _stands(v, fixes, _until(fixes, counts[N_FIXES], t), t, means)
+            _is_standstill(v, fixes, _until(fixes, counts[N_FIXES], t), t, means)
         return
     if counts[N_HISTORY] < history.shape[0]:
         counts[N_HISTORY] += 1
     else:
         counts[OLDEST] = (counts[OLDEST] + 1) % history.shape[0]
     record = _record(counts, history, counts[N_HISTORY] - 1)
-    _mark(v, marks, counts[N_SAMPLES])
+    _store_checkpoint(v, checkpoints, counts[N_SAMPLES])
     counts[N_SAMPLES] += 1
-    _copy(v, record, N_BELIEF)
+    _copy(v, record, N_FILTER_STATE)
     record[S_TIME], record[S_STEP][GAP] = t, gap
     _copy(sample[1:], record[S_AXES], len(AXES))
     if gap > 0.0:
@@ -331,14 +339,16 @@ def _go_on(step, v, counts, memory, fixes, speeds, history, marks, sample):
     record[S_CALM] = 1.0 if calm else 0.0
     _copy(means, record[S_MEANS], len(means))
     _copy(sample, last, N_SAMPLE)
-    _take(step, v, counts, fixes, speeds, t, record[S_STEP], calm, means, counts[N_SAMPLES] - 1)
+    _process_sample(step, v, counts, fixes, speeds, t, record[S_STEP], calm, means, counts[N_SAMPLES] - 1)
 
 
 @_plain
-def _mark(v, marks, number):
+def _store_checkpoint(v, checkpoints, number):
     """Store a checkpoint, if one is due before sample ``number``."""
-    if marks.shape[0] > 0 and number % MARK_EVERY == 0:
-        _copy(v[BEHIND:], marks[number // MARK_EVERY % marks.shape[0]], marks.shape[1])
+    if checkpoints.shape[0] > 0 and number % CHECKPOINT_EVERY == 0:
+        _copy(
+            v[BEHIND:], checkpoints[number // CHECKPOINT_EVERY % checkpoints.shape[0]], checkpoints.shape[1]
+        )
 
 
 @_plain
@@ -353,7 +363,7 @@ def _first_after(counts, history, t):
 
 
 @_plain
-def take_again(step, v, counts, fixes, speeds, history, marks, first, corrects):
+def replay(step, v, counts, fixes, speeds, history, checkpoints, first, corrects):
     """Process the stored samples again from number ``first``; ``v`` is the state before this sample.
 
     ``corrects``: also replace the stored states before each sample.
@@ -361,9 +371,9 @@ def take_again(step, v, counts, fixes, speeds, history, marks, first, corrects):
     for number in range(first, counts[N_HISTORY]):
         record = _record(counts, history, number)
         if corrects:
-            _copy(v, record, N_BELIEF)
-            _mark(v, marks, counts[N_SAMPLES] - counts[N_HISTORY] + number)
-        _take(
+            _copy(v, record, N_FILTER_STATE)
+            _store_checkpoint(v, checkpoints, counts[N_SAMPLES] - counts[N_HISTORY] + number)
+        _process_sample(
             step,
             v,
             counts,
@@ -378,39 +388,41 @@ def take_again(step, v, counts, fixes, speeds, history, marks, first, corrects):
 
 
 @_plain
-def _again_from(step, v, counts, fixes, speeds, history, marks, back):
+def _replay_from(step, v, counts, fixes, speeds, history, checkpoints, back):
     """Return to the last checkpoint before a stored sample, and process the later samples again."""
-    if marks.shape[0] > 0:
+    if checkpoints.shape[0] > 0:
         number = counts[N_SAMPLES] - counts[N_HISTORY] + back
-        back -= number % MARK_EVERY
-        _copy(marks[number // MARK_EVERY % marks.shape[0]], v[BEHIND:], marks.shape[1])
-    _copy(_record(counts, history, back), v, N_BELIEF)
-    take_again(step, v, counts, fixes, speeds, history, marks, back, True)
+        back -= number % CHECKPOINT_EVERY
+        _copy(
+            checkpoints[number // CHECKPOINT_EVERY % checkpoints.shape[0]], v[BEHIND:], checkpoints.shape[1]
+        )
+    _copy(_record(counts, history, back), v, N_FILTER_STATE)
+    replay(step, v, counts, fixes, speeds, history, checkpoints, back, True)
 
 
 @_plain
-def _place(step, v, counts, fixes, speeds, history, marks, z):
+def _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, z):
     """Process a fix with an accepted time: it waits for its sample, or later samples are processed again."""
     t = z[FIX_TIME]
     is_number = math.isfinite(z[FIX_X]) and math.isfinite(z[FIX_Y])
     if t <= v[START]:  # already in the start, but it may show a standstill
-        _keep(v, counts, fixes, history, z)
+        _store_fix(v, counts, fixes, history, z)
         if is_number:
             counts[CAME_LATE] = 0
         return IGNORED
     back = _first_after(counts, history, t) if t <= v[TIME] else 0
-    kept = LEFT_OUT if back < 0 else _keep(v, counts, fixes, history, z)
+    kept = LEFT_OUT if back < 0 else _store_fix(v, counts, fixes, history, z)
     if kept == LEFT_OUT:
         counts[TOO_LATE] += 1
     elif kept == TAKEN and t <= v[TIME]:
-        _again_from(step, v, counts, fixes, speeds, history, marks, back)
+        _replay_from(step, v, counts, fixes, speeds, history, checkpoints, back)
     if kept == TAKEN and is_number:
         counts[CAME_LATE] = 1 if t <= v[TIME] else 0
     return kept
 
 
 @_plain
-def _watch(counts, lately, sample):
+def _store_for_monitor(counts, lately, sample):
     if lately.shape[0] > 0:
         row = counts[NEWEST] = (counts[NEWEST] + 1) % lately.shape[0]
         counts[N_LATELY] = min(counts[N_LATELY] + 1, lately.shape[0])
@@ -418,7 +430,7 @@ def _watch(counts, lately, sample):
 
 
 @_plain
-def _sees_more(v, counts, fixes, t):
+def _has_new_fixes(v, counts, fixes, t):
     f = last_fix(fixes, counts[N_FIXES], t, max(v[SEEN_FIX], v[START]))
     if f >= 0:
         v[SEEN_FIX] = fixes[f, FIX_TIME]
@@ -428,20 +440,20 @@ def _sees_more(v, counts, fixes, t):
 @_plain
 def _is_due(v, counts, fixes, t):
     """Return True if the monitor is due after a sample: once in each interval, after a new fix."""
-    if not _sees_more(v, counts, fixes, t):
+    if not _has_new_fixes(v, counts, fixes, t):
         return False
-    slot = slot_of(t, v[START], LOOK_INTERVAL)
-    soon = t - v[SEEN_FIX] <= LATEST_LOOK + v[LATE_BY] * counts[CAME_LATE]
-    if not soon or slot == v[LOOKED]:
+    slot = slot_of(t, v[START], CHECK_INTERVAL)
+    soon = t - v[SEEN_FIX] <= LATEST_CHECK + v[LATE_BY] * counts[CAME_LATE]
+    if not soon or slot == v[LAST_CHECK]:
         return False
-    v[LOOKED] = slot
+    v[LAST_CHECK] = slot
     return True
 
 
-def _take_sample(sources):
+def _make_sample(sources):
     def sample(handle, t, a, b, c, d, e, f):
         """Process an IMU sample; one that is far ahead waits for a second sample."""
-        step, v, counts, memory, fixes, speeds, history, marks, lately = memory_at(handle)
+        step, v, counts, memory, fixes, speeds, history, checkpoints, lately = memory_at(handle)
         if sources == "" or not v[LAST_SAMPLE] < t < math.inf:
             return NOTHING
         new, held, axes = v[NEW_SAMPLE], v[SAMPLE_AHEAD], (a, b, c, d, e, f)
@@ -449,7 +461,7 @@ def _take_sample(sources):
         for axis in range(len(AXES)):
             new[1 + axis] = axes[int(v[ORDER][axis])]
         holds = counts[HOLDS_SAMPLE] > 0
-        ahead = _lies_ahead(v, t)
+        ahead = _is_far_ahead(v, t)
         agrees = ahead and holds and 0.0 < t - held[0] <= AGREES
         if ahead and not agrees:
             if not holds or t != held[0]:  # not the same again
@@ -459,28 +471,28 @@ def _take_sample(sources):
             return NOTHING
         counts[HOLDS_SAMPLE] = 0
         if agrees:
-            _go_on(step, v, counts, memory, fixes, speeds, history, marks, held)
-            _watch(counts, lately, held)
+            _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoints, held)
+            _store_for_monitor(counts, lately, held)
         elif holds:
             counts[TIME_JUMPS] += 1
-        _go_on(step, v, counts, memory, fixes, speeds, history, marks, new)
-        if agrees and counts[HOLDS_FIX] == HELD and not _lies_ahead(v, v[FIX_AHEAD][FIX_TIME]):
+        _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoints, new)
+        if agrees and counts[HOLDS_FIX] == HELD and not _is_far_ahead(v, v[FIX_AHEAD][FIX_TIME]):
             counts[HOLDS_FIX] = NOTHING  # the samples agree
-            _place(step, v, counts, fixes, speeds, history, marks, v[FIX_AHEAD].copy())
-        _watch(counts, lately, new)
+            _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, v[FIX_AHEAD].copy())
+        _store_for_monitor(counts, lately, new)
         if lately.shape[0] == 0 or t <= v[START]:
             return TAKEN
         if agrees:
-            _sees_more(v, counts, fixes, held[0])  # no check at the sample that ends a gap
+            _has_new_fixes(v, counts, fixes, held[0])  # no check at the sample that ends a gap
         return DUE if _is_due(v, counts, fixes, t) else TAKEN
 
     return sample
 
 
-def _take_fix(sources):
+def _make_fix(sources):
     def fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
         """Process a fix; one that is far ahead waits for a second fix."""
-        step, v, counts, _, fixes, speeds, history, marks, _ = memory_at(handle)
+        step, v, counts, _, fixes, speeds, history, checkpoints, _ = memory_at(handle)
         if sources == "" or not math.isfinite(t):
             counts[TOO_LATE] += 1
             return LEFT_OUT
@@ -491,44 +503,44 @@ def _take_fix(sources):
             if _same(ahead, z, N_FIX):  # the same message again
                 return IGNORED
             if agrees:
-                _place(step, v, counts, fixes, speeds, history, marks, ahead.copy())
+                _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, ahead.copy())
             else:
                 counts[TIME_JUMPS] += 1
         counts[HOLDS_FIX] = NOTHING
-        if _lies_ahead(v, t):
-            counts[HOLDS_FIX] = BELIEVED if agrees else HELD
+        if _is_far_ahead(v, t):
+            counts[HOLDS_FIX] = CONFIRMED if agrees else HELD
             _copy(z, ahead, N_FIX)
             if not agrees:
                 return IGNORED
-        return _place(step, v, counts, fixes, speeds, history, marks, z)
+        return _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, z)
 
     return fix
 
 
-def _take_speed(sources):
+def _make_speed(sources):
     def speed(handle, t, value):
-        step, v, counts, _, fixes, speeds, history, marks, _ = memory_at(handle)
+        step, v, counts, _, fixes, speeds, history, checkpoints, _ = memory_at(handle)
         if sources == "" or speeds.shape[0] == 0:
             return IGNORED
         if not (math.isfinite(t) and math.isfinite(value)):
             counts[TOO_LATE] += 1
             return LEFT_OUT
-        if _lies_ahead(v, t):
+        if _is_far_ahead(v, t):
             counts[TIME_JUMPS] += 1
             return LEFT_OUT
         begun = t > v[START]
         back = _first_after(counts, history, t) if begun and t <= v[TIME] else 0
-        kept = LEFT_OUT if back < 0 else _keep_speed(v, counts, speeds, history, t, value)
+        kept = LEFT_OUT if back < 0 else _store_reading(v, counts, speeds, history, t, value)
         if kept == LEFT_OUT:
             counts[TOO_LATE] += 1
         elif kept == TAKEN and begun and t <= v[TIME]:
-            _again_from(step, v, counts, fixes, speeds, history, marks, back)
+            _replay_from(step, v, counts, fixes, speeds, history, checkpoints, back)
         return kept
 
     return speed
 
 
-def _look_back(sources):
+def _make_heading(sources):
     def heading(handle, gyro_bias):
         _, _, counts, _, fixes, _, _, _, lately = memory_at(handle)
         if sources == "":
@@ -538,7 +550,7 @@ def _look_back(sources):
     return heading
 
 
-def _look_at_covariance(sources):
+def _make_definite(sources):
     def definite(handle):
         v = memory_at(handle)[1]
         return sources != "" and is_definite(v[P0:], int(v[DIMENSION]), v, FACTOR.start)
@@ -570,7 +582,7 @@ class LiveCalls:
 @once
 def live_calls():
     """Compile the functions once, on import; numbers of other types are converted."""
-    makers = (_take_sample, _take_fix, _take_speed, _look_back, _look_at_covariance)
+    makers = (_make_sample, _make_fix, _make_speed, _make_heading, _make_definite)
     calls = [cached_by_sources(make, "live") for make in makers]
     for function, numbers in zip(calls, (7, 10, 2, 1, 0), strict=True):
         signature = (int64, *(float64,) * numbers)

@@ -1,7 +1,7 @@
 """Updates of the compiled filter: fixes, velocities, and the constraints of a car on its wheels.
 
 Each measurement fills, lane by lane, the innovation nu, its variance S and the covariances C = Cov(state, z); then
-`_absorb_two` or `_absorb_one` does x += C S^-1 nu, P -= C S^-1 C^T. In an unscented filter nu, S and C are the moments
+`_update_two` or `_update_one` does x += C S^-1 nu, P -= C S^-1 C^T. In an unscented filter nu, S and C are the moments
 of sigma points. If z is linear in the state, they equal those of the Kalman filter. If z is rotated by the heading,
 they have a closed form, as in planar5.py and planar8.py.
 
@@ -68,7 +68,7 @@ def axis_of(bias):
     return {R.W: GZ, R.K: GX, R.L: GY}[bias]
 
 
-def absorb_fix(w, z, lever, since, *, looks, gated, adaptive, fix_error, note_prior):
+def update_fix(w, z, lever, since, *, stores_innovation, gated, adaptive, fix_error, note_prior):
     """Update with a position fix of the antenna.
 
     ``z`` is a row of `Timeline.fixes`, ``since`` the scale of Q since the last fix. Parts that no lane needs are left
@@ -86,7 +86,7 @@ def absorb_fix(w, z, lever, since, *, looks, gated, adaptive, fix_error, note_pr
     _measure_fix(w, z, lever)
     if fix_error:
         see_fix_error(w)
-    if looks:
+    if stores_innovation:
         for l in range(LANES):
             nis = _look(w, l)
             if gated:
@@ -117,7 +117,7 @@ def absorb_fix(w, z, lever, since, *, looks, gated, adaptive, fix_error, note_pr
         w[R.GNN, l] += ry
     if adaptive and adapting > 0:
         _adapt(w, since)
-    _absorb_two(w)
+    _update_two(w)
     _keep_digits(w)
 
 
@@ -370,14 +370,14 @@ def _adapt(w, since, *, n):
             w[Q0 + i, l] = q + weight * (change if change > -q else -q)
 
 
-def absorb_velocity(w, z, *, n):
+def update_velocity(w, z, *, n):
     """Update with the receiver's velocity over ground, m/s east and north."""
     for l in range(LANES):
         w[R.R1, l] = w[R.R_VELOCITY, l]
     _take_velocity(w, z[FIX_U], z[FIX_V])
 
 
-def absorb_standstill(w, u, *, n, gyro_biases, tilted):
+def update_standstill(w, u, *, n, gyro_biases, tilted):
     """Update at a standstill: the velocity is 0, and the gyro measures its biases, if they are states.
 
     The measurements are linear, so sequential updates equal a joint update if the error is injected at the end.
@@ -392,7 +392,7 @@ def absorb_standstill(w, u, *, n, gyro_biases, tilted):
             w[R.S11, l] = w[at(row, row), l] + w[R.R_RATE, l]
             for i in range(n):
                 w[C1 + i, l] = w[at(i, row), l]
-        _absorb_one(w)
+        _update_one(w)
     if tilted:
         fold(w)
 
@@ -406,7 +406,7 @@ def _take_velocity(w, zu, zv, *, n):
         w[R.G11, l], w[R.G12, l], w[R.G22, l] = s22 / det, -s12 / det, s11 / det
         for i in range(n):
             w[C1 + i, l], w[C2 + i, l] = w[at(i, R.U), l], w[at(i, R.V), l]
-    _absorb_two(w)
+    _update_two(w)
     for l in range(LANES):
         r, g11, g12, g22 = w[R.R1, l], w[R.G11, l], w[R.G12, l], w[R.G22, l]
         for i in range(n):
@@ -471,25 +471,25 @@ def _measure_along(w, u, wheels, *, n, bias, lateral):
             w[R.S11, l] = variance + (w[R.R_ODOMETER, l] + more)
 
 
-def absorb_lateral(w, u, *, tilted, measure_lateral):
+def update_lateral(w, u, *, tilted, measure_lateral):
     """Update with the lateral constraint at the rear axle, whose tires slip: see `models.lateral_arm`."""
     for l in range(LANES):
         speed2 = w[R.U, l] * w[R.U, l] + w[R.V, l] * w[R.V, l]
         w[R.ARM, l] = w[R.REAR_AXLE, l] - w[R.TIRE_SLIP, l] * speed2
     measure_lateral(w, u, (0.0, 0.0, 0.0))
-    _absorb_one(w)
+    _update_one(w)
     if tilted:
         fold(w)
 
 
-def absorb_odometer(w, u, wheels, *, tilted, measure_odometer):
+def update_odometer(w, u, wheels, *, tilted, measure_odometer):
     """Update with the wheels' speed, unless the NIS shows slip; ``wheels`` is a row of `drives.odometer.Wheels`."""
     measure_odometer(w, u, wheels)
     for l in range(LANES):
         used = w[R.N1, l] * w[R.N1, l] <= SLIP_GATE * w[R.S11, l]
         w[R.S11, l] = w[R.S11, l] if used else math.inf
         w[R.N1, l] = w[R.N1, l] if used else 0.0
-    _absorb_one(w)
+    _update_one(w)
     if tilted:
         fold(w)
 
@@ -502,7 +502,7 @@ def _measure_heading(w, *, n):
             w[C1 + i, l] = w[at(i, R.T), l]
 
 
-def absorb_heading(w, u, z, *, tilted, measure_heading):
+def update_heading(w, u, z, *, tilted, measure_heading):
     """Update with the heading ``latency`` ago; an outlier has a larger variance: see `schedule.HEADING_GATE`."""
     shown, theta, stated = u[GZ], z[FIX_THETA], z[FIX_VAR_THETA]
     measure_heading(w)
@@ -511,12 +511,12 @@ def absorb_heading(w, u, z, *, tilted, measure_heading):
         off -= TWO_PI * np.floor(off / TWO_PI + 0.5)
         s, least = w[R.S11, l] + (w[R.R_HEADING, l] + stated), off * off / HEADING_GATE
         w[R.N1, l], w[R.S11, l] = off, s if s > least else least
-    _absorb_one(w)
+    _update_one(w)
     if tilted:
         fold(w)
 
 
-def _absorb_one(w, *, n):
+def _update_one(w, *, n):
     """Update x += C nu / S, P -= C C^T / S, for a scalar z; S, nu and C are in rows S11, N1 and C1."""
     for l in range(LANES):
         w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0
@@ -528,7 +528,7 @@ def _absorb_one(w, *, n):
                 w[at(i, j), l] -= gain * w[C1 + i, l]
 
 
-def _absorb_two(w, *, n, tilted):
+def _update_two(w, *, n, tilted):
     """Update x += C G nu, P -= C G C^T, for z with two components; G = S^-1, or zero, is in rows G11, G12, G22."""
     for l in range(LANES):
         g11, g12, g22 = w[R.G11, l], w[R.G12, l], w[R.G22, l]
@@ -544,16 +544,16 @@ def _absorb_two(w, *, n, tilted):
         fold(w)
 
 
-def absorbers(name: str, note_prior=None, noted=0):
-    """Return `forecast_fix` and the six `absorb_...` functions of a kernel's name.
+def measurement_kernels(name: str, note_prior=None, noted=0):
+    """Return `forecast_fix` and the six `update_...` functions of a kernel's name.
 
-    ``note_prior``: see `tape`; ``noted``: see `move_fix_error`.
+    ``note_prior``: see `step_log`; ``noted``: see `move_fix_error`.
     """
     model, unscented = FILTERS[name], int(name == UNSCENTED)
     ready = {
         "note_prior": note_prior,
         "n": len(model.states),
-        "looks": 1,
+        "stores_innovation": 1,
         "gated": 1,
         "gyro_biases": tuple(model.gyro_axes.values()),
         "adaptive": int(name in ("planar5", "planar8", UNSCENTED)),
@@ -562,7 +562,7 @@ def absorbers(name: str, note_prior=None, noted=0):
         "fix_error": int(model.fix_error),
         "noted": noted,
     }
-    parts = (_absorb_one, _absorb_two, _keep_digits, _take_velocity, _weigh)
+    parts = (_update_one, _update_two, _keep_digits, _take_velocity, _weigh)
     parts += (_fade, _reason, _adapt) if ready["adaptive"] else ()
     parts += (age_fix_error, move_fix_error, see_fix_error) if model.fix_error else ()
     parts += () if ready["tilted"] else (_measure_fix,)
@@ -589,7 +589,7 @@ def absorbers(name: str, note_prior=None, noted=0):
     for function in parts:
         ready[function.__name__] = kernel(function, **ready)
     public = (
-        *(absorb_fix, forecast_fix, absorb_velocity, absorb_standstill),
-        *(absorb_lateral, absorb_odometer, absorb_heading),
+        *(update_fix, forecast_fix, update_velocity, update_standstill),
+        *(update_lateral, update_odometer, update_heading),
     )
     return {function.__name__: kernel(function, **ready) for function in public}

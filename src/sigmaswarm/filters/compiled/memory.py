@@ -21,24 +21,24 @@ _KIND = types.Tuple((int64, *_ARRAYS))
 
 
 class LiveArrays(NamedTuple):
-    belief: NDArray[np.float64]
+    filter_state: NDArray[np.float64]
     counts: NDArray[np.int64]
     calm: NDArray[np.float64]
     fixes: NDArray[np.float64]
     speeds: NDArray[np.float64]
     history: NDArray[np.float64]
-    marks: NDArray[np.float64]
+    checkpoints: NDArray[np.float64]
     lately: NDArray[np.float64]
 
 
 class Memory:
     """The arrays of a live filter (see `live`) and the address of its step.
 
-    ``handle`` is the argument of `memory_at`, valid while this object exists. ``arrays.belief`` is a copy.
+    ``handle`` is the argument of `memory_at`, valid while this object exists. ``arrays.filter_state`` is a copy.
     """
 
     def __init__(self, step: Any, given: LiveArrays) -> None:
-        self.step, self.arrays = step, given._replace(belief=_aligned(given.belief))
+        self.step, self.arrays = step, given._replace(filter_state=_aligned(given.filter_state))
         arrays = self.arrays
         self._table = np.array([step.address, *_numbers(arrays)]) if not config.DISABLE_JIT else None
         self.handle: Any = (step.address, *arrays) if self._table is None else int(self._table.ctypes.data)

@@ -86,7 +86,7 @@ def _predict(w, d, q):
 RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
 
 
-def _absorb(w, z, *, state, noise, gate):
+def _update(w, z, *, state, noise, gate):
     """Update with one state: x += K nu; P' = P - p p' / S, and the column of this state is p R / S.
 
     ``gate``: the row of the NIS from which the measurement is rejected; 0: none.
@@ -116,12 +116,12 @@ def _absorb(w, z, *, state, noise, gate):
             w[at(k, state), l] = w[at(k, state), l] * left
 
 
-_absorb_gz = kernel(_absorb, state=R.W, noise=R_GZ, gate=GATE_GZ)
-_absorb_ax = kernel(_absorb, state=R.A, noise=R_AX, gate=GATE_AX)
-_absorb_vx = kernel(_absorb, state=R.U, noise=R.R_ODOMETER, gate=0)
-_absorb_ay = kernel(_absorb, state=R.B, noise=R_AY, gate=0)
-_absorb_yaw = kernel(_absorb, state=R.T, noise=R.R1, gate=0)
-_absorb_vy = kernel(_absorb, state=R.V, noise=R_VY, gate=0)
+_update_gz = kernel(_update, state=R.W, noise=R_GZ, gate=GATE_GZ)
+_update_ax = kernel(_update, state=R.A, noise=R_AX, gate=GATE_AX)
+_update_vx = kernel(_update, state=R.U, noise=R.R_ODOMETER, gate=0)
+_update_ay = kernel(_update, state=R.B, noise=R_AY, gate=0)
+_update_yaw = kernel(_update, state=R.T, noise=R.R1, gate=0)
+_update_vy = kernel(_update, state=R.V, noise=R_VY, gate=0)
 
 
 @kernel
@@ -150,8 +150,8 @@ def _look_at_fix(w):
 BEFORE = {R.X: R.C1_X, R.Y: R.C1_Y}
 
 
-def _absorb_axis(w, *, state, noise, innovation):
-    """Update with one axis of a fix, like `_absorb`, in the lanes that use the fix."""
+def _update_axis(w, *, state, noise, innovation):
+    """Update with one axis of a fix, like `_update`, in the lanes that use the fix."""
     for l in range(LANES):
         r, use = w[noise, l], w[R.USE, l]
         one = use / (w[at(state, state), l] + r)
@@ -171,8 +171,8 @@ def _absorb_axis(w, *, state, noise, innovation):
             w[at(k, state), l] = w[at(k, state), l] * left
 
 
-_absorb_x = kernel(_absorb_axis, state=R.X, noise=R.R1, innovation=R.N1)
-_absorb_y = kernel(_absorb_axis, state=R.Y, noise=R.R2, innovation=R.N2)
+_update_x = kernel(_update_axis, state=R.X, noise=R.R1, innovation=R.N1)
+_update_y = kernel(_update_axis, state=R.Y, noise=R.R2, innovation=R.N2)
 
 
 @kernel
@@ -194,10 +194,10 @@ def _add_forecast(w):
 
 
 @kernel
-def _absorb_heading(w, theta, stated):
+def _update_heading(w, theta, stated):
     for l in range(LANES):
         w[R.R1, l] = w[R.R_HEADING, l] + stated
-    _absorb_yaw(w, theta)
+    _update_yaw(w, theta)
 
 
 @kernel
@@ -207,23 +207,23 @@ def step(w, u, happens, z, wheels, lever, since):
     if d > 0.0:
         _predict(w, d, u[Q_SCALE])
     if happens & IMU:
-        _absorb_gz(w, gz)
-        _absorb_ax(w, ax)
+        _update_gz(w, gz)
+        _update_ax(w, ax)
         if happens & USES_AY:
-            _absorb_ay(w, ay)
+            _update_ay(w, ay)
         if happens & USES_VY:
-            _absorb_vy(w, 0.0)
+            _update_vy(w, 0.0)
     if happens & ODOMETER:
-        _absorb_vx(w, wheels[SPEED])
+        _update_vx(w, wheels[SPEED])
     if happens & (FIX | HIDDEN):
         x, y, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
         _measure_fix(w, x, y, var_x, var_y, lever[0], lever[1])
         if happens & FIX:
             _look_at_fix(w)
-            _absorb_x(w)
-            _absorb_y(w)
+            _update_x(w)
+            _update_y(w)
             _add_residual(w)
             if happens & HEADING:
-                _absorb_heading(w, z[FIX_THETA], z[FIX_VAR_THETA])
+                _update_heading(w, z[FIX_THETA], z[FIX_VAR_THETA])
         else:
             _add_forecast(w)

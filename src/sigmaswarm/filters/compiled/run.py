@@ -14,14 +14,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sigmaswarm.compilation import Recipe, cached, once
-from sigmaswarm.drives import alignment, frozen, gaps, odometer, standstill, timeline
+from sigmaswarm.drives import alignment, gaps, odometer, stale_fixes, standstill, timeline
 from sigmaswarm.drives.timeline import Q_SCALE
 from sigmaswarm.filters import fix_error, fuzzy, models, schedule, student, tilted
 from sigmaswarm.filters.compiled.lanes import OPTIONS, exchange_control, kernel
 from sigmaswarm.filters.compiled.layout import LANES, N_KEPT, N_ROWS, R, state_rows
 from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.step import step_of
-from sigmaswarm.filters.compiled.tape import taped_rows
+from sigmaswarm.filters.compiled.step_log import logged_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU, ODOMETER
@@ -41,8 +41,8 @@ def kept(column: Array) -> Array:
 
 
 TargetColumns = tuple[Array, Array, Array, Array, NDArray[np.bool_], Array]  # see `replay.Targets.columns`
-_NOTHING, NO_DOUBTS = kept(np.empty(0)), kept(np.empty((0, 4)))
-NO_TARGETS: TargetColumns = _NOTHING, _NOTHING, _NOTHING, _NOTHING, np.empty(0, dtype=np.bool_), NO_DOUBTS
+_NOTHING, NO_DEVIATIONS = kept(np.empty(0)), kept(np.empty((0, 4)))
+NO_TARGETS: TargetColumns = _NOTHING, _NOTHING, _NOTHING, _NOTHING, np.empty(0, dtype=np.bool_), NO_DEVIATIONS
 
 
 def new_place() -> Array:
@@ -94,7 +94,7 @@ def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
         _add(w, l, x, y, wrong, scores_heading)
 
 
-def _score_doubtful(
+def _score_by_deviation(
     w, weight, true_x, true_y, true_theta, scores_heading, counts, heading_counts, var_x, var_y, *, heading
 ):
     """Score like `_score`, for truth with a variance, which weights each time and is added to P in the NEES.
@@ -111,7 +111,7 @@ def _score_doubtful(
 
 def _run(
     w, steps, sample, driving, flags, fixes, speeds, lever, targets, target_end, place, stop, record, innovations,
-    *, step, state, n_axes, heading, score, score_there, score_doubtful,
+    *, step, state, n_axes, heading, score, score_there, score_by_deviation,
 ):  # fmt: skip
     """Run the steps from a place to a stop; w has the state and memory of the filters, before and after.
 
@@ -126,9 +126,13 @@ def _run(
     n_recorded = 0
     since = place[SINCE]
     interval_starts = True
-    weight, true_x, true_y, true_theta, scores_heading, doubts = targets
+    weight, true_x, true_y, true_theta, scores_heading, deviations = targets
     for s in range(int(place[NEXT_STEP]), stop):
-        if interval_starts and n_targets < len(weight) and (weight[n_targets] != 1.0 or doubts.shape[0] > 0):
+        if (
+            interval_starts
+            and n_targets < len(weight)
+            and (weight[n_targets] != 1.0 or deviations.shape[0] > 0)
+        ):
             for l in range(LANES):
                 w[R.BEFORE_X, l] = w[R.X, l]
                 w[R.BEFORE_Y, l] = w[R.Y, l]
@@ -165,16 +169,16 @@ def _run(
         interval_starts = (happens & IMU) != 0
         while n_targets < target_end[s]:
             t = n_targets
-            if doubts.shape[0] == 0:
+            if deviations.shape[0] == 0:
                 counts = 1.0 if scores_heading[t] else 0.0
                 if weight[t] == 1.0:
                     score_there(w, true_x[t], true_y[t], true_theta[t], counts)
                 else:
                     score(w, weight[t], true_x[t], true_y[t], true_theta[t], counts)
             else:
-                score_doubtful(
+                score_by_deviation(
                     w, weight[t], true_x[t], true_y[t], true_theta[t], 1.0 if scores_heading[t] else 0.0,
-                    doubts[t, 0], doubts[t, 1], doubts[t, 2], doubts[t, 3],
+                    deviations[t, 0], deviations[t, 1], deviations[t, 2], deviations[t, 3],
                 )  # fmt: skip
             n_targets += 1
         if interval_starts and record.shape[0] > 0:
@@ -213,7 +217,7 @@ def _store(w, rows):
 _ELSEWHERE = (
     alignment,
     fix_error,
-    frozen,
+    stale_fixes,
     fuzzy,
     gaps,
     odometer,
@@ -311,7 +315,7 @@ def _kernel_of(model, step, rows, name):
         steps_to = kernel(
             _run, step=step(), state=rows, n_axes=len(described.imu), heading=heading,
             score=kernel(_score, heading=heading), score_there=kernel(_score_there, heading=heading),
-            score_doubtful=kernel(_score_doubtful, heading=heading),
+            score_by_deviation=kernel(_score_by_deviation, heading=heading),
         )  # fmt: skip
         return {"steps_to": steps_to}
 
@@ -324,9 +328,9 @@ def run_kernel(model):
 
 
 @once
-def taped_kernel(model):
-    """Return a kernel that writes the `tape.taped_rows` to ``record``; if all flags contain IMU, of every step."""
-    return _kernel_of(model, partial(step_of, model, noted=True), taped_rows(model), f"{model}, taped")
+def logging_kernel(model):
+    """Return a kernel that writes the `step_log.logged_rows` to ``record``; if all flags contain IMU, of every step."""
+    return _kernel_of(model, partial(step_of, model, noted=True), logged_rows(model), f"{model}, logged")
 
 
 def run_lanes(

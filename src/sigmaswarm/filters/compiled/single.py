@@ -20,13 +20,13 @@ from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, N_KEPT, WIDEST, R,
 from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.run import named_by_sources
 from sigmaswarm.filters.compiled.step import step_of
-from sigmaswarm.filters.compiled.tape import taped_rows
+from sigmaswarm.filters.compiled.step_log import logged_rows
 
 _NUMBERS = types.CPointer(float64)
 SIGNATURE = types.void(_NUMBERS, _NUMBERS, int64, _NUMBERS, _NUMBERS, _NUMBERS, float64)
 
 
-def _one_step(sources, *, step, kept, tape, taped):
+def _one_step(sources, *, step, kept, step_log, logged):
     def one_step(v, u, happens, z, wheels, lever, since):
         if sources == "":  # never; so the name is closed over
             return
@@ -45,11 +45,11 @@ def _one_step(sources, *, step, kept, tape, taped):
         for r in kept:
             v[r] = w[r, 0]
         exchange_control(control)
-        if tape >= 0:
-            at = tape + 1 + int(v[tape]) * len(taped)
-            for r in range(len(taped)):
-                v[at + r] = w[taped[r], 0]
-            v[tape] += 1.0
+        if step_log >= 0:
+            at = step_log + 1 + int(v[step_log]) * len(logged)
+            for r in range(len(logged)):
+                v[at + r] = w[logged[r], 0]
+            v[step_log] += 1.0
 
     return one_step
 
@@ -70,21 +70,21 @@ class SingleStep:
 
 
 @once
-def single_step(model, tape=-1):
+def single_step(model, step_log=-1):
     """Return the compiled step of a model.
 
-    ``tape``: index, in the filter's numbers, of the number of logged steps; the `taped_rows` of each step follow it.
+    ``step_log``: index, in the filter's numbers, of the number of logged steps; the `logged_rows` of each step follow.
     Negative: no log.
     """
-    noted = tape >= 0
+    noted = step_log >= 0
     kept = np.array([*state_rows(model), *range(CONSTANT_ROWS.start, N_KEPT)])
 
     def known():
         step = step_of(model, noted=noted)
-        return {"step": step, "kept": kept, "tape": tape, "taped": taped_rows(model)}
+        return {"step": step, "kept": kept, "step_log": step_log, "logged": logged_rows(model)}
 
-    function = named_by_sources(_one_step, f"{model}, tape {tape}" if noted else model, known)
-    return SingleStep(address_of(function, SIGNATURE, error_model="numpy"), (single_step, model, tape))
+    function = named_by_sources(_one_step, f"{model}, log {step_log}" if noted else model, known)
+    return SingleStep(address_of(function, SIGNATURE, error_model="numpy"), (single_step, model, step_log))
 
 
 @intrinsic

@@ -6,8 +6,8 @@
 
 m, P is the filter's state before a step, m-, P- its prediction, and m^s', P^s' the smoothed state after the step (H. E.
 Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC
-53(3), 2008: P A^T is the cross-covariance of its sigma points, see `tape`). X = G^T is the solution of P- X = A P. A
-model with attitude takes differences and sums in the tangent space: see `tilted`.
+53(3), 2008: P A^T is the cross-covariance of its sigma points, see `step_log`). X = G^T is the solution of P- X = A P.
+A model with attitude takes differences and sums in the tangent space: see `tilted`.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportIndexIssue=false
@@ -21,7 +21,7 @@ from sigmaswarm.compilation import once
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 from sigmaswarm.filters.compiled.layout import QUATERNION, state_rows
 from sigmaswarm.filters.compiled.run import cached_by_sources
-from sigmaswarm.filters.compiled.tape import phi_place
+from sigmaswarm.filters.compiled.step_log import phi_place
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED, own_name
 from sigmaswarm.filters.tilted import GRAVITY, STEP_FIRST
@@ -212,23 +212,23 @@ def _step_back(before, noted, behind, work, *, n, n_state, first, tilted, phi, m
 
 
 def _backwards(sources, *, n, step_back):
-    def backwards(tape, start, ends, started, sampled, behind, out):
+    def backwards(step_log, start, ends, started, sampled, behind, out):
         if sources == "":  # never; so the name is closed over
             return
         work = np.empty((5, n, n))
         written, starts = out.shape[0], started.shape[0]
-        for s in range(tape.shape[0] - 1, -1, -1):
+        for s in range(step_log.shape[0] - 1, -1, -1):
             if sampled[s]:
                 written -= 1
                 out[written] = behind
-            anew = starts > 0 and ends[starts - 1] == s
-            if anew:
+            starts_again = starts > 0 and ends[starts - 1] == s
+            if starts_again:
                 starts -= 1
-                behind[:] = tape[s, : len(behind)]
-            before = tape[s - 1] if s > 0 else start
+                behind[:] = step_log[s, : len(behind)]
+            before = step_log[s - 1] if s > 0 else start
             if starts > 0 and ends[starts - 1] == s - 1:
                 before = started[starts - 1]
-            step_back(before, tape[s], behind, work)
+            step_back(before, step_log[s], behind, work)
 
     return backwards
 
@@ -249,13 +249,13 @@ def _kernel_of(name):
     return cached_by_sources(_backwards, f"{name}, backwards", known)
 
 
-def smooth_back(name, tape, start, ends, started, sampled, behind, out):
+def smooth_back(name, step_log, start, ends, started, sampled, behind, out):
     """Smooth the logged steps, from the smoothed state after the last one.
 
     Parameters
     ----------
     name : name of the kernel of the forward pass
-    tape : (k, t) `tape.taped_rows` of each step
+    step_log : (k, t) `step_log.logged_rows` of each step
     start : (s,) the filter's `state_rows` before the first step
     ends, started : (a,) int, (a, s) the steps after which the filter was reset, and the state after the reset; steps
         before a reset do not use later ones
@@ -263,4 +263,4 @@ def smooth_back(name, tape, start, ends, started, sampled, behind, out):
     behind : (s,) changed from the smoothed state after the last step to that before the first step
     out : (r, s) written: the smoothed states at the chosen ends
     """
-    _kernel_of(name)(tape, start, ends, started, sampled, behind, out)
+    _kernel_of(name)(step_log, start, ends, started, sampled, behind, out)

@@ -5,10 +5,10 @@
 from functools import cache
 
 from sigmaswarm.drives.timeline import DT, GAP
-from sigmaswarm.filters.compiled import fix_error, robot_localization, tape
+from sigmaswarm.filters.compiled import fix_error, robot_localization, step_log
 from sigmaswarm.filters.compiled.lanes import kernel
 from sigmaswarm.filters.compiled.layout import LANES, R
-from sigmaswarm.filters.compiled.measurements import absorbers
+from sigmaswarm.filters.compiled.measurements import measurement_kernels
 from sigmaswarm.filters.compiled.planar5 import predict_planar5
 from sigmaswarm.filters.compiled.planar8 import predict_planar8
 from sigmaswarm.filters.compiled.tilted12 import COLUMNS, predict_tilted12, settle
@@ -50,8 +50,8 @@ def _grow(w, dt, gap, *, tilted):
 def _step(
     w, u, happens, z, wheels, lever, since,
     *, predict, carry, grow, settle, note_move, note_prior,
-    absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_odometer, absorb_standstill,
-    absorb_heading,
+    update_fix, forecast_fix, update_velocity, update_lateral, update_odometer, update_standstill,
+    update_heading,
 ):  # fmt: skip
     """Predict, and update with the measurements.
 
@@ -70,19 +70,19 @@ def _step(
         note_move(w, dt)
         note_prior(w)
     if happens & FIX:
-        absorb_fix(w, z, lever, since)
+        update_fix(w, z, lever, since)
         if happens & VELOCITY:
-            absorb_velocity(w, z)
+            update_velocity(w, z)
         if happens & HEADING:
-            absorb_heading(w, u, z)
+            update_heading(w, u, z)
     if happens & HIDDEN:
         forecast_fix(w, z, lever, since)
     if happens & LATERAL:
-        absorb_lateral(w, u)
+        update_lateral(w, u)
     if happens & ODOMETER:
-        absorb_odometer(w, u, wheels)
+        update_odometer(w, u, wheels)
     if happens & STANDSTILL:
-        absorb_standstill(w, u)
+        update_standstill(w, u)
     if settle:  # noqa: SIM102 (``settle`` is known at compilation)
         if happens & COMPARED:
             settle(w)
@@ -101,7 +101,7 @@ _PREDICTIONS = {
 def step_of(name, *, noted=False):
     """Return a step of LANES filters of a kernel's name, to be inlined.
 
-    ``noted``: the step also writes the inputs of a smoother to the rows of the first lane; see `tape`.
+    ``noted``: the step also writes the inputs of a smoother to the rows of the first lane; see `step_log`.
     """
     model = FILTERS[name]
     if model.measures_imu:
@@ -109,14 +109,14 @@ def step_of(name, *, noted=False):
     predict, settle = _PREDICTIONS.get(name) or _PREDICTIONS[own_name(name)]
     carries = model.fix_error and not model.tilts  # a prediction with tilts carries all columns
     biases = int(model.gyro_bias is not None)
-    note_prior = tape.note_prior(name) if noted else None
+    note_prior = step_log.note_prior(name) if noted else None
     return kernel(
         _step,
         predict=predict,
         carry=kernel(fix_error.carry, n=len(model.states), biases=biases) if carries else None,
         settle=settle,
-        note_move=tape.note_move(name) if noted else None,
+        note_move=step_log.note_move(name) if noted else None,
         note_prior=note_prior,
         grow=kernel(_grow, tilted=int(model.tilts is not None)),
-        **absorbers(name, note_prior, tape.phi_place(name) if noted else 0),
+        **measurement_kernels(name, note_prior, step_log.phi_place(name) if noted else 0),
     )

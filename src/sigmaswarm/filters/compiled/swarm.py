@@ -6,7 +6,7 @@ state (`live.BEHIND`), so that late fixes also return them to an earlier state:
     NUMBERS   a few numbers, then for each lane: evidence, log-prior penalty, weight
     ROWS      (N_KEPT, LANES) the lanes, as in `layout`; the checkpoints of a live filter end here
     SCRATCH   (N_ROWS - N_KEPT, LANES)
-    TAPE      ring buffer of the last steps for a search, N_TAPE numbers each
+    STEP_LOG      ring buffer of the last steps for a search, N_LOG_ROW numbers each
 
 The evidence of a lane is the logarithm of the Gaussian likelihood of the fixes, which a wrong covariance lowers; it
 fades with time. The weight is exp(EVIDENCE_COUNTS evidence - penalty), normalized.
@@ -39,21 +39,21 @@ EVIDENCE_COUNTS = 0.1  # weight of a fix: errors of fixes are correlated, so abo
 
 # Counted from BEHIND: number of logged steps, and the largest number in the log; time of the last fix, and number of
 # fixes; nu and S of the mixture at the last fix.
-TAPED, TAPE_LENGTH, FIXED_AT, N_FIXED, NU_X, NU_Y, S_XX, S_XY, S_YY = range(9)
+LOGGED, LOG_LENGTH, FIXED_AT, N_FIXED, NU_X, NU_Y, S_XX, S_XY, S_YY = range(9)
 EVIDENCE = slice(16, 16 + LANES)
-AGAINST = slice(EVIDENCE.stop, EVIDENCE.stop + LANES)
-WEIGHT = slice(AGAINST.stop, AGAINST.stop + LANES)
+PENALTY = slice(EVIDENCE.stop, EVIDENCE.stop + LANES)
+WEIGHT = slice(PENALTY.stop, PENALTY.stop + LANES)
 NUMBERS = WEIGHT.stop
 ROWS = slice(NUMBERS, NUMBERS + N_KEPT * LANES)
-MARKED = ROWS.stop  # values of a checkpoint
-TAPE = NUMBERS + N_ROWS * LANES
+N_CHECKPOINT = ROWS.stop  # values of a checkpoint
+STEP_LOG = NUMBERS + N_ROWS * LANES
 
 # A logged step: its numbers DT ... GY, its flags, its rows of `Timeline.fixes` and `Wheels.rows`, the scale of Q
 # since the last fix, and the end time of the step, s.
 T_STEP, T_FLAGS, T_FIX, T_WHEELS, T_SINCE, T_TIME = slice(0, 9), 9, slice(10, 18), slice(18, 21), 21, 22
-N_TAPE = 23
+N_LOG_ROW = 23
 
-_AT_EVIDENCE, _AT_AGAINST, _AT_WEIGHT = (BEHIND + part.start for part in (EVIDENCE, AGAINST, WEIGHT))
+_AT_EVIDENCE, _AT_PENALTY, _AT_WEIGHT = (BEHIND + part.start for part in (EVIDENCE, PENALTY, WEIGHT))
 
 
 @intrinsic
@@ -89,7 +89,7 @@ def weigh(v):
     """Compute the weights of the lanes from their evidence; all 0 if no lane has evidence."""
     best = -math.inf
     for lane in range(LANES):
-        for_it = EVIDENCE_COUNTS * v[_AT_EVIDENCE + lane] - v[_AT_AGAINST + lane]
+        for_it = EVIDENCE_COUNTS * v[_AT_EVIDENCE + lane] - v[_AT_PENALTY + lane]
         v[_AT_WEIGHT + lane] = for_it
         if for_it > best:  # false for NaN
             best = for_it
@@ -104,7 +104,7 @@ def weigh(v):
 
 
 @njit(**OPTIONS)
-def _foretold(w, lane):
+def _is_predicted(w, lane):
     return math.isfinite(w[R.NU1, lane] + w[R.NU2, lane] + w[R.V11, lane] + w[R.V12, lane] + w[R.V22, lane])
 
 
@@ -114,7 +114,7 @@ def _note_fix(v, w, now):
     x, y, total = 0.0, 0.0, 0.0
     for lane in range(LANES):
         share = v[_AT_WEIGHT + lane]
-        if share > 0.0 and _foretold(w, lane):
+        if share > 0.0 and _is_predicted(w, lane):
             x += share * w[R.NU1, lane]
             y += share * w[R.NU2, lane]
             total += share
@@ -122,7 +122,7 @@ def _note_fix(v, w, now):
     x, y = (x / total, y / total) if total > 0.0 else (math.nan, math.nan)
     for lane in range(LANES):
         share = v[_AT_WEIGHT + lane]
-        if share > 0.0 and _foretold(w, lane):
+        if share > 0.0 and _is_predicted(w, lane):
             share /= total
             dx, dy = w[R.NU1, lane] - x, w[R.NU2, lane] - y
             xx += share * (w[R.V11, lane] + dx * dx)
@@ -175,8 +175,8 @@ def _swarm_step(sources, *, step, kept):
             weigh(v)
         for r in kept:
             v[r] = w[r, 0]
-        row = BEHIND + TAPE + N_TAPE * (int(v[BEHIND + TAPED]) % int(v[BEHIND + TAPE_LENGTH]))
-        v[BEHIND + TAPED] += 1.0
+        row = BEHIND + STEP_LOG + N_LOG_ROW * (int(v[BEHIND + LOGGED]) % int(v[BEHIND + LOG_LENGTH]))
+        v[BEHIND + LOGGED] += 1.0
         for c in range(9):
             v[row + c] = u[c]
         v[row + 9] = happens

@@ -143,7 +143,7 @@ class Steps:
 
     dt: Array  # (k,), s
     source: NDArray[np.int64]  # (k,), row of the inputs for each step
-    absorbs: NDArray[np.int64]  # (k,), row of ``measurements`` for the update at the step's end, or -1
+    updates: NDArray[np.int64]  # (k,), row of ``measurements`` for the update at the step's end, or -1
     records: NDArray[np.int64]  # (k,), row of the log's ``time`` at which the step ends, or -1
     inputs: Array  # (i, u)
     measurements: Array  # (f, m), those within the log's time
@@ -159,7 +159,7 @@ def build_steps(log: Log) -> Steps:
     return Steps(
         dt=np.diff(ends, prepend=ends[0]),
         source=np.searchsorted(log.time, ends).astype(np.int64),  # the first input at or after the step's end
-        absorbs=_rows(moments, ends),
+        updates=_rows(moments, ends),
         records=_rows(log.time, ends),
         inputs=log.inputs if log.inputs is not None else np.empty((len(log.time), 0)),
         measurements=log.measurements[usable],

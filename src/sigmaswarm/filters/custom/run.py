@@ -163,7 +163,7 @@ def _run(
         return _run_textbook(model, steps, parameters, covariances=covariances)
     scaling = _scaling(parameters)
     run = _nothing(steps, covariances=covariances)
-    line = (steps.dt, steps.source, steps.absorbs, steps.records, steps.inputs, steps.measurements)
+    line = (steps.dt, steps.source, steps.updates, steps.records, steps.inputs, steps.measurements)
     angles = np.isin(range(len(model.states)), model.places(model.angles))
     measured = np.isin(range(steps.measurements.shape[1]), model.measured_angles)
     written = (run.mean, run.covariance, run.nis, run.nll)
@@ -219,7 +219,7 @@ def kernel_of(model: Model, steps: Steps) -> Any:
 def _compiled(model: Model, steps: Steps) -> Any:
     """Compile the filter, and compare it with the textbook filter; None, with a warning, on failure or a difference."""
     few = replace(
-        steps, **{name: getattr(steps, name)[:TRIED] for name in ("dt", "source", "absorbs", "records")}
+        steps, **{name: getattr(steps, name)[:TRIED] for name in ("dt", "source", "updates", "records")}
     )
     trial = trial_parameters(model)
     diagonal = np.ndim(model.process_noise(1.0, model.values(trial))) == 1

@@ -91,7 +91,7 @@ class TextbookCar:
         self._imu = timeline.imu(self.model.imu)
         self.flags = flags_of(timeline, measured_by(p))
         self._wheels_of_step = np.cumsum(self.flags & ODOMETER != 0) - 1
-        self._fix_of_step = np.cumsum(timeline.absorbs | timeline.hides) - 1
+        self._fix_of_step = np.cumsum(timeline.updates | timeline.hides) - 1
         self._rejected = 0
         self._since = 0.0
 
@@ -122,7 +122,7 @@ class TextbookCar:
             noise = np.array([[p.odometer_noise + more]])
             innovation = self.filter.measure(np.array([speed / p.odometer_scale]), noise, wheels)
             if innovation.nis <= SLIP_GATE:
-                self.filter.absorb(innovation)
+                self.filter.correct(innovation)
         if self.flags[i] & STANDSTILL and p.standstill_noise is not None:
             self.filter.update(np.zeros(2), p.standstill_noise * np.eye(2), model.velocity)
             if model.gyro_axes:
@@ -147,7 +147,7 @@ class TextbookCar:
                 innovation = self.fuzzy.weigh(innovation)
             elif self.parameters.kind == "adaptive-ukf":
                 self.adaptive.adapt(innovation, self._since)
-            self.filter.absorb(innovation)
+            self.filter.correct(innovation)
         else:
             self._rejected += 1
         self._since = 0.0
@@ -159,7 +159,7 @@ class TextbookCar:
         noise = np.array([[(p.heading_noise or 0.0) + stated]])
         innovation = self.filter.measure(np.array([z]), noise, self.model.heading(near))
         least = innovation.nu @ innovation.nu / HEADING_GATE
-        self.filter.absorb(replace(innovation, variance=np.maximum(innovation.variance, least)))
+        self.filter.correct(replace(innovation, variance=np.maximum(innovation.variance, least)))
 
     def _age_fix_error(self, stated: Array) -> None:
         """Propagate the correlated error to the next fix; ``stated``: variances of the next fix, (2,) m2, or 0."""

@@ -27,14 +27,14 @@ class TextbookModel:
 
     def step(self, i: int) -> None:
         steps, kalman = self.steps, self.filter
-        dt, row = float(steps.dt[i]), steps.absorbs[i]
+        dt, row = float(steps.dt[i]), steps.updates[i]
         if dt > 0:
             q = as_covariance(self.model.process_noise(dt, self.p))
             kalman.predict(dt, steps.inputs[steps.source[i]], q)
         if row >= 0:
             innovation = kalman.measure(steps.measurements[row], self.noise)
             self.nis[row], self.nll[row] = innovation.nis, negative_log_likelihood(innovation)
-            kalman.absorb(innovation)
+            kalman.correct(innovation)
 
 
 def textbook_filter(model: Model, steps: Steps, scaling: Array, p: Any) -> GaussianFilter:

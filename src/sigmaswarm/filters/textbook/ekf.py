@@ -13,7 +13,7 @@ from sigmaswarm.filters.textbook.gaussian import (
     Innovation,
     Measurement,
     Process,
-    less_whole_turns,
+    wrapped_differences,
 )
 
 
@@ -60,7 +60,7 @@ class ExtendedKalmanFilter(GaussianFilter):
         h = h or self.h
         jacobian = complex_step(h, self.mean)
         cross = self.covariance @ jacobian.T
-        nu = less_whole_turns(measurement - h(self.mean), angles)
+        nu = wrapped_differences(measurement - h(self.mean), angles)
         return Innovation(nu, jacobian @ cross + measurement_noise, cross, measurement_noise)
 
 

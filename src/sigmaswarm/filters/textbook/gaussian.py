@@ -56,7 +56,7 @@ class Prediction:
     cross: Array
 
 
-def less_whole_turns(values: Array, columns: Sequence[int]) -> Array:
+def wrapped_differences(values: Array, columns: Sequence[int]) -> Array:
     """Return ``values``, shape (..., m), with the columns that are angles (rad) wrapped to (-pi, pi]."""
     values = values.copy()
     values[..., columns] -= 2 * np.pi * np.round(values[..., columns] / (2 * np.pi))
@@ -83,7 +83,7 @@ class GaussianFilter:
         """Compute the innovation of a measurement, shape (m,), with noise covariance R, shape (m, m)."""
         raise NotImplementedError
 
-    def absorb(self, innovation: Innovation) -> None:
+    def correct(self, innovation: Innovation) -> None:
         """Update the state: x + K nu, P - K S K^T."""
         gain = innovation.gain
         self.mean = self.mean + gain @ innovation.nu
@@ -93,5 +93,5 @@ class GaussianFilter:
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
     ) -> Innovation:
         innovation = self.measure(measurement, measurement_noise, h)
-        self.absorb(innovation)
+        self.correct(innovation)
         return innovation

@@ -42,10 +42,10 @@ class _OnManifold(GaussianFilter):
         self.f, self.h, self.manifold = f, h, manifold
         self.mean, self.covariance = mean.astype(np.float64), covariance.astype(np.float64)
 
-    def absorb(self, innovation: Innovation) -> None:
+    def correct(self, innovation: Innovation) -> None:
         """Update the state: x plus K nu, P - K S K^T."""
         mean = self.mean
-        super().absorb(innovation)
+        super().correct(innovation)
         self.mean = self.manifold.plus(mean, innovation.gain @ innovation.nu)
 
 

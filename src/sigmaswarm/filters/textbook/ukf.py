@@ -20,7 +20,7 @@ from sigmaswarm.filters.textbook.gaussian import (
     Innovation,
     Measurement,
     Process,
-    less_whole_turns,
+    wrapped_differences,
 )
 
 
@@ -153,16 +153,16 @@ class UnscentedKalmanFilter(GaussianFilter):
         if self.redraw_sigma_points or sigmas is None:
             sigmas = self.points.draw(self.mean, self.covariance)
         predicted = np.array([h(s) for s in sigmas])
-        offsets = less_whole_turns(predicted - predicted[0], angles)
+        offsets = wrapped_differences(predicted - predicted[0], angles)
         predicted[:, angles] = predicted[0, angles] + offsets[:, angles]
         centre = wm @ (predicted - predicted[0]) + predicted[0]
         spread_z = predicted - centre
         spread_x = sigmas - self.mean
         s = (spread_z.T * wc) @ spread_z + measurement_noise
-        nu = less_whole_turns(measurement - centre, angles)
+        nu = wrapped_differences(measurement - centre, angles)
         return Innovation(nu, s, (spread_x.T * wc) @ spread_z, measurement_noise)
 
-    def absorb(self, innovation: Innovation) -> None:
+    def correct(self, innovation: Innovation) -> None:
         """Update the state: x + K nu, P - K S K^T."""
-        super().absorb(innovation)
+        super().correct(innovation)
         self._propagated = None

@@ -64,7 +64,7 @@ def offspring(
 ) -> Array:
     """Return children, shape (n, d), of parents that won tournaments of two.
 
-    ``parents``, shape (m, d), have ``costs``, shape (m,). ``box`` has the lower and upper bounds.
+    ``parents``, shape (m, d), have ``costs``, shape (m,). ``bounds`` has the lower and upper bounds.
     """
     pairs = (n + 1) // 2
     # winners of the same round are paired, so that a member is rarely paired with itself

@@ -34,7 +34,7 @@ def _moves_of(name):
     return MOVES[own_name(name)]
 
 
-def taped_rows(name):
+def logged_rows(name):
     """Return the rows of a logged step: the state after it, the prediction, the step's length, other numbers of A."""
     state, n_moves = state_rows(name), 1 + len(_moves_of(name)) + FILTERS[name].fix_error
     return np.array([*state, *(PRIOR + state), *range(MOVE, MOVE + n_moves)], dtype=np.intp)

@@ -13,7 +13,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.models import NOISE_OF
 from sigmaswarm.tuning.options import Scale
 
-BoxEnd = Literal["lower", "upper"]
+BoundSide = Literal["lower", "upper"]
 NOISES = (
     *("process_noise", "measurement_noise", "imu_noise", "accuracy_scale", "fix_error"),
     *NOISE_OF.values(),
@@ -26,7 +26,7 @@ class TouchedBound:
     """A parameter at a bound; files contain its text, such as ``q_x at its lower bound (1e-05)``."""
 
     parameter: str
-    end: BoxEnd
+    end: BoundSide
     value: float
 
     @property
@@ -45,7 +45,7 @@ class TouchedBound:
         if not found:
             raise ValueError(f"{text!r} does not name a parameter and the bound that it touches")
         name, end, value = found.groups()
-        return cls(name, cast(BoxEnd, end), float(value))
+        return cls(name, cast(BoundSide, end), float(value))
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Dimension:
 
 
 @dataclass(frozen=True, eq=False)
-class Box:
+class Bounds:
     """Bounds of d parameters in their units and in search coordinates; arrays have shape (d,)."""
 
     dimensions: tuple[Dimension, ...]
@@ -123,7 +123,7 @@ class Box:
 
     def touched(self, point: Array) -> list[TouchedBound]:
         margin = 1e-9 * (self.high - self.low)
-        ends: tuple[tuple[BoxEnd, Array, Array], ...] = (
+        ends: tuple[tuple[BoundSide, Array, Array], ...] = (
             ("lower", self.low, self.lowest),
             ("upper", self.high, self.highest),
         )

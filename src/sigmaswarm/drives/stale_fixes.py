@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array, Gps
 
-NEW, HELD, FROZEN, FROZEN_MOVING = range(4)
+NEW, HELD, STALE, STALE_MOVING = range(4)
 """Kinds of fixes: a new position; a repeat at rest; a repeat while the car may move.
 
-FROZEN: slower than `NO_REST`; FROZEN_MOVING: faster, so that the repeat is not evidence of a standstill.
+STALE: slower than `NO_REST`; STALE_MOVING: faster, so that the repeat is not evidence of a standstill.
 """
 
 BEFORE = 3.0  # s, search for an equal fix; the previous fix is always compared
@@ -29,7 +29,7 @@ ENOUGH = 3.0  # new fixes that show braking; fewer show only a mean speed
 
 
 def judged(gps: Gps) -> Array:
-    """Classify all fixes, (n,): `NEW`, `HELD`, `FROZEN` or `FROZEN_MOVING`."""
+    """Classify all fixes, (n,): `NEW`, `HELD`, `STALE` or `STALE_MOVING`."""
     # The array of a live filter, so that `kind_of` is compiled once.
     fixes = np.column_stack([gps.time, gps.x, gps.y, np.zeros(len(gps.time))])
     kinds = fixes[:, 3]
@@ -38,9 +38,9 @@ def judged(gps: Gps) -> Array:
     return kinds.copy()
 
 
-def frozen_fixes(gps: Gps) -> NDArray[np.bool_]:
+def stale_fixes(gps: Gps) -> NDArray[np.bool_]:
     """Mark the stale fixes, (n,), which no filter uses as positions."""
-    return judged(gps) >= FROZEN
+    return judged(gps) >= STALE
 
 
 @cached
@@ -66,7 +66,7 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
             if kinds[j] != NEW:
                 return int(kinds[j])
             speed = _speed_at(fixes, kinds, j, now)
-            return HELD if speed <= REST else (FROZEN if speed <= NO_REST else FROZEN_MOVING)
+            return HELD if speed <= REST else (STALE if speed <= NO_REST else STALE_MOVING)
         j -= 1
     return NEW
 

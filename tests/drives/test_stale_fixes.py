@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Gps
-from sigmaswarm.drives.frozen import FROZEN, FROZEN_MOVING, HELD, NEW, frozen_fixes, judged
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.stale_fixes import HELD, NEW, STALE, STALE_MOVING, judged, stale_fixes
 from support import DRIVES, make_drive, needs_shared
 
 
@@ -37,7 +37,7 @@ def test_repeats_of_a_driving_car_are_frozen_and_no_evidence(rate: float, speed:
     first = int(8 * rate)
     kinds = judged(repeated(gps, slice(first, first + 4)))
     expected = np.full(len(gps), NEW)
-    expected[first : first + 4] = FROZEN_MOVING
+    expected[first : first + 4] = STALE_MOVING
     assert kinds.tolist() == expected.tolist()
 
 
@@ -55,17 +55,17 @@ def test_no_car_brakes_as_hard_as_a_fix_may_jump():
     # As on kingston-1: 14.8 m, then 8.4 m in a second, then nothing; the car drove on at 13 m/s.
     x = np.cumsum([13.0, 13.5, 14.8, 8.35, 0.0, 0.0, 31.0, 14.0])
     kinds = judged(Gps(np.arange(8.0), x, np.zeros(8)))
-    assert kinds.tolist() == [NEW] * 4 + [FROZEN_MOVING] * 2 + [NEW] * 2
+    assert kinds.tolist() == [NEW] * 4 + [STALE_MOVING] * 2 + [NEW] * 2
 
 
 def test_between_crawling_and_driving_a_repeat_is_frozen_but_may_be_evidence():
     gps = straight(lambda t: 1.4 + 0 * t)
-    assert (judged(repeated(gps, slice(40, 44)))[40:44] == FROZEN).all()
+    assert (judged(repeated(gps, slice(40, 44)))[40:44] == STALE).all()
 
 
 def test_a_run_is_judged_at_its_beginning_however_long_it_is():
     gps = straight(lambda t: 10.0 + 0 * t, duration=120.0)
-    assert (judged(repeated(gps, slice(100, 590)))[100:590] == FROZEN_MOVING).all()
+    assert (judged(repeated(gps, slice(100, 590)))[100:590] == STALE_MOVING).all()
     still = straight(lambda t: 0.0 * t, duration=60.0)
     assert (judged(still)[1:] == HELD).all()  # a log that begins with repeats begins at rest
 
@@ -77,7 +77,7 @@ def test_two_receivers_are_each_compared_with_themselves(shift: float):
     time = np.concatenate([gps.time, other.time])
     order = np.argsort(time, kind="stable")
     both = Gps(time[order], np.concatenate([gps.x, other.x])[order], np.concatenate([gps.y, other.y])[order])
-    frozen = np.flatnonzero(frozen_fixes(both))
+    frozen = np.flatnonzero(stale_fixes(both))
     assert both.y[frozen].tolist() == [1.5] * 3
     assert frozen.tolist() == [101, 103, 105]
 
@@ -93,7 +93,7 @@ def test_positions_held_in_between_are_frozen_each_time():
     gps = straight(lambda t: 6.0 + 0 * t, rate=10.0)
     held = replace(gps, x=gps.x[np.arange(len(gps)) // 10 * 10])
     moving = held.time >= 2.0
-    assert (frozen_fixes(held) == (np.arange(len(gps)) % 10 != 0))[moving].all()
+    assert (stale_fixes(held) == (np.arange(len(gps)) % 10 != 0))[moving].all()
 
 
 def plainly(gps: Gps) -> list[bool]:
@@ -137,16 +137,14 @@ def test_fixes_that_are_hidden_were_judged_with_all_others():
     stuck = replace(drive, gps=repeated(drive.gps, slice(100, 110)))
     ready = PreparedDrive(stuck)
     hidden = np.isin(np.arange(len(drive.gps)), range(95, 105))
-    assert ready.frozen.sum() == 10
-    assert (
-        ready.timeline(hidden, removed=True).kinds >= FROZEN
-    ).sum() == 5  # though what they repeat is gone
-    assert not PreparedDrive(stuck, as_recorded=True).frozen.any()
+    assert ready.stale.sum() == 10
+    assert (ready.timeline(hidden, removed=True).kinds >= STALE).sum() == 5  # though what they repeat is gone
+    assert not PreparedDrive(stuck, as_recorded=True).stale.any()
 
 
 @needs_shared
 def test_kingston_has_18_frozen_fixes():
     drive = read_drive(DRIVES / "kingston-1")
     kinds = judged(drive.gps)
-    assert (kinds == FROZEN_MOVING).sum() == 18
-    assert (kinds >= FROZEN).sum() == 18
+    assert (kinds == STALE_MOVING).sum() == 18
+    assert (kinds >= STALE).sum() == 18

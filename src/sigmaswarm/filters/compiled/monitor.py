@@ -11,12 +11,12 @@ import math
 from numba import njit
 
 from sigmaswarm.drives.alignment import ALIGNMENT_FIXES, MAX_DURATION, MIN_DURATION, WORTH_TRAVEL
-from sigmaswarm.drives.frozen import FROZEN
+from sigmaswarm.drives.stale_fixes import STALE
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 
-LOOK_INTERVAL = 1.0  # s between two checks of a filter
-LATEST_LOOK = 0.25  # s from a fix to the IMU sample of a check; after a longer gap they are not comparable
-WATCHED = MAX_DURATION + 1.0  # s of samples and fixes that are stored for the monitor
+CHECK_INTERVAL = 1.0  # s between two checks of a filter
+LATEST_CHECK = 0.25  # s from a fix to the IMU sample of a check; after a longer gap they are not comparable
+MONITOR_SPAN = MAX_DURATION + 1.0  # s of samples and fixes that are stored for the monitor
 
 _T, _X, _Y, _KIND = 0, 1, 2, 10  # of a row of fixes: see `live`, which imports this module
 
@@ -36,7 +36,7 @@ def last_fix(fixes, end, until, after):
 
 @_plain
 def _counts(fixes, f):
-    return fixes[f, _KIND] < FROZEN and math.isfinite(fixes[f, _X]) and math.isfinite(fixes[f, _Y])
+    return fixes[f, _KIND] < STALE and math.isfinite(fixes[f, _X]) and math.isfinite(fixes[f, _Y])
 
 
 @_plain
