@@ -139,13 +139,16 @@ def test_microseconds_in_both_files_end_with_1(sigmaswarm, good, here: Path):
         ([], "DRIVE"),
         (["sick", "--fix"], "--fix"),
         (["sick", "sick", "--fix", "mended"], "2 drives are named 'urban-clear-00'"),
-        (["sick", "--fix", "taken"], "urban-clear-00 exists already; delete it"),
+        (["sick", "--fix", "taken"], "urban-clear-00 exists and is not empty; add --overwrite"),
+        (["sick", "--fix", "foreign", "--overwrite"], "which is not part of a drive"),
         (["sick", "--fix", "file"], "file"),
         (["sick", "--mend", "x"], "--mend"),
     ],
 )
 def test_mistakes(sigmaswarm, sick: Path, here: Path, arguments: list[str], expected: str):
-    (here / "taken" / "urban-clear-00").mkdir(parents=True)
+    for folder, file in (("taken", "imu.csv"), ("foreign", "notes.txt")):
+        (here / folder / "urban-clear-00").mkdir(parents=True)
+        (here / folder / "urban-clear-00" / file).write_text("")
     (here / "file").write_text("")
     ended = sigmaswarm("doctor", *arguments)
     assert ended.code == 2
@@ -174,3 +177,26 @@ def test_a_lever_arm_that_the_turns_do_not_show_changes_no_copy(sigmaswarm, good
     assert found["lever_arm"]["observable"] == [False, False]
     assert found["drives"][0]["copy"]["mended"] == []
     assert "gps_lever_arm_m" not in read_drive(here / "mended" / good.name).metadata
+
+
+def test_copies_replace_earlier_ones_only_on_request_and_never_the_drive(sigmaswarm, sick: Path, here: Path):
+    commands = (
+        ("doctor", sick, "--fix", "copies"),
+        ("split", sick, "--out", "copies"),
+        ("convert", sick, "--to", "csv", "copies"),
+    )
+    for command in commands:
+        assert sigmaswarm(*command, "--overwrite").code in (0, 1)
+        before = {file: file.read_bytes() for file in sorted((here / "copies").rglob("*.*"))}
+        ended = sigmaswarm(*command)
+        assert (
+            ended.code == 2
+            and "exists and is not empty; add --overwrite, or name another folder" in ended.err
+        )
+        assert {file: file.read_bytes() for file in sorted((here / "copies").rglob("*.*"))} == before
+        assert sigmaswarm(*command, "--overwrite").code in (0, 1)
+    drive = here / "own" / "urban-clear-00"
+    assert sigmaswarm("convert", sick, "--to", "csv", drive.parent).code == 0
+    for command in (("doctor", drive, "--fix", drive.parent), ("convert", drive, drive.parent)):
+        ended = sigmaswarm(*command, "--overwrite")
+        assert ended.code == 2 and "is a drive that is read; name another folder" in ended.err

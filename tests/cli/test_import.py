@@ -74,7 +74,8 @@ def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     assert "note: /imu/data is in the frame 'imu_link'" in ended.out
     assert "wrote drives/monday: 40.0 s" in ended.out
     assert "importing" in ended.err  # progress
-    then = ended.out.splitlines()[-2]
+    then, held = ended.out.splitlines()[-2:]
+    assert held.endswith("or a part of this one first: sigmaswarm split drives/monday --out parts)")
     # Its speeds are drawn by chance, which no repair mends.
     assert "next: sigmaswarm doctor drives/monday    (then correct the other faults in the log)" in ended.out
     assert then == "then: sigmaswarm tune drives/monday --out tuned"

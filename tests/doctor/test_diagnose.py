@@ -379,10 +379,14 @@ def test_the_options_follow_from_the_log():
         "tune takes --model tilted12 --use lateral standstill accuracy robust: the stated standard deviations"
     )
     velocity = simulated("icm-20602")  # its receiver gives speed and course, and its errors are correlated
-    lasting = "; without truth and with 250 fixes or more for training also fix-error, since the fixes differ by less "
-    lasting += "than the receiver's error"
+    few = "; with 250 fixes or more for training also fix-error"
+    lasting = f"{few}, since the fixes differ by less than the receiver's error"
     may = "; you may add velocity to --use: the receiver gives speed and course"
+    assert found_of(velocity, "use") == six + tilts + may, "with truth, fix-error is not added"
+    velocity = replace(velocity, truth=None)
     assert found_of(velocity, "use") == six + tilts + lasting + may
+    part = clip(velocity, end=float(velocity.gps.time[200]))
+    assert few in found_of(part, "use") and "since the fixes differ" not in found_of(part, "use")
     assert velocity.gps.speed is not None
     knots = replace(velocity, gps=replace(velocity.gps, speed=velocity.gps.speed / 0.514444))
     assert found_of(knots, "use") == six + tilts + lasting
@@ -391,7 +395,8 @@ def test_the_options_follow_from_the_log():
     outlier = replace(drive, gps=replace(drive.gps, x=x))
     assert found_of(outlier, "use") == f"{six}1 fix lies far off the path; {tilts}"
     for std in (8.0, 30.0):
-        assert found_of(states(drive, np.full(n, std)), "use") == six + tilts + lasting
+        blind = states(replace(drive, truth=None), np.full(n, std))
+        assert found_of(blind, "use") == six + tilts + (lasting if n >= 250 else few)
 
 
 @pytest.mark.parametrize("n", [249, 250])
@@ -406,6 +411,8 @@ def test_tune_adds_fix_error_with_the_stated_number_of_fixes_on_a_part_too(n: in
 def test_a_velocity_that_fits_better_later_is_not_recommended():
     whole = recorded("dresden")
     assert "speed and course are 0.55 s later" in (found_of(whole, "velocity-delay") or "")
+    (finding,) = (f for f in sigmaswarm.diagnose(whole).findings if f.code == "velocity-delay")
+    assert finding.severity == "note" and "the default filter does not use them" in finding.what
     rest = split_time(whole, 0.7)[1]  # too little of it for a warning
     for drive in (whole, rest):
         assert "velocity" not in (found_of(drive, "use") or "")

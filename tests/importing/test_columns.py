@@ -477,7 +477,7 @@ def test_a_devices_name_that_all_columns_share_means_nothing(tmp_path: Path, pre
     ("prefix", "time"),
     [
         *(("Car.", "time"), ("target_", "target_t"), ("imu.bias.", "imu.bias.t"), ("x", "xt")),
-        *((f"{p}.", f"{p}.t") for p in ("est", "cam", "v", "a_b", "gps")),
+        *((f"{p}.", f"{p}.t") for p in ("est", "cam", "v", "a_b", "gps", "target", "ekf.car")),
     ],
 )
 def test_other_prefixes_are_no_sensor(tmp_path: Path, prefix: str, time: str):
@@ -486,6 +486,33 @@ def test_other_prefixes_are_no_sensor(tmp_path: Path, prefix: str, time: str):
     names = {name: time if name == "t" else prefix + name for name in table.columns}
     table.rename(names).write_csv(tmp_path / "log.csv")
     with pytest.raises(InputError, match="no IMU samples found"):
+        imported(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize("prefix", ["Car.", "vehicle/", "log 3: ", "data."])
+def test_a_prefix_that_imu_and_places_share_means_nothing(tmp_path: Path, prefix: str):
+    table = slow_and_fast() | {"alt": 100 + 0 * DRIVE.imu.time}
+    pl.DataFrame({prefix + n: v for n, v in table.items()}).write_csv(tmp_path / "log.csv")
+    got = imported(tmp_path / "log.csv").drive
+    assert_close(got.imu, DRIVE.imu, "time ax ay az gx gy gz", 1e-9)
+    assert_close(got.gps, DRIVE.gps, "lat lon", 1e-12)
+    assert got.gps.alt is not None
+
+
+@pytest.mark.parametrize("prefix", ["Car.", "ekf.", "est."])
+@pytest.mark.parametrize("names", ["lat lon", "x y"])
+@pytest.mark.parametrize("outside", ["", "t", "ax", "gz"])
+def test_places_behind_a_shared_prefix_need_the_imu_and_degrees(
+    tmp_path: Path, prefix: str, names: str, outside: str
+):
+    """A filter's output, a truth and positions in meters have such names, too; and one name without the prefix."""
+    table = slow_and_fast()
+    places = dict(zip(names.split(), (table.pop("lat"), table.pop("lon")), strict=True))
+    if (prefix, names, outside) == ("Car.", "lat lon", ""):
+        table.pop("gz")
+    columns = {(n if n == outside else prefix + n): v for n, v in (table | places).items()}
+    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
+    with pytest.raises(InputError, match=r"no (position fixes|IMU samples) found"):
         imported(tmp_path / "log.csv")
 
 

@@ -42,6 +42,11 @@ def apart(folder: Path, **options) -> float:
     return float(max(np.abs(imu - (IMU.time - IMU.time[0])).max(), np.abs(gps - known).max()))
 
 
+def maps_in(message: str) -> list[str]:
+    """The options that a message proposes."""
+    return re.findall(r'"((?:imu|gps)\.[^"]+)"', message)
+
+
 def split(scale: int, begin: int = EPOCH) -> Cells:
     def cells(t: float) -> str:
         ticks = round(t * scale) + begin * scale
@@ -228,6 +233,63 @@ def test_digits_of_hours_minutes_and_seconds_are_no_seconds(tmp_path: Path, head
     write(tmp_path, head, lambda t: day + at(t, "%H%M%S.%f", BEFORE_A_MINUTE))
     assert apart(tmp_path) < 2e-6
     assert any("hhmmss: converted" in note for note in imported(tmp_path).notes)
+
+
+@pytest.mark.parametrize("one", ["imu", "gps"])
+def test_digits_within_a_minute_are_mapped_where_the_others_cross_one(tmp_path: Path, one: str):
+    """The table that does not cross a minute is shorter: its digits count like seconds."""
+    write(tmp_path, "utc", lambda t: at(t, "%H%M%S.%f", BEFORE_A_MINUTE))
+    file = tmp_path / f"{one}.csv"
+    head, *rows = file.read_text().splitlines()
+    file.write_text("\n".join([head, *rows[: len(rows) // 2 - 5]]))
+    with pytest.raises(InputError, match=r"put both on one clock; if the times of .* are digits") as caught:
+        imported(tmp_path)
+    drive = imported(tmp_path, maps=maps_in(str(caught.value))).drive
+    begin = BEFORE_A_MINUTE % 86400
+    np.testing.assert_allclose(drive.imu.time[:100], begin + IMU.time[:100], atol=2e-6)
+    np.testing.assert_allclose(drive.gps.time[:10], begin + GPS.time[-len(GPS) :][:10], atol=2e-6)
+
+
+@pytest.mark.parametrize("begin", [43_170.5, 115_972.0, 250_000.0, 115_912.0])
+def test_other_clocks_apart_get_the_remedy_of_an_offset(tmp_path: Path, begin: float):
+    """Seconds that are no digits, and digits that would not overlap with the others either."""
+    write(tmp_path, "t", lambda t: repr(t + 7000), gps_cells=lambda t: repr(t + begin))
+    with pytest.raises(InputError, match=r"with --gps-offset .if both began together"):
+        imported(tmp_path)
+
+
+@pytest.mark.parametrize("heads", [("t", "t"), ("log_time", "log_time"), ("utc", "time")])
+def test_numbers_with_two_guessed_units_are_one_clock(tmp_path: Path, heads: tuple[str, str]):
+    """Hundredths of a second: steps of 1 look like ms of an IMU, steps of 10 like seconds of fixes."""
+    write(tmp_path, heads[0], lambda t: f"{round(t * 100)}", heads[1], lambda t: f"{round(t * 50)}")
+    with pytest.raises(InputError, match="their numbers do, so they have one unit") as caught:
+        imported(tmp_path)
+    options = str(caught.value).split("write --map ")[1].split(", or ")
+    (maps,) = (maps_in(o) for o in options if "for 100 Hz and 10 Hz" in o)
+    drive = imported(tmp_path, maps=maps).drive
+    np.testing.assert_allclose(drive.imu.time, IMU.time, atol=1e-2)
+    np.testing.assert_allclose(drive.gps.time, GPS.time / 2, atol=1e-2)
+
+
+UNITS_APART: dict[str, tuple[Cells, Cells]] = {
+    "IMU in ms": (lambda t: f"{t * 1e3:.3f}", lambda t: f"{t:.6f}"),
+    "fixes in ms": (lambda t: f"{t:.6f}", lambda t: f"{t * 1e3:.3f}"),
+    "both in ms": (lambda t: f"{t * 1e3:.3f}", lambda t: f"{t * 1e3:.3f}"),
+    "ms and ns": (lambda t: f"{t * 1e9:.0f}", lambda t: f"{t * 1e3:.3f}"),
+}
+
+
+@pytest.mark.parametrize("case", UNITS_APART)
+def test_units_that_fit_are_not_refused(tmp_path: Path, case: str):
+    imu, gps = UNITS_APART[case]
+    write(tmp_path, "t", imu, gps_cells=gps)
+    assert apart(tmp_path) < 2e-6
+
+
+def test_two_clocks_that_began_apart_get_the_remedy_of_an_offset(tmp_path: Path):
+    write(tmp_path, "t", lambda t: f"{t * 1e3 + 5e7:.3f}", gps_cells=lambda t: repr(t))
+    with pytest.raises(InputError, match=r"with --gps-offset .if both began together"):
+        imported(tmp_path)
 
 
 @pytest.mark.parametrize("pause", [40.0, 45.0, 4040.0])

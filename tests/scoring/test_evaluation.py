@@ -51,6 +51,21 @@ def test_the_json_has_the_form_that_machines_rely_on(evaluation: Evaluation):
                 )
 
 
+def test_tables_have_no_drift_of_an_outage_for_imu_only(evaluation: Evaluation):
+    """It uses no fix after the start: its error at the end of a window is that since the start."""
+    for blind in (False, True):
+        drives = [replace(drive, truth=None) for drive in DRIVES] if blind else DRIVES
+        view = (evaluate(drives, GOOD) if blind else evaluation).view
+        drifts = {measure.title for name, measure in view.measures.items() if name in DRIFTS}
+        for table in (view.mean_table(), view.drive_table()):
+            rows = [row for row in table.rows if row[1] == "IMU only"]
+            assert bool(rows) != blind, "a row without a value is left out"
+            titles = [column.title for column in table.columns]
+            assert all((row[titles.index(t)] is None) for row in rows for t in drifts if t in titles)
+            assert all(row[titles.index("position RMSE")] > 0 for row in rows)
+        assert "IMU only" not in {row[1] for row in view.drift_table().rows}
+
+
 @pytest.mark.parametrize(
     ("change", "name"),
     [

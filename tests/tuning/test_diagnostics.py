@@ -11,7 +11,14 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.fixes_alone import MotionNoise, noise_of
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.diagnostics import divergence_warnings, drift_warnings, drifts_of, may_drift_far
+from sigmaswarm.tuning.diagnostics import (
+    Forecast,
+    divergence_warnings,
+    drift_warnings,
+    drifts_of,
+    may_drift_far,
+    said_of_forecasts,
+)
 from sigmaswarm.tuning.problem import car_problem
 from support import DRIVES, needs_shared
 
@@ -108,3 +115,16 @@ def test_it_names_three_drives_and_counts_the_others():
     assert "drive-3" not in said
     assert "and on 2 more drives" in said
     assert "sound" not in said
+
+
+@pytest.mark.parametrize(
+    ("tuned", "baseline", "worse"),
+    [(2.1, 1.8, True), (1.8, 2.1, False), (2.1001, 2.1, False), (2.1, np.nan, False)],
+)
+def test_a_larger_drift_than_that_of_the_baseline_is_reported_in_one_line(
+    tuned: float, baseline: float, worse: bool
+):
+    others = Forecast(1.0, 0.3, 0.2, 0.5), Forecast(30.0, 80.0, 60.0, 90.0)
+    said = said_of_forecasts([others[0], Forecast(5.0, tuned, baseline, 4.0), others[1]])
+    line = "drift over 5 s without fixes is larger than that of the baseline, on the training drives: 2.1 m, baseline"
+    assert said[1:] == ([f"{line} 1.8 m"] if worse else [])

@@ -44,6 +44,19 @@ def read_drives(places: "Sequence[Location]") -> "list[Drive]":
     return [read_known(place) for place in all_drive_locations(places)]
 
 
+def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *, overwrite: bool) -> None:
+    """Refuse, before anything is written, folders for drives that exist; with ``overwrite`` only the sources."""
+    from sigmaswarm.drives.reader import all_drive_locations
+    from sigmaswarm.drives.writer import require_replaceable
+    from sigmaswarm.errors import InputError
+
+    read = {Path(place).resolve() for place in all_drive_locations(sources)}
+    for folder in folders:
+        if overwrite and folder.resolve() in read:
+            raise InputError(f"{folder}: is a drive that is read; name another folder")
+        require_replaceable(folder.resolve(), overwrite, "add --overwrite, or name another folder")
+
+
 @contextmanager
 def cluster_at(address: str | None) -> "Generator[Client | None]":
     """Connect to a cluster until the block ends. Yield None without an address."""

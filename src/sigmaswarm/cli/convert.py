@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_known, say
+from sigmaswarm.cli.common import print_json, read_known, require_writable, say
 from sigmaswarm.cli.options import Json
 from sigmaswarm.errors import InputError
 
@@ -14,6 +14,7 @@ from sigmaswarm.errors import InputError
 def convert(
     *drives: Annotated[str, Parameter(name="DRIVE... OUT")],
     to: Literal["parquet", "csv"] = "parquet",
+    overwrite: bool = False,
     json: Json = False,
 ) -> None:
     """Convert drives between Parquet and CSV.
@@ -33,6 +34,8 @@ def convert(
         Drive folders or URLs, or folders of drive folders. The last argument is the folder for the converted drives.
     to
         Format of the converted drives.
+    overwrite
+        Replace existing drives.
     """
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.table_files import TABLES
@@ -53,7 +56,8 @@ def convert(
                 f"{place}: another drive is also named {drive.name}; convert it to another folder"
             )
         written.append(drive.name)
-        sigmaswarm.write_drive(drive, out / drive.name, form=to)
+        require_writable([out / drive.name], given, overwrite=overwrite)
+        sigmaswarm.write_drive(drive, out / drive.name, form=to, overwrite=overwrite)
         if not json:
             say(f"wrote {out / drive.name}")
     if json:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_drives, say
+from sigmaswarm.cli.common import print_json, read_drives, require_writable, say
 from sigmaswarm.cli.findings import print_diagnosis
 from sigmaswarm.cli.options import Json
 from sigmaswarm.errors import AlignmentError, DriveWarning, InputError, SigmaswarmWarning
@@ -23,6 +23,7 @@ def doctor(
     *,
     fix: Path | None = None,
     lever_arm_within: float | None = None,
+    overwrite: bool = False,
     json: Json = False,
 ) -> None:
     """Check drives for wrong signs, units, axes, clocks, noise and gaps.
@@ -46,10 +47,13 @@ def doctor(
         Folder for a repaired copy of each drive. The drives themselves are not changed.
     lever_arm_within
         Estimate one lever arm of all drives; --fix writes axes with a 95% interval within +- this many meters.
+    overwrite
+        Replace existing copies.
     """
     read = _read(drives)
     if fix is not None:
-        _check_names(read, fix)
+        _check_names(read)
+        require_writable([fix / drive.name for drive in read], drives, overwrite=overwrite)
     arm = None if lever_arm_within is None else _lever_arm(read, lever_arm_within, repaired=fix is not None)
     result: list[dict[str, Any]] = []
     serious = False
@@ -61,7 +65,7 @@ def doctor(
         if fix is not None:
             folder, copy = fix / drive.name, sigmaswarm.repair(drive, diagnosis)
             copy = arm.applied(copy) if arm else copy
-            sigmaswarm.write_drive(copy, folder)
+            sigmaswarm.write_drive(copy, folder, overwrite=overwrite)
             codes = dict.fromkeys(f.code for f in diagnosis.findings if f.repair)
             mended = [code for code in codes if code not in copy.metadata.get("withheld", ())]
             mended += ["lever-arm"] if arm and any(arm.observable) else []
@@ -102,11 +106,9 @@ def _lever_arm(drives: "list[Drive]", within: float, *, repaired: bool) -> "Leve
         return None
 
 
-def _check_names(drives: "list[Drive]", out: Path) -> None:
-    """Raise, before anything is written, if a copy would replace another copy or an existing folder."""
+def _check_names(drives: "list[Drive]") -> None:
+    """Refuse, before anything is written, copies that would replace each other."""
     names = [drive.name for drive in drives]
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"{names.count(name)} drives are named {name!r}; repair them one at a time")
-        if (out / name).exists():
-            raise InputError(f"{out / name} exists already; delete it, or choose another folder")

@@ -252,7 +252,8 @@ def _next_steps(diagnosis: "Diagnosis", out: Path) -> Iterator[str]:
         following, ready = f"{command}    (then {go_on})", mended or out
     yield f"next: {following}"
     yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned"
-    yield "      (or keep this drive for the evaluation of a filter tuned on other drives)"
+    part = f"sigmaswarm split {shlex.quote(str(ready))} --out parts"
+    yield f"      (to evaluate, keep another drive, or a part of this one first: {part})"
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:

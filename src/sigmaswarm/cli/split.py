@@ -6,7 +6,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_known, say
+from sigmaswarm.cli.common import print_json, read_known, require_writable, say
 from sigmaswarm.cli.options import Json
 
 
@@ -17,6 +17,7 @@ def split(
     out: Path,
     train_fraction: float | None = None,
     at: Annotated[list[float] | None, Parameter(consume_multiple=True)] = None,
+    overwrite: bool = False,
     json: Json = False,
 ) -> None:
     """Split a drive in time into a part to tune on and a part to test on.
@@ -37,6 +38,8 @@ def split(
         Share of the drive's duration in the first part; 0.7 by default.
     at
         Time of the split on the clock of the drive, s. With two times, the part between is left out.
+    overwrite
+        Replace existing drives.
     """
     from sigmaswarm.drives.alignment import NoStart, find_start
 
@@ -49,8 +52,9 @@ def split(
     times = None if not at else at[0] if len(at) == 1 else (at[0], at[1])
     whole = read_known(drive)
     parts = sigmaswarm.split_time(whole, 0.7 if train_fraction is None else train_fraction, at=times)
+    require_writable([out / part.name for part in parts], [drive], overwrite=overwrite)
     for part in parts:
-        sigmaswarm.write_drive(part, out / part.name)
+        sigmaswarm.write_drive(part, out / part.name, overwrite=overwrite)
     train, test = (str(out / part.name) for part in parts)
     if json:
         print_json({"drives": [train, test]})

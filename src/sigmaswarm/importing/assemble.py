@@ -1,5 +1,6 @@
 """Assemble a drive from joined columns, on one clock and in one frame."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
@@ -18,9 +19,13 @@ from sigmaswarm.importing.mounting import parse_mount, rotate
 from sigmaswarm.importing.places import MOVING, Say, Values, course_of, fitting_angle, level
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Role
+from sigmaswarm.importing.times import FASTEST_IMU, LONGEST_STEP, SLOWEST_IMU
+from sigmaswarm.importing.velocities import without_wrong_velocity
 
 SEED, MOST_FIXES = 0, 10_000_000
 """Seed of the noise of fixes made from the truth, and their largest number."""
+LEAST_INTERVAL = 0.04
+"""Shortest usual interval of fixes, s."""
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 Origin = tuple[float, float, float]
 """Latitude (deg), longitude (deg), altitude (m)."""
@@ -52,11 +57,15 @@ def assemble(
         for angle in ("course", "heading"):
             if angle in gps:
                 gps[angle] = fitting_angle(gps[angle], course, rows, f"gps: the {angle}", say)
+        gps = without_wrong_velocity(seconds["gps"], gps, "gps", [g.part for g in gathered["gps"]], say)
     truth = None
     if "truth" in values:
         placed, origin = _placed_truth(values["truth"], origin, gps)
         if "lat" in gps and "lat" not in placed and recipe.origin is None and origin is not None:
             say(_assumed_origin(seconds, placed, gps, origin))
+        if {"speed", "course"} <= placed.keys() or {"vx", "vy"} <= placed.keys():
+            parts = [g.part for g in gathered["truth"]]
+            placed = without_wrong_velocity(seconds["truth"], placed, "truth", parts, say)
         truth = Truth(seconds["truth"], **_motion(seconds["truth"], placed, gps, say))
     if recipe.gps_from_truth:
         if truth is None:
@@ -76,9 +85,59 @@ def assemble(
     if shortage := shortage_of(drive.imu, drive.gps):
         if "overlap" in shortage:
             offset = drive.imu.time[0] - drive.gps.time[0]
-            shortage += f", with --gps-offset (if both began together: {offset:.3f})"
+            remedy = _as_digits(seconds, gathered) or ("" if zero else _one_clock(seconds, gathered))
+            shortage += remedy or f", with --gps-offset (if both began together: {offset:.3f})"
         raise InputError(f"{name}: {shortage}")
     return drive
+
+
+def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[Gathered]]) -> str:
+    """Return how to map times of day of digits hhmmss that only overlap with the others after conversion; else "".
+
+    Within one minute, such times count like seconds.
+    """
+    pairs: tuple[tuple[Role, Role], ...] = (("gps", "imu"), ("imu", "gps"))
+    for role, other in pairs:
+        text = gathered[role][0].part.columns["t"] if gathered.get(role) else ""
+        time, others = seconds[role], seconds[other]
+        digits = (time >= 0) & (time < 240_000) & (time % 10_000 < 6000) & (time % 100 < 60)
+        converted = time % 100 + (time % 10_000 - time % 100) * 0.6 + (time - time % 10_000) * 0.36
+        if text and digits.all() and np.mean((converted >= others[0]) & (converted <= others[-1])) > 0.5:
+            t = text if re.fullmatch(r"\w+|`[^`]+`", text) else f"({text})"
+            mapped = f"{t} % 100 + ({t} % 10000 - {t} % 100)*0.6 + ({t} - {t} % 10000)*0.36"
+            return f'; if the times of {role}.csv are digits hhmmss, write --map "{role}.t={mapped}"'
+    return ""
+
+
+def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[Gathered]]) -> str:
+    """Return how to map times of IMU and fixes with the same numbers, but different units; else "".
+
+    Hundredths of a second have steps of 1, as ms of an IMU, and of 10, as seconds of fixes.
+    """
+    both: tuple[Role, ...] = ("imu", "gps")
+    texts = {role: gathered[role][0].part.columns["t"] for role in both if gathered.get(role)}
+    read = {role: re.fullmatch(r"(\w+|`[^`]+`)(?:\*(1e-\d))?", text) for role, text in texts.items()}
+    columns = {role: (one[1], float(one[2] or 1)) for role, one in read.items() if one}
+    if len(columns) < 2 or columns["imu"][1] == columns["gps"][1]:
+        return ""
+    imu, gps = (seconds[role] / columns[role][1] for role in both)
+    if (
+        np.mean((gps >= imu[0]) & (gps <= imu[-1])) < 0.5
+        and np.mean((imu >= gps[0]) & (imu <= gps[-1])) < 0.5
+    ):
+        return ""
+    options: list[str] = []
+    for k in range(1, 7):
+        steps = [10.0**-k * float(np.median(np.diff(time))) for time in (imu, gps)]
+        if FASTEST_IMU < steps[0] < SLOWEST_IMU and LEAST_INTERVAL < steps[1] < LONGEST_STEP["gps"]:
+            maps = " ".join(f'"{role}.t={column}*1e-{k}"' for role, (column, _) in columns.items())
+            options.append(f"{maps} for {1 / steps[0]:.4g} Hz and {1 / steps[1]:.4g} Hz")
+    said = "; their numbers do, so they have one unit, "
+    return (
+        f"{said}not {' and '.join(texts.values())} in s: write --map {', or '.join(options)}"
+        if options
+        else ""
+    )
 
 
 def assemble_imu(parts: Sequence[Gathered], recipe: Recipe, say: Say, recording: int | None = None) -> Imu:

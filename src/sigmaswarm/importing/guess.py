@@ -16,6 +16,10 @@ from sigmaswarm.wording import names_shown
 Z_DOWN = "x=x,y=-y"
 """Mounting of an IMU with x forward, y right, z down."""
 SAMPLE = 2000
+"""First rows by which units are guessed where rows are decoded one by one."""
+BLOCKS, BLOCK = 16, 500
+"""Blocks of rows, spread over a table, by which units are guessed: a log may begin without fixes and at standstill.
+Rows of a block are consecutive, so that most steps of a time are those of the log, also of fixes in 1 of 200 rows."""
 _WHEELS = re.compile(r"odo|wheel|(?:^|[^a-z])can(?:[^a-z]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
 _FORCES = re.compile(r"acc", re.IGNORECASE)
@@ -80,6 +84,16 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
             roles[role] = (*roles.get(role, ()), Part(table, expressions))
     downward = _downward(found[roles["imu"][0].table]) if "imu" in roles else ""
     return Guess(roles, tuple(dict.fromkeys(notes)), downward=downward, faults=tuple(faults))
+
+
+def spread_rows(rows: pl.LazyFrame) -> pl.DataFrame:
+    """Read blocks of rows that are spread over a table, or all rows of a short one."""
+    count = int(rows.select(pl.len()).collect().item())
+    if count <= BLOCKS * BLOCK:
+        return rows.collect()
+    number = "\0"  # no column has this name
+    chosen = rows.with_row_index(number).filter(pl.col(number) % (count // BLOCKS) < BLOCK)
+    return chosen.drop(number).collect(engine="streaming")
 
 
 def _find_columns(frame: pl.DataFrame, table: str) -> Columns:

@@ -20,6 +20,10 @@ CLOCK = (
     "(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
 )
 """Names of times in tables without one of the usual names."""
+_STAMPED = "_?(?:time|clock|stamp|time_?stamp)"
+OF_DEVICE = f"(?:sensor|device|hardware|hw|utc){_STAMPED}"
+OF_RECEIPT = f"(?:recv|receive|received|receipt|rx|arrival|log|logger|sys|system|host|pc){_STAMPED}|received"
+"""Names of a device's own stamps, and of times at which a computer received or wrote the rows."""
 STAMP = "(?:.*_)?header_(?:time_?)?stamp"
 """Header stamps of ROS, in tables made of bags."""
 WEEK = "(?:gps|gnss)?_?(?:week|wn|weeks)(?:_?(?:no|num|number))?"
@@ -66,6 +70,7 @@ NAMES: tuple[tuple[str, str], ...] = (
     ("theta", "theta|yaw"),
 )
 _AXES = ("ax", "ay", "az", "gx", "gy", "gz")
+_PLACES = ("lat", "lon", "alt", "ns", "ew")
 _TOTAL = {"gfx", "gfy", "gfz"}
 """Physics Toolbox's accelerations in g."""
 _MPU = {f"{s}{i}": f"{name}_{i}" for s, name in (("ac", "acc"), ("gy", "gyro")) for i in "xyz"}
@@ -161,7 +166,9 @@ def meaning_of_plain(plain: str) -> str | None:
 def read_names(columns: Sequence[str]) -> list[Name]:
     """Read the names of a table's columns, without a device's name that all share: "Car.ax", "vehicle/imu/ax".
 
-    Places and speeds then need a prefix of a receiver, accelerations and rates one of another device.
+    Places and speeds then need a prefix of a receiver, accelerations and rates one of another device. Of a vehicle's or
+    a logger's table with both IMU and degrees, both are read: an estimate has no accelerations, and a prefix that may
+    state one is no device. Positions in meters and speeds are not read: those of a vehicle may be of another origin.
     """
     pairs = zip(min(columns, default=""), max(columns, default=""), strict=False)
     shared = "".join(a for a, _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
@@ -169,10 +176,15 @@ def read_names(columns: Sequence[str]) -> list[Name]:
     words = plain_words(prefix)
     prefix = prefix if all(re.fullmatch(_CONTAINERS, word) for word in words) else ""
     fixes = any(re.fullmatch(_FIXES, word) for word in words)
+    if not prefix:
+        return _one_sensor([read_name(column) for column in columns])
+    bares = [replace(read_name(column[len(prefix) :]), column=column) for column in columns]
+    placed = {"ax", "ay", "gz", "lat", "lon"} <= {bare.meaning for bare in bares}
     names: list[Name] = []
-    for column in columns:
-        whole, bare = read_name(column), replace(read_name(column[len(prefix) :]), column=column)
+    for column, bare in zip(columns, bares, strict=True):
+        whole = read_name(column)
         fits = bare.meaning in (None, "t") or fixes != (bare.meaning in _AXES)
+        fits |= placed and bare.meaning in _PLACES
         names.append(bare if whole.meaning is None and fits else whole)
     return _one_sensor(names)
 
@@ -242,7 +254,7 @@ def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
         unit = unit_of(words[-count:]) if len(words) > count else None
         rest = "_".join([*words[:-count], *axis])
         counts = not axis and {*words[-1:]} & {*COUNTS} - {"raw"}
-        timed = not axis and re.fullmatch(f"{CLOCK}|{TIME_OF_WEEK}|{STAMP}", rest)
+        timed = not axis and re.fullmatch("|".join((CLOCK, OF_DEVICE, OF_RECEIPT, TIME_OF_WEEK, STAMP)), rest)
         known = timed or meaning_of_plain(rest) or _stated(rest, unit)
         if unit is not None and (unit.known or counts) and known:
             return Name(column, rest, unit)

@@ -60,7 +60,8 @@ class Columns:
         series = [self.frame[self.names[a].column] for a in axes]
         if len(axes) < 3 or any(s.dtype.is_nested() for s in series):
             return 0.0
-        squares = [s.cast(pl.Float64, strict=False).pow(2) for s in series]
+        known = [s.cast(pl.Float64, strict=False) for s in series]
+        squares = [s.set(s.is_in(PLACEHOLDERS), None).pow(2) for s in known]
         return median_of(sum(squares[1:], squares[0]).sqrt())
 
     def text(self, what: str) -> str:

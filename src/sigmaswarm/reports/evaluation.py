@@ -42,7 +42,7 @@ from sigmaswarm.reports.style import (
 from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.scoring.drifts import BASELINE, FIXES, LEARNED, OWN
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation
-from sigmaswarm.scoring.measures import Measure
+from sigmaswarm.scoring.measures import Measure, with_outages
 from sigmaswarm.scoring.records import seal
 from sigmaswarm.scoring.tracks import CLOSE_UP, MOVED, SHARES, Columns, Picture, Tracks
 from sigmaswarm.scoring.view import EvaluationView
@@ -141,9 +141,8 @@ def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, .
         title = measure.heading if titled else f"{measure.title}, mean over drives"
         return Chart(title, draw, rows=len(values))
 
-    known = {
-        name: {m: v for m in view.names if (v := view.scores.mean_of(m, name))} for name in view.measures
-    }
+    means = {m: with_outages(m, view.scores.mean.get(m, {})) for m in view.names}
+    known = {name: {m: v for m, of in means.items() if (v := of.get(name))} for name in view.measures}
     return tuple(bars(view.measures[name], values) for name, values in known.items() if values)
 
 

@@ -7,7 +7,16 @@ from sigmaswarm import notebook
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
 from sigmaswarm.scoring.consistency import FORECASTS, Consistency, size_of, verdicts
 from sigmaswarm.scoring.drifts import BASELINE, FIXES, OWN
-from sigmaswarm.scoring.measures import DRIFTS, HOW_FIXES, HOW_TO_COMPARE, Measure, baseline_note, measures
+from sigmaswarm.scoring.measures import (
+    DRIFTS,
+    HOW_FIXES,
+    HOW_TO_COMPARE,
+    NO_OUTAGES,
+    Measure,
+    baseline_note,
+    measures,
+    with_outages,
+)
 from sigmaswarm.scoring.radius import DOF, LEVELS, LOW, TRACKING, RadiusRecord, factor_of
 from sigmaswarm.scoring.records import EvaluationRecord, Measured, ScoresRecord
 from sigmaswarm.scoring.remarks import (
@@ -68,7 +77,8 @@ class EvaluationView:
     def _table(self, caption: str, rows: Sequence[tuple[str, str, str, Measured]]) -> Table:
         """Return a table of all known scores (drive, method, remark, scores)."""
         methods, known = self.scores.known(self.names, self.measures)
-        rows = [row for row in rows if row[1] in methods]
+        rows = [(d, m, r, with_outages(m, of)) for d, m, r, of in rows if m in methods]
+        rows = [row for row in rows if row[1] != "imu_only" or any(row[3].get(m) is not None for m in known)]
         columns = Column("drive"), Column("method"), *(_column(self.measures[m]) for m in known)
         strong = frozenset(i for i, row in enumerate(rows) if row[1] == "tuned")
         cells = tuple((drive, self.names[m] + remark, *map(of.get, known)) for drive, m, remark, of in rows)
@@ -82,7 +92,7 @@ class EvaluationView:
             columns += [Column("outages"), _column(self.measures[m]), Column("a single placement", "m")]
         rows: list[tuple[Cell, ...]] = []
         for drive, of in drifts.items():
-            for method in (m for m in self.names if m != "raw_gps" and m in self.scores.mean):
+            for method in (m for m in self.names if m not in NO_OUTAGES and m in self.scores.mean):
                 cells: list[Cell] = []
                 for m in known:
                     one, value = of.get(m), self.scores.drives[drive].get(method, {}).get(m)
@@ -316,7 +326,7 @@ def explained_scores(view: EvaluationView) -> str:
     return (
         f"Lower is better. Outages last {SHORT_OUTAGE_LENGTH:g}, {view.setup.outage_length_s:g} and "
         f"{LONG_OUTAGE_LENGTH:g} s.{drifts}{rmse} "
-        "The method IMU only uses no fix after the drive's start, so its drift accumulates from the start."
+        "IMU only uses no fix after the drive's start, so it has no drift of an outage."
     )
 
 

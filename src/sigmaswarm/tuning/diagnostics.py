@@ -23,7 +23,7 @@ from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.scoring.drifts import BASELINE, FIXES, Outages
 from sigmaswarm.scoring.remote import Replays
-from sigmaswarm.scoring.targets import FORECAST_LENGTHS, LONG_OUTAGE_LENGTH
+from sigmaswarm.scoring.targets import FORECAST_LENGTHS, LONG_OUTAGE_LENGTH, OUTAGE_LENGTH
 from sigmaswarm.wording import to_do
 
 NAMED = 3
@@ -68,7 +68,17 @@ class Forecast:
 
 
 def said_of_forecasts(forecasts: Sequence[Forecast]) -> list[str]:
-    return [f"drift without fixes: {', '.join(map(str, forecasts))}"] if forecasts else []
+    """Return a sentence on the drifts, and one if the filter drifts further than the baseline over 5 s, or neither."""
+    if not forecasts:
+        return []
+    worse = [
+        f"drift over {one.length_s:g} s without fixes is larger than that of the baseline, on the training drives: "
+        f"{one.tuned_m:.3g} m, baseline {one.baseline_m:.3g} m"
+        for one in forecasts
+        if one.length_s == OUTAGE_LENGTH and f"{one.tuned_m:.3g}" != f"{one.baseline_m:.3g}"
+        if one.tuned_m > one.baseline_m
+    ]
+    return [f"drift without fixes: {', '.join(map(str, forecasts))}", *worse]
 
 
 def forecasts_of(parameters: FilterParameters, noise: MotionNoise, replays: Replays) -> Iterator[Forecast]:

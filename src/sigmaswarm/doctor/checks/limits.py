@@ -87,9 +87,10 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
         may.append("heading to --use: the fixes have a heading")
     what = f"tune takes {chosen.options}{f': {because}' if because else ''}"
     # A tuning may use several drives, or a part of this one, so the number of fixes is stated, not compared.
-    if has_lasting_errors(drive):
-        what += f"; without truth and with {FIXES_FOR_FIX_ERROR} fixes or more for training also fix-error, since the "
-        what += "fixes differ by less than the receiver's error"
+    if drive.truth is None and has_lasting_errors(drive):
+        what += f"; with {FIXES_FOR_FIX_ERROR} fixes or more for training also fix-error"
+        enough = len(drive.gps) >= FIXES_FOR_FIX_ERROR
+        what += ", since the fixes differ by less than the receiver's error" if enough else ""
     what += f"; you may add {'; and '.join(may)}" if may else ""
     remedy = "see the options of `sigmaswarm tune`"
     yield Finding("use", "note", what, "imu.csv, gps.csv", evidence.span, 0.9, remedy)

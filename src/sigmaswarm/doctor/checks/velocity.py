@@ -65,8 +65,9 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
     late, share = _delay(evidence, gps.course, speed * (1.0 if usual else ratio))
     if abs(late) >= LATE and share < 0.8:
         way = "later" if late > 0 else "earlier"
-        what = f"speed and course are {abs(late):.2f} s {way} than the positions of the same rows"
-        yield Finding("velocity-delay", "warning", what, "gps.csv, speed, course", span, 0.95, REMEDY)
+        what = f"speed and course are {abs(late):.2f} s {way} than the positions of the same rows; the default filter "
+        what += "does not use them, so nothing need be done without velocity in --use"
+        yield Finding("velocity-delay", "note", what, "gps.csv, speed, course", span, 0.95, REMEDY)
 
 
 def agrees(evidence: Evidence) -> bool:

@@ -3,7 +3,7 @@
 import re
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import count
 from pathlib import Path
@@ -13,7 +13,7 @@ import polars as pl
 
 from sigmaswarm.drives.table_files import BROKEN, one_file
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.guess import SAMPLE, guess_roles
+from sigmaswarm.importing.guess import guess_roles, spread_rows
 from sigmaswarm.importing.readers.dialect import BLANKS, Dialect, dialect_of, is_table, uneven_row
 from sigmaswarm.importing.source import FILES, Batch, Choice, Guess, Limits, Log, Table, Wanted, first_bytes
 from sigmaswarm.wording import names_shown, quoted, shown
@@ -73,7 +73,7 @@ def of_files(
     def guess(choice: Choice) -> Guess:
         if guessed is not None:
             return guessed
-        heads = {name: collect(rows.head(SAMPLE), path, name) for name, rows in scans.items()}
+        heads = {name: collect(rows, path, name, spread_rows) for name, rows in scans.items()}
         stripped = pl.col(pl.String).str.strip_chars()
         return guess_roles({name: head.with_columns(stripped) for name, head in heads.items()}, choice.tables)
 
@@ -222,9 +222,15 @@ def _expected_rows(file: Path) -> int:
     return int(file.stat().st_size / max(len(head) / max(head.count(b"\n"), 1), 1.0)) if file.is_file() else 1
 
 
-def collect(rows: pl.LazyFrame, path: Path, table: str) -> pl.DataFrame:
+def collect(
+    rows: pl.LazyFrame,
+    path: Path,
+    table: str,
+    read: Callable[[pl.LazyFrame], pl.DataFrame] = pl.LazyFrame.collect,
+) -> pl.DataFrame:
+    """Return the rows that ``read`` takes, by default all; errors of polars become one line."""
     try:
-        return rows.collect()
+        return read(rows)
     except BROKEN as error:
         raise broken_table(path, table, error) from None
 

@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.guess import SAMPLE, guess_roles
+from sigmaswarm.importing.guess import guess_roles, spread_rows
 from sigmaswarm.importing.source import FILES, Choice, Guess, Limits, Log, first_bytes, of_frames, whole
 from sigmaswarm.wording import shown
 
@@ -74,7 +74,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         limits.check_rows(len(frame), path, name)
 
     def guess(choice: Choice) -> Guess:
-        return guess_roles({name: frame.head(SAMPLE) for name, frame in frames.items()}, choice.tables)
+        return guess_roles({name: spread_rows(frame.lazy()) for name, frame in frames.items()}, choice.tables)
 
     return of_frames(path, frames, FILES, guess)
 

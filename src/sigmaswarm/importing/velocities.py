@@ -1,0 +1,110 @@
+"""Compare the stated speed and course of positions with the positions; leave out what they contradict."""
+
+import re
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.importing.places import FASTEST, MOVING, Say, Values
+from sigmaswarm.importing.source import Part
+
+UNITS = (("mm/s", 1e3, "*1e-3"), ("cm/s", 100.0, "*1e-2"), ("km/h", 3.6, "/3.6"), ("ft/s", 3.28084, "*0.3048"),
+         ("mph", 2.23694, "*0.44704"), ("knots", 1.94384, "*0.514444444444"))  # fmt: skip
+"""Units of speeds: their number in 1 m/s, and what converts them in an expression."""
+ALIKE = 1.5
+"""Largest ratio of a stated speed to that of the positions, or of their inverse."""
+ACROSS = np.radians(40)
+"""Smallest median difference of a course from that of the positions that contradicts it. A course that lags behind in
+turns, or one of positions with much noise, differs by less."""
+FEWEST = 5
+"""Smallest number of stretches that can contradict a column."""
+_SPEED = ("speed", "course", "vx", "vy")
+
+
+def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterable[Part], say: Say) -> Values:
+    """Return the columns (n,) of positions without a speed or a course that the positions x, y contradict.
+
+    Parameters
+    ----------
+    parts : the parts of the role, whose expressions the sentences name
+    """
+    texts = {name: text for part in parts for name, text in part.columns.items() if name in _SPEED}
+    begin, end = _stretches(time, values["x"], values["y"])
+    speed, course = values.get("speed"), values.get("course")
+    if speed is None and course is None and "vx" in values and "vy" in values:
+        speed, course = np.hypot(values["vx"], values["vy"]), np.arctan2(values["vy"], values["vx"])
+    if speed is not None and course is not None:
+        course = np.where(speed < 0, course + np.pi, course)  # a vehicle in reverse
+    wrong = ""
+    if speed is not None and (said := _wrong_speed(time, values, speed, begin, end)):
+        wrong = said + _remedy(said, texts, role)
+    elif course is not None and len(begin) >= FEWEST:
+        dx, dy = (values[n][end] - values[n][begin] for n in ("x", "y"))
+        apart = np.abs(wrap_angle(course[(begin + end) // 2] - np.arctan2(dy, dx)))
+        if (middle := float(np.median(apart))) > ACROSS:
+            wrong = f"the course differs from that of the positions by {np.degrees(middle):.0f} deg (median)"
+    if not wrong:
+        return values
+    stated = ", ".join(f"{name}={text}" for name, text in texts.items())
+    say(f"{role}: {stated or 'speed and course'} left out: {wrong}")
+    return {name: column for name, column in values.items() if name not in _SPEED}
+
+
+def _wrong_speed(
+    time: Array, values: Values, speed: Array, begin: NDArray[np.int64], end: NDArray[np.int64]
+) -> str:
+    """Describe the ratio of a speed to that of the positions, or a speed that no vehicle has; or return ""."""
+    if len(begin) < FEWEST:
+        usual = float(np.median(np.abs(speed))) if len(speed) else 0.0
+        return f"{usual:.4g} m/s (median) is no speed of a vehicle" if usual > FASTEST else ""
+    sums = np.concatenate([[0.0], np.cumsum(np.abs(speed))])
+    stated = (sums[end + 1] - sums[begin]) / (end + 1 - begin)
+    moved = np.hypot(*(values[n][end] - values[n][begin] for n in ("x", "y"))) / (time[end] - time[begin])
+    ratio = float(np.median(stated / moved))
+    return "" if 1 / ALIKE < ratio < ALIKE else f"{ratio:.3g} times the speed of the positions (median)"
+
+
+def _remedy(said: str, texts: dict[str, str], role: str) -> str:
+    """Propose the unit whose factor is the ratio, if one is within 10%."""
+    number = float(said.split()[0])
+    if number < 1 and "times" in said:
+        return "; its unit, or that of the times, is wrong" if number else ""
+    unit = next((u for u in UNITS if "times" in said and abs(np.log(number / u[1])) < 0.1), None)
+    speeds = {name: text for name, text in texts.items() if name != "course"}
+    if unit is None or not speeds:
+        return ""
+    plain = {n: t if re.fullmatch(r"\w+|`[^`]+`", t) else f"({t})" for n, t in speeds.items()}
+    maps = " ".join(f'"{role}.{name}={text}{unit[2]}"' for name, text in plain.items())
+    return f"; if it is in {unit[0]}, write --map {maps}"
+
+
+def _stretches(time: Array, x: Array, y: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first and the last rows of stretches in which the position certainly and steadily moves.
+
+    A stretch is longer than ten times the noise between rows, has at least five positions, and none of its steps is
+    most of it: a jump of the fixes of a parked vehicle is no motion.
+    """
+    rows = np.flatnonzero(
+        np.append(True, (np.diff(x) != 0) | (np.diff(y) != 0))
+    )  # repeated positions count once
+    none = np.zeros(0, np.int64)
+    if len(rows) < 4 * FEWEST:
+        return none, none
+    x, y, time = x[rows], y[rows], time[rows]
+    step = np.hypot(np.diff(x), np.diff(y))
+    noise = (
+        float(np.median(np.hypot(np.diff(x, 2), np.diff(y, 2)))) / 2.9
+    )  # Rayleigh, of x[i] - 2 x[i+1] + x[i+2]
+    least = max(3.0, 10 * noise)
+    apart = int(
+        np.clip(np.ceil(1.5 * least / max(float(np.quantile(step, 0.9)), 1e-3)), 4, len(rows) // FEWEST)
+    )
+    begin = np.arange(0, len(rows) - apart, apart)
+    end = begin + apart
+    chord = np.hypot(x[end] - x[begin], y[end] - y[begin])
+    largest = np.maximum.reduceat(step[: end[-1]], begin)
+    good = (chord > least) & (chord > MOVING * (time[end] - time[begin])) & (largest < 0.6 * chord)
+    return rows[begin[good]], rows[end[good]]
