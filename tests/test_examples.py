@@ -87,8 +87,8 @@ def test_the_paper_s_figures_stand_beside_ours(paper: dict[str, dict[str, Any]])
 
 
 @pytest.mark.parametrize("name", ["paper", "dataframes"])
-def test_a_notebook_uses_names_and_options_that_exist(name: str):
-    """The quick test of what `make test-long` executes."""
+def test_a_notebook_uses_names_that_exist(name: str):
+    """The quick test of what `make test-long` executes: public names, and options of functions that list them."""
     tree = ast.parse("\n".join(line for cell in code(EXAMPLES / f"{name}.ipynb") for line in lines(cell)))
     names = {alias.asname or alias.name for n in ast.walk(tree) if isinstance(n, ast.Import) for alias in n.names
              if alias.name == "sigmaswarm"}  # fmt: skip
