@@ -86,9 +86,10 @@ def test_the_paper_s_figures_stand_beside_ours(paper: dict[str, dict[str, Any]])
         assert any("image/png" in output.get("data", {}) for output in paper[name]["outputs"])
 
 
-def test_the_paper_s_notebook_uses_names_and_options_that_exist():
-    """The quick test of what `make test-long` executes."""
-    tree = ast.parse("\n".join(line for cell in code(EXAMPLES / "paper.ipynb") for line in lines(cell)))
+@pytest.mark.parametrize("name", ["paper", "dataframes"])
+def test_a_notebook_uses_names_that_exist(name: str):
+    """The quick test of what `make test-long` executes: public names, and options of functions that list them."""
+    tree = ast.parse("\n".join(line for cell in code(EXAMPLES / f"{name}.ipynb") for line in lines(cell)))
     names = {alias.asname or alias.name for n in ast.walk(tree) if isinstance(n, ast.Import) for alias in n.names
              if alias.name == "sigmaswarm"}  # fmt: skip
     called = 0
@@ -119,6 +120,7 @@ def test_what_is_checked_in_was_executed_in_order_and_is_small():
     assert "OUT = None" in parameters
 
 
+@pytest.mark.long
 def test_two_frames_become_a_tuned_filter_and_nothing_is_written(tmp_path: Path):
     """The notebook on data frames, executed: figures are drawn, the tuned filter is in C, no file is left."""
     copy, text = tmp_path / "dataframes.ipynb", (EXAMPLES / "dataframes.ipynb").read_text()

@@ -154,8 +154,8 @@ def test_definiteness_of_special_matrices(matrix: np.ndarray, definite: bool):
 @pytest.mark.parametrize(
     ("bank", "seed"),
     quickly(
-        product([False, True], range(5)), lambda bank, seed: (bank, seed) != (True, 3)
-    ),  # compiles a filter
+        product([False, True], range(5)), lambda bank, seed: seed < 2 or (bank and seed != 3)
+    ),  # the others are unscented tilted12, whose live filters take long to compile
 )
 def test_hostile_sequences(bank: bool, seed: int):
     feed(np.random.default_rng([seed, int(bank)]), bank=bank, events=150)

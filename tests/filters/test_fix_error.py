@@ -120,7 +120,7 @@ def test_compiled_filter_agrees_with_the_textbook(model: str, kind: str, option:
 
 @pytest.mark.parametrize(
     ("model", "kind", "option"),
-    quickly(CASES[1::2], lambda model, kind, option: (model, kind) != ("planar5", "ekf")),
+    quickly(CASES[1::2], lambda model, kind, option: model == "planar8"),
 )
 def test_compiled_smoother_agrees_with_the_textbook(model: str, kind: str, option: str):
     drive = sparse(straying() if option == "weighed" else rough(), 8)
@@ -134,7 +134,10 @@ def relative(a: Any, b: Any) -> float:
     return max(np.abs(a.mean - b.mean).max(), (np.abs(a.covariance - b.covariance) / scale).max())
 
 
-@pytest.mark.parametrize(("model", "option"), [("planar8", "constraints"), ("tilted12", "weighed")])
+@pytest.mark.parametrize(
+    ("model", "option"),
+    quickly([("planar8", "constraints"), ("tilted12", "weighed")], lambda model, _: model == "planar8"),
+)
 def test_live_filter_gives_the_estimates_of_a_run(model: str, option: str):
     drive, p = straying(), filter_of(model, "ekf", option, velocity_noise=None)
     whole, gps, imu = run_filter(drive, p), drive.gps, drive.imu

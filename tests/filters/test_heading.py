@@ -128,13 +128,15 @@ def test_compiled_filter_agrees_with_the_textbook(model: str, kind: str, option:
     assert np.abs(wrap_angle(compiled.mean - without.mean)[:, THETA]).max() > 0.005
 
 
-@pytest.mark.parametrize(("model", "kind", "option"), CASES[::3])
+@pytest.mark.parametrize(
+    ("model", "kind", "option"), quickly(CASES[::3], lambda *case: case[:2] != ("tilted12", "ukf"))
+)
 def test_compiled_smoother_agrees_with_the_textbook(model: str, kind: str, option: str):
     drive, p = thinned(driven(option), model, kind), filter_of(model, kind, option)
     assert relative(smooth(drive, p, recover=False), smooth_textbook(drive, p)) < 1e-7
 
 
-@pytest.mark.parametrize(("model", "kind", "option"), [CASES[0], CASES[4], CASES[8]])
+@pytest.mark.parametrize(("model", "kind", "option"), [CASES[0], CASES[4], CASES[6]])
 @pytest.mark.parametrize("late", [0.0, 0.3])
 def test_live_filter_gives_the_estimates_of_a_run(model: str, kind: str, option: str, late: float):
     drive, p = driven("weighed"), filter_of(model, kind, option, velocity_noise=None)

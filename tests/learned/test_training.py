@@ -158,6 +158,7 @@ def test_a_search_that_is_interrupted_ends_in_the_same_bytes(quick, tmp_path: Pa
     assert len(set(costs)) > 2
 
 
+@pytest.mark.long
 def test_the_noise_network_learns_downhill():
     """The gradient that it is trained by is that of the loss, by differences."""
     p = parameters("planar5", kind="ekf")
