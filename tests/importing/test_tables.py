@@ -523,7 +523,7 @@ def test_placeholders_of_the_imu_are_no_samples(tmp_path: Path, value: str):
     write_fixes(tmp_path)
     got = imported(tmp_path)
     assert len(got.drive.imu) == len(IMU) - 3 and np.abs(got.drive.imu.az).max() < 20
-    assert any("3 rows with an empty cell left out" in note for note in got.notes)
+    assert any("left out 3 rows that have an empty cell" in note for note in got.notes)
 
 
 @pytest.mark.parametrize(

@@ -148,7 +148,7 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
     yield f"cost {tuning.cost:.4f} ({tuning.config.objective}{inflated}) on {on}"
     if tuning.config.racing:
         share = tuning.steps / tuning.full_steps
-        yield f"racing: {tuning.steps} filter steps, {share:.0%} of the steps without racing"
+        yield f"racing: {tuning.steps} filter steps, {share:.0%} of those that a search without racing needs"
     if tuning.validation:
         gap = tuning.validation.gap
         said = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"

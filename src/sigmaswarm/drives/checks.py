@@ -202,7 +202,7 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
 
 
 def unshared_times(imu: Array, gps: Array) -> Remark | None:
-    """Describe fixes outside of the IMU's time, and long parts of it without fixes at its ends."""
+    """Describe fixes outside of the IMU's time span, and long parts without fixes at the ends of this span."""
     early, late = imu[0] - gps[0], gps[-1] - imu[-1]
     alone = ""
     if max(-early, -late) > max(UNSHARED, UNSHARED_IMU * (imu[-1] - imu[0])):

@@ -35,7 +35,7 @@ def with_rotation(metadata: Mapping[str, Any], rotation: Array | None) -> dict[s
 def common_mounting(stated: Iterable[Angles | None]) -> Angles | None:
     """Return the mean mounting of drives if each drive is within `AGREE` of it and not all state none, else None.
 
-    A drive that states no mounting counts as not turned.
+    A drive that states no mounting is treated as if its IMU were not rotated.
     """
     each = [*stated]
     if not any(each):

@@ -187,9 +187,10 @@ def receiver_std(drive: Drive) -> tuple[float, float]:
 
 
 def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
-    """Estimate the white noise of evenly spaced fixes, east + i north (n,) m, in m per axis; 0 for fewer than four.
+    """Estimate the standard deviation of the fixes' white noise, m per axis; 0 for fewer than four fixes.
 
-    The robust estimate uses third differences, which remove the motion and correlated errors.
+    The fixes (n,), east + i north, m, are evenly spaced. The robust estimate uses third differences, which remove the
+    motion and correlated errors.
     """
     third = np.diff(position, n=3)
     spread = np.concatenate([third.real, third.imag])

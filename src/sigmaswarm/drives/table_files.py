@@ -157,7 +157,7 @@ class TableFile:
             if text[i] is None or text[i] == "":
                 empty = self._fault(i, column, "is empty", "fill it in or delete the row")
                 raise empty if self.path.suffix == PARQUET else _shape_fault(self.path, empty)
-            remedy = "write digits with a dot, or delete the row"
+            remedy = "write a number with a decimal point, or delete the row"
             if not self.path.suffix:
                 remedy = f"drop such rows, as with dropna(subset=['{column}'])"
             raise self._fault(i, column, "is not a finite number", remedy)
@@ -190,7 +190,7 @@ def _require_size(path: Path, rows: int, columns: int) -> None:
         raise DriveError(f"{path}: {what}; leave out what a drive does not need")
     if rows * columns > MOST_CELLS:
         raise DriveError(
-            f"{path}: states {rows} rows of {columns} columns, more than {MOST_CELLS} cells; split the drive"
+            f"{path}: has {rows} rows of {columns} columns; the limit is {MOST_CELLS} cells; split the drive"
         )
 
 

@@ -21,7 +21,7 @@ LEVEL = 0.95
 
 
 class Draws:
-    """Random weights of drives and trials in resamples; equal weights are drawn once."""
+    """Random weights of drives and trials in resamples, cached by strata, times and number of trials."""
 
     def __init__(self, seed: int | np.random.Generator) -> None:
         self._seed = seed

@@ -37,7 +37,7 @@ def robot_localization(
 ) -> dict[str, str]:
     """Return the files by name. Q refers to steps of ``interval`` s. ROS's filter has no preprocessing.
 
-    ``mounting``: roll, pitch and yaw of the IMU, deg, which ROS turns by a static transform.
+    ``mounting``: roll, pitch and yaw of the IMU, deg, for the static transform that ROS needs.
 
     Raises
     ------

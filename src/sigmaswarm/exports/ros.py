@@ -124,7 +124,7 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
                 f"{last:.3f} s; give the bag from which the drive was imported"
             )
         if TOPIC in reader.topics:
-            raise InputError(f"{path}: has {TOPIC} already; give the recorded bag")
+            raise InputError(f"{path}: already contains {TOPIC}; give the original bag")
         yield reader
     finally:
         reader.close()

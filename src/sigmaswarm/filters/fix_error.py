@@ -1,7 +1,7 @@
 """Correlated fix errors as two Gauss-Markov states b: an option of every model with the IMU as input.
 
-Receivers smooth their fixes, so errors are correlated from fix to fix. The states b (m, east and north) follow the
-model's states, and its process does not depend on them. A fix measures p + b + v; between two fixes dt apart
+Receivers smooth their fixes, so errors are correlated from fix to fix. The states b (m, east and north) are appended to
+the model's states; the model's process does not depend on b. A fix measures p + b + v; between two fixes dt apart
 
     b <- phi b,    P_bb <- phi^2 P_bb + g s^2 (1 - phi^2),    phi = exp(-dt / tau)
 

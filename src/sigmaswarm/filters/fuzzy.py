@@ -10,11 +10,11 @@ Linear edges with tuned widths give the memberships "small", "right", "large" an
     ratio is large, and rises            R g_R      Q           first R grows,
     ratio is large, and does not rise    R g_R      Q g_Q       later also Q
 
-The factors are the mean of the consequents, weighted by the memberships of their rules, which sum to 1: T. Takagi and
-M. Sugeno, Fuzzy identification of systems and its applications to modeling and control, IEEE Trans. SMC 15(1), 1985, of
-order zero, with the product for "and". The ratio follows P. J. Escamilla-Ambrosio and N. Mort, Hybrid Kalman
-filter-fuzzy logic adaptive multisensor data fusion architectures, CDC 2003. The rules, their edges and the two averages
-are our own.
+The factors are the mean of the consequents, weighted by the memberships of their rules, which sum to 1. This is the
+inference of T. Takagi and M. Sugeno (Fuzzy identification of systems and its applications to modeling and control, IEEE
+Trans. SMC 15(1), 1985) of order zero, with the product for "and". The ratio follows P. J. Escamilla-Ambrosio and N.
+Mort, Hybrid Kalman filter-fuzzy logic adaptive multisensor data fusion architectures, CDC 2003. The rules, their edges
+and the two averages are our own.
 
 The ratio is computed from S before the update. The update uses the new R, the next predictions the new Q. With gains of
 1 the filter equals the unscented filter.

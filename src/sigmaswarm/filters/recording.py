@@ -74,7 +74,8 @@ class Recording:
     """Run of a filter over a replay: an iterator of pieces. Sums and innovations are available after the last piece.
 
     A piece has ``samples`` IMU samples, which does not affect the results. ``recover``: reset the filter after a sample
-    if it diverges. The sums at this sample, and while the estimate is the last fix, are those of the diverged filter.
+    if it diverges. At this sample, and while the estimate is
+    the last fix, the sums contain the errors of the diverged filter.
 
     Attributes
     ----------

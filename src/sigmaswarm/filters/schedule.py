@@ -183,7 +183,7 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
 
 
 def _seen(initial: Sequence[InitialState]) -> list[tuple[slice, GyroSeen]]:
-    """Return the gyro observations and the indices of their starts, combined if all starts have observations."""
+    """Return the gyro observations with the indices of their starts; as one observation if all starts have one."""
     each = [(k, start.gyro) for k, start in enumerate(initial) if start.gyro is not None]
     if len(each) == len(initial):
         return [(slice(None), together([seen for _, seen in each]))]

@@ -208,8 +208,8 @@ def _first_place(values: Values) -> Origin:
 def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[Values, Origin | None]:
     """Return the truth with x and y, m, and the origin: the truth's first position if the fixes have none.
 
-    If the fixes lack altitudes, the truth gets that of the origin, too: 1000 m of difference would stretch one track by
-    16 cm per kilometer.
+    If the fixes have no altitudes, the truth also gets the origin's altitude. A difference of 1000 m would stretch one
+    track by 16 cm per kilometer.
     """
     if "lat" in values and "lon" in values:
         if origin is None and gps:

@@ -279,7 +279,7 @@ class _Compiler:
 
 
 def time_expression(text: str, frame: pl.DataFrame) -> pl.Expr:
-    """Compile a time (s) to whole nanoseconds; integer columns keep all digits, also in a sum."""
+    """Compile an expression of a time, s, to whole nanoseconds. Integer columns keep all digits, also in a sum."""
     tree = _parse(text)
     terms = [text]
     if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add):

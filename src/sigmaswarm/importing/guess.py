@@ -30,7 +30,7 @@ _NO_PLACES = re.compile(
 )
 """Names of tables in which x, y, z are neither a position nor the IMU's axes."""
 _FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok)?|(?:gps|gnss)_?(?:quality|valid)"
-"""Names of columns that are 0 without a fix, or -1 if 0 is a fix, as in ROS."""
+"""Names of columns that state whether a row has a fix: 0 means none, or -1 where 0 means a fix, as in ROS."""
 MOST_DROPPED = 0.2
 """Largest share of likely fixes that their flags leave out."""
 _WANTED: dict[Role, tuple[str, ...]] = {

@@ -100,7 +100,7 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
         say(f"{where}: {count} values of {shown(name)} are {value:g}, a placeholder: left out")
     filled = _finite(values, len(time)).any(axis=0)
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
-        say(f"{role}: {empty} rows with an empty cell left out")
+        say(f"{role}: left out {empty} rows that have an empty cell")
     if role == "gps":  # a row that repeats the time and the place of the row before
         same = [np.diff(column) == 0 for column in (time, *(values[n] for n in POSITIONS if n in values))]
         filled &= ~np.append(False, np.all(same, axis=0))
@@ -154,7 +154,7 @@ def _complete_rows(
         )
     sparse = role == "gps" and np.mean(placed) < 0.5
     if (left := int(np.count_nonzero(~full))) and not sparse:
-        say(f"{role}: {left} rows with an empty cell left out")
+        say(f"{role}: left out {left} rows that have an empty cell")
     time, values = time[full], _rows(values, full)
     position = [values[n] for n in POSITIONS if n in values]
     if role != "gps" or not position or len(time) < 10:

@@ -32,8 +32,8 @@ DRIFT = 10.0
 MOST_ROWS = 20_000
 """Rows for the calibration, evenly over the drive."""
 STEEL = 4.0, 0.03
-"""Deviation near steel of the field's size (relative) or direction (rad): in standard deviations, and smallest value.
-"""
+"""Limit of the deviation of the field's size (relative) or direction (rad) without steel nearby: in robust standard
+deviations, and its smallest value."""
 AROUND = 1.0
 """Time before and after this deviation in which fixes get no heading, s."""
 WORST = np.radians(20)
@@ -188,7 +188,7 @@ def _near_steel(time: Array, size: Array, off: Array, moving: NDArray[np.bool_])
 
 
 def _odd(values: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark values (n,) far from the median of those in motion, in robust standard deviations."""
+    """Mark values (n,) that differ from the median in motion by more than `STEEL`."""
     apart = np.abs(values - float(np.median(values[moving])))
     deviations, least = STEEL
     return apart > max(deviations * 1.4826 * float(np.median(apart[moving])), least)

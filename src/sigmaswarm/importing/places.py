@@ -77,8 +77,8 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
         return np.asarray(wrap_angle(np.pi / 2 - np.radians(angle)))
     conventions = (
         ("", angle),
-        ("clockwise from north", np.pi / 2 - angle),
-        ("degrees", np.radians(angle)),
+        ("radians clockwise from north", np.pi / 2 - angle),
+        ("degrees counter-clockwise from east", np.radians(angle)),
         ("degrees clockwise from north", np.pi / 2 - np.radians(angle)),
     )
     errors = [float(np.median(np.abs(wrap_angle(a[rows] - course)))) for _, a in conventions]
@@ -88,7 +88,7 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
             apart = np.degrees(errors[0])
             say(f"{what} differs from the course by {apart:.0f} deg (median); check it, or map it")
         return angle
-    say(f"{what} runs {conventions[best][0] or 'otherwise'}, as the course shows: converted")
+    say(f"{what} converted from {conventions[best][0]}, as the course shows")
     return np.asarray(wrap_angle(conventions[best][1]))
 
 

@@ -73,7 +73,7 @@ def quantity(columns: Columns, what: str, role: Role) -> Found:
     if name.unit is None and what == "alt" and columns.largest(what) > HIGHEST:
         seen = f"{name.column} left out: {columns.largest(what):.6g} is no altitude in m"
         example = _maps(columns, role, ["alt"], "{}*1e-3")
-        return Found("", note=f"{seen}; map it, as {example} for mm, with *1e-2 for cm")
+        return Found("", note=f"{seen}; map it: if it is in mm, as {example}; if it is in cm, with *1e-2")
     if name.unit is None:
         return _without_unit(columns, what, role) if dimension in ("acceleration", "rate") else Found(text)
     if name.unit.dimension == dimension:
@@ -238,7 +238,7 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
 
 
 def _place_form(columns: Columns, role: Role) -> Found:
-    """Guess the form of latitude and longitude without a unit by their size, with {} for the column."""
+    """Guess the form of latitude and longitude without a unit from their size; {} in the expression is the column."""
     both = ("lat", "lon")
     lat, lon = (columns.numbers(what).filter(columns.numbers(what) != 0).abs() for what in both)
     if not len(lat) or not len(lon):

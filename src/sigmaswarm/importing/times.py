@@ -142,7 +142,7 @@ def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Fou
 
 
 def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[Found | None, Sequence[Name]]:
-    """Find a date in six columns, year to second, and the parts of a second in others; return also their names."""
+    """Find a date in six columns (year to second) and fractions of a second in others; return it and the used names."""
     parts = {**PARTS_OF_SECONDS, "milli": 1e-3, "micro": 1e-6, "nano": 1e-9}
     for begin in dict.fromkeys(name.words[:-1] for name in names):
         alike = {n.words[-1]: n for n in names if n.words and n.words[:-1] == begin}

@@ -49,7 +49,9 @@ def segments_of(
                 parts.append((*begin, columns[first:stop], settings.q, settings.lever))
                 held.append(bool(start + length > since) if all_held is None else all_held)
         if len(parts) == before:
-            raise InputError(f"no drive is longer than {length:g} s after its start; give longer drives")
+            raise InputError(
+                f"no drive has {length:g} s with fixes after the start of the filter; give longer drives"
+            )
     most = max(len(part[2]) for part in parts)
     padded = [(*p[:2], np.pad(p[2], ((0, most - len(p[2])), (0, 0))), *p[3:]) for p in parts]
     return Examples(tuple(np.array(column) for column in zip(*padded, strict=True)), np.array(held))

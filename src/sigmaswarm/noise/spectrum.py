@@ -23,7 +23,7 @@ from sigmaswarm.drives.tables import Array
 BAND = 0.1
 """Ratio of the highest used frequency to the sampling rate; above it sensors filter, and engines vibrate."""
 ENOUGH = 200
-"""Smallest number of used frequencies, if necessary up to half the sampling rate."""
+"""Smallest number of used frequencies; if necessary, the band is extended, up to half the sampling rate."""
 FIRST = 2
 """Lowest used frequency, periods per stretch; the subtracted trend contains most of lower frequencies."""
 PER_DECADE = 24  # frequency bands, over which the periodogram is averaged

@@ -83,7 +83,7 @@ class Outages:
     ) -> None:
         """Run methods with the fixes hidden, without storing their estimates.
 
-        With ``monitored`` filters are monitored and reset after divergence. Otherwise they run as one batch.
+        If ``monitored``, the filters are monitored, and reset after divergence. Otherwise they run as one batch.
         """
         for seed in self.seeds:
             self._ready.forget()

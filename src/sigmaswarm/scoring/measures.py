@@ -41,7 +41,8 @@ def method_names(
 ) -> dict[str, str]:
     """Return the display names of the methods.
 
-    ``also``: optional rows from `ALSO`, and `OWN` for another filter. ``against``: its type and model, if known.
+    ``also``: optional rows from `ALSO`; `OWN` adds the row of another filter. ``against``: type and model of that
+    filter, if known.
     """
     first = {OWN: f"other {filter_called(*against) if against else 'filter'}"} if OWN in also else {}
     first |= {"tuned": f"tuned {filter_called(kind, model)}"}

@@ -1,4 +1,4 @@
-"""The frame around the five steps, and the addresses of files."""
+"""Header and navigation of the five pages, and the routes of reports and downloads."""
 
 import io
 import zipfile

@@ -105,7 +105,7 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 def select(label: str, options: Any, value: Any, choose: Callable[[Any], Any], **more: Any) -> ui.select:
-    """Make a dropdown. ``choose`` receives the new value. A value that is not in the options is shown as none."""
+    """Make a dropdown. ``choose`` receives the new value. Without an option for the value, nothing is selected."""
     known = isinstance(value, list) or value in options
     made = ui.select(options, label=label, value=value if known else None, **more).classes("grow")
     made.on_value_change(lambda event: choose(event.value))

@@ -93,7 +93,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _whole_gain(evidence: Evidence) -> float:
-    """Return the ratio of the turns of the course to those of the gyro over whole windows, without a bias.
+    """Return the slope of the course's turns over the gyro's turns in whole windows, fitted without a bias.
 
     In steady circles, changes within windows are small, and the effects of lever arm and slip look like a scale.
     """

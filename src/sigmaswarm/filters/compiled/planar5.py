@@ -15,8 +15,8 @@ n + lambda = alpha^2 (n + kappa). All other sigma points share the center's g0 =
 The rest is the covariance of sums: Cov(., u') = Cov(., u) + dt Cov(., g), and so on; Q is added at the end.
 
 An extended Kalman filter has the same form without the second-order terms: gamma = 0, so e = 0 and k = 1. In a step the
-heading turns by the same angle in all lanes, so rows COS and SIN are rotated instead of computed. After another change
-of the heading, by a fix or a start, FACED and FACED_ALL are 0, and the next step computes COS and SIN.
+heading turns by the same angle in all lanes, so rows COS and SIN are rotated instead of computed. After any other
+change of the heading (by a fix or a start), FACED and FACED_ALL are 0, and the next step computes COS and SIN.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false

@@ -58,8 +58,8 @@ def _one_step(sources, *, step, kept, step_log, logged):
 class SingleStep:
     """A model's step in this process; a copy in another process looks up its own address.
 
-    ``address`` is the argument of `take_step` (without compilation a function); ``made_by`` is the function that
-    returns this object, and its arguments.
+    ``address`` is the argument of `take_step`; without compilation it is a function. ``made_by`` contains the function
+    that returns this object, and its arguments.
     """
 
     address: Any

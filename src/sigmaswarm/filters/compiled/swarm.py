@@ -33,8 +33,8 @@ from sigmaswarm.filters.schedule import FIX
 
 EVIDENCE_LASTS = 60.0  # s in which the evidence decays to 1/e
 LARGEST_NIS = 200.0
-"""Upper limit of a fix's NIS, so that no single fix decides. Student's t would penalize jumps too little: between high
-buildings fixes are good until they jump, and a lane with a small R would gain."""
+"""Upper limit of a fix's NIS, so that no single fix decides. Between high buildings, fixes are
+accurate until they jump; with Student's t, a lane with a small R would then get too much weight."""
 EVIDENCE_COUNTS = 0.1  # weight of a fix: errors of fixes are correlated, so about ten count as one
 
 # Counted from BEHIND: number of logged steps, and the largest number in the log; time of the last fix, and number of

@@ -153,7 +153,7 @@ class TextbookCar:
         self._since = 0.0
 
     def _update_with_heading(self, theta: float, stated: float, yaw_rate: float) -> None:
-        """Update with the heading ``latency`` s ago; its variance limits the NIS to `HEADING_GATE`."""
+        """Update with the heading ``latency`` s ago, with a variance that limits the NIS to `HEADING_GATE`."""
         p, near = self.parameters, float(self.filter.mean[THETA])
         z = near + wrap_angle(theta + p.latency * yaw_rate - near)
         noise = np.array([[(p.heading_noise or 0.0) + stated]])
@@ -180,7 +180,7 @@ def _filter(
     points: SigmaPoints | None,
     redraw_sigma_points: bool,
 ) -> GaussianFilter:
-    """Return the filter of a model: unscented with sigma points, else extended; with tilts on a manifold."""
+    """Return the filter of a model: unscented if ``points`` are given, else extended; on a manifold if it has tilts."""
     f, tilts = model.process, model.tilts
     if tilts:
         manifold = Manifold(tilts.plus, tilts.minus, tilts.nearest)

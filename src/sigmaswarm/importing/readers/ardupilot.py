@@ -26,7 +26,7 @@ from sigmaswarm.importing.source import (
 )
 
 MOST_SKIPPED = 200_000
-"""Bytes outside of messages, which pymavlink skips in a second."""
+"""Largest number of bytes outside of messages; pymavlink needs about a second to skip them."""
 MAGIC, TEXTS = b"\xa3\x95\x80", (b"FMT, 128,", b"FMT,128,")
 _T = {"t": "TimeUS*1e-6"}
 _PLACE = _T | {"lat": "Lat", "lon": "Lng", "alt": "Alt"}

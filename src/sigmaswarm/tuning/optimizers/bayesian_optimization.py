@@ -23,7 +23,8 @@ NOISE = 1e-6  # variance of the noise of a cost, relative to the variance of all
 LEAST = 1e-12
 """Smallest variance of a predicted cost, relative to the variance of all costs."""
 FEW_BEST, NEAR = 5, 0.02
-"""Number of best points around which half of the candidates lie, and their distance in widths of the bounds."""
+"""Number of best points around which half of the candidates are drawn; standard deviation of the draw, in widths of the
+bounds."""
 SHORTEST, LONGEST = 0.2, 10.0
 """Range of the length scales, in widths of the bounds."""
 _ALONE = threading.Lock()
