@@ -39,8 +39,11 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
     if speed is not None and course is not None:
         course = np.where(speed < 0, course + np.pi, course)  # a vehicle in reverse
     wrong = ""
-    if speed is not None and (said := _wrong_speed(time, values, speed, begin, end)):
-        wrong = said + _remedy(said, texts, role)
+    if speed is not None and len(begin) < FEWEST:
+        usual = float(np.median(np.abs(speed))) if len(speed) else 0.0
+        wrong = f"{usual:.4g} m/s (median) is no speed of a vehicle" if usual > FASTEST else ""
+    elif speed is not None and not 1 / ALIKE < (ratio := _ratio(time, values, speed, begin, end)) < ALIKE:
+        wrong = f"{ratio:.3g} times the speed of the positions (median){_remedy(ratio, texts, role)}"
     elif course is not None and len(begin) >= FEWEST:
         dx, dy = (values[n][end] - values[n][begin] for n in ("x", "y"))
         apart = np.abs(wrap_angle(course[(begin + end) // 2] - np.arctan2(dy, dx)))
@@ -53,26 +56,21 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
     return {name: column for name, column in values.items() if name not in _SPEED}
 
 
-def _wrong_speed(
+def _ratio(
     time: Array, values: Values, speed: Array, begin: NDArray[np.int64], end: NDArray[np.int64]
-) -> str:
-    """Describe the ratio of a speed to that of the positions, or a speed that no vehicle has; or return ""."""
-    if len(begin) < FEWEST:
-        usual = float(np.median(np.abs(speed))) if len(speed) else 0.0
-        return f"{usual:.4g} m/s (median) is no speed of a vehicle" if usual > FASTEST else ""
+) -> float:
+    """Return the median ratio of a speed to that of the positions in stretches."""
     sums = np.concatenate([[0.0], np.cumsum(np.abs(speed))])
     stated = (sums[end + 1] - sums[begin]) / (end + 1 - begin)
     moved = np.hypot(*(values[n][end] - values[n][begin] for n in ("x", "y"))) / (time[end] - time[begin])
-    ratio = float(np.median(stated / moved))
-    return "" if 1 / ALIKE < ratio < ALIKE else f"{ratio:.3g} times the speed of the positions (median)"
+    return float(np.median(stated / moved))
 
 
-def _remedy(said: str, texts: dict[str, str], role: str) -> str:
+def _remedy(ratio: float, texts: dict[str, str], role: str) -> str:
     """Propose the unit whose factor is the ratio, if one is within 10%."""
-    number = float(said.split()[0])
-    if number < 1 and "times" in said:
-        return "; its unit, or that of the times, is wrong" if number else ""
-    unit = next((u for u in UNITS if "times" in said and abs(np.log(number / u[1])) < 0.1), None)
+    if ratio < 1:
+        return "; its unit, or that of the times, is wrong" if ratio else ""
+    unit = next((u for u in UNITS if abs(np.log(ratio / u[1])) < 0.1), None)
     speeds = {name: text for name, text in texts.items() if name != "course"}
     if unit is None or not speeds:
         return ""
