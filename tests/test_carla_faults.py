@@ -69,7 +69,7 @@ def test_something_else_than_a_server(tmp_path: Path):
         ({"ignore_physics": True}, "a wheel has max_brake_torque = 700 instead of 1400"),
         ({"fail_spawn": 99}, r"can't be spawned at .*collision at spawn position.*four routes tried"),
         ({"silent": ["gnss", 0]}, "the sensor gnss did not answer for frame .* within 3 s"),
-        ({"mirror_gnss": True}, "fixes of brake-clear-00 lie .* m from the car"),
+        ({"mirror_gnss": True}, "fixes of brake-clear-00 are .* m from the car"),
     ],
     ids=lambda v: next(iter(v)) if isinstance(v, dict) else "",
 )

@@ -333,7 +333,7 @@ def test_report_refuses_the_history_of_another_tuning(how: str, tmp_path: Path):
     else:
         lines = [*lines[:-1], "1,1,7.0,7.0"]
     file.write_text("\n".join(lines) + "\n")
-    with pytest.raises(InputError, match=r"convergence\.csv: does not belong to tuning\.toml"):
+    with pytest.raises(InputError, match=r"convergence\.csv: does not belong to the tuning\.toml"):
         read_report(tmp_path / "a")
 
 

@@ -18,7 +18,7 @@ from sigmaswarm.exports.check import check_export
 from sigmaswarm.exports.targets import export_texts, write_texts
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.bank.run import run_bank
-from sigmaswarm.filters.compiled import live, watch
+from sigmaswarm.filters.compiled import live, monitor
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.presets import baseline
@@ -161,8 +161,8 @@ def test_live_filter_gives_the_estimates_of_a_run(model: str, kind: str, option:
     np.testing.assert_allclose(ours.state.covariance, whole.covariance[-1], rtol=1e-6, atol=1e-12)
 
 
-def test_the_watch_reads_the_kind_of_a_fix_where_live_filters_keep_it():
-    assert watch._KIND == live.KIND
+def test_the_monitor_reads_the_kind_of_a_fix_where_live_filters_keep_it():
+    assert monitor._KIND == live.KIND
 
 
 def test_lane_zero_of_a_bank_takes_headings_and_its_searches_replay_them():

@@ -92,6 +92,14 @@ ALIKE: dict[str, Callable[[], tuple[Columns, str]]] = {
     ),
     "accelerations without gravity, standing": lambda: (IMU | {"az": 0 * T, "ax": 0.3 * IMU["ay"]}, "ax"),
     "a shock at the end": lambda: (IMU | {"ax": IMU["ax"] + np.where(T[-1] - 0.5 < T, 300.0, 0.0)}, "ax"),
+    "accelerations without gravity, at first standing": lambda: (
+        IMU
+        | {
+            "az": np.where(T > 30, 1.0 + NOISE[2], NOISE[2] / 10),
+            "ax": np.where(MOVES, 0.4 * NOISE[0], 1e-3),
+        },
+        "az",
+    ),
     "slow turns": lambda: (SMALL | {"az": IMU["az"]}, "gz"),
 }
 
@@ -112,3 +120,47 @@ def test_blocks_are_consecutive_and_spread(rows: int):
         assert len(got) == rows
     else:
         assert np.mean(np.diff(got) == 1) > 0.99 and got[-1] > 0.9 * rows
+
+
+def test_numbers_without_a_fix_do_not_change_the_form_of_degrees(tmp_path: Path):
+    """MAVLink states unknown coordinates as the largest integer, 214.7483647 degrees."""
+    unknown = FIX & (T > STANDS + 120)
+    places = {n: at_fixes(np.where(unknown, 214.7483647, v)) for n, v in (("lat", LAT), ("lon", LON))}
+    pl.DataFrame(IMU | places).write_csv(tmp_path / "log.csv")
+    got = imported(tmp_path / "log.csv")
+    assert not any("minutes" in note for note in got.notes)
+
+
+@pytest.mark.parametrize(
+    "case", ["an accelerometer that fails", "empty cells", "a damaged row", "letters of no fix"]
+)
+def test_some_odd_rows_do_not_change_how_a_column_is_read(tmp_path: Path, case: str):
+    lost, row = FIX & (T > 440) & (T < 444), int(np.flatnonzero(FIX)[-20])
+    columns: dict[str, Columns] = {
+        "an accelerometer that fails": scaled(1 / 9.80665, FORCES) | PLACES,
+        "empty cells": CASES["dms"](),
+        "a damaged row": CASES["ddmm"](),
+        "letters of no fix": CASES["letters"](),
+    }
+    table = pl.DataFrame(columns[case])
+    change: dict[str, list[pl.Expr]] = {
+        "an accelerometer that fails": [
+            pl.when(pl.lit(T < 430)).then(pl.col(n)).otherwise(0.0).alias(n) for n in FORCES
+        ],
+        "empty cells": [
+            pl.when(pl.lit(lost)).then(pl.lit("nan")).otherwise(pl.col(n)).alias(n) for n in ("lat", "lon")
+        ],
+        "a damaged row": [
+            pl.when(pl.int_range(pl.len()) == row).then(3399.0).otherwise(pl.col("lat")).alias("lat")
+        ],
+        "letters of no fix": [
+            pl.when(pl.int_range(pl.len()) == row)
+            .then(pl.lit("V"))
+            .otherwise(pl.col("lat_dir"))
+            .alias("lat_dir")
+        ],
+    }
+    table.with_columns(change[case]).write_csv(tmp_path / "log.csv")
+    got = imported(tmp_path / "log.csv").drive
+    np.testing.assert_allclose(got.gps.lat[:10], LAT[FIX][:10], atol=1e-7)
+    np.testing.assert_allclose(got.imu.az[HZ * 60 : HZ * 61], IMU["az"][HZ * 60 : HZ * 61], atol=1e-6)

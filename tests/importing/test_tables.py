@@ -426,7 +426,7 @@ def test_an_altitude_in_another_unit_is_left_out_and_the_remedy_helps(tmp_path: 
     got = imported(tmp_path)
     (said,) = [note for note in got.notes if "is no altitude in m" in note]
     assert got.drive.gps.alt is None
-    assert said.endswith("for mm, with *1e-2 for cm")
+    assert said.endswith("; if it is in cm, with *1e-2")
     again = imported(tmp_path, maps=[maps_in(said)[0].replace("1e-3", repr(1 / scale))]).drive.gps
     np.testing.assert_allclose(again.alt, GPS.alt + 400)
 

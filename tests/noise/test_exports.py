@@ -123,5 +123,5 @@ def test_what_can_not_be_written():
     with pytest.raises(InputError, match="'ardupilot'; choose one of sigmaswarm, kf-gins"):
         noise_texts(noise(), "ardupilot")
     gyro = Noise("log", 100.0, noise().axes[-1:], (), ())
-    with pytest.raises(InputError, match="no axis of the accel was measured; matlab needs one"):
+    with pytest.raises(InputError, match="no axis of the accel was measured, but matlab needs one"):
         noise_texts(gyro, "matlab")

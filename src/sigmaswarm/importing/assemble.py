@@ -100,7 +100,7 @@ def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[G
     for role, other in pairs:
         text = gathered[role][0].part.columns["t"] if gathered.get(role) else ""
         time, others = seconds[role], seconds[other]
-        digits = (time >= 0) & (time < 240_000) & (time % 10_000 < 6000) & (time % 100 < 60)
+        digits = (time >= 10_000) & (time < 240_000) & (time % 10_000 < 6000) & (time % 100 < 60)
         converted = time % 100 + (time % 10_000 - time % 100) * 0.6 + (time - time % 10_000) * 0.36
         if text and digits.all() and np.mean((converted >= others[0]) & (converted <= others[-1])) > 0.5:
             t = text if re.fullmatch(r"\w+|`[^`]+`", text) else f"({text})"

@@ -12,7 +12,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import Nanoseconds
 from sigmaswarm.importing.expressions import Expression, compile_expression, fits, time_expression
 from sigmaswarm.importing.guess import SAMPLE
-from sigmaswarm.importing.quantities import PLACEHOLDERS
+from sigmaswarm.importing.quantities import NO_VALUE, PLACEHOLDERS
 from sigmaswarm.importing.source import FILES, Limits, Log, Part, Progress, Role
 from sigmaswarm.importing.times import time_of, wrong_unit
 from sigmaswarm.wording import names_shown, quoted, shown
@@ -21,7 +21,6 @@ ROW = "row"
 """Column with the row's number, from 0, in tables that have no column of this name."""
 FAR = 10
 """Distance of a placeholder from the values, in units of their spread."""
-NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-")
 
 
 @dataclass

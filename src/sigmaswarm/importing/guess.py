@@ -64,8 +64,14 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
             raise InputError(f"there is no table {chosen[role]!r}; choose from {names_shown(samples)}")
         if not tables and role not in chosen:
             continue
-        # the first table whose name fits, or else the first
-        best = chosen.get(role) or max(tables, key=lambda t: bool(re.search(_HINTS[role], t, re.IGNORECASE)))
+        # the first table whose name fits, or else the first; positions next to accelerations are likely an estimate
+        best = chosen.get(role) or max(
+            tables,
+            key=lambda t: (
+                bool(re.search(_HINTS[role], t, re.IGNORECASE)),
+                role == "gps" and "ax" not in found[t],
+            ),
+        )
         others = [t for t in tables if t not in (best, *chosen.values())]
         if alike := [t for t in others if samples[t].columns == samples[best].columns]:
             notes.append(
@@ -109,7 +115,7 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
                 columns.names.setdefault(f"{letter}{axis}", columns.names.pop(axis))
     dropped = {"x", "y"} if _NO_PLACES.search(table) or "q" in columns or letter else set[str]()
     if "ax" in columns and columns.names["ax"].plain == "linear_x":  # velocities have this name, too
-        size = columns.norm(["ax", "ay", "az"]) if columns.has("ax", "ay", "az") else 0.0
+        size = median_of(columns.norms(["ax", "ay", "az"])) if columns.has("ax", "ay", "az") else 0.0
         dropped |= set() if 8.0 < size < 12.0 or 0.85 < size < 1.15 else {"ax", "ay", "az"}
     columns.names = {what: name for what, name in columns.names.items() if what not in dropped}
     return columns
@@ -199,7 +205,7 @@ def _with_fix(columns: Columns) -> Found | None:
 
 def _downward(imu: Columns) -> str:
     """Return a sentence if the vertical axis of an IMU points down, else ""."""
-    gravity = imu.norm(["ax", "ay", "az"]) if imu.has("ax", "ay", "az") else 0.0
+    gravity = median_of(imu.norms(["ax", "ay", "az"])) if imu.has("ax", "ay", "az") else 0.0
     if "az" not in imu or median_of(numbers_of(imu.frame[imu.names["az"].column])) >= -0.5 * gravity:
         return ""  # without gravity in it, its sign means nothing
     return points_down(imu.names["az"].column)

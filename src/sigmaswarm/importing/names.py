@@ -20,10 +20,6 @@ CLOCK = (
     "(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
 )
 """Names of times in tables without one of the usual names."""
-_STAMPED = "_?(?:time|clock|stamp|time_?stamp)"
-OF_DEVICE = f"(?:sensor|device|hardware|hw|utc){_STAMPED}"
-OF_RECEIPT = f"(?:recv|receive|received|receipt|rx|arrival|log|logger|sys|system|host|pc){_STAMPED}|received"
-"""Names of a device's own stamps, and of times at which a computer received or wrote the rows."""
 STAMP = "(?:.*_)?header_(?:time_?)?stamp"
 """Header stamps of ROS, in tables made of bags."""
 WEEK = "(?:gps|gnss)?_?(?:week|wn|weeks)(?:_?(?:no|num|number))?"
@@ -179,7 +175,8 @@ def read_names(columns: Sequence[str]) -> list[Name]:
     if not prefix:
         return _one_sensor([read_name(column) for column in columns])
     bares = [replace(read_name(column[len(prefix) :]), column=column) for column in columns]
-    placed = {"ax", "ay", "gz", "lat", "lon"} <= {bare.meaning for bare in bares}
+    meanings = [bare.meaning for bare in bares]
+    placed = {"ax", "ay", "gz", "lon"} <= {*meanings} and meanings.count("lat") == 1
     names: list[Name] = []
     for column, bare in zip(columns, bares, strict=True):
         whole = read_name(column)
@@ -254,7 +251,7 @@ def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
         unit = unit_of(words[-count:]) if len(words) > count else None
         rest = "_".join([*words[:-count], *axis])
         counts = not axis and {*words[-1:]} & {*COUNTS} - {"raw"}
-        timed = not axis and re.fullmatch("|".join((CLOCK, OF_DEVICE, OF_RECEIPT, TIME_OF_WEEK, STAMP)), rest)
+        timed = not axis and re.fullmatch("|".join((CLOCK, TIME_OF_WEEK, STAMP)), rest)
         known = timed or meaning_of_plain(rest) or _stated(rest, unit)
         if unit is not None and (unit.known or counts) and known:
             return Name(column, rest, unit)

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import polars as pl
 
@@ -13,6 +13,7 @@ from sigmaswarm.importing.units import COUNTS, Dimension, in_si
 from sigmaswarm.wording import quoted
 
 PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10)
+NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-")
 DIMENSIONS: dict[str, Dimension] = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
     **dict.fromkeys(("gx", "gy", "gz"), "rate"),
@@ -22,6 +23,10 @@ DIMENSIONS: dict[str, Dimension] = {
 }
 REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta", "wheel_speed")
 """Columns that need a known unit; others without one are left out."""
+FEW_ODD = 0.02
+"""Largest share of rows that may contradict the form of the others: damaged rows."""
+STEADY = 1.5
+"""Largest ratio of the third quartile of the accelerations' magnitude to the first, if they contain gravity."""
 MOST_FORCE = 100.0
 """Largest acceleration of a car, except bumps, m/s2."""
 FASTEST = 250.0
@@ -55,14 +60,15 @@ class Columns:
         """Return the 99th percentile of a column's absolute values."""
         return float(self.numbers(what).abs().quantile(0.99) or 0.0)
 
-    def norm(self, axes: Sequence[str]) -> float:
-        """Return the median magnitude of a vector of three columns; 0 if there are fewer."""
+    def norms(self, axes: Sequence[str]) -> pl.Series:
+        """Return the magnitudes of a vector of three columns, without placeholders and zeros; none of fewer columns."""
         series = [self.frame[self.names[a].column] for a in axes]
         if len(axes) < 3 or any(s.dtype.is_nested() for s in series):
-            return 0.0
+            return pl.Series([], dtype=pl.Float64)
         known = [s.cast(pl.Float64, strict=False) for s in series]
         squares = [s.set(s.is_in(PLACEHOLDERS), None).pow(2) for s in known]
-        return median_of(sum(squares[1:], squares[0]).sqrt())
+        sizes = sum(squares[1:], squares[0]).sqrt()
+        return sizes.filter(sizes > 0)
 
     def text(self, what: str) -> str:
         return written(self.names[what].column)
@@ -93,9 +99,12 @@ def _without_unit(columns: Columns, what: str, role: Role) -> Found:
     axes = [a for a in (f"{letter}{i}" for i in "xyz") if a in columns and columns.names[a].unit is None]
     largest = max(map(columns.largest, axes))
     if letter == "a":
-        size = columns.norm(axes)
-        usual = {a: median_of(columns.numbers(a).abs()) for a in {*axes, "az"} if a in columns}
-        if 0.8 < usual.get("az", 0.0) < 1.2 or 0.9 < size < 1.12:
+        sizes = columns.norms(axes)
+        size, low, high = median_of(sizes), *(float(sizes.quantile(q) or 0.0) for q in (0.25, 0.75))
+        values = {a: columns.numbers(a).abs() for a in {*axes, "az"} if a in columns}
+        usual = {a: median_of(v.filter(v > 0)) for a, v in values.items()}
+        steady = high <= STEADY * low  # as gravity; accelerations without gravity are small at rest
+        if steady and (0.8 < usual.get("az", 0.0) < 1.2 or 0.9 < size < 1.12):
             return Found(f"{text}*9.80665", "accelerations taken as g, since gravity in them is about 1")
         if 930 < size < 1050 and largest < 8000:
             note = "accelerations taken as mg, since gravity in them is about 1000"
@@ -106,7 +115,9 @@ def _without_unit(columns: Columns, what: str, role: Role) -> Found:
     if largest > FASTEST or (whole and largest > 0):
         return Found("", fault=_raw_counts(columns, what, role))
     if largest > 5.0:
-        return Found(f"radians({text})", "angular rates taken as deg/s, since they exceed 5")
+        option = _maps(columns, role, axes, "{}")
+        note = f"angular rates taken as deg/s, since they exceed 5; if they are in rad/s, write {option}"
+        return Found(f"radians({text})", note)
     return Found(text)
 
 
@@ -114,7 +125,7 @@ def _raw_counts(columns: Columns, what: str, role: Role) -> str:
     """Describe the raw counts of a sensor's axes, and their mapping."""
     axes = [a for a in (f"{what[0]}{i}" for i in "xyz") if a in columns]
     if what[0] == "a":
-        gravity = columns.norm(axes)
+        gravity = median_of(columns.norms(axes))
         per = next((k for k in (16384, 8192, 4096, 2048, 1000) if abs(gravity / k - 1) < 0.12), 16384)
         form, about = f"{{}}*9.80665/{per}", _ACCELEROMETERS
         seen = "they exceed the range of an accelerometer"
@@ -171,7 +182,8 @@ def _are_dms(lat: pl.Series, lon: pl.Series) -> bool:
     """
     if lat.dtype != pl.String or lon.dtype != pl.String:
         return False
-    both = [values.str.strip_chars().replace("", None).drop_nulls() for values in (lat, lon)]
+    both = [values.str.strip_chars().drop_nulls() for values in (lat, lon)]
+    both = [values.filter(~values.str.to_lowercase().is_in(NO_VALUE)) for values in both]
     number = r"\d+(?:[.,]\d+)?"
     form = rf"^[NSEW]? *[+-]?{number}(?:[ °º:d'′’m]+{number}){{0,2}}[ °º'′’\"″”ms]*[NSEW]?$"
     fit = all(len(v) and (v.str.contains(form) & v.str.contains("[°ºNSEW]")).all() for v in both)
@@ -208,7 +220,8 @@ def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
         unset = name[1] if any(text.islower() for text in texts) else name[1].upper()
         negative = [text for text in texts if text.strip()[0].lower() == name[1]] or [unset]
         fault = ""
-        if named and (other := [c for c in cells if re.fullmatch(" *[A-Za-z] *", c) and c not in texts]):
+        other = [c for c in cells if re.fullmatch(" *[A-Za-z] *", c) and c not in texts]
+        if named and rows[column].is_in(other).mean() > FEW_ODD:
             negative, (first, last) = other[:1], words.split("|")
             fault = f"column {quoted(column)}: {quoted(other[0])} is not {first} or {last}; if it is {last}"
         if named or texts:
@@ -240,6 +253,10 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
 def _place_form(columns: Columns, role: Role) -> Found:
     """Guess the form of latitude and longitude without a unit from their size; {} in the expression is the column."""
     both = ("lat", "lon")
+    cells = [columns.frame[columns.names[what].column] for what in both]
+    if cells[0].dtype == cells[1].dtype and not cells[0].dtype.is_nested():
+        apart = columns.frame.filter(cells[0] != cells[1])  # the same number in both is a placeholder
+        columns = replace(columns, frame=apart)
     lat, lon = (columns.numbers(what).filter(columns.numbers(what) != 0).abs() for what in both)
     if not len(lat) or not len(lon):
         return Found("{}")
@@ -251,7 +268,7 @@ def _place_form(columns: Columns, role: Role) -> Found:
         return Found("", fault=fault)
     if low <= 90 and high <= 360:
         return Found("{}")
-    if low <= 9000 and high <= 18060 and all((v % 100 < 60).all() for v in (lat, lon)):
+    if low <= 9000 and high <= 18060 and all((v % 100 < 60).mean() > 1 - FEW_ODD for v in (lat, lon)):
         return Found("ddmm({})", "latitude and longitude taken as degrees and minutes, ddmm.mmmm")
     if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 180e6):
         return Found("{}*1e-7", "latitude and longitude taken as 1e-7 degrees")

@@ -2,16 +2,13 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import polars as pl
 
-from sigmaswarm.importing.dates import EXCEL_EPOCH, MATLAB_EPOCH, SECOND, as_text, parse_dates
-from sigmaswarm.importing.expressions import time_expression
+from sigmaswarm.importing.dates import EXCEL_EPOCH, MATLAB_EPOCH, as_text, parse_dates
 from sigmaswarm.importing.names import (
     CLOCK,
-    OF_DEVICE,
-    OF_RECEIPT,
     STAMP,
     TIME_OF_WEEK,
     WEEK,
@@ -63,8 +60,6 @@ _CALENDAR = {word: word for word in CALENDAR} | {
 """Last words in the names of a date's six columns."""
 UNITS = {**COUNTED, "days": 86400.0, "h": 3600.0, "min": 60.0}
 """Units of times, s; those of clock counters come first."""
-LATEST = 2.0
-"""Largest median time from a stamp to its receipt, s; clocks that differ by more are not the same."""
 _DATES_S = (3e8, 4e9)
 """Range of dates, s since 1970: 1979 to 2096."""
 
@@ -87,9 +82,7 @@ def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
         return several or good[0][2]
     calendar, parts = _calendar(names, frame)
     parts = [*parts, *(clock for clock, known, _ in pairs if known)]  # a time of day lacks its day
-    rest = [n for n in names if n not in parts]
-    single = _device_stamp(rest, frame, role) or _single(rest, frame, role) or calendar
-    single = _with_unused_stamp(single, rest, frame, role) if single and not single.fault else single
+    single = _single([n for n in names if n not in parts], frame, role) or calendar
     lacking = single is None or single.fault
     usable = [found for _, known, found in (*good, *pairs) if known or (lacking and not found.fault)]
     if usable and (lacking or not usable[0].fault):
@@ -242,44 +235,6 @@ def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | N
     return None if running is None else _of_column(running, frame, role)
 
 
-def _device_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
-    """Find the stamp of the device next to the time of receipt, by their names; None if there are not both.
-
-    It must be as fine, and of the same clock: other tables may have only times of receipt.
-    """
-    own, received = ([n for n in names if n.is_one(kind)] for kind in (OF_DEVICE, OF_RECEIPT))
-    if len(own) != 1 or len(received) != 1 or not all(_runs(n, frame) for n in (*own, *received)):
-        return None
-    device, receipt = own[0].column, received[0].column
-    found, other = (_of_column(n, frame, role) for n in (own[0], received[0]))
-    coarse = frame[device].n_unique() < 0.9 * frame[receipt].n_unique()
-    if not found.expression or not other.expression or coarse or frame[device].null_count():
-        return None
-    ends = [time_expression(one.expression, frame).alias(n) for n, one in (("own", found), ("late", other))]
-    late = frame.select(ends).select((pl.col("late") - pl.col("own")).abs().median()).item()
-    if late is None or late > LATEST * SECOND:
-        return None
-    return replace(found, note=f"the time is {device}, of the device; {receipt} is the time of receipt")
-
-
-def _runs(name: Name, frame: pl.DataFrame) -> bool:
-    return frame.schema[name.column].is_numeric() and step_of(frame[name.column]) > 0
-
-
-def _with_unused_stamp(found: Found, names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found:
-    """Add a note on a device's stamp that is not the time, or on the times of receipt if the stamp is the time."""
-    stamped = any(n.is_one(OF_DEVICE) and written(n.column) in found.expression for n in names)
-    kind = OF_RECEIPT if stamped else OF_DEVICE
-    for name in names:
-        used = written(name.column) in found.expression or name.column in found.note
-        if used or not name.is_one(kind) or not _runs(name, frame):
-            continue
-        if text := _of_column(name, frame, role).expression:
-            said = f'{name.column} is not used, since another column is the time; to use it, write --time "{text}"'
-            return replace(found, note="; ".join(filter(None, (found.note, said))))
-    return found
-
-
 def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> Found:
     """Read the time in one column: dates in text, or numbers by the unit in the name, their size or their steps."""
     values, text = frame[name.column], written(name.column)
@@ -306,7 +261,7 @@ def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
 def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
     """Read dates in text by the format that fits most; refuse those that two formats read, or that few fit."""
     texts = frame.select(as_text(columns).alias("date"))["date"].drop_nulls()
-    texts = texts.filter(texts.str.contains(r"\d"))
+    texts = texts.filter(texts.str.contains(r"\d")).unique(maintain_order=True)  # a placeholder counts once
     read = {form: _read_by(texts, form).count() for form in DATE_FORMATS}
     most = max(read.values())
     fitting = [

@@ -14,8 +14,11 @@ from sigmaswarm.importing.source import Part
 UNITS = (("mm/s", 1e3, "*1e-3"), ("cm/s", 100.0, "*1e-2"), ("km/h", 3.6, "/3.6"), ("ft/s", 3.28084, "*0.3048"),
          ("mph", 2.23694, "*0.44704"), ("knots", 1.94384, "*0.514444444444"))  # fmt: skip
 """Units of speeds: their number in 1 m/s, and what converts them in an expression."""
-ALIKE = 1.5
-"""Largest ratio of a stated speed to that of the positions, or of their inverse."""
+ALIKE, CONSTANT = 1.5, 2.0
+"""Largest ratio of a stated speed to that of the positions; largest ratio of its 90% to its 10% quantile, since a unit
+gives a constant ratio."""
+MOVED = 0.3
+"""Smallest share of the rows with motion that the compared stretches must cover."""
 ACROSS = np.radians(40)
 """Smallest median difference of a course from that of the positions that contradicts it. A course that lags behind in
 turns, or one of positions with much noise, differs by less."""
@@ -38,11 +41,16 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
         speed, course = np.hypot(values["vx"], values["vy"]), np.arctan2(values["vy"], values["vx"])
     if speed is not None and course is not None:
         course = np.where(speed < 0, course + np.pi, course)  # a vehicle in reverse
+    if speed is not None:  # slow wander of the positions is no motion: the speed must show motion as well
+        moves = np.concatenate([[0], np.cumsum(np.abs(speed) > MOVING)])
+        both = moves[end + 1] - moves[begin] > 0.5 * (end + 1 - begin)
+        enough = np.sum((end - begin)[both]) >= MOVED * moves[-1]
+        begin, end = begin[both & enough], end[both & enough]
     wrong = ""
     if speed is not None and len(begin) < FEWEST:
         usual = float(np.median(np.abs(speed))) if len(speed) else 0.0
         wrong = f"{usual:.4g} m/s (median) is no speed of a vehicle" if usual > FASTEST else ""
-    elif speed is not None and not 1 / ALIKE < (ratio := _ratio(time, values, speed, begin, end)) < ALIKE:
+    elif speed is not None and (ratio := _ratio(time, values, speed, begin, end)) > ALIKE:
         wrong = f"{ratio:.3g} times the speed of the positions (median){_remedy(ratio, texts, role)}"
     elif course is not None and len(begin) >= FEWEST:
         dx, dy = (values[n][end] - values[n][begin] for n in ("x", "y"))
@@ -59,20 +67,19 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
 def _ratio(
     time: Array, values: Values, speed: Array, begin: NDArray[np.int64], end: NDArray[np.int64]
 ) -> float:
-    """Return the median ratio of a speed to that of the positions in stretches."""
+    """Return the median ratio of a speed to that of the positions in stretches; 1 if it is not constant."""
     sums = np.concatenate([[0.0], np.cumsum(np.abs(speed))])
     stated = (sums[end + 1] - sums[begin]) / (end + 1 - begin)
     moved = np.hypot(*(values[n][end] - values[n][begin] for n in ("x", "y"))) / (time[end] - time[begin])
-    return float(np.median(stated / moved))
+    low, middle, high = np.quantile(stated / moved, (0.1, 0.5, 0.9))
+    return float(middle) if high <= CONSTANT * low else 1.0
 
 
 def _remedy(ratio: float, texts: dict[str, str], role: str) -> str:
-    """Propose the unit whose factor is the ratio, if one is within 10%."""
-    if ratio < 1:
-        return "; its unit, or that of the times, is wrong" if ratio else ""
-    unit = next((u for u in UNITS if abs(np.log(ratio / u[1])) < 0.1), None)
+    """Propose the unit whose factor is nearest to the ratio, if it is within 10%."""
+    unit = min(UNITS, key=lambda u: abs(np.log(ratio / u[1])))
     speeds = {name: text for name, text in texts.items() if name != "course"}
-    if unit is None or not speeds:
+    if abs(np.log(ratio / unit[1])) > 0.1 or not speeds:
         return ""
     plain = {n: t if re.fullmatch(r"\w+|`[^`]+`", t) else f"({t})" for n, t in speeds.items()}
     maps = " ".join(f'"{role}.{name}={text}{unit[2]}"' for name, text in plain.items())
