@@ -196,7 +196,8 @@ def _dates_and_times(names: Sequence[Name], frame: pl.DataFrame) -> list[tuple[N
     Return the clock, whether the names are the usual ones, and the time of each pair. Clocks with half as many distinct
     times as the finest, or fewer, come last.
     """
-    texts = [n for n in names if frame.schema[n.column] == pl.String and not len(numbers_of(frame[n.column]))]
+    schema = frame.schema
+    texts = [n for n in names if schema[n.column] == pl.String and not len(numbers_of(frame[n.column]))]
     days, clocks = _prefixed(names, "date|day"), _prefixed(texts, "time|time_of_day|clock")
     pairs = [
         (clock, known, day.column)
