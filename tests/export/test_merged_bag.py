@@ -83,7 +83,7 @@ def test_types_come_along(tmp_path: Path):
         ("empty folder", "contains no bag"),
         ("broken", "is cut short or broken"),
         ("another time", r"covers 17000000\d\d\.\d{3} to .*give the bag from which the drive was imported"),
-        ("itself", "has /sigmaswarm/odometry already"),
+        ("itself", "already contains /sigmaswarm/odometry"),
     ],
 )
 def test_what_can_not_be_merged_is_reported_and_leaves_nothing(tmp_path: Path, case: str, said: str):

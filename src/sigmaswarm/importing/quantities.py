@@ -221,7 +221,7 @@ def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
         negative = [text for text in texts if text.strip()[0].lower() == name[1]] or [unset]
         fault = ""
         other = [c for c in cells if re.fullmatch(" *[A-Za-z] *", c) and c not in texts]
-        if named and rows[column].is_in(other).mean() > FEW_ODD:
+        if named and rows[column].is_in(other).sum() > FEW_ODD * len(rows):
             negative, (first, last) = other[:1], words.split("|")
             fault = f"column {quoted(column)}: {quoted(other[0])} is not {first} or {last}; if it is {last}"
         if named or texts:
@@ -268,7 +268,7 @@ def _place_form(columns: Columns, role: Role) -> Found:
         return Found("", fault=fault)
     if low <= 90 and high <= 360:
         return Found("{}")
-    if low <= 9000 and high <= 18060 and all((v % 100 < 60).mean() > 1 - FEW_ODD for v in (lat, lon)):
+    if low <= 9000 and high <= 18060 and all((v % 100 >= 60).sum() <= FEW_ODD * len(v) for v in (lat, lon)):
         return Found("ddmm({})", "latitude and longitude taken as degrees and minutes, ddmm.mmmm")
     if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 180e6):
         return Found("{}*1e-7", "latitude and longitude taken as 1e-7 degrees")
