@@ -35,7 +35,7 @@ def test_c_of_a_tuning_with_a_mounting_says_so(sigmaswarm: Command, tuned: Path,
         return "tuning.toml"
 
     said = sigmaswarm("export", mounted(0.0, 10.5, 90.0), "--to", "c99", "--out", "c").out
-    assert "raw samples by the mounting of the training drives (0, 10.5, 90 deg)" in said
+    assert "as imported, by the mounting of the training drives (0, 10.5, 90 deg)" in said
     assert "ins_gps_turn_imu" in Path("c/ins_gps.c").read_text()
     assert "ins_gps_turn_imu" not in sigmaswarm("export", tuned, "--to", "c99", "--out", "d").out
     ended = sigmaswarm("export", mounted(0.0, np.nan, 90.0), "--to", "c99", "--out", "e")

@@ -329,3 +329,19 @@ def test_fixes_that_nobody_uses_are_said_once(sigmaswarm: Command, here: Path):
     assert ended.out.count("fixes lie outside of the IMU's time, up to 30 s after its last sample") == 1
     found = json.loads(sigmaswarm("doctor", "drive", "--json").out)["drives"][0]["findings"]
     assert [f["severity"] for f in found if f["code"] == "gps-outside"] == ["note"]
+
+
+def test_nothing_that_is_read_is_overwritten(sigmaswarm: Command, here: Path, tuned: Path):
+    """The files of a log, or of a drive, may have the names of those that are written."""
+    drive = library.write_drive(library.simulate("urban", duration=40.0, imu_rate=50.0), here / "log")
+    before = {file.name: file.read_bytes() for file in drive.iterdir()}
+    for source, more in ((drive, ()), (drive / "imu.csv", ("--gps", drive / "gps.csv"))):
+        ended = sigmaswarm("import", source, *more, "--out", drive, "--overwrite")
+        assert (ended.code, ended.err.count("\n")) == (2, 1)
+        assert "contains a log that is read; choose another folder" in ended.err
+    for option in ("--out", "--before"):
+        also = () if option == "--out" else ("--out", "estimate.csv")
+        ended = sigmaswarm("run", tuned, drive, option, drive / "gps.csv", *also)
+        assert (ended.code, ended.err.count("\n")) == (2, 1)
+        assert "is a file of the drive that is read; choose another file" in ended.err
+    assert {file.name: file.read_bytes() for file in drive.iterdir()} == before

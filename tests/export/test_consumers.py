@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 
+import sigmaswarm
 from exported import needs_gcc, tuned, write
 from filter_cases import WEIGHED, equipped, parameters, straying
 from microcontroller import COMPILER, M4F, WARNINGS, needs_arm
@@ -189,9 +190,12 @@ def test_an_arm_compiler_has_nothing_to_say(tmp_path: Path, p: FilterParameters,
 
 
 @needs_gcc
+@pytest.mark.parametrize("mounting", [None, (1.0, 2.0, 90.0)], ids=["", "turned"])
 @pytest.mark.parametrize("p", EVERY, ids=lambda p: p.model)
-def test_the_readme_shows_c_that_compiles(tmp_path: Path, p: FilterParameters):
-    write(tmp_path, p)
+def test_the_readme_shows_c_that_compiles(
+    tmp_path: Path, p: FilterParameters, mounting: tuple[float, float, float] | None
+):
+    sigmaswarm.export(p, "c99", tmp_path, mounting=mounting)
     (code,) = re.findall(r"```c\n(.*?)```", (tmp_path / "README.md").read_text(), re.DOTALL)
     (tmp_path / "loop.c").write_text(code)
     flags = [flag for flag in WARNINGS if flag != "-pedantic"]

@@ -110,7 +110,7 @@ def test_c_takes_raw_samples(imported: Drive, tuning: Path, tmp_path: Path, flag
     parameters = sigmaswarm.FilterParameters.load(tuning)
     assert distance(means, expected(imported, parameters)) < off
     readme = (tmp_path / "README.md").read_text()
-    assert "pass each raw sample through\n`ins_gps_turn_imu()`" in readme
+    assert "`ins_gps_turn_imu()` turns each\nsample, as in `on_sample()` below" in readme
     assert "turn each\nsample in the same way" not in readme
     board = board_of(tmp_path, *flags).Filter(0.0, [0.0] * 5, np.eye(5).ravel().tolist())
     matrix = np.array([board.turned(sample) for sample in np.eye(6).tolist()]).T

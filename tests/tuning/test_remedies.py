@@ -41,7 +41,7 @@ def to_dos(tuning: Tuning[Any], about: str) -> list[str]:
 
 def test_gps_std_m_brings_the_nis_of_a_smooth_receiver_up():
     plain, stated = (tune(smooth(std), model="planar8", use=["lateral"], **FEW) for std in (None, 0.3))
-    assert "write gps_std_m into drive.toml" in to_dos(plain, "gps_std_m")[0]
+    assert "write gps_std_m at the top of drive.toml" in to_dos(plain, "gps_std_m")[0]
     assert not to_dos(stated, "gps_std_m")
     nis = [evaluate(smooth(), t.parameters).consistency[town().name].mean_nis for t in (plain, stated)]
     r = [np.sqrt(np.mean(t.parameters.measurement_noise)) for t in (plain, stated)]

@@ -103,7 +103,9 @@ def export(
     say(*(f"wrote {path}" for path in written), *(_found(each, lanes) for each in checked))
     if mounting and to == "c99":
         angles = ", ".join(f"{angle:g}" for angle in mounting)
-        say(f"ins_gps_turn_imu() turns raw samples by the mounting of the training drives ({angles} deg)")
+        say(
+            f"ins_gps_turn_imu() turns samples, as imported, by the mounting of the training drives ({angles} deg)"
+        )
     say(f"next: {_next_step(to, out, replay=drive is not None)}")
 
 

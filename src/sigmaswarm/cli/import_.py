@@ -223,6 +223,11 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
     from sigmaswarm.drives.writer import require_replaceable, write_drive
     from sigmaswarm.importing.convert import import_drive
 
+    read = [
+        place.resolve() for place in (request.source, request.gps, request.truth, request.odometer) if place
+    ]
+    if any(out.resolve() in (place, place.parent) for place in read) and out.exists():
+        raise InputError(f"{out}: contains a log that is read; choose another folder")
     require_replaceable(out.resolve(), options.overwrite, "add --overwrite, or choose another folder")
     with progress_bar("importing") as show:
         imported = import_drive(request, options.name or out.resolve().name, lambda share: show(share, 1.0))

@@ -97,6 +97,7 @@ def run(
 
 def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[str, Any], int]":
     """Write the estimates. Return the drive, a summary and the number of fixes that were written."""
+    from sigmaswarm.drives.writer import FILES
     from sigmaswarm.exports.trajectory import (
         BAG,
         check_fixes_target,
@@ -114,6 +115,9 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     from sigmaswarm.learned.folder import load_learned
 
     out, smooth, before, truth = options.out, options.smooth, options.before, options.truth
+    for target in filter(None, (out, before, truth)):
+        if target.resolve().parent == Path(drive).resolve() and target.name in FILES:
+            raise InputError(f"{target}: is a file of the drive that is read; choose another file")
     if smooth and options.bank:
         raise InputError(
             "--smooth and --bank can't be combined, since a filter bank is not smoothed; leave one out"

@@ -54,8 +54,8 @@ def parse_mount(text: str) -> Array:
         angles = []
     if len(angles) not in (1, 3) or not all(map(math.isfinite, angles)):
         raise InputError(
-            f"mount {text!r} is not a mounting; write degrees about z (90), roll,pitch,yaw (0,10,90), or axes "
-            "(x=-y,y=x)"
+            f"mount {text!r} is not a mounting; write degrees about z (90), roll,pitch,yaw (0,10,90), axes "
+            "(x=-y,y=x), or auto"
         )
     roll, pitch, yaw = angles if len(angles) == 3 else (0.0, 0.0, angles[0])
     return rotation_of(roll, pitch, yaw)

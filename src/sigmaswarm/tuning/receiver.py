@@ -135,7 +135,11 @@ def prior_warnings(
                 f"{name} states no accuracy of its fixes, so R was kept near that of a usual receiver, {std:.2g} m per "
                 "axis, and NIS will be low if the receiver smooths its fixes"
             )
-            return [to_do("if the receiver is more or less accurate, write gps_std_m into drive.toml", why)]
+            return [
+                to_do(
+                    "if the receiver is more or less accurate, write gps_std_m at the top of drive.toml", why
+                )
+            ]
         return [f"{name}: R was kept near the {std:.2g} m per axis of white noise that the fixes show"]
     return []
 

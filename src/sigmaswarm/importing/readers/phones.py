@@ -12,7 +12,7 @@ from sigmaswarm.importing.readers.columns import of_files, scan
 from sigmaswarm.importing.source import Guess, Limits, Log, whole
 from sigmaswarm.limits import require_text
 
-FLAT = "the phone is assumed to lie flat, screen up, top edge forward; state another mounting with --mount"
+FLAT = "the phone is assumed to lie flat, screen up, top edge forward; else add --mount, or --mount auto"
 """A phone's x points right and y to its top edge (Android's SensorEvent): forward is y, left is -x."""
 RADIUS_68 = 1.515
 """Radius of a circle with 68% of normal errors, in standard deviations of one axis: sqrt(-2 ln 0.32)."""
