@@ -75,7 +75,8 @@ def doctor(
                 say(f"wrote {folder}, repaired: {', '.join(mended)}. Remaining findings:\n")
                 print_diagnosis(diagnosis)
             elif not json:
-                say(f"wrote {folder}, an unchanged copy: the doctor has no repair for these findings\n")
+                why = "all repairs are withheld" if codes else "the doctor has no repair for these findings"
+                say(f"wrote {folder}, an unchanged copy: {why}\n")
         result.append(found)
         serious |= diagnosis.serious
     if json:

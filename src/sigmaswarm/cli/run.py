@@ -115,9 +115,9 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     from sigmaswarm.learned.folder import load_learned
 
     out, smooth, before, truth = options.out, options.smooth, options.before, options.truth
-    for target in filter(None, (out, before, truth)):
-        if target.resolve().parent == Path(drive).resolve() and target.name in FILES:
-            raise InputError(f"{target}: is a file of the drive that is read; choose another file")
+    for file in filter(None, (out, before, truth)):
+        if file.resolve().parent == drive.resolve() and file.name in FILES:
+            raise InputError(f"{file}: is a file of the drive that is read; choose another file")
     if smooth and options.bank:
         raise InputError(
             "--smooth and --bank can't be combined, since a filter bank is not smoothed; leave one out"
