@@ -153,7 +153,7 @@ def test_lines_of_a_drive_are_counted_before_they_are_read(
     folder = write_drive(make_drive(duration=20.0), tmp_path / "d")
     with (folder / "imu.csv").open("ab") as file:
         file.write(lines * 100_000)
-    with pytest.raises(InputError, match=r"imu\.csv: states \d+ rows of \d columns, more than 100000 cells"):
+    with pytest.raises(InputError, match=r"imu\.csv: has \d+ rows of \d columns; the limit is 100000 cells"):
         read_drive(folder)
 
 

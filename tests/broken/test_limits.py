@@ -87,7 +87,7 @@ def test_rows_of_parquet_are_counted_before_they_are_read(rows: int, drive: Path
     pl.concat([frame.lazy()] * (rows // 1_000_000 if rows < 10**9 else 250)).select(
         pl.col("t"), *(pl.lit(0.0).alias(name) for name in ("ax", "ay", "gz"))
     ).sink_parquet(drive / "imu.parquet")
-    with limited(10), pytest.raises(InputError, match=r"imu\.parquet: states"):
+    with limited(10), pytest.raises(InputError, match=r"imu\.parquet: has"):
         read_drive(drive)
 
 
