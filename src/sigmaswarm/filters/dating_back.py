@@ -1,7 +1,7 @@
 """Initial state with tilts and accelerometer biases from the fixes before the start.
 
-An alignment (`drives.alignment`) is a fit in the plane and lacks these states. A filter over the earlier fixes
-estimates them. On the other states it adds no information, so these remain those of the alignment.
+An alignment (`drives.alignment`) is planar and lacks these states. Here a filter over the earlier fixes estimates them.
+The other states remain those of the alignment, since the filter adds no information on them.
 """
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ from sigmaswarm.filters.replay import run_steps, start_replays
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.filters.schedule import start_of
 
-LONGEST = 60.0  # s before the start from which fixes are used
+LONGEST = 60.0  # s; fixes up to this long before the start are used
 PRIOR_STD = np.array([2.0, 2.0, 1.0, 1.0, 0.03])  # at the first fix: m, m/s, rad; similar to an alignment
 
 
@@ -31,26 +31,26 @@ def dated_back(
 ) -> InitialState:
     """Estimate the states that an alignment lacks, for a better start at the same time.
 
-    The result has roll, pitch and biases of a filter over the fixes before the start, and the alignment's other states
-    and gyro bias about up. Only data before the start are used.
+    Roll, pitch and biases are those of a filter over the fixes before the start; the other states and the gyro bias
+    about up are those of the alignment. Only data before the start are used.
 
     Parameters
     ----------
     drive : Drive or PreparedDrive
     parameters : FilterParameters
     longest : float
-        Longest time of a fix before the start, s; earlier fixes are not used.
+        Fixes up to this long before the start are used, s.
 
     Returns
     -------
     InitialState
-        All states of the filter, for ``initial`` of `run_filter`, `smooth` and `LiveFilter`. It is the start of the
-        alignment if the filter fails or lacks these states, or if no earlier fix is usable.
+        All states of the filter, for ``initial`` of `run_filter`, `smooth` and `LiveFilter`. If the filter fails or
+        lacks these states, or if no earlier fix is usable, this is the start of the alignment.
 
     Raises
     ------
     InputError
-        If the model measures the IMU: robot-localization.
+        If IMU samples are measurements of the model, as in robot-localization.
     """
     require_driven_by_imu(parameters.model, "dated_back")
     ready = prepared(drive)
@@ -86,7 +86,7 @@ def _past(ready: PreparedDrive, start: InitialState, until: float) -> PreparedDr
 
 
 def _prior(drive: Drive, found: InitialState, fix: int) -> InitialState:
-    """Return a prior at an earlier fix: its position, the heading minus later turns, the velocity of a chord."""
+    """Return a prior at an earlier fix: its position, the heading minus later turns, the mean velocity over 1 s."""
     gps, imu = drive.gps, drive.imu
     time = float(gps.time[fix])
     inside = (imu.time > time) & (imu.time <= found.time)

@@ -4,9 +4,9 @@ The fixes of the last seconds determine position, speed and heading without a fi
 diverged if it contradicts this alignment for long and by far more than its covariance allows. It is then reset to the
 alignment.
 
-The thresholds were chosen on nine recordings. For filters that had not diverged, the heading differed by 20 deg from
-the alignments for at most 8 s, the position by 20 m and 5 sigma from the fixes for at most 6 s. For diverged filters,
-both differences persisted for at least 18 s.
+The thresholds were chosen on nine recordings. For filters that had not diverged, the heading differed by more than 20
+deg from the alignments for at most 8 s. The position differed by more than 20 m and 5 sigma from the fixes for at most
+6 s. For diverged filters, both differences persisted for at least 18 s.
 """
 
 import math
@@ -25,12 +25,12 @@ from sigmaswarm.filters.compiled.monitor import CHECK_INTERVAL, LATEST_CHECK
 from sigmaswarm.filters.models import GYRO_BIAS, THETA, planar5
 from sigmaswarm.geodesy import wrap_angle
 
-DIVERGED_AFTER = 10.0  # s of contradiction; longer than errors in a city and a robust filter's recovery
+DIVERGED_AFTER = 10.0  # s of contradiction; errors in a city and the recovery of robust filters are shorter
 FEWEST_CHECKS = 5  # smallest number of checks within the contradiction
 MANY_SIGMAS = 5.0  # smallest difference, in combined standard deviations of filter and fixes
-HEADING_OFF = np.radians(20.0)  # rad, smallest difference from the alignment
+HEADING_OFF = np.radians(20.0)  # rad, smallest difference of the heading from the alignment
 POSITION_OFF = 20.0  # m, smallest difference of a fix from its prediction
-SUSPECT = np.radians(10.0)  # rad from a rough course, above which an alignment is computed
+SUSPECT = np.radians(10.0)  # rad; if the heading is this far from a rough one, an alignment is computed
 SPEED_STD = 10.0  # m/s per axis, after a reset to the last fix
 
 
@@ -140,7 +140,7 @@ class DivergenceMonitor:
     restarts : list of float
         Times of the resets, s.
     lost : bool
-        True while the filter has diverged without an alignment for a reset; the estimate is then `at_fix`.
+        True while the filter has diverged and cannot be reset, without an alignment; the estimate is then `at_fix`.
     """
 
     def __init__(self) -> None:
@@ -195,8 +195,8 @@ class _Contradiction:
     def first_lasting(self, times: Sequence[float], contradicts: Callable[[int], bool | None]) -> int | None:
         """Find the first check at which the contradiction has lasted `DIVERGED_AFTER`; else return None.
 
-        ``contradicts`` is slow. So it is called backwards from the next check that could complete a contradiction of
-        this length, until a check without contradiction.
+        Since ``contradicts`` is slow, it is called backwards in time, from the next check that could complete such a
+        contradiction to the last check without one.
         """
         begin = 0
         while begin < len(times):

@@ -1,7 +1,8 @@
 """Correlated fix errors as two Gauss-Markov states b: an option of every model with the IMU as input.
 
-Receivers smooth their fixes, so errors are correlated from fix to fix. The states b (m, east and north) are appended to
-the model's states; the model's process does not depend on b. A fix measures p + b + v; between two fixes dt apart
+Receivers smooth their fixes, so the errors of successive fixes are correlated. The states b (m, east and north) are
+appended to the model's states; the model's process does not depend on b. A fix measures p + b + v. Between two fixes dt
+apart
 
     b <- phi b,    P_bb <- phi^2 P_bb + g s^2 (1 - phi^2),    phi = exp(-dt / tau)
 
@@ -26,7 +27,7 @@ SUFFIX = "+fix-error"  # in the name of a model with the states b
 
 @dataclass(frozen=True)
 class Appended:
-    """A measurement of a model with b after its states; ``gain`` is 1 if b adds to it, else 0."""
+    """A measurement of a model with the states b; ``gain`` is 1 if it measures the sum with b, else 0."""
 
     own: Any
     gain: float = 0.0
@@ -111,7 +112,7 @@ _LENGTHS = {len(model.states) for model in FILTERS.values() if model.fix_error}
 
 
 def known_states(n: int, given: int) -> int:
-    """Return how many of a model's n states a start with ``given`` states sets."""
+    """Return the number of a model's n states that a start with ``given`` states determines."""
     if n == given:
         return n
     return min(n - 2 if n in _LENGTHS else n, given - 2 if given in _LENGTHS else given)

@@ -72,7 +72,7 @@ class KernelArray:
 
     Each block has ``width`` columns, up to `most_lanes`. A partial block is filled with copies of a set. ``like`` is a
     set with the model and measurements of all ``size`` sets. ``reads`` are the requirements on a drive: model, stated
-    accuracy of fixes, `measured_by`. A model that is not compiled as this type of filter raises `InputError`.
+    accuracy of fixes, `measured_by`. A model that is not compiled as this filter type raises `InputError`.
     """
 
     def __init__(self, parameter_sets: Sequence[FilterParameters]) -> None:
@@ -121,10 +121,7 @@ class KernelArray:
 
     @property
     def plausible(self) -> NDArray[np.bool_]:
-        """Sets with Q >= 0 and R > 0, shape (size,): only rounding can make their P indefinite.
-
-        For other sets, P may be indefinite long before this is detected.
-        """
+        """Sets with Q >= 0 and R > 0, bool of shape (size,); P of other sets may be indefinite long before a check."""
         own = self._constants[:, self._first : self._first + self.size]
         r = own[[R.RX - CONSTANT_ROWS.start, R.RY - CONSTANT_ROWS.start]]
         return (own[_Q].min(axis=0) >= 0) & (r.min(axis=0) > 0)
@@ -186,7 +183,7 @@ _FRESH[R.RECENT] = -1.0
 
 
 def _patience(nominal_interval: float) -> float:
-    """Return the nominal steps that a run of outliers spans, minus a margin for the rounding of times since 1970."""
+    """Return `OUTLIERS_SPAN` in nominal steps, minus a margin for the rounding of Unix time."""
     return (OUTLIERS_SPAN - 1e-6) / nominal_interval
 
 
@@ -198,7 +195,7 @@ def _starts_of(initial: tuple[InitialState, ...], model: str, std: Array) -> Sta
 
 @lru_cache(4)
 def _shared_starts(initial: tuple[InitialState, ...], model: str, std: tuple[float, ...]) -> Starts:
-    """Return starts of sets with equal `start_std`, cached: all generations of a search have the same."""
+    """Return starts of sets with equal `start_std`; cached, since all generations of a search use the same starts."""
     return _starts_of(initial, model, np.array([std]))
 
 

@@ -32,9 +32,9 @@ from sigmaswarm.geodesy import wrap_angle
 
 MOST_RESTARTS = 1000  # largest number of resets in the record of reset times
 MOST_READINGS = 2000  # stored odometer readings: ten seconds at 200 Hz
-FASTER_IMU = 4  # largest ratio of the IMU's rate to the stated one at which the monitor covers its full time
+FASTER_IMU = 4  # the monitor covers its full time if the IMU is up to this many times as fast as stated
 MOST_HISTORY = 100_000  # IMU intervals in history and lag: 100 s at 1 kHz, 0.2 GB
-MOST_WAITING = 1000  # fixes, approximately, that can wait for an IMU sample while the IMU is silent
+MOST_WAITING = 1000  # approximate number of fixes that can wait while the IMU is silent
 _NO_NUMBERS = (TypeError, LookupError, OverflowError)
 """Errors of invalid input such as texts, None, too few numbers, or integers of 400 digits."""
 
@@ -62,23 +62,23 @@ class LiveState:
 class LiveFilter:
     """A Kalman filter that processes one sample at a time.
 
-    Samples are in the axes of the vehicle. SciPy's ``Rotation.from_euler("xyz", tuning.mounting, degrees=True)`` turns
-    those of an IMU that is mounted as in the training drives.
+    Samples are in the axes of the vehicle. If the IMU is mounted as in the training drives, SciPy's
+    ``Rotation.from_euler("xyz", tuning.mounting, degrees=True)`` rotates its samples.
 
     A fix waits for the next IMU sample, which propagates the filter to the time of the fix and then to that of the
     sample. For a fix that is at most ``history`` seconds late, the filter returns to the fix's time and processes the
-    later samples again. So the state equals the result of `run_filter` for the same data in order. Fixes of the same
-    time, for example from two receivers, are used one after the other. An identical fix is a repeated message and is
-    ignored. A stale fix is stored but not used: see `drives.stale_fixes`.
+    later samples again. So the state equals the result of `run_filter` for the same data in time order. Fixes of the
+    same time, for example from two receivers, are used one after the other. An identical fix is a repeated message and
+    is ignored. A stale fix is stored but not used: see `drives.stale_fixes`.
 
     While the IMU is silent, the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`).
     A sample stamped more than 10 s ahead waits for a second sample within a second of its stamp. Then both are used, as
-    after a silence; otherwise the first one is dropped and counted. The same rule applies to fixes, which IMU samples
-    near their stamps also confirm.
+    after a silence; otherwise the first one is dropped and counted. The same rule applies to fixes. IMU samples near
+    the time stamp of a fix also confirm it.
 
     The divergence monitor compares the filter once a second with the latest fixes and resets it if it has diverged
-    (`divergence`). The reset is later than in a run by the delay of the fixes. Fixes from before the reset then count
-    as too late.
+    (`divergence`). The delay of the fixes also delays a reset, relative to `run_filter`. Fixes from before the reset
+    then count as too late.
 
     The memory has a fixed size. The compiled code (`compiled.live`) is loaded or compiled by the first filter of a
     process.
@@ -147,7 +147,7 @@ class LiveFilter:
         self._plausible = bool(KernelArray((p,)).plausible[0])
         self._takes_velocity = p.velocity_noise is not None
         self._takes_accuracy = p.accuracy_scale is not None
-        # More than the history needs: an IMU may run faster than stated.
+        # More than for the history: an IMU may run faster than stated.
         samples = max(
             1, int(np.ceil(1.25 * max(history, (lag or -1.0) + nominal_interval) / nominal_interval))
         )
@@ -183,7 +183,7 @@ class LiveFilter:
         Parameters
         ----------
         t : float
-            s
+            Time stamp, s.
         imu : sequence of float
             The axes that the model reads, in its order (m/s2, rad/s); for planar models ax, ay, gz.
 
@@ -222,7 +222,7 @@ class LiveFilter:
         Returns
         -------
         bool
-            False if the fix was ignored (before the start, too late, or a repeat) or waits.
+            False if the fix was ignored (before the start, too late, or a repeat) or waits for confirmation.
 
         Raises
         ------
@@ -261,7 +261,7 @@ class LiveFilter:
             raise InputError(f"a reading of the odometer that is not a number: {error}") from None
 
     def _check_divergence(self, now: float, *, due: bool) -> None:
-        """Reset the filter after a sample if it has diverged; ``due``: it is time for a check."""
+        """Reset the filter after a sample if it has diverged; ``due``: True if a check is due."""
         fix, monitor = self._last_fix(now), self._monitor
         if fix is None or monitor is None:
             return

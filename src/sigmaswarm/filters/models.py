@@ -1,6 +1,6 @@
 """Vehicle models: their description, process f(state, dt, imu) and measurements h(state) in textbook form.
 
-The states of a model begin with those of the previous models, so that measurements find these at the same indices.
+The states of a model begin with those of the models before it, so measurements find states at the same indices.
 Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. `tilted` has the model with a full attitude.
 """
 
@@ -70,7 +70,7 @@ def robot_localization(state: Array, dt: float, imu: Array) -> Array:
 
 
 def gps_position(lever: Sequence[float] = (0.0, 0.0), latency: float = 0.0) -> Callable[[Array], Array]:
-    """Predict a fix: the position, ``latency`` s ago, of the antenna ``lever`` m forward and left."""
+    """Predict a fix: the position, ``latency`` s ago, of an antenna at ``lever``, m forward and left of the IMU."""
 
     def h(state: Array) -> Array:
         c, s = np.cos(state[THETA]), np.sin(state[THETA])
@@ -89,7 +89,7 @@ def lateral_arm(state: Array, rear_axle: float, tire_slip: float) -> float:
     """Return the distance (m) from the point without lateral velocity forward to the IMU: rear_axle - tire_slip v^2.
 
     The rear tires slip by an angle of ``tire_slip`` (s2/m) times the lateral acceleration, v yaw_rate. So the lateral
-    velocity at the rear axle is -tire_slip v^2 yaw_rate. v^2 is that of the mean before the update.
+    velocity at the rear axle is -tire_slip v^2 yaw_rate. v is the speed of the mean before the update.
     """
     return rear_axle - tire_slip * float(state[2] * state[2] + state[3] * state[3])
 
@@ -106,7 +106,7 @@ def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Arr
 
 
 def wheel_speed(ax: float, delay: float) -> Callable[[Array], Array]:
-    """Predict the velocity forward (m/s) ``delay`` s ago, as the wheels measure it; ``ax``: acceleration since, m/s2.
+    """Predict the forward velocity (m/s) ``delay`` s ago, as the wheels measure it, from the acceleration ax, m/s2.
 
     The forward velocity is the same at the IMU and at the rear axle behind it.
     """
@@ -144,8 +144,8 @@ class Tilts:
 VARIANCE = (1e-5, 10.0)  # bounds of all variances in the paper; Q is per nominal IMU step
 SMALL_VARIANCE = (1e-12, 10.0)  # bounds of Q for position and velocity
 HEADING_VARIANCE = (1e-10, 1e-1)
-"""Bounds of Q per second for the heading: no gyro drifts by a third of a radian in one second. With a larger noise, a
-filter determines its heading from the fixes alone; a likelihood without truth may prefer this if the receiver smooths
+"""Bounds of Q per second for the heading; no gyro drifts by a third of a radian in one second. With a larger noise, a
+filter determines its heading from the fixes alone. A likelihood without truth may prefer this if the receiver smooths
 its fixes."""
 CITY_VARIANCE = (1e-5, 1e3)  # bounds of R: between high buildings, fixes have errors of tens of meters
 BIAS_WALK = (1e-16, 1e-4)  # bounds of Q for the random walks of the biases
@@ -153,7 +153,7 @@ BIAS_WALK = (1e-16, 1e-4)  # bounds of Q for the random walks of the biases
 
 @dataclass(frozen=True)
 class Sensor:
-    """Unit of a sensor's bias, and the bounds of its standard deviation at the start."""
+    """Unit of a sensor's bias, and the bounds of the bias's initial standard deviation."""
 
     unit: str
     start_std: tuple[float, float]
@@ -173,7 +173,7 @@ class State:
     shared: str  # search parameter, common to east and north if their noise is the same
     bias_of: str | None = None  # the sensor in SENSORS with this bias, which starts at 0
     per_second: bool = False  # the bounds are per second
-    start_std: float = 0.0  # initial, of a state that is no bias and that an alignment lacks
+    start_std: float = 0.0  # initial standard deviation of a state that is no bias and that alignments lack
 
     @property
     def variance_unit(self) -> str:
@@ -189,9 +189,9 @@ class State:
 class CarModel:
     """A process model for cars. Measurements of a tilted model have a ``jacobian``.
 
-    ``kinds`` are the compiled filter types, the default first. ``measures_imu``: acceleration and yaw rate are states
-    that the IMU measures with `FilterParameters.imu_noise`, and the velocity is in the body's frame:
-    robot_localization. Such a model runs over drives; it is neither smoothed nor live.
+    ``kinds`` are the compiled filter types; the first one is the default. ``measures_imu``: as in robot-localization,
+    acceleration and yaw rate are states that the IMU measures with `FilterParameters.imu_noise`, and the velocity is in
+    the body frame. Such a model supports neither smoothing nor live filters.
     """
 
     states: tuple[State, ...]

@@ -63,7 +63,7 @@ def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
 
 
 def _turned(mean: Array, covariance: Array, sign: float) -> tuple[Array, Array]:
-    """Rotate the velocity by the heading, from body to map (sign 1) or back (-1); the covariance to first order."""
+    """Rotate the velocity by the heading, from body to map (sign 1) or back (-1), and the covariance to first order."""
     c, s = np.cos(mean[..., THETA]), sign * np.sin(mean[..., THETA])
     vx, vy = mean[..., 2], mean[..., 3]
     turned, jacobian = mean.copy(), np.zeros_like(covariance) + np.eye(mean.shape[-1])
@@ -82,7 +82,7 @@ def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def sound_lanes(rows: Array, model: str) -> NDArray[np.bool_]:
-    """Mark the lanes of final rows (m, N_KEPT, lanes) that did not fail and are definite, (m, lanes)."""
+    """Return True, (m, lanes), for lanes of final rows (m, N_KEPT, lanes) that are sound with a definite P."""
     found = np.empty((len(rows), rows.shape[2]), dtype=np.bool_)
     _find_sound(rows, P0, len(FILTERS[model].states), R.OK, found)
     return found
@@ -91,7 +91,8 @@ def sound_lanes(rows: Array, model: str) -> NDArray[np.bool_]:
 def definite(covariance: Array) -> NDArray[np.bool_]:
     """Return True for covariances (..., n, n) that are positive definite up to rounding.
 
-    The eigenvalues of the correlation are above -1e-9 if, with 1e-9 added to its diagonal, all pivots are positive.
+    All eigenvalues of the correlation matrix are above -1e-9 if all pivots are positive after 1e-9 is added to its
+    diagonal.
     """
     n = covariance.shape[-1]
     packed = covariance[(..., *_upper(n))].reshape(-1, n * (n + 1) // 2, 1)
@@ -102,7 +103,7 @@ def definite(covariance: Array) -> NDArray[np.bool_]:
 
 @cached(nogil=True, error_model="numpy")
 def _find_sound(rows: Array, first: int, n: int, ok: int, found: NDArray[np.bool_]) -> None:
-    """Find definite covariances (n, n): upper triangles, column by column, in rows (m, s, lanes) from ``first`` on.
+    """Find definite covariances (n, n), packed in rows (m, s, lanes) from row ``first`` on, as in `_upper`.
 
     ``ok``: the row of a run that is 1 if the filter never failed; the state and sums must also be finite. -1: the rows
     contain only covariances.

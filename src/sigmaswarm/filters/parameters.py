@@ -181,11 +181,11 @@ class FilterParameters:
 
     @property
     def kernel(self) -> str:
-        """Name in `fix_error.FILTERS` of the kernel, and of the model with all of the filter's states."""
+        """Name of the kernel, which is also the name in `fix_error.FILTERS` of the model with all states."""
         return kernel_name(self.model, self.kind, self.fix_error is not None)
 
     def scaled(self, factor: float) -> "FilterParameters":
-        """Multiply all variances by a factor; this scales the covariance and hardly changes the estimates.
+        """Return the parameters with all variances multiplied by a factor, which hardly changes the estimates.
 
         The initial standard deviations of the biases are multiplied by the root of the factor. The other initial
         covariance and the covariance of IMU gaps do not change. With a gate or ``robust_dof``, which depend on the

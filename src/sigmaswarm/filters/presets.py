@@ -1,4 +1,4 @@
-"""Filters without tuning: the baseline, with which a tuning is compared, and three planar5 UKFs for manual settings.
+"""Filters without tuning: the baseline, with which a tuning is compared, and three presets of a planar5 UKF.
 
 The paper mentions "default parameters" but does not state their values.
 
@@ -39,8 +39,8 @@ MPU6050_ACCEL_NOISE_DENSITY = 0.24 / 60  # m/s2/sqrt(Hz), 0.24 m/s/sqrt(h) (data
 MPU6050_GYRO_NOISE_DENSITY = np.radians(0.3) / 60
 """Noise density of the gyro, rad/s/sqrt(Hz), from 0.3 deg/sqrt(h) (MPU-6050 datasheet: 0.005 deg/s/sqrt(Hz))."""
 BIAS_WALKS = {"accel": 2 * 0.01**2 / 3600, "gyro": 2 * np.radians(200 / 3600) ** 2 / 3600}
-"""Growth of the biases' variances per second, (m/s2)2 and (rad/s)2: 0.01 m/s2 and 200 deg/h over an hour, as for an
-ICM-20602 (i2Nav's awesome-gins-datasets), since the data sheet of the MPU-6050 does not state it."""
+"""Growth of the biases' variances per second, (m/s2)2 and (rad/s)2. The data sheet of the MPU-6050 does not state it;
+this is 0.01 m/s2 and 200 deg/h over an hour, as for an ICM-20602 (i2Nav's awesome-gins-datasets)."""
 BY_HAND = {
     "velocity_noise": 0.1**2,
     "lateral_noise": 0.2**2,
@@ -51,7 +51,8 @@ BY_HAND = {
     "accuracy_scale": 1.0,
     "robust_dof": 4.0,
 }
-"""Typical values of parameters without a data sheet: m2/s2, rad2; 99% gate; the stated accuracy unchanged."""
+"""Typical values of parameters that no data sheet states, in m2/s2 and rad2. The gate accepts 99% of good fixes; the
+stated accuracy is used unchanged."""
 HALF_A_WHEELBASE = 1.3  # m from the rear axle to an IMU in the middle of a car
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
 """Noise density for unmodeled effects (slopes, vibration, scale factors, mounting), m/s2/sqrt(Hz) and rad/s/sqrt(Hz).
@@ -66,17 +67,17 @@ ACCURACY_FLOOR = 0.1**2  # m2, added to the stated variance of each fix
 def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParameters:
     """Set a filter's parameters from the data sheets of a drive's sensors, without tuning.
 
-    The receiver's accuracy is the stated one, else the one that the fixes show. The IMU's densities are
+    The receiver's accuracy is the stated one or, without one, an estimate from the fixes. The IMU's densities are
     ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml, plus
     `MODEL_NOISE`. The random walks of the biases are ``accel_bias_walk`` (m/s2/sqrt(s)) and ``gyro_bias_walk``
-    (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures. Values without a data sheet are in `BY_HAND`.
+    (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures. Values that no data sheet states are in `BY_HAND`.
 
     Parameters
     ----------
     drive : Drive
     like : FilterParameters, optional
-        Filter with the model, type and options of the result. None: the preset ``datasheet``, the paper's planar5 UKF
-        with only values from data sheets.
+        Filter with the model, type and options of the result. None: the preset ``datasheet``, a planar5 UKF with values
+        from data sheets only.
     """
     if like is None:
         return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD))

@@ -73,9 +73,9 @@ class Innovations:
 class Recording:
     """Run of a filter over a replay: an iterator of pieces. Sums and innovations are available after the last piece.
 
-    A piece has ``samples`` IMU samples, which does not affect the results. ``recover``: reset the filter after a sample
-    if it diverges. At this sample, and while the estimate is
-    the last fix, the sums contain the errors of the diverged filter.
+    ``samples``: number of IMU samples in a piece, which does not affect the results. ``recover``: reset the filter
+    after a sample if it diverges. At this sample, and while the estimate is the last fix, the sums contain the errors
+    of the diverged filter.
 
     Attributes
     ----------
@@ -138,8 +138,8 @@ class Recording:
     def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
         """Run to the last of the stops, (r,), which follow IMU samples; return where the filter is lost, (r,).
 
-        To stop for each check would take longer than the steps. So the filter first runs to the end and is then checked
-        from its record. At a divergence, it is reset and runs again from that step.
+        Stopping for each check would take longer than the steps. So the filter first runs to the end and is then
+        checked from its record. At a divergence, it is reset and runs again from that step.
         """
         lost = np.zeros(len(stops), dtype=np.bool_)
         if self._checks is None:
@@ -266,7 +266,7 @@ class Recording:
 
 
 class PausingRecording(Recording):
-    """A recording that calls `_at` after some IMU samples: ``_marks`` (k,) has their sorted numbers."""
+    """A recording that calls `_at` after the IMU samples with the sorted indices ``_marks``, (k,)."""
 
     _marks: NDArray[np.intp]
     _done = 0

@@ -31,8 +31,8 @@ NO_SPEEDS = np.empty((0, 3))  # for a filter without an odometer
 class Targets:
     """Times at which estimates are compared with a known position and heading.
 
-    ``noise`` (m, 4) are weights of the squared errors of position and heading, and the variances of x and y, m2, which
-    are added to P in the NEES; (0, 4) if the reference is exact.
+    ``noise`` (m, 4) contains weights of the squared errors of position and heading, and the variances of x and y, m2,
+    which are added to P in the NEES; (0, 4) if the reference is exact.
     """
 
     weight: Array  # (m,), weight of the later of the two estimates around the time
@@ -75,7 +75,7 @@ class Targets:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """One pass of any number of filters over a drive: start, steps and comparison times."""
+    """Inputs of filters for one pass over a drive: start, steps and comparison times."""
 
     timeline: Timeline
     initial: InitialState

@@ -1,7 +1,7 @@
 """Read a configuration of robot_localization, ekf.yaml, as parameters of the model robot-localization.
 
-It has process noise, thresholds and the fused entries. Variances of measurements are in the messages: see
-`presets.filter_for`.
+The file contains process noise, thresholds and the entries to fuse. The variances of measurements are in the messages:
+see `presets.filter_for`.
 """
 
 import math
@@ -32,7 +32,7 @@ Block = Mapping[str, Any]
 
 
 def read_configuration(path: Path) -> dict[str, Any]:
-    """Read fields of `FilterParameters` from an ekf.yaml of ROS 1 or 2, with usual variances of the messages.
+    """Read fields of `FilterParameters` from an ekf.yaml of ROS 1 or 2; variances of measurements are typical values.
 
     Raises
     ------

@@ -44,8 +44,7 @@ class Estimate:
     restarts : tuple of float
         Times of the resets after divergence, s: see `divergence`.
     lost : ndarray of bool, shape (n,) or None
-        True while the filter had diverged and was not yet reset; the estimate is then the last fix. None if divergence
-        is not monitored.
+        True from a divergence to the reset; the estimate is then the last fix. None if divergence is not monitored.
     failure : str or None
         The failure and its time; None without a failure.
     """
@@ -189,7 +188,7 @@ class Run(Protocol):
 
 
 def estimate_of(run: Run, *, recover: bool) -> Estimate:
-    """Join all pieces of a run; ``recover``: the run's divergence was monitored."""
+    """Join all pieces of a run; ``recover``: divergence was monitored in the run."""
     whole = joined(run)
     lost = whole.lost if recover else None
     return Estimate(

@@ -30,16 +30,16 @@ HEADING = 256  # the fix has a heading
 
 LATERAL_INTERVAL = 0.1  # s; the error of the constraint is not white, so more updates add no information
 STANDSTILL_INTERVAL = 0.1  # s
-STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2  # rad2/s2, of the gyro around its bias
+STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2  # rad2/s2, variance of the gyro's reading around its bias
 SLIP_GATE = 9.0
-"""Largest accepted NIS of a wheel speed: three sigmas. Readings of wheels that slip or lock are wrong for seconds and
-equal, so small weights would add up. The number of rejected readings is not limited: P grows until it includes the true
+"""Largest accepted NIS of a wheel speed: three sigmas. Readings of slipping or locked wheels have equal errors for
+seconds, so even small weights would add up. The number of rejections is not limited: P grows until it includes the true
 speed, and meanwhile the fixes determine the speed."""
 HEADING_GATE = 9.0
-"""Largest NIS of a heading: a variance that gives a larger NIS is increased until the NIS has this value (G. Chang,
-Robust Kalman filtering based on Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014). So a
-filter with a wrong heading recovers."""
-MOST_REJECTED = 5  # consecutive fixes that the gate rejects; the next is used, so that a filter can recover
+"""Largest NIS of a heading: for a larger NIS, the variance is increased until the NIS has this value (G. Chang, Robust
+Kalman filtering based on Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014). So a filter
+with a wrong heading recovers."""
+MOST_REJECTED = 5  # the gate rejects at most this many consecutive fixes, so that a filter can recover
 
 GAP_TURN_STD = 0.1  # rad/s, in an IMU gap, around the adjacent samples; 0.05 to 0.3 give equal results
 GAP_ACCELERATION_STD = 1.0  # m/s2 per axis in a gap; 0.5 to 2 give equal results
@@ -90,9 +90,9 @@ def require_named_axes(name: str, axes: Collection[str], model: ModelName) -> No
 def gap_covariance(n: int, dt: float, gap: float) -> Array:
     """Return the covariance (n, n) that a step of ``dt`` s in a gap of ``gap`` s adds to P + Q; 0 without a gap.
 
-    The unobserved motion is one turn rate and one acceleration for the whole gap. So its steps together add
-    (GAP_TURN_STD gap)^2 to the heading and (GAP_ACCELERATION_STD gap)^2 to each velocity; the position changes by half
-    of each step's velocity. The (GAP_TILT_STD gap)^2 of roll and pitch is not included.
+    The unobserved motion is a constant turn rate and a constant acceleration over the gap. So the steps in a gap
+    together add (GAP_TURN_STD gap)^2 to the heading and (GAP_ACCELERATION_STD gap)^2 to each velocity; in each step,
+    the position changes by dt / 2 times the change of velocity. (GAP_TILT_STD gap)^2 of roll and pitch is not included.
     """
     added = np.zeros((n, n))
     g = GAP_ACCELERATION_STD**2 * gap * dt
@@ -105,10 +105,10 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
 
 
 def flags_of(line: Timeline, used: Set[str]) -> NDArray[np.uint16]:
-    """Return the events at the end of each step, bits FIX ... HEADING, (k,), of a filter that uses some of `MEASURED`.
+    """Return the events at the end of each step, bits FIX ... HEADING, (k,), for a filter that uses ``used``.
 
-    With an odometer, the car does not stand while the wheels turn. With "ay", robot-localization fuses the lateral
-    acceleration; the bit of standstills, which that model lacks, marks these samples.
+    With an odometer, there is no standstill while the wheels turn. With "ay", the bit STANDSTILL marks samples whose
+    lateral acceleration robot-localization fuses; that model has no standstills.
     """
     wheels = line.wheels if "odometer" in used else None
     flags = np.zeros(len(line.updates), dtype=np.uint16)
@@ -134,7 +134,7 @@ def flags_of(line: Timeline, used: Set[str]) -> NDArray[np.uint16]:
 
 
 def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArray[np.bool_]:
-    """Return the first selected step of each interval of time."""
+    """Select the first wanted step in each time interval."""
     slots = slot_of(line.end[wanted], line.start, interval)
     first = np.ones(len(slots), dtype=np.bool_)
     np.not_equal(slots[1:], slots[:-1], out=first[1:])
@@ -150,7 +150,7 @@ def start_of(initial: InitialState, p: FilterParameters) -> tuple[Array, Array]:
 
 
 def start_std(p: FilterParameters) -> Array:
-    """Return the initial standard deviations of the biases, m/s2 and rad/s, and of `fix_error`, m; (3,)."""
+    """Return the initial standard deviations of the biases, m/s2 and rad/s, and of b of `fix_error`, m; (3,)."""
     return np.array([*p.bias_std, np.sqrt(p.fix_error or 0.0) * p.fix_std])
 
 

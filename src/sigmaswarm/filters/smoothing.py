@@ -43,7 +43,7 @@ def smooth(
     recover: bool = True,
     as_recorded: bool = False,
 ) -> Estimate:
-    """Run the compiled filter over a drive, and smooth: each estimate uses all fixes, including later fixes.
+    """Run the compiled filter over a drive, and smooth: each estimate uses all fixes, also later ones.
 
     H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3(8),
     1965; for unscented filters S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC 53(3), 2008.
@@ -90,7 +90,7 @@ class _ForwardLog:
 class _Forward(Recording):
     """A recording that logs every step, keeps a checkpoint before each piece, and can run a piece again.
 
-    All passes use the same kernel: another one would round differently, so estimates would depend on the checkpoints.
+    All passes use the same kernel. Another one would round differently, and estimates would depend on the checkpoints.
     """
 
     def __init__(self, replay: Replay, parameters: FilterParameters, *, samples: int, recover: bool) -> None:

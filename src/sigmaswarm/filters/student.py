@@ -1,15 +1,15 @@
 """Student's t: constants of filters and objectives that are robust to outliers.
 
-With v degrees of freedom, Student's t is a Gaussian with its covariance divided by a random weight of mean 1 from a
+With v degrees of freedom, Student's t is a Gaussian whose covariance is divided by a random weight of mean 1 from a
 gamma distribution; an outlier's weight is small.
 """
 
-ITERATIONS = 3  # of the variational update, which alternately fits the state and the weight of a fix
-OUTLYING = 0.25  # an outlier has a smaller weight
-OUTLIERS = 3  # consecutive outliers, over OUTLIERS_SPAN, that show that the filter is wrong, not the fixes
+ITERATIONS = 3  # of the variational update, which alternately estimates the state and the weight of a fix
+OUTLYING = 0.25  # a fix with a smaller weight is an outlier
+OUTLIERS = 3  # so many consecutive outliers over OUTLIERS_SPAN show that the filter, not the fixes, is wrong
 OUTLIERS_SPAN = 5.0  # s
 
-# c of an objective is 2 x with x e^x E1(x) = v / (v + 2), E1 being the exponential integral. Then the mean of
+# c of an objective is 2 x with x e^x E1(x) = v / (v + 2), where E1 is the exponential integral. Then the mean of
 # ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over Gaussian innovations is least where their mean NIS is 2, as for
 # the Gaussian likelihood. With c = v, Student's density itself, the minimum is at a mean NIS of 2.75 (v = 4), 2.42 (v =
 # 8).

@@ -1,4 +1,4 @@
-"""Many parameter sets as columns of numbers; an object for each set would take as long as a drive."""
+"""Many parameter sets as columns of numbers; creating an object for each set would take as long as running a drive."""
 
 import math
 from collections.abc import Sequence
@@ -17,14 +17,14 @@ _ABSENT: dict[str, float] = {
     **dict.fromkeys((*NOISE_OF.values(), "gate"), math.inf),
     **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof", "fix_error"), 0.0),
 }
-"""Number that represents None in each field that can be None."""
+"""Number that represents None, for each field that can be None."""
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterTable(Sequence[FilterParameters]):
     """Parameter sets of one model and with the same measurements; indexing builds a `FilterParameters`.
 
-    ``like`` has the fields that all ``size`` = n sets share; ``columns``, (n,) or (n, k), the fields that differ.
+    ``like`` has the fields that all ``size`` = n sets share; ``columns`` those that differ, (n,) or (n, k).
     """
 
     like: FilterParameters

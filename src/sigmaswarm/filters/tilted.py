@@ -77,7 +77,7 @@ def angles_of(quaternion: Array) -> Array:
 
 
 def _sinc(x: float) -> float:
-    """Return the same as `np.sinc`, which is slow for one number."""
+    """Compute `np.sinc`, which is slow for one number."""
     return float(np.sin(np.pi * x) / (np.pi * x)) if x else 1.0
 
 
@@ -123,7 +123,7 @@ def nearest(error: Array, near: Array) -> Array:
 
 
 def _middle(state: Array, dt: float, imu: Array) -> tuple[Array, Array, Array]:
-    """Return R at the middle of a step, the rotation from there to the end, and the acceleration, all (3, ...)."""
+    """Return R (3, 3) at the middle of a step, the rotation (3, 3) from there to the end, and the acceleration (3,)."""
     force = imu[:3] - [*state[[*ACCEL_BIAS]], 0.0]
     half = turn((imu[3:] - state[[*GYRO_BIAS]]) * dt / 2)
     r = rotation(state) @ half
@@ -174,7 +174,7 @@ class Antenna:
 
 @dataclass(frozen=True)
 class RearAxle:
-    """Predict the velocity to the left (m/s) at the rear axle, 0 for a car on its wheels, like that up from the road.
+    """Predict the velocity to the left (m/s) at the rear axle of a car that moves along the road.
 
     ``distance``: from the rear axle forward to the IMU, m; ``yaw_rate``: rad/s.
     """
@@ -197,7 +197,7 @@ class RearAxle:
 
 @dataclass(frozen=True)
 class Wheels:
-    """Predict the velocity forward (m/s), along the road, ``delay`` s ago, as the wheels measure it.
+    """Predict the forward velocity along the road (m/s) ``delay`` s ago, as the wheels measure it.
 
     ``ax``: forward specific force, m/s2, which on a slope contains gravity.
     """
@@ -252,7 +252,7 @@ def _jacobian_along(state: Array, axis: Array, up: Array) -> Array:
 
 @dataclass(frozen=True)
 class States:
-    """A measurement of states: a velocity, or the gyro's biases at rest."""
+    """A direct measurement of states: a velocity, or the gyro's biases at rest."""
 
     places: tuple[int, ...]
 
@@ -267,7 +267,7 @@ class States:
 def as_angles(state: Array, covariance: Array) -> Array:
     """Return the covariance (..., 12, 12) of states (..., 12) with roll, pitch and theta in place of the error.
 
-    For small changes e = A (roll, pitch, theta); the columns of A are the axes of these rotations.
+    A small error is e = A (changes of roll, pitch and theta); the columns of A are the axes of these rotations.
     """
     theta, pitch = state[..., ATTITUDE[2]], state[..., ATTITUDE[1]]
     ct, st, tan, sec = np.cos(theta), np.sin(theta), np.tan(pitch), 1 / np.cos(pitch)

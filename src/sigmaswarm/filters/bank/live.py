@@ -86,7 +86,7 @@ class _Snapshot:
 class _Pending:
     """A running search that replays the log up to step ``logged``, from the ancestor of lane ``led``.
 
-    A copy by fork or pickle searches in the calling thread.
+    A forked or unpickled copy searches in the calling thread.
     """
 
     logged: int
@@ -133,7 +133,7 @@ class LiveFilterBank(LiveFilter):
     Attributes
     ----------
     spread : Spread
-        The offsets of the parameters that the filters can have.
+        Possible offsets of the filters' parameters.
     offsets : ndarray, shape (16, d)
         Offsets of the filters in decades; that of the rear axle in m.
     n_searches : int
@@ -171,7 +171,7 @@ class LiveFilterBank(LiveFilter):
         self.offsets = self.spread.first(np.random.default_rng([seed, 0]))
         self._population = self.offsets * self.spread.lasting
         self._kernel = parameters.kernel
-        self._settled = len(self._memory.arrays.history)  # late fixes change this number of samples at most
+        self._settled = len(self._memory.arrays.history)  # late fixes change at most this many samples
         self._memory = self._with_lanes(nominal_interval)
         self._filter_state[live.TRUSTS_TIMES] = trust_times
         self._start_lanes(initial, slice(None))
@@ -379,7 +379,7 @@ class LiveFilterBank(LiveFilter):
         return [i for i, state in enumerate(FILTERS[self._kernel].states) if state.bias_of]
 
     def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return (n,), (n, n) with the biases from before a divergence, since a reset to a fix discards biases."""
+        """Return mean (n,) and covariance (n, n), while diverged with the last biases; a reset to a fix has none."""
         if not lost:
             self._last_sound = mean, covariance
             return mean, covariance
@@ -529,7 +529,7 @@ def _is_definite(covariance: Array) -> bool:
 
 @cache
 def _searcher() -> ThreadPoolExecutor:
-    """Return the thread for the searches of all banks of a process."""
+    """Return the executor, with one thread, for the searches of all banks of a process."""
     return ThreadPoolExecutor(1, thread_name_prefix="swarm")
 
 

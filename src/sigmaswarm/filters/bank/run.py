@@ -162,7 +162,7 @@ def _rows(columns: Sequence[Array]) -> Iterator[list[float]]:
 
 
 def _events(drive: Drive) -> Iterator[tuple[float, Any, Any]]:
-    """Return fixes (time, position, (velocity, std, heading)) and odometer readings (time, None, speed), by time."""
+    """Yield fixes (time, position, (velocity, std, heading)) and odometer readings (time, None, speed), by time."""
     gps, wheels = drive.gps, drive.odometer
     has_velocity = gps.speed is not None and gps.course is not None
     has_std = gps.std_x is not None and gps.std_y is not None

@@ -10,7 +10,7 @@ from sigmaswarm.filters.compiled.layout import CONSTANTS, LANES, LETTERS
 from sigmaswarm.filters.models import MODELS, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
-OFFSET_DOF = 4.0  # of Student's t, the distribution of offsets: most are small, another sensor's are large
+OFFSET_DOF = 4.0  # of Student's t, the distribution of offsets: most are small, those of another sensor large
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
 """Standard deviations of offsets, decades of variance: noise of a state, walk of a bias, R, other measurements."""
 R_DOWN_STD = 0.45  # in the penalty of a smaller R; small, since fixes in a city are accurate until they jump
@@ -110,7 +110,7 @@ class Spread:
 
     @cached_property
     def _decades(self) -> Array:
-        """Decades of each constant per decade of each offset, (N_CONSTANTS, d)."""
+        """Change of each constant per change of each offset, both in decades, (N_CONSTANTS, d)."""
         found = np.zeros((len(CONSTANTS), len(self.names)))
 
         def grows(constant: str, name: str) -> None:

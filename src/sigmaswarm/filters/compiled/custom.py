@@ -1,7 +1,7 @@
 """The unscented filter of `textbook`, compiled with a user's f and h: one parameter set over one log.
 
-Numba cannot cache a user's function, so each process compiles its kernel at the first use. For a short compilation the
-code uses plain loops, and separate arrays instead of a tuple, which doubles the time of a step.
+Numba cannot cache a user's function, so each process compiles its kernel at the first use. To shorten compilation, the
+code uses plain loops. Arrays are passed separately, since a step with a tuple of arrays takes twice as long.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false
@@ -19,9 +19,9 @@ from sigmaswarm.compilation import cached
 _TWO_PI = 2 * math.pi
 
 _kernel = cached(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""Options of functions that only kernels call: no entry points for Python and C, which cost compile time."""
+"""Options of functions that only kernels call; entry points for Python and C would take time to compile."""
 _inlined = njit(error_model="numpy", inline="always")
-"""Options of functions with one call each: LLVM would otherwise optimize them twice, alone and inlined."""
+"""Options of functions that are called once; otherwise LLVM would optimize them twice, alone and inlined."""
 
 _Weights = namedtuple("_Weights", "gamma centre_mean centre_covariance other")
 
@@ -31,8 +31,8 @@ def build_kernel(
 ) -> Any:
     """Build the filter for a user's functions, compiled on its first call.
 
-    ``diagonal``: process_noise gives the diagonal of Q. In the user's functions, an index out of bounds raises an
-    error.
+    ``diagonal``: process_noise returns the diagonal of Q. An index out of bounds in a user's function raises
+    IndexError.
     """
     user = njit(error_model="numpy", boundscheck=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
     f, h, process_noise = (user(getattr(g, "py_func", g)) for g in (f, h, process_noise))
@@ -78,7 +78,7 @@ def build_kernel(
         dt, source, updates, records, inputs, measurements, mean0, covariance0, angles, measured_angles,
         scaling, noise, p, means, covariances, nis, nll,
     ):  # fmt: skip
-        """Take all steps, write to the last four arrays; return the step of a failure, or -1."""
+        """Run all steps and fill the last four arrays; return the step of a failure, or -1."""
         m = measurements.shape[1]
         n, weights = mean0.size, _weights(mean0.size, scaling)
         mean, covariance, root, state = mean0.copy(), covariance0.copy(), np.zeros((n, n)), np.empty(n)
@@ -120,7 +120,7 @@ def _weights(n, scaling):
 
 @_kernel
 def _draw(mean, covariance, gamma, root, sigmas):
-    """Draw the center, then the center plus and minus each column of the root; return False without a root."""
+    """Draw the center, then the center plus and minus each column of the root; return False if P has no root."""
     n = mean.size
     if not _root(covariance, root):
         return False
@@ -154,7 +154,8 @@ def _root(a, root):
 def _centre(images, points, angles, weights, mean):
     """Write the mean of ``images`` to ``mean``, and subtract it from them.
 
-    For an angle, the difference from the first image minus that of the points (if given) is at most half a turn.
+    For an angle, the difference of an image from the first image is wrapped: it differs from that of the points (0 if
+    not given) by at most half a turn.
     """
     for i in range(images.shape[1]):
         first, shift = images[0, i], 0.0
@@ -210,7 +211,7 @@ def _update(mean, covariance, nu, s, cross, root):
 
 @_kernel
 def _finite(mean, covariance):
-    """Return True if both arrays are finite; zero times a number that is not finite is NaN."""
+    """Return True if both arrays are finite: 0 times inf or NaN is NaN."""
     total = 0.0
     for i in range(mean.size):
         total += 0.0 * mean[i]

@@ -1,7 +1,7 @@
 """Closed form of `filters.fix_error`: the correlated fix error b, in the last two states.
 
-The process does not depend on b, so a prediction only multiplies b's columns of P by F, from scratch rows of the
-model's prediction. In an unscented filter F is the statistical linearization, see `step_log`.
+The process does not depend on b. So a prediction only multiplies the columns of b in P by F, which is in scratch rows
+of the model's prediction. In an unscented filter F is the statistical linearization: see `step_log`.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -13,7 +13,7 @@ from sigmaswarm.filters.compiled.layout import C1, C2, LANES, MOVE, R, at
 
 
 def carry(w, u, *, n, biases):
-    """Propagate the columns of b by a planar model's step; ``biases``: the model is planar8."""
+    """Multiply the columns of b by F of a planar model's step; ``biases``: True for planar8."""
     dt = u[DT]
     h = 0.5 * dt
     for l in range(LANES):

@@ -7,7 +7,7 @@ from sigmaswarm.filters.compiled.live import N_ALL, replay
 from sigmaswarm.filters.compiled.run import cached_by_sources
 
 N_LOGGED = N_ALL
-"""Index of the number of logged steps, after a live filter's state; the log follows."""
+"""Index of the number of logged steps, after the state of a live filter; the log follows this number."""
 STEP_LOG = N_ALL + 1
 
 
@@ -24,6 +24,6 @@ def _again(sources):
 def again_call():
     """Return `live.replay` as a compiled function.
 
-    For a smoother ``step`` is the address of `single_step`, and its log is at N_LOGGED.
+    For a smoother, ``step`` is the address of a `single_step` with its log at N_LOGGED.
     """
     return cached_by_sources(_again, "live again")

@@ -1,8 +1,8 @@
 """Common parts of all kernels: lanes, compiler flags, and a sine that vectorizes.
 
-Arrays are (row, lane), with parameter sets side by side, so each loop over lanes becomes vector instructions. All rows
-of one run are in one local array, so writing one row cannot change another. In a failing lane numbers become NaN or its
-OK flag 0, without a branch, so the other lanes do not change.
+Arrays are (row, lane), with one parameter set per lane, so each loop over lanes becomes vector instructions. All rows
+of a run are in one local array, so the compiler knows that different rows do not overlap. Failures need no branch: the
+lane's numbers become NaN or its OK flag 0, and the other lanes do not change.
 """
 
 # A type checker for Python does not know Numba's types.
@@ -19,26 +19,26 @@ from sigmaswarm.filters.compiled.unroll import Kernel
 from sigmaswarm.filters.compiled.vectors import put_loops
 
 OPTIONS = {"error_model": "numpy", "nogil": True}
-"""Compiler flags of functions that call kernels; only loops over lanes may be reordered."""
+"""Compiler flags of functions that call kernels. Only operations in loops over lanes may be reordered."""
 
 
 def kernel(function, **known):
-    """Bind keyword-only parameters of a function for inlining into its callers: see `Kernel` and `put_loops`.
+    """Bind keyword-only parameters of a function that its callers inline: see `Kernel` and `put_loops`.
 
     The first argument is the array of rows ``w``. The function returns nothing and has no early return.
     """
     return Kernel(function, None if config.DISABLE_JIT else put_loops, known)
 
 
-_FLUSH_SUBNORMALS = 0x8040  # bits of an x86 control register: subnormal numbers are read and written as 0
+_FLUSH_SUBNORMALS = 0x8040  # bits of an x86 control register that replace subnormal numbers by 0
 
 
 @intrinsic
 def _exchange_control(typing_context, control):
-    """Set the floating-point control register and return its old value; -1: add `_FLUSH_SUBNORMALS`.
+    """Set the floating-point control register and return its old value; -1 sets the bits `_FLUSH_SUBNORMALS`.
 
-    Operations with subnormal numbers take a hundred cycles; precise measurements reduce covariances to these numbers.
-    On processors other than x86 the function does nothing.
+    Precise measurements reduce covariances to subnormal numbers, and an operation with these takes a hundred cycles.
+    Without effect on processors other than x86.
     """
 
     def generate(context, builder, signature, arguments):
@@ -71,7 +71,7 @@ exchange_control = _in_python if config.DISABLE_JIT else _exchange_control
 def _series(z):
     """Return (sin(r) / r - 1) / z and cos(r) for an angle r in [-pi/4, pi/4], with z = r^2.
 
-    Minimax polynomials of fdlibm (k_sin.c, k_cos.c), with paired terms for fewer dependent operations.
+    The minimax polynomials are those of fdlibm (k_sin.c, k_cos.c); pairs of terms are independent operations.
     """
     zz = z * z
     s1 = -1.66666666666666324348e-01 + z * 8.33333333332248946124e-03
@@ -94,7 +94,7 @@ def sinc_cos(z):
 
 
 def _near(x, n):
-    """Return sine and cosine of x minus n right angles, which is in [-pi/4, pi/4].
+    """Return sine and cosine of x - n pi/2, which is in [-pi/4, pi/4].
 
     The rounding of pi/2 adds an error of about 3e-16.
     """
@@ -117,7 +117,7 @@ def sincos(x):
 
 
 def spread_of(quarter_gamma, variance):
-    """Return terms of an angle's sigma points (see `planar5`): d/4, k = sin d / d, (sin d/2)^2 / 4; d = gamma sigma."""
+    """Return d/4, sin(d) / d and sin(d/2)^2 / 4 for the offset d = gamma sigma of an angle: see `planar5`."""
     quarter = quarter_gamma * math.sqrt(variance) + TINY
     sin, cos = _near(quarter, np.floor(quarter * (2 / math.pi) + 0.5))
     half = sin * cos
@@ -127,8 +127,8 @@ def spread_of(quarter_gamma, variance):
 def angle_of(y, x):
     """Return the angle of the vector (x, y), in [-pi, pi], without branches or calls.
 
-    The ratio of the smaller to the larger coordinate is reduced to [-tan(pi/8), tan(pi/8)], for the rational function
-    of Cephes (S. Moshier, atan.c). The error is one or two units in the last digit.
+    The ratio of the smaller to the larger coordinate is reduced to [-tan(pi/8), tan(pi/8)]. The rational approximation
+    is that of Cephes (S. Moshier, atan.c), with an error of one or two units in the last place.
     """
     ax, ay = abs(x), abs(y)
     large = ax if ax > ay else ay

@@ -1,6 +1,6 @@
 """The array of a run, (row, lane), and the numbers of its rows.
 
-Kernels contain ``w[R.XX, l]``; `unroll.unrolled` replaces R.XX by its number before Numba compiles them.
+Kernels contain ``w[R.XX, l]``; `unroll.unrolled` replaces R.XX by a number before Numba compiles them.
 """
 
 from collections import namedtuple
@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from sigmaswarm.filters.fix_error import FILTERS
 
-LANES = 16  # parameter sets side by side, a compile-time constant: two AVX-512 or four AVX2 vectors
+LANES = 16  # parameter sets per array, a compile-time constant: two AVX-512 or four AVX2 vectors
 
-WIDEST = 8  # lanes in the widest vector; an array has a multiple of these
+WIDEST = 8  # lanes in the widest vector; the number of lanes of a run is a multiple of it
 
-BLOCKS = 2  # largest multiple of LANES in a run; lanes after the first LANES are in additional rows
+BLOCKS = 2  # largest number of blocks of LANES in a run; the second block is in additional rows
 
 
 def most_lanes(kernel: str) -> int:
-    """Return the largest number of filters per run: many hide latencies, but must fit in a core's nearest cache."""
+    """Return the largest number of filters per run: many hide latencies, but they must fit in the L1 cache."""
     uncompiled = config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
     return LANES if FILTERS[kernel].tilts or uncompiled else BLOCKS * LANES
 
@@ -36,7 +36,7 @@ LETTERS = {
     "roll": "I", "pitch": "J", "gyro_bias_x": "K", "gyro_bias_y": "L",
     "fix_error_x": "M", "fix_error_y": "N",
 }  # fmt: skip
-"""One letter for each state of any model; two letters name an element of the covariance."""
+"""One letter for each state of any model. Two letters are an element of the covariance."""
 
 _LARGEST = max(FILTERS.values(), key=lambda model: len(model.states))
 _STATES = [LETTERS[name] for name in _LARGEST.names]
@@ -46,16 +46,16 @@ QUATERNION = ("ATT_W", "ATT_X", "ATT_Y", "ATT_Z")  # of models with tilts: see `
 COVARIANCE = tuple(a + b for j, b in enumerate(_STATES) for a in _STATES[: j + 1])
 """Upper triangle, column by column, so that a model's rows are the first rows of a larger model."""
 CONSTANTS = (
-    # Sigma points; QUARTER_GAMMA, SHORTENS and SECOND are 0 in an extended filter. SHORTENS: -8 / gamma^2.
+    # Sigma points. QUARTER_GAMMA, SHORTENS (-8 / gamma^2) and SECOND are 0 in an extended filter.
     "QUARTER_GAMMA", "SHORTENS", "SPREAD", "SECOND",
     *(f"Q_{a}" for a in _STATES), "RX", "RY",  # an adaptive or fuzzy filter writes these
     "R_VELOCITY", "R_LATERAL", "R_STANDSTILL", "R_RATE",
     "REAR_AXLE", "TIRE_SLIP", "LATENCY", "GATE", "FORGETTING", "FADING",
     "FUZZY", "WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q",  # FUZZY < 0: no fuzzy filter
-    "ACCURACY",  # times the stated variance of a fix is added to its R; 0: off; a fuzzy filter writes it, too
-    "R_HEADING", "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: one over it
+    "ACCURACY",  # factor of the stated variance of a fix in its R, 0: none; a fuzzy filter also writes this row
+    "R_HEADING", "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: reciprocal of odometer_scale
     "DOF", "PATIENCE",  # DOF of Student's t, 0: Gaussian; nominal steps of outliers after which the filter recovers
-    "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal step over tau; variance of a fix without a stated variance
+    "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal interval / tau; variance of a fix that states none
 )  # fmt: skip
 SUMS = (
     "SQ_POSITION", "SQ_HEADING", "NEES", "SQ_FIX", "SQ_FORECAST", "NIS", "LOG_TAIL", "FORECAST_T", "LOG_DET",
@@ -63,12 +63,12 @@ SUMS = (
     "OUTLIERS", "SPAN",  # number of consecutive outliers, and the nominal steps from the first to the last
     "QUICK", "SLOW", "TIMES_R", "TIMES_Q",  # a fuzzy filter's averages, and its current factors
     "HEADING",  # of models with tilts, whose mean has no row for it
-    # COS and SIN of planar5's heading are valid if FACED is 1; kernels that change a heading also clear FACED_ALL.
+    # COS and SIN of planar5's heading, valid if FACED is 1. Kernels that change the heading also set FACED_ALL to 0.
     "FACED", "COS", "SIN",
 )  # fmt: skip
-"""Sums and memory of a run; the first nine are those of `replay.Sums`, in its order."""
+"""Sums and memory of a run. The first nine are the sums of `kernel_array.Sums`, in the same order."""
 SCRATCH = (
-    "FACED_ALL",  # the same in all lanes; 1: FACED is 1 in all of them; 0: unknown
+    "FACED_ALL",  # equal in all lanes; 1: FACED is 1 in all lanes; 0: unknown
     "BEFORE_X", "BEFORE_Y", "BEFORE_T",  # the last estimate
     *(f"C1_{a}" for a in _STATES), *(f"C2_{a}" for a in _STATES),  # Cov(state, z) for the two components of z
     "S11", "S12", "S22",  # H P H^T
@@ -76,10 +76,10 @@ SCRATCH = (
     "V11", "V12", "V22",  # S = H P H^T + R of a fix
     "N1", "N2",  # nu
     "G11", "G12", "G22", "USE",  # the gain's G
-    "FACTOR",  # by which P is stretched
+    "FACTOR",  # inflation factor of P
     "PHI", "GAINED_X", "GAINED_Y",  # of `fix_error`
     "ARM",  # of the lateral constraint: see `models.lateral_arm`
-    # Of a prediction: acceleration, its covariances with the state and with itself.
+    # Of a prediction: the acceleration, its covariance with the state, and its own covariance.
     "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
     "NU1", "NU2",  # nu of the last fix, for a run that records innovations
     *(f"D{i}{j}" for i in "123" for j in "123"), "LEVER_UP", *(f"FP{k}" for k in range(7 * 7)),  # of tilted12
@@ -131,4 +131,4 @@ def at(i: int, j: int) -> int:
     return P0 + high * (high + 1) // 2 + low
 
 
-N_KEPT: int = SUM_ROWS.stop  # rows from which a filter continues; the others are scratch
+N_KEPT: int = SUM_ROWS.stop  # number of rows of a filter between steps; the other rows are scratch

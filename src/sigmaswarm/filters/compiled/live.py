@@ -1,19 +1,19 @@
 """The memory of a live filter, and compiled functions that process an IMU sample or a fix.
 
 The filter is the first lane of the rows in `layout`. A step (see `single`) is called by its address, so this file is
-compiled once for all models. The memory is eight arrays:
+compiled once for all models. The memory consists of eight arrays:
 
-    filter_state (N_ALL,) the state, which a late fix resets to an earlier one; then settings and values without reset
+    filter_state (N_ALL,) the state, which a late fix resets to an earlier one; then settings, which it does not reset
     counts  (N_COUNTS,) lengths of the filled parts of the other arrays, and counts of ignored data
     memory  (N_MEMORY, 8) memory of the standstill detection, see `drives.standstill`; no rows if unused
-    fixes   (f, N_FIX) sorted by time, equal times by arrival; each with its kind
+    fixes   (f, N_FIX) the fixes and their kinds, sorted by time, then by arrival
     speeds  (r, 2) odometer readings by time, s and m/s; no rows if unused
     history (h, N_RECORD) ring buffer: the last samples, and the state before each sample
-    checkpoints (m, k) ring buffer: before each CHECKPOINT_EVERY-th sample, the k numbers after the state, which the
-            step also changes; no rows if k is 0
+    checkpoints (m, k) ring buffer: the k numbers behind the state that a step also changes, stored before each
+            CHECKPOINT_EVERY-th sample; no rows if k is 0
     lately  (l, N_SAMPLE) ring buffer: the last samples, for the divergence monitor (see `monitor`); no rows if unused
 
-A sample contains its time and the IMU's axes in the order of `timeline.AXES`, 0 for an unused axis.
+A sample consists of its time and the IMU's axes in the order of `timeline.AXES`; an unused axis is 0.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -46,60 +46,60 @@ from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.single import take_step
 from sigmaswarm.filters.schedule import FIX, HEADING, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 
-# The state: rows, constants and sums as in `layout`; its time; scale of Q since the last fix; the intervals of the last
-# updates with the constraints and the odometer; the time of the last odometer update.
+# The state: rows, constants and sums as in `layout`; its time; scale of Q since the last fix; the time slots of the
+# last updates with the constraints and the odometer; the time of the last odometer update.
 N_FILTER = N_KEPT
 OK = R.OK
 TIME, SINCE, LATERAL_SLOT, STANDSTILL_SLOT, ODOMETER_SLOT, ODOMETER_TIME = range(N_FILTER, N_FILTER + 6)
-STOP_TIME = N_FILTER + 6  # of the last moment of calm and constant fixes; then the stop's ax, ay
+STOP_TIME = N_FILTER + 6  # last time at which IMU and fixes showed a stop; then ax, ay of the stop
 STOP = slice(STOP_TIME + 1, STOP_TIME + 3)
 N_FILTER_STATE = STOP.stop
-# Values that no late fix resets. An interval of 0: the filter does not use that constraint.
+# Settings. An interval of 0: the filter does not use that constraint.
 N_SAMPLE = 1 + len(AXES)
 NOMINAL, START, LATERAL_INTERVAL, STANDSTILL_INTERVAL, AS_RECORDED, USUAL_INTERVAL, TRUSTS_TIMES = range(
     N_FILTER_STATE, N_FILTER_STATE + 7
 )
-# Divergence monitor: largest delay of fixes, s; the time of the last fix seen; the interval of the last check.
+# Divergence monitor: largest delay of fixes, s; the time of the last fix seen; the time slot of the last check.
 LATE_BY, SEEN_FIX, LAST_CHECK = range(N_FILTER_STATE + 7, N_FILTER_STATE + 10)
 LEVER = slice(N_FILTER_STATE + 10, N_FILTER_STATE + 13)
-SAMPLE = slice(LEVER.stop, LEVER.stop + N_SAMPLE)  # the last one
+SAMPLE = slice(LEVER.stop, LEVER.stop + N_SAMPLE)  # the last sample
 LAST_SAMPLE = SAMPLE.start  # its time
 (
     FIX_TIME, FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA, HAS_VELOCITY, KIND,
 ) = range(11)  # fmt: skip
 FIX_ROW = slice(FIX_X, HAS_VELOCITY)  # a row of `Timeline.fixes`
 N_FIX = 11
-# The last sample and fix with a stamp too far ahead, and the new sample.
+# The last sample and the last fix with a time stamp too far ahead; the new sample.
 SAMPLE_AHEAD = slice(SAMPLE.stop, SAMPLE.stop + N_SAMPLE)
 FIX_AHEAD = slice(SAMPLE_AHEAD.stop, SAMPLE_AHEAD.stop + N_FIX)
 NEW_SAMPLE = slice(FIX_AHEAD.stop, FIX_AHEAD.stop + N_SAMPLE)
 ORDER = slice(NEW_SAMPLE.stop, NEW_SAMPLE.stop + len(AXES))  # index of each of AXES in the input
 DIMENSION = ORDER.stop  # number of states
-FACTOR = slice(DIMENSION + 1, DIMENSION + 1 + len(COVARIANCE))  # room for the Cholesky factor
+FACTOR = slice(DIMENSION + 1, DIMENSION + 1 + len(COVARIANCE))  # scratch for the Cholesky factor
 N_ALL = FACTOR.stop
 
 (
     N_FIXES, N_HISTORY, OLDEST, HOLDS_SAMPLE, HOLDS_FIX, TOO_LATE, TIME_JUMPS, N_STALE, N_SPEEDS,
     N_SAMPLES,  # number of samples ever added to the history
-    SPARE,  # records that are stored only to continue from a checkpoint
+    SPARE,  # number of records that are stored only to continue from a checkpoint
     N_LATELY, NEWEST,  # number of samples in ``lately``, and the row of the last one
     CAME_LATE,  # 1 if the last fix was late
 ) = range(14)  # fmt: skip
 N_COUNTS = 14
-NOTHING, HELD, CONFIRMED = range(3)  # a fix far ahead: none; it waits for a second one; it is confirmed
+NOTHING, HELD, CONFIRMED = range(3)  # state of FIX_AHEAD: empty, waiting for a second fix, confirmed
 
-BEHIND = 8 * math.ceil(N_ALL / 8)  # index of the numbers after the state, a multiple of the widest vectors
+BEHIND = 8 * math.ceil(N_ALL / 8)  # index of the numbers behind the state, a multiple of the widest vector
 CHECKPOINT_EVERY = (
-    16  # samples between two checkpoints: the numbers after the state are many and rarely needed
+    16  # samples between two checkpoints; the numbers behind the state are many and rarely needed
 )
 
 CHECK_EVERY = CHECKPOINT_EVERY  # samples between two checks of P, which is also checked after each fix
-ROUNDING = 1e-8  # largest size of a negative eigenvalue of the correlations that counts as rounding
+ROUNDING = 1e-8  # a negative eigenvalue of the correlation matrix up to this size is a rounding error
 
-LEAP = 10.0  # s; a sample or fix with a larger lead over the filter waits for a second one
-AGREES = 1.0 + 1e-6  # s between two stamps far ahead that agree: one, plus rounding of times since 1970
+LEAP = 10.0  # s; a sample or fix further ahead of the filter waits for a second one
+AGREES = 1.0 + 1e-6  # s, largest difference of two confirming stamps, with the rounding of Unix time
 
-# The step (DT ... GY) that ends at a sample's time; 1 if the last second was calm, and its means.
+# A record: the step (DT ... GY) to the sample's time; 1 if the last second was calm; the means of that second.
 S_TIME = N_FILTER_STATE
 S_STEP = slice(N_FILTER_STATE + 1, N_FILTER_STATE + 1 + N_STEP)
 S_AXES = slice(S_STEP.start + AX, S_STEP.stop)
@@ -107,16 +107,16 @@ S_CALM = S_STEP.stop
 S_MEANS = slice(S_CALM + 1, S_CALM + 5)
 N_RECORD = S_MEANS.stop
 
-TAKEN, IGNORED, LEFT_OUT = 1, 0, -1  # used; before the start, repeated or waiting; too late, or no room
+TAKEN, IGNORED, LEFT_OUT = 1, 0, -1  # used; a repeat, before the start or waiting; too late, or no room
 DUE = 2  # result of a sample: used, and the divergence monitor is due
 
 
-_plain = njit(**OPTIONS)  # operations are not reordered: time slots must equal those of a run
+_plain = njit(**OPTIONS)  # operations are not reordered: time slots must equal those of `schedule`
 
 
 @_plain
 def _step_to(step, v, to, u, happens, z, wheels):
-    """Step to a time; ``u`` (N_STEP,) has axes and gap, its other numbers are set."""
+    """Compute the step to a time; ``u`` (N_STEP,) contains axes and gap, and its other numbers are set here."""
     dt = to - v[TIME]
     scale = dt / v[NOMINAL]
     v[SINCE] += scale
@@ -127,7 +127,7 @@ def _step_to(step, v, to, u, happens, z, wheels):
 
 @_plain
 def _copy(of, to, n):
-    """Copy the first n numbers; copying whole arrays would take Numba long to compile."""
+    """Copy the first n numbers; Numba takes long to compile copies of whole arrays."""
     for i in range(n):
         to[i] = of[i]
 
@@ -142,9 +142,9 @@ def _same(a, b, n):
 
 @_plain
 def is_definite(p, n, factor, first):
-    """Return True if a covariance of n states is positive semidefinite, up to rounding, by its Cholesky factor.
+    """Return True if the Cholesky factor shows that P of n states is positive semidefinite, up to rounding.
 
-    ``p`` is its upper triangle column by column; that of the factor is written from index ``first`` on.
+    ``p`` is the upper triangle of P, column by column; the factor is written to ``factor`` from index ``first`` on.
     """
     for j in range(n):
         begin = j * (j + 1) // 2
@@ -215,7 +215,7 @@ def _process_sample(step, v, counts, fixes, speeds, t, u, calm, means, number):
 
 @_plain
 def _until(rows, n, now):
-    """Return how many of the first n rows are not later than a time; rows begin with their times."""
+    """Return how many of the first n rows have a time (column 0) up to ``now``."""
     while n > 0 and rows[n - 1, 0] > now:
         n -= 1
     return n
@@ -223,7 +223,7 @@ def _until(rows, n, now):
 
 @_plain
 def _is_standstill(v, fixes, end, now, means):
-    """Return True if, after a calm second, the fixes up to row ``end`` and the stop so far show a standstill."""
+    """Return True if the fixes before row ``end`` and the stop so far show a standstill, after a calm second."""
     if not fixes_stand(fixes, fixes[:, KIND], end, now, np.empty(1)):
         return False
     passed, v[STOP_TIME] = now - v[STOP_TIME], now
@@ -232,7 +232,7 @@ def _is_standstill(v, fixes, end, now, means):
 
 @_plain
 def _is_far_ahead(v, t):
-    """Return True if a time is so far ahead of the filter's time that a second stamp must confirm it."""
+    """Return True if a time is so far ahead of the filter that a second time stamp must confirm it."""
     return t - v[TIME] > LEAP and v[TRUSTS_TIMES] == 0.0
 
 
@@ -243,11 +243,11 @@ def _record(counts, history, k):
 
 @_plain
 def _store_fix(v, counts, fixes, history, z):
-    """Insert a fix by time; without free rows, first remove fixes that are no longer needed."""
+    """Insert a fix, sorted by time; if no row is free, first remove fixes that are no longer needed."""
     if counts[N_FIXES] == fixes.shape[0]:
         oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
         old = 0
-        for needed in (MONITOR_SPAN, FIX_WINDOW):  # s; the monitor can miss some old fixes
+        for needed in (MONITOR_SPAN, FIX_WINDOW):  # s; the monitor works without some old fixes
             while old < counts[N_FIXES] and fixes[old, FIX_TIME] <= oldest - needed:
                 old += 1
             if old > 0:
@@ -259,7 +259,7 @@ def _store_fix(v, counts, fixes, history, z):
             last = fixes[counts[N_FIXES] - 1, FIX_TIME]
             if not (_is_far_ahead(v, last) and z[0] < last):
                 return LEFT_OUT
-            counts[N_FIXES] -= 1  # a fix that is stamped far ahead is removed
+            counts[N_FIXES] -= 1  # remove the fix that is stamped furthest ahead
             counts[TIME_JUMPS] += 1
     at = counts[N_FIXES]
     while at > 0 and fixes[at - 1, FIX_TIME] > z[0]:
@@ -274,7 +274,7 @@ def _store_fix(v, counts, fixes, history, z):
     _copy(z, fixes[at], N_FIX)
     counts[N_FIXES] += 1
     if v[AS_RECORDED] == 0.0:
-        for f in range(at, counts[N_FIXES]):  # later fixes may repeat it
+        for f in range(at, counts[N_FIXES]):  # later fixes may repeat the new one
             fixes[f, KIND] = kind_of(fixes, fixes[:, KIND], f)
         if fixes[at, KIND] >= STALE:
             counts[N_STALE] += 1
@@ -307,7 +307,7 @@ def _store_reading(v, counts, speeds, history, t, speed):
 
 @_plain
 def _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoints, sample):
-    """Process an IMU sample with an accepted time; in a gap, use the mean of the samples around the gap."""
+    """Process an IMU sample with an accepted time; in a gap, use the mean of the samples before and after it."""
     t, last, gap = sample[0], v[SAMPLE], 0.0
     if last[0] > -math.inf:
         interval = t - last[0]
@@ -320,7 +320,7 @@ def _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoin
         _copy(memory[MEANS], means, 4)
     if t <= v[START]:
         _copy(sample, last, N_SAMPLE)
-        if calm:  # a stop may have begun before
+        if calm:  # a stop may have begun before the start
             _is_standstill(v, fixes, _until(fixes, counts[N_FIXES], t), t, means)
         return
     if counts[N_HISTORY] < history.shape[0]:
@@ -353,7 +353,7 @@ def _store_checkpoint(v, checkpoints, number):
 
 @_plain
 def _first_after(counts, history, t):
-    """Return the first stored sample not before a time, or -1 if the filter cannot return to before it."""
+    """Return the first stored sample at or after a time, or -1 if the filter cannot return to before that sample."""
     back = counts[N_HISTORY]
     while back > 0 and _record(counts, history, back - 1)[S_TIME] >= t:
         back -= 1
@@ -364,9 +364,9 @@ def _first_after(counts, history, t):
 
 @_plain
 def replay(step, v, counts, fixes, speeds, history, checkpoints, first, corrects):
-    """Process the stored samples again from number ``first``; ``v`` is the state before this sample.
+    """Process the stored samples again from index ``first`` on; ``v`` is the state before this sample.
 
-    ``corrects``: also replace the stored states before each sample.
+    ``corrects``: also replace the stored states and checkpoints.
     """
     for number in range(first, counts[N_HISTORY]):
         record = _record(counts, history, number)
@@ -402,10 +402,10 @@ def _replay_from(step, v, counts, fixes, speeds, history, checkpoints, back):
 
 @_plain
 def _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, z):
-    """Process a fix with an accepted time: it waits for its sample, or later samples are processed again."""
+    """Process a fix with an accepted time: store it for the next sample, or process the later samples again."""
     t = z[FIX_TIME]
     is_number = math.isfinite(z[FIX_X]) and math.isfinite(z[FIX_Y])
-    if t <= v[START]:  # already in the start, but it may show a standstill
+    if t <= v[START]:  # the start includes it, but it may show a standstill
         _store_fix(v, counts, fixes, history, z)
         if is_number:
             counts[CAME_LATE] = 0
@@ -439,7 +439,7 @@ def _has_new_fixes(v, counts, fixes, t):
 
 @_plain
 def _is_due(v, counts, fixes, t):
-    """Return True if the monitor is due after a sample: once in each interval, after a new fix."""
+    """Return True if the monitor is due after a sample: after a new fix, at most once per interval."""
     if not _has_new_fixes(v, counts, fixes, t):
         return False
     slot = slot_of(t, v[START], CHECK_INTERVAL)
@@ -452,7 +452,7 @@ def _is_due(v, counts, fixes, t):
 
 def _make_sample(sources):
     def sample(handle, t, a, b, c, d, e, f):
-        """Process an IMU sample; one that is far ahead waits for a second sample."""
+        """Process an IMU sample; a sample far ahead waits for a second one."""
         step, v, counts, memory, fixes, speeds, history, checkpoints, lately = memory_at(handle)
         if sources == "" or not v[LAST_SAMPLE] < t < math.inf:
             return NOTHING
@@ -464,7 +464,7 @@ def _make_sample(sources):
         ahead = _is_far_ahead(v, t)
         agrees = ahead and holds and 0.0 < t - held[0] <= AGREES
         if ahead and not agrees:
-            if not holds or t != held[0]:  # not the same again
+            if not holds or t != held[0]:  # not a repeat
                 counts[TIME_JUMPS] += counts[HOLDS_SAMPLE]
                 counts[HOLDS_SAMPLE] = 1
                 _copy(new, held, N_SAMPLE)
@@ -491,7 +491,7 @@ def _make_sample(sources):
 
 def _make_fix(sources):
     def fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
-        """Process a fix; one that is far ahead waits for a second fix."""
+        """Process a fix; a fix far ahead waits for a second one."""
         step, v, counts, _, fixes, speeds, history, checkpoints, _ = memory_at(handle)
         if sources == "" or not math.isfinite(t):
             counts[TOO_LATE] += 1
@@ -500,7 +500,7 @@ def _make_fix(sources):
         ahead = v[FIX_AHEAD]
         agrees = counts[HOLDS_FIX] != NOTHING and abs(t - ahead[FIX_TIME]) <= AGREES
         if counts[HOLDS_FIX] == HELD:
-            if _same(ahead, z, N_FIX):  # the same message again
+            if _same(ahead, z, N_FIX):  # a repeat
                 return IGNORED
             if agrees:
                 _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, ahead.copy())
@@ -560,7 +560,7 @@ def _make_definite(sources):
 
 @dataclass(frozen=True)
 class LiveCalls:
-    """Compiled functions on the memory of a live filter; the first argument is `Memory.handle`.
+    """Compiled functions on the memory of a live filter; their first argument is `Memory.handle`.
 
     - ``sample(handle, t, a, b, c, d, e, f)``: process an IMU sample, axes in the filter's order
     - ``fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta)``
@@ -581,7 +581,7 @@ class LiveCalls:
 
 @once
 def live_calls():
-    """Compile the functions once, on import; numbers of other types are converted."""
+    """Compile the functions once, for one signature; numbers of other types are converted."""
     makers = (_make_sample, _make_fix, _make_speed, _make_heading, _make_definite)
     calls = [cached_by_sources(make, "live") for make in makers]
     for function, numbers in zip(calls, (7, 10, 2, 1, 0), strict=True):

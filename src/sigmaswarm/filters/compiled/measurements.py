@@ -1,9 +1,9 @@
 """Updates of the compiled filter: fixes, velocities, and the constraints of a car on its wheels.
 
-Each measurement fills, lane by lane, the innovation nu, its variance S and the covariances C = Cov(state, z); then
-`_update_two` or `_update_one` does x += C S^-1 nu, P -= C S^-1 C^T. In an unscented filter nu, S and C are the moments
-of sigma points. If z is linear in the state, they equal those of the Kalman filter. If z is rotated by the heading,
-they have a closed form, as in planar5.py and planar8.py.
+For each measurement, a kernel computes nu, S and C = Cov(state, z) in every lane. Then `_update_two` or `_update_one`
+computes x += C S^-1 nu and P -= C S^-1 C^T. In an unscented filter nu, S and C are the moments of sigma points. For z
+linear in the state, they equal those of the Kalman filter. For z rotated by the heading, they have a closed form, as in
+planar5.py and planar8.py.
 
 Loops over states (i, j, row) are unrolled for the model's n by `unroll.unrolled`.
 """
@@ -64,15 +64,15 @@ TWO_PI = 2.0 * math.pi
 
 
 def axis_of(bias):
-    """Return the column of a step with the gyro axis of a bias."""
+    """Return the index, in a step's numbers, of the gyro axis of a bias."""
     return {R.W: GZ, R.K: GX, R.L: GY}[bias]
 
 
 def update_fix(w, z, lever, since, *, stores_innovation, gated, adaptive, fix_error, note_prior):
     """Update with a position fix of the antenna.
 
-    ``z`` is a row of `Timeline.fixes`, ``since`` the scale of Q since the last fix. Parts that no lane needs are left
-    out.
+    ``z`` is a row of `Timeline.fixes`, ``since`` the scale of Q since the last fix. Parts that no lane uses are
+    skipped.
     """
     fading, adapting, fuzzy, robust = 0, 0, 0, 0
     for l in range(LANES):
@@ -99,7 +99,7 @@ def update_fix(w, z, lever, since, *, stores_innovation, gated, adaptive, fix_er
         _reason(w)
     if robust > 0:
         _weigh(w, since)
-    if note_prior:  # P may have been stretched
+    if note_prior:  # P may have been inflated
         note_prior(w)
     for l in range(LANES):
         rx, ry, use = w[R.R1, l], w[R.R2, l], w[R.USE, l]
@@ -111,7 +111,7 @@ def update_fix(w, z, lever, since, *, stores_innovation, gated, adaptive, fix_er
         w[R.OK, l] = w[R.OK, l] if (s11 > 0.0) & (det > 0.0) & (rx > 0.0) & (ry > 0.0) else 0.0
         w[R.G11, l], w[R.G12, l], w[R.G22, l] = use * g11, use * g12, use * g22
         r1, r2 = (rx * e1 if use > 0.0 else n1), (ry * e2 if use > 0.0 else n2)
-        # The residual after the update is R S^-1 nu; after a rejected fix it is nu.
+        # The residual after an update is R S^-1 nu; after a rejection it is nu.
         w[R.SQ_FIX, l] += r1 * r1 + r2 * r2
         w[R.GEE, l] += rx
         w[R.GNN, l] += ry
@@ -122,7 +122,7 @@ def update_fix(w, z, lever, since, *, stores_innovation, gated, adaptive, fix_er
 
 
 def forecast_fix(w, z, lever, since, *, n, fix_error):
-    """Score the forecast of a hidden fix, without an update."""
+    """Score the prediction of a hidden fix, without an update."""
     _measure_fix(w, z, lever)
     if fix_error:
         age_fix_error(w, z, since)
@@ -136,7 +136,7 @@ def forecast_fix(w, z, lever, since, *, n, fix_error):
 
 
 def _look(w, l):
-    """Add a fix's NIS and likelihood to the sums, before the update; return its NIS."""
+    """Add the NIS and the likelihood of a fix to the sums, before the update; return the NIS."""
     s11, s12, s22 = w[R.S11, l] + w[R.R1, l], w[R.S12, l], w[R.S22, l] + w[R.R2, l]
     det = s11 * s22 - s12 * s12
     n1, n2 = w[R.N1, l], w[R.N2, l]
@@ -153,7 +153,7 @@ def _look(w, l):
 def _measure_fix(w, z, lever, *, n):
     """Compute nu, H P H^T, C and R of z = p + R(theta) lever - latency v.
 
-    The sigma points of R(theta) lever have planar5's closed form.
+    The sigma points of R(theta) lever have the closed form of planar5.
     """
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y = lever[0], lever[1]
@@ -195,11 +195,10 @@ def _turn_lever(w, lever_x, lever_y):
 
 
 def _keep_digits(w, *, n, tilted, unscented, fix_error):
-    """Compute the position's rows of P again, from P+ H^T = C S^-1 R, which subtracts no large numbers.
+    """Recompute the position's rows of P from P+ H^T = C S^-1 R, without differences of large numbers.
 
-    P - C S^-1 C^T loses all digits of a variance that a fix reduces by a factor of a billion. H has 1 at the position
-    and at the correlated fix error, -latency at the velocity and k J R(theta) lever at the heading. R here is S - H P
-    H^T.
+    P - C S^-1 C^T loses all digits of a variance that a fix reduces by a factor of a billion. H is 1 at the position
+    and at the correlated fix error, -latency at the velocity and k J R(theta) lever at the heading. R is S - H P H^T.
     """
     for l in range(LANES):
         used = w[R.G11, l] != 0.0
@@ -234,9 +233,9 @@ def _fade(w, *, n):
     """Strong tracking: inflate P until the trace of S is at least the recent mean of nu^T nu (FADING < 0: off).
 
     The single fading factor, from traces, of D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996, with two changes.
-    The innovations are averaged with weights rho and 1 - rho, since the paper's weights, rho / (1 + rho) and 1 / (1 +
-    rho), forget too fast. Only the part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T,
-    since the rest would grow without limit.
+    The weights of the averaged innovations are rho and 1 - rho, since the paper's weights, rho / (1 + rho) and
+    1 / (1 + rho), forget too fast. Only the part of P that the fix observes is inflated, P + (factor - 1) C
+    (H P H^T)^-1 C^T, since the rest would grow without limit.
     """
     for l in range(LANES):
         rho = w[R.FADING, l]
@@ -257,7 +256,7 @@ def _reason(w, *, n):
     """Scale R and Q by fuzzy rules on a fix's NIS (FUZZY < 0: off): see `filters.fuzzy`."""
     for l in range(LANES):
         memory = w[R.FUZZY, l]
-        used = (memory >= 0.0) & (w[R.USE, l] > 0.0)  # a rejected fix is not used
+        used = (memory >= 0.0) & (w[R.USE, l] > 0.0)  # False for a rejected fix
         v11, v12, v22, n1, n2 = w[R.V11, l], w[R.V12, l], w[R.V22, l], w[R.N1, l], w[R.N2, l]
         newest = 0.5 * (v22 * n1 * n1 - 2.0 * v12 * n1 * n2 + v11 * n2 * n2) / (v11 * v22 - v12 * v12)
         newest = newest if newest < LARGEST_RATIO else LARGEST_RATIO
@@ -285,7 +284,7 @@ def _reason(w, *, n):
 
 
 def _stretch(w, l, s11, s12, s22, factor, *, n):
-    """Compute P + (factor - 1) C (H P H^T)^-1 C^T in one lane, and adapt S and C; a factor of 1 changes nothing.
+    """Compute P + (factor - 1) C (H P H^T)^-1 C^T in one lane, and update S and C; a factor of 1 changes nothing.
 
     ``s11``, ``s12`` and ``s22`` are H P H^T.
     """
@@ -304,15 +303,15 @@ def _stretch(w, l, s11, s12, s22, factor, *, n):
 
 
 def _weigh(w, since):
-    """Student's t: compute the weight w of a fix, and divide R by it (DOF = 0: off).
+    """Compute the Student's t weight w of a fix, and divide its R by w (DOF = 0: off).
 
     R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
-    the multivariate Student-t distribution, MLSP 2012. Let S = H P H^T + R / w and e = S^-1 nu. The residual after the
-    update is r = R / w e, with covariance A = R / w - R / w S^-1 R / w. Then w = (dof + 2) / (dof + r^T R^-1 r +
-    tr R^-1 A), three times from w = 1.
+    the multivariate Student-t distribution, MLSP 2012. With S = H P H^T + R / w and e = S^-1 nu, the residual after the
+    update is r = R / w e. Its covariance is A = R / w - R / w S^-1 R / w. Three iterations from w = 1 compute
+    w = (dof + 2) / (dof + r^T R^-1 r + tr R^-1 A).
 
-    A filter with a wrong state would treat all fixes as outliers. So the fix that ends a long run of outliers has
-    weight 1, and the part of P that it observes is inflated to explain its innovation.
+    A filter with a wrong state would treat all fixes as outliers. So the fix that ends a long run of outliers gets
+    weight 1, and the part of P that it observes is inflated until it explains the innovation.
     """
     recovering = 0
     for l in range(LANES):
@@ -320,7 +319,7 @@ def _weigh(w, since):
         s11, s12, s22 = w[R.S11, l], w[R.S12, l], w[R.S22, l]
         n1, n2 = w[R.N1, l], w[R.N2, l]
         weight = 1.0
-        for k in range(ITERATIONS):  # noqa: B007 (by this name it is written out)
+        for k in range(ITERATIONS):  # noqa: B007 (loops over k are unrolled)
             a, b = rx / weight, ry / weight
             det = (s11 + a) * (s22 + b) - s12 * s12
             g11, g12, g22 = (s22 + b) / det, -s12 / det, (s11 + a) / det
@@ -346,17 +345,17 @@ def _weigh(w, since):
 
 
 def _adapt(w, since, *, n):
-    """Adapt Q and R to a fix's innovation, with weight 1 - FORGETTING (1: off).
+    """Adapt Q and R to the innovation of a fix, with weight 1 - FORGETTING (1: off).
 
-    A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of their
-    weights (1 - b) / (1 - b^(k+1)). The estimate of R is eps eps^T + H P+ H^T, with the residual eps after the
-    update; it is positive by construction. That of Q is K nu nu^T K^T + P+ - (P- - Q), without negative values. A
-    second fix at the same time (since = 0) has no information on Q.
+    A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, with the limit of their
+    weights (1 - b) / (1 - b^(k+1)) for large k. The estimate of R is eps eps^T + H P+ H^T, positive by construction,
+    with the residual eps after the update. The estimate of Q is K nu nu^T K^T + P+ - (P- - Q); negative values are not
+    used. A second fix at the same time (since = 0) has no information on Q.
     """
     span = since if since > 0.0 else math.inf
     for l in range(LANES):
         g11, g12, g22 = w[R.G11, l], w[R.G12, l], w[R.G22, l]
-        weight = 1.0 - w[R.FORGETTING, l] if g11 > 0.0 else 0.0  # a rejected fix is not used
+        weight = 1.0 - w[R.FORGETTING, l] if g11 > 0.0 else 0.0  # 0 for a rejected fix
         e1, e2 = g11 * w[R.N1, l] + g12 * w[R.N2, l], g12 * w[R.N1, l] + g22 * w[R.N2, l]
         rx, ry = w[R.RX, l], w[R.RY, l]
         w[R.RX, l] = rx + weight * rx * rx * (e1 * e1 - g11)  # H P+ H^T = R - R S^-1 R
@@ -378,7 +377,7 @@ def update_velocity(w, z, *, n):
 
 
 def update_standstill(w, u, *, n, gyro_biases, tilted):
-    """Update at a standstill: the velocity is 0, and the gyro measures its biases, if they are states.
+    """Update at a standstill: the velocity is 0, and the gyro measures its biases if they are states.
 
     The measurements are linear, so sequential updates equal a joint update if the error is injected at the end.
     """
@@ -398,7 +397,7 @@ def update_standstill(w, u, *, n, gyro_biases, tilted):
 
 
 def _take_velocity(w, zu, zv, *, n):
-    """Update with a velocity (variance in row R1); compute its rows of P as in `_keep_digits`."""
+    """Update with a velocity of variance R1; recompute its rows of P as in `_keep_digits`."""
     for l in range(LANES):
         w[R.N1, l], w[R.N2, l] = zu - w[R.U, l], zv - w[R.V, l]
         s11, s12, s22 = w[R.UU, l] + w[R.R1, l], w[R.UV, l], w[R.VV, l] + w[R.R1, l]
@@ -417,10 +416,10 @@ def _take_velocity(w, zu, zv, *, n):
 def _measure_along(w, u, wheels, *, n, bias, lateral):
     """Compute nu, S and C of the velocity R(theta)^T v to the left (``lateral``) or forward.
 
-    To the left: 0 = left - arm (yaw rate - w), with `models.lateral_arm`. Forward: the reading of the wheels, speed /
-    scale = forward - delay (ax - b). R(theta)^T v has planar8.py's closed form, rotated back into the body frame, with
-    t = R^T P[v, theta] and mu = (e R^T v - k J t)_along. Forward is the left of a body rotated by 90 degrees, with
-    forward velocity ``away``.
+    To the left: 0 = left - arm (yaw rate - w), with `models.lateral_arm`. Forward: speed / scale = forward - delay
+    (ax - b), with the wheels' speed. R(theta)^T v has the closed form of planar8.py, rotated back into the body frame,
+    with t = R^T P[v, theta] and mu = (e R^T v - k J t)_along. The forward velocity is computed as the left velocity of
+    a body that is rotated by 90 degrees, whose forward velocity is ``away``.
     """
     if lateral:
         shown = u[GZ]
@@ -428,7 +427,7 @@ def _measure_along(w, u, wheels, *, n, bias, lateral):
         shown, speed, age, more = u[AX], wheels[SPEED], wheels[AGE], wheels[MORE]
     for l in range(LANES):
         second, quarter_gamma = w[R.SECOND, l], w[R.QUARTER_GAMMA, l]
-        if lateral:  # noqa: SIM108 (written out)
+        if lateral:  # noqa: SIM108 (known at compilation)
             arm = w[R.ARM, l]
         else:
             arm = w[R.ODOMETER_LATENCY, l] + age
@@ -472,7 +471,7 @@ def _measure_along(w, u, wheels, *, n, bias, lateral):
 
 
 def update_lateral(w, u, *, tilted, measure_lateral):
-    """Update with the lateral constraint at the rear axle, whose tires slip: see `models.lateral_arm`."""
+    """Update with the lateral constraint at the rear axle, with tire slip: see `models.lateral_arm`."""
     for l in range(LANES):
         speed2 = w[R.U, l] * w[R.U, l] + w[R.V, l] * w[R.V, l]
         w[R.ARM, l] = w[R.REAR_AXLE, l] - w[R.TIRE_SLIP, l] * speed2
@@ -503,7 +502,7 @@ def _measure_heading(w, *, n):
 
 
 def update_heading(w, u, z, *, tilted, measure_heading):
-    """Update with the heading ``latency`` ago; an outlier has a larger variance: see `schedule.HEADING_GATE`."""
+    """Update with the heading ``latency`` ago; the variance of an outlier is increased: see `schedule.HEADING_GATE`."""
     shown, theta, stated = u[GZ], z[FIX_THETA], z[FIX_VAR_THETA]
     measure_heading(w)
     for l in range(LANES):
@@ -517,7 +516,7 @@ def update_heading(w, u, z, *, tilted, measure_heading):
 
 
 def _update_one(w, *, n):
-    """Update x += C nu / S, P -= C C^T / S, for a scalar z; S, nu and C are in rows S11, N1 and C1."""
+    """Update with a scalar z: x += C nu / S, P -= C C^T / S, with S, nu and C in rows S11, N1 and C1."""
     for l in range(LANES):
         w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0
         g = 1.0 / w[R.S11, l]
@@ -529,7 +528,7 @@ def _update_one(w, *, n):
 
 
 def _update_two(w, *, n, tilted):
-    """Update x += C G nu, P -= C G C^T, for z with two components; G = S^-1, or zero, is in rows G11, G12, G22."""
+    """Update with a z of two components: x += C G nu, P -= C G C^T, with G = S^-1 (0: rejected) in G11, G12, G22."""
     for l in range(LANES):
         g11, g12, g22 = w[R.G11, l], w[R.G12, l], w[R.G22, l]
         w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0
@@ -545,7 +544,7 @@ def _update_two(w, *, n, tilted):
 
 
 def measurement_kernels(name: str, note_prior=None, noted=0):
-    """Return `forecast_fix` and the six `update_...` functions of a kernel's name.
+    """Return `forecast_fix` and the six ``update_`` functions of a kernel.
 
     ``note_prior``: see `step_log`; ``noted``: see `move_fix_error`.
     """

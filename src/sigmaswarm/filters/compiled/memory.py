@@ -1,4 +1,4 @@
-"""A live filter's memory as one number for compiled code, since passing eight arrays takes longer than a step."""
+"""Memory of a live filter as one number for compiled code, since passing eight arrays takes longer than a step."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 
@@ -34,7 +34,7 @@ class LiveArrays(NamedTuple):
 class Memory:
     """The arrays of a live filter (see `live`) and the address of its step.
 
-    ``handle`` is the argument of `memory_at`, valid while this object exists. ``arrays.filter_state`` is a copy.
+    ``handle``, the argument of `memory_at`, is valid while this object exists. ``arrays.filter_state`` is a copy.
     """
 
     def __init__(self, step: Any, given: LiveArrays) -> None:

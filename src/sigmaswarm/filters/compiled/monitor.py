@@ -1,6 +1,6 @@
 """Inputs of a live filter's divergence monitor: the last usable fix, and an approximate heading.
 
-The samples of the last seconds are in a ring buffer: time, ax, ay, gz, and the other axes. Rows of fixes are those of
+The samples of the last seconds are in a ring buffer: time, ax, ay, gz and the other axes. Rows of fixes are as in
 `live`.
 """
 
@@ -15,7 +15,7 @@ from sigmaswarm.drives.stale_fixes import STALE
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 
 CHECK_INTERVAL = 1.0  # s between two checks of a filter
-LATEST_CHECK = 0.25  # s from a fix to the IMU sample of a check; after a longer gap they are not comparable
+LATEST_CHECK = 0.25  # s, longest time from a fix to the IMU sample at which it is compared with the filter
 MONITOR_SPAN = MAX_DURATION + 1.0  # s of samples and fixes that are stored for the monitor
 
 _T, _X, _Y, _KIND = 0, 1, 2, 10  # of a row of fixes: see `live`, which imports this module
@@ -70,9 +70,10 @@ def rough_heading(samples, newest, n, fixes, end, gyro_bias):
 
 @_plain
 def _way(samples, k, steps, since, until, gyro_bias):
-    """Return the path between two times, at 1 m/s, first to the east, and the change of heading to the last sample.
+    """Return the path between two times at 1 m/s and an initial heading of 0, and the turn up to the last sample.
 
-    Row ``k`` is the last sample up to ``since``; ``steps`` samples follow.
+    The path has an east and a north component, m. Row ``k`` is the last sample up to ``since``; ``steps`` samples
+    follow.
     """
     before, east, north, turned, cos, sin = samples[k, 0], 0.0, 0.0, 0.0, 1.0, 0.0
     for _ in range(steps):

@@ -1,12 +1,12 @@
 """planar5's prediction in closed form; compare `models.planar5` and `textbook.UnscentedKalmanFilter`.
 
 The process is linear in all states except theta: u' = u + dt g(theta), x' = x + (u + u') dt/2, theta' = theta + dt yaw
-rate, with g the acceleration in the local frame. Every square root of P is valid for sigma points; the one with theta
-first is used. Then only its first column (and its mirror image) changes theta, by d = gamma sigma_theta with gamma^2 =
-n + lambda = alpha^2 (n + kappa). All other sigma points share the center's g0 = g(theta). With J a turn by 90 degrees,
+rate, with g the acceleration in the local frame. Sigma points may use any square root of P; here theta is its first
+state. Then only the first column (and its mirror image) changes theta, by d = gamma sigma_theta with gamma^2 =
+n + lambda = alpha^2 (n + kappa). All other sigma points have the center's g0 = g(theta). With J a turn by 90 degrees,
 
     g(theta +- d) = g0 cos d +- J g0 sin d,       w = 1 / (2 gamma^2) the weight of one sigma point,
-    e         = 2 w (cos d - 1) = -(2 / gamma^2) sin^2(d/2)          (no difference of large numbers is left)
+    e         = 2 w (cos d - 1) = -(2 / gamma^2) sin^2(d/2)          (without a difference of large numbers)
     k         = sin d / d
     mean of g = (1 + e) g0
     Cov(s, g) = k P[:, theta] (J g0)^T
@@ -14,9 +14,9 @@ n + lambda = alpha^2 (n + kappa). All other sigma points share the center's g0 =
 
 The rest is the covariance of sums: Cov(., u') = Cov(., u) + dt Cov(., g), and so on; Q is added at the end.
 
-An extended Kalman filter has the same form without the second-order terms: gamma = 0, so e = 0 and k = 1. In a step the
-heading turns by the same angle in all lanes, so rows COS and SIN are rotated instead of computed. After any other
-change of the heading (by a fix or a start), FACED and FACED_ALL are 0, and the next step computes COS and SIN.
+The extended Kalman filter is the case without second-order terms: gamma = 0, so e = 0 and k = 1. In a step, the heading
+turns by the same angle in all lanes, so rows COS and SIN are rotated. After any other change of the heading (by a fix
+or a start), FACED and FACED_ALL are 0, and the next step computes COS and SIN from the heading.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -28,7 +28,7 @@ from sigmaswarm.filters.compiled.layout import LANES, R
 
 @kernel
 def _face(w):
-    """Compute the heading's cosine and sine in the lanes in which a fix or a start changed the heading."""
+    """Compute cosine and sine of the heading in lanes in which a fix or a start changed it."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         faced = w[R.FACED, l] > 0.0
@@ -39,14 +39,14 @@ def _face(w):
 
 @kernel
 def _look_away(w):
-    """Mark that the heading has turned too far to rotate its cosine and sine."""
+    """Mark COS and SIN as invalid, after a turn too large for `sinc_cos`."""
     for l in range(LANES):
         w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0
 
 
 @kernel
 def _turn(w, ax, ay, turn):
-    """Turn the acceleration times dt by the mean heading and its variance; then turn the heading by the gyro."""
+    """Rotate the acceleration times dt by the heading, a Gaussian variable; then turn the heading by the gyro."""
     for l in range(LANES):
         k_turn, cos_turn = sinc_cos(turn * turn)
         sin_turn = turn * k_turn
@@ -62,9 +62,9 @@ def _turn(w, ax, ay, turn):
 
 @kernel
 def predict_planar5(w, u):
-    """Compute a step of the process model in two loops, since one loop is too long for a processor's lookahead.
+    """Compute a step of the process model in two loops; one loop would be too long for out-of-order execution.
 
-    The position moves by half a step with the velocity before the step and by half a step with the velocity after it.
+    The position moves for half a step with the velocity before the step, and for half a step with the velocity after.
     """
     dt, ax, ay, gz, q_scale = u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE]
     if w[R.FACED_ALL, 0] == 0.0:

@@ -2,9 +2,9 @@
 
 u' = u + dt R(theta) (a - b), theta' = theta + dt (yaw rate - w), with the accelerometer's biases b and the gyro's bias
 w. The process is bilinear in theta and b. The square root of P again begins with theta: its first column changes theta
-by d, and also b. The other columns change only b while theta is fixed, so for them the process is linear. g0 is the
-mean specific force minus bias in the local frame, and J is a rotation by 90 degrees. gamma, d, e and k are as in
-planar5, t = R P[b, theta], and m = (1 - cos d) / P[theta, theta]. The sums over the sigma points are
+by d, and also b. The other columns leave theta fixed, so the process is linear for them. g0 is the mean specific force
+minus bias in the local frame, and J is a rotation by 90 degrees. gamma, d, e and k are as in planar5, t = R P[b, theta]
+and m = (1 - cos d) / P[theta, theta]. The sums over the sigma points are
 
     mean of g   = g0 + mu,    mu = e g0 - k J t
     Cov(s, g)   = P[:, theta] (k J g0 + m t)^T - P[:, b] R^T
@@ -23,7 +23,7 @@ from sigmaswarm.filters.compiled.layout import LANES, R
 
 @kernel
 def _turn(w, dt, ax, ay):
-    """Compute the effect of heading, biases and their covariances on the acceleration times dt."""
+    """Compute the acceleration times dt and its covariances, from heading and biases."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         s, c = dt * sin_t, dt * cos_t  # all below is times dt
@@ -81,7 +81,7 @@ def predict_planar8(w, u):
         w[R.U, l], w[R.V, l] = u1, v1
         w[R.T, l] += dt * (gz - w[R.W, l])
 
-        # xu1 is Cov(x, u'), x1u is Cov(x', u), x1u1 is Cov(x', u'), and so on; theta' = t1.
+        # xu1 is Cov(x, u'), x1u is Cov(x', u), x1u1 is Cov(x', u'), and so on; t1 is theta'.
         xu1, xv1 = xu + ke * xt - (c * xa - s * xb), xv + kn * xt - (s * xa + c * xb)
         yu1, yv1 = yu + ke * yt - (c * ya - s * yb), yv + kn * yt - (s * ya + c * yb)
         uu1, uv1 = uu + ke * ut - (c * ua - s * ub), uv + kn * ut - (s * ua + c * ub)

@@ -1,8 +1,8 @@
-"""The extended filter of robot_localization in ``two_d_mode``, for many parameter sets side by side.
+"""The extended filter of robot_localization in ``two_d_mode``, for many parameter sets at once.
 
 `filters.robot_localization` contains the equations and the textbook form. The eight states are in planar8's rows: x, y,
-vx, vy (body), yaw, ax, ay (body), yaw rate. The Jacobian is a product of elementary steps, one for each row that
-differs from the identity. R is diagonal, so sequential updates with single states equal the joint update.
+vx, vy (body), yaw, ax, ay (body), yaw rate. F is a product of elementary matrices, one for each row that differs from
+the identity. R is diagonal, so sequential updates with single states equal the joint update.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -32,10 +32,10 @@ from sigmaswarm.filters.schedule import FIX, HEADING, HIDDEN, IMU, LATERAL, ODOM
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
 
 USES_VY, USES_AY = LATERAL, STANDSTILL
-"""Bits of a step: a twist with vy = 0, and the IMU's ay."""
+"""Bits of a step: update with vy = 0 of a twist, and with the IMU's ay."""
 R_GZ, R_AX, R_AY, R_VY = R.R_RATE, R.R_VELOCITY, R.R_STANDSTILL, R.R_LATERAL
 GATE_GZ, GATE_AX = R.REAR_AXLE, R.TIRE_SLIP
-"""Rows of the largest accepted NIS of gz and ax; they are free, since the model has no rear axle."""
+"""Rows of the largest accepted NIS of gz and ax; this model uses them for nothing else."""
 _TWO_PI = 2 * math.pi
 
 
@@ -89,7 +89,7 @@ RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
 def _update(w, z, *, state, noise, gate):
     """Update with one state: x += K nu; P' = P - p p' / S, and the column of this state is p R / S.
 
-    ``gate``: the row of the NIS from which the measurement is rejected; 0: none.
+    ``gate``: row of the NIS at which the measurement is rejected; 0: never.
     """
     for l in range(LANES):
         r, use = w[noise, l], 1.0
@@ -139,7 +139,7 @@ def _measure_fix(w, x, y, var_x, var_y, forward, left):
 
 @kernel
 def _look_at_fix(w):
-    """Add the likelihood of a fix; reject it if its NIS exceeds the squared threshold."""
+    """Add the likelihood of a fix to the sums; reject the fix if its NIS exceeds the squared threshold."""
     for l in range(LANES):
         nis = _look(w, l)
         det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]
@@ -151,7 +151,7 @@ BEFORE = {R.X: R.C1_X, R.Y: R.C1_Y}
 
 
 def _update_axis(w, *, state, noise, innovation):
-    """Update with one axis of a fix, like `_update`, in the lanes that use the fix."""
+    """Update with one axis of a fix, like `_update`, in the lanes that accept the fix."""
     for l in range(LANES):
         r, use = w[noise, l], w[R.USE, l]
         one = use / (w[at(state, state), l] + r)

@@ -1,7 +1,7 @@
 """The array of a run on the stack, aligned to a cache line.
 
-Numba's `np.empty` starts at any multiple of 32 bytes, so with AVX-512 each load and store may touch two cache lines.
-Then the run takes a seventh longer.
+Arrays of Numba's `np.empty` start at any multiple of 32 bytes. With AVX-512 each load and store may then access two
+cache lines, and a run takes a seventh longer.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -23,7 +23,7 @@ def _on_the_stack(typing_context, lanes):
 
     def generate(context, builder, signature, arguments):
         size = ir.IntType(64)
-        with builder.goto_entry_block():  # by hand: Numba's own would fill it with zeros at each call
+        with builder.goto_entry_block():  # not by Numba's function, which fills it with zeros at each call
             data = builder.alloca(ir.ArrayType(ir.DoubleType(), BLOCKS * N_ROWS * LANES))
         data.align = CACHE_LINE
         array = context.make_array(kind)(context, builder)

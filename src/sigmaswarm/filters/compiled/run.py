@@ -28,13 +28,13 @@ from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU, ODOMETER
 
 Array = NDArray[np.float64]
 
-# Place of a run in pieces: the next step, fix and target, the scale of Q since the last fix, and the next wheel speed.
+# State of a run in pieces: the next step, fix and target, the scale of Q since the last fix, the next wheel speed.
 NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE, NEXT_SPEED = range(5)
 NO_RECORD, NO_INNOVATIONS = np.empty((0, 0, 0)), np.empty((0, 5))
 
 
 def kept(column: Array) -> Array:
-    """Return a contiguous array that is not writable: the form of input for which kernels are compiled."""
+    """Return a contiguous read-only array, the type of input for which kernels are compiled."""
     view = np.ascontiguousarray(column).view()
     view.flags.writeable = False
     return view
@@ -50,12 +50,12 @@ def new_place() -> Array:
 
 
 _TWO_PI = 2 * math.pi
-_DETERMINANTS_PER_LOG = 8  # their product stays far inside the range of a double
+_DETERMINANTS_PER_LOG = 8  # the range of a double contains their product
 
 
 @kernel
 def _take_logarithm(w):
-    """Add the logarithms of the products of the last fixes to the sums, and reset the products."""
+    """Add the logarithms of the last fixes' products to the sums, and reset the products."""
     for l in range(LANES):
         w[R.LOG_DET, l] += math.log(w[R.DET, l])
         w[R.LOG_TAIL, l] += math.log(w[R.TAIL, l])
@@ -67,7 +67,7 @@ def _wrapped(angle):
 
 
 def _off_between(w, l, weight, true_x, true_y, true_theta, heading):
-    """Compute errors in x, y and heading; the estimate is interpolated linearly between two IMU samples."""
+    """Compute errors in x, y and heading, with the estimate interpolated linearly between two IMU samples."""
     x = w[R.BEFORE_X, l] + weight * (w[R.X, l] - w[R.BEFORE_X, l]) - true_x
     y = w[R.BEFORE_Y, l] + weight * (w[R.Y, l] - w[R.BEFORE_Y, l]) - true_y
     turn = _wrapped(w[heading, l] - w[R.BEFORE_T, l])
@@ -82,7 +82,7 @@ def _add(w, l, x, y, wrong, scores_heading):
 
 
 def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
-    """Add the squared errors at a time of truth, and the position's NEES with the covariance at the later sample."""
+    """Add the squared errors at a time of truth, and the position's NEES with P at the later IMU sample."""
     for l in range(LANES):
         x, y, wrong = _off_between(w, l, weight, true_x, true_y, true_theta, heading)
         _add(w, l, x, y, wrong, scores_heading)
@@ -97,9 +97,9 @@ def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
 def _score_by_deviation(
     w, weight, true_x, true_y, true_theta, scores_heading, counts, heading_counts, var_x, var_y, *, heading
 ):
-    """Score like `_score`, for truth with a variance, which weights each time and is added to P in the NEES.
+    """Score like `_score` with truth that has a variance, which weights each time and is added to P in the NEES.
 
-    A separate function, since `_score` with a factor of 1 would round differently.
+    This is a separate function, since `_score` with a factor of 1 would round differently.
     """
     for l in range(LANES):
         x, y, wrong = _off_between(w, l, weight, true_x, true_y, true_theta, heading)
@@ -113,7 +113,7 @@ def _run(
     w, steps, sample, driving, flags, fixes, speeds, lever, targets, target_end, place, stop, record, innovations,
     *, step, state, n_axes, heading, score, score_there, score_by_deviation,
 ):  # fmt: skip
-    """Run the steps from a place to a stop; w has the state and memory of the filters, before and after.
+    """Run the steps from a place to a stop; w contains the filters, and is changed.
 
     ``state``: the recorded rows; ``heading``: the row of the scored heading. Steps and fixes are passed as tuples,
     since a row of an array would be reference-counted at each step.
@@ -199,7 +199,7 @@ def _load(w, rows):
         below = first // LANES * N_ROWS
         for r in range(N_KEPT):
             for lane in range(first, min(first + LANES, w.shape[1])):
-                w[below + r, lane - first] = rows[r, lane % rows.shape[1]]  # uncompiled, w has always LANES
+                w[below + r, lane - first] = rows[r, lane % rows.shape[1]]  # not compiled, w always has LANES
         for r in range(N_KEPT, N_ROWS):
             for lane in range(first, min(first + LANES, w.shape[1])):
                 w[below + r, lane - first] = 0.0
@@ -242,9 +242,9 @@ def _digest():
 def named_by_sources(make, name, known=None):
     """Return the function of ``make(sources)``; its key in Numba's cache contains a hash of all kernels' sources.
 
-    Numba alone would not notice a change of a function in another file, or that the same lines call another function
-    under another ``name``; but values in a closure are part of the key. ``known``: returns the values of make's
-    keyword-only parameters, which are needed only for compilation.
+    Numba alone would not notice a change of a function in another file. It would also not distinguish equal lines that
+    call different functions under one ``name``, but values in a closure are part of its key. ``known`` returns the
+    values of make's keyword-only parameters, which are needed only for compilation.
     """
     sources = f"{name} {_digest()}"
 
@@ -329,7 +329,7 @@ def run_kernel(model):
 
 @once
 def logging_kernel(model):
-    """Return a kernel that writes the `step_log.logged_rows` to ``record``; if all flags contain IMU, of every step."""
+    """Return a kernel that records `step_log.logged_rows`, of every step if all flags contain IMU."""
     return _kernel_of(model, partial(step_of, model, noted=True), logged_rows(model), f"{model}, logged")
 
 
@@ -350,16 +350,15 @@ def run_lanes(
     record: Array,
     innovations: Array,
 ) -> None:
-    """Run up to `most_lanes` filters over some steps of one time line, from the end of the last call.
+    """Run up to `most_lanes` filters over steps of one time line, from the end of the last call.
 
-    Runs in pieces give the same results as the whole run if each piece except the last stops after a step with the flag
-    IMU.
+    Results do not depend on the pieces of a run if each piece except the last stops after a step with the flag IMU.
 
     Parameters
     ----------
     model : name of the model
     steps : (k, 3) as `Timeline.steps`
-    sample : (k,) row of ``driving`` for each step
+    sample : (k,) row of ``driving`` of each step
     driving : (n, 3 or 6) as `Timeline.driving`, with all axes that the model reads
     flags : (k,) bits of each step: see `schedule`
     fixes : (f, 8) as `Timeline.fixes`, in the order of their updates
@@ -370,8 +369,8 @@ def run_lanes(
     rows : (N_KEPT, a multiple of WIDEST), changed: state, constants, sums and memory of each lane
     place : (5,), changed: see NEXT_STEP ... NEXT_SPEED
     stop : the step before which the run stops; for k the sums are complete
-    record : (r, s + 1, m), written from its start: the model's s `state_rows` and the OK flag of the first m lanes, up
-        to LANES, at each IMU sample of these steps; r = 0: none
+    record : (r, s + 1, m), written from its start: the model's s `state_rows` and the OK flag of the first m lanes (at
+        most LANES), at each IMU sample of these steps; r = 0: none
     innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix of these steps, before
         the update; no rows: none
     """

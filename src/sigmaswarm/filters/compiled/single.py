@@ -1,6 +1,6 @@
 """One step of one filter as a separate function, which other compiled code calls by its address.
 
-Numba would inline the step into its callers and compile them for each model, although the rest of a live filter is the
+Numba would inline the step into its callers and compile these for each model, although the rest of a live filter is the
 same for all models.
 """
 
@@ -36,7 +36,7 @@ def _one_step(sources, *, step, kept, step_log, logged):
             for lane in range(w.shape[1]):
                 w[r, lane] = v[r]
         for lane in range(w.shape[1]):
-            w[R.FACED_ALL, lane] = v[R.FACED]  # all lanes are the same
+            w[R.FACED_ALL, lane] = v[R.FACED]  # all lanes are equal
         step(
             w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,
             (z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]), (wheels[0], wheels[1], wheels[2]),
@@ -59,7 +59,7 @@ class SingleStep:
     """A model's step in this process; a copy in another process looks up its own address.
 
     ``address`` is the argument of `take_step`; without compilation it is a function. ``made_by`` contains the function
-    that returns this object, and its arguments.
+    that creates this object, and its arguments.
     """
 
     address: Any

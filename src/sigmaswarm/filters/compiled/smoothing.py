@@ -1,13 +1,13 @@
-"""The compiled backward pass of Rauch, Tung and Striebel: one filter over the logged steps, from last to first.
+"""The compiled backward pass of Rauch, Tung and Striebel: one filter over its logged steps, from the last to the first.
 
     G   = P A^T (P-)^-1
     m^s = m + G (m^s' - m-)
     P^s = P + G (P^s' - P-) G^T
 
-m, P is the filter's state before a step, m-, P- its prediction, and m^s', P^s' the smoothed state after the step (H. E.
-Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC
-53(3), 2008: P A^T is the cross-covariance of its sigma points, see `step_log`). X = G^T is the solution of P- X = A P.
-A model with attitude takes differences and sums in the tangent space: see `tilted`.
+m, P are the filter's state before a step, m-, P- its prediction, and m^s', P^s' the smoothed state after the step (H.
+E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965). For sigma points, P A^T is their cross-covariance (S.
+Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC 53(3), 2008): see `step_log`. X = G^T solves P- X = A P. A
+model with attitude takes differences and sums in the tangent space: see `tilted`.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportIndexIssue=false
@@ -55,7 +55,7 @@ def _moved_planar8(move, p, ap, n):
 
 @_plain
 def _moved_tilted12(move, p, ap, n):
-    """Compute A P of the error; its third, first and second part are in rows 4, 8 and 9."""
+    """Compute A P of the error, whose rotation about up, east and north is in rows 4, 8 and 9."""
     dt, east, north = move[0], move[1], move[2]
     h, g = 0.5 * dt, GRAVITY * dt
     for c in range(n):
@@ -72,7 +72,7 @@ def _moved_tilted12(move, p, ap, n):
 
 
 def _moved_unscented(move, p, ap, n, *, first):
-    """Compute A P of the error from the rows D and the slopes."""
+    """Compute A P of the error from D and the slopes."""
     h = 0.5 * move[0]
     for c in range(n):
         vx = p[2, c] - move[1] * p[5, c] - move[2] * p[6, c]
@@ -101,7 +101,7 @@ _MOVED = {
 
 
 def _spread(state, p, *, n, first):
-    """Unpack the covariance (n, n) from its upper triangle, which is packed column by column."""
+    """Unpack the covariance (n, n) from its upper triangle, packed column by column."""
     at = first
     for b in range(n):
         for a in range(b + 1):
@@ -110,7 +110,7 @@ def _spread(state, p, *, n, first):
 
 
 def _solve(s, x, *, n):
-    """Replace x (n, n) by S^-1 x; the symmetric S (n, n) is overwritten by its Cholesky factor."""
+    """Replace x (n, n) by S^-1 x, and the symmetric S (n, n) by its Cholesky factor."""
     for a in range(n):
         for b in range(a):
             s[a, a] -= s[a, b] * s[a, b]
@@ -138,7 +138,7 @@ def _solve(s, x, *, n):
 
 @_plain
 def _turn_between(q, p, error):
-    """Compute the rotation e from attitude p to q, q = exp(e) p, in the error's elements; quaternions (4,)."""
+    """Compute the rotation vector e with q = exp(e) p, for quaternions (4,), in rows 8, 9 and 4 of the error."""
     w = q[0] * p[0] + q[1] * p[1] + q[2] * p[2] + q[3] * p[3]
     x = -q[0] * p[1] + q[1] * p[0] - q[2] * p[3] + q[3] * p[2]
     y = -q[0] * p[2] + q[1] * p[3] + q[2] * p[0] - q[3] * p[1]
@@ -165,7 +165,7 @@ def _turned(q, x, y, z, out):
 
 
 def _step_back(before, noted, behind, work, *, n, n_state, first, tilted, phi, moved, spread, solve):
-    """Smooth one step: replace the state after it by the state before it in ``behind`` (n_state,)."""
+    """Smooth one step: replace the smoothed state after it, in ``behind`` (n_state,), by that before it."""
     prior = noted[n_state : 2 * n_state]
     p, change, x, s = work[0], work[1], work[2], work[3]
     error, shift = work[4, 0], work[4, 1]
@@ -250,16 +250,16 @@ def _kernel_of(name):
 
 
 def smooth_back(name, step_log, start, ends, started, sampled, behind, out):
-    """Smooth the logged steps, from the smoothed state after the last one.
+    """Smooth the logged steps, starting from the smoothed state after the last step.
 
     Parameters
     ----------
     name : name of the kernel of the forward pass
     step_log : (k, t) `step_log.logged_rows` of each step
     start : (s,) the filter's `state_rows` before the first step
-    ends, started : (a,) int, (a, s) the steps after which the filter was reset, and the state after the reset; steps
-        before a reset do not use later ones
-    sampled : (k,) bool: the steps whose ends are returned
+    ends, started : (a,) int, (a, s) the steps after which the filter was reset, and the states after these resets;
+        smoothed states before a reset do not depend on later steps
+    sampled : (k,) bool: the steps at whose ends smoothed states are returned
     behind : (s,) changed from the smoothed state after the last step to that before the first step
     out : (r, s) written: the smoothed states at the chosen ends
     """

@@ -31,7 +31,7 @@ from sigmaswarm.filters.tilted import N
 
 
 def _grow(w, dt, gap, *, tilted):
-    """Add the unobserved motion in a gap of the IMU's samples: `schedule.gap_covariance`."""
+    """Add the covariance of the unobserved motion in an IMU gap: `schedule.gap_covariance`."""
     turn = GAP_TURN_STD * GAP_TURN_STD * gap * dt
     g = GAP_ACCELERATION_STD * GAP_ACCELERATION_STD * gap * dt
     for l in range(LANES):
@@ -99,9 +99,9 @@ _PREDICTIONS = {
 
 @cache
 def step_of(name, *, noted=False):
-    """Return a step of LANES filters of a kernel's name, to be inlined.
+    """Return the step of LANES filters of a kernel, for inlining.
 
-    ``noted``: the step also writes the inputs of a smoother to the rows of the first lane; see `step_log`.
+    ``noted``: the step also writes the inputs of a smoother to scratch rows; see `step_log`.
     """
     model = FILTERS[name]
     if model.measures_imu:

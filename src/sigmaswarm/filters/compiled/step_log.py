@@ -1,8 +1,8 @@
-"""The log of each step of the compiled filter for a smoother: the prediction before any update, and its transition A.
+"""Log of each step of the compiled filter for a smoother: the prediction before any update, and its transition A.
 
-A is the Jacobian of an extended filter, or the statistical linearization of an unscented filter, Cov(s', s) P^-1. In
+A is the Jacobian of an extended filter, or the statistical linearization Cov(s', s) P^-1 of an unscented filter. In
 planar5.py and planar8.py this linearization is the Jacobian with k J g0 + m t in place of J g0. The prediction includes
-the fading factor and the inflation after a run of outliers.
+the inflation by a fading factor or after a run of outliers.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -27,7 +27,7 @@ MOVES = {
         *(SLOPE + OUTPUTS * column + output for output in (2, 3, 4) for column in range(3)),
     ),
 }
-"""Rows from which A is computed, by kernel, each proportional to the step's length; phi of `fix_error` follows."""
+"""Rows from which A is computed, by kernel, all proportional to the length of the step; phi of `fix_error` follows."""
 
 
 def _moves_of(name):
@@ -35,7 +35,7 @@ def _moves_of(name):
 
 
 def logged_rows(name):
-    """Return the rows of a logged step: the state after it, the prediction, the step's length, other numbers of A."""
+    """Return the logged rows: the state after the step, the prediction, the step's length, other numbers of A."""
     state, n_moves = state_rows(name), 1 + len(_moves_of(name)) + FILTERS[name].fix_error
     return np.array([*state, *(PRIOR + state), *range(MOVE, MOVE + n_moves)], dtype=np.intp)
 
@@ -65,5 +65,5 @@ def note_move(name):
 
 
 def note_prior(name):
-    """Return the kernel that logs the prediction before a measurement, and again if the measurement inflates P."""
+    """Return the kernel that logs the prediction before a measurement, and again if P is inflated."""
     return kernel(_note_prior, state=tuple(int(row) for row in state_rows(name)))

@@ -1,15 +1,15 @@
 """A step of a filter bank: LANES filters of one model at once, and the evidence of each filter.
 
-This step replaces the `single_step` of a live filter, which is the bank's first lane. All lanes are stored after its
-state (`live.BEHIND`), so that late fixes also return them to an earlier state:
+This step replaces the `single_step` of a live filter, which is the first lane of the bank. All lanes are stored behind
+its state (`live.BEHIND`), so that a late fix also returns them to an earlier state:
 
     NUMBERS   a few numbers, then for each lane: evidence, log-prior penalty, weight
     ROWS      (N_KEPT, LANES) the lanes, as in `layout`; the checkpoints of a live filter end here
     SCRATCH   (N_ROWS - N_KEPT, LANES)
-    STEP_LOG      ring buffer of the last steps for a search, N_LOG_ROW numbers each
+    STEP_LOG  ring buffer of the last steps for a search, N_LOG_ROW numbers each
 
-The evidence of a lane is the logarithm of the Gaussian likelihood of the fixes, which a wrong covariance lowers; it
-fades with time. The weight is exp(EVIDENCE_COUNTS evidence - penalty), normalized.
+The evidence of a lane is the log-likelihood of the fixes under a Gaussian; old fixes lose weight with time. The weight
+of a lane is exp(EVIDENCE_COUNTS evidence - penalty), normalized.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -33,12 +33,12 @@ from sigmaswarm.filters.schedule import FIX
 
 EVIDENCE_LASTS = 60.0  # s in which the evidence decays to 1/e
 LARGEST_NIS = 200.0
-"""Upper limit of a fix's NIS, so that no single fix decides. Between high buildings, fixes are
-accurate until they jump; with Student's t, a lane with a small R would then get too much weight."""
-EVIDENCE_COUNTS = 0.1  # weight of a fix: errors of fixes are correlated, so about ten count as one
+"""Upper limit of a fix's NIS, so that no single fix decides. Between high buildings, fixes are accurate until they
+jump. With Student's t instead, a lane with a small R would get too much weight."""
+EVIDENCE_COUNTS = 0.1  # weight of a fix: errors of fixes are correlated, so ten fixes count about as one
 
-# Counted from BEHIND: number of logged steps, and the largest number in the log; time of the last fix, and number of
-# fixes; nu and S of the mixture at the last fix.
+# Counted from BEHIND: number of logged steps, and capacity of the log; time of the last fix, and number of fixes; nu
+# and S of the mixture at the last fix.
 LOGGED, LOG_LENGTH, FIXED_AT, N_FIXED, NU_X, NU_Y, S_XX, S_XY, S_YY = range(9)
 EVIDENCE = slice(16, 16 + LANES)
 PENALTY = slice(EVIDENCE.stop, EVIDENCE.stop + LANES)
@@ -86,7 +86,7 @@ _rows_of = _rows_in_python if config.DISABLE_JIT else _rows_behind
 
 @njit(**OPTIONS)
 def weigh(v):
-    """Compute the weights of the lanes from their evidence; all 0 if no lane has evidence."""
+    """Compute the weights of the lanes from their evidence; all are 0 if no lane has evidence."""
     best = -math.inf
     for lane in range(LANES):
         for_it = EVIDENCE_COUNTS * v[_AT_EVIDENCE + lane] - v[_AT_PENALTY + lane]
@@ -110,7 +110,7 @@ def _is_predicted(w, lane):
 
 @njit(**OPTIONS)
 def _note_fix(v, w, now):
-    """Store the mixture's prediction of a fix, and update the evidence of each lane."""
+    """Store the mixture's innovation of a fix, and update the evidence of each lane."""
     x, y, total = 0.0, 0.0, 0.0
     for lane in range(LANES):
         share = v[_AT_WEIGHT + lane]
@@ -146,7 +146,7 @@ def _note_fix(v, w, now):
 
 @njit(**OPTIONS)
 def _check_lanes(v, w):
-    """Mark lanes with an indefinite covariance as failed; the live filter checks the first lane."""
+    """Mark lanes with an indefinite covariance as failed; the live filter itself checks the first lane."""
     for lane in range(1, LANES):
         if w[R.OK, lane] == 1.0 and not is_definite(w[P0:, lane], int(v[DIMENSION]), v, FACTOR.start):
             w[R.OK, lane] = 0.0
@@ -159,8 +159,8 @@ def _swarm_step(sources, *, step, kept):
         control = exchange_control(-1)
         w = _rows_of(v)
         for lane in range(LANES):
-            w[R.FACED_ALL, lane] = 0.0  # some may have been replaced
-        if v[R.OK] == 0.0:  # found by the live filter's own check
+            w[R.FACED_ALL, lane] = 0.0  # some lanes may have been replaced
+        if v[R.OK] == 0.0:  # set by the live filter's check
             w[R.OK, 0] = 0.0
         step(
             w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,

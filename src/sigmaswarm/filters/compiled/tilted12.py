@@ -1,18 +1,18 @@
 """tilted12's extended filter; compare `filters.tilted` and `textbook.ErrorStateKalmanFilter`.
 
-The mean's attitude is the quaternion in rows ATT_W ... ATT_Z. Rows I, J and T of the mean contain the error about east,
-north and up, which is 0 except between a measurement and `fold`, which rotates the quaternion by this error. All other
-rows are those of planar8; K and L are the biases of gx and gy.
+The attitude of the mean is the quaternion in rows ATT_W ... ATT_Z. Rows I, J and T of the mean are the error about
+east, north and up. It is 0 except between a measurement and `fold`, which rotates the quaternion by the error. All
+other rows are those of planar8; K and L are the biases of gx and gy.
 
-F has seven rows that differ from those of the identity, with D = dt R at the middle of the step, a = D f, g = 9.81 dt
-and h = dt/2:
+Seven rows of F differ from those of the identity. With D = dt R at the middle of the step, a = D f, g = 9.81 dt and
+h = dt/2:
 
     u' = u + g J - a_n T - D11 A - D12 B        x' = x + h (u + u')
     v' = v - g I + a_e T - D21 A - D22 B        y' = y + h (v + v')
     I' = I - D11 K - D12 L - D13 W              J', T' likewise
 
-So P' = F P F^T is computed in two parts: first F P, with these seven rows in scratch, then the product with F from the
-right. The columns of A, B, W, K and L are computed last.
+So P' = F P F^T is computed in two parts: first F P, with these seven rows in scratch rows, then (F P) F^T. The columns
+of A, B, W, K and L are computed last.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -40,24 +40,24 @@ from sigmaswarm.filters.tilted import GRAVITY, N
 
 MOVED = (R.X, R.Y, R.U, R.V, R.T, R.I, R.J)
 KEPT = (R.A, R.B, R.W, R.K, R.L)
-"""States that a step changes (MOVED), and the biases, which a step does not change (KEPT)."""
+"""States that a step changes, and the biases, which it does not change."""
 
 
-# Each group is one loop. Its members share most of their numbers, so fewer are loaded and more run in parallel.
+# Each group is one loop. Its columns share most inputs, so fewer numbers are loaded, and more operations are parallel.
 COLUMNS = (R.X, R.Y, R.U, R.V), (R.T, R.I, R.J, R.A), (R.B, R.W, R.K, R.L)
-"""Columns of F P; those of KEPT are last, since they overwrite rows that the other columns read. States that do not
-enter F may follow."""
+"""Columns of F P. Those of KEPT are last, since they overwrite rows that the other columns read. Columns of states that
+F does not change may follow."""
 ROWS = (R.X, R.Y), (R.U, R.V), (R.T, R.I, R.J)  # of (F P) F'
 
 
 def fp(i, j):
-    """Return the row of (F P)[i, j], i among MOVED: in scratch, or in P where column j does not change."""
+    """Return the row of (F P)[i, j] for i in MOVED: a scratch row, or that of P if F does not change column j."""
     return at(i, j) if j not in MOVED else FP + len(MOVED) * MOVED.index(i) + MOVED.index(j)
 
 
 @kernel
 def _turn_far(w):
-    """Compute the quaternions of `_half_turn` for any angle; lanes with a small angle are not changed."""
+    """Compute the quaternions of `_half_turn` for any angle, in lanes with a large angle."""
     for l in range(LANES):
         x, y, z = w[R.HALF_X, l], w[R.HALF_Y, l], w[R.HALF_Z, l]
         angle = math.sqrt(x * x + y * y + z * z) + TINY
@@ -72,7 +72,7 @@ def _turn_far(w):
 
 @kernel
 def _half_turn(w, u):
-    """Compute the quaternion of half the step's rotation, which is small except in long gaps of the IMU."""
+    """Compute the quaternion of half the step's rotation, whose angle is small except in long IMU gaps."""
     gx, gy, gz, quarter = u[GX], u[GY], u[GZ], 0.25 * u[DT]
     far = 0
     for l in range(LANES):
@@ -88,7 +88,7 @@ def _half_turn(w, u):
 
 @kernel
 def _move(w, u):
-    """Compute the mean, and D and a for the covariance."""
+    """Propagate the mean, and compute D and a for the covariance."""
     dt, ax, ay, az = u[DT], u[AX], u[AY], u[AZ]
     h = 0.5 * dt
     for l in range(LANES):
@@ -120,7 +120,7 @@ def _move(w, u):
 
 
 def predict_tilted12(w, u, *, columns):
-    """Run one step of the process model; ``columns``: `COLUMNS`, and those of states that the process does not use."""
+    """Compute a step of the process model; ``columns``: `COLUMNS`, then those of states outside of the process."""
     _half_turn(w, u)
     _move(w, u)
     h, g, q_scale = 0.5 * u[DT], GRAVITY * u[DT], u[Q_SCALE]
@@ -146,7 +146,7 @@ def predict_tilted12(w, u, *, columns):
                 bi, bj, bt = w[fp(i, R.I), l], w[fp(i, R.J), l], w[fp(i, R.T), l]
                 ba, bb = w[fp(i, R.A), l], w[fp(i, R.B), l]
                 bk, bl, bw = w[fp(i, R.K), l], w[fp(i, R.L), l], w[fp(i, R.W), l]
-                # Each pair among MOVED is computed once; its column is the state that is later in MOVED.
+                # Each pair in MOVED is computed once, in the column of the state that is later in MOVED.
                 if i in (R.X, R.Y, R.U, R.V):
                     u1 = bu + g * bj - w[R.NORTH, l] * bt - w[R.D11, l] * ba - w[R.D12, l] * bb
                     v1 = bv - g * bi + w[R.EAST, l] * bt - w[R.D21, l] * ba - w[R.D22, l] * bb
@@ -170,7 +170,7 @@ def predict_tilted12(w, u, *, columns):
 
 @kernel
 def fold(w):
-    """Rotate the quaternion by the error in I, J and T, from the left; then the error is 0."""
+    """Rotate the quaternion by the error in I, J and T, from the left; set the error to 0."""
     for l in range(LANES):
         x, y, z = 0.5 * w[R.I, l], 0.5 * w[R.J, l], 0.5 * w[R.T, l]
         angle = math.sqrt(x * x + y * y + z * z) + TINY
@@ -195,12 +195,12 @@ def settle(w):
 
 
 def measure_fix_tilted(w, z, lever, *, n):
-    """Compute nu, H P H^T, C and R of z = p + (R lever) - latency v; for the error see `tilted.Antenna`."""
+    """Compute nu, H P H^T, C and R of z = p + (R lever) - latency v; H is in `tilted.Antenna`."""
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
     for l in range(LANES):
         q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
-        # R lever = lever + 2 q x (q x lever + q0 lever), with q the vector's part.
+        # R lever = lever + 2 q x (q x lever + q0 lever), with q the vector part of the quaternion.
         tx = q2 * lever_z - q3 * lever_y + q0 * lever_x
         ty = q3 * lever_x - q1 * lever_z + q0 * lever_y
         tz = q1 * lever_y - q2 * lever_x + q0 * lever_z
@@ -229,7 +229,7 @@ def measure_fix_tilted(w, z, lever, *, n):
 
 
 def measure_heading_tilted(w, *, n):
-    """Compute the prediction, C and H P H^T of z = yaw of the attitude; for H see `tilted.Heading`."""
+    """Compute the prediction, C and H P H^T of z = yaw of the attitude; H is in `tilted.Heading`."""
     for l in range(LANES):
         q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
         east, north = 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3)

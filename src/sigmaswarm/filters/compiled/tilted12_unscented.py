@@ -1,28 +1,28 @@
 """tilted12's unscented filter; compare `filters.tilted` and `textbook.ManifoldUnscentedKalmanFilter`.
 
-Sigma points are rotation vectors and offsets, added to the mean: exp([e]x) R. Every square root L of P is valid. Here
-its order is that of `tilted.STEP_FIRST` and `MEASURED_FIRST`: first the states that do not enter linearly. The later
+Sigma points are errors added to the mean; a rotation vector e is added as exp([e]x) R. Every square root L of P is
+valid. Here the states that do not enter linearly come first: see `tilted.STEP_FIRST` and `MEASURED_FIRST`. The later
 columns change only states that enter linearly while the first states are fixed: position, velocity and the
 accelerometer's biases. Only the first columns need points:
 
-- In a step, the gyro's biases. The columns of the attitude, which follow, do not change these biases. Their points
-  rotate like the center, so their error does not change, and their acceleration is that of the center, rotated in
-  closed form.
-- In a fix, the attitude, which rotates the lever arm, also in closed form.
-- In the lateral constraint and the odometer, the attitude, which rotates the velocity.
+- In a step: the gyro's biases and the attitude. The columns of the attitude follow those of the biases and do not
+  change the biases. Their points rotate like the center, so their error does not change, and their acceleration is the
+  center's, rotated in closed form.
+- In a fix: the attitude, which rotates the lever arm, also in closed form.
+- In the lateral constraint and the odometer: the attitude, which rotates the velocity.
 
-Write a function of the state as its linear part plus r, which is 0 at the center and at all points that are not drawn.
-Let r+ and r- be at the points of column c, and gamma^2 = alpha^2 (n + kappa). The slope is d = (r+ - r-) / (2 gamma),
-the curvature t = (r+ + r-) / (2 gamma^2). Then the sums over the sigma points are
+A function of the state is its linear part plus r, which is 0 at the center and at all points that are not drawn. Let r+
+and r- be its values at the two points of column c, and gamma^2 = alpha^2 (n + kappa). The slope is d = (r+ - r-) /
+(2 gamma), the curvature t = (r+ + r-) / (2 gamma^2). Then the sums over the sigma points are
 
     mean of r  = mu = sum of t
     Cov(s, r)  = sum of L_c d^T = P[:, drawn] H,   with L_drawn^T H = d
     Cov(r)     = H^T P[drawn, drawn] H + gamma^2 (sum of t t^T) + (beta - alpha^2) mu mu^T
 
 The rotated vector is exp(+-gamma [L_c]x) a = a +- k gamma L_c x a + q gamma^2 L_c x (L_c x a), with the angle d = gamma
-|L_c|, k = sin d / d and q = (1 - cos d) / d^2. So the linear part plus H replaces the Jacobian, the last two terms of
-Cov(r) are added to the covariance, and the rest is as in `tilted12`. H is stored in rows SLOPE, mu in SHIFT, and these
-two terms in EXTRA.
+|L_c|, k = sin d / d and q = (1 - cos d) / d^2. The linear part plus H replaces the Jacobian, and the last two terms of
+Cov(r) are added to the covariance; all else is as in `tilted12`. H is stored in rows SLOPE, mu in SHIFT, and these two
+terms in EXTRA.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -53,13 +53,13 @@ from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.tilted import GRAVITY, MEASURED_FIRST, STEP_FIRST, N
 
 ADDED, POSITION = (R.U, R.V, R.I, R.J, R.T), (R.X, R.Y)
-"""States with a nonlinear step, in the order of the step's outputs; and states that are integrals of the first two."""
+"""States with a nonlinear step, in the order of the step's outputs; and the states that integrate the first two."""
 WIDTH, OUTPUTS = 6, 5
-"""Numbers of a state in the rows ROOT, and of a column in SLOPE and BEND."""
+"""Numbers per state in the rows ROOT, and per column in SLOPE and BEND."""
 
 
 def _root(w, *, order, columns):
-    """Compute the first columns of the square root of P, of the states in ``order``; 0 above its diagonal."""
+    """Compute the first columns of the square root of P with the states in ``order``; it is lower triangular."""
     for l in range(LANES):
         for j in range(columns):
             for i in range(j, len(order)):
@@ -77,7 +77,7 @@ def _root(w, *, order, columns):
 
 
 def _linearize(w, *, columns):
-    """Compute H in place of the slopes, mu, and the terms EXTRA; ``columns``: number of columns of each output."""
+    """Replace the slopes by H; compute mu and EXTRA. ``columns``: number of columns of each output."""
     for l in range(LANES):
         gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
         spread = w[R.SPREAD, l] - gamma2  # beta - alpha^2
@@ -113,7 +113,7 @@ def _product(a0, a1, a2, a3, w, l):
 
 
 def _turned(x, y, z, w, l):
-    """Rotate a vector of the body at the middle of the step into the local frame; multiply it by dt."""
+    """Rotate a vector from the body at the middle of the step into the local frame, and multiply it by dt."""
     return (
         w[R.D11, l] * x + w[R.D12, l] * y + w[R.D13, l] * z,
         w[R.D21, l] * x + w[R.D22, l] * y + w[R.D23, l] * z,
@@ -128,7 +128,7 @@ def _sinc_cos_far(z):
 
 
 def _rotation_vector(q0, q1, q2, q3, x, y, z):
-    """Return a quaternion's rotation vector, if its vector part is below 1/2, by fdlibm's arcsine (e_asin.c)."""
+    """Return the rotation vector of a quaternion with a vector part below 1/2, by fdlibm's arcsine (e_asin.c)."""
     z = q1 * q1 + q2 * q2 + q3 * q3
     p = z * (1.66666666666666657415e-01 + z * (-3.25565818622400915405e-01 + z * 2.01212532134862925881e-01))
     z3 = z * z * z
@@ -144,7 +144,7 @@ def _rotation_vector(q0, q1, q2, q3, x, y, z):
 
 
 def _rotation_vector_far(q0, q1, q2, q3, x, y, z):
-    """Return a quaternion's rotation vector, the nearest to (x, y, z) of those of the same rotation."""
+    """Return the rotation vector of a quaternion that is nearest to (x, y, z)."""
     length = math.sqrt(q1 * q1 + q2 * q2 + q3 * q3) + TINY
     sine = -length if q1 * x + q2 * y + q3 * z < 0.0 else length
     half = angle_of(sine, q0)
@@ -155,14 +155,14 @@ def _rotation_vector_far(q0, q1, q2, q3, x, y, z):
 
 
 def _point(w, l, sign, quarter, per_dt, *, j, sinc_cos, rotation_vector):
-    """Return r of a point of column j: acceleration times dt, east and north; and the error after the step."""
+    """Return r at a point of column j: acceleration times dt, east and north; and the error after the step."""
     step = 4.0 * sign * w[R.QUARTER_GAMMA, l]
     bx, by, bz = (
         quarter * step * w[ROOT + WIDTH + j, l],
         quarter * step * w[ROOT + WIDTH * 2 + j, l],
         quarter * step * w[ROOT + j, l],
     )
-    # Quaternions of half the turn: v, and v0 of the center. v0^-1 v has the vector p + c, and v v0^-1 has p - c.
+    # Quaternions of half the turn: v, and v0 of the center. The vector part of v0^-1 v is p + c, of v v0^-1 p - c.
     x, y, z = w[R.HALF_X, l] - bx, w[R.HALF_Y, l] - by, w[R.HALF_Z, l] - bz
     k, d = sinc_cos(x * x + y * y + z * z)
     x, y, z = k * x, k * y, k * z
@@ -202,7 +202,7 @@ def _chosen(new, w, l, row):
 
 
 def _draw(w, u, *, j, far, point, sinc_cos):
-    """Compute slopes and curvatures of column j of the root, from its two points."""
+    """Compute slopes and curvatures of column j of the root from its two points."""
     quarter, per_dt = 0.25 * u[DT], 1.0 / u[DT]
     for l in range(LANES):
         gamma = 4.0 * w[R.QUARTER_GAMMA, l]
@@ -313,7 +313,7 @@ def _unscented_transition(w, u):
 
 @kernel
 def predict_unscented(w, u):
-    """Run one step of the process model like `tilted12.predict_tilted12`, with H in place of F."""
+    """Compute a step of the process model like `tilted12.predict_tilted12`, with H in place of F."""
     _half_turn(w, u)
     _move(w, u)
     _unscented_transition(w, u)
@@ -356,7 +356,7 @@ def predict_unscented(w, u):
                     bi += w[SLOPE + OUTPUTS * k + 2, l] * p
                     bj += w[SLOPE + OUTPUTS * k + 3, l] * p
                     bt += w[SLOPE + OUTPUTS * k + 4, l] * p
-                # Each pair among MOVED is computed once; its column is the state that is later in MOVED.
+                # Each pair in MOVED is computed once, in the column of the state that is later in MOVED.
                 if i == R.X:
                     w[at(R.X, R.X), l] = w[fp(R.X, R.X), l] + h * (bu + u1)
                 if i in (R.X, R.Y):

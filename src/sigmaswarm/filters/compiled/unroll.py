@@ -1,8 +1,8 @@
 """Unroll loops over states, and inline kernels into each other.
 
-Loops over lanes become vector instructions, so their body must not contain branches (see `vectors`). Therefore
-`unrolled` unrolls the loops over states, for a known number n of states, and replaces names of rows by numbers. It
-inlines kernels, since Numba does this slowly. Names in a function must be defined above the function in its file.
+Loops over lanes become vector instructions, so their bodies must not contain branches (see `vectors`). Therefore
+`unrolled` unrolls the loops over states, for a known number n of states, and replaces names of rows by numbers. It also
+inlines kernels, which Numba does slowly. Names in a function must be defined above the function in its file.
 """
 
 import ast
@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 from sigmaswarm.filters.compiled.layout import R
 
 STATE_LOOPS = ("i", "j", "k", "row", "group")  # loop variables that are unrolled
-NUMBERS = ("at", "fp", "axis_of")  # functions; their calls are replaced by their values
+NUMBERS = ("at", "fp", "axis_of")  # functions whose calls are replaced by their values
 
 
 T = TypeVar("T")
@@ -30,7 +30,7 @@ class Written(NamedTuple):
 
 
 def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
-    """Return a function's text, with its keyword-only parameters bound to ``known``; see `unrolled`."""
+    """Return a function's syntax tree, with its keyword-only parameters bound to ``known``; see `unrolled`."""
     if not known and (there := getattr(function, "written", None)) is not None:
         return there
     names = function.__globals__ | known
@@ -49,13 +49,13 @@ def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
 
 
 Change = Callable[[ast.FunctionDef, Names], None]
-"""``(definition, names)``: changes the generated code in place."""
+"""``(definition, names)``: changes generated code in place."""
 
 
 class Kernel:
-    """A function to be inlined into others, with bound keyword-only parameters; its text is generated when needed.
+    """A function to be inlined, with bound keyword-only parameters; its code is generated when needed.
 
-    ``known`` contains the values of keyword-only parameters, and of globals.
+    ``known`` contains the values of keyword-only parameters and of globals.
     """
 
     is_kernel = True
@@ -97,7 +97,7 @@ def _patiently(make: Callable[..., T], *arguments: Any) -> T:
     for _ in range(9):
         try:
             return make(*arguments)
-        except SystemError:  # Python 3.11 adds up the tree depths of all threads
+        except SystemError:  # Python 3.11 adds the tree depths of all threads
             time.sleep(0.001)
     return make(*arguments)
 
@@ -124,10 +124,10 @@ def _made(function: Callable[..., Any], written: Written, name: str) -> Callable
 
 
 def _told_apart(known: Names) -> str:
-    """Return a hash of bound names, which distinguishes functions that are generated from the same function.
+    """Return a hash of bound names, which distinguishes functions that are generated from one function.
 
-    Numba names machine code after a function's qualified name and the number of compilations of the process. So kernels
-    that were compiled by two processes may have the same name; loaded from the cache, one could replace the other.
+    Numba names machine code after a function's qualified name and the number of compilations in the process. So kernels
+    that two processes compiled may have the same name, and one could replace the other when loaded from the cache.
     """
     parts: list[str] = []
     for name, value in sorted(known.items(), key=lambda item: item[0]):
@@ -190,7 +190,7 @@ class _Writer(ast.NodeTransformer):
         return self._spliced(kernel.written, call.args) if hasattr(kernel, "is_kernel") else node
 
     def _spliced(self, written: Written, arguments: list[ast.expr]) -> list[ast.stmt]:
-        """Replace a call of a kernel by its statements; its names become unique."""
+        """Replace a call of a kernel by its statements, with unique names."""
         self.calls += 1
         definition = _copied(written.definition)
         parameters = [each.arg for each in definition.args.args]

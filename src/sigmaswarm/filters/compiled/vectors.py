@@ -1,13 +1,13 @@
 """Loops over lanes, emitted as vector instructions of LLVM.
 
-Numba would infer the type of each number in some thousand lines, which takes half a minute and more. In kernels all
-numbers are doubles, so each loop over lanes is emitted directly as a separate function of the array of rows and the few
-numbers that all lanes share. Its name contains a hash of its text, so all callers share one function and get identical
+Numba would infer the types of some thousand lines, which takes half a minute or more. All numbers in kernels are
+doubles, so each loop over lanes is emitted directly, as a separate function of the array of rows and the few numbers
+that all lanes share. The function's name contains a hash of its text, so all callers share it and get identical
 results.
 
 The body of a loop over lanes must not contain branches. It may contain assignments to names and to ``w[row, l]`` with a
 known row, arithmetic, comparisons, ``a if test else b``, `math.sqrt`, `math.log`, `math.exp`, `numpy.floor` and `abs`.
-Calls of plain functions with such a body are inlined. ``n += test`` counts the lanes in which a test is true.
+Calls of plain functions with such bodies are inlined. ``n += test`` counts the lanes in which a test is true.
 """
 
 # A type checker for Python does not know Numba's types.
@@ -29,7 +29,7 @@ from numba.extending import intrinsic
 from sigmaswarm.filters.compiled.layout import LANES, N_ROWS, WIDEST
 from sigmaswarm.filters.compiled.unroll import Names, written_out
 
-# Not all flags of fast-math: NaN and inf must keep their meaning.
+# Only these flags of fast-math, since NaN and inf must keep their meaning.
 FLAGS = ("contract", "reassoc", "nsz", "arcp")
 
 _DOUBLE, _WHOLE = ir.DoubleType(), ir.IntType(64)
@@ -75,7 +75,7 @@ class _Loops(ast.NodeTransformer):
 class _Loop(NamedTuple):
     """A loop over lanes: its function, its body, and the values of its names.
 
-    ``shared`` are the enclosing function's names that it reads, ``counted`` those that it adds to.
+    ``shared`` are the names of the enclosing function that the loop reads, ``counted`` those that it adds to.
     """
 
     called: str
@@ -109,7 +109,7 @@ def _seen_from_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[st
 
 
 def _hash(body: list[ast.stmt], names: Names) -> str:
-    """Hash a loop's text, the numbers of its names, and the functions that are inlined into it."""
+    """Hash a loop's text, the numbers of its names, and the functions that it calls."""
     parts = [ast.dump(statement) for statement in body]
     for name in sorted({n.id for s in body for n in ast.walk(s) if isinstance(n, ast.Name)}):
         value = names.get(name)
@@ -123,7 +123,7 @@ def _hash(body: list[ast.stmt], names: Names) -> str:
 
 
 def _as_intrinsic(loop: _Loop) -> Any:
-    """Return ``called(w, (shared ...))`` for Numba, which calls the loop and adds it to the module if necessary."""
+    """Return ``called(w, (shared ...))`` for Numba, which calls the loop and, if necessary, adds it to the module."""
 
     def call(typing_context, w, numbers):
         def generate(context, builder, signature, arguments):
@@ -160,8 +160,8 @@ def _put_loop(module: ir.Module, loop: _Loop, width: int) -> ir.Function:
     function.args[0].add_attribute("noalias")
     for attribute in ("noinline", "nounwind"):
         function.attributes.add(attribute)
-    # LLVM uses half the width on Intel processors by default, since wide vectors once reduced the clock rate. It
-    # is added directly to the set, since llvmlite does not know this attribute.
+    # By default, LLVM uses half the width on Intel processors, since wide vectors once reduced the clock rate. The
+    # attribute is added directly to the set, since llvmlite does not know it.
     set.add(function.attributes, '"prefer-vector-width"="512"')
     entry, body, end = (function.append_basic_block(name) for name in ("entry", "body", "end"))
     builder = ir.IRBuilder(entry)
@@ -208,10 +208,10 @@ class _Frame(NamedTuple):
 
 
 class _Emitter:
-    """Straight-line code for one vector of lanes. A value is a vector, a known number, or a tuple of them."""
+    """Straight-line code for one vector of lanes. Values are vectors, known numbers, or tuples of these."""
 
     def __init__(self, builder: ir.IRBuilder, vector: ir.VectorType, lanes: Any) -> None:
-        """``lanes`` points to these lanes of the first row."""
+        """``lanes`` is a pointer to these lanes in the first row."""
         self.builder, self.vector, self.lanes = builder, vector, lanes
         self.rows: dict[int, Any] = {}
 

@@ -1,4 +1,4 @@
-"""A log of sensors for a user's model, and the steps of a filter on its merged clocks."""
+"""A log of sensors for a user's model, and the steps of a filter at its merged times."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -184,7 +184,7 @@ class Model:
 
 @cache
 def _record(names: tuple[str, ...]) -> Any:
-    """One class for equal names: Numba compiles a kernel again for another class."""
+    """Return one class for equal names, since Numba would compile a kernel again for another class."""
     return namedtuple("p", names)  # pyright: ignore[reportUntypedNamedTuple]
 
 
@@ -197,7 +197,7 @@ def as_covariance(noise: Any) -> Array:
 def fingerprint(*things: Any) -> str:
     """Hash values and functions; a function is hashed by its bytecode and the global values that it uses.
 
-    Equal code with equal numbers has the same hash in every process, also for lambdas and functions of notebooks.
+    Equal code with equal values has the same hash in every process, also for lambdas and functions in notebooks.
     """
     digest = hashlib.sha256()
     seen: set[int] = set()

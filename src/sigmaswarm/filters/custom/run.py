@@ -20,7 +20,7 @@ from sigmaswarm.filters.textbook.loop import FAILURES, Trajectory, run_steps, sm
 from sigmaswarm.geodesy import wrap_angle
 
 TRIED = 20  # steps over which the compiled filter is compared with the textbook filter before its use
-SAME = 1e-6  # in standard deviations; rounding causes far less, a wrong translation far more
+SAME = 1e-6  # largest difference in standard deviations; rounding is far below, a compilation error above
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class ModelEstimate:
 
 
 def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelEstimate:
-    """Run the filter of a model of your own over a log.
+    """Run the filter of a user's model over a log.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
 
 
 def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelEstimate:
-    """Run the filter of a model of your own over a log, and smooth: each estimate uses all measurements.
+    """Run the filter of a user's model over a log, and smooth: each estimate uses all measurements.
 
     H. E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, IEEE TAC 53(3), 2008. The smoother runs
     in NumPy, about a hundred times slower than `run_model`.
@@ -142,7 +142,7 @@ class Filtered(Trajectory):
 
 
 class Runner:
-    """Logs that are prepared once for any number of parameter sets; `InputError` if the model does not fit them."""
+    """Logs that are prepared once for any number of parameter sets; raises `InputError` if the model does not fit."""
 
     def __init__(self, model: Model, logs: Sequence[Log]) -> None:
         for log in logs:

@@ -13,8 +13,8 @@ from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Innovati
 class SageHusa:
     """Adapt Q and R to the innovations of the fixes.
 
-    A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of their
-    weights (1 - b) / (1 - b^(k+1)). R is computed from the residual after the update, so it is positive by
+    A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, with the limit of their
+    weights (1 - b) / (1 - b^(k+1)) for large k. R is computed from the residual after the update, so it is positive by
     construction. A change that makes Q negative is not used.
     """
 
@@ -23,7 +23,7 @@ class SageHusa:
     forgetting: float  # b
 
     def adapt(self, innovation: Innovation, since: float) -> None:
-        """Adapt to a fix; ``since``: nominal steps since the last fix; with 0, Q does not change."""
+        """Adapt to a fix; ``since``: nominal steps since the last fix; if 0, Q does not change."""
         weight = 1 - self.forgetting
         inverse = np.linalg.inv(innovation.variance)
         r = self.measurement_noise
@@ -131,7 +131,7 @@ class StudentT:
         return replace(innovation, variance=innovation.variance - innovation.noise + noise, noise=noise)
 
     def weight(self, innovation: Innovation) -> float:
-        """Return the mean weight of a fix, given the fix: state and weight are fitted alternately."""
+        """Return the expected weight of a fix; state and weight are estimated alternately."""
         weight, r, nu = 1.0, innovation.noise, innovation.nu
         for _ in range(ITERATIONS):
             variance = innovation.variance - r + r / weight

@@ -15,8 +15,8 @@ class TextbookModel:
     """A textbook filter of a model on a log's steps.
 
     ``scaling`` (3,) is alpha, beta, kappa; ``p`` the model's record. ``nis`` and ``nll`` (f,) are the normalized
-    innovation squared and the negative log-likelihood of each measurement before its update, NaN for later
-    measurements.
+    innovation squared and the negative log-likelihood of each measurement before its update, NaN for measurements after
+    the current step.
     """
 
     def __init__(self, model: Model, steps: Steps, scaling: Array, p: Any) -> None:

@@ -22,9 +22,9 @@ class Innovation:
     variance : ndarray, shape (m, m)
         S, the covariance of ``nu``.
     cross : ndarray, shape (n, m)
-        C, the covariance of the state with the prediction.
+        C, the covariance of the state with the predicted measurement.
     noise : ndarray, shape (m, m)
-        R, which is a part of S.
+        R, which S includes.
     """
 
     nu: Array

@@ -16,7 +16,7 @@ from sigmaswarm.errors import SigmaswarmError
 from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Prediction
 
 FAILURES = (SigmaswarmError, np.linalg.LinAlgError, ArithmeticError, ValueError)
-"""Errors that end a filter but not a tuning: no square root, or a function outside of its domain."""
+"""Errors that end a filter but not a tuning: a covariance without square root, a function outside of its domain."""
 Retraction = Callable[[Array, Array], Array]
 
 
@@ -26,7 +26,7 @@ class Stepper(Protocol):
     filter: GaussianFilter
 
     def step(self, i: int) -> None:
-        """Take step i: predict, then update with the measurements at its end."""
+        """Compute step i: predict, then update with the measurements at its end."""
         ...
 
 
@@ -67,7 +67,7 @@ def run_steps(
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """Smoothed states of a filter, at the start and after each of k steps; after a failure only the steps before it."""
+    """Smoothed states of a filter, at the start and after each of k steps; steps after a failure are omitted."""
 
     mean: Array  # (k + 1, n)
     covariance: Array  # (k + 1, n, n)
@@ -77,7 +77,7 @@ class Smoothed:
 def smooth_steps(
     stepper: Stepper, n_steps: int, *, plus: Retraction = add, minus: Retraction = sub
 ) -> Smoothed:
-    """Compute all steps, and smooth. ``plus`` adds an error to a state and ``minus`` returns it, as in `manifold`."""
+    """Compute all steps, and smooth. ``plus`` adds an error to a state; ``minus`` returns it: see `manifold`."""
     filter, failed = stepper.filter, -1
     filtered, predictions = [(filter.mean, filter.covariance)], list[Prediction]()
     for i in range(n_steps):

@@ -25,9 +25,9 @@ class Manifold:
     plus : callable
         ``plus(state, error) -> state``
     minus : callable
-        ``minus(state, other) -> error``: plus(other, minus(state, other)) is the state.
+        ``minus(state, other) -> error``, such that plus(other, error) is the state.
     nearest : callable
-        ``nearest(error, near) -> error``: of the errors that lead to the same state, the one nearest to ``near``.
+        ``nearest(error, near) -> error``: of all errors that lead to the same state, the nearest to ``near``.
     """
 
     plus: Retraction
@@ -50,7 +50,7 @@ class _OnManifold(GaussianFilter):
 
 
 class ErrorStateKalmanFilter(_OnManifold):
-    """The extended Kalman filter of a small error.
+    """An extended Kalman filter whose covariance is that of a small error.
 
     ``transition(state, dt, u)`` is the Jacobian F of ``f`` for a small error, (n, n); ``h.jacobian(state)`` that of
     ``h``, (m, n). ``mean`` (n,) and ``covariance`` (n, n) are those at the start.
@@ -106,7 +106,7 @@ class ManifoldUnscentedKalmanFilter(_OnManifold):
         self.points, self.measured = points, measured or points
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
-        """Compute x' = f(x) plus the mean error; P' is the spread of the errors around it, and Q."""
+        """Compute x' = f(x) plus the mean error; P' is the covariance of the errors, plus Q."""
         wm, wc = self.points.weights(len(self.mean))
         centre = self.f(self.mean, dt, u)
         drawn = self.points.draw(np.zeros(len(self.mean)), self.covariance)

@@ -64,7 +64,7 @@ class SigmaPoints:
 
 
 def square_root(covariance: Array, first: Sequence[int] = ()) -> Array:
-    """Compute L with L L^T = P: the Cholesky factor with the states ``first`` put first, shape (n, n)."""
+    """Compute L (n, n) with L L^T = P: the Cholesky factor of P with the states ``first`` before all others."""
     n = len(covariance)
     order = [*first, *(i for i in range(n) if i not in first)]
     try:
@@ -95,8 +95,8 @@ class UnscentedKalmanFilter(GaussianFilter):
         Draw new sigma points after Q is added (FilterPy 2.0.0). False: apply h to the propagated points (FilterPy
         1.4.5, which the paper probably used).
     angles : sequence of int
-        States that are angles. The changes by f of their differences from the center point are wrapped. A circular mean
-        would be wrong, since for a small alpha the center's weight is a large negative number.
+        States that are angles. f changes their differences from the center point; this change is wrapped. A circular
+        mean would be wrong, since for a small alpha the center's weight is a large negative number.
     measured_angles : sequence of int
         Elements of ``h`` that are angles: their differences from those of the center point, and their innovations, are
         wrapped.
