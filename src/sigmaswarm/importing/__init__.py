@@ -1,13 +1,14 @@
 """Import of logs of other formats as drives.
 
-The steps of a table of a `Log`:
+A table of a `Log` becomes part of a drive in these steps:
 
-bytes -> table        `readers/` decode a format; of text, `readers/dialect.py` finds separator, header and units table
--> columns      `names.py` reads names, `units.py` units, `quantities.py` makes expressions in SI units columns -> roles
-`guess.py` finds IMU, fixes, truth and odometer; `times.py` finds the time of each expressions -> rows   `gather.py`
-evaluates them by batches (`expressions.py`, `dates.py`) rows -> time line     `timeline.py` unwraps, chooses a
-recording, spreads and sorts; `joining.py` joins a role's tables time line -> drive    `places.py` checks positions,
-`mounting.py` turns the IMU, `assemble.py` makes the drive
+1. `readers/` decode a format to tables; ``readers/dialect.py`` finds separator, header and units of a text table.
+2. ``names.py`` reads the names of columns, ``units.py`` their units; ``quantities.py`` makes expressions in SI units.
+3. ``guess.py`` assigns columns to IMU, fixes, truth and odometer, and ``times.py`` finds the time of each.
+4. ``gather.py`` evaluates the expressions in batches (``expressions.py``, ``dates.py``).
+5. ``timeline.py`` unwraps, spreads and sorts times and chooses a recording; ``joining.py`` joins the tables of a role.
+6. ``places.py`` checks positions, ``mounting.py`` rotates the IMU, and ``assemble.py`` makes the drive.
 
-A `Recipe` has the expressions; the user may change it with `--map`. `convert.py` runs all steps, `look.py` shows all.
+A `Recipe` contains the expressions, and the user can change it with ``--map``. ``convert.py`` runs all steps;
+``look.py`` describes a log without importing it.
 """

@@ -23,7 +23,7 @@ from sigmaswarm.importing.times import FASTEST_IMU, LONGEST_STEP, SLOWEST_IMU
 from sigmaswarm.importing.velocities import without_wrong_velocity
 
 SEED, MOST_FIXES = 0, 10_000_000
-"""Seed of the noise of fixes made from the truth, and their largest number."""
+"""Seed of the noise, and largest number, of fixes that are made from the truth."""
 LEAST_INTERVAL = 0.04
 """Shortest usual interval of fixes, s."""
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
@@ -31,7 +31,7 @@ Origin = tuple[float, float, float]
 """Latitude (deg), longitude (deg), altitude (m)."""
 
 
-@np.errstate(all="ignore")  # what becomes infinite is refused when the drive is read back
+@np.errstate(all="ignore")  # infinite values are refused when the drive is read back
 def assemble(
     name: str,
     gathered: Mapping[Role, Sequence[Gathered]],
@@ -41,7 +41,7 @@ def assemble(
 ) -> Drive:
     """Make a drive from gathered columns; ``say`` receives sentences on assumptions and omissions.
 
-    ``recording`` is the number of the recording, from 1, if a clock restarts within a table.
+    ``recording``: number of the recording to use, from 1, if a clock restarts within a table.
     """
     times: dict[Role, Nanoseconds] = {}
     values: dict[Role, Values] = {}
@@ -92,9 +92,9 @@ def assemble(
 
 
 def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[Gathered]]) -> str:
-    """Return how to map times of day of digits hhmmss that only overlap with the others after conversion; else "".
+    """Return a remedy if one table's times are digits hhmmss, but were read as numbers; else "".
 
-    Within one minute, such times count like seconds.
+    Times of the tables then overlap only after conversion. Within one minute, such digits count like seconds.
     """
     pairs: tuple[tuple[Role, Role], ...] = (("gps", "imu"), ("imu", "gps"))
     for role, other in pairs:
@@ -110,9 +110,9 @@ def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[G
 
 
 def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[Gathered]]) -> str:
-    """Return how to map times of IMU and fixes with the same numbers, but different units; else "".
+    """Return a remedy if times of IMU and fixes have the same numbers but were read in different units; else "".
 
-    Hundredths of a second have steps of 1, as ms of an IMU, and of 10, as seconds of fixes.
+    For example, in hundredths of a second, an IMU has steps of 1, like ms, and fixes have steps of 10, like seconds.
     """
     both: tuple[Role, ...] = ("imu", "gps")
     texts = {role: gathered[role][0].part.columns["t"] for role in both if gathered.get(role)}
@@ -162,7 +162,7 @@ def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
 
 
 def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Role, Array], int]:
-    """Return times in s with their offsets, and their origin: a whole second if they are dates."""
+    """Return the times in s, with their offsets, and their origin, which is a whole second for dates."""
     moved: dict[Role, Nanoseconds] = {}
     for role in ROLES:
         offset = getattr(recipe, f"{role}_offset_s", 0.0)
@@ -170,7 +170,7 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
             raise InputError(f"--{role}-offset {offset:g}: must be a number of seconds")
         if role in times:
             moved[role] = times[role] + round(offset * SECOND)
-    # a stamp years before the others is broken; with it as the origin, the others would lose their last digits
+    # A time stamp years before the others is wrong; with it as the origin, the others would lose their last digits.
     begins = {role: int(t[np.searchsorted(t, t[len(t) // 2] - LONG_AGO)]) for role, t in moved.items()}
     begin = min(t for role, t in begins.items() if role in ("imu", "gps") or "gps" not in moved)
     zero = begin // SECOND if begin >= LONG_AGO else 0
@@ -206,10 +206,10 @@ def _first_place(values: Values) -> Origin:
 
 
 def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[Values, Origin | None]:
-    """Return the truth with x and y, m, and the origin: the truth's first position if the fixes have none.
+    """Return the truth with x and y, m, and the origin; it is the truth's first position if the fixes have none.
 
-    If the fixes have no altitudes, the truth also gets the origin's altitude. A difference of 1000 m would stretch one
-    track by 16 cm per kilometer.
+    If the fixes have no altitude, the truth also gets the origin's altitude, since a difference of 1000 m would stretch
+    one track by 16 cm per kilometer.
     """
     if "lat" in values and "lon" in values:
         if origin is None and gps:
@@ -240,7 +240,7 @@ def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, o
 
 
 def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]:
-    """Make fixes at a rate, Hz, from the truth, with white noise, m per axis."""
+    """Make fixes from the truth at a rate, Hz, with white noise, m per axis."""
     given = f"--gps-from-truth {rate:g},{noise:g}"
     if not (0 < rate <= 1000 and 0 <= noise < np.inf):
         raise InputError(f"{given} can't be used; give a rate in Hz and a deviation in m, as 5,1")
@@ -279,7 +279,7 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
 
 
 def _held_course(vx: Array, vy: Array) -> Array:
-    """Return the course (n,), rad; at low speed the last known course, or else the first."""
+    """Return the course (n,), rad; at low speed, that of the last row in motion or, before it, of the first."""
     moving = np.hypot(vx, vy) > MOVING
     if not moving.any():
         return np.zeros(len(vx))

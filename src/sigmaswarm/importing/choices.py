@@ -26,7 +26,7 @@ UNITS: dict[str, dict[str, str]] = {
     "condition": {"as it is": "{}"},
     "field": {"as it is": "{}", "reversed": "-{}"},
 }  # fmt: skip
-"""Expressions that convert each unit of a quantity to that of a drive."""
+"""By quantity: expressions that convert each unit to that of a drive."""
 KINDS = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
     **dict.fromkeys(("gx", "gy", "gz"), "rate"),
@@ -54,9 +54,9 @@ FLAGS = {
     "gps_lever_arm_m": "--lever-arm",
     "part": "--part",
 }
-"""Choices that are also options of the command line."""
+"""Command-line options of choices."""
 Uses = dict[tuple[str, str], list[tuple[str, str]]]
-"""Targets and their expressions, by table and column."""
+"""By table and column: targets and their expressions."""
 
 
 def uses_of(look: Look) -> Uses:
@@ -82,7 +82,7 @@ def units_of(target: str) -> dict[str, str]:
 
 
 def unit_in(target: str, column: str, expression: str) -> str:
-    """Return the unit that an expression converts from; `CUSTOM` if it is none of the usual ones."""
+    """Return the unit that an expression converts from; `CUSTOM` if it is not one of `units_of`."""
     plain = expression.replace(" ", "")
     for unit, text in units_of(target).items():
         if plain in (text.format(written(column)).replace(" ", ""), text.format(column)):
@@ -91,13 +91,13 @@ def unit_in(target: str, column: str, expression: str) -> str:
 
 
 def expression_of(target: str, column: str, unit: str = "") -> str:
-    """Return the expression of a target in a unit, by default the usual one."""
+    """Return the expression that converts a column from a unit to a target; "": the first unit."""
     units = units_of(target)
     return (units[unit] if unit else next(iter(units.values()))).format(written(column))
 
 
 def assign(choices: dict[str, Any], look: Look, table: str, column: str, target: str) -> None:
-    """Use a column for another target, in its usual unit, instead of the previous one."""
+    """Use a column for another target, in the target's first unit, instead of the previous target."""
     maps: dict[str, str] = choices.setdefault("maps", {})
     for old, _ in uses_of(look).get((table, column), []):
         if old != target and not old.endswith(".t"):

@@ -28,15 +28,15 @@ class Request:
     Attributes
     ----------
     source : the log with the IMU
-    gps, truth, odometer : further logs, for fixes, truth and the wheels' speed
+    gps, truth, odometer : further logs, for fixes, truth and wheel speed
     form : the source's format
-    recipe : settings, and parts that replace the guess
+    recipe : settings, and parts that replace guessed ones
     maps : ``column=expression``
     time : expression of the time, in every table of the source
     choice : tables and times
     limits : limits of the input
-    part : number of the recording, from 1, where a clock restarts within a table
-    definitions : files or folders with definitions of ROS messages, .msg, for bags that contain none
+    part : number of the recording, from 1, if a clock restarts within a table
+    definitions : files or folders with .msg definitions of ROS messages, for bags without definitions
     """
 
     source: Path
@@ -67,7 +67,7 @@ Guesses = Mapping[Path, Guess]
 
 
 def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
-    """Make a request of keywords: fields of `Request` and `Recipe`; ``recipe`` may be a file."""
+    """Make a request from keywords, fields of `Request` and `Recipe`; ``recipe`` may be a file."""
     settings = dict(settings)
     recipe = settings.pop("recipe", None)
     recipe = recipe if isinstance(recipe, Recipe) else Recipe.load(Path(recipe)) if recipe else Recipe()
@@ -89,12 +89,12 @@ def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
 
 
 def import_drive(request: Request, name: str, progress: Progress = lambda done: None) -> Imported:
-    """Make a drive of a log; ``progress`` receives the share that is done, 0 to 1.
+    """Make a drive from a log; ``progress`` receives the completed share, 0 to 1.
 
     Raises
     ------
     InputError
-        A log is damaged or incomplete, or a column cannot be computed; the message has the remedy.
+        If a log is damaged or incomplete, or a column cannot be computed; the message states the remedy.
     """
     require_name(name, "the drive")
     recipe, gathered, notes, metadata = _read(request, ROLES, progress)
@@ -113,13 +113,13 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
             raise InputError("--declination needs a magnetometer; choose its table with --mag-topic")
     except InputError as error:
         raise InputError(f"{request.source.name}: {error}") from None
-    source = os.fsencode(request.source.name).decode("utf-8", "replace")  # a name may be no UTF-8
+    source = os.fsencode(request.source.name).decode("utf-8", "replace")  # a name may not be valid UTF-8
     drive = replace(drive, metadata={**metadata, **drive.metadata, "source": source})
     return Imported(drive, recipe, tuple(dict.fromkeys(notes)))
 
 
 def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
-    """Read the IMU of a log, which needs no fixes; return it and the assumptions of the import."""
+    """Read the IMU of a log, with or without fixes; return it and the assumptions of the import."""
     recipe, gathered, notes, _ = _read(request, ("imu",), lambda done: None)
     try:
         imu = assemble_imu(gathered["imu"], recipe, notes.append, request.part)
@@ -131,7 +131,7 @@ def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
 def _read(
     request: Request, roles: Sequence[Role], progress: Progress
 ) -> tuple[Recipe, dict[Role, list[Gathered]], list[str], dict[str, Any]]:
-    """Return recipe, columns, notes, and the metadata that the logs state."""
+    """Return the recipe, columns, notes, and metadata that the logs state."""
     with opened(request) as (logs, guesses):
         recipe = complete_recipe(request, guesses)
         wanted = {role: parts for role, parts in recipe.roles.items() if role in roles}
@@ -156,7 +156,7 @@ def opened(request: Request) -> Generator[tuple[dict[Path, Log], dict[Path, Gues
 
 
 def _guess(log: Log, request: Request) -> Guess:
-    """Return the reader's guess; if a log is named for a role and has one table, that table has the role."""
+    """Return the reader's guess; the only table of a log that is given for a role has this role."""
     tables = dict(request.choice.tables)
     for role, path in (("truth", request.truth), ("odometer", request.odometer)):
         if log.path == path and len(log.tables) == 1:
@@ -170,13 +170,13 @@ def _guess(log: Log, request: Request) -> Guess:
 
 
 def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
-    """Complete the request's recipe by the guesses for the logs of each role."""
+    """Complete the recipe of a request by the guesses for the logs of each role."""
     roles: dict[Role, tuple[Part, ...]] = {}
     for role in ROLES:
         guessed = guesses[request.home(role)].roles
         parts = guessed.get(role, ())
         if not parts and role == "truth" and request.truth:
-            # the fixes of a good receiver, without their deviations
+            # the fixes of an accurate receiver, without their standard deviations
             for part in guessed.get("gps", ()):
                 columns = {k: v for k, v in part.columns.items() if k in COLUMNS["truth"]}
                 parts = (*parts, Part(part.table, columns))
@@ -197,7 +197,7 @@ def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
 
 
 def faults_left(request: Request, recipe: Recipe, guesses: Guesses) -> list[str]:
-    """Return reasons not to read columns as guessed, except columns that the user mapped or omitted."""
+    """Return reasons not to read columns as guessed, except for columns that the user mapped or omitted."""
     said = {entry.partition("=")[0].strip() for entry in request.maps}
     left: list[str] = []
     for path, guess in guesses.items():
@@ -212,7 +212,7 @@ def faults_left(request: Request, recipe: Recipe, guesses: Guesses) -> list[str]
 
 
 def notes_of(logs: Mapping[Path, Log], guesses: Guesses, recipe: Recipe) -> list[str]:
-    """Return the readers' notes; those on a downward axis only without a given mounting."""
+    """Return the notes of the readers; notes on a downward axis only if no mounting is given."""
     made, found = recipe.mount, guesses.values()
     notes = [note for guess in found for note in guess.notes]
     notes += [n for guess in found if guess.placed for n in guess.placed.notes(made, recipe.gps_lever_arm_m)]

@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 Nanoseconds = NDArray[np.int64]
 SECOND = 1_000_000_000
 LONG_AGO = 1_000_000 * SECOND
-"""Larger times (12 days) count from 1970 or a phone's start; a drive's times then count from its beginning."""
+"""Larger times (12 days) count from 1970 or from the start of a phone; a drive's times then begin at 0."""
 GPS_EPOCH = 315_964_800
 """1980-01-06 (IS-GPS-200), s since 1970-01-01."""
 WEEK = 604_800
 EXCEL_EPOCH, MATLAB_EPOCH = 25569, 719_529
-"""1970-01-01 in days of spreadsheets and of MATLAB's datenum."""
+"""1970-01-01 as a day number of spreadsheets and of MATLAB's datenum."""
 LEAP_DAYS = (
     *("1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01"),
     *("1992-07-01", "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01"),
     *("2009-01-01", "2012-07-01", "2015-07-01", "2017-01-01"),
 )
-"""Days after leap seconds (IERS Bulletin C); none has been announced since."""
+"""Days that follow a leap second (IERS Bulletin C); none has been announced since."""
 LEAP_SECONDS = np.array(LEAP_DAYS, dtype="datetime64[s]").astype(np.int64)
 _STEPS = LEAP_SECONDS + np.arange(1, len(LEAP_SECONDS) + 1)
-"""GPS time at which each leap second has passed, s since 1970."""
+"""GPS time after each leap second, s since 1970."""
 
 
 def gps_to_unix(seconds: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -38,15 +38,15 @@ def gps_time(week: pl.Expr, seconds: pl.Expr) -> pl.Expr:
 
 
 def as_text(columns: Sequence[str]) -> pl.Expr:
-    """Join the cells of columns by a space, such as a day and a time of day."""
+    """Join the cells of columns, such as day and time of day, with a space."""
     cells = [pl.col(name).cast(pl.String).str.strip_chars() for name in columns]
     return cells[0] if len(cells) == 1 else pl.concat_str(cells, separator=" ")
 
 
 def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
-    """Convert dates in text to seconds since 1970, null where there is none; without a zone they are UTC.
+    """Convert dates in text to seconds since 1970; other texts become null, and dates without a zone are UTC.
 
-    ``form`` has strftime's codes; "" is ISO 8601. Without a day, seconds count from midnight.
+    ``form`` contains strftime codes; "" is ISO 8601. Without a day, seconds count from midnight.
     """
     plain = (
         text.str.replace("T(\\d)", " ${1}")

@@ -1,10 +1,10 @@
 """Expressions over a table's columns, as polars expressions. Text is parsed and checked, never executed.
 
-``-acc_y * 9.80665``, ``radians(gyro_z)``, ``linear_acceleration.x``, ``accelerometer_m_s2[0]``, ```Acceleration x
-(m/s^2)` ``: names are columns; backticks enclose a column without a plain name.
+Names are columns, as in ``-acc_y * 9.80665``, ``radians(gyro_z)``, ``linear_acceleration.x`` and
+``accelerometer_m_s2[0]``. Backticks enclose other names: ```Acceleration x (m/s^2)` ``.
 
 Values are numbers. The result of an empty cell is null. A comparison is 1 or 0 in arithmetic. For ``not``, ``and``,
-``or``, ``where`` and ``keep``, a number other than 0 is true. Times can also be computed as whole nanoseconds.
+``or``, ``where`` and ``keep``, a number other than 0 is true. Times can also be computed as integer nanoseconds.
 """
 
 import ast
@@ -23,9 +23,9 @@ from sigmaswarm.importing.dates import SECOND, as_text, gps_time, parse_dates
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LONGEST = 1000
-"""Largest number of characters; limits the nesting."""
+"""Largest number of characters, which limits the nesting."""
 MOST_USES = 1000
-"""Largest number of times that polars computes a column, since nested functions use arguments repeatedly."""
+"""Largest number of times that polars computes a column; nested functions use their arguments repeatedly."""
 
 
 def _number(a: pl.Expr) -> pl.Expr:
@@ -33,7 +33,7 @@ def _number(a: pl.Expr) -> pl.Expr:
 
 
 def _truth(a: pl.Expr) -> pl.Expr:
-    """Compare with 0; null for NaN. ``fill_nan`` uses its column twice: each nesting would double the work."""
+    """Return True if not 0, null for NaN; unlike ``fill_nan``, this uses the column once, so nesting stays cheap."""
     return _number(a).sign().cast(pl.Int8, strict=False) != 0
 
 
@@ -53,10 +53,10 @@ _DMS = rf"(?i)^(?:[NSEW] *)?[+-]? *{_PART}(?:[ °º:d'′’m]+{_PART}){{0,2}}[ 
 
 
 def _dms(text: pl.Expr) -> pl.Expr:
-    """Convert degrees, minutes and seconds in a text (48°07'02.3"S) to degrees; those of S and W are negative.
+    """Convert degrees, minutes and seconds in a text (48°07'02.3"S) to degrees, negative for S and W.
 
-    Four digits or more in the only number are degrees and minutes (4807.038 N). Null for other letters than N, S, E, W,
-    and where three digits may be degrees or degrees and minutes (012.5 N).
+    A single number of four digits or more is degrees and minutes (4807.038 N). The result is null for letters other
+    than N, S, E, W, and for three digits, which may be degrees or degrees and minutes (012.5 N).
     """
     plain = text.str.strip_chars().str.replace_all(",", ".").str.replace(rf"(?i)(m *{_PART} *)s", "${1}")
     numbers = plain.str.extract_all(_PART)
@@ -116,12 +116,12 @@ _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., pl.Expr]]] = {
     "max": ((3, 3), _most),
     "where": ((2, 1, 1), _where),
 }
-"""How often each function uses each argument, and its implementation."""
+"""By function: how often it uses each argument, and its implementation."""
 
 
 @dataclass(frozen=True)
 class Expression:
-    """A polars expression, its columns, and those that must contain numbers."""
+    """A polars expression, its columns, and the columns that must contain numbers."""
 
     polars: pl.Expr
     columns: frozenset[str]
@@ -129,12 +129,12 @@ class Expression:
 
     @property
     def truth(self) -> pl.Expr:
-        """The value as a condition; null where it is empty."""
+        """The value as a condition; null for an empty value."""
         return _truth(self.polars)
 
 
 def compile_expression(text: str, columns: Collection[str]) -> Expression:
-    """Compile a text over a table's columns; InputError if it is not an expression of these."""
+    """Compile an expression over a table's columns; raise `InputError` if it is not valid."""
     compiler = _Compiler(text, columns)
     try:
         polars = compiler.build(_parse(text))
@@ -152,7 +152,7 @@ def fits(text: str, columns: Collection[str]) -> bool:
 
 
 def _parse(text: str) -> ast.expr:
-    """Parse a text, with names in backticks replaced by ``col("...")``."""
+    """Parse an expression after replacing names in backticks by ``col("...")``."""
     if len(text) > LONGEST:
         raise InputError(f"the expression {text[:40]!r}... is longer than {LONGEST} characters; shorten it")
     plain = re.sub(r"`([^`]*)`", lambda m: f"col({m.group(1)!r})", text.strip())
@@ -181,7 +181,7 @@ def _column_name(node: ast.AST) -> str | None:
 
 
 class _Compiler:
-    """Compiler of one text; collects its columns, and those used as numbers."""
+    """Compiler of one expression, which collects its columns and those that are used as numbers."""
 
     def __init__(self, text: str, columns: Collection[str]) -> None:
         self.text, self.columns = text, columns
@@ -240,7 +240,7 @@ class _Compiler:
             ) from None
 
     def _column(self, name: str) -> pl.Expr:
-        """Return a constant, or a column as float64, null where it is empty, NaN or no number."""
+        """Return a constant, or a column as float64; empty cells, NaN and texts become null."""
         if name in _CONSTANTS and name not in self.columns:
             return pl.lit(_CONSTANTS[name])
         self.numbers.add(name)
@@ -279,7 +279,7 @@ class _Compiler:
 
 
 def time_expression(text: str, frame: pl.DataFrame) -> pl.Expr:
-    """Compile an expression of a time, s, to whole nanoseconds. Integer columns keep all digits, also in a sum."""
+    """Compile an expression of a time, s, to integer nanoseconds; integer columns keep all digits, also in a sum."""
     tree = _parse(text)
     terms = [text]
     if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add):
@@ -295,7 +295,7 @@ def _rounded(expression: Expression) -> pl.Expr:
 
 
 def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
-    """Return ``column * number`` in ns for whole numbers or dates; else None."""
+    """Return ``column * number`` in ns if the column has integers or dates; else None."""
     scaled = integer_scale(text, frame.columns)
     if scaled is None:
         return None
@@ -316,9 +316,9 @@ def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
 
 
 def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | None:
-    """Return column and factor of a text ``column`` or ``column * number``, else None.
+    """Return column and factor of an expression ``column`` or ``column * number``; else None.
 
-    Times are scaled as integers, since nanoseconds since 1970 have more digits than a float.
+    Such times are scaled as integers, since nanoseconds since 1970 have more digits than a float.
     """
     tree, factor = _parse(text), 1.0
     if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Mult | ast.Div):
@@ -327,7 +327,7 @@ def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | No
             return None
         try:
             factor = float(right.value) if isinstance(tree.op, ast.Mult) else 1 / float(right.value)
-        except (OverflowError, ZeroDivisionError):  # a whole number of 400 digits, or 1e-400
+        except (OverflowError, ZeroDivisionError):  # an integer of 400 digits, or 1e-400
             return None
         if not factor or not math.isfinite(factor):
             return None

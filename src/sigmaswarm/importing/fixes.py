@@ -1,4 +1,4 @@
-"""Fixes of a second receiver, from a log or another drive, on the drive's clock and plane."""
+"""Fixes of a second receiver, from a log or another drive, in the time and plane of a drive."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,13 +23,13 @@ CLOCK = "time_origin_s"
 
 @dataclass(frozen=True, eq=False)
 class ReceiverLog:
-    """Fixes of a receiver, on a drive's clock and plane.
+    """Fixes of a receiver, in the time and plane of a drive.
 
     Attributes
     ----------
     gps : Gps
     sure : (n,) bool
-        True where carrier phases are fixed; True everywhere if the format does not state this.
+        True for fixes with integer ambiguities; all True if the format does not state this.
     notes : assumptions, one sentence each
     """
 
@@ -41,7 +41,7 @@ class ReceiverLog:
 def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
     """Read the fixes of a log in any format of `sigmaswarm import`, or of a drive's folder.
 
-    They get the clock (``time_origin_s``) and plane (``origin``) of ``drive``; ``offset``, s, is added to their times.
+    Times (``time_origin_s``) and plane (``origin``) are those of ``drive``; ``offset``, s, is added to the times.
     """
     if has_table(path, "gps"):
         return _of_drive(read_with_warnings(path)[0], drive, offset)  # its import has printed the warnings
@@ -54,7 +54,7 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
 
 
 def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.bool_]]:
-    """Return times, columns, and a mask of rows with fixed ambiguities."""
+    """Return times, columns, and a mask of rows with fixed integer ambiguities."""
     request = Request(source=path)
     with opened(request) as (logs, guesses):
         log, guess = logs[path], guesses[path]

@@ -28,15 +28,15 @@ READERS: dict[str, tuple[str, str]] = {
     "gnss-logger": ("gnss_logger", "a text of Android's GnssLogger"),
     "csv": ("columns", "CSV or Parquet, a file or a folder of them"),
 }
-"""By the name for --format: the module in ``readers/``, and a description. The most general one comes last.
+"""By the name for --format: the module in ``readers/``, and a description. The most general format is last.
 
-A module has ``recognizes(path)``: True if name or first bytes of a file or folder are those of the format, without the
-format's library. ``open_log(path, limits, stack)`` returns a `Log`; the stack closes its files.
+Each module has two functions. ``recognizes(path)`` returns True if the name or the first bytes of a file or folder show
+the format; it needs no library. ``open_log(path, limits, stack)`` returns a `Log`, whose files the stack closes.
 """
 _MIXED = ("nmea", "gnss-logger")
 _TEXTS = (*_MIXED, "rtklib", "csv")
 _LINES_OF_ROW, _TITLES = 10, 1000
-"""Most lines of a mixed text per row of a table, and most lines above the rows."""
+"""For a text of several kinds of lines: most lines per row of a table, and most lines above the rows."""
 NOT_READ = {
     ".xlsx .xls .ods": "a spreadsheet; save it as CSV",
     ".tlog": "a MAVLink log; run: mavlogdump.py --format csv --types SCALED_IMU,GPS_RAW_INT, or take the .bin",
@@ -59,7 +59,7 @@ NOT_READ = {
     ".mp4 .mov .insv": "a video; extract the telemetry of its IMU and GPS as CSV, as with gopro-telemetry",
     ".pcap .pcapng": "network packets; decode them with the sensor's own program, and export CSV",
 }
-"""Endings of unsupported formats, and their conversion."""
+"""Suffixes of formats that are not supported, and how to convert them."""
 _MAGIC = {
     **{b"H Product:Blackbox": ".bbl", b"MDF  ": ".mf4", b"\x89HDF": ".h5", b"\x1f\x8b": ".gz"},
     **dict.fromkeys((b"#BESTPOSA", b"#INSPVA", b"#RAWIMU", b"%RAWIMU", b"\xaaD\x12"), ".novatel"),
@@ -73,9 +73,9 @@ def open_log(
     limits: Limits | None = None,
     definitions: Sequence[Path] = (),
 ) -> Generator[Log]:
-    """Open a log of a named or detected format.
+    """Open a log in a named or detected format.
 
-    ``definitions`` are files or folders with definitions of ROS messages, .msg, for bags that contain none.
+    ``definitions`` are files or folders with .msg definitions of ROS messages, for bags without definitions.
     """
     if not path.exists():
         raise InputError(f"{path} does not exist; name a log file or its folder")
@@ -93,7 +93,7 @@ def open_log(
 
 
 def _texts(path: Path, form: str) -> list[Path]:
-    """List the text files of a log whose readers limit neither the lines nor the unpacked size."""
+    """List the text files of a log, if its reader does not limit lines and size itself."""
     if path.is_file():
         return [path] if form in _TEXTS and first_bytes(path, 4) != b"PAR1" else []
     inside = (
@@ -121,7 +121,7 @@ def format_of(path: Path) -> str:
 
 
 def unread(path: Path) -> str:
-    """Describe the unsupported format of a file, by its ending or its first bytes; else return ""."""
+    """Describe the unsupported format of a file, by its suffix or its first bytes; else return ""."""
     if not path.is_file() or path.suffix.lower() == ".csv":
         return ""
     head = first_bytes(path, 64)

@@ -1,4 +1,4 @@
-"""Evaluate a drive's columns on the batches of a log; rows that can't be used are left out and counted."""
+"""Evaluate a drive's columns on the batches of a log; unusable rows are left out and counted."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -18,20 +18,20 @@ from sigmaswarm.importing.times import time_of, wrong_unit
 from sigmaswarm.wording import names_shown, quoted, shown
 
 ROW = "row"
-"""Column with the row's number, from 0, in tables that have no column of this name."""
+"""Column of row numbers, from 0, in tables without a column of this name."""
 FAR = 10
-"""Distance of a placeholder from the values, in units of their spread."""
+"""Smallest distance of a placeholder from the other values, in units of their range."""
 
 
 @dataclass
 class Gathered:
-    """Columns of a part: ``t`` in ns, and others, null where the log has no value.
+    """Columns of a part: ``t`` in ns, and other columns, null where the log has no value.
 
     Attributes
     ----------
-    rows : in chunks
-    seen, unkept, timeless : number of rows; of rows with a false ``keep``; of rows without a time
-    placeholders : by column of the table, the marker of missing values, and its count
+    rows : list of chunks
+    seen, unkept, timeless : numbers of rows: all, those with a false ``keep``, those without a time
+    placeholders : by column of the table, the marker of missing values and its count
     """
 
     part: Part
@@ -59,7 +59,7 @@ class Gathered:
             }
             time = time_expression(self.part.columns["t"], frame)
             rows = frame.lazy().select(t=time, **values).collect()
-        except pl.exceptions.PolarsError as error:  # a list where a number is wanted, a text that is no date
+        except pl.exceptions.PolarsError as error:  # a list instead of a number, a text that is not a date
             said = shown(" ".join(str(error).split("\n")[0].split()), 160)
             raise InputError(
                 f"{log.path}, {self.part.table}: its columns can't be converted to numbers ({said}); map others"
@@ -69,7 +69,7 @@ class Gathered:
         self.rows += [usable] if len(usable) else []
 
     def finish(self) -> tuple[Nanoseconds, dict[str, Array]]:
-        """Return the times (n,), ns, and the columns (n,); NaN where the log has no value."""
+        """Return the times (n,), ns, and the columns (n,), NaN where the log has no value."""
         if not self.rows:
             return np.zeros(0, np.int64), {}
         whole = pl.concat(self.rows)
@@ -92,7 +92,7 @@ class Gathered:
                 )
 
     def _without_placeholders(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Set placeholders to null: -999 or 1e10 far from all other values, or in both coordinates."""
+        """Set placeholders to null: -999 or 1e10, if far from all other values or in both coordinates."""
         used = {n: e.numbers for n, e in self.expressions.items() if n not in ("t", "keep")}
         names = [c for c in sorted(set().union(*used.values())) if not frame.schema[c].is_nested()]
         numbers = frame.select(pl.col(names).cast(pl.Float64, strict=False))
@@ -112,7 +112,7 @@ class Gathered:
 
 
 def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
-    """Mark values that are far from the unmarked ones, relative to their spread."""
+    """Mark values that are far from the unmarked values, relative to the range of these."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
         return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)
@@ -121,12 +121,12 @@ def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
 
 
 def complete_parts(part: Part, log: Log, role: Role) -> list[Part]:
-    """Complete a part; without a table it becomes one part for each table with its columns."""
+    """Complete a part; a part without a table becomes one part for each table with its columns."""
     return [_complete(one, log, role) for one in _with_tables(part, log, role)]
 
 
 def _complete(part: Part, log: Log, role: Role) -> Part:
-    """Add the time to a part, by default the column that looks like one, and check its columns."""
+    """Add the time to a part, by default the column that is likely a time, and check its columns."""
     columns = log.tables[part.table].columns
     batches = log.batches({part.table: columns})
     rows = next((rows.head(SAMPLE) for _, rows, _ in batches if len(rows)), None)
@@ -149,7 +149,7 @@ def _complete(part: Part, log: Log, role: Role) -> Part:
 
 
 def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
-    """Find the tables of a part that names none; in place of a file of another log, the only table."""
+    """Find the tables of a part that names none; a part that names a file of another log gets the only table."""
     if part.table in log.tables:
         return [part]
     if len(log.tables) == 1:

@@ -14,12 +14,13 @@ from sigmaswarm.importing.times import Found, find_time, median_of, numbers_of, 
 from sigmaswarm.wording import names_shown
 
 Z_DOWN = "x=x,y=-y"
-"""Mounting of an IMU with x forward, y right, z down."""
+"""Mounting of an IMU with x forward, y right and z down."""
 SAMPLE = 2000
-"""First rows by which units are guessed where rows are decoded one by one."""
+"""First rows from which units are guessed if the rows of a format are decoded one by one."""
 BLOCKS, BLOCK = 16, 500
-"""Blocks of rows, spread over a table, by which units are guessed: a log may begin without fixes and at standstill.
-Rows of a block are consecutive, so that most steps of a time are those of the log, also of fixes in 1 of 200 rows."""
+"""Number and length of blocks of rows from which units are guessed. They are spread over the table, since a log may
+begin without fixes and at standstill. Rows of a block are consecutive, so most time steps are those of the log, even if
+only 1 of 200 rows has a fix."""
 _WHEELS = re.compile(r"odo|wheel|(?:^|[^a-z])can(?:[^a-z]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
 _FORCES = re.compile(r"acc", re.IGNORECASE)
@@ -28,11 +29,11 @@ _NO_PLACES = re.compile(
     r"mag|orient|attitude|gravity|quat|rotation|linear|baro|light|imu|velocity|twist|(?:^|[^a-z])vel",
     re.IGNORECASE,
 )
-"""Names of tables in which x, y, z are neither a position nor the IMU's axes."""
+"""Names of tables whose x, y, z are neither a position nor axes of the IMU."""
 _FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok)?|(?:gps|gnss)_?(?:quality|valid)"
-"""Names of columns that state whether a row has a fix: 0 means none, or -1 where 0 means a fix, as in ROS."""
+"""Names of columns that state whether a row has a fix. 0 means no fix; in ROS, -1 means no fix and 0 a fix."""
 MOST_DROPPED = 0.2
-"""Largest share of likely fixes that their flags leave out."""
+"""Largest share of likely fixes that a flag may exclude."""
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
     "gps": (
@@ -51,9 +52,9 @@ _HINTS: dict[str, str] = {
 
 
 def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) -> Guess:
-    """Find the tables of each role by their columns, and among several by their names.
+    """Find the tables of each role by their columns; choose among several by their names.
 
-    ``samples``: first rows of each table; ``chosen``: the user's table, by role.
+    ``samples``: first rows of each table; ``chosen``: table by role, as chosen by the user.
     """
     found = {table: _find_columns(frame, table) for table, frame in samples.items()}
     roles: dict[Role, tuple[Part, ...]] = {}
@@ -64,7 +65,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
             raise InputError(f"there is no table {chosen[role]!r}; choose from {names_shown(samples)}")
         if not tables and role not in chosen:
             continue
-        # the first table whose name fits, or else the first; positions next to accelerations are likely an estimate
+        # the first table with a fitting name, else the first; positions next to accelerations are likely an estimate
         best = chosen.get(role) or max(
             tables,
             key=lambda t: (
@@ -81,7 +82,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         rates = [t for t, c in found.items() if "gz" in c and not c.has("ax", "ay")][:1]
         for table in [best, *rates] if role == "imu" and "gz" not in found[best] else [best]:
             expressions: dict[str, str] = {}
-            # Values of a receiver in rows of the IMU have the IMU's times, whose interval determines the unit.
+            # Receiver values in rows of the IMU have the IMU's times, whose interval determines the unit.
             shared = "imu" in roles and table == roles["imu"][0].table
             for what, one in _expressions(found[table], role, "imu" if shared else role):
                 notes += [one.note] if one.note else []
@@ -93,7 +94,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
 
 
 def spread_rows(rows: pl.LazyFrame) -> pl.DataFrame:
-    """Read blocks of rows that are spread over a table, or all rows of a short one."""
+    """Read blocks of rows that are spread over a table, or all rows of a short table."""
     count = int(rows.select(pl.len()).collect().item())
     if count <= BLOCKS * BLOCK:
         return rows.collect()
@@ -103,7 +104,7 @@ def spread_rows(rows: pl.LazyFrame) -> pl.DataFrame:
 
 
 def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
-    """Assign the first fitting column to each quantity; x, y, z of an IMU's table are axes of the IMU."""
+    """Assign the first fitting column to each quantity; in a table of an IMU, x, y, z are axes of the IMU."""
     columns = Columns(frame)
     for name in read_names(frame.columns):
         if (what := name.meaning) is not None and what != "t":
@@ -122,7 +123,7 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
 
 
 def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
-    """List the tables that suit each role; next to latitude and longitude, x and y are not fixes."""
+    """List the tables that fit each role; x and y next to latitude and longitude are not fixes."""
     forces = {t for t, c in found.items() if c.has("ax", "ay")}
     rates = {t for t, c in found.items() if "gz" in c}
     degrees = {t for t, c in found.items() if c.has("lat", "lon")}
@@ -144,7 +145,7 @@ def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
 
 
 def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[str, Found]]:
-    """Yield the columns of a role, in rows at the times of ``rows_of``, as expressions in a drive's units."""
+    """Yield the columns of a role in a drive's units, as expressions; ``rows_of``: role that determines the times."""
     if (time := find_time(columns.frame, rows_of)) is not None:
         yield "t", time
     located = columns.has("lat", "lon")
@@ -156,7 +157,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
     if role == "gps" and (keep := _with_fix(columns)):
         yield "keep", keep
     skipped = {"lat", "lon"} | ({"x", "y"} if located else set())
-    # "heading" is the course of a receiver with one antenna, unless there is another course or a deviation
+    # "heading" is the course of a receiver with one antenna, unless the table has another course or a deviation
     heads = role == "gps" and "bearing" in columns and columns.names["bearing"].is_one("heading")
     heads = heads and ("course" in columns or "std_heading" in columns)
     course = "theta" if role == "truth" else "course"
@@ -176,9 +177,9 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
 
 
 def _with_fix(columns: Columns) -> Found | None:
-    """Select rows with a fix by a column of flags, unless it would drop many rows that look like fixes.
+    """Select rows with a fix by a column of flags, unless it would exclude many rows that look like fixes.
 
-    In other codes 0 is a fix without fixed ambiguities; or flags are in other rows than positions.
+    In some codes 0 is a fix without fixed ambiguities, and flags may be in other rows than positions.
     """
     flag = next((n.column for n in read_names(columns.frame.columns) if n.is_one(_FIXED)), None)
     both = ("lat", "lon") if columns.has("lat", "lon") else ("x", "y")
@@ -204,10 +205,10 @@ def _with_fix(columns: Columns) -> Found | None:
 
 
 def _downward(imu: Columns) -> str:
-    """Return a sentence if the vertical axis of an IMU points down, else ""."""
+    """Return a sentence if the vertical axis of an IMU points down; else ""."""
     gravity = median_of(imu.norms(["ax", "ay", "az"])) if imu.has("ax", "ay", "az") else 0.0
     if "az" not in imu or median_of(numbers_of(imu.frame[imu.names["az"].column])) >= -0.5 * gravity:
-        return ""  # without gravity in it, its sign means nothing
+        return ""  # the sign of an acceleration without gravity has no meaning
     return points_down(imu.names["az"].column)
 
 

@@ -1,4 +1,4 @@
-"""Join the parts of a role into one table with times in order and complete rows; report omissions."""
+"""Join the parts of a role into one table with sorted times and complete rows; report omissions."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,11 +17,11 @@ from sigmaswarm.importing.timeline import in_order, require_likely
 from sigmaswarm.wording import shown
 
 LEAST_STD = 1e-6
-"""At or below this standard deviation, m, the receiver states none."""
+"""A standard deviation of at most this value, m, counts as not stated."""
 TURNS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
 """A full turn of each angle column, rad or deg."""
 SPARSE = 0.1
-"""Largest share of empty rows of an optional column; above it the column is left out, instead of the rows."""
+"""Largest share of empty cells in an optional column. With more, the column is left out; with fewer, the rows are."""
 POSITIONS = ("lat", "lon", "x", "y")
 TOGETHER = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
 
@@ -54,7 +54,7 @@ def join(
 
 
 def _with_known_headings(values: Values) -> Values:
-    """Set the deviation of missing headings to `NO_HEADING`, so that their fixes are kept."""
+    """Set the standard deviation of missing headings to `NO_HEADING`, so that their fixes are kept."""
     heading = values.get("heading", np.zeros(0))
     std, known = values.get("std_heading", np.full(len(heading), np.nan)), np.isfinite(heading)
     if not known.any() or (known.all() and not np.isfinite(std).any()):
@@ -65,9 +65,9 @@ def _with_known_headings(values: Values) -> Values:
 
 
 def _between(time: Array, known: Array, values: Array, turn: float | None) -> Array:
-    """Interpolate values (m,), known at times (m,), s, linearly to times (n,), s; angles the short way round.
+    """Interpolate values (m,), known at times (m,), s, linearly at times (n,), s; angles over the shorter arc.
 
-    Angles beyond half a turn (unwrapped, or not angles) stay near their neighbors: a wrong unit remains visible.
+    Angles beyond half a turn (unwrapped, or not angles) are not wrapped, so a wrong unit remains visible.
     """
     if turn is None:
         return np.interp(time, known, values)
@@ -101,7 +101,7 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
     filled = _finite(values, len(time)).any(axis=0)
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
         say(f"{role}: left out {empty} rows that have an empty cell")
-    if role == "gps":  # a row that repeats the time and the place of the row before
+    if role == "gps":  # a row that repeats time and position of the previous row
         same = [np.diff(column) == 0 for column in (time, *(values[n] for n in POSITIONS if n in values))]
         filled &= ~np.append(False, np.all(same, axis=0))
     if filled.any():
@@ -120,7 +120,7 @@ def _rows(values: Values, rows: Any) -> Values:
 
 
 def _finite(values: Values, count: int) -> NDArray[np.bool_]:
-    """Mark finite values (columns, rows); a row of True without columns."""
+    """Mark finite values, (columns, rows); without columns, return one row of True."""
     return np.array([np.isfinite(v) for v in values.values()] or [np.ones(count, bool)], bool)
 
 
@@ -136,7 +136,7 @@ def _complete_rows(
     values = dict(values)
     for name in values.keys() & {"std_x", "std_y"}:
         values[name] = np.where(values[name] > LEAST_STD, values[name], np.nan)
-    # positions may be sparse (one table with IMU and fixes); other sparse columns are omitted
+    # Positions may be sparse (one table with IMU and fixes); other sparse columns are left out.
     placed = _finite({n: values[n] for n in POSITIONS if n in values}, len(time)).all(axis=0)
     for name in [n for n in values if n not in POSITIONS and n not in required]:
         if name not in values or not placed.any():
@@ -162,6 +162,6 @@ def _complete_rows(
     changed = np.append(True, np.any([np.diff(p) != 0 for p in position], axis=0))
     if np.mean(changed) > 0.5:
         return time, values
-    # fixes that are repeated until the next one comes (a table at the IMU's rate) count once
+    # Fixes that are repeated until the next one (a table at the IMU's rate) count once.
     say(f"gps: {int(np.count_nonzero(~changed))} rows that repeat the position before left out")
     return time[changed], _rows(values, changed)

@@ -1,4 +1,4 @@
-"""A first look at a log: tables, rates, ranges of columns, and the recipe of a drive."""
+"""A first look at a log: its tables, rates and ranges of columns, and the recipe of a drive."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,14 +23,14 @@ from sigmaswarm.importing.source import ROLES, Fault, Log, Role
 from sigmaswarm.importing.times import numbers_of, time_of
 
 SAMPLE = 5000
-"""Rows for the ranges of a table."""
+"""Rows of a table from which ranges are computed."""
 LOOKED_AT = 25_000
-"""Rows of all mixed tables together; a table that does not occur among them has no values."""
+"""Rows that are read if the rows of tables alternate; a table that does not occur in them has no values."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """Smallest, median and largest value of a column in the first rows; None if it contains no numbers."""
+    """Smallest, median and largest value of a column in the first rows; None without numbers."""
 
     column: str
     low: float | None
@@ -41,7 +41,7 @@ class Range:
 
 @dataclass(frozen=True)
 class Glance:
-    """A table: its description, number of rows, Hz, and columns."""
+    """A table: its description, number of rows, rate (Hz), and columns."""
 
     table: str
     kind: str
@@ -52,13 +52,12 @@ class Glance:
 
 @dataclass(frozen=True)
 class Look:
-    """Content of the logs of a request, the recipe that would be used, and its assumptions.
+    """Content of the logs of a request, the recipe that an import would use, and its assumptions.
 
     ``proposal``: options of `sigmaswarm import` for unrecognized columns, the same as ``settings`` of `import_log`,
     with their ``evidence``. ``works``: True if the import with these options succeeds; without a proposal, if IMU and
-    fixes were recognized. ``unread``: by table, the columns that are not read, also with the proposal. ``faults``:
-    reasons not to read a column unchanged. ``rows``: the first rows of each table. ``mount``: the mounting that a note
-    recommends.
+    fixes were recognized. ``unread``: columns, by table, that neither recipe nor proposal reads. ``faults``: reasons
+    not to read a column unchanged. ``rows``: first rows of each table. ``mount``: mounting that a note recommends.
     """
 
     tables: tuple[Glance, ...]
@@ -83,7 +82,7 @@ Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]
 
 
 def look(request: Request) -> Look:
-    """Look at the beginning of each log. Nothing is written; a guess that fails becomes a note."""
+    """Read the beginning of each log. Nothing is written; a guess that fails becomes a note."""
     with opened(request) as (logs, guesses):
         try:
             recipe = complete_recipe(request, guesses)
@@ -161,7 +160,7 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
 
 
 def _elsewhere(names: Mapping[str, Sequence[str]], table: str, known: Mapping[str, str]) -> dict[str, str]:
-    """Find missing IMU columns in another table, if no column has the same name in both."""
+    """Find missing IMU columns in another table, unless another table has columns of the same names."""
     others = {other: columns for other, columns in names.items() if other != table}
     if {"ax", "ay", "gz"} <= known.keys() or (one := proposed(others, "imu", known)) is None:
         return {}
@@ -185,12 +184,12 @@ def beginnings(log: Log) -> dict[str, pl.DataFrame]:
 
 
 def _rate(rows: pl.DataFrame, time: str | None) -> float | None:
-    """Return the rate, Hz, by the median step of the time; None without a time."""
+    """Return the rate, Hz, from the median time step; None without a time."""
     if len(rows) < 2 or (time := time or time_of(rows)) is None:
         return None
     try:
         steps = rows.select(time_expression(time, rows).alias("t"))["t"].diff().drop_nulls()
-    except pl.exceptions.PolarsError:  # a list, or a text that is no date
+    except pl.exceptions.PolarsError:  # a list, or a text that is not a date
         return None
     step = steps.filter(steps > 0).median()
     return SECOND / step if isinstance(step, int | float) and step > 0 else None

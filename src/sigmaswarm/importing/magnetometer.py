@@ -1,4 +1,4 @@
-"""The heading of a magnetometer at the times of the fixes, calibrated by the course of the same drive."""
+"""Heading of a magnetometer at the times of the fixes, calibrated by the course of the same drive."""
 
 import re
 from collections.abc import Sequence
@@ -24,36 +24,36 @@ from sigmaswarm.importing.source import Part
 from sigmaswarm.importing.times import written
 
 LEAST_TURN = 180
-"""Range of directions, deg, that determines the hard iron."""
+"""Smallest range of headings, deg, that determines the hard iron."""
 BIN = 10
 LEAST_SAMPLES = 5
 DRIFT = 10.0
-"""Interval at which the course corrects the gyro's heading, s."""
+"""Time constant with which the course corrects the gyro's heading, s."""
 MOST_ROWS = 20_000
-"""Rows for the calibration, evenly over the drive."""
+"""Largest number of rows for the calibration, evenly spread over the drive."""
 STEEL = 4.0, 0.03
-"""Limit of the deviation of the field's size (relative) or direction (rad) without steel nearby: in robust standard
-deviations, and its smallest value."""
+"""Largest deviation of the field's magnitude (relative) or direction (rad) without steel nearby: in robust standard
+deviations, and its lower limit."""
 AROUND = 1.0
-"""Time before and after this deviation in which fixes get no heading, s."""
+"""Time before and after such a deviation in which fixes get no heading, s."""
 WORST = np.radians(20)
-"""Largest standard deviation of a heading from a magnetometer that is fixed to the vehicle, rad."""
+"""Largest standard deviation of the heading, rad; with more, the magnetometer is not fixed to the vehicle."""
 LEAST_STD = np.radians(0.5)
 """Smallest stated standard deviation, rad."""
 LONGEST_GAP = 1.0
-"""Largest interval of samples that is interpolated, s."""
+"""Largest sample interval that is interpolated, s."""
 _UNLIKE = "mag: the field does not turn as the drive does (by course and gyro); map other columns, or omit it"
 _AXES = (
     r"(?:.*[\W_])?mag(?:netic[\W_]?field|[a-z]*)\d*[\W_]*([xyz])(?:[\W_].*)?",
     r"[mb][\W_]?([xyz])",
     r"([xyz])",
 )
-"""Names of axes in lower case, the usual ones first."""
+"""Patterns of axis names in lower case, the most common first."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The field in the sensor's axes: ``center + shape @ (cos, sin)`` of the heading.
+    """The field in the axes of the sensor, ``center + shape @ (cos, sin)`` of the heading.
 
     Attributes
     ----------
@@ -66,25 +66,25 @@ class Calibration:
 
     @property
     def soft_iron(self) -> float:
-        """Ratio of the ellipse's axes minus 1."""
+        """Ratio of the axes of the ellipse, minus 1."""
         sizes = np.linalg.svd(self.shape, compute_uv=False)
         return float(sizes[0] / sizes[1] - 1)
 
     @property
     def mirrored(self) -> bool:
-        """True if an axis has the wrong sign, or x and y are exchanged."""
+        """True if an axis has the wrong sign or x and y are exchanged."""
         return bool(np.linalg.det(self.shape) > 0)
 
     @property
     def declination(self) -> float:
-        """Angle from true to magnetic north, rad, clockwise, plus the sensor's turn about the vertical axis."""
-        left, _, right = np.linalg.svd(self.shape)  # the orthogonal factor next to a symmetric soft iron
+        """Angle from true to magnetic north, rad, clockwise, plus the sensor's rotation about the vertical axis."""
+        left, _, right = np.linalg.svd(self.shape)  # orthogonal factor of the polar decomposition
         (sin, cos), _ = left @ right
         return float(np.arctan2(sin, cos))
 
 
 def part_of(table: str, columns: Sequence[str]) -> Part:
-    """Find the axes by their names in a table that the user chose; the part may be empty."""
+    """Find the axes in a table that the user chose, by the names of columns; the part may be empty."""
     for pattern in _AXES:
         found = {m[1]: column for column in reversed(columns) if (m := re.fullmatch(pattern, column.lower()))}
         if {"x", "y"} <= found.keys():
@@ -130,7 +130,7 @@ def with_magnetometer(
 
 
 def _in_vehicle(values: Values, mount: str) -> Array:
-    """Return the field (n, 2) forward and left; the calibration absorbs a remaining constant tilt."""
+    """Return the field (n, 2) forward and left; the calibration corrects a constant tilt."""
     rotation = parse_mount(mount) if mount else np.eye(3)
     if "mz" not in values and np.any(rotation[:2, 2]):
         raise InputError("mag: the mounting needs mz; map it, as in --map mag.mz=mag_z")
@@ -158,7 +158,7 @@ def _reference(evidence: Evidence, time: Array, late: float) -> tuple[Array, NDA
 
 
 def _turned(heading: Array) -> int:
-    """Return how many degrees of the circle a heading (n,), rad, covers."""
+    """Return the number of degrees of the circle that headings (n,), rad, cover."""
     bins = (np.degrees(heading) % 360 // BIN).astype(np.int64)
     return int(np.count_nonzero(np.bincount(bins, minlength=1) >= LEAST_SAMPLES)) * BIN
 
@@ -181,14 +181,14 @@ def calibrate(heading: Array, field: Array) -> Calibration:
 
 
 def _near_steel(time: Array, size: Array, off: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark samples (n,) within `AROUND` of a field of another size, or one that turns without the vehicle."""
+    """Mark samples (n,) within `AROUND` of a field of another magnitude, or one that turns without the vehicle."""
     odd = _odd(size / float(np.median(size[moving])), moving) | (moving & _odd(off, moving))
     wrong = time[odd]
     return np.searchsorted(wrong, time - AROUND) < np.searchsorted(wrong, time + AROUND, side="right")
 
 
 def _odd(values: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark values (n,) that differ from the median in motion by more than `STEEL`."""
+    """Mark values (n,) that differ from their median in motion by more than `STEEL`."""
     apart = np.abs(values - float(np.median(values[moving])))
     deviations, least = STEEL
     return apart > max(deviations * 1.4826 * float(np.median(apart[moving])), least)
@@ -205,7 +205,7 @@ def _at(
 
 
 def _turn(calibration: Calibration, stated: float | None) -> float:
-    """Return the angle, rad, from the heading by the course to that by a stated declination, deg."""
+    """Return the correction, rad, of headings calibrated by the course to a stated declination, deg."""
     if stated is None:
         return 0.0
     if not abs(stated) <= 180:

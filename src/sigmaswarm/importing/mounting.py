@@ -1,4 +1,4 @@
-"""The mounting of an IMU: from the sensor's axes to x forward, y left, z up."""
+"""Mounting of an IMU: from the axes of the sensor to x forward, y left, z up."""
 
 import math
 import re
@@ -18,7 +18,7 @@ _AXES = "xyz"
 
 
 def find_mount(drive: Drive) -> tuple[Drive, str, str]:
-    """Turn the IMU by the mounting that the log shows; return the drive, the mounting as text, and a note."""
+    """Rotate the IMU by the mounting that the log shows; return the drive, the mounting as text, and a note."""
     mounting = gather(drive).mounting
     if mounting is None or mounting.confidence == "no":
         reason = mounting.reason if mounting else "required: ax, ay, az, gx, gy, gz and a moving vehicle"
@@ -36,14 +36,14 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
 
 
 def parse_mount(text: str) -> Array:
-    """Return the rotation (3, 3) from the sensor's axes to the vehicle's.
+    """Return the rotation (3, 3) from the axes of the sensor to those of the vehicle.
 
     Parameters
     ----------
     text : str
-        ``"90"``: the sensor is turned by 90 degrees about z, counter-clockwise seen from above.
+        ``"90"``: the sensor is rotated by 90 degrees about z, counter-clockwise seen from above.
         ``"0,10.5,90"``: roll, pitch and yaw of the sensor in the vehicle, degrees, about x, then y, then z.
-        ``"x=-y,y=x"``: the vehicle's axes as the sensor's; an axis that is left out follows from the others.
+        ``"x=-y,y=x"``: axes of the vehicle by axes of the sensor; missing axes follow from the others.
     """
     parts = text.replace(" ", "").split(",")
     if all("=" in part for part in parts):
@@ -62,7 +62,7 @@ def parse_mount(text: str) -> Array:
 
 
 def _from_axes(text: str, parts: list[str]) -> Array:
-    """Make the matrix of the given axes; one missing is the others' cross product, of two missing z or x is kept."""
+    """Make the matrix from given axes; one missing axis is the cross product, and of two z or x is unchanged."""
     unit = dict(zip(_AXES, np.eye(3), strict=True))
     rows: dict[str, Array] = {}
     for part in parts:
@@ -85,7 +85,7 @@ def _from_axes(text: str, parts: list[str]) -> Array:
 
 
 def rotate(imu: dict[str, Array], rotation: Array) -> dict[str, Array]:
-    """Rotate the IMU's columns, (n,) each, to the vehicle's axes."""
+    """Rotate the columns of an IMU, (n,) each, into the axes of the vehicle."""
     turned = dict(imu)
     for sensor, names in (("accelerometer", ("ax", "ay", "az")), ("gyro", ("gx", "gy", "gz"))):
         for row, name in enumerate(names):

@@ -1,4 +1,4 @@
-"""Names of columns: the plain name, its unit, and the drive's column of that name."""
+"""Names of columns: the name without its unit, the unit, and the drive's column of that name."""
 
 import re
 import unicodedata
@@ -19,9 +19,9 @@ CLOCK = (
     "received|boot|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|gps|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
     "(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
 )
-"""Names of times in tables without one of the usual names."""
+"""Names of times, for tables without a more usual name."""
 STAMP = "(?:.*_)?header_(?:time_?)?stamp"
-"""Header stamps of ROS, in tables made of bags."""
+"""ROS header stamps, in tables converted from bags."""
 WEEK = "(?:gps|gnss)?_?(?:week|wn|weeks)(?:_?(?:no|num|number))?"
 TIME_OF_WEEK = (
     "(?:gps|gnss)?_?(?:i?tow|sow|wsec|(?:time|secs?|seconds|ms)_?(?:of|in|into)_?(?:the_)?week|"
@@ -36,7 +36,7 @@ _RATE = (
     "g|w|gyr|gyro|gyroscope|gyro_rotation|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate|"
     "w_?b|w_rs_s|angular"
 )
-_STD = "(?:std|stdev|std_?dev|sigma|sd)"  # as receivers of survey grade have them, in m for degrees, too
+_STD = "(?:std|stdev|std_?dev|sigma|sd)"  # in survey-grade receivers these are in m, also for degrees
 NAMES: tuple[tuple[str, str], ...] = (
     ("t", TIME),
     *((f"a{i}", f"(?:{_ACCELERATION})_?{i}") for i in "xyz"),
@@ -68,9 +68,9 @@ NAMES: tuple[tuple[str, str], ...] = (
 _AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 _PLACES = ("lat", "lon", "alt", "ns", "ew")
 _TOTAL = {"gfx", "gfy", "gfz"}
-"""Physics Toolbox's accelerations in g."""
+"""Accelerations in g of Physics Toolbox."""
 _MPU = {f"{s}{i}": f"{name}_{i}" for s, name in (("ac", "acc"), ("gy", "gyro")) for i in "xyz"}
-"""Names in the usual sketches for an MPU-6050."""
+"""Names in common Arduino sketches for an MPU-6050."""
 TURNS = {"roll": "gx", "pitch": "gy", "yaw": "gz"}
 _STATED: tuple[tuple[Dimension, str, str], ...] = (
     ("time", "t", "temps"),
@@ -78,20 +78,20 @@ _STATED: tuple[tuple[Dimension, str, str], ...] = (
     *(("rate", f"g{i}", f"{i}_?gyro|{i}_rate_of_rotation|gyroadc_{i}") for i in "xyz"),
     ("speed", "speed", "geschwindigkeit|vitesse|velocidade?|velocita|snelheid"),
 )
-"""Names that mean a column only with a unit of this dimension: "x_acc" may be an accuracy or in mg."""
+"""Names that have a meaning only with a unit of this dimension: "x_acc" may also be an accuracy."""
 _SHORT = r"(?:field|data|msg|imu\d?)_(?=[agw][xyz](?:_|$))"
 _PREFIXES = re.compile(rf"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix|location|pos_lla)_(?=...)|{_SHORT}")
-"""Prefixes of message tables and loggers."""
+"""Prefixes of message tables and of loggers."""
 _FIXES = r"gps\d?|gnss\d?|fix|position|location"
 _CONTAINERS = rf"car|vehicle|imu\d?|data|fields?|msg|sensors?|log|logger|\d{{1,3}}|{_FIXES}"
-"""Words of a shared prefix that keep the meaning of a name; others may state an estimate or another quantity."""
+"""Words of a common prefix that keep the meaning of a name; other words may mark an estimate or another quantity."""
 _MAVLINK = {
     f"scaled_imu{n}_{i}{name}": (f"{name}_{i}", unit)
     for n in ("", 2, 3)
     for i in "xyz"
     for name, unit in (("acc", "mg"), ("gyro", "mrad/s"))
 } | {f"gps_raw_int_{name}": (name, "") for name in ("lat", "lon", "fix_type")}
-"""Fields of MAVLink with the units of the protocol; RAW_IMU has counts."""
+"""Fields of MAVLink with their units in the protocol; RAW_IMU contains counts."""
 _TRANSLATED = {
     word: name
     for name, words in {
@@ -111,7 +111,7 @@ _TRANSLATED = {
 
 @dataclass(frozen=True)
 class Name:
-    """A column's name: unchanged, in plain lower case without its unit, and the unit."""
+    """Name of a column: unchanged, in lower case without its unit, and the unit."""
 
     column: str
     plain: str
@@ -119,7 +119,7 @@ class Name:
 
     @property
     def meaning(self) -> str | None:
-        """The drive's column of the name, or None. Roll, pitch and yaw per second are rates."""
+        """The drive's column of this name, or None; roll, pitch and yaw per second are rates."""
         if self.unit is not None and self.unit.dimension == "rate" and self.plain in TURNS:
             return TURNS[self.plain]
         return _stated(self.plain, self.unit) or meaning_of_plain(self.plain)
@@ -133,7 +133,7 @@ class Name:
 
 
 def plain_words(text: str) -> list[str]:
-    """Split a name into words in lower case, in English."""
+    """Split a name into words in lower case, translated to English."""
     marked = unicodedata.normalize("NFD", text[:LONGEST_NAME].lower())
     # a single letter with a mark is a derivative or an estimate
     marked = re.sub(r"(?<![a-z\u0300-\u036f])([a-z])[\u0300-\u036f]+(?![a-z\u0300-\u036f])", r"\1dot", marked)
@@ -148,7 +148,7 @@ def _stated(plain: str, unit: Unit | None) -> str | None:
 
 
 def meaning_of_plain(plain: str) -> str | None:
-    """Find the drive's column of a plain name, also after a logger's prefix and before ".data" of a message."""
+    """Find the drive's column of a name, also with the prefix of a logger or the ".data" of a message."""
     bare = re.sub(r"_(?:data|value)$", "", plain)
     for name in dict.fromkeys((plain, bare, _PREFIXES.sub("", bare, count=1))):
         for what, pattern in NAMES:
@@ -160,11 +160,11 @@ def meaning_of_plain(plain: str) -> str | None:
 
 
 def read_names(columns: Sequence[str]) -> list[Name]:
-    """Read the names of a table's columns, without a device's name that all share: "Car.ax", "vehicle/imu/ax".
+    """Read the names of a table's columns, without a prefix that all share: "Car.ax", "vehicle/imu/ax".
 
-    Places and speeds then need a prefix of a receiver, accelerations and rates one of another device. Of a vehicle's or
-    a logger's table with both IMU and degrees, both are read: an estimate has no accelerations, and a prefix that may
-    state one is no device. Positions in meters and speeds are not read: those of a vehicle may be of another origin.
+    Positions and speeds with a shared prefix need that of a receiver, accelerations and rates that of another device.
+    In a table of a vehicle or logger with both IMU and degrees, both are read, since an estimate has no accelerations.
+    Positions in meters and speeds are not read there: those of a vehicle may have another origin.
     """
     pairs = zip(min(columns, default=""), max(columns, default=""), strict=False)
     shared = "".join(a for a, _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
@@ -187,7 +187,7 @@ def read_names(columns: Sequence[str]) -> list[Name]:
 
 
 def _one_sensor(names: list[Name]) -> list[Name]:
-    """Take the axes of a vector from one family of names; some names have a meaning only together."""
+    """Keep the axes of one family of names for each vector; some names have a meaning only together."""
     plains = {n.plain for n in names}
     forces = {n.plain for n in names if n.meaning in _AXES[:3] and not _family(n)}
     if plains >= _TOTAL and forces <= {*_AXES[:3]}:  # its ax, ay, az are without gravity
@@ -206,21 +206,21 @@ def _one_sensor(names: list[Name]) -> list[Name]:
 
 
 def _family(name: Name) -> str:
-    """Return the name without its axis if other names take precedence, else ""."""
+    """Return the name without its axis if other names take precedence; else ""."""
     weak = re.match(_SHORT, name.plain) or _stated(name.plain, name.unit)
     return re.sub("^[xyz]|[xyz]$", "", name.plain) if weak else ""
 
 
 def read_name(column: str) -> Name:
-    """Split a column's name from its unit: "Acceleration x (m/s^2)", "gyro_z_dps", "time since start in ms".
+    """Separate the name of a column from its unit: "Acceleration x (m/s^2)", "gyro_z_dps", "time since start in ms".
 
-    A name without a meaning is tried again with its words split at capitals: "gyroRotationX(rad/s)".
+    A name without a meaning is read again with its words split at capitals: "gyroRotationX(rad/s)".
     """
     name, split = _read(column, column.strip()), re.sub(r"(?<=[a-z])(?=[A-Z])", "_", column.strip())
     if name.meaning is not None or split == column.strip():
         return name
     again = _read(column, split)
-    stated = again.unit is None or split[-1] in ")]"  # a unit in a word is no unit: LatG, LatD
+    stated = again.unit is None or split[-1] in ")]"  # the end of a word is no unit: LatG, LatD
     return again if again.meaning is not None and stated else name
 
 
@@ -246,7 +246,7 @@ def _read(column: str, text: str) -> Name:
 
 
 def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
-    """Return a name with a unit in the last words before an axis, or without a unit."""
+    """Return a name whose unit is in the last words, or the last words before an axis; else one without a unit."""
     for count in (3, 2, 1):
         unit = unit_of(words[-count:]) if len(words) > count else None
         rest = "_".join([*words[:-count], *axis])

@@ -13,16 +13,16 @@ Say = Callable[[str], None]
 Values = dict[str, Array]
 
 FARTHEST = 100_000.0
-"""Largest distance of a fix from the median, m; `FASTEST`, m/s, times the duration is added."""
+"""Largest distance of a fix from the median position, m, plus `FASTEST`, m/s, times the duration."""
 FASTEST = 150.0
 FIT = 0.35
-"""Largest median difference of a heading from the course in the same convention, rad."""
+"""Largest median difference between a heading and the course in the same convention, rad."""
 MOVING = 1.0
-"""Lowest speed at which the course shows the heading, m/s."""
+"""Lowest speed at which the course equals the heading, m/s."""
 
 
 def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:
-    """Mark rows (n,) with a position: not 0, 0, within the range of degrees, not far from the others."""
+    """Mark rows (n,) with a position that is not 0, 0, in the range of degrees, and not far from the others."""
     if "lat" not in values or "lon" not in values:
         return np.ones(len(time), bool)
     lat, lon = values["lat"], values["lon"]
@@ -58,7 +58,7 @@ def with_longitudes(values: Values, role: str, say: Say) -> Values:
 
 
 def course_of(time: Array, x: Array, y: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Return the course (m,), rad, between positions some meters apart, and the rows (m,) in their middle."""
+    """Return the course (m,), rad, between positions some meters apart, and the rows (m,) between them."""
     if len(time) < 10:
         return np.zeros(0), np.zeros(0, np.int64)
     step = float(np.median(np.hypot(np.diff(x), np.diff(y))))

@@ -1,7 +1,7 @@
-"""Mappings for unrecognized columns: interpreted by name, tried, and checked by the doctor.
+"""Mappings for unrecognized columns: interpreted by name, and checked by the doctor.
 
-Names are unreliable about signs and units, so a proposal is shown and never applied. The doctor's evidence on the
-resulting drive corrects signs, axes and units of the expressions.
+Names are unreliable about signs and units, so a proposal is shown but never applied. The doctor's findings on the
+resulting drive correct signs, axes and units of the expressions.
 """
 
 import math
@@ -36,7 +36,7 @@ TURNING = (
     ("gy", {**LEFT, "pitch": 1}),
 )
 MOVING = (("ax", FORWARD), ("ay", LEFT), ("az", UP))
-"""Words for directions, and their signs in x forward, y left, z up."""
+"""Words for directions, with their signs in the axes x forward, y left, z up."""
 FORCE = {"a", "acc", "accel", "acceleration", "accelerometer", "force"}
 RATE = {
     *("gyro", "gyr", "gyroscope", "omega", "w", "rate", "angular", "rot", "rotation", "angvel"),
@@ -49,13 +49,13 @@ NO_PLACE = {
     *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
     *("heading", "bearing", "course", "roll", "pitch"),
 }
-"""Words for an accuracy of another quantity than the position."""
+"""Words that mark an accuracy as that of a quantity other than the position."""
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
-"""Repairs of expressions; other repairs change the drive."""
+"""Repairs that change expressions; other repairs change the drive."""
 EXCHANGED = 0.2
-"""Distance of elements from integers, below which a rotation exchanges axes or changes signs."""
+"""Largest distance of the elements of a rotation from integers, for an exchange of axes or a change of signs."""
 CONTRADICTIONS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}
-"""Warnings that signs, axes or units do not agree."""
+"""Warnings of contradictory signs, axes or units."""
 IMU = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
@@ -67,7 +67,7 @@ class Meaning:
 
 
 def meaning_of(name: str) -> Meaning | None:
-    """Interpret a column's name word by word; None if it names no column of a drive."""
+    """Interpret the name of a column word by word; None if it is not that of a drive's column."""
     words = re.findall(r"[a-z]+|\d+", re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower())
     sign = math.prod(CLOCKWISE[w] for w in words if w in CLOCKWISE)
     turns = not CLOCKWISE.keys().isdisjoint(words)
@@ -105,8 +105,8 @@ class Proposal:
 
     Attributes
     ----------
-    tables : by role, the chosen table, where a log has several
-    columns : by role, the expressions of a drive's columns
+    tables : the chosen table by role, if a log has several
+    columns : expressions of a drive's columns by role
     """
 
     tables: Mapping[Role, str]
@@ -122,13 +122,13 @@ class Proposal:
 
     @property
     def settings(self) -> dict[str, Mapping[str, str]]:
-        """The proposal as settings of `import_log`; each column with its role."""
+        """The proposal as settings of `import_log`, with the role of each column."""
         maps = {f"{role}.{name}": text for role, its in self.columns.items() for name, text in its.items()}
         return {"maps": maps, "tables": {**self.tables}}
 
     @property
     def options(self) -> str:
-        """The proposal as quoted options: a shell must not run text in backticks, or in a log's header."""
+        """The proposal as options, quoted since a shell must not run text in backticks or from a log's header."""
         tables = [f"--{role}-table {shlex.quote(table)}" for role, table in self.tables.items()]
         return " ".join([*tables, "--map", *map(shlex.quote, self.maps)])
 
@@ -136,9 +136,9 @@ class Proposal:
 def proposed(
     tables: Mapping[str, Sequence[str]], wanted: Role, known: Mapping[str, str]
 ) -> tuple[str, dict[str, str]] | None:
-    """Return the table with most columns of a role, and its columns that are not ``known``.
+    """Return the table with the most columns of a role, and those of its columns that are not ``known``.
 
-    ``tables`` has the names of columns by table.
+    ``tables``: names of columns by table.
     """
     best: tuple[str, dict[str, str]] | None = None
     for table, names in tables.items():
@@ -152,7 +152,7 @@ def proposed(
 
 
 def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str, bool]:
-    """Correct a proposal by the doctor; return it, the evidence, and True if ``make`` makes a drive."""
+    """Correct a proposal by the doctor; return it, the evidence, and True if ``make`` can make a drive from it."""
     try:
         drive = _plausible(make(proposal))
         first = diagnose(drive)
@@ -175,7 +175,7 @@ def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Propo
 
 
 def _plausible(drive: Drive) -> Drive:
-    """Refuse numbers that no sensor reports, since the doctor's sums would overflow."""
+    """Refuse numbers that no sensor reports, since they would overflow the doctor's sums."""
     for table in (drive.imu, drive.gps):
         for name, values in vars(table).items():
             if name != "time" and values is not None and np.abs(values).max(initial=0.0) > LARGEST:
@@ -184,15 +184,16 @@ def _plausible(drive: Drive) -> Drive:
 
 
 def _faults(diagnosis: Diagnosis) -> tuple[int, int]:
-    """Count serious findings, and those that expressions can correct."""
+    """Count serious findings, and findings that other expressions can correct."""
     left = [f for f in diagnosis.findings if f.repair is not None and f.repair.action in CORRECTED]
     return sum(f.severity == "serious" for f in diagnosis.findings), len(left)
 
 
 def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Proposal:
-    """Apply the doctor's repairs to the expressions: signs, exchanges, factors.
+    """Apply the doctor's repairs to the expressions: signs, exchanged axes, factors.
 
-    The columns of an IMU are the unit vectors: repairs show which multiple of which expression replaces each column.
+    The repairs are applied to unit vectors as the columns of an IMU. The result shows which multiple of which
+    expression replaces each column.
     """
     units = dict(zip(IMU, np.eye(len(IMU)), strict=True))
     probe = replace(drive, imu=Imu(np.arange(len(IMU), dtype=np.float64), **units))

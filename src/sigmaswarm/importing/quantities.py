@@ -1,4 +1,4 @@
-"""Convert columns to a drive's units: by the unit in the name, or by the size of the values."""
+"""Convert columns to a drive's units, by the unit in the name or by the magnitude of the values."""
 
 import re
 from collections.abc import Sequence
@@ -22,17 +22,17 @@ DIMENSIONS: dict[str, Dimension] = {
     **dict.fromkeys(("speed", "wheel_speed", "vx", "vy"), "speed"),
 }
 REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta", "wheel_speed")
-"""Columns that need a known unit; others without one are left out."""
+"""Columns that need a known unit; other columns without one are left out."""
 FEW_ODD = 0.02
-"""Largest share of rows that may contradict the form of the others: damaged rows."""
+"""Largest share of rows, presumably damaged, that may contradict the form of the others."""
 STEADY = 1.5
-"""Largest ratio of the third quartile of the accelerations' magnitude to the first, if they contain gravity."""
+"""Largest ratio of the third to the first quartile of the magnitude of accelerations that contain gravity."""
 MOST_FORCE = 100.0
-"""Largest acceleration of a car, except bumps, m/s2."""
+"""Largest acceleration of a car without bumps, m/s2."""
 FASTEST = 250.0
 """Largest angular rate of a car, deg/s."""
 HIGHEST = 9000.0
-"""Largest altitude, m; another unit would stretch the track by 0.15% or more."""
+"""Largest altitude, m; a wrong unit would stretch the track by 0.15% or more."""
 _ACCELEROMETERS = "usual 16-bit sensors: 16384 counts per g at +-2 g, 8192 at 4, 4096 at 8, 2048 at 16"
 _GYROS = (
     "usual 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at 500, 32.8 at 1000, 16.4 at 2000; mrad/s: each "
@@ -52,7 +52,7 @@ class Columns:
         return self.names.keys() >= set(whats)
 
     def numbers(self, what: str) -> pl.Series:
-        """Return the numbers in a column, without placeholders."""
+        """Return the numbers of a column, without placeholders."""
         values = numbers_of(self.frame[self.names[what].column])
         return values.filter(~values.is_in(PLACEHOLDERS))
 
@@ -61,7 +61,7 @@ class Columns:
         return float(self.numbers(what).abs().quantile(0.99) or 0.0)
 
     def norms(self, axes: Sequence[str]) -> pl.Series:
-        """Return the magnitudes of a vector of three columns, without placeholders and zeros; none of fewer columns."""
+        """Return the magnitudes of a vector, without placeholders and zeros; empty for fewer than three columns."""
         series = [self.frame[self.names[a].column] for a in axes]
         if len(axes) < 3 or any(s.dtype.is_nested() for s in series):
             return pl.Series([], dtype=pl.Float64)
@@ -91,9 +91,9 @@ def quantity(columns: Columns, what: str, role: Role) -> Found:
 
 
 def _without_unit(columns: Columns, what: str, role: Role) -> Found:
-    """Take accelerations as g or mg if their magnitude is then gravity, and rates above 5 as deg/s.
+    """Read accelerations as g or mg if their magnitude then equals gravity, and rates above 5 as deg/s.
 
-    Others are SI units, or raw counts if they are too large for a car.
+    Others are in SI units or, if too large for a car, raw counts.
     """
     text, letter = columns.text(what), what[0]
     axes = [a for a in (f"{letter}{i}" for i in "xyz") if a in columns and columns.names[a].unit is None]
@@ -103,7 +103,7 @@ def _without_unit(columns: Columns, what: str, role: Role) -> Found:
         size, low, high = median_of(sizes), *(float(sizes.quantile(q) or 0.0) for q in (0.25, 0.75))
         values = {a: columns.numbers(a).abs() for a in {*axes, "az"} if a in columns}
         usual = {a: median_of(v.filter(v > 0)) for a, v in values.items()}
-        steady = high <= STEADY * low  # as gravity; accelerations without gravity are small at rest
+        steady = high <= STEADY * low  # like gravity; accelerations without gravity are small at rest
         if steady and (0.8 < usual.get("az", 0.0) < 1.2 or 0.9 < size < 1.12):
             return Found(f"{text}*9.80665", "accelerations taken as g, since gravity in them is about 1")
         if 930 < size < 1050 and largest < 8000:
@@ -122,7 +122,7 @@ def _without_unit(columns: Columns, what: str, role: Role) -> Found:
 
 
 def _raw_counts(columns: Columns, what: str, role: Role) -> str:
-    """Describe the raw counts of a sensor's axes, and their mapping."""
+    """Describe a sensor's axes as raw counts, and propose their mapping."""
     axes = [a for a in (f"{what[0]}{i}" for i in "xyz") if a in columns]
     if what[0] == "a":
         gravity = median_of(columns.norms(axes))
@@ -176,9 +176,9 @@ def place(columns: Columns, role: Role) -> dict[str, Found]:
 
 
 def _are_dms(lat: pl.Series, lon: pl.Series) -> bool:
-    """Return True for texts with marks of degrees or letters of hemispheres: 48°07'02.3"N, 11 31.5 E, N48.12.
+    """Return True for texts with degree marks or hemisphere letters: 48°07'02.3"N, 11 31.5 E, N48.12.
 
-    Degrees and minutes must be one number in both latitudes and longitudes, or in neither.
+    Degrees and minutes must be one number in both latitude and longitude, or in neither.
     """
     if lat.dtype != pl.String or lon.dtype != pl.String:
         return False
@@ -192,10 +192,10 @@ def _are_dms(lat: pl.Series, lon: pl.Series) -> bool:
 
 
 def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
-    """Return the conditions of the southern and western hemisphere, and faults of the letters.
+    """Return the conditions of the southern and western hemispheres, and faults in their letters.
 
-    The letters are in columns of these names, or in the columns after both coordinates. The latter must contain nothing
-    but the letters of both axes, and the coordinates must have no signs.
+    The letters are in columns of these names, or in the columns that follow the coordinates. The latter must contain
+    only letters of both axes, and coordinates without signs.
     """
     frame, found, sure = columns.frame, dict[str, tuple[str, str]](), list[bool]()
     for what, name, words in (("lat", "ns", "north|south"), ("lon", "ew", "east|west")):
@@ -236,7 +236,7 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
     changes = [v.diff().abs().replace(0.0, None).drop_nulls() for v in values]
     steps = [median_of(v) for v in changes]
     ranges = [float(v.max() or 0) - float(v.min() or 0) for v in values]  # pyright: ignore[reportArgumentType]
-    # If the vehicle stands for most of the time, the usual steps are noise.
+    # If the vehicle stands most of the time, the median steps are noise.
     if all(far < 20 * step for far, step in zip(ranges, steps, strict=True)):
         steps = [float(v.max() or 0) for v in changes]  # pyright: ignore[reportArgumentType]
     far = min(median_of(v.abs()) for v in values) > 0.5
@@ -251,7 +251,7 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
 
 
 def _place_form(columns: Columns, role: Role) -> Found:
-    """Guess the form of latitude and longitude without a unit from their size; {} in the expression is the column."""
+    """Guess the unit of latitude and longitude from their magnitude; {} in the expression is the column."""
     both = ("lat", "lon")
     cells = [columns.frame[columns.names[what].column] for what in both]
     if cells[0].dtype == cells[1].dtype and not cells[0].dtype.is_nested():
@@ -278,7 +278,7 @@ def _place_form(columns: Columns, role: Role) -> Found:
 
 
 def heading(columns: Columns, what: str, role: Role) -> Found:
-    """Convert a direction to rad counter-clockwise from east; bearings and courses in deg run clockwise from north."""
+    """Convert a direction to rad counter-clockwise from east; bearings and courses in deg are clockwise from north."""
     name, text = columns.names[what], columns.text(what)
     if name.unit is not None and name.unit.dimension != "angle":
         return quantity(columns, what, role)

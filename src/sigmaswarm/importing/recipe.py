@@ -1,4 +1,4 @@
-"""A recipe: the settings by which a log becomes a drive, as a TOML file."""
+"""A recipe: the settings with which a log becomes a drive, as a TOML file."""
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,8 +30,8 @@ COLUMNS: dict[Role, tuple[str, ...]] = {
 }
 """Columns of each role.
 
-In addition to a drive's columns (docs/drives.md): ``vx, vy`` of fixes (m/s east, north), ``forward, left`` (m/s in the
-body), ``speed, course`` and ``lat, lon, alt`` of the truth; and ``keep``, true in the rows to read. The ``+ax`` of a
+These are the columns of a drive (docs/drives.md) and: ``vx, vy`` of fixes (m/s east, north); ``forward, left`` (m/s in
+the body frame), ``speed, course`` and ``lat, lon, alt`` of the truth; ``keep``, true for the rows to read. ``+ax`` of a
 second table is added to ``ax``.
 """
 
@@ -40,7 +40,7 @@ _SETTINGS: dict[str, type | int] = {
     **dict.fromkeys(("gps_offset_s", "truth_offset_s", "odometer_offset_s", "declination_deg"), float),
     **{"origin": 3, "gps_lever_arm_m": 3, "gps_from_truth": 2},
 }
-"""Types of the settings; for lists of numbers their length."""
+"""Types of the settings, or lengths of lists of numbers."""
 
 
 @dataclass(frozen=True)
@@ -50,12 +50,12 @@ class Recipe:
     Attributes
     ----------
     roles : the parts of imu, gps, truth, odometer and mag (magnetometer)
-    mount : mounting of the IMU in the vehicle, as ``parse_mount`` takes it
+    mount : mounting of the IMU in the vehicle: see `parse_mount`
     gps_offset_s, truth_offset_s, odometer_offset_s : s, added to the times
     origin : latitude (deg), longitude (deg), altitude (m) of the local frame
     gps_lever_arm_m : m forward, left, up from the IMU to the antenna
-    declination_deg : deg from true to magnetic north, east positive; None to find it by the course
-    gps_from_truth : rate, Hz, and white noise per axis, m, of fixes to make from the truth of a log without a receiver
+    declination_deg : deg from true to magnetic north, east positive; None to estimate it from the course
+    gps_from_truth : rate, Hz, and white noise per axis, m, of fixes made from the truth, for a log without a receiver
     """
 
     roles: Mapping[Role, tuple[Part, ...]] = field(default_factory=dict[Role, tuple[Part, ...]])
@@ -94,7 +94,7 @@ class Recipe:
         return tomli_w.dumps(content)
 
     def said(self) -> Iterator[str]:
-        """Describe the recipe as options of ``--map``, one line per table."""
+        """Describe the recipe as arguments of ``--map``, one line per table."""
         for role, parts in self.roles.items():
             for part in parts:
                 of = f" of {part.table}" if part.table else ""
@@ -137,9 +137,9 @@ def _parts(content: Any, role: Role, path: Path) -> Iterator[Part]:
 def with_maps(
     roles: Mapping[Role, tuple[Part, ...]], maps: Sequence[str], times: Mapping[Role, str]
 ) -> dict[Role, tuple[Part, ...]]:
-    """Replace expressions by the user's, ``ax=-acc_y*9.80665`` or ``gps.t=stamp``; "az=" omits a column.
+    """Replace expressions by those of the user: ``ax=-acc_y*9.80665`` or ``gps.t=stamp``; "az=" omits a column.
 
-    ``times``: time of a role's tables, unless the user maps it.
+    ``times``: times of the tables of a role, unless the user maps them.
     """
     mapped: dict[Role, list[Part]] = {role: list(parts) for role, parts in roles.items()}
     timed: set[Role] = set()
@@ -160,7 +160,7 @@ def with_maps(
 
 
 def mapped_roles(maps: Sequence[str]) -> frozenset[str]:
-    """Return the roles with mapped columns other than the time; wrong entries are refused later."""
+    """Return the roles with mapped columns other than the time; invalid entries are refused later."""
     roles: set[str] = set()
     for text in maps:
         with suppress(InputError):
@@ -179,7 +179,7 @@ def _entry(text: str) -> tuple[Role, str, str]:
             f"--map {text!r}: {prefix!r} is not one of {', '.join(ROLES)}; write for example gps.t=stamp"
         )
     roles: list[Role] = [role for role in ROLES if prefix in ("", role)]
-    for role in roles:  # without a role, x and y are those of the fixes; t and keep those of the IMU
+    for role in roles:  # without a role, x and y are those of the fixes, t and keep those of the IMU
         if column in COLUMNS[role]:
             return role, column, expression.strip()
     there = dict.fromkeys(c for role in roles for c in COLUMNS[role])

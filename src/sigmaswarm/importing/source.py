@@ -20,10 +20,10 @@ ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer", "mag")
 CHUNK = 5000
 FILES = "columns"
 Progress = Callable[[float], None]
-"""Function of the share of the log that is read, 0 to 1."""
+"""Function that receives the share of the log that has been read, 0 to 1."""
 Wanted = Mapping[str, Collection[str]]
 Batch = tuple[str, pl.DataFrame, float]
-"""A table, rows with its wanted columns, and the share of the log that is read, 0 to 1."""
+"""A table, rows with its wanted columns, and the share of the log that has been read, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Limits:
 
     Attributes
     ----------
-    rows : of a table; 10 million are 28 hours at 100 Hz
-    columns : of all tables of a log
-    unpacked_mb : MB of a chunk, or of the required files of a zip, after unpacking
+    rows : rows of a table; 10 million are 28 hours at 100 Hz
+    columns : columns of all tables of a log
+    unpacked_mb : unpacked size, MB, of a chunk or of the required files of a zip
     """
 
     rows: int = 10_000_000
@@ -56,7 +56,7 @@ class Limits:
             )
 
     def first_columns(self, names: Iterator[str], path: Path) -> tuple[str, ...]:
-        """Return the names that are not empty. Empty names count for the limit, since their fields take time."""
+        """Return the names that are not empty; empty names count for the limit, since reading them takes time."""
         found = list(islice(names, self.columns + 1))
         if len(found) > self.columns:
             raise InputError(
@@ -71,7 +71,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a log: columns, type in terms of the format, and number of rows where known."""
+    """A table of a log: columns, type in terms of the format, and number of rows if known."""
 
     columns: tuple[str, ...]
     kind: str = ""
@@ -80,7 +80,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Part:
-    """A drive's columns (with ``t``), as expressions over the columns of one table."""
+    """Columns of a drive (with ``t``), as expressions over the columns of one table."""
 
     table: str
     columns: Mapping[str, str]
@@ -88,7 +88,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Fault:
-    """Reason not to use a column unchanged, with the remedy: an unknown unit, raw counts."""
+    """Reason not to use a column unchanged (an unknown unit, raw counts), with the remedy."""
 
     role: Role
     column: str
@@ -102,9 +102,9 @@ class Placement:
 
     Attributes
     ----------
-    mount : roll, pitch and yaw of the IMU in the vehicle, deg, as ``parse_mount`` takes them
+    mount : roll, pitch and yaw of the IMU in the vehicle, deg: see `parse_mount`
     lever_arm : m forward, left, up from the IMU to the antenna; None if unknown
-    frames : names of the vehicle's frame, the IMU's and the antenna's
+    frames : names of the frames of the vehicle, the IMU and the antenna
     """
 
     mount: str
@@ -112,7 +112,7 @@ class Placement:
     frames: tuple[str, str, str]
 
     def notes(self, mount: str, lever_arm: Any) -> Iterator[str]:
-        """Describe the mounting and lever arm that an import takes from tf_static."""
+        """Describe the mounting and the lever arm that an import takes from tf_static."""
         base, imu, antenna = self.frames
         if mount == self.mount:
             yield f"mounting {mount} deg (roll, pitch, yaw) taken from tf_static, {imu} in {base}"
@@ -129,12 +129,12 @@ class Guess:
 
     Attributes
     ----------
-    roles : parts of each role, at the times of the first part, to which others are interpolated
+    roles : parts of each role; the times are those of the first part, and other parts are interpolated
     notes : sentences for the user
     origin : latitude (deg), longitude (deg), altitude (m) of the truth's frame, if the format defines it
     metadata : keys for drive.toml
-    downward : a sentence if the IMU's vertical axis points down, for an import without a mounting
-    fixed : expression over the fixes' first table, true where carrier phases are fixed; empty if the log lacks it
+    downward : a sentence if the vertical axis of the IMU points down, for an import without a mounting
+    fixed : expression over the first table of fixes, true for fixed integer ambiguities; empty if unknown
     faults : reasons not to use columns unchanged, unless the user maps them
     placed : mounting and lever arm that the log states
     """
@@ -151,12 +151,12 @@ class Guess:
 
 @dataclass(frozen=True)
 class Choice:
-    """Choices of the user among the tables of a log.
+    """The user's choices among the tables of a log.
 
     Attributes
     ----------
-    tables : by role, the chosen table
-    receive_times : True to use times of receipt instead of header stamps
+    tables : the chosen table by role
+    receive_times : True to use receive times instead of header stamps
     mapped : roles with columns that the user maps; any table can be chosen for them
     """
 
@@ -171,10 +171,10 @@ class Log:
 
     Attributes
     ----------
-    batches : reads the wanted columns, in the order of the log
-    guess : makes a recipe
+    batches : function that reads the wanted columns, in the order of the log
+    guess : function that makes a recipe
     remarks : sentences on the log; some are added while batches are read
-    mixed : True if rows of the tables alternate, so that all tables occur at the beginning
+    mixed : True if rows of the tables alternate, so that all tables occur near the beginning
     """
 
     path: Path
@@ -208,7 +208,7 @@ def of_rows(
     guess: Guess,
     remarks: list[str],
 ) -> Log:
-    """Make a log of one table; ``read`` yields its rows, each with the share of the file that is read."""
+    """Make a log of one table; ``read`` yields its rows, each with the share of the file that has been read."""
 
     def batches(wanted: Wanted) -> Iterator[Batch]:
         rows: list[tuple[float, ...]] = []
@@ -227,7 +227,7 @@ def of_rows(
 def roles_of(
     parts: Iterable[tuple[Role, str, Mapping[str, str | tuple[str, ...]]]], tables: Wanted
 ) -> dict[Role, tuple[Part, ...]]:
-    """Return the parts of existing tables; of a tuple of expressions, take the first with existing columns."""
+    """Return the parts of existing tables; of several expressions, the first with existing columns is used."""
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, table, columns in parts:
         if table in tables:
@@ -241,11 +241,11 @@ def roles_of(
 
 
 EXTRAS = {"ros": "rosbags mcap mcap-protobuf-support pyyaml", "logs": "pyubx2 pynmeagps pyulog pymavlink"}
-"""Packages of the extras, by their names for pip."""
+"""Packages of the extras, as arguments of pip."""
 
 
 def library(name: str, extra: str) -> Any:
-    """Import a format's library; if it is missing, state how to install it."""
+    """Import the library of a format; if it is missing, state how to install it."""
     try:
         return import_module(name)
     except ImportError:
@@ -271,7 +271,7 @@ def first_bytes(path: Path, count: int = 4096) -> bytes:
 
 @contextmanager
 def whole(path: Path, what: str = "", remedy: str = "record or copy it again") -> Generator[None]:
-    """Convert any exception of a library on damaged bytes to one line."""
+    """Convert any exception of a library on damaged bytes to an error of one line."""
     try:
         yield
     except InputError:

@@ -1,4 +1,4 @@
-"""Make a time line from a table's times: unwrap counters, choose a recording, spread repeated stamps, sort."""
+"""Make a time line from the times of a table: unwrap counters, choose a recording, spread repeated stamps, sort."""
 
 from itertools import pairwise
 
@@ -20,21 +20,21 @@ WRAPS: tuple[tuple[int, str], ...] = (
     (WEEK * SECOND, "the time of week"),
     (86_400 * SECOND, "the time of day"),
 )
-"""Periods after which clocks restart, ns."""
+"""Periods after which counters restart, ns."""
 FEWEST_ROWS = 20
-"""Smallest number of rows of a separate recording; fewer rows out of order are sorted."""
+"""Smallest number of rows of a separate recording; shorter runs of rows out of order are sorted."""
 LEAST_FALL, STEPS = 0.2, 2
-"""Smallest step back of a clock between recordings: s, and median steps."""
+"""Smallest step back of a clock between recordings, in s and in median steps."""
 REPEATED = 0.02
-"""Share of rows with the time of the row before, above which rows share stamps."""
+"""Share of rows with the time of the previous row, above which rows share stamps."""
 UNEVEN = 0.1
-"""Largest share of stamps with an unusual number of rows."""
+"""Largest share of stamps whose number of rows differs from the usual number."""
 
 
 def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
-    """Convert times of day with digits hhmmss (115959.98) to seconds; also return a sentence about it or "".
+    """Convert times of day with digits hhmmss (115959.98) to seconds; return them, and a sentence or "".
 
-    Only these digits have gaps of 40 s at each minute.
+    Only such digits jump by 40 at each minute.
     """
     whole = time // SECOND
     if len(time) < 3 or int(whole.min()) < 10_000 or int(whole.max()) >= 240_000:
@@ -49,7 +49,7 @@ def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
 
 
 def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
-    """Unwrap a counter that restarted; return the times, and a sentence about it or ""."""
+    """Unwrap a counter that restarted; return the times, and a sentence or ""."""
     steps = np.diff(time)
     ahead = steps[steps > 0]
     if not len(ahead) or not (steps < 0).any():
@@ -57,10 +57,10 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
     usual = float(np.median(ahead))
     for period, name in WRAPS:
         wraps = steps < -0.5 * period
-        # Two exchanged rows of a short log are no wrap: a wrap continues by about a usual step.
+        # Two exchanged rows of a short log are no wrap; after a wrap, the times continue by about a usual step.
         near = np.abs(steps + period) <= min(max(50 * usual, 2 * SECOND), 5 * usual + 1e-3 * period)
         inside = int(time.min()) >= 0 and int(time.max()) <= 1.001 * period
-        # The times may have the date of the first row and the time of day of each row.
+        # Times may consist of the date of the first row and the time of day of each row.
         if period == 86_400 * SECOND and wraps.any():
             edge = np.abs((np.r_[time[1:][wraps], time[:-1][wraps]] + period // 2) % period - period // 2)
             inside |= int(np.ptp(time)) <= period and int(edge.max()) <= 60 * SECOND
@@ -88,7 +88,7 @@ def recordings(time: Nanoseconds) -> list[slice]:
 
 
 def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice, str]:
-    """Return the rows of the chosen recording, and a sentence or ""; of several, one must be chosen."""
+    """Return the rows of the chosen recording, and a sentence or ""; refuse several recordings without a choice."""
     parts = recordings(time)
     if len(parts) == 1:
         return parts[0], f"{where}: its clock does not restart; all its rows are used" if part else ""
@@ -102,7 +102,7 @@ def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice,
 
 
 def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]:
-    """Spread rows that share a stamp evenly up to the next; refuse stamps with varying numbers of rows."""
+    """Spread rows that share a stamp evenly up to the next stamp; refuse stamps with varying numbers of rows."""
     new = np.flatnonzero(np.diff(time, prepend=time[0] - 1) != 0)
     repeated = 1 - len(new) / len(time)
     if len(time) > 2 and len(new) < 2:
@@ -133,7 +133,7 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
     size = counts.astype(np.float64)
     length = np.append(steps, step).astype(np.float64)
     length[np.append(irregular, False)] = step
-    if counts[0] < usual:  # the recording begins within a stamp
+    if counts[0] < usual:  # the recording begins with a part of a stamp's rows
         place[group == 0] += round(usual) - counts[0]
         size[0] = usual
     size[-1] = max(size[-1], usual)
@@ -170,7 +170,7 @@ def in_order(
 
 
 def require_likely(time: Nanoseconds, role: Role, where: str, text: str) -> None:
-    """Refuse steps that are impossible for a car's sensor: the unit is not seconds."""
+    """Refuse time steps that are impossible for a car's sensor, so the unit is not seconds."""
     step = float(np.median(np.diff(time))) / SECOND if len(time) > 2 else SHORTEST_STEP * 2
     if SHORTEST_STEP / 2 < step < 4 * LONGEST_STEP[role]:
         return

@@ -21,11 +21,11 @@ from sigmaswarm.importing.units import PARTS_OF_SECONDS, SECONDS, in_si
 from sigmaswarm.wording import quoted, shown
 
 LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0, "mag": 5.0}
-"""Largest likely interval of samples, s."""
+"""Largest plausible sample interval, s."""
 SHORTEST_STEP = 1e-4
-"""Shortest interval of a car's sensor, s."""
+"""Shortest sample interval of a car's sensor, s."""
 FASTEST_IMU, SLOWEST_IMU = 4e-4, 0.15
-"""Intervals of an IMU, s, outside which the unit of its time is not guessed."""
+"""Range of IMU intervals, s, in which the unit of the time is guessed."""
 DATE_FORMATS = (
     "",
     "%d-%b-%Y %H:%M:%S%.f",
@@ -46,9 +46,9 @@ DATE_FORMATS = (
     "%H:%M:%S:%3f",
     "%I:%M:%S%.f %p",
 )
-"""In the order of trial; the first is ISO 8601."""
+"""Formats in the order of trial; the first is ISO 8601."""
 LEAST_FITTING = 0.99
-"""Least share of dates that fit their format; others are damaged."""
+"""Smallest share of dates that fit their format; other dates are damaged."""
 COUNTED = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 CALENDAR = ("year", "month", "day", "hour", "minute", "second")
 _CALENDAR = {word: word for word in CALENDAR} | {
@@ -57,16 +57,16 @@ _CALENDAR = {word: word for word in CALENDAR} | {
     "min": "minute",
     "sec": "second",
 }
-"""Last words in the names of a date's six columns."""
+"""Last words of the names of a date's six columns."""
 UNITS = {**COUNTED, "days": 86400.0, "h": 3600.0, "min": 60.0}
-"""Units of times, s; those of clock counters come first."""
+"""Units of times, s; those of counters come first."""
 _DATES_S = (3e8, 4e9)
 """Range of dates, s since 1970: 1979 to 2096."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """The expression of a drive's column, an assumption, and a reason not to use it."""
+    """Expression of a drive's column, an assumption, and a reason not to use it."""
 
     expression: str
     note: str = ""
@@ -81,7 +81,7 @@ def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
     if several or (good and good[0][1]):
         return several or good[0][2]
     calendar, parts = _calendar(names, frame)
-    parts = [*parts, *(clock for clock, known, _ in pairs if known)]  # a time of day lacks its day
+    parts = [*parts, *(clock for clock, known, _ in pairs if known)]  # a time of day without its day
     single = _single([n for n in names if n not in parts], frame, role) or calendar
     lacking = single is None or single.fault
     usable = [found for _, known, found in (*good, *pairs) if known or (lacking and not found.fault)]
@@ -91,18 +91,18 @@ def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
 
 
 def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
-    """Return the expression of a table's time, if there is one."""
+    """Return the expression of a table's time, or None."""
     found = find_time(frame, role)
     return found.expression or None if found else None
 
 
 def written(column: str) -> str:
-    """Write a column's name as in an expression."""
+    """Return the name of a column as it is written in an expression."""
     return column if re.fullmatch(r"[A-Za-z_]\w*", column) else f"`{column}`"
 
 
 def numbers_of(values: pl.Series) -> pl.Series:
-    """Return the numbers among a column's values; none of lists and bytes."""
+    """Return the numbers among the values of a column; empty for lists and bytes."""
     if values.dtype.is_nested() or isinstance(values.dtype, pl.Binary | pl.Object):
         return pl.Series([], dtype=pl.Float64)
     if values.dtype == pl.String:
@@ -115,7 +115,7 @@ def median_of(values: pl.Series) -> float:
 
 
 def step_of(values: pl.Series) -> float:
-    """Return the median forward step of a time; rows that share a stamp share a step."""
+    """Return the median forward step of a time; rows with the same stamp share a step."""
     steps = numbers_of(values).diff().drop_nulls()
     forward = steps.filter(steps > 0)
     shared = len(forward) / (len(forward) + int((steps == 0).sum())) if len(forward) else 1.0
@@ -127,7 +127,7 @@ def _scaled(text: str, unit: str) -> str:
 
 
 def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
-    """Find the stamp of a message's header; it precedes the time of recording."""
+    """Find the stamp in a message's header, which takes precedence over the receive time."""
     stamp = next((n for n in names if n.is_one(STAMP)), None)
     if stamp is None or not (numbers_of(frame[stamp.column]) > 0).any():
         return None
@@ -135,7 +135,7 @@ def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Fou
 
 
 def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[Found | None, Sequence[Name]]:
-    """Find a date in six columns (year to second) and fractions of a second in others; return it and the used names."""
+    """Find a date in six columns (year to second) and fractions in others; return it and the names used."""
     parts = {**PARTS_OF_SECONDS, "milli": 1e-3, "micro": 1e-6, "nano": 1e-9}
     for begin in dict.fromkeys(name.words[:-1] for name in names):
         alike = {n.words[-1]: n for n in names if n.words and n.words[:-1] == begin}
@@ -158,7 +158,7 @@ def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[Found | None,
 
 
 def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
-    """Find whole seconds in one column, and the rest of a second in another with the same beginning of its name."""
+    """Find whole seconds in one column, and fractions in another whose name begins in the same way."""
     pairs = [
         (first, rest, PARTS_OF_SECONDS[rest.words[-1]])
         for first in names
@@ -193,8 +193,8 @@ def _week(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
 def _dates_and_times(names: Sequence[Name], frame: pl.DataFrame) -> list[tuple[Name, bool, Found]]:
     """Read a day in one column of text and the time of day in another.
 
-    Return the clock, whether the names are the usual ones, and the time of each pair. Clocks with half as many distinct
-    times as the finest, or fewer, come last.
+    Return the clock, True if the names are the usual ones, and the time, of each pair. Clocks with at most half as many
+    distinct times as the finest clock come last.
     """
     schema = frame.schema
     texts = [n for n in names if schema[n.column] == pl.String and not len(numbers_of(frame[n.column]))]
@@ -212,7 +212,7 @@ def _dates_and_times(names: Sequence[Name], frame: pl.DataFrame) -> list[tuple[N
 
 
 def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
-    """Return the names that end in one of the words, and the words before: utc_date, rtcDate."""
+    """Return the names that end in one of the words, and the part before it: utc_date, rtcDate."""
     found: list[tuple[Name, str]] = []
     for name in names:
         split = "_".join(plain_words(re.sub("(?<=[a-z])(?=[A-Z])", "_", name.column)))
@@ -222,9 +222,9 @@ def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
 
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
-    """Find a column with a name of a time, preferably one that changes; else a clock that increases.
+    """Find a column with the name of a time, preferably one that changes; else a clock that increases.
 
-    A column that is always 0 (unset stamps) is ignored.
+    A column that is always 0 (stamps that are not set) is ignored.
     """
     times = [name for name in names if name.meaning == "t"]
     for name in sorted(times, key=lambda name: frame[name.column].n_unique() < 2):
@@ -237,7 +237,7 @@ def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | N
 
 
 def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> Found:
-    """Read the time in one column: dates in text, or numbers by the unit in the name, their size or their steps."""
+    """Read the time in one column: dates in text, or numbers, by the unit in the name, their size or their steps."""
     values, text = frame[name.column], written(name.column)
     if values.dtype == pl.String and not len(numbers_of(values)) and values.str.len_chars().max():
         return _of_text([name.column], frame)
@@ -260,7 +260,7 @@ def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
 
 
 def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
-    """Read dates in text by the format that fits most; refuse those that two formats read, or that few fit."""
+    """Read dates in text by the format that fits most; refuse those that fit two formats or hardly any."""
     texts = frame.select(as_text(columns).alias("date"))["date"].drop_nulls()
     texts = texts.filter(texts.str.contains(r"\d")).unique(maintain_order=True)  # a placeholder counts once
     read = {form: _read_by(texts, form).count() for form in DATE_FORMATS}
@@ -301,7 +301,7 @@ def _read_by(texts: pl.Series, form: str) -> pl.Series:
 
 
 def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
-    """Read numbers without a unit: by their size, if they count from 1970, else by a likely step."""
+    """Read numbers without a unit: by their size if they count from 1970, else by plausible steps."""
     numbers = numbers_of(values)
     size, step = median_of(numbers.abs()), step_of(values)
     column = text.strip("`")
@@ -319,7 +319,7 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
 
 
 def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> Found:
-    """Read steps too short for seconds: days of a spreadsheet or of MATLAB, or a share of a day."""
+    """Read numbers whose steps are too short for seconds as days of a spreadsheet or of MATLAB, or as day fractions."""
     low, high = float(numbers.min()), float(numbers.max())  # pyright: ignore[reportArgumentType]
     likely = SHORTEST_STEP < step * 86400 < 4 * LONGEST_STEP[role]
     for begin, end, epoch, whose in ((2e4, 8e4, EXCEL_EPOCH, "1900"), (6.5e5, 8e5, MATLAB_EPOCH, "year 0")):
@@ -333,9 +333,9 @@ def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role
 
 
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
-    """Describe an error in the unit of a time, ``column`` or ``column*number``, with the remedy; else return "".
+    """Describe a wrong unit of a time, ``column`` or ``column*number``, with the remedy; else return "".
 
-    The unit is wrong if no sensor has these steps, and another unit makes them likely, preferably with a present date.
+    The unit is wrong if no sensor has such steps and another unit makes them plausible, preferably with recent dates.
     """
     plain = re.fullmatch(r"\s*(`[^`]+`|[A-Za-z_]\w*)\s*(?:\*\s*([\d.eE+-]+)|/\s*([\d.eE+-]+))?\s*", text)
     name = plain[1].strip("`") if plain else ""

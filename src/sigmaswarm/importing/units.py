@@ -33,7 +33,7 @@ _BASE_WORDS = {
         **{2 * math.pi: "rev revolutions turn turns", math.pi / 200: "gon"},
     },
 }
-"""Words for units of length, time and angle, by their factors to m, s and rad."""
+"""Words for units of length, time and angle, by factor to m, s and rad."""
 _BASES = {
     word: (kind, factor)
     for kind, words in _BASE_WORDS.items()
@@ -106,7 +106,7 @@ class Unit:
 
 
 def parse_unit(text: str) -> Unit | None:
-    """Read the unit that a text states; None if it states none, an unknown unit if it is not recognized."""
+    """Parse a unit; None if the text states none, a `Unit` without dimension if it is not recognized."""
     plain = text.strip().lower().translate(_PLAIN)
     if plain in NONE:
         return None
@@ -146,7 +146,7 @@ def in_si(unit: Unit, text: str) -> str:
 
 
 def _times(text: str, factor: float) -> str:
-    """Write a text times a power of ten, or divided by a short number; else return ""."""
+    """Write a text times a power of ten, or divided by a short number; "" if neither is possible."""
     power, inverse = round(math.log10(factor)), 1 / factor
     if math.isclose(factor, 10.0**power, rel_tol=1e-12):
         return f"{text}*1e{power}"

@@ -1,4 +1,4 @@
-"""Compare the stated speed and course of positions with the positions; leave out what they contradict."""
+"""Compare the stated speed and course with the positions, and leave out columns that contradict these."""
 
 import re
 from collections.abc import Iterable
@@ -13,26 +13,26 @@ from sigmaswarm.importing.source import Part
 
 UNITS = (("mm/s", 1e3, "*1e-3"), ("cm/s", 100.0, "*1e-2"), ("km/h", 3.6, "/3.6"), ("ft/s", 3.28084, "*0.3048"),
          ("mph", 2.23694, "*0.44704"), ("knots", 1.94384, "*0.514444444444"))  # fmt: skip
-"""Units of speeds: their number in 1 m/s, and what converts them in an expression."""
+"""Units of speed: the name, the number per m/s, and the conversion in an expression."""
 ALIKE, CONSTANT = 1.5, 2.0
-"""Largest ratio of a stated speed to that of the positions; largest ratio of its 90% to its 10% quantile, since a unit
-gives a constant ratio."""
+"""Largest ratio of a stated speed to that of the positions without contradiction; largest ratio of the 90% to the 10%
+quantile of this ratio for a wrong unit, which gives a constant ratio."""
 MOVED = 0.3
-"""Smallest share of the rows with motion that the compared stretches must cover."""
+"""Smallest share of the rows in motion that the compared stretches must contain."""
 ACROSS = np.radians(40)
-"""Smallest median difference of a course from that of the positions that contradicts it. A course that lags behind in
-turns, or one of positions with much noise, differs by less."""
+"""Smallest median difference between a course and that of the positions that is a contradiction. A course that lags in
+turns, or that of noisy positions, differs by less."""
 FEWEST = 5
-"""Smallest number of stretches that can contradict a column."""
+"""Smallest number of stretches for a contradiction."""
 _SPEED = ("speed", "course", "vx", "vy")
 
 
 def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterable[Part], say: Say) -> Values:
-    """Return the columns (n,) of positions without a speed or a course that the positions x, y contradict.
+    """Return the columns (n,) of positions, without a speed or course that the positions x, y contradict.
 
     Parameters
     ----------
-    parts : the parts of the role, whose expressions the sentences name
+    parts : the parts of the role, whose expressions the messages state
     """
     texts = {name: text for part in parts for name, text in part.columns.items() if name in _SPEED}
     begin, end = _stretches(time, values["x"], values["y"])
@@ -41,7 +41,7 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
         speed, course = np.hypot(values["vx"], values["vy"]), np.arctan2(values["vy"], values["vx"])
     if speed is not None and course is not None:
         course = np.where(speed < 0, course + np.pi, course)  # a vehicle in reverse
-    if speed is not None:  # slow wander of the positions is no motion: the speed must show motion as well
+    if speed is not None:  # slow wander of the positions is no motion, so the speed must also show motion
         moves = np.concatenate([[0], np.cumsum(np.abs(speed) > MOVING)])
         both = moves[end + 1] - moves[begin] > 0.5 * (end + 1 - begin)
         enough = np.sum((end - begin)[both]) >= MOVED * moves[-1]
@@ -67,7 +67,7 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
 def _ratio(
     time: Array, values: Values, speed: Array, begin: NDArray[np.int64], end: NDArray[np.int64]
 ) -> float:
-    """Return the median ratio of a speed to that of the positions in stretches; 1 if it is not constant."""
+    """Return the median ratio of a speed to that of the positions; 1 if the ratio is not constant."""
     sums = np.concatenate([[0.0], np.cumsum(np.abs(speed))])
     stated = (sums[end + 1] - sums[begin]) / (end + 1 - begin)
     moved = np.hypot(*(values[n][end] - values[n][begin] for n in ("x", "y"))) / (time[end] - time[begin])
@@ -76,7 +76,7 @@ def _ratio(
 
 
 def _remedy(ratio: float, texts: dict[str, str], role: str) -> str:
-    """Propose the unit whose factor is nearest to the ratio, if it is within 10%."""
+    """Propose the unit with the nearest factor to a ratio, if it is within 10%."""
     unit = min(UNITS, key=lambda u: abs(np.log(ratio / u[1])))
     speeds = {name: text for name, text in texts.items() if name != "course"}
     if abs(np.log(ratio / unit[1])) > 0.1 or not speeds:
@@ -87,10 +87,10 @@ def _remedy(ratio: float, texts: dict[str, str], role: str) -> str:
 
 
 def _stretches(time: Array, x: Array, y: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first and the last rows of stretches in which the position certainly and steadily moves.
+    """Return the first and last rows of stretches in which the position moves steadily.
 
-    A stretch is longer than ten times the noise between rows, has at least five positions, and none of its steps is
-    most of it: a jump of the fixes of a parked vehicle is no motion.
+    A stretch is longer than ten times the noise between rows and has at least five positions. No single step is most of
+    it, since a jump of the fixes of a parked vehicle is no motion.
     """
     rows = np.flatnonzero(
         np.append(True, (np.diff(x) != 0) | (np.diff(y) != 0))

@@ -1,6 +1,6 @@
-"""ArduPilot's dataflash logs, ``.bin``, and the same as text, ``.log``, through pymavlink.
+"""ArduPilot's dataflash logs, ``.bin``, or the same as text, ``.log``, through pymavlink.
 
-Messages (ArduPilot, libraries/AP_Logger/LogStructure.h): TimeUS in us since start, before 3.3 TimeMS in ms, or T of
+Messages (ArduPilot, libraries/AP_Logger/LogStructure.h): TimeUS in us since start; before 3.3 TimeMS in ms, or T of
 GPS, whose TimeMS is the time of week; IMU forward, right, down (m/s2, rad/s); GPS in degrees, m/s, degrees from north;
 GPA with the stated accuracies; SIM with the true position of a simulation.
 """
@@ -26,7 +26,7 @@ from sigmaswarm.importing.source import (
 )
 
 MOST_SKIPPED = 200_000
-"""Largest number of bytes outside of messages; pymavlink needs about a second to skip them."""
+"""Largest number of bytes outside of messages; pymavlink takes about a second to skip them."""
 MAGIC, TEXTS = b"\xa3\x95\x80", (b"FMT, 128,", b"FMT,128,")
 _T = {"t": "TimeUS*1e-6"}
 _PLACE = _T | {"lat": "Lat", "lon": "Lng", "alt": "Alt"}
@@ -49,7 +49,7 @@ _COLUMNS = {
 
 
 class _Skipped(StringIO):
-    """Sink for pymavlink's report of each skipped byte; it refuses a long file of other bytes."""
+    """Sink for pymavlink's report of each skipped byte; refuses files with many of them."""
 
     count = 0
 
@@ -69,8 +69,8 @@ def recognizes(path: Path) -> bool:
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     module = library("pymavlink.DFReader", "logs")
     kind = module.DFReader_binary if first_bytes(path, 3) == MAGIC else module.DFReader_text
-    log = kind.__new__(kind)  # its files can then be closed if __init__ fails
-    log.init_arrays_fast = log.init_arrays  # the output of the compiled one can't be caught
+    log = kind.__new__(kind)  # so that its files can be closed if __init__ fails
+    log.init_arrays_fast = log.init_arrays  # the output of the compiled function can't be caught
     try:
         with whole(path), redirect_stderr(_Skipped()), redirect_stdout(StringIO()):  # it prints skipped data
             log.__init__(str(path), zero_time_base=True)

@@ -1,4 +1,4 @@
-"""CSV and Parquet: a file, or a folder of them, each file a table. Rows stream through polars."""
+"""CSV and Parquet: a file, or a folder of files, each of which is a table. Rows are streamed through polars."""
 
 import re
 import subprocess
@@ -23,7 +23,7 @@ CHUNK = 100_000
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a table file, by name or first lines, or a folder of table files or like EuRoC's, by names."""
+    """Return True for a table file, by name or first lines, and for a folder of table files or one like EuRoC's."""
     return bool(_files(path)) or (path.is_file() and is_table(path))
 
 
@@ -56,7 +56,7 @@ def of_files(
     guessed: Guess | None = None,
     remarks: Sequence[str] = (),
 ) -> Log:
-    """Make a log of tables in files, scanned on use; without a reader's guess, columns' names give the roles."""
+    """Make a log of tables in files, which are scanned on use; without ``guessed``, column names give the roles."""
     tables = {name: Table(tuple(rows.collect_schema().names()), kind) for name, rows in scans.items()}
 
     def batches(wanted: Wanted) -> Iterator[Batch]:
@@ -81,9 +81,9 @@ def of_files(
 
 
 def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.LazyFrame:
-    """Scan a table file; the types of a CSV's columns are found over all its rows.
+    """Scan a table file; the types of a CSV's columns are determined from all rows.
 
-    ``shown_as`` is the name of an unpacked file in messages; ``remarks`` receives sentences on repeated names.
+    ``shown_as``: name of an unpacked file in messages. ``remarks``: receives sentences on repeated names.
     """
     if first_bytes(file, 4) == b"PAR1":
         _require_decodable(file, shown_as, limits)
@@ -101,7 +101,7 @@ def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.L
         remarks += dialect.remarks
         _check_names(names, shown_as, limits)
         frame = _text(file, dialect, shown_as)
-    frame = frame.with_columns(pl.col(pl.Categorical, pl.Enum).cast(pl.String))  # their numbers mean nothing
+    frame = frame.with_columns(pl.col(pl.Categorical, pl.Enum).cast(pl.String))  # their codes have no meaning
     old = frame.collect_schema().names()
     return frame.rename(dict(zip(old, _plain(names, shown_as, remarks), strict=True)))
 
@@ -117,7 +117,7 @@ sys.exit(count <= int(sys.argv[2]) and count != sum(map(len, rows.collect_batche
 def _require_decodable(file: Path, shown_as: Path, limits: Limits) -> None:
     """Decode a Parquet file in another process first.
 
-    On damaged bytes polars may abort, or print a trace and leave rows out without an error.
+    On damaged bytes, polars may abort, or print a trace and omit rows without an error.
     """
     words = [sys.executable, "-c", _DECODE, str(file), str(limits.rows)]
     ended = subprocess.run(words, capture_output=True, check=False)
@@ -134,10 +134,10 @@ def _check_names(names: Sequence[str], shown_as: Path, limits: Limits) -> None:
 
 
 def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
-    """Scan the rows of a text table, with columns c1, c2, ...; decimal commas become dots."""
+    """Scan the rows of a text table as columns c1, c2, ...; decimal commas become dots."""
     columns = [f"c{k}" for k in range(1, len(dialect.names) + dialect.surplus + 1)]
     try:
-        if dialect.separator == BLANKS:  # any number of them
+        if dialect.separator == BLANKS:  # any number of blanks
             cells = (
                 pl.col("line").str.strip_chars().str.replace_all(r"\s+", " ").str.splitn(" ", len(columns))
             )
@@ -175,7 +175,7 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
 
 
 def text_lines(file: Path, skip: int, encoding: str = "utf8-lossy", **options: Any) -> pl.LazyFrame:
-    """Scan the lines of a text after the first ``skip`` as a column ``line``; empty ones are null."""
+    """Scan the lines of a text after the first ``skip`` as a column ``line``; empty lines are null."""
     return pl.scan_csv(
         **one_file(file),
         separator="\x1f",
@@ -210,7 +210,7 @@ def _plain(names: Sequence[str], file: Path, remarks: list[str]) -> list[str]:
 
 
 def _require_closed_quotes(file: Path, shown_as: Path) -> None:
-    """Refuse an odd number of quotes: the rest of the file would count as one cell."""
+    """Refuse an odd number of quotes, since the rest of the file would be read as one cell."""
     with file.open("rb") as stream:
         quotes = sum(block.count(b'"') for block in iter(lambda: stream.read(1 << 20), b""))
     if quotes % 2:
@@ -228,7 +228,7 @@ def collect(
     table: str,
     read: Callable[[pl.LazyFrame], pl.DataFrame] = pl.LazyFrame.collect,
 ) -> pl.DataFrame:
-    """Return the rows that ``read`` takes, by default all; errors of polars become one line."""
+    """Return the rows that ``read`` takes, by default all; errors of polars become errors of one line."""
     try:
         return read(rows)
     except BROKEN as error:

@@ -1,8 +1,8 @@
 """comma2k19: a segment's folder, with processed_log and global_pose.
 
-H. Schafer et al., "A Commute in Data: The comma2k19 Dataset", 2018, and the data set's README: NumPy arrays of times
-(s since the device's start) and values; IMU forward, right, down; poses of the camera in ECEF, with quaternions
-(Hamilton, w first) that turn the device's axes to ECEF.
+H. Schafer et al., "A Commute in Data: The comma2k19 Dataset", 2018, and the README of the data set: NumPy arrays of
+times (s since the start of the device) and values; IMU forward, right, down; poses of the camera in ECEF, with
+quaternions (Hamilton, w first) that rotate the axes of the device to ECEF.
 """
 
 from contextlib import ExitStack
@@ -26,7 +26,7 @@ _SENSORS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ),
     "speed": (("CAN/speed",), ("speed",)),
 }
-"""By table: folders that may contain it, and columns."""
+"""By table: folders that may contain it, and its columns."""
 _FIX = {
     **{"t": "t", "lat": "latitude", "lon": "longitude", "alt": "altitude"},
     **{"speed": "speed", "course": "radians(90 - bearing)"},
@@ -61,9 +61,9 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _load(path: Path, width: int, rows: int | None = None) -> Array:
-    """Load an array (rows, width) of numbers; for a width of 1 it may have the shape (rows,)."""
+    """Load an array (rows, width) of numbers; for a width of 1, the shape may be (rows,)."""
     with whole(path, "can't be read as a NumPy array", "unpack the segment again"):
-        # mapped: a header with a larger shape than the file is refused before memory is allocated
+        # mapped, so that a header with a shape larger than the file is refused before memory is allocated
         array = np.load(path, allow_pickle=False, mmap_mode="r")
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub":
             raise ValueError("no array of numbers")
@@ -76,7 +76,7 @@ def _load(path: Path, width: int, rows: int | None = None) -> Array:
 
 @np.errstate(all="ignore")
 def _pose(folder: Path) -> pl.DataFrame:
-    """Return position in degrees, velocity and heading of the camera; a broken position does not affect others."""
+    """Return position in degrees, velocity and heading of the camera; an invalid position affects no other."""
     time = _load(folder / "frame_times", 1)
     if not len(time):
         raise InputError(f"{folder / 'frame_times'}: has shape (0,), not (1,); unpack the segment again")
@@ -84,7 +84,7 @@ def _pose(folder: Path) -> pl.DataFrame:
     ecef, velocity, quaternion = (_load(folder / f"frame_{n}", k, len(time)) for n, k in widths.items())
     lat, lon, alt = pymap3d.ecef2geodetic(*ecef.T)
     w, x, y, z = quaternion.T
-    # the first column of the rotation: where the device's forward axis points
+    # the first column of the rotation is the direction of the device's forward axis
     forward = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
     east, north, _ = pymap3d.ecef2enuv(*forward, lat0=lat, lon0=lon)
     vx, vy, _ = pymap3d.ecef2enuv(*velocity.T, lat0=lat, lon0=lon)

@@ -1,4 +1,4 @@
-"""The dialect of a text table by its first lines: separator, header, units, decimal commas."""
+"""The dialect of a text table, from its first lines: separator, header, units, decimal commas."""
 
 import csv
 import math
@@ -16,13 +16,13 @@ from sigmaswarm.importing.units import COUNTS, parse_unit
 from sigmaswarm.wording import names_shown
 
 HEAD = 4_000_000
-"""Bytes in which a header is searched."""
+"""Number of bytes in which a header is searched."""
 SAMPLE, MOST_LINES = 200_000, 300
-"""Characters and lines of rows that are examined."""
+"""Number of characters and lines of rows that are examined."""
 SEPARATORS = (";", "\t", "|", ",")
-"""By preference, if two fit equally well: commas may be decimal."""
+"""Separators in order of preference if two fit equally well; commas may be decimal."""
 BLANKS = " "
-"""Separator of any number of blanks."""
+"""A separator of any number of blanks."""
 COMMENTS = "#%!"
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
 _DIGITS = re.compile(r"\d{8} ?\d{4,6}[\d.]{0,10}")
@@ -39,7 +39,7 @@ _MESSAGES = {
     ],
     18: [*_HEADER, *_FIX, *_COVARIANCE, "type"],
 }
-"""Fields of sensor_msgs/Imu and NavSatFix, by their number."""
+"""Fields of sensor_msgs/Imu and NavSatFix, by number of fields."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,11 @@ class Dialect:
 
     Attributes
     ----------
-    names : of the columns, with the unit of a units row in brackets
+    names : names of the columns, with the unit of a units row in brackets
     skip : number of lines above the first row of values
     comma_columns : indices of the columns with decimal commas
     surplus : True if each row ends in a separator, so that an empty column follows
-    remarks : one sentence each
+    remarks : sentences for the user
     """
 
     separator: str
@@ -75,7 +75,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     cells = {i: split(lines[i], separator) for i in rows}
     numeric = _numeric_columns([cells[i] for i in rows[-40:]])
     first = next((i for i in rows if _is_data(cells[i], numeric)), None)
-    if first is None:  # nothing but texts: the first line is the header
+    if first is None:  # only texts: the first line is the header
         names = _titles(lines[rows[0]], separator) if rows else []
         return Dialect(separator, tuple(names), rows[0] + 1 if rows else 0, encoding)
     data = [cells[i] for i in rows if i >= first]
@@ -110,7 +110,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
 
 
 def _of_message(row: Sequence[str]) -> list[str]:
-    """Return the fields of sensor_msgs/Imu or NavSatFix, as `ros2 topic echo --csv` prints them, or []."""
+    """Return the fields of sensor_msgs/Imu or NavSatFix if `ros2 topic echo --csv` printed the row; else []."""
     fields = _MESSAGES.get(len(row), [])
     if not fields or is_value(row[2]) or not (row[0] + row[1]).isdigit() or int(row[1]) >= 1_000_000_000:
         return []
@@ -120,9 +120,9 @@ def _of_message(row: Sequence[str]) -> list[str]:
 
 
 def _require_one_kind(rows: Rows, shown_as: Path) -> None:
-    """Refuse rows that begin with the name of their kind, if the kinds differ in the number of cells."""
+    """Refuse rows that begin with the name of their kind if the kinds differ in the number of cells."""
     last = [max(k for k, cell in enumerate(row) if k == 0 or cell.strip()) for row in rows]
-    # A row with a name and a time alone, as of a fix that is not valid, is no kind of its own.
+    # A row of only a name and a time, as of an invalid fix, is not a kind of its own.
     kinds = {(row[0].strip(), end) for row, end in zip(rows, last, strict=True) if end > 1}
     names = sorted({name for name, _ in kinds})
     named = all(re.fullmatch(r"\$?[A-Za-z]\w*", name) for name in names)
@@ -136,7 +136,7 @@ def _require_one_kind(rows: Rows, shown_as: Path) -> None:
 
 
 def is_table(file: Path) -> bool:
-    """Return True if the first lines of a file of any name are rows of at least three cells, most of them numbers."""
+    """Return True if the first lines of a file are rows of at least three cells, most of which are numbers."""
     head = first_bytes(file, 65536)
     if b"\0" in head:
         return False
@@ -146,7 +146,7 @@ def is_table(file: Path) -> bool:
 
 
 def _has_decimal_commas(cells: Sequence[str]) -> bool:
-    """Return True for numbers with commas, and no other texts with commas, as dates."""
+    """Return True for numbers with commas, unless many other texts (such as dates) have commas."""
     filled = [cell.strip() for cell in cells if cell.strip().lower() not in _EMPTY][:100]
     numbers = sum(_NUMBER.fullmatch(cell) is not None for cell in filled)
     return any("," in cell for cell in cells) and numbers >= 0.9 * len(filled)
@@ -183,7 +183,7 @@ def split(line: str, separator: str) -> list[str]:
         return line.split(separator)
     try:
         return next(csv.reader([line], delimiter=separator, skipinitialspace=True))
-    except (csv.Error, StopIteration):  # an endless cell
+    except (csv.Error, StopIteration):  # a quote that is not closed
         return line.split(separator)
 
 
@@ -196,7 +196,7 @@ def is_value(cell: str) -> bool:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """Return the separator with the most rows of equal length; else that of the first line."""
+    """Return the separator with the most rows of equal length; without such rows, that of the first line."""
     best, most = "", 0.0
     for separator in (*SEPARATORS, BLANKS):
         if separator == BLANKS and best:
@@ -234,8 +234,8 @@ def _header(
 ) -> tuple[list[str], bool]:
     """Read the names from the lines above the rows; return them, and True if the rows end in a separator.
 
-    ``width`` and ``most``: usual and largest number of cells of a row; ``open_end``: the last of ``width`` cells is
-    always empty.
+    ``width`` and ``most``: usual and largest number of cells of a row. ``open_end``: True if the last of ``width``
+    cells is always empty.
     """
     fitting = [_fitting(line, separator, width, most, open_end) for line in above]
     place = next((k for k in range(len(above) - 1, max(len(above) - 4, -1), -1) if fitting[k]), None)
@@ -250,13 +250,13 @@ def _header(
     if len(titles) == width and open_end and not titles[-1].strip():
         titles = titles[:-1]
     counted = titles[1:] if not titles[0] else titles
-    if counted == [str(k) for k in range(len(counted))]:  # an index, as pandas writes it
+    if counted == [str(k) for k in range(len(counted))]:  # an index, as written by pandas
         titles = [f"c{k}" for k in range(1, len(titles) + 1)]
     return titles, width == len(titles) + 1 and open_end
 
 
 def _fitting(line: str, separator: str, width: int, most: int, open_end: bool) -> list[str]:
-    """Split a line by the rows' separator or another into one cell for each column; else return []."""
+    """Split a line by the rows' separator, or by another, into one cell per column; else return []."""
     for other in (separator, *(s for s in (*SEPARATORS, BLANKS) if s != separator)):
         cells = _titles(line, other)
         if len(cells) == width + 1 and not cells[-1].strip():
@@ -268,7 +268,7 @@ def _fitting(line: str, separator: str, width: int, most: int, open_end: bool) -
 
 
 def _titles(line: str, separator: str) -> list[str]:
-    """Split a header into cells; one of the form "name"|"unit"|... becomes the name with its unit."""
+    """Split a header into cells; cells "name"|"unit"|... become names with units."""
     line = line.strip("\r")
     if line.lstrip(" ")[:1] in (*COMMENTS, "/"):  # a leading tab is a separator
         line = line.lstrip(" " + COMMENTS + "/")
@@ -280,7 +280,7 @@ def _titles(line: str, separator: str) -> list[str]:
 
 
 def _are_units(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
-    """Return True if a line's cells are units, and no more of them are names than in the line above."""
+    """Return True if the cells of a line are units, and at most as many are names as in the line above."""
     units = [parse_unit(c.strip("[]() ")) for c in cells if c.strip()]
     known = any(u is not None and (u.known or u.text.lower() in COUNTS) for u in units)
     meanings = [sum(read_name(c).meaning is not None for c in row[:100]) for row in (cells, above)]
@@ -293,7 +293,7 @@ def _with_unit(name: str, unit: str) -> str:
 
 
 def uneven_row(file: Path, dialect: Dialect) -> tuple[int, int] | None:
-    """Find the first row with more cells than names; return its line and number of cells, or None."""
+    """Return line number and number of cells of the first row with more cells than names, or None."""
     most = len(dialect.names) + dialect.surplus
     with file.open(encoding="utf-8", errors="replace") as lines:
         for number, line in enumerate(lines, 1):

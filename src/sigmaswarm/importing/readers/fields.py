@@ -1,6 +1,6 @@
 """Numbers of messages by their paths, such as ``linear_acceleration.x`` or ``covariance[0]``, and header stamps.
 
-`columns_of` lists the paths of a definition in rosbags' type store; `getter` reads a number.
+`columns_of` lists the paths of a message definition in rosbags' type store; `getter` reads a number.
 """
 
 import re
@@ -13,11 +13,11 @@ from sigmaswarm.importing.source import Limits
 
 DEEPEST = 6
 MOST_ELEMENTS = 36
-"""Elements of a fixed array, or of a list in JSON, that become columns: a 6 x 6 covariance."""
+"""Largest number of elements of a fixed array or a JSON list that become columns, as of a 6 x 6 covariance."""
 
 
 def getter(column: str) -> Callable[[Any], Any]:
-    """Return a function that reads a column's number from a message; None if a message in JSON has none."""
+    """Return a function that reads the number of a column from a message; None if a JSON message lacks it."""
     if column == "stamp":
         return stamp_of
     element = re.fullmatch(r"(.*)\[(\d{1,9})\]", column, re.DOTALL)
@@ -33,7 +33,7 @@ def getter(column: str) -> Callable[[Any], Any]:
 
 
 def number_in(message: Any, path: str, i: int | None = None) -> int | float | None:
-    """Return the number at a path of a message in JSON, or None: keys may be missing, and lists vary in length."""
+    """Return the number at a path of a JSON message, or None: keys may be missing, and lists vary in length."""
     for name in path.split("."):
         message = message.get(name) if isinstance(message, dict) else None
     if i is not None:
@@ -42,7 +42,7 @@ def number_in(message: Any, path: str, i: int | None = None) -> int | float | No
 
 
 def stamp_of(message: Any) -> int | None:
-    """Return the stamp of a message's header, ns; None if a message in JSON has none."""
+    """Return the stamp of a message's header, ns; None if a JSON message lacks it."""
     if not isinstance(message, dict):
         stamp = message.header.stamp
         return stamp.sec * 10**9 + stamp.nanosec
@@ -58,7 +58,7 @@ def stamp_of(message: Any) -> int | None:
 def columns_of(typestore: Any, msgtype: str, limits: Limits, path: Path) -> tuple[str, ...]:
     """List the columns: ``received``, ``stamp`` if the message has a header, and one for each number.
 
-    Their number is limited, since a definition of 2 kB can nest hundreds of millions of fields.
+    The number of columns is limited, since a definition of 2 kB can nest hundreds of millions of fields.
     """
     if msgtype not in typestore.fielddefs:
         return ()
@@ -68,7 +68,7 @@ def columns_of(typestore: Any, msgtype: str, limits: Limits, path: Path) -> tupl
 
 
 def _paths(typestore: Any, msgtype: str, before: str, depth: int) -> Iterator[str]:
-    """Yield the paths depth first; lists of unknown length and texts yield only an empty name."""
+    """Yield the paths, depth first; a list of unknown length or a text yields an empty name."""
     from rosbags.interfaces import Nodetype
 
     if depth > DEEPEST or msgtype not in typestore.fielddefs:

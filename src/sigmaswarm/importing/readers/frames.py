@@ -1,4 +1,4 @@
-"""Poses of the IMU and the antenna in the vehicle, by the static transforms of ROS (/tf_static)."""
+"""Poses of the IMU and the antenna in the vehicle, from the static transforms of ROS (/tf_static)."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -10,7 +10,7 @@ from sigmaswarm.geodesy import roll_pitch_yaw
 from sigmaswarm.importing.source import Placement, Table
 
 BASES = ("base_link", "base_footprint")
-"""Names of the vehicle's frame, x forward, y left, z up (REP-105)."""
+"""Names of the vehicle's frame, with x forward, y left, z up (REP-105)."""
 Pose = tuple[Array, Array]
 """Rotation (3, 3) and translation (3,), m, of a frame in another."""
 Tree = Mapping[str, tuple[str, Pose]]
@@ -24,16 +24,16 @@ def static_topic(tables: Mapping[str, Table]) -> str | None:
 
 
 def frame_of(message: Any) -> str:
-    """Return the frame of a message's header; of an Odometry that of the body, by default the vehicle's."""
+    """Return the frame of a message's header; for an Odometry that of the body, by default the vehicle's."""
     child = getattr(message, "child_frame_id", None)
     name = child if child is not None else getattr(getattr(message, "header", None), "frame_id", "")
     return name.strip("/") or (BASES[0] if child is not None else "")
 
 
 def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | None:
-    """Find the poses of the IMU and the antenna in the vehicle; None if no transforms connect IMU and vehicle.
+    """Find the poses of IMU and antenna in the vehicle; None if no transforms connect IMU and vehicle.
 
-    ``messages`` are of type tf2_msgs/TFMessage; the last of a repeated transform counts.
+    ``messages`` are of type tf2_msgs/TFMessage; a later transform of the same frame replaces an earlier one.
     """
     tree: dict[str, tuple[str, Pose]] = {}
     for message in messages:
@@ -56,7 +56,7 @@ def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | No
 
 
 def _pose_of(transform: Any) -> Pose | None:
-    """Convert a transform to rotation and translation; None if its quaternion is no rotation."""
+    """Convert a transform to rotation and translation; None if its quaternion is not a rotation."""
     r, t = transform.rotation, transform.translation
     x, y, z, w = q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
     translation, norm = np.array([t.x, t.y, t.z], dtype=np.float64), float(np.linalg.norm(q))
@@ -70,7 +70,7 @@ def _pose_of(transform: Any) -> Pose | None:
 def _ancestors(tree: Tree, frame: str) -> dict[str, Pose]:
     """Return the pose of a frame in itself and in each of its ancestors, the nearest first."""
     found, pose = dict[str, Pose](), (np.eye(3), np.zeros(3))
-    while frame not in found:  # transforms may form a ring
+    while frame not in found:  # transforms may form a cycle
         found[frame] = pose
         if frame not in tree:
             break

@@ -1,8 +1,8 @@
-"""Android's GnssLogger: one text with lines of several kinds; comments at the top name their columns.
+"""Android's GnssLogger: one text file with several kinds of lines, whose columns are named in comments at the top.
 
-LOGGING.md of the app: Fix (degrees, m/s, AccuracyMeters the radius of a circle with 68%, bearing from north), Accel or
-UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). ``elapsedRealtimeNanos`` is one clock for all kinds; in older
-logs Fix lacks it, and UTC in milliseconds is used.
+LOGGING.md of the app: Fix (degrees, m/s, AccuracyMeters the radius of a 68% circle, bearing from north), Accel or
+UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). ``elapsedRealtimeNanos`` is one clock for all kinds; Fix
+lacks it in older logs, and UTC in milliseconds is used.
 """
 
 from contextlib import ExitStack
@@ -35,7 +35,7 @@ _FIX: dict[str, str | tuple[str, ...]] = {
     "course": ("radians(90 - BearingDegrees)",),
     "std_x": (f"AccuracyMeters/{RADIUS_68}",),
     "std_y": (f"AccuracyMeters/{RADIUS_68}",),
-    "keep": "Provider == 'GPS' or Provider == 'gps'",  # not those that Android fuses or takes from the network
+    "keep": "Provider == 'GPS' or Provider == 'gps'",  # not fused fixes or those from the network
 }
 
 
@@ -45,7 +45,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read the comments, and find the kinds of lines that were logged; comments also name others."""
+    """Read the comments, and find which of the kinds that they name were logged."""
     columns: dict[str, list[str]] = {}
     with path.open(encoding="utf-8", errors="replace") as file:
         for line in file:
@@ -74,7 +74,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _cells(lines: pl.LazyFrame, names: list[str]) -> pl.LazyFrame:
-    """Split the lines of one kind into named cells; surplus cells are left out."""
+    """Split lines of one kind into named cells; surplus cells are left out."""
     cells = pl.col("line").str.strip_chars().str.splitn(",", len(names) + 2)
     whole = cells.struct.rename_fields(["kind ", *names, "surplus "])
     return lines.select(whole.alias("cells")).unnest("cells").select(names)

@@ -1,7 +1,8 @@
-"""KITTI raw: the OXTS RT3003's texts, synchronized (10 Hz) or not (100 Hz).
+"""KITTI raw: texts of the OXTS RT3003, synchronized (10 Hz) or not (100 Hz).
 
-One text of 30 numbers per sample, and a file of times; meaning, units and signs from ``dataformat.txt`` of the data set
-(A. Geiger et al., "Vision meets Robotics: The KITTI Dataset", IJRR 2013): x forward, y left, z up, yaw from east.
+A drive has one text of 30 numbers per sample, and a file of times. Meaning, units and signs are from
+``dataformat.txt`` of the data set (A. Geiger et al., "Vision meets Robotics: The KITTI Dataset", IJRR 2013): x forward,
+y left, z up, yaw from east.
 """
 
 import re
@@ -49,7 +50,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read all texts of a drive; an hour at 100 Hz has 360,000 files of 90 MB in total."""
+    """Read all texts of a drive; an hour at 100 Hz has 360,000 files, 90 MB in total."""
     folder = _oxts(path)
     if not recognizes(path):
         raise InputError(
@@ -62,7 +63,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     rows = np.array([_numbers(file, len(stamps)) for file in files])
     times = stamps[rows[:, 0].astype(np.int64)]
     frame = pl.DataFrame({"stamp": times, **dict(zip(COLUMNS, rows.T[1:], strict=True))})
-    lost = np.iinfo(np.int64).min  # NaT: a sample whose line is empty has no time
+    lost = np.iinfo(np.int64).min  # NaT: a sample with an empty line has no time
     frame = frame.with_columns(pl.col("stamp").replace(lost, None))
     return of_frames(path, {TABLE: frame}, "OXTS RT3003", lambda _: GUESS)
 
@@ -72,7 +73,7 @@ def _stamps(path: Path) -> np.ndarray:
     said = [line.strip() or "NaT" for line in path.read_text("utf-8", "replace").splitlines()]
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error", UserWarning)  # a time zone, which NumPy would drop
+            warnings.simplefilter("error", UserWarning)  # for a time zone, which NumPy would drop
             times = np.array(said, dtype="datetime64[ns]")
             days = np.array([text[:10] for text in said], dtype="datetime64[D]")
     except (ValueError, UserWarning) as error:
@@ -87,7 +88,7 @@ def _stamps(path: Path) -> np.ndarray:
 
 
 def _numbers(path: Path, count: int) -> list[float]:
-    """Return the sample's number, which is the file's name, and its values."""
+    """Return the number of a sample, which is the name of its file, and its values."""
     cells = path.read_text("utf-8", "replace").split()
     try:
         numbers = [float(cell) for cell in cells]

@@ -1,6 +1,6 @@
 """MATLAB files, ``.mat`` up to version 7, through SciPy.
 
-Each struct is a table, and so are the remaining vectors of equal length.
+Each struct is a table; so are the other vectors of equal length.
 """
 
 import io
@@ -21,14 +21,14 @@ from sigmaswarm.importing.source import FILES, Choice, Guess, Limits, Log, first
 from sigmaswarm.wording import shown
 
 LOOSE = "variables"
-"""Table of the vectors outside of structs."""
+"""Name of the table of vectors outside of structs."""
 DEEPEST = 5
 MOST_STRUCTS = 100_000
 MOST_PARTS = 9
-"""Columns of a matrix that become separate columns."""
+"""Largest number of columns of a matrix that become separate columns."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _SHAPE, _FLAGS, _ARRAY, _COMPRESSED = 5, 6, 14, 15
-"""Types of elements in a file of version 5 to 7 (MathWorks, "MAT-File Format")."""
+"""Types of elements in files of version 5 to 7 (MathWorks, "MAT-File Format")."""
 _NUMBERS = (1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18)
 _OF_ARRAYS = (1, 2, 3, 16, 17)
 """Classes of arrays of arrays: cell, struct, object, function, opaque."""
@@ -42,7 +42,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read all variables; the refusal of timetables and of version 7.3 states commands for MATLAB."""
+    """Read all variables; timetables and version 7.3 are refused with commands to convert them in MATLAB."""
     from scipy.io import loadmat, whosmat
 
     if _HDF5 in first_bytes(path, 1024):
@@ -53,7 +53,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     with whole(path):
         _require_known_elements(path, limits)
         for name, shape, kind in whosmat(path):
-            if kind in ("struct", "cell") and math.prod(shape) > MOST_STRUCTS:  # SciPy makes them all at once
+            if kind in ("struct", "cell") and math.prod(shape) > MOST_STRUCTS:  # SciPy creates all of them
                 raise InputError(
                     f"{path}: {shown(name)} has more than {MOST_STRUCTS} structs; save vectors in one struct"
                 )
@@ -80,10 +80,10 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _require_known_elements(path: Path, limits: Limits) -> None:
-    """Refuse elements of wrong types or nested too deep: SciPy's compiled code ends the process on them."""
+    """Refuse elements of invalid types or nested too deeply, which end the process in SciPy's compiled code."""
     from scipy.io.matlab import matfile_version
 
-    if matfile_version(path)[0] != 1:  # the format before version 5 has no elements
+    if matfile_version(path)[0] != 1:  # formats before version 5 have no elements
         return
     with path.open("rb") as file:
         order = "<" if file.read(128)[126:] == b"IM" else ">"
@@ -99,11 +99,11 @@ def _require_known_elements(path: Path, limits: Limits) -> None:
 
 
 def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]]:
-    """Yield type and size of each element up to ``end``; the file's position is then the element's content."""
+    """Yield type and size of each element up to ``end``; the file is then positioned at the element's content."""
     while (at := file.tell()) + 8 <= end:
         kind, size = struct.unpack(f"{order}II", file.read(8))
         following = at + 8 + size
-        if kind >> 16:  # up to four bytes, next to the type
+        if kind >> 16:  # a small element: up to four bytes, after the type
             kind, size, following = kind & 0xFFFF, kind >> 16, at + 8
             file.seek(at + 4)
         elif kind != _COMPRESSED:
@@ -115,7 +115,7 @@ def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]
 
 
 def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int) -> None:
-    """Refuse elements that are not arrays, and an array with contradictory class, shape and content."""
+    """Refuse elements that are not arrays, and arrays with contradictory class, shape and content."""
     if kind != _ARRAY or depth > _DEEPEST_ARRAY:
         raise ValueError(f"an element of type {kind}, at depth {depth}, instead of an array")
     elements = _elements(file, file.tell() + size, order)
@@ -135,7 +135,7 @@ def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int
         elif inner not in _NUMBERS:
             raise ValueError(f"an element of type {inner} instead of numbers")
     if array in _OF_ARRAYS:
-        lacks = depth > 0 and count > MOST_STRUCTS  # `open_log` names a variable with too many
+        lacks = depth > 0 and count > MOST_STRUCTS  # `open_log` names a variable with too many of them
     elif array == _SPARSE:
         lacks = parts < 4 + bool(flags & _COMPLEX)  # a name, rows, columns, values
     else:
@@ -145,7 +145,7 @@ def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int
 
 
 def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the tables of a struct: its vectors by length, the most common first, and its structs."""
+    """Yield the tables of a struct: its vectors of equal length, the most common length first, and its structs."""
     vectors: dict[str, Any] = {}
     for field, value in content.items():
         if hasattr(value, "_fieldnames") and depth < DEEPEST:

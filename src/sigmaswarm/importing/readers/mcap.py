@@ -15,9 +15,9 @@ from sigmaswarm.importing.source import Limits, Log, Table, first_bytes, library
 
 Decode = Callable[[bytes], Any]
 LOOKED_AT = 20
-"""Messages without a definition that determine a topic's columns."""
+"""Number of messages that determine the columns of a topic without a definition."""
 _LZ4_RATIO = 255
-"""Largest expansion of a byte of LZ4."""
+"""Largest expansion ratio of LZ4."""
 MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -41,8 +41,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _unpacked(file: BinaryIO, offset: int, limits: Limits) -> int:
-    """Return the unpacked size of a chunk, bytes, by its record and data; LZ4 without a stated size is unpacked."""
-    file.seek(offset + 9 + 16)  # behind the opcode, the record's length, and the first and last time
+    """Return the unpacked size of a chunk, bytes, as its record and data state it; else unpack it (LZ4)."""
+    file.seek(offset + 9 + 16)  # after the opcode, the record's length, and the first and last time
     size, _, length = struct.unpack("<QII", file.read(16))
     kind = file.read(min(length, 16))
     (packed,) = struct.unpack("<Q", file.read(8))
@@ -111,7 +111,7 @@ def _decoder(
 
 
 def _json(data: bytes) -> dict[str, Any]:
-    """Decode a message; one that is not an object is empty."""
+    """Decode a message; return an empty one if it is not an object."""
     content = json.loads(data)
     return cast("dict[str, Any]", content) if isinstance(content, dict) else {}
 

@@ -1,6 +1,6 @@
-"""Logs of messages: each topic is a table, and the path of each number in its messages a column.
+"""Logs of messages: each topic is a table, and the path of each number in a message is a column.
 
-``received`` is the time of recording and ``stamp`` the time in the header, both in ns.
+``received`` is the receive time and ``stamp`` the time in the header, both in ns.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -35,15 +35,15 @@ from sigmaswarm.importing.source import (
 from sigmaswarm.importing.times import time_of
 
 LATE = 0.1
-"""Reported median difference of header stamps from receive times, s."""
+"""Median difference between receive times and header stamps from which it is reported, s."""
 Message = tuple[str, int, Any]
-"""Topic, receive time in ns, and the message with its fields as attributes or keys."""
+"""Topic, receive time in ns, and message with its fields as attributes or keys."""
 Stream = Callable[[Collection[str]], Iterator[Message]]
 """Decoded messages of some topics, in the order of the log."""
 
 
 def message_log(path: Path, tables: Mapping[str, Table], stream: Stream, unread: Sequence[str] = ()) -> Log:
-    """Make a log of messages; ``unread`` are topics that can't be decoded."""
+    """Make a log of messages; ``unread``: topics that can't be decoded."""
     messages = _Messages(path, tables, stream)
 
     def guess(choice: Choice) -> Guess:
@@ -80,7 +80,7 @@ class _Messages:
             yield from self.stream(topics)
 
     def guess(self, choice: Choice) -> Guess:
-        """Guess by message types and names of topics; for other messages by the names of their numbers."""
+        """Guess by the message types and names of topics; for other message types by the names of numbers."""
         own: dict[str, str] = {}
         for role, chosen in choice.tables.items():
             topic = next((t for t in (chosen, "/" + chosen.lstrip("/")) if t in self.tables), "")
@@ -113,7 +113,7 @@ class _Messages:
         return placement((message for _, _, message in sent), imu, antenna)
 
     def _own_messages(self, role: Role, topic: str | None, choice: Choice) -> Guess:
-        """Guess a role's part from other messages, by PX4's types or by names; only the time if the rest is mapped."""
+        """Guess a role's part from other messages, by PX4's types or names; only the time if the rest is mapped."""
         wanted = {"lat", "lon"} if role == "gps" else {"ax", "ay", "gz"}
         topics = [topic] if topic else list(self.tables)
         for name in topics:
@@ -155,7 +155,7 @@ class _Collector:
     def add(self, received: int, message: Any) -> None:
         row = [get(message) if get else received for get in self.getters]
         self.rows.append(row)
-        if self.stamp is not None and row[self.stamp]:  # 0 where it is not set
+        if self.stamp is not None and row[self.stamp]:  # 0 if not set
             self.delays.append((received - row[self.stamp]) * 1e-9)
 
     def take(self) -> pl.DataFrame:
@@ -175,7 +175,7 @@ class _Collector:
 
 
 def _numbers(values: Sequence[Any]) -> pl.Series:
-    """Make a column (n,); integers stay integers, since a time has more digits than a float."""
+    """Make a column (n,); integers remain integers, since a time has more digits than a float."""
     if {type(v) for v in values} <= {int, type(None)}:
         try:
             return pl.Series(values, dtype=pl.Int64)
@@ -187,5 +187,5 @@ def _numbers(values: Sequence[Any]) -> pl.Series:
 def _float(value: Any) -> float | None:
     try:
         return None if value is None else float(value)
-    except OverflowError:  # a whole number of 400 digits
+    except OverflowError:  # an integer of 400 digits
         return None

@@ -1,7 +1,7 @@
-"""NCLT: a session's ms25.csv, gps.csv and groundtruth_*.csv.
+"""NCLT: ms25.csv, gps.csv and groundtruth_*.csv of a session.
 
 N. Carlevaris-Bianco, A. K. Ushani, R. M. Eustice, "University of Michigan North Campus long-term vision and lidar
-dataset", IJRR 2016: times in us of UTC, body x forward, y right, z down, truth x north, y east about a fixed origin,
+dataset", IJRR 2016: times in us of UTC; body x forward, y right, z down; truth x north, y east of a fixed origin;
 latitude and longitude in rad.
 """
 
@@ -16,7 +16,7 @@ from sigmaswarm.importing.readers.columns import collect, of_files
 from sigmaswarm.importing.source import Guess, Limits, Log, Part, Role
 
 ORIGIN = (42.293227, -83.709657, 270.0)
-"""deg, deg, m: origin of the truth's frame."""
+"""Origin of the truth's frame, deg, deg, m."""
 _T = {"t": "utime*1e-6"}
 FILES: dict[Role, tuple[str, str, dict[str, str]]] = {
     "imu": (
@@ -38,7 +38,7 @@ FILES: dict[Role, tuple[str, str, dict[str, str]]] = {
         _T | {"x": "y", "y": "x", "theta": "pi/2 - heading"},
     ),
 }
-"""File, columns, and a drive's expressions of each role."""
+"""By role: file, columns, and expressions of a drive's columns."""
 _NOTE = "the MS25's axes turned from x forward, y right, z down; course and speed of gps.csv are not used"
 
 
@@ -47,7 +47,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open the files, which have no header lines; the truth may be in the same folder."""
+    """Open the files, which have no headers; the truth may be in the same folder."""
     scans: dict[str, pl.LazyFrame] = {}
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, (pattern, columns, expressions) in FILES.items():

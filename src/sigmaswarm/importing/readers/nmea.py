@@ -1,7 +1,7 @@
 """NMEA 0183 sentences of a receiver, through pynmeagps.
 
-GGA or GNS give the position, RMC date and velocity, GST deviations, and HDT, THS or PASHR the heading of two antennas.
-Sentences with the same time of day make one fix. The day comes from RMC or ZDA, and advances at midnight.
+GGA or GNS contain the position, RMC date and velocity, GST standard deviations, and HDT, THS or PASHR the heading of
+two antennas. Sentences with the same time of day make one fix. The day is from RMC or ZDA, and advances at midnight.
 """
 
 import math
@@ -15,7 +15,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, library, of_rows
 
 KNOT, STILL = 1852 / 3600, 0.5
-"""A knot, and the speed below which a course has no meaning, m/s."""
+"""A knot, and the speed below which the course has no meaning, m/s."""
 COLUMNS = (
     *("t", "lat", "lon", "alt", "quality", "hdop", "speed", "course", "std_lat", "std_lon"),
     *("heading", "std_heading"),
@@ -82,7 +82,7 @@ def _rows(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[tupl
 
 
 def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[Any, float]]:
-    """Yield the complete sentences, each with the share of the file that is read."""
+    """Yield the complete sentences, each with the share of the file that has been read."""
     broken = complete = read = 0
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -93,7 +93,7 @@ def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[
             if begin >= 0:
                 try:
                     message = pynmeagps.NMEAReader.parse(line[begin:].rstrip() + b"\r\n", msgmode=0)
-                except Exception:  # a damaged sentence; the next line is another
+                except Exception:  # a damaged sentence; the next line is another sentence
                     message = None
             if message is None:
                 broken += begin >= 0 or bool(line.strip())
@@ -113,13 +113,13 @@ def _day(message: Any) -> date | None:
         return None
     try:
         said = date(*(int(getattr(message, name, "")) for name in ("year", "month", "day")))
-    except (TypeError, ValueError):  # empty, or not in the calendar
+    except (TypeError, ValueError):  # empty, or not a valid date
         return None
     return said if 1980 <= said.year < 2100 else None
 
 
 def _values(message: Any) -> dict[str, float]:
-    """Return the values of a sentence in a drive's units, except the course in degrees from north."""
+    """Return the values of a sentence in a drive's units, but the course in degrees from north."""
 
     def number(name: str) -> float:
         try:
@@ -152,6 +152,6 @@ def _values(message: Any) -> dict[str, float]:
 
 
 def _row(day: date, clock: time, fix: dict[str, float]) -> tuple[float, ...]:
-    """Return the row of a fix, with RMC's position if no other sentence has one."""
+    """Return the row of a fix; the position is that of RMC if no other sentence has one."""
     seconds = datetime.combine(day, clock, UTC).timestamp()
     return (seconds, *(fix.get(name, fix.get(f"rmc_{name}", math.nan)) for name in COLUMNS[1:]))

@@ -1,4 +1,4 @@
-"""Exports of phones: folders or zips of CSVs, and a phone's mounting."""
+"""Exports of phones, as folders or zips of CSVs, and the mounting of a phone."""
 
 import shutil
 import tempfile
@@ -13,9 +13,9 @@ from sigmaswarm.importing.source import Guess, Limits, Log, whole
 from sigmaswarm.limits import require_text
 
 FLAT = "the phone is assumed to lie flat, screen up, top edge forward; else add --mount, or --mount auto"
-"""A phone's x points right and y to its top edge (Android's SensorEvent): forward is y, left is -x."""
+"""In the axes of a phone, x is right and y is up along the screen (Android's SensorEvent): forward y, left -x."""
 RADIUS_68 = 1.515
-"""Radius of a circle with 68% of normal errors, in standard deviations of one axis: sqrt(-2 ln 0.32)."""
+"""Radius of a circle that contains 68% of normal errors, in standard deviations per axis: sqrt(-2 ln 0.32)."""
 
 
 def names_in(path: Path) -> set[str]:
@@ -31,7 +31,7 @@ def names_in(path: Path) -> set[str]:
 
 
 def phone_files(path: Path, names: Collection[str], limits: Limits, stack: ExitStack) -> Log:
-    """Open the named tables of a folder or a zip, which is unpacked to a temporary folder."""
+    """Open the named tables of a folder, or of a zip, which is unpacked to a temporary folder."""
     folder = path if path.is_dir() else Path(stack.enter_context(tempfile.TemporaryDirectory()))
     if not path.is_dir():
         with whole(path, "is cut short or no zip", "export it again"), zipfile.ZipFile(path) as archive:
@@ -49,7 +49,7 @@ def phone_files(path: Path, names: Collection[str], limits: Limits, stack: ExitS
 def _wanted(
     archive: zipfile.ZipFile, path: Path, names: Collection[str], limits: Limits
 ) -> dict[str, zipfile.ZipInfo]:
-    """Find the files of these names in the outermost folder that has any of them."""
+    """Find the files of these names in the outermost folder that contains any of them."""
     found = [(PurePosixPath(m.filename), m) for m in archive.infolist() if not m.is_dir()]
     found = [(inside, m) for inside, m in found if inside.name in names]
     folders = {inside.parent for inside, _ in found}

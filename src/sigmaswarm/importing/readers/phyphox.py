@@ -1,8 +1,8 @@
 """phyphox: an experiment exported as CSV, a folder or zip with Accelerometer.csv, Gyroscope.csv and Location.csv.
 
-Column names carry their units: "Time (s)" since the start on one clock, "Acceleration x (m/s^2)" with gravity,
-"Gyroscope x (rad/s)", "Latitude (°)", "Velocity (m/s)", "Direction (°)" from north. Android's axes on both systems. In
-other languages the units identify the tables, in the order of the app (phyphox/phyphox-experiments).
+Column names contain their units: "Time (s)" since the start on one clock, "Acceleration x (m/s^2)" with gravity,
+"Gyroscope x (rad/s)", "Latitude (°)", "Velocity (m/s)", "Direction (°)" from north. Axes are Android's on both systems.
+In other languages, tables are identified by units, in the order of the app (phyphox/phyphox-experiments).
 """
 
 import re
@@ -42,11 +42,11 @@ _REQUIRED = {"imu": {"t", "x", "y", "z"}, "gps": {"t", "lat", "lon"}}
 _PLACE = {"time": "s", "latitude": "°", "longitude": "°", "height": "m", "velocity": "m/s", "direction": "°"}
 _META = {"time.csv", "device.csv"}
 LEAST_GRAVITY = 5.0
-"""Smallest median of an acceleration with gravity, m/s2; the linear acceleration has the same columns."""
+"""Smallest median of an acceleration with gravity, m/s2; linear acceleration has the same columns."""
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a zip or folder with phyphox's files; in a folder, the headers of the tables must fit."""
+    """Return True for a zip or folder with phyphox's files; in a folder, the tables' headers must also fit."""
     names = names_in(path)
     english = {*FILES[:2]} <= names
     if path.is_file():
@@ -105,7 +105,7 @@ def _is_place(columns: Sequence[str]) -> bool:
 
 
 def _by_units(log: Log) -> dict[str, tuple[str, dict[str, str]]]:
-    """Return the table for each of `FILES` in an export in another language, and its columns by plain English names."""
+    """Return the tables of an export in another language by `FILES`, with their columns by English names."""
     found: dict[str, tuple[str, dict[str, str]]] = {}
     for table, columns in ((name, its.columns) for name, its in log.tables.items()):
         for file, unit in zip(FILES[:2], ("m/s^2", "rad/s"), strict=True):

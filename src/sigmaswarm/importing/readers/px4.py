@@ -1,8 +1,8 @@
 """PX4's flight logs, ``.ulg``, through pyulog, and PX4's messages in ROS 2 bags.
 
 Messages (PX4-Autopilot, msg/): times in us since start; sensor_combined forward, right, down (m/s2, rad/s); fixes in
-degrees (in older logs 1e-7 degrees and mm), velocity north and east; in simulation also the true position, north and
-east of a reference.
+degrees (in older logs 1e-7 degrees and mm), with velocity north and east; in simulations also the true position, north
+and east of a reference.
 """
 
 import io
@@ -35,7 +35,7 @@ _IMU = _T | {
 }
 _FIX: dict[str, str | tuple[str, ...]] = {
     **_T,
-    "lat": ("latitude_deg", "lat*1e-7"),  # since PX4 1.14, and before
+    "lat": ("latitude_deg", "lat*1e-7"),  # since PX4 1.14; before
     "lon": ("longitude_deg", "lon*1e-7"),
     "alt": ("altitude_ellipsoid_m", "alt_ellipsoid*1e-3"),
     "std_x": ("eph/sqrt(2)",),
@@ -81,10 +81,10 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 class _Log(io.BufferedReader):
-    """A file that records where its reader stopped, and refuses the search for a message after a broken one.
+    """A file that records where its reader stopped, and refuses to search for a message after a damaged one.
 
     pyulog ends silently at a message that is too short. After a message of unknown kind and impossible size, its search
-    byte by byte takes hours, or never ends.
+    byte by byte takes hours or does not end.
     """
 
     stopped = 0
@@ -92,11 +92,11 @@ class _Log(io.BufferedReader):
 
     def read(self, size: int | None = -1, /) -> bytes:
         content = super().read(size)
-        self._last = len(content) if len(content) == size else -4  # cut short: refuse to go back
+        self._last = len(content) if len(content) == size else -4  # too short: refuse to seek back
         return content
 
     def seek(self, offset: int, whence: int = 0, /) -> int:
-        # pyulog goes back over a sound message at the end of the definitions, and over the content of an unknown one
+        # pyulog seeks back over a valid message at the end of the definitions, and over that of an unknown one
         if whence == io.SEEK_CUR and -offset not in (self._last, self._last + 3):
             raise EOFError(f"at byte {self.tell()}")
         return super().seek(offset, whence)

@@ -1,4 +1,4 @@
-"""ROS 1 bags and ROS 2 bags (sqlite3 or MCAP), through rosbags: no ROS needed."""
+"""ROS 1 bags and ROS 2 bags (sqlite3 or MCAP), through rosbags, without ROS."""
 
 import bz2
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -15,21 +15,21 @@ _FILES = (".bag", ".db3", ".mcap")
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a bag, by its first bytes, or a folder that contains metadata.yaml or bags."""
+    """Return True for a bag, by its first bytes, and for a folder that contains metadata.yaml or bags."""
     if path.is_dir():
         return bool(bag_paths(path))
     return first_bytes(path, 9) == b"#ROSBAG V" or path.suffix in (".bag", ".db3")
 
 
 def bag_paths(path: Path) -> list[Path]:
-    """Return the paths for rosbags: a folder with metadata, or the files of one without."""
+    """Return the paths for rosbags: a folder with metadata, or the files of a folder without."""
     if path.is_file() or (path / "metadata.yaml").exists():
         return [path]
     return sorted(f for f in path.iterdir() if f.suffix in _FILES)
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence[Path] = ()) -> Log:
-    """Open a bag; ``definitions``, and those of the latest ROS, replace the ones that a ROS 2 bag lacks."""
+    """Open a bag; ``definitions``, then those of the latest ROS, replace definitions that a ROS 2 bag lacks."""
     anyreader = library("rosbags.highlevel", "ros")
     typesys = library("rosbags.typesys", "ros")
     paths = bag_paths(path)
@@ -48,7 +48,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence
 
 
 def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
-    """Add the definitions in .msg files to those of a bag; the folder of a file is its package."""
+    """Add the definitions in .msg files to those of a bag; a file's folder is its package."""
     kinds = {c.msgtype for c in reader.connections}
     for given in definitions:
         files = sorted(given.rglob("*.msg")) if given.is_dir() else [given]
@@ -99,7 +99,7 @@ def _log(path: Path, reader: Any, limits: Limits) -> Log:
     unread: list[str] = []
     try:
         topics = reader.topics
-    except TypeError as error:  # a number of messages in metadata.yaml is no number
+    except TypeError as error:  # a number of messages in metadata.yaml that is not a number
         raise broken(path, error, "its metadata.yaml is damaged", "run `ros2 bag reindex` on it") from None
     for topic, info in topics.items():
         kind = info.msgtype or "several types"

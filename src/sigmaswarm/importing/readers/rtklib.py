@@ -1,8 +1,8 @@
-"""RTKLIB's solutions, ``.pos``: fixes, or truth.
+"""RTKLIB's solutions, ``.pos``, as fixes or truth.
 
 RTKLIB ver. 2.4.2 Manual, B.1: comments begin with %, and the last one names the columns; times are dates, or GPS week
-and seconds; latitude and longitude in degrees, height above the ellipsoid, deviations north, east, up; Q is 1 for fixed
-and 2 for float solutions.
+and seconds; latitude and longitude in degrees, height above the ellipsoid, standard deviations north, east, up; Q is 1
+for fixed and 2 for float solutions.
 """
 
 import re
@@ -65,7 +65,7 @@ def _header(path: Path) -> tuple[str, list[str]]:
 
 
 def _rows(path: Path, width: int, gps: bool) -> Iterator[tuple[tuple[float, ...], float]]:
-    """Yield time and numbers of each line; GPS time becomes UTC."""
+    """Yield the time and numbers of each line; GPS time becomes UTC."""
     size, read = path.stat().st_size, 0
     with path.open(encoding="utf-8", errors="replace") as file:
         for number, line in enumerate(file, 1):
@@ -87,7 +87,7 @@ def _rows(path: Path, width: int, gps: bool) -> Iterator[tuple[tuple[float, ...]
 
 
 def _seconds(first: str, second: str) -> float:
-    """Return s since 1970, without leap seconds, of date and time of day, or of GPS week and seconds."""
+    """Return s since 1970, without leap seconds, from date and time of day, or from GPS week and seconds."""
     if "/" not in first:
         return GPS_EPOCH + int(first) * WEEK + float(second)
     day = np.datetime64(first.replace("/", "-"), "s").astype(np.int64)

@@ -2,7 +2,7 @@
 
 Units and axes (UNITS.md and COORDINATES.md in tszheichoi/awesome-sensor-logger): ``time`` in ns since 1970;
 Accelerometer without gravity, and Gravity, both with opposite signs on iOS; TotalAcceleration with gravity on Android;
-bearing in degrees from north; negative values are invalid.
+bearing in degrees from north. Negative values are invalid.
 """
 
 from contextlib import ExitStack

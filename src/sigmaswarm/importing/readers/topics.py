@@ -1,4 +1,4 @@
-"""Find the topics of a drive by the content of their messages (sensor_msgs, geometry_msgs, nav_msgs)."""
+"""Find the topics for a drive from the content of their messages (sensor_msgs, geometry_msgs, nav_msgs)."""
 
 import math
 import re
@@ -22,7 +22,7 @@ _VELOCITY = {"vx": "linear.x", "vy": "linear.y"}
 _POSITION = {"x": "position.x", "y": "position.y"}
 _ORIENTATION = {i: f"orientation.{i}" for i in "wxyz"}
 _SPEEDS = ("twist.linear.x", "linear.x", "longitudinal_velocity", "speed")
-"""Paths of the wheels' speed: nav_msgs, geometry_msgs, Autoware's reports, and others."""
+"""Paths of the wheel speed in nav_msgs, geometry_msgs, Autoware's reports, and others."""
 _WHEELS = re.compile(r"wheel|vehicle|speedo|odometer|(?:^|[/_])can(?:[/_]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|/)gt(?:/|$)", re.IGNORECASE)
 _RECEIVER = re.compile(r"gps|gnss|fix|ublox|novatel|septentrio|(?:^|/)vel$", re.IGNORECASE)
@@ -37,7 +37,7 @@ def _yaw(at: str) -> str:
 
 
 def prefix(table: Table, paths: Mapping[str, str]) -> str | None:
-    """Return the prefix of paths in a topic's columns: "" in the message itself, "imu." in a field of it."""
+    """Return the prefix of paths in a topic's columns: "" in the message itself, "imu." in its field imu; or None."""
     columns = set(table.columns)
     first = next(iter(paths.values()))
     for column in table.columns:
@@ -50,7 +50,7 @@ def prefix(table: Table, paths: Mapping[str, str]) -> str | None:
 
 @dataclass
 class Topics:
-    """Finds the topics of the roles, and notes choices among several; ``first`` returns a topic's first message."""
+    """Finder of the topics of the roles, which notes choices; ``first`` returns the first message of a topic."""
 
     path: Path
     tables: Mapping[str, Table]
@@ -105,7 +105,7 @@ class Topics:
         return {t for t, table in self.tables.items() if prefix(table, paths) is not None}
 
     def _topic(self, role: str, candidates: Collection[str]) -> str | None:
-        """Return the topic that the user chose, or that with the most messages."""
+        """Return the topic that the user chose, or the topic with the most messages."""
         chosen = self.choice.tables.get(role)
         if chosen is not None:
             near = {chosen, "/" + chosen.lstrip("/")} & set(self.tables)
@@ -139,12 +139,12 @@ class Topics:
         found = self._named(topic, _IMU)
         at = found["ax"].removesuffix(_IMU["ax"])
         covariances = [f"{at}{kind}_covariance[0]" for kind in ("linear_acceleration", "angular_velocity")]
-        if set(covariances) <= set(self.tables[topic].columns):  # -1 there: the sensor gives no such value
+        if set(covariances) <= set(self.tables[topic].columns):  # -1 there: the sensor does not measure it
             found["keep"] = " and ".join(f"{c} != -1" for c in covariances)
         return found
 
     def _stated_noise(self, topic: str) -> dict[str, Any]:
-        """Return the variances of gz and ax in the first message, for drive.toml, if they are stated."""
+        """Return the variances of gz and ax in the first message, if stated, for drive.toml."""
         before = self._named(topic, _IMU)["ax"].removesuffix(_IMU["ax"])
         columns = [f"{before}angular_velocity_covariance[8]", f"{before}linear_acceleration_covariance[0]"]
         message = self.first(topic)
@@ -155,11 +155,11 @@ class Topics:
         return {"imu_stated_noise": [float(value) for value in stated]} if known else {}
 
     def _position(self, topic: str) -> dict[str, str]:
-        """Return the columns of fixes, NavSatFix or a pose in m east and north, with stated deviations, if any."""
+        """Return the columns of fixes, a NavSatFix or a pose in m east and north, with stated deviations, if any."""
         columns = set(self.tables[topic].columns)
         if (at := prefix(self.tables[topic], _FIX)) is not None:
             found = self._named(topic, _FIX)
-            if f"{at}position_covariance[0]" in columns:  # row by row, east, north, up
+            if f"{at}position_covariance[0]" in columns:  # row by row: east, north, up
                 known = f"{at}position_covariance_type > 0"
                 found["std_x"] = f"where({known}, sqrt({at}position_covariance[0]), 0/0)"
                 found["std_y"] = f"where({known}, sqrt({at}position_covariance[4]), 0/0)"
@@ -173,7 +173,7 @@ class Topics:
         return found
 
     def _heading(self, topic: str) -> dict[str, str]:
-        """Return the yaw of an Imu message; a first covariance of -1 means that it has no orientation."""
+        """Return the yaw of an Imu message; if its first covariance is -1, it has no orientation."""
         at = self._named(topic, _ORIENTATION)["w"].removesuffix("w")
         covariance = at.removesuffix(".") + "_covariance"
         found = {"heading": _yaw(at)}
@@ -182,7 +182,7 @@ class Topics:
         return found
 
     def _motion(self, topic: str) -> dict[str, str]:
-        """Return the columns of truth: a pose with its heading, and velocity in Odometry; or fixes in degrees."""
+        """Return the columns of the truth: a pose with its heading, in Odometry also velocity; or fixes in degrees."""
         if prefix(self.tables[topic], _FIX) is not None:
             return {k: v for k, v in self._position(topic).items() if not k.startswith("std")}
         found = self._named(topic, _POSITION)
@@ -196,7 +196,7 @@ class Topics:
         return found
 
     def _part(self, topic: str, columns: dict[str, str]) -> Part:
-        """Make a part with its time: the header's stamp, unless it is unset or the user excludes it."""
+        """Make a part with its time: the header stamp, unless it is not set or the user chose receive times."""
         time = "received*1e-9"
         if "stamp" not in self.tables[topic].columns:
             self.notes.append(f"{topic}: messages have no header; receive times used")
@@ -209,7 +209,7 @@ class Topics:
         return Part(topic, {"t": time, **columns})
 
     def _downward(self, topic: str) -> str:
-        """Return a sentence if the vertical axis points down in the first message of an IMU, else ""."""
+        """Return a sentence if the vertical axis points down in the first message of an IMU; else ""."""
         message = self.first(topic)
         columns = [self._named(topic, _IMU)[axis] for axis in ("ax", "ay", "az")]
         force = [getter(column)(message[2]) for column in columns] if message else [0.0]

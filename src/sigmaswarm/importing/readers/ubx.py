@@ -1,9 +1,9 @@
 """u-blox receivers' UBX streams, through pyubx2: NAV-PVT, or NAV-POSLLH with NAV-SOL and NAV-VELNED of u-blox 6.
 
-u-blox M8 Receiver description, UBX-13003221, 32.17.15 UBX-NAV-PVT: UTC, degrees, mm, mm/s; hAcc and sAcc are the
-receiver's estimates of standard deviations. u-blox 6 Receiver description, GPS.G6-SW-10018, 35: POSLLH in mm, VELNED in
-cm/s, times as GPS week (SOL) and ms of week. NAV-RELPOSNED (F9 HPG interface description, UBX-21019746): heading from
-one antenna to the other. Other messages in the stream, such as NMEA, are skipped.
+u-blox M8 Receiver description, UBX-13003221, 32.17.15 UBX-NAV-PVT: UTC, degrees, mm, mm/s; hAcc and sAcc are estimates
+of standard deviations. u-blox 6 Receiver description, GPS.G6-SW-10018, 35: POSLLH in mm, VELNED in cm/s, times as GPS
+week (SOL) and ms of week. NAV-RELPOSNED (F9 HPG interface description, UBX-21019746): heading from one antenna to the
+other. Other messages in the stream, such as NMEA, are skipped.
 """
 
 import calendar
@@ -97,7 +97,7 @@ def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[f
 
 
 def _headings(path: Path, pyubx2: Any) -> dict[int, tuple[float, float]]:
-    """Return heading and accuracy, deg, of two antennas by time of week, where the ambiguities are fixed."""
+    """Return heading and accuracy of two antennas, deg, by time of week, where the ambiguities are fixed."""
     found: dict[int, tuple[float, float]] = {}
     for raw, _ in _messages(path):
         if raw is None or raw[2:4] != NAV_RELPOSNED:
@@ -113,7 +113,7 @@ def _headings(path: Path, pyubx2: Any) -> dict[int, tuple[float, float]]:
 
 
 def _time(message: Any) -> float:
-    """Return s since 1970; ValueError for an impossible date or time."""
+    """Return s since 1970; raise ValueError for an impossible date or time."""
     day = date(message.year, message.month, message.day)
     if not (message.hour < 24 and message.min < 60 and message.second <= 60):  # 60 is a leap second
         raise ValueError("no time of day")
@@ -122,7 +122,7 @@ def _time(message: Any) -> float:
 
 
 def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """Yield one row per time of week, from all its messages; the week is the last in NAV-SOL."""
+    """Yield one row per time of week, from all messages of this time; the week is that of the last NAV-SOL."""
     week = broken = 0
     fix: dict[str, float] = {}
     for raw, done in _messages(path):
@@ -161,9 +161,9 @@ def _row_6(fix: dict[str, float], week: int) -> tuple[float, ...]:
 
 
 def _messages(path: Path) -> Iterator[tuple[bytes | None, float]]:
-    """Yield messages with a right checksum, and None for damaged bytes; each with the share that is read.
+    """Yield messages with a correct checksum, and None for damaged bytes, each with the share that has been read.
 
-    The length of a damaged message is unreliable, so the next is searched right after its first bytes.
+    The length of a damaged message is unreliable, so the search for the next message begins after its first bytes.
     """
     with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as stream:
         at, damaged = stream.find(SYNC), False
@@ -178,6 +178,6 @@ def _messages(path: Path) -> Iterator[tuple[bytes | None, float]]:
 
 
 def _checksum(content: bytes) -> bytes:
-    """Return Fletcher's checksum of 8 bits: section 32.4 of the description."""
+    """Return Fletcher's 8-bit checksum: section 32.4 of the description."""
     values = np.frombuffer(content, dtype=np.uint8).astype(np.int64)
     return bytes([int(values.sum()) & 255, int(np.cumsum(values).sum()) & 255])
