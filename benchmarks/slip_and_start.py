@@ -118,7 +118,7 @@ def drift(test: Sequence[PreparedDrive], parameters: FilterParameters, length: f
     each = []
     for one in test:
         outages = Outages(one, length=length, seed=0)
-        outages.run({"tuned": parameters}, watched=False)
+        outages.run({"tuned": parameters}, monitored=False)
         each.append(outages.drift("tuned"))
     return float(np.sqrt(np.nanmean(np.square(each))))
 
