@@ -1,8 +1,9 @@
 """Find the start of a filter: an initial state from earlier samples of the drive, without truth.
 
-A car's heading is not observable at standstill; after some meters of driving, the course over ground shows it. The gyro
-corrects it for turns, the accelerometer for changes of speed, in a fit to the last seconds of fixes (`alignment_fit`).
-The gyro's bias is subtracted, and the fit repeated, only if the fixes contradict a gyro without bias (`gyro_seen`).
+A car's heading is not observable at standstill; after some meters of driving, the course over ground shows it. A fit to
+the fixes of the last seconds (`alignment_fit`) corrects the course for turns by the gyro, and for changes of speed by
+the accelerometer. The gyro's bias is subtracted, and the fit repeated, only if the fixes contradict a gyro without bias
+(`gyro_seen`).
 """
 
 from dataclasses import dataclass
@@ -20,33 +21,30 @@ from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
 
 MIN_DURATION, MAX_DURATION = 4.0, 6.0
-"""Shortest and longest duration of an alignment, s; as the gyro's bias accumulates, older fixes hardly improve the fit.
-"""
+"""Shortest and longest duration of an alignment, s; since the gyro's bias accumulates, older fixes hardly help."""
 MIN_TRAVEL = 20.0  # m within `MAX_DURATION`, for an accurate heading; requires 12 km/h
-ALIGNMENT_FIXES = 4  # within `MAX_DURATION`; one fix every 3 s is not enough
+ALIGNMENT_FIXES = 4  # smallest number within `MAX_DURATION`; one fix every 3 s is not enough
 WORTH_TRAVEL = 0.5 * MIN_TRAVEL  # m from the first to the last fix, a cheap test before the fit
 MAX_MISFIT = 0.3
-"""Largest residual of an alignment, as a share of the travel; larger residuals are jumps of the fixes."""
-MAX_HEADING_STD = np.radians(6.0)  # rad; above it the next fix is tried
-REFITS = 3  # of the fit, until the gyro bias has converged
+"""Largest residual of an alignment, as a share of the travel; larger residuals are due to jumps of the fixes."""
+MAX_HEADING_STD = np.radians(6.0)  # rad; above it, the next fix is tried
+REFITS = 3  # largest number of repeated fits, until the gyro bias has converged
 
 SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0
 """Longer windows, s, for a vehicle that never travels `MIN_TRAVEL` within `MAX_DURATION`."""
 SLOW_TRAVEL, SLOW_SPEED = 10.0, 0.15
 """Smallest travel, m, and mean speed, m/s, in these windows; the fixes of a parked receiver drift less."""
-SLOW_CHORD = 1.5 * MIN_TRAVEL  # m between two fixes within `MAX_DURATION`, of a drive that is not slow
-SLOW_HEADING_STD = np.radians(12.0)  # rad, largest in these windows, with the effect of the gyro's bias
+SLOW_CHORD = 1.5 * MIN_TRAVEL  # m between two fixes within `MAX_DURATION`; above it, a drive is not slow
+SLOW_HEADING_STD = np.radians(12.0)  # rad, largest in these windows, including the effect of the gyro's bias
 SLOW_FIXES, SLOW_INTERVAL, SLOW_STEP = 8, 1.0, 2.0
-"""In these windows: smallest number of fixes; smallest interval of used fixes, s; time between trials, s.
-
-Errors of closer fixes are alike.
-"""
+"""In these windows: smallest number of fixes; smallest interval of used fixes, s, since errors of closer fixes are
+correlated; time between trials, s."""
 SLOW_BIAS_STD = np.radians(1.0)  # rad/s, prior of the gyro's bias in these windows
 
-STATED_HEADING_STD = np.radians(5.0)  # rad, smallest assumed deviation of a stated heading
-MOST_STATED_STD = np.radians(12.0)  # rad, largest of a stated heading that starts a filter
+STATED_HEADING_STD = np.radians(5.0)  # rad, smallest assumed standard deviation of a stated heading
+MOST_STATED_STD = np.radians(12.0)  # rad, largest stated standard deviation for a start
 STATED_POSITION_STD, STATED_SPEED_STD, STATED_LATERAL_STD = 3.0, 10.0, 1.0
-"""Standard deviations of a start with a stated heading: position, m per axis; speed forward and to the left, m/s."""
+"""Standard deviations at a start with a stated heading: position, m per axis; speed forward and to the left, m/s."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,7 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     """Find the first time at which position, speed and heading are known.
 
     The start is the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster), with at
-    least four fixes in that time. On a slower drive it is the first fix after 10 m of travel in up to 90 s, or after
+    least four fixes in that time. On a slower drive, it is the first fix after 10 m of travel in up to 90 s, or after
     more travel if the fixes are noisy. If the metadata have ``heading_deg`` (degrees counter-clockwise from east, at
     the first IMU sample), the start is the first fix. If the fixes have a column ``heading``, it is the first fix with
     a heading. The state depends only on earlier samples.
@@ -67,14 +65,14 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     Parameters
     ----------
     drive : Drive
-        A drive; the truth is not used.
+        The drive; its truth is not used.
     as_recorded : bool
         Also use stale fixes as positions: see `drives.stale_fixes`.
 
     Raises
     ------
     AlignmentError
-        There is no such time; the message gives the reason.
+        If there is no such time; the message gives the reason.
     """
     found = find_start(drive, as_recorded=as_recorded)
     if isinstance(found, NoStart):
@@ -102,7 +100,7 @@ def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | NoS
 
 
 def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
-    """Find the first alignment of a slow vehicle, over the shortest window that has one."""
+    """Find the first alignment of a slow vehicle, over the shortest window with an alignment."""
     windows = [Alignments(drive, usable, longest) for longest in SLOW_DURATIONS]
     tried = -np.inf
     for k, time in enumerate(windows[0].time):
@@ -115,7 +113,7 @@ def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
 
 
 def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoStart:
-    """Start at the first usable fix, with its stated heading or that of the first IMU sample, and unknown speed."""
+    """Start at the first usable fix, with its heading or that of the first IMU sample, and an unknown speed."""
     gps, imu = drive.gps, drive.imu
     fixes = np.flatnonzero(usable & np.isfinite(gps.x + gps.y))
     if not len(fixes):
@@ -138,8 +136,8 @@ def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoS
 class Alignments:
     """The alignments that end at each fix, computed on first use.
 
-    ``usable`` (number of fixes,) marks the fixes to use, by default all; those within the IMU's time have the times
-    ``time`` (m,), s. ``longest``, s, limits an alignment's duration; for slow vehicles it exceeds `MAX_DURATION`.
+    ``usable`` (number of fixes,) marks the fixes to use, by default all. ``time`` (m,), s, are the times of those
+    within the IMU's time. ``longest``: longest duration, s, above `MAX_DURATION` for slow vehicles.
     """
 
     def __init__(
@@ -152,7 +150,7 @@ class Alignments:
         fixes = np.flatnonzero(inside if usable is None else inside & usable)
         self.time = drive.gps.time[fixes]
         self._position = (drive.gps.x + 1j * drive.gps.y)[fixes]
-        # the first fix of the window that ends at each
+        # The first fix of the window that ends at each fix.
         self._first = np.searchsorted(self.time, self.time - longest, side="left")
         count = np.arange(len(fixes)) - self._first + 1
         self._chord = np.abs(self._position - self._position[self._first])
@@ -220,7 +218,7 @@ class Alignments:
         return fit.state(self._leaning(k, fit.time)) if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
-        """Fit also the gyro's bias, without the accelerometer: its bias accumulates over the longer time."""
+        """Fit the gyro's bias, too, without the accelerometer, whose bias accumulates over the longer time."""
         first = int(self._first[k])
         interval = float(self.time[k] - self.time[first]) / (k - first)
         rows = np.arange(k, first - 1, -max(1, round(SLOW_INTERVAL / interval)))[::-1]
@@ -241,7 +239,7 @@ class Alignments:
         return fit.state(self._leaning(k, fit.time)) if usable else None
 
     def _leaning(self, k: int, last: float) -> Array:
-        """Return the mean rates about forward and left, rad/s, up to a time, (2,); NaN if the IMU has none."""
+        """Return the mean rates about forward and left, rad/s, (2,), in the window of fix k; NaN if not measured."""
         imu, first = self._drive.imu, float(self.time[self._first[k]])
         if imu.gx is None or imu.gy is None:
             return np.full(2, np.nan)
@@ -255,7 +253,7 @@ class Alignments:
     @cached_property
     @np.errstate(all="ignore")
     def course(self) -> Array:
-        """Rough heading at each fix, (m,) rad; NaN without an alignment.
+        """Rough heading at each fix, rad, shape (m,); NaN without an alignment.
 
         It is the direction of the chord of the last seconds, corrected for turns. Changes of speed in a turn cause
         errors of some degrees.

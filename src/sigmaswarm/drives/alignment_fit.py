@@ -3,8 +3,8 @@
     p(t) = p_i - exp(i theta_i) * integral_t^t_i  v(s) exp(i (psi(s) - psi_i)) ds
     v(s) = v_i + integral_t_i^s a_x + b (s - t_i)
 
-with positions as complex numbers east + i north, psi the integrated gyro, a_x the forward specific force and b the
-contribution of tilt and bias. The unknowns are position p_i, heading theta_i, speed v_i and b.
+Positions are complex numbers east + i north, psi is the integrated gyro, a_x the forward specific force, and b the
+contribution of tilt and bias to it. The unknowns are position p_i, heading theta_i, speed v_i and b.
 """
 
 from dataclasses import dataclass, replace
@@ -18,14 +18,14 @@ from sigmaswarm.geodesy import wrap_angle
 
 Complex = NDArray[np.complex128]
 Way = Complex
-"""Motion from each fix to the last one by the IMU, (3, f), in the body frame at the last fix.
+"""Path from each fix to the last one by the IMU, (3, f), in the body frame at the last fix.
 
-Rows: per m/s of speed at this fix (s), per m/s2 of tilt and bias (s2), and by the accelerometer (m).
+Rows: per m/s of speed at the last fix (s), per m/s2 of tilt and bias (s2), and by the accelerometer (m).
 """
 
 SLIP_STD = np.radians(1.0)  # rad, angle between course and heading at the IMU in ordinary driving
 ACCELERATION_BIAS_STD = 0.5  # m/s2, prior of b (tilt and bias)
-MIN_POSITION_STD = 0.05  # m per axis, smallest assumed deviation of fixes
+MIN_POSITION_STD = 0.05  # m per axis, smallest assumed standard deviation of fixes
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +39,9 @@ class InitialState:
     covariance : ndarray, shape (5, 5)
         Covariance of ``mean``, positive definite.
     time : float
-        Time of the last used fix, s, at which filters and scores start.
+        Time of the last fix of the alignment, s, at which filters and scores start.
     gyro : GyroSeen or None
-        Evidence about the gyro's bias, for filters that estimate the bias; with None they start with 0.
+        Evidence about the gyro's bias, for filters that estimate it; with None, they start with a bias of 0.
     """
 
     mean: Array
@@ -54,8 +54,8 @@ class InitialState:
 class Fit:
     """A fit of the last seconds of fixes; unknowns east, north, theta, v, b at ``time``.
 
-    ``taken`` is the subtracted gyro bias, rad/s; ``yaw_bias`` and ``yaw_std`` are the estimated bias and its standard
-    deviation, ``bias_std`` that of the fit alone. ``turns`` is the change of the unknowns per rad/s of bias.
+    ``taken`` is the subtracted gyro bias, rad/s. ``yaw_bias`` and ``yaw_std`` are the estimated bias and its standard
+    deviation; ``bias_std`` is that from the fit alone. ``turns`` is the change of the unknowns per rad/s of bias.
     """
 
     time: float
@@ -89,7 +89,7 @@ class Fit:
         inside = slice(*np.searchsorted(imu.time, [time[0]], side="right"), *np.searchsorted(imu.time, [end]))
         grid = np.concatenate([[time[0]], imu.time[inside], [end]])
         psi, gained = np.interp(grid, imu.time, turned), np.interp(grid, imu.time, sped)
-        # after the last sample before the last fix, a filter on board has no newer sample: the last one is repeated
+        # The filter on board has no sample after the last one before the last fix, so this sample is repeated.
         last = int(np.searchsorted(imu.time, end, side="right")) - 1
         psi[-1] = turned[last] + imu.gz[last] * (end - imu.time[last])
         gained[-1] = sped[last] + imu.ax[last] * (end - imu.time[last])
@@ -102,9 +102,9 @@ class Fit:
 
         integrands = direction, direction * (grid - end), direction * (gained - gained[-1])
         straight = np.array([until_end(each) for each in integrands])
-        # relative to the last fix, a bias rotates the piece between two fixes by its integral from the middle on
+        # Relative to the last fix, a bias rotates the path between two fixes by its integral from their middle time.
         since, middle = time - end, 0.5 * (time[1:] + time[:-1]) - end
-        # the fixes are positions of the antenna, which the lever arm rotates about the IMU
+        # The fixes are positions of the antenna, which rotates about the IMU with the lever arm.
         arm = np.interp(time, grid, direction) * complex(*drive.lever_arm) * np.exp(-1j * taken * since)
         way = _turned(straight, np.exp(-1j * taken * middle)) if taken else straight.copy()
         way[2] -= arm
@@ -112,13 +112,13 @@ class Fit:
         change[2] -= -1j * since * arm
         coasting = float(np.trapezoid(gained - gained[-1], grid))  # m, the contribution of changes of speed
         fit = cls._solve(end, position, way, change, float(-since[0]), coasting, taken)
-        # part of a turn may be mistaken for bias, which no fit shows; the square of a NumPy float may be inf
+        # Part of a turn may look like a bias in any fit. The square of a NumPy float may be inf.
         turn = np.float64(np.ptp(psi - fit.yaw_bias * grid)) / fit.span
         std = float(np.sqrt(fit.yaw_std**2 + YAW_STD**2 + (TURN_SHARE * turn) ** 2))
         return replace(fit, yaw_std=std)
 
     def with_bias_variance(self, variance: float) -> "Fit":
-        """Add a variance of the gyro's bias, (rad/s)^2, to the unknowns' covariance."""
+        """Add the effect of a variance of the gyro's bias, (rad/s)^2, to the covariance of the unknowns."""
         covariance = self.covariance.copy()
         covariance[:4, :4] += variance * np.outer(self.turns, self.turns)
         return replace(self, covariance=covariance)
@@ -127,7 +127,7 @@ class Fit:
     def _solve(
         cls, end: float, position: Complex, seen: Way, change: Way, span: float, coasting: float, taken: float
     ) -> "Fit":
-        """Solve for east, north, theta, v, b (Gauss-Newton); ``change`` is the path's derivative by the gyro's bias."""
+        """Solve for east, north, theta, v, b (Gauss-Newton); ``change``: derivative of the path by the gyro's bias."""
         g, t = seen[0], seen[1]
         chord = position[-1] - position[0]
         theta, v, b, p = np.angle(chord / g[0]), abs(chord) / max(abs(g[0]), 1e-9), 0.0, position[-1]
@@ -158,7 +158,7 @@ class Fit:
         return cls(end, solution, covariance, forward, worst, taken, taken + more, std, turns[:4], span, std)
 
     def state(self, leaning: Array) -> InitialState:
-        """Return the start; ``leaning`` (2,) contains the gyro's mean rates about forward and left, rad/s, or NaN."""
+        """Return the start; ``leaning`` (2,): mean gyro rates about forward and left, rad/s, or NaN."""
         east, north, theta, v, _ = self.solution
         c, s = np.cos(theta), np.sin(theta)
         # from (east, north, theta, v, slip angle) to (x, y, vx, vy, theta)
@@ -173,14 +173,14 @@ class Fit:
         bias = np.nan_to_num(np.append(leaning, self.yaw_bias))
         lean = np.where(np.isfinite(leaning), (LEAN_STD / self.span) ** 2, np.inf)
         variance = np.append(lean, self.yaw_std**2)
-        if abs(self.yaw_bias) > MOST_BIAS:  # then the bias is unknown
+        if abs(self.yaw_bias) > MOST_BIAS:  # the bias is then unknown
             bias[UP], variance[UP] = self.taken, np.inf
         gyro = GyroSeen(bias, variance, self.taken, jacobian[:, :4] @ self.turns)
         return InitialState(mean, 0.5 * (covariance + covariance.T), self.time, gyro)
 
 
 def _turned(way: Way, each: Complex) -> Way:
-    """Multiply the pieces of a path between two fixes by complex factors (f - 1,)."""
+    """Multiply the paths between successive fixes by complex factors (f - 1,)."""
     pieces = each * (way[:, :-1] - way[:, 1:])
     sums = np.cumsum(pieces[:, ::-1], axis=1)[:, ::-1]
     return np.column_stack([sums, np.zeros(3, np.complex128)])
@@ -191,7 +191,7 @@ def _real(column: Complex) -> Array:
 
 
 def _one_more(jacobian: Array, residual: Array, column: Array) -> tuple[float, float, Array]:
-    """Add an unknown, with its ``column`` (m,), to a solved problem (m, n).
+    """Add an unknown with the Jacobian ``column`` (m,) to a solved least-squares problem (m, n).
 
     Return its value, its standard deviation, and the change of the other unknowns per unit of it, (n,).
     """

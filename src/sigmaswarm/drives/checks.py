@@ -1,4 +1,4 @@
-"""Check whether a drive is plausible: too little data, and units, axes and gaps that look wrong.
+"""Check whether a drive is plausible: enough data, and plausible units, axes and gaps.
 
 The doctor checks most of these faults in more detail, with the same messages.
 """
@@ -15,28 +15,28 @@ from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.wording import counted
 
 FEWEST_SAMPLES, FEWEST_SHARED_FIXES = 100, 10
-"""Smallest number of IMU samples, and of fixes within the IMU's time."""
+"""Smallest number of IMU samples, and of fixes within the time of the IMU."""
 IMU_GAP = (10.0, 0.1)
 """A gap of the IMU exceeds both this many usual intervals and this many s."""
 GPS_GAP = (5.0, 2.0)
 """A gap of fixes or truth exceeds both this many usual intervals and this many s."""
 UNSHARED = 10.0
-"""Smallest reported time without the other sensor at the start or end, s."""
+"""Shortest reported time without the other sensor at the start or end, s."""
 UNSHARED_IMU = 0.1
-"""The same as a share of the IMU's time; many logs begin before the receiver has its first fix."""
+"""The same, as a share of the IMU's time, since many logs begin before the first fix."""
 GRAVITY = 9.80665  # m/s2, standard gravity
 IMPOSSIBLE_RATE = 3.0  # rad/s; no car makes half a turn in a second
-TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # per second
+TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units per second
 _SLOWEST = (2.0, 60.0)  # s between samples and between fixes; longer intervals suggest another unit
 _USUAL = (0.5, 20.0)  # s between samples and between fixes, in the right unit
-_JUMP = 3600.0  # s; a longer interval is a corrupt time stamp or a clock that was set
+_JUMP = 3600.0  # s; a longer interval is due to a corrupt time stamp or to a clock that was set
 _WINDOW = 5.0
-"""Time over which the fixes give speed and course, s: long enough for noise of meters, short enough for turns."""
+"""Time over which fixes give speed and course, s: long enough for noise of meters, short enough for turns."""
 
 
 @dataclass(frozen=True)
 class Remark:
-    """A probable fault; ``code`` is the doctor's (docs/doctor.md)."""
+    """A probable fault; ``code`` is that of the doctor (docs/doctor.md)."""
 
     code: str
     file: str
@@ -50,7 +50,7 @@ class Remark:
 
 @dataclass(frozen=True)
 class Gaps:
-    """Number of gaps, start and length of the longest, and usual interval, s."""
+    """Number of gaps, start and length of the longest gap, and usual interval, s."""
 
     count: int
     start: float
@@ -59,9 +59,9 @@ class Gaps:
 
 
 def checked(imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str]) -> list[SigmaswarmWarning]:
-    """Raise `DriveError` for a shortage, and return warnings of other faults.
+    """Raise `DriveError` if there are too few data; return warnings of other faults.
 
-    ``placed`` adds the folder to a sentence with imu.csv or gps.csv.
+    ``placed``: adds the folder to a sentence with imu.csv or gps.csv.
     """
     if shortage := shortage_of(imu, gps):
         raise DriveError(placed(shortage))
@@ -69,7 +69,7 @@ def checked(imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str
 
 
 def shortage_of(imu: Imu, gps: Gps) -> str | None:
-    """Describe a shortage that makes a drive unusable."""
+    """Return a sentence if a drive has too few data to be usable; else None."""
     first, last = imu.time[[0, -1]]
     if first > gps.time[-1] or gps.time[0] > last:
         return (
@@ -87,7 +87,7 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
     return None
 
 
-@np.errstate(all="ignore")  # the doctor reports values at the ends of the number range
+@np.errstate(all="ignore")  # the doctor reports values outside of the number range
 def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
     if spoiled := spoiled_times(imu, gps):
         return spoiled
@@ -110,7 +110,7 @@ def spoiled_times(imu: Imu, gps: Gps) -> list[Remark]:
 
 
 def _time_unit(imu: Array, gps: Array) -> Remark | None:
-    """Check for ms, us or ns: of one sensor by the durations, of both by the rates."""
+    """Check for ms, us or ns: in one sensor by the durations, in both by the rates."""
     lasts = float(np.ptp(imu)), float(np.ptp(gps))
     if min(lasts) <= 0:
         return None
@@ -253,7 +253,7 @@ def _angular_rate(imu: Imu, gps: Gps) -> Iterator[Remark]:
     moving = np.abs(velocity) > 4.0  # m/s; at lower speeds, noise of the fixes dominates the course
     both = moving[1:] & moving[:-1]
     if np.count_nonzero(both) >= 4:
-        # standard deviations are independent of a gyro's bias; at least 0.02 rad, since straight roads have no turns
+        # Standard deviations do not depend on the gyro's bias; at least 0.02 rad, since straight roads have no turns.
         degrees = np.std(turned[both]) > 5 * max(float(np.std(turn[both])), 0.02)
     else:
         degrees = impossible_rate(imu.gz)
@@ -263,7 +263,7 @@ def _angular_rate(imu: Imu, gps: Gps) -> Iterator[Remark]:
 
 
 def _acceleration(imu: Imu, gps: Gps) -> Iterator[Remark]:
-    """Check for ax in g, without az: its integral is about a tenth of the changes of speed."""
+    """Check for ax in g, without az: its integral is then about a tenth of the changes of speed."""
     if imu.az is not None:
         return
     velocity, gained, _ = _seen_by_fixes(imu, gps, imu.ax)

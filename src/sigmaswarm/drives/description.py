@@ -28,7 +28,7 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "gyro_bias_walk": ((0,), "0.00001"),
     "imu_stated_noise": ((2,), "[1e-4, 1e-2]"),
 }
-"""Keys of drive.toml that filters use: allowed numbers of elements (0: a plain number), and an example."""
+"""Keys of drive.toml that filters use: allowed numbers of elements (0: a single number), and an example."""
 _ANGLES = {
     "heading_deg": "degrees counter-clockwise from east",
     "imu_mounting_deg": "roll, pitch and yaw in degrees",
@@ -64,7 +64,7 @@ def require_name(name: object, where: object) -> None:
         raise DriveError(
             f'{where}: name = {value_shown(name)} is not text; write for example name = "monday"'
         )
-    surrogates = any("\ud800" <= c <= "\udfff" for c in name)  # bytes of a file's name that are no UTF-8
+    surrogates = any("\ud800" <= c <= "\udfff" for c in name)  # bytes in a file name that are not UTF-8
     if name in (".", "..") or set(name) & {"/", "\\", "\n", "\0"} or surrogates:
         raise DriveError(f"{where}: name = {quoted(name)} can't name a folder; leave slashes out")
 
@@ -97,7 +97,7 @@ def _origin(value: Any, path: Path) -> Origin:
 
 
 def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
-    """Return the stated frame, which must agree with the columns; by default that of the columns."""
+    """Return the stated frame, which must agree with the columns, or the frame of the columns."""
     description = gps.parent / "drive.toml"
     if stated not in (None, *POSITIONS):
         raise DriveError(f'{description}: frame = {value_shown(stated)} is unknown; write "enu" or "wgs84"')

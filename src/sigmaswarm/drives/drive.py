@@ -62,7 +62,7 @@ class Drive:
     ) -> "Drive":
         """Make a drive from data frames of pandas or polars, or from mappings of column names to arrays.
 
-        Times are seconds or dates, in a column ``t`` or ``time`` or as a pandas index. Dates become seconds since the
+        Times are seconds or dates, in a column ``t`` or ``time`` or in a pandas index. Dates become seconds since the
         first IMU sample, whose Unix time is ``metadata["time_origin_s"]``.
 
         Parameters
@@ -82,13 +82,13 @@ class Drive:
         Raises
         ------
         DriveError
-            A column is missing, not numeric, not finite or out of range, or times do not increase; one line gives
-            table, column and row (from 0).
+            If a column is missing, not numeric, not finite or out of range, or if times do not increase; the message
+            states table, column and row (from 0).
 
         Warns
         -----
         SigmaswarmWarning
-            Unknown columns, which are ignored; also gaps, and values that look like other units or axes.
+            For unknown columns, which are ignored, and for gaps and values that suggest other units or axes.
 
         Examples
         --------
@@ -117,7 +117,7 @@ class Drive:
 
     @property
     def lever_arm(self) -> Array:
-        """Vector from the IMU to the antenna, m forward and left, (2,): ``gps_lever_arm_m`` of drive.toml, else 0."""
+        """Vector from IMU to antenna, m forward and left, shape (2,): ``gps_lever_arm_m`` of drive.toml, else 0."""
         return np.array(self.metadata.get("gps_lever_arm_m", (0.0, 0.0))[:2], dtype=np.float64)
 
     @property
@@ -134,7 +134,7 @@ class Drive:
 
     @property
     def mounting(self) -> Angles | None:
-        """Roll, pitch and yaw by which the IMU was turned, deg: ``imu_mounting_deg`` of drive.toml, else None."""
+        """Roll, pitch and yaw by which the IMU was rotated, deg: ``imu_mounting_deg`` of drive.toml, else None."""
         stated = self.metadata.get(KEY)
         return None if stated is None else (float(stated[0]), float(stated[1]), float(stated[2]))
 

@@ -13,7 +13,7 @@ START_RULE = (
     "the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster), or, on a slower drive, "
     "10 m or more in up to 90 s; the first fix with a heading, if it is earlier"
 )
-"""The start that `alignment` finds (`DriveRecord.scored_from_s`), for messages and pages."""
+"""Description of the start that `alignment` finds (`DriveRecord.scored_from_s`), for messages and pages."""
 
 
 class DriveRecord(BaseModel):
@@ -31,9 +31,9 @@ class DriveRecord(BaseModel):
     scored_from_s: float | None = None
     """Start of filters and scores of an evaluated drive, s after the first sample."""
     seen_s: float | None = None
-    """Duration of the part of an evaluated drive that the tuning's drives contain, s."""
+    """Duration of the part of an evaluated drive that the training drives contain, s."""
     seen_in: list[str] = Field(default_factory=list)
-    """Names of these drives of the tuning."""
+    """Names of these training drives."""
 
 
 def described(drive: Drive) -> dict[str, Any]:

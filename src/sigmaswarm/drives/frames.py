@@ -20,7 +20,7 @@ _TIMES = ("t", "time")
 def tables_from_frames(
     frames: Mapping[str, Any], renamed: Mapping[str, str], origin: Origin | None
 ) -> tuple[dict[str, Any], dict[str, Any], list[SigmaswarmWarning]]:
-    """Return records, further arguments of `Drive`, and warnings of ignored columns, for `Drive.from_frames`."""
+    """Return tables, further arguments of `Drive`, and warnings of ignored columns, for `Drive.from_frames`."""
     arrays = {name: _columns_of(frame, name, renamed) for name, frame in frames.items()}
     start = _to_seconds(arrays)
     frame: Frame = "wgs84" if "x" not in arrays["gps"] else "enu"
@@ -41,7 +41,7 @@ def tables_from_frames(
 
 
 def _columns_of(table: Any, name: str, renamed: Mapping[str, str]) -> dict[str, NDArray[Any]]:
-    """Return columns (n,) by a drive's names, including a pandas index of times."""
+    """Return the columns (n,) by the names of a drive, including a pandas index of times."""
     if isinstance(table, str | Path):
         raise DriveError(f"{name} is a path, {quoted(str(table))}; read it with read_drive or import_log")
     if not hasattr(table, "keys") and not hasattr(table, "columns"):
@@ -66,16 +66,16 @@ def _columns_of(table: Any, name: str, renamed: Mapping[str, str]) -> dict[str, 
 
 
 def _values(column: Any) -> NDArray[Any]:
-    """Convert a column to an array; times with a zone become UTC."""
-    if getattr(getattr(column, "dtype", None), "tz", None) is not None:  # pandas would give objects
+    """Convert a column to an array; times with a time zone become UTC."""
+    if getattr(getattr(column, "dtype", None), "tz", None) is not None:  # pandas would return objects
         column = column.dt.tz_convert("UTC").dt.tz_localize(None)
     return np.asarray(column.to_numpy() if hasattr(column, "to_numpy") else column)
 
 
 def _to_seconds(tables: dict[str, dict[str, NDArray[Any]]]) -> float | None:
-    """Replace dates by seconds since the first IMU sample; return that sample's Unix time, s, or None.
+    """Replace dates by seconds since the first IMU sample; return the Unix time of this sample, s, or None.
 
-    Seconds since 1970 as float64 have a resolution of 0.2 us; seconds since the first sample are exact.
+    Unix time as float64 has a resolution of 0.2 us; seconds since the first sample are exact.
     """
     dated = {key for key, table in tables.items() if "t" in table and table["t"].dtype.kind == "M"}
     if not dated:

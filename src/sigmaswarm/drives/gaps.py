@@ -1,4 +1,4 @@
-"""Gaps in the IMU: intervals without samples, compared with previous intervals only, as a live filter must."""
+"""Gaps in the IMU: intervals without samples, compared only with earlier intervals, as in a live filter."""
 
 import numpy as np
 
@@ -8,9 +8,9 @@ from sigmaswarm.drives.drive import Array
 MANY, SHORTEST = 5.0, 0.05
 """A gap exceeds both this many usual intervals and this many s."""
 OVER = 32.0
-"""Approximate number of intervals in the mean that defines the usual interval."""
+"""Approximate number of intervals over which the mean that is the usual interval is taken."""
 MOST = 3.0
-"""Limit of an interval in this mean, in usual intervals, so that a gap does not become usual."""
+"""Upper limit of an interval in this mean, in usual intervals, so that a gap does not become usual."""
 
 
 def gaps_before(time: Array) -> Array:
@@ -31,11 +31,11 @@ def _find_gaps(time: Array, gaps: Array) -> None:
 
 @cached
 def gap_of(interval: float, usual: float) -> float:
-    """Return the interval (s) if it is a gap relative to the usual interval (s; 0: not known yet), else 0."""
+    """Return the interval (s) if it is a gap relative to the usual interval (s; 0: unknown), else 0."""
     return interval if usual > 0.0 and interval > max(MANY * usual, SHORTEST) else 0.0
 
 
 @cached
 def usual_after(interval: float, usual: float) -> float:
-    """Update the usual interval, s, by another interval: an exponentially weighted mean."""
+    """Update the usual interval, s, an exponentially weighted mean, by another interval."""
     return usual + (min(interval, MOST * usual) - usual) / OVER if usual > 0.0 else interval

@@ -1,8 +1,8 @@
 """Gyro bias from the last seconds before a start, and its use by filters.
 
-A cheap gyro may start with a bias of 20 deg/s. Then its path curves differently from the fixes, and the integrated roll
-drifts. Both show the bias to about 1 deg/s: less accurate than the ``bias_std`` of a good gyro, which keeps its start,
-and far more accurate than the prior of a cheap gyro.
+A cheap gyro may start with a bias of 20 deg/s. Then the curvature of its path differs from that of the fixes, and the
+integrated roll drifts. Both determine the bias to about 1 deg/s. This is less accurate than the ``bias_std`` of a good
+gyro, which keeps its start, and far more accurate than the prior of a cheap gyro.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,26 +16,26 @@ UP = 2  # axis of the rate about the vertical
 CONTRADICTS = 5.0
 """Number of standard deviations above which an alignment subtracts a bias about the vertical axis."""
 STRANGE = 1e-5
-"""Prior probability that the gyro is far worse than that of the tuning; a bias of five sigmas confirms this.
+"""Prior probability that the gyro is far worse than that of the tuning; a bias of five sigmas confirms it.
 
-A prior of 1e-3 would increase the uncertainty of a good gyro by 0.07 deg/s.
+A probability of 1e-3 would increase the standard deviation of a good gyro's bias by 0.07 deg/s.
 """
 STRANGE_STD = 0.2
 """Standard deviation of the bias of such a gyro, rad/s; an uncalibrated MPU-6050 may have 20 deg/s."""
 YAW_STD = np.radians(1.0)
 """Smallest standard deviation of the bias, rad/s, since the car slips and receivers smooth their fixes."""
 TURN_SHARE = 0.3
-"""Share of a turn's mean rate that may be mistaken for bias, since fixes lag and the car slips."""
+"""Share of the mean rate of a turn that may look like a bias, since fixes lag and the car slips."""
 LEAN_STD = np.radians(8.0)
-"""Standard deviation of changes of roll and pitch within some seconds, rad, as where a road begins to climb."""
-MOST_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that show more have jumped
+"""Standard deviation of changes of roll and pitch within some seconds, rad, as at the beginning of a climb."""
+MOST_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that suggest more have jumped
 
 
 @dataclass(frozen=True, eq=False)
 class GyroSeen:
     """Evidence about the gyro bias from one alignment, or from several: see `together`.
 
-    ``bias`` and ``variance`` (3,) are about forward, left and up, rad/s and squared; an unknown axis has infinite
+    ``bias`` and ``variance`` (3,), about forward, left and up, are in rad/s and (rad/s)^2; an unknown axis has infinite
     variance. The alignment's mean and covariance are valid for the bias ``taken`` about up; ``turns`` (5,) is the
     change of x, y, vx, vy, theta per rad/s of bias.
     """
@@ -46,17 +46,17 @@ class GyroSeen:
     turns: Array
 
     def with_bias(self, known: float) -> "GyroSeen":
-        """Return the evidence about the unchanged gyro, if a known bias about up, rad/s, was subtracted before."""
+        """Return the evidence for the original gyro, from which a known bias about up, rad/s, had been subtracted."""
         bias = self.bias.copy()
         bias[UP] += known
         return replace(self, bias=bias, taken=self.taken + known)
 
     def tell(self, mean: Array, covariance: Array, places: Mapping[int, int], std: Array) -> None:
-        """Add the evidence in place to the states ``mean`` (..., n) and ``covariance`` (..., n, n) at the start.
+        """Update ``mean`` (..., n) and ``covariance`` (..., n, n) of the states at the start, in place.
 
         The bias follows from two measurements: 0 with standard deviation ``std`` (...), rad/s, and the observed bias.
-        Alternatively the gyro is far worse (`STRANGE`, `STRANGE_STD`). The likelihood of all axes weights the two
-        cases. ``places`` maps each axis, 0 to 2, with an estimated bias to its state.
+        Alternatively, the gyro is far worse (`STRANGE`, `STRANGE_STD`). The two cases are weighted by the likelihood of
+        all axes. ``places`` maps each axis, 0 to 2, with an estimated bias to its state.
         """
         std, axes = np.asarray(std)[..., None], [*places]
         usual, strange = (self._measured(each, axes) for each in (std, np.array([STRANGE_STD])))
@@ -74,7 +74,7 @@ class GyroSeen:
                 covariance[..., :5, place] = covariance[..., place, :5] = across
 
     def _measured(self, std: Array, axes: list[int]) -> tuple[Array, Array, Array]:
-        """Return biases and variances, (..., k), for a prior standard deviation, and its log-likelihood, (..., 1)."""
+        """Return biases and variances, (..., k), for a prior standard deviation, and the log-likelihood, (..., 1)."""
         seen, variance = self.bias[..., axes], self.variance[..., axes]
         left = std**2 / (1.0 + std**2 / variance)
         surprise = seen**2 / (std**2 + variance) + np.log(1.0 + std**2 / variance)

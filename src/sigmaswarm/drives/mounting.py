@@ -1,4 +1,4 @@
-"""The mounting of the IMU in drive.toml: the rotation that turned its samples to the axes of the vehicle."""
+"""The mounting of the IMU in drive.toml: the rotation of its samples into the axes of the vehicle."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -10,18 +10,18 @@ from sigmaswarm.geodesy import roll_pitch_yaw, rotation_of
 
 KEY = "imu_mounting_deg"
 Angles = tuple[float, float, float]
-"""Roll, pitch and yaw of the IMU in the vehicle, deg, as ``import --mount`` takes them."""
+"""Roll, pitch and yaw of the IMU in the vehicle, deg, as in ``import --mount``."""
 AGREE = 3.0
-"""Largest angle, deg, between the mounting of a drive and the mean at which the mountings of drives agree."""
+"""Mountings of drives agree if their angles to the mean mounting, deg, are at most this."""
 DIGITS = 9
 """Decimals of a stated angle, deg; the error of the rotation is below 1e-10."""
 NOT_TURNED = (0.0, 0.0, 0.0)
 
 
 def with_rotation(metadata: Mapping[str, Any], rotation: Array | None) -> dict[str, Any]:
-    """Return a drive's metadata after its IMU was turned by a further rotation (3, 3).
+    """Return a drive's metadata after a further rotation (3, 3) of its IMU.
 
-    None: the axes were changed in a way that is no rotation. No mounting then describes the way from the raw samples.
+    None: the axes were changed, but not by a rotation; no mounting then relates the samples to those of the sensor.
     """
     if rotation is not None and np.allclose(rotation, np.eye(3), rtol=0, atol=1e-12):
         return {**metadata}
@@ -33,9 +33,9 @@ def with_rotation(metadata: Mapping[str, Any], rotation: Array | None) -> dict[s
 
 
 def common_mounting(stated: Iterable[Angles | None]) -> Angles | None:
-    """Return the mean mounting of drives if each drive is within `AGREE` of it and not all state none, else None.
+    """Return the mean mounting if each drive's is within `AGREE` of it, else None; None if no drive states one.
 
-    A drive that states no mounting is treated as if its IMU were not rotated.
+    A drive without a mounting counts as not rotated.
     """
     each = [*stated]
     if not any(each):

@@ -1,6 +1,6 @@
 """Odometer measurements of a filter: readings averaged over at least a tenth of a second.
 
-Errors of readings are not white (scale, quantization, tires), so this mean contains as much information as readings of
+Errors of readings are not white (scale, quantization, tires). So this mean contains as much information as readings at
 83 Hz, with less quantization error. At low speed there are few pulses, and the odometer may read zero while the car
 moves.
 """
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array, Odometer
 
-INTERVAL = 0.1  # s, shortest time between measurements, and largest age of a reading in one
+INTERVAL = 0.1  # s, shortest time between measurements, and largest age of a reading in a measurement
 SLOW = 0.5
-"""Speed below which the odometer may read too low, m/s; the square is added to the variance of lower readings."""
-LARGEST_AGE = 1.0  # s, age above which a reading does not show whether the wheels turn
+"""Speed below which the odometer may read too low, m/s; its square is added to the variance of lower readings."""
+LARGEST_AGE = 1.0  # s; an older reading does not show whether the wheels turn
 
 SPEED, AGE, MORE = range(3)
 """Columns of a measurement: mean of the readings, m/s, their mean age, s, and additional variance in R, m2/s2."""
@@ -28,8 +28,8 @@ SPEED, AGE, MORE = range(3)
 class Wheels:
     """Odometer measurements of the steps of a time line.
 
-    ``updates`` (k,) marks steps that end with one of ``rows`` (o, 3), see SPEED ... MORE. ``turn`` (k,) marks steps at
-    whose end the wheels turn, so that the car does not stand.
+    ``updates`` (k,) marks steps that end with one of the measurements ``rows`` (o, 3): see SPEED ... MORE. ``turn``
+    (k,) marks steps at whose end the wheels turn, so that the car does not stand.
     """
 
     updates: NDArray[np.bool_]
@@ -40,7 +40,8 @@ class Wheels:
 def measurements_of(odometer: Odometer, start: float, end: Array, sampled: NDArray[np.bool_]) -> Wheels:
     """Compute the measurements; steps end at ``end`` (k,) s, at an IMU sample where ``sampled`` (k,).
 
-    The first sample of each interval with a new reading uses the readings since the last measurement.
+    In each interval with a new reading, the measurement is at the first IMU sample after this reading, and averages the
+    readings since the last measurement.
     """
     readings = np.column_stack([odometer.time, odometer.speed])
     updates, turn = np.zeros((2, len(end)), dtype=np.bool_)
@@ -82,15 +83,15 @@ def slot_of(t: Any, start: float, interval: float) -> Any:
 
 @cached
 def wheels_turn(readings: Array, end: int, now: float) -> bool:
-    """Return True if the wheels turn; the first ``end`` rows of ``readings``, time and speed, are up to now."""
+    """Return True if the wheels turn; the first ``end`` rows of ``readings``, time and speed, are up to ``now``."""
     return end > 0 and readings[end - 1, 0] > now - LARGEST_AGE and abs(readings[end - 1, 1]) >= SLOW
 
 
 @cached
 def mean_reading(readings: Array, end: int, now: float, before: float, taken: float, wheels: Array) -> bool:
-    """Average the readings since the last measurement, at ``taken``, into ``wheels`` (3,), see SPEED ... MORE.
+    """Average the readings since the last measurement, at ``taken``, into ``wheels`` (3,): see SPEED ... MORE.
 
-    Return False if no reading came since ``before``.
+    Return False if no reading is newer than ``before``.
     """
     oldest = now - INTERVAL
     if end == 0 or readings[end - 1, 0] <= max(before, oldest):

@@ -10,13 +10,13 @@ SECONDS_PER_OUTAGE = 15.0  # s of driving per window in `random_windows`
 
 
 def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> NDArray[np.bool_]:
-    """Return a mask of the fixes (n,) s in an outage (k, 2) s, both ends included.
+    """Return True for fixes (n,) s in an outage (k, 2) s, including both ends.
 
-    Drift is measured at the end of a window, before any new fix.
+    The end is included since drift is measured there, before any new fix.
     """
     t = np.asarray(time, dtype=np.float64)
     starts, ends = np.sort(_checked(windows), axis=0).T
-    # more windows have begun than ended; a comparison of each fix with each window would need a gigabyte
+    # more windows have begun than ended; comparing each fix with each window would need a gigabyte
     return np.searchsorted(starts, t, side="right") > np.searchsorted(ends, t, side="left")
 
 
@@ -48,7 +48,7 @@ def random_windows(
     ends = np.cumsum(lengths) + apart * np.arange(len(lengths))
     fitting = int(np.count_nonzero(ends <= available))
     ends, lengths = ends[:fitting], lengths[:fitting]
-    # the remaining time is divided by sorted uniforms: every division is equally likely
+    # The remaining time is divided by sorted uniform numbers, so that every division is equally likely.
     slack = np.sort(rng.uniform(0.0, available - ends[-1], fitting)) if fitting else ends
     ends = np.minimum(start + first_after + slack + ends, end)
     return np.stack([ends - lengths, ends], axis=1)
@@ -65,8 +65,8 @@ def balanced_windows(
 ) -> Array:
     """Draw one outage in each ``every`` seconds between two times, s, (k, 2).
 
-    Each has a random length of a range, s, and begins at least ``apart`` s after the start and after the previous
-    outage.
+    Each outage has a random length in the range ``length``, s, and begins at least ``apart`` s after the start or the
+    previous outage.
     """
     if not (0 < length[0] <= length[1] and apart >= 0 and every >= length[1] + apart):
         raise InputError(
@@ -82,10 +82,10 @@ def balanced_windows(
 
 
 def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) -> Array:
-    """Shift windows (k, 2), in order of time, so that each ends exactly on an IMU sample (n,), s.
+    """Shift windows (k, 2), sorted by time, so that each ends exactly at an IMU sample (n,), s.
 
     An end moves to the first sample at or after it, or later to keep ``apart`` s from the previous window; the length
-    is unchanged. An end after the last sample moves back to it; a window that is then too close is left out.
+    does not change. An end after the last sample moves back to it; a window that is then too close is left out.
     """
     samples = np.asarray(imu_time, dtype=np.float64)
     snapped: list[list[float]] = []

@@ -26,22 +26,22 @@ from sigmaswarm.geodesy import enu_to_geodetic
 Whole = NDArray[np.int64]
 
 SEEN_FILE = "seen.npz"
-"""File of a tuning's landmarks."""
+"""File with the landmarks of a tuning."""
 MICRO = 1_000_000
-SAME_TIME = 1000  # us, largest difference of one landmark's times, without the clock offset
-SAME_PLACE = 3.0  # cm or 1e-7 deg (1.1 cm to the north), of one fix in two files
+SAME_TIME = 1000  # us, largest difference between the times of one landmark, after the clock offset
+SAME_PLACE = 3.0  # cm or 1e-7 deg (1.1 cm to the north), largest difference of one fix in two files
 SAME_RATE = 2e-4
-"""Largest difference between the logarithms of one yaw rate in two units with 8 decimals."""
+"""Largest difference between the logarithms of one yaw rate in two units, with 8 decimals."""
 MOVING = 1.5  # m/s, smallest speed between a landmark and a neighboring fix
 UNITS = math.log(180 / math.pi)
-"""ln of the ratio of rad/s to deg/s: landmarks are the logarithms of yaw rates modulo this."""
+"""ln of the ratio of rad/s to deg/s; landmarks are the logarithms of yaw rates modulo this."""
 WIDTH = 0.4
-"""Width of the part of `UNITS` that has landmarks: a tenth of all samples, about those of 1 to 1.5 deg/s."""
+"""Width of the part of `UNITS` with landmarks, for a tenth of all samples: about those of 1 to 1.5 deg/s."""
 MOST = 20_000
 """Largest number of yaw-rate landmarks; a long drive uses a smaller part of `UNITS`."""
 COMMON = 100  # occurrences in a drive; a more frequent yaw rate, as of a coarse gyro, is ignored
-FEWEST = 8  # landmarks with different values that must agree
-SHARE = 0.5  # of the landmarks in the common time that must agree
+FEWEST = 8  # smallest number of landmarks with different values that must agree
+SHARE = 0.5  # smallest share of the landmarks in the common time that must agree
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class Landmarks:
 
     ``sha256``: `fingerprint` of the drive; ``span``: start and end of the IMU samples, s; ``fixes`` (n, 3): time (us)
     and position, latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm); ``rates`` (k, 2): time (s) and
-    yaw rate as ln|gz| modulo ``UNITS``, below ``width``, the same in rad/s and deg/s and for both signs.
+    ln|gz| modulo ``UNITS``, below ``width``, which is the same in rad/s and deg/s and for both signs.
     """
 
     name: str
@@ -124,7 +124,7 @@ def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | No
 
 
 def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:
-    """Return start and end, s on the clock of ``one``, of its part that ``other`` contains; None if there is none."""
+    """Return start and end of the part of ``one`` that ``other`` contains, s on its clock; None without such a part."""
     if one.sha256 == other.sha256:
         return one.span
     for offset in (_by_fixes(one, other), _by_rates(one, other)):
@@ -154,10 +154,10 @@ def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
 
 
 def _offset(a: Array, b: Array, tolerance: float) -> float | None:
-    """Return the offset, s, between the clocks of landmarks (time in us, values ...) that gives the most equal pairs.
+    """Return the offset, s, between the clocks of landmarks (time in us, values ...) with the most equal pairs.
 
-    Some pairs agree by chance. So, in the drive with fewer landmarks (a copy may be decimated), half of the landmarks
-    in the common time must agree. Their values must differ, since a standing car repeats one value.
+    Some pairs agree by chance. So half of the landmarks in the common time must agree, in the drive with fewer
+    landmarks, since a copy may be decimated. Their values must differ, since a standing car repeats one value.
     """
     if min(len(a), len(b)) < FEWEST:
         return None
@@ -226,7 +226,7 @@ class SavedLandmarks(Sequence[Landmarks]):
 
 
 def load_landmarks(path: Path) -> list[Landmarks] | None:
-    """Load a file of `save_landmarks`; None without one, as in tunings of early versions."""
+    """Load a file of `save_landmarks`; None without a file, as in tunings of early versions."""
     if not path.exists():
         return None
     try:

@@ -17,7 +17,7 @@ class PreparedDrive:
     """A drive with the start and the time lines of all filters that run over it.
 
     The start is ``initial``, by default that of the alignment. ``as_recorded``, for diagnosis and the paper's protocol:
-    use stale fixes, and treat gaps in the IMU as ordinary steps.
+    use stale fixes, and treat IMU gaps as ordinary steps.
     """
 
     def __init__(
@@ -30,12 +30,12 @@ class PreparedDrive:
 
     @cached_property
     def initial(self) -> InitialState:
-        """The start of filters; AlignmentError if the drive never moves far enough."""
+        """The start of filters; raises AlignmentError if the drive never moves far enough."""
         return self._given or initial_state(self.drive, as_recorded=self.as_recorded)
 
     @cached_property
     def kinds(self) -> Array:
-        """Kind of each fix, (number of fixes,), see `drives.stale_fixes`; all are new with ``as_recorded``."""
+        """Kind of each fix, (number of fixes,): see `drives.stale_fixes`; all are new with ``as_recorded``."""
         return np.zeros(len(self.drive.gps)) if self.as_recorded else judged(self.drive.gps)
 
     @property
@@ -46,8 +46,8 @@ class PreparedDrive:
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
         """Return the steps of a filter with all fixes except the ``hidden`` ones (g,); computed once.
 
-        With ``removed``, no step ends at a hidden fix. Otherwise hidden fixes can be forecast, and time lines share
-        arrays.
+        With ``removed``, no step ends at a hidden fix. Otherwise, filters can predict hidden fixes, and time lines
+        share arrays.
         """
         if hidden is None or not hidden.any():
             hidden, removed = np.zeros(len(self.drive.gps), dtype=np.bool_), False
@@ -64,9 +64,9 @@ class PreparedDrive:
         return self._timelines[key]
 
     def forget(self) -> None:
-        """Drop the time lines, each a quarter of a gigabyte for ten hours at 100 Hz.
+        """Drop the time lines, each of which needs 0.25 GB for ten hours at 100 Hz.
 
-        A small time line of all fixes is kept, since it gives the others.
+        A small time line of all fixes is kept, since the others are derived from it.
         """
         self._timelines = {
             (hidden, removed): line

@@ -17,7 +17,7 @@ Location = str | Path
 
 
 def all_drive_locations(locations: Iterable[Location]) -> list[Location]:
-    """Return drives, and all drives in folders or below URLs, sorted by name."""
+    """Return the given drives and all drives in given folders or below URLs, sorted by name."""
     return [
         drive
         for location in locations
@@ -56,7 +56,7 @@ def read_drive(path: str | Path) -> Drive:
     ----------
     path : str or Path
         The folder, or a URL that fsspec reads: s3, gs, abfs, sftp, https ... Without a ``name`` in drive.toml, the name
-        is that of the folder; without a ``frame``, the columns of gps.csv decide.
+        is that of the folder; without a ``frame``, it follows from the columns of gps.csv.
 
     Returns
     -------
@@ -67,14 +67,14 @@ def read_drive(path: str | Path) -> Drive:
     Raises
     ------
     DriveError
-        The folder, a file, a cell or a key is unusable; the message states place, fault and remedy.
+        If the folder, a file, a cell or a key is unusable; the message states place, fault and remedy.
 
     Warns
     -----
     SigmaswarmWarning
-        Unknown columns (ignored).
+        For unknown columns, which are ignored.
     DriveWarning
-        Gaps, and values that look like other units or axes.
+        For gaps, and values that suggest other units or axes.
     """
     drive, warned = read_with_warnings(path)
     for warning in warned:

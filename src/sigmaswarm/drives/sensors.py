@@ -11,28 +11,28 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
 
 VARIES = 1.5
-"""Ratio of the 95% to the 5% quantile above which stated standard deviations are informative."""
+"""Ratio of the 95% to the 5% quantile of stated standard deviations above which they are informative."""
 STARTED = 20.0  # m from the first fix, beyond which the car has moved
 NEAR_GRAVITY = 0.3
 """Largest deviation of the median of az from gravity, as a share of gravity."""
 
 WHITE = 0.4
-"""Share of white noise in the error of fixes for `has_white_errors`.
+"""Smallest share of white noise in the error of fixes for `has_white_errors`.
 
-It is 1 for KITTI and colorado, 0.25 for a u-blox M8, 0.02 or less for receivers in cars that smooth (kingston-1,
-comma2k19, dresden).
+The share is 1 for KITTI and colorado, 0.25 for a u-blox M8, and at most 0.02 for receivers in cars that smooth
+(kingston-1, comma2k19, dresden).
 """
-UNSTATED_GPS_STD = 2.1  # m per axis, of receivers that state none: u-blox M8, 2.5 m CEP
+UNSTATED_GPS_STD = 2.1  # m per axis, of receivers that state no accuracy: u-blox M8, 2.5 m CEP
 SHOWN = 0.25 * UNSTATED_GPS_STD
-"""White noise from fix to fix, m per axis, above which a receiver that states no standard deviation does not smooth.
+"""White noise from fix to fix, m per axis, above which a receiver that states no accuracy does not smooth its fixes.
 
 The fixes of such a receiver show their error. The error of a receiver with less noise is unknown.
 """
 FIXES_FOR_FIX_ERROR = 250
-"""Fewest fixes, over all logs, for states of correlated errors in a tuning without truth.
+"""Smallest number of fixes, over all logs, for states of correlated errors in a tuning without truth.
 
-On eight simulated M8 logs of 142 s at 1 Hz, these states made the drift over 30 s worse in six, and one filter diverged
-(1319 m). With 300 and 600 fixes the drift was the same on average, and the position 3 to 6% better.
+On eight simulated M8 logs of 142 s at 1 Hz, these states increased the drift over 30 s in six, and one filter diverged
+(1319 m). With 300 and 600 fixes, the mean drift did not change, and the position error was 3 to 6% smaller.
 """
 
 
@@ -51,7 +51,7 @@ class SuggestedFilter:
 
 @dataclass(frozen=True)
 class Sensors:
-    """The properties of a log on which the choice of a filter and an objective depends.
+    """The properties of a log that determine the choice of a filter and an objective.
 
     Attributes
     ----------
@@ -107,19 +107,19 @@ def sensors_of(drive: Drive | Sensors) -> Sensors:
 
 
 def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
-    """Choose the filter for cars by the sensors that all logs have; no filter runs.
+    """Choose the filter for cars from the sensors that all logs have, without running filters.
 
-    - **tilted12** if every IMU has six axes, with gravity on az: it estimates roll and pitch, so that hills and
-      braking are not taken for motion. Otherwise **planar8**.
-    - **lateral** and **standstill** always: they determine the heading, which position fixes do not.
+    - **tilted12** if every IMU has six axes, with gravity on az. It estimates roll and pitch, so hills and braking are
+      not mistaken for motion. Otherwise **planar8**.
+    - **lateral** and **standstill** always. They determine the heading, which position fixes do not.
     - **odometer** if every log has one.
     - **accuracy** if every receiver states standard deviations, and these vary.
-    - **robust** always: it costs little without outliers, and is needed with some.
+    - **robust** always. It hardly changes results without outliers, and is needed with some.
 
-    Not included are the gate (tuned on one receiver it rejects good fixes of another), the receiver's velocity and
-    heading (no log with truth had them) and latency. Scores do not choose the model: models chosen by held-out
-    likelihood and forecasts were 18 to 24% worse than the best on average, and 61 to 122% at worst; one good model for
-    all drives was 4 to 12% worse (docs/results.md, "Default filter").
+    The gate is not used, since a gate tuned on one receiver rejects good fixes of another. The receiver's velocity and
+    heading are not used, since no log with truth had them. Latency is not estimated. Scores do not choose the model:
+    models chosen by held-out likelihood and predictions were 18 to 24% worse than the best on average, and 61 to 122%
+    at worst; one good model for all drives was 4 to 12% worse (docs/results.md, "Default filter").
     """
     found = [sensors_of(drive) for drive in drives]
     six = bool(found) and all(one.attitude for one in found)
@@ -144,7 +144,7 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
 
 
 def has_attitude(drive: Drive) -> bool:
-    """Return whether roll and pitch are observable: az, gx and gy exist, az shows gravity, and gx and gy vary."""
+    """Return True if roll and pitch are observable: az, gx and gy exist, az shows gravity, and gx and gy vary."""
     az, gx, gy = drive.imu.az, drive.imu.gx, drive.imu.gy
     if az is None or gx is None or gy is None:
         return False
@@ -164,7 +164,7 @@ def stated_spread(drive: Drive) -> tuple[float, float] | None:
 def stated_std(drive: Drive) -> tuple[float, float] | None:
     """Return the standard deviation east and north that the receiver states, m; None if the log has none.
 
-    It is the median over the fixes, or ``gps_std_m`` of drive.toml if the fixes have none.
+    It is the median over the fixes or, if the fixes have none, ``gps_std_m`` of drive.toml.
     """
     gps = drive.gps
     if gps.std_x is not None and gps.std_y is not None:
@@ -176,7 +176,7 @@ def stated_std(drive: Drive) -> tuple[float, float] | None:
 def receiver_std(drive: Drive) -> tuple[float, float]:
     """Return the standard deviation of the fixes of a drive's receiver, m east and north.
 
-    It is the stated one; else the white noise of the fixes, if it is large; else that of a u-blox M8.
+    It is the stated one; without one, the white noise of the fixes if it is large, else that of a u-blox M8.
     """
     if stated := stated_std(drive):
         return stated
@@ -187,10 +187,10 @@ def receiver_std(drive: Drive) -> tuple[float, float]:
 
 
 def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
-    """Estimate the standard deviation of the fixes' white noise, m per axis; 0 for fewer than four fixes.
+    """Estimate the standard deviation of white noise in the fixes, m per axis; 0 for fewer than four fixes.
 
-    The fixes (n,), east + i north, m, are evenly spaced. The robust estimate uses third differences, which remove the
-    motion and correlated errors.
+    The fixes (n,), east + i north, m, must be evenly spaced. The robust estimate uses third differences, which remove
+    the motion and correlated errors.
     """
     third = np.diff(position, n=3)
     spread = np.concatenate([third.real, third.imag])
@@ -198,9 +198,9 @@ def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
 
 
 def has_white_errors(drive: Drive) -> bool:
-    """Return whether most of the error of the fixes is white, as far as the log shows.
+    """Return True if most of the error of the fixes is white, as far as the log shows.
 
-    If a receiver smooths its fixes, or errors are correlated, neighboring fixes differ by far less than their error.
+    If a receiver smooths its fixes, or errors are correlated, successive fixes differ by far less than their error.
     """
     gps = drive.gps
     off, shown = max(stated_std(drive) or (UNSTATED_GPS_STD,)), white_noise(gps.x + 1j * gps.y)
@@ -208,10 +208,10 @@ def has_white_errors(drive: Drive) -> bool:
 
 
 def has_lasting_errors(drive: Drive) -> bool:
-    """Return whether white errors of size `receiver_std` would be visible from fix to fix, but are not.
+    """Return True if white errors of size `receiver_std` would be visible from fix to fix, but are not.
 
-    Then the errors are correlated, or the receiver is more accurate than it states. If motion between fixes would hide
-    such errors, as with RTK, nothing is known. A repeated fix counts once.
+    Then the errors are correlated, or the receiver is more accurate than it states. False if motion between fixes would
+    hide such errors, as with RTK. A repeated fix counts once.
     """
     position, least = drive.gps.x + 1j * drive.gps.y, WHITE * max(receiver_std(drive))
     new = np.append(True, np.diff(position) != 0)
@@ -226,5 +226,5 @@ def enough_for_fix_error(drives: Iterable[Sensors]) -> bool:
 
 
 def motion_in_noise(interval: float) -> float:
-    """Return the contribution of the motion to `white_noise`, m, in a city, for fixes ``interval`` s apart."""
+    """Return the contribution of city driving to `white_noise`, m, for fixes ``interval`` s apart."""
     return 0.02 + 0.15 * interval**2

@@ -1,4 +1,4 @@
-"""Splitting into training and test drives: by drive, or by time within a drive."""
+"""Splitting into training and test drives, by drive or by time within a drive."""
 
 import warnings
 from collections.abc import Sequence
@@ -57,7 +57,7 @@ def split_time(
     Warns
     -----
     SigmaswarmWarning
-        No filter can start on a part.
+        If no filter can start on a part.
 
     Returns
     -------
@@ -96,7 +96,7 @@ def split_time(
 
 
 def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | None = None) -> Drive:
-    """Return the part of a drive with start <= t < end, s on its clock; DriveError without two IMU samples."""
+    """Return the part of a drive with start <= t < end, s; raise DriveError for fewer than two IMU samples."""
 
     def inside(table: AnyTable) -> AnyTable:
         return table.select((table.time >= start) & (table.time < end))
@@ -107,7 +107,7 @@ def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | 
         raise DriveError(
             f"{drive.name}: {start:g} <= t < {end:g} leaves no drive; choose times within {span}"
         )
-    begins = imu.time[0] == drive.imu.time[0]  # a stated heading is that of the first sample
+    begins = imu.time[0] == drive.imu.time[0]  # a stated heading refers to the first sample
     return replace(
         drive,
         name=drive.name if name is None else name,

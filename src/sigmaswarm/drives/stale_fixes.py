@@ -1,4 +1,4 @@
-"""Find stale fixes: a receiver without satellites repeats its last position exactly while the car drives on.
+"""Find stale fixes: a receiver without satellites repeats its last position exactly while the car moves on.
 
 A receiver with static hold also repeats its position at a red light, which is correct. Earlier fixes show whether the
 car had stopped before the first repeat. Later fixes are not used, so live filters share the function.
@@ -15,17 +15,17 @@ from sigmaswarm.drives.drive import Array, Gps
 NEW, HELD, STALE, STALE_MOVING = range(4)
 """Kinds of fixes: a new position; a repeat at rest; a repeat while the car may move.
 
-STALE: slower than `NO_REST`; STALE_MOVING: faster, so that the repeat is not evidence of a standstill.
+STALE: speed below `NO_REST`; STALE_MOVING: above it, so that the repeat is not evidence of a standstill.
 """
 
-BEFORE = 3.0  # s, search for an equal fix; the previous fix is always compared
+BEFORE = 3.0  # s; an equal fix is searched over this time; the previous fix is always compared
 SPEED_WINDOW = 2.5
-"""Length of the window of the fixes, at least two, that give the speed, s; three fixes at 1 Hz still show braking."""
-REST = 0.8  # m/s; at most this speed the car is at rest; equal to `standstill.FIX_SPEED`
+"""Length of the window of fixes (at least two) for the speed, s; three fixes at 1 Hz still show braking."""
+REST = 0.8  # m/s, largest speed at rest; equal to `standstill.FIX_SPEED`
 NO_REST = 2.0
-"""Speed above which the beginning of a repeat is not evidence of a standstill, m/s."""
+"""Speed above which the first repeat is not evidence of a standstill, m/s."""
 BRAKING = 4.0  # m/s2, largest deceleration of a car; more is noise
-ENOUGH = 3.0  # new fixes that show braking; fewer show only a mean speed
+ENOUGH = 3.0  # smallest number of new fixes that show braking; fewer give only a mean speed
 
 
 def judged(gps: Gps) -> Array:
@@ -54,7 +54,7 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
     """Classify fix k; rows of ``fixes``, by time, begin with t, x, y, and ``kinds`` contains the kinds of earlier rows.
 
     All fixes of the last seconds are compared, so each of two receivers is compared with itself. The first fix of a run
-    of repeats decides for the run.
+    of repeats determines the kind of the whole run.
     """
     now = fixes[k, 0]
     last = k - 1
@@ -75,8 +75,8 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
 def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
     """Estimate the car's speed (m/s) at a time from the new fixes of the seconds up to row ``last``.
 
-    It is the smaller of the speeds of a line, and of a parabola along it at that time: a car that brakes to a halt was
-    fast a second before. In a log that begins with repeated fixes it is 0.
+    It is the smaller of the speeds of a line and of a parabola at that time, since a car that brakes to a halt was fast
+    a second before. In a log that begins with repeated fixes, it is 0.
     """
     origin, n = fixes[last, 0], 0.0
     t1, t2, t3, t4 = 0.0, 0.0, 0.0, 0.0
@@ -110,5 +110,5 @@ def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
     along1 = ((x1 - x0 * t1 / n) * sx + (y1 - y0 * t1 / n) * sy) / line
     along2 = ((x2 - x0 * t2 / n) * sx + (y2 - y0 * t2 / n) * sy) / line
     slope, bend = (s22 * along1 - s12 * along2) / det, (s11 * along2 - s12 * along1) / det
-    slowest = line - BRAKING * (now - origin - t1 / n)  # the line's speed is that of the fixes' mean time
+    slowest = line - BRAKING * (now - origin - t1 / n)  # the speed of the line is that at the mean time
     return min(line, max(slowest, slope + 2.0 * bend * (now - origin)))

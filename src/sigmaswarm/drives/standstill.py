@@ -1,15 +1,15 @@
 """Detect standstills causally, from a calm IMU and constant fixes.
 
-At constant speed on a smooth road the IMU is as calm as at a standstill, so the fixes must also be constant. Fixes show
-a departure late, so the IMU must also be calm. During a gentle departure the IMU is calm, but the acceleration changes,
-so it must agree with that at the beginning of the stop.
+At constant speed on a smooth road, the IMU is as calm as at a standstill, so the fixes must also be constant. Fixes
+show a departure late, so the IMU must also be calm. During a gentle departure, the IMU is calm but the acceleration
+changes, so it must agree with that at the beginning of the stop.
 
 Samples are summed in blocks of 50 ms (count, means, squares), so cost and memory do not depend on the IMU's rate. The
-last second is the current block and the 20 before it, the last quarter of a second the current block and the 5 before
-it. Blocks are merged as in Chan, Golub and LeVeque (Updating formulae and a pairwise algorithm for computing sample
-variances, 1979), and never subtracted, since rounding errors would accumulate. They form two stacks of 20. Each block
-of the older stack is merged with the later blocks of this stack. Blocks of the newer stack are single; FRESH is their
-total.
+last second consists of the current block and the 20 before it, the last quarter of a second of the current block and
+the 5 before it. Blocks are merged as in Chan, Golub and LeVeque (Updating formulae and a pairwise algorithm for
+computing sample variances, 1979). They are never subtracted, since rounding errors would accumulate. They form two
+stacks of 20. Each block of the older stack is merged with the later blocks of this stack. Blocks of the newer stack are
+single; FRESH is their total.
 """
 
 import math
@@ -22,26 +22,27 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.stale_fixes import STALE_MOVING
 
 BLOCK = 0.05  # s
-SECOND = 20  # complete blocks in the second that must be calm
-MOST_OF_IT = 16.0  # blocks, age of the oldest block of a complete second
-QUARTER = 5  # complete blocks in the quarter of a second that shows a departure
+SECOND = 20  # number of complete blocks in the second that must be calm
+MOST_OF_IT = 16.0  # blocks; smallest age of the oldest block for a complete second
+QUARTER = 5  # number of complete blocks in the quarter of a second that shows a departure
 CALM = 2.5
-"""Largest ratio of the standard deviations in a calm second to the usual ones at rest."""
+"""Largest ratio of the standard deviations in a calm second to the usual standard deviations at rest."""
 SETTLES = 0.5  # s, time constant with which the estimated noise at rest falls
 RISES = 0.1
-"""Rise of the estimated noise at rest while the car is nearly calm, per s: the estimate needs more than one second."""
-DEPARTS = 0.12  # m/s2, change of the acceleration, forward or left, of a car that departs
+"""Increase of the estimated noise at rest while the car is nearly calm, per s; one second is too short to estimate it.
+"""
+DEPARTS = 0.12  # m/s2, change of the forward or left acceleration of a departing car
 FOLLOWS = 1.0
 """Time constant, s, with which the stored acceleration of the stop follows sensors that warm up."""
 FORGETS = 3.0
 """Time without calm and constant fixes after which a new stop begins, s."""
 FIX_WINDOW = 3.0  # s, window in which the fixes must be constant
 FILLED = 1.5
-"""Largest time between the start of the window and the first fix, in mean intervals of fixes."""
-FIX_SPEED = 0.8  # m/s, of the line through constant fixes
+"""Largest time between the start of the window and the first fix, in mean fix intervals."""
+FIX_SPEED = 0.8  # m/s, largest speed of the line through constant fixes
 CLOSE = 1e-5
-"""Time before a fix leaves the window at which the line is fitted again, s."""
-TURNING = math.radians(1.5)  # rad/s, largest yaw rate at a standstill: the gyro's bias
+"""The line is fitted again this long before a fix leaves the window, s."""
+TURNING = math.radians(1.5)  # rad/s, largest yaw rate at a standstill, due to the gyro's bias
 
 # A detector's memory, shape (N_MEMORY, 8). Rows: the stacks, from row PLACE on the older one; the current block; the
 # newer stack, merged; the complete blocks of the last second, merged; of the last quarter; the level of calm; means of
@@ -106,7 +107,7 @@ def is_calm(memory: Array, t: float, ax: float, ay: float, gz: float) -> bool:
 
 @cached
 def calm_after(memory: Array, begun: int, dt: float, ax: float, ay: float, gz: float) -> bool:
-    """Add a sample, dt s after the last one, and learn the level of calm; return True if the last second is calm.
+    """Add a sample, dt s after the last one, and update the noise at rest; return True if the last second is calm.
 
     ``begun``: number of blocks since that of the last sample.
     """
@@ -209,8 +210,8 @@ def _clear(block: Array) -> None:
 def is_as_it_was(stop: Array, passed: float, means: Array) -> bool:
     """Return True if the acceleration still agrees with that at the beginning of the stop.
 
-    ``stop`` (2,) is the stop's ax, ay, changed in place; ``passed`` (s) is the time since the last call; ``means`` (4,)
-    are those of ax, ay over the last second, then over its last quarter, m/s2.
+    ``stop`` (2,) contains ax, ay of the stop and is changed; ``passed`` (s) is the time since the last call; ``means``
+    (4,) are those of ax, ay over the last second, then over its last quarter, m/s2.
     """
     if not passed <= FORGETS:
         stop[0] = means[0]
@@ -226,10 +227,10 @@ def is_as_it_was(stop: Array, passed: float, means: Array) -> bool:
 
 @cached
 def fixes_stand(fixes: Array, kinds: Array, n: int, now: float, until: Array) -> bool:
-    """Return True if a straight-line fit to the last seconds' fixes has a low speed; rows begin with t, x, y.
+    """Return True if a straight-line fit to the fixes of the last seconds has a low speed; rows begin with t, x, y.
 
-    Of the first ``n`` rows, those up to ``now`` are read, except stale fixes of a driving car (``kinds``, see
-    `stale_fixes`). The result is valid until ``until[0]`` if no fix is added. After an outage the window must first be
+    Of the first ``n`` rows, those up to ``now`` are read, except stale fixes of a moving car (``kinds``: see
+    `stale_fixes`). The result is valid until ``until[0]`` if no fix is added. After an outage, the window must first be
     full: half a window has three times the noise, and a departing car would appear to stand.
     """
     count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

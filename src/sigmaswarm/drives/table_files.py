@@ -18,9 +18,8 @@ from sigmaswarm.limits import MOST_CELLS, MOST_COLUMNS, require_regular, require
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LARGEST = 1e7
-"""Largest accepted value: above any value of a car's sensor in m, m/s, m/s2, rad or rad/s, or in units that can be
-repaired (mm, mg or mdeg/s).
-"""
+"""Largest accepted value. Values of a car's sensors are smaller in m, m/s, m/s2, rad or rad/s, and in units that can be
+repaired (mm, mg or mdeg/s)."""
 _METERS, _NO_STD = "give meters from an origin near by", "leave the column out if no deviation is stated"
 RANGES: dict[str, tuple[float, float, str]] = {
     "lat": (-90.0, 90.0, "give degrees north; lat and lon may be exchanged"),
@@ -34,10 +33,10 @@ RANGES: dict[str, tuple[float, float, str]] = {
         (-LARGEST, LARGEST, "the value is damaged or in a wrong unit; delete the row or correct the unit"),
     ),
 }
-"""Lowest and highest value allowed in a column, and the remedy."""
+"""Lowest and highest allowed value of a column, and the remedy."""
 
 _LONGEST_LEAP = 1e12
-"""Longest interval in usual intervals: 300 years at 100 Hz. A clock that is set jumps by less."""
+"""Longest interval, in usual intervals: 300 years at 100 Hz. The jump of a clock that is set is shorter."""
 
 CSV, PARQUET = FORMS = ".csv", ".parquet"
 TABLES = tuple(f"{name}{form}" for name in RECORDS for form in FORMS)
@@ -47,7 +46,7 @@ BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
 
 
 def one_file(path: Path) -> dict[str, Any]:
-    """Return arguments of polars' readers that take a file's name literally: no pattern (run[1]), no home (~)."""
+    """Return arguments for polars' readers that take a file name literally, without patterns (run[1]) and home (~)."""
     return {"source": path.absolute(), "glob": False}
 
 
@@ -55,8 +54,8 @@ def one_file(path: Path) -> dict[str, Any]:
 class TableFile:
     """The cells of a table, and the number of each row (n,), from 1: line of a CSV file, or row of a Parquet file.
 
-    Cells of a CSV file are numbers if all are finite, which needs a fifth of the memory; otherwise text (None if
-    empty), which messages quote. A table in memory has a name instead of a path, and its rows count from 0.
+    Cells of a CSV file are numbers if all are finite, which needs a fifth of the memory. Otherwise they are texts (None
+    if empty), which messages quote. A table in memory has a name instead of a path, and its rows count from 0.
     """
 
     path: Path
@@ -104,7 +103,7 @@ class TableFile:
     def columns(
         self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
     ) -> dict[str, Array]:
-        """Return the known columns as numbers, each (n,), with ``t`` renamed ``time``; other columns cause a remark."""
+        """Return the known columns as numbers, (n,), with ``t`` renamed ``time``; add a remark on unknown columns."""
         new: list[str] = []
         try:
             found = self._known_columns(required, optional, new)
@@ -137,7 +136,7 @@ class TableFile:
         return {"time" if name == "t" else name: values for name, values in numbers.items()}
 
     def _require_one_line(self, columns: Sequence[str]) -> None:
-        """Refuse cells with a line break: an unclosed quote includes all rows after it."""
+        """Refuse cells with a line break, since a quote that is not closed includes all rows after it."""
         for name in (name for name in columns if self.cells[name].dtype == pl.String):
             broken = self.cells[name].str.contains("\n", literal=True).fill_null(False)
             if broken.any():
@@ -195,7 +194,7 @@ def _require_size(path: Path, rows: int, columns: int) -> None:
 
 
 def _leap(time: Array) -> int:
-    """Find the first row (n,) after an implausibly long time; 0 if there is none."""
+    """Return the index of the first row (n,) after an implausibly long interval; 0 without one."""
     if len(time) < 3:
         return 0
     interval = np.diff(time)
@@ -222,7 +221,7 @@ def _parquet(path: Path) -> pl.DataFrame:
 
 
 def _plain_numbers(path: Path) -> pl.DataFrame | None:
-    """Read a file of finite numbers with plain names; None for other files."""
+    """Read a CSV file of finite numbers with unquoted names; None for other files."""
     if _has_lone_quote(path):
         return None
     try:
@@ -237,7 +236,7 @@ def _plain_numbers(path: Path) -> pl.DataFrame | None:
 
 
 def _has_lone_quote(path: Path) -> bool:
-    """Return True if a cell is a single quotation mark, for which polars prints a trace."""
+    """Return True if a cell is a single quotation mark, on which polars prints a trace."""
     if path.stat().st_size == 0:
         return False
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
@@ -250,7 +249,7 @@ def _empty(path: Path) -> DriveError:
 
 
 def _shape_fault(path: Path, otherwise: DriveError | None = None) -> DriveError:
-    """Return an error on the first row with a wrong number of cells."""
+    """Return an error for the first row with a wrong number of cells."""
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
         rows = csv.reader(file)
         try:
@@ -261,6 +260,6 @@ def _shape_fault(path: Path, otherwise: DriveError | None = None) -> DriveError:
                         f"{path}, row {rows.line_num}: {quoted(','.join(row))} has {len(row)} cells, "
                         f"the header {width}; complete or delete the row, and write decimals with a dot"
                     )
-        except csv.Error:  # an endless cell
+        except csv.Error:  # a quote that is not closed
             return DriveError(f'{path}, row {rows.line_num}: a quote (") is not closed; close or delete it')
     return otherwise or DriveError(f"{path} is not comma-separated text in UTF-8; export it as that")

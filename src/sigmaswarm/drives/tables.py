@@ -1,4 +1,4 @@
-"""The tables of a drive: frozen records of columns, each with the time of its rows."""
+"""The tables of a drive: frozen records of columns, with the time of each row."""
 
 from dataclasses import MISSING, dataclass, fields
 from typing import TYPE_CHECKING, Any, Self
@@ -39,17 +39,17 @@ class Table:
         return len(self.time)
 
     def select(self, rows: NDArray[np.bool_] | slice) -> Self:
-        """Return some rows of the table (a mask or a slice)."""
+        """Return the rows of a mask or a slice."""
         chosen: dict[str, Any] = {name: v if v is None else v[rows] for name, v in vars(self).items()}
         return type(self)(**chosen)
 
     def to_pandas(self) -> "pd.DataFrame":
-        """Return the existing columns, in the order and units of the attributes; needs pandas.
+        """Return the existing columns, in the order and units of the attributes.
 
         Raises
         ------
         InputError
-            Pandas is not installed.
+            If pandas is not installed.
         """
         return notebook.to_pandas({name: v for name, v in vars(self).items() if v is not None})
 
@@ -73,7 +73,7 @@ class Imu(Table):
     gy: Array | None = None
 
 
-NO_HEADING = np.pi  # rad; a fix with this stated standard deviation or more has no heading
+NO_HEADING = np.pi  # rad; a fix with at least this stated standard deviation has no heading
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +82,12 @@ class Gps(Table):
 
     Attributes
     ----------
-    time : s, increasing, strictly in files; of two fixes with equal times, from two receivers, the first is used first
+    time : s, increasing; strictly in files; fixes of equal times, from two receivers, are used in their order
     x, y : m east and north of the drive's origin
     lat, lon, alt : deg, deg, m: the recorded fixes, if the log has them in WGS-84
     std_x, std_y : m, the receiver's stated standard deviation
     speed, course : m/s; rad, counter-clockwise from east
-    heading : rad, counter-clockwise from east, of two antennas or a compass; with it a filter starts without travel
+    heading : rad, counter-clockwise from east, of two antennas or a compass; with it, a filter starts without travel
     std_heading : rad, stated standard deviation of the heading; `NO_HEADING` or more if the fix has no heading
     """
 
@@ -105,7 +105,7 @@ class Gps(Table):
 
 
 def headings_of(gps: Gps) -> tuple[Array, Array]:
-    """Return the heading, rad, and its stated variance, rad2, of each fix; infinite for a fix without a heading."""
+    """Return the heading, rad, and its stated variance, rad2, of each fix; infinite variance without a heading."""
     if gps.heading is None:
         return np.zeros(len(gps.time)), np.full(len(gps.time), np.inf)
     std = np.zeros(len(gps.time)) if gps.std_heading is None else gps.std_heading
@@ -168,4 +168,4 @@ def _columns(table: type[Table]) -> tuple[tuple[str, ...], tuple[str, ...]]:
 COLUMNS = {name: _columns(table) for name, table in RECORDS.items()}
 COLUMNS["enu"] = COLUMNS["gps"]
 COLUMNS["wgs84"] = ("t", "lat", "lon"), tuple(c for c in COLUMNS["gps"][1] if c not in ("lat", "lon"))
-"""Required and optional columns of each table, and of gps by frame."""
+"""Required and optional columns of each table; for gps also by frame."""

@@ -1,10 +1,11 @@
 """The merged time line: the steps of a filter, and the measurements at their ends.
 
-The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix in between splits this step in two, both driven by
-the same sample, and updates the filter at its own time. The second of two fixes with equal times, from two receivers,
-has a step of length 0. Process noise is the variance per nominal interval (the median) and scales with dt / nominal.
+The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix between these times splits the step in two, both
+driven by this sample, and updates the filter at its own time. The second of two fixes with equal times, from two
+receivers, has a step of length 0. Process noise is the variance per nominal interval (the median) and is scaled by
+dt / nominal.
 
-In a gap of the IMU the input is the mean of the samples around it (`drives.gaps`). Stale fixes are left out
+In a gap of the IMU, the input is the mean of the samples before and after it (`drives.gaps`). Stale fixes are left out
 (`drives.stale_fixes`). With ``as_recorded`` both rules are off.
 """
 
@@ -25,10 +26,10 @@ from sigmaswarm.drives.standstill import standing
 from sigmaswarm.drives.tables import headings_of
 
 DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
-"""Numbers of a step: length, scale of Q, gap, and the IMU's axes; the last three only if the IMU has them."""
+"""Numbers of a step: length, scale of Q, gap, and the IMU's axes; the last three only for an IMU with six axes."""
 N_STEP, FIRST_AXIS = 9, AX
 AXES = ("ax", "ay", "gz", "az", "gx", "gy")
-"""The IMU's axes in the order of a step; every IMU has the first three."""
+"""Axes of the IMU in the order of a step; every IMU has the first three."""
 FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA = range(8)  # columns of a fix
 
 CORNERING = 4.0
@@ -45,10 +46,10 @@ class Timeline:
     end : (k,) s, end of each step
     steps : (k, 3) dt, s; q_scale, dt / nominal interval; gap, s, length of the IMU gap around the step, or 0
     sample : (k,) int, index of the IMU sample that drives each step
-    driving : (n, 3) or (n, 6) the IMU's ``axes``, m/s2 and rad/s, that drive the steps up to each of its samples; all
-        shared by all time lines of a drive
+    driving : (n, 3) or (n, 6) inputs of the steps up to each IMU sample, in ``axes``, m/s2 and rad/s; all time lines of
+        a drive share this array
     updates : (k,) bool, True if a fix updates the filter at the step's end
-    hides : (k,) bool, True if a fix at the step's end is hidden from the filter; its forecast is scored
+    hides : (k,) bool, True if a fix at the step's end is hidden from the filter, which predicts it
     sampled : (k,) bool, True if the step ends at the time of an IMU sample
     fixes : (f, 8) position, m east, north; velocity, m/s east, north (0 without one); stated variance, m2 east, north
         (0 without one); heading, rad, and its stated variance, rad2 (0 without one, infinite without a heading); in the
@@ -57,10 +58,10 @@ class Timeline:
     has_velocity : bool
     states_accuracy : bool, True if the receiver states the accuracy of each fix
     lever : (3,) m forward, left and up from the IMU to the antenna
-    cornering : (k,) bool, True if the tires slip at high lateral acceleration
+    cornering : (k,) bool, True if the tires slip due to high lateral acceleration
     drive : Drive without the hidden fixes
-    kinds : (g,) the kind of each fix of that drive, see `drives.stale_fixes`; all `NEW` with ``as_recorded``
-    imu_time : (n,) s, the IMU's times after the start
+    kinds : (g,) kind of each fix of that drive: see `drives.stale_fixes`; all `NEW` with ``as_recorded``
+    imu_time : (n,) s, times of the IMU samples after the start
     nominal_interval : s
     """
 
@@ -119,7 +120,7 @@ class Timeline:
 
     @cached_property
     def stands(self) -> NDArray[np.bool_]:
-        """True at a standstill at the step's end, (k,)."""
+        """True if the car stands at the step's end, (k,)."""
         return standing(self.drive, self.kinds)[self.sample]
 
     @cached_property
@@ -172,8 +173,8 @@ def build_timeline(
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
-    ``as_recorded``: use stale fixes, and treat IMU gaps as ordinary steps. ``kinds`` (g,) of the fixes may be given if
-    more fixes were classified with them.
+    ``as_recorded``: use stale fixes, and treat IMU gaps as ordinary steps. ``kinds`` (g,) of the fixes can be given if
+    they were determined together with those of other fixes.
     """
     imu = drive.imu
     if kinds is None:
@@ -216,7 +217,7 @@ def _usable(drive: Drive, start: float, kinds: Array) -> NDArray[np.bool_]:
 
 
 def _driving(drive: Drive, gap_ends: NDArray[np.intp]) -> Array:
-    """Return the inputs up to each sample of the IMU: the sample, or the mean of the two samples around a gap."""
+    """Return the inputs up to each IMU sample: the sample, or the mean of the samples before and after a gap."""
     columns = [getattr(drive.imu, axis) for axis in AXES]
     columns = columns[:3] if any(column is None for column in columns) else columns
     driving = np.column_stack(columns)
@@ -246,7 +247,7 @@ def _is_last(ends: Array) -> NDArray[np.bool_]:
 
 
 def _among(times: Array, known: Array) -> NDArray[np.bool_]:
-    """Mark the times that are among the known ones, both increasing; `np.isin` would sort copies of both."""
+    """Mark the times that are among the known times, both increasing; `np.isin` would sort copies of both."""
     if not len(known):
         return np.zeros(len(times), dtype=np.bool_)
     at = np.searchsorted(known, times, side="left")

@@ -1,4 +1,4 @@
-"""URLs of drives, which fsspec reads (s3, gs, abfs, sftp, https ...), through a temporary copy."""
+"""URLs of drives that fsspec reads (s3, gs, abfs, sftp, https ...), through a temporary copy."""
 
 import re
 import shutil
@@ -44,7 +44,7 @@ def drive_urls(url: str) -> list[str]:
 
 @contextmanager
 def local_copy(url: str) -> Generator[Path]:
-    """Copy a drive's files to a temporary folder, which is removed at the end of the block."""
+    """Copy the files of a drive to a temporary folder, which is removed at the end of the block."""
     if "?" in url:
         raise InputError(
             f"{without_secrets(url)}?...: a drive has several files, which a signed URL can't name; give their folder"
@@ -75,7 +75,7 @@ def _opened(url: str) -> tuple[Any, str]:
 
 
 def _exists(system: Any, path: str) -> bool:
-    """Return True if a path exists; fsspec's ``exists`` would return False if permission is denied."""
+    """Return True if a path exists; ``exists`` of fsspec would return False if permission is denied."""
     try:
         system.info(path)
     except (FileNotFoundError, NotADirectoryError):
@@ -85,7 +85,7 @@ def _exists(system: Any, path: str) -> bool:
 
 @contextmanager
 def _errors_in_one_line(url: str) -> Generator[None]:
-    """Convert the errors of fsspec and of each protocol's library to one line."""
+    """Convert errors of fsspec and of the libraries of protocols to errors of one line."""
     try:
         yield
     except (InputError, MemoryError):

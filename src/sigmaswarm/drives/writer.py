@@ -16,7 +16,7 @@ from sigmaswarm.files import make_folder, whole_folder
 
 Form = Literal["csv", "parquet"]
 FILES = frozenset({"drive.toml", *TABLES})
-"""Files of a drive: ``write_drive`` replaces a folder only if it contains no others."""
+"""Files of a drive; ``write_drive`` replaces a folder only if it contains no other files."""
 
 
 def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form: Form = "csv") -> Path:
@@ -29,9 +29,9 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
     ----------
     drive : Drive
         A "wgs84" drive is written with lat, lon and alt, from which the reader computes x and y. The name is written if
-        it differs from the folder's name.
+        it differs from that of the folder.
     path : str or Path
-        The folder to make; missing parents are also made.
+        The folder to create, including missing parents.
     overwrite : bool
         Replace an existing drive.
     form : {"csv", "parquet"}
@@ -45,7 +45,7 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
     Raises
     ------
     DriveError
-        The folder exists, or the drive has values that can't be written or that ``read_drive`` rejects.
+        If the folder exists, or the drive has values that can't be written or that ``read_drive`` rejects.
     """
     folder = Path(path).resolve()  # "." has no name to rename
     require_replaceable(folder, overwrite)

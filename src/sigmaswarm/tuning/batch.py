@@ -28,8 +28,8 @@ from sigmaswarm.wording import shown
 class BatchResult:
     """Costs and scores of a batch.
 
-    Drifts and forecasts are NaN unless the objective needs them. Medians and drifts over longer outages are always NaN;
-    `evaluate` computes them.
+    Drifts and forecasts are NaN unless the objective needs them. Medians, and drifts over longer outages, are always
+    NaN; `evaluate` computes them.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ def run_batch(
     objective : str
         A name in `OBJECTIVES`, or a weighted sum of them.
     worst : float
-        Share of the drives over which the cost is averaged: the worst ones of each set; 1 means all drives.
+        Share of the drives over which the cost of each set is averaged: its worst drives; 1 means all drives.
     outage_seed : int
         Seed of the outages, for objectives that hide fixes.
     as_recorded : bool

@@ -41,7 +41,7 @@ class ModelProblem(Problem[dict[str, float]]):
         return dict(zip(self.space.names, self.space.values(point).tolist(), strict=True))
 
     def why_none(self, point: Array) -> str | None:
-        """Return why the filter at a point, shape (d,), fails on a log; None if it fails on none."""
+        """Return why the filter at a point, shape (d,), fails on a log; None if it does not fail."""
         parameters = self.parameters(point)
         failures = (run_model(log, self.model, parameters).failure for log in self.logs)
         return next((f"model {failure}" for failure in failures if failure), None)
@@ -85,7 +85,7 @@ def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> Mo
 def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
     """Return a function that computes the RMSE of the model's ``scored`` states, by default of every state with truth.
 
-    Its argument is the state means at the log's times, shape (k, n). Estimates are interpolated at the truth times.
+    Its argument is the state means at the log's times, shape (k, n), which it interpolates at the truth times.
     """
     names = model.scored or tuple(log.truth)
     missing = [name for name in names if name not in log.truth]
@@ -118,7 +118,7 @@ def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
 
 
 def _described(log: Log) -> dict[str, Any]:
-    """Describe a log by its name, size and hash, as `described` describes a drive."""
+    """Describe a log by name, size and hash, as `described` describes a drive."""
     columns = (log.time, log.inputs, log.measurement_time, log.measurements, log.mean, log.covariance)
     return {
         "name": log.name,

@@ -22,8 +22,8 @@ OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
 WITH_FORECASTS = "0.5 innovation-t + 0.5 forecast-t"
 """Objective without truth, for a model with roll and pitch and receivers with white errors.
 
-If errors are correlated, the forecasts follow them: with a u-blox M8 the error of the tuned filter was 11 m instead of
-4 m. A planar filter overfits to its training roads: on another car's roads its error was 3.6 times that of the fixes.
+If errors are correlated, the forecasts follow them: with a u-blox M8, the error of the tuned filter was 11 m instead of
+4 m. A planar filter overfits to its training roads: on roads of another car, its error was 3.6 times that of the fixes.
 """
 WITH_FIX_ERROR = "truth-pose + 0.2 nees + 0.1 innovation-t"
 """Objective with truth and fix-error: the likelihood distinguishes correlated fix errors from white noise."""
@@ -33,7 +33,7 @@ OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
 
 
 def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> tuple[dict[str, Any], str]:
-    """Add the missing ``model`` and ``use``, and return one line that explains them; empty if the user gave both.
+    """Add missing ``model`` and ``use``; return the options and one line that explains them, or "" if none was missing.
 
     For the paper's model, planar5, no measurements are added. Measurements that conflict with ``kind`` or the objective
     are omitted. ``fix-error`` does not change the model: on roads that need tilted12, planar8 with ``fix-error`` drifts
@@ -62,7 +62,7 @@ def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> t
 
 
 def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> bool:
-    """Check that all logs show correlated fix errors, that the filter can model them, and that there is no truth for R.
+    """Check that all logs show correlated fix errors, the filter can model them, and the objective has no truth.
 
     The states for these errors reduce the position RMSE by 25% on kingston-1 and by 13% on comma2k19. With simulated
     receivers and errors that last minutes, only the covariance improves.

@@ -1,8 +1,7 @@
 """Find faults of a tuned filter that its objective hardly shows: divergence, drift and a wrong covariance scale.
 
-A common factor on all noise variances divides NIS by the factor, so the factor mean NIS / 2 makes the filter
-consistent. If the gains depend on the scale, the factor also changes the estimates. Its effect on the position is
-therefore measured.
+If all noise variances are multiplied by the factor mean NIS / 2, the mean NIS becomes 2, and the filter is consistent.
+If the gains depend on the scale, the factor also changes the estimates, so its effect on the position is measured.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -34,14 +33,14 @@ FAR = 1.5
 FEW = 2
 """Number of outage placements checked first."""
 NEAR = 1.2
-"""Drift ratio over these placements, accurate to 10%, above which all are measured."""
+"""Ratio of the drifts over these placements, accurate to 10%, above which all placements are measured."""
 LOOK = 600.0  # s in the middle of a drive that are checked for drift
 REMEDY = "DO NOT USE IT; check the drive with `sigmaswarm doctor`, or tune with more trials or on more drives"
 CORRELATED = 0.3
 """Lag-1 autocorrelation of innovations above which a warning is given.
 
-Medians of three filters tuned without truth: -0.05 and 0.12 with white errors, 0.15 with a simulated u-blox M8, and
-0.33 to 0.91 with real receivers.
+The medians of three filters tuned without truth were -0.05 and 0.12 with white errors, 0.15 with a simulated u-blox M8,
+and 0.33 to 0.91 with real receivers.
 """
 SCALE_FREE = ("truth-rmse", "truth-pose")
 """Objectives that do not depend on the scale of the covariance."""
@@ -49,12 +48,12 @@ SCALE_REMEDY = "tune with '{objective} + 0.2 nees'"
 SCALE_MOVED = 0.02
 """Largest relative change of the position RMSE for which the factor is suggested."""
 SCALE_NEAR = 0.2
-"""The same for the error of mean NIS after scaling."""
+"""Largest deviation of mean NIS / 2 from 1, after scaling, for which the factor is suggested."""
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """RMS drifts, m, over outages of one length, s, on training drives; ``baseline_m``: baseline."""
+    """RMS drifts, m, over outages of one length, s, on training drives: tuned filter, fixes alone, baseline."""
 
     length_s: float
     tuned_m: float
@@ -68,7 +67,7 @@ class Forecast:
 
 
 def said_of_forecasts(forecasts: Sequence[Forecast]) -> list[str]:
-    """Return a sentence on the drifts, and one if the filter drifts further than the baseline over 5 s, or neither."""
+    """Return a sentence on the drifts, and one if the drift over 5 s exceeds the baseline's; empty without drifts."""
     if not forecasts:
         return []
     worse = [

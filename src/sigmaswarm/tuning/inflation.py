@@ -6,9 +6,9 @@ allows a smaller cost increase.
 
 A planar model inflates all process noise, since the noise of the velocity represents the tilt of roads. A model with
 roll and pitch inflates the noise of position and velocity by the square root of the factor. With the whole factor, the
-error on another car is 0.86 instead of 0.65 of the fixes' error. Without inflation of position and velocity, the
-heading error with a cheap IMU is 50% larger. Heading and yaw rate of robot-localization are not inflated, since they do
-not depend on roads.
+error on another car is 0.86 instead of 0.65 times that of the fixes. Without inflation of position and velocity, the
+heading error with a cheap IMU is 50% larger. The noises of heading and yaw rate in robot-localization are not inflated,
+since they do not depend on roads.
 
 A factor has no effect on a noise near zero. A filter with roll and pitch therefore has lower limits (`space.LEAST`).
 They increase the error on the training roads by 1 to 6%.
@@ -27,8 +27,8 @@ INFLATION, TILTED_INFLATION = 0.05, 0.02
 REFERENCE_DURATION = 100.0
 """Driving time, s, for which the whole cost increase is allowed; twice the time allows half of it.
 
-Shorter drives allow no more: on 60 s of a motorway, 0.086 instead of 0.05 made drifts over 5 s on other roads 1.2 times
-as large.
+Shorter drives allow no more: on 60 s of a motorway, 0.086 instead of 0.05 increased drifts over 5 s on other roads by
+20%.
 """
 DECADES = 4.0  # of the largest factor
 STEP = 0.1  # decades between two factors
@@ -37,9 +37,9 @@ STEP = 0.1  # decades between two factors
 def inflated(
     problem: Problem[Any], point: Array, cost: float, allowed: float, executor: Executor | None
 ) -> tuple[Array, float, float]:
-    """Inflate the process noise of a point, shape (d,), within the bounds, until its cost has risen by ``allowed``.
+    """Inflate the process noise of a point, shape (d,), within the bounds, until its cost has increased by ``allowed``.
 
-    ``allowed`` is a relative increase. Returns the point with its lower limits applied, its cost, and the factor.
+    ``allowed`` is a relative increase. Returns the point after applying lower limits, its cost, and the factor.
     """
     space = problem.space
     decades = np.arange(0.0, DECADES + STEP / 2, STEP)

@@ -31,7 +31,7 @@ from sigmaswarm.tuning.search import Search
 
 ARM = ("forward", "left")
 UNKNOWN_STD, STATED_STD = 2.0, 1.0
-"""Prior standard deviations, m: without a lever arm in drive.toml, and with one that has no ``gps_lever_arm_std_m``."""
+"""Prior standard deviations, m: without a lever arm in drive.toml; with one but without ``gps_lever_arm_std_m``."""
 SCALES = ("scale_ax", "scale_ay", "scale_gz")
 ROLLING = 0.1
 """Prior standard deviation of accelerometer scales in a planar filter; they include effects of roll and pitch."""
@@ -52,7 +52,7 @@ Without it, 93% of the errors on 65 simulated drives were within 1.96 standard d
 ROUNDS, CONVERGED = 8, 0.005
 """Largest number of Gauss-Newton steps, and the step, m, below which they end."""
 SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
-"""Options for tuning the noise; without tuning the standard deviation is two to six times as large."""
+"""Options for tuning the noise; without tuning, the standard deviations are two to six times as large."""
 Values = dict[str, float]
 Whitened = tuple[Array, Array, Array, Array]
 """Arrays of a drive: times (f,), s; L^-1 nu (f, 2); its negative derivatives (f, 2, k); robust weights (f,)."""
@@ -71,7 +71,7 @@ class LeverArmEstimate:
     stated : (float, float)
         Lever arm in drive.toml, m; zeros if it states none.
     within : float
-        Required accuracy, m: an axis is observable if 1.96 of its standard deviations are at most this.
+        Required accuracy, m: an axis is observable if 1.96 standard deviations are at most this.
     """
 
     forward: float
@@ -129,17 +129,17 @@ def estimate_lever_arm(
     """Estimate the antenna's lever arm, forward and left, from drives of one vehicle.
 
     The prior mean is ``gps_lever_arm_m`` of drive.toml, and its standard deviation is ``gps_lever_arm_std_m`` (1 m if
-    not stated; 2 m without a lever arm). The delay of the fixes has a similar effect as ``forward``. Its prior standard
-    deviation is 0.02 s.
+    not stated; 2 m without a lever arm). The delay of the fixes, whose effect is similar to that of ``forward``, has a
+    prior standard deviation of 0.02 s.
 
     Parameters
     ----------
     drives : Drive or sequence of Drive
         Drives of one vehicle; their truth is not used.
     parameters : FilterParameters, optional
-        The filter that computes the innovations. By default the filter that suits the logs, tuned by likelihood.
+        The filter that computes the innovations. Default: the default filter for the logs, tuned by likelihood.
     within : float
-        Required accuracy, m: an axis counts as observable if its 95% error is at most this.
+        Required accuracy, m: an axis is observable if its 95% error is at most this.
 
     Returns
     -------
@@ -263,7 +263,7 @@ def _deviations(
 
 
 def _others(p: FilterParameters) -> dict[str, tuple[float, float]]:
-    """Return the prior mean and standard deviation of each unknown other than the lever arm."""
+    """Return the prior mean and standard deviation of each unknown except the lever arm."""
     model = MODELS[p.model]
     rolling = {} if model.tilts else {"scale_ax": ROLLING, "scale_ay": ROLLING}
     names = SCALES if model.measures_imu else (*SCALES, "latency")
@@ -277,7 +277,7 @@ def _at(drive: Drive, values: Mapping[str, float]) -> Drive:
 
 
 def _whitened(ready: PreparedDrive, parameters: FilterParameters, values: Values) -> Whitened:
-    """Return the whitened arrays at the given unknowns."""
+    """Return the whitened arrays at given unknowns."""
     run = partial(_run, ready, parameters, values)
     found = run(values)
     if not np.isfinite(found.nis).all():

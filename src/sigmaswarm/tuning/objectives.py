@@ -28,10 +28,10 @@ class Objective:
         Function from scores to costs, shape (n_sets, n_drives).
     needs_truth, needs_outages, needs_forecasts : bool
     likelihood : bool
-        True for a negative log-likelihood. In a sum with such a term, all terms count as nats.
+        True for a negative log-likelihood. In a sum with such a term, all terms are in nats.
     nats : float
-        Total weight of the logarithmic terms: errors that are 1% larger add 0.01 nats per element of a measurement. 0
-        if the cost is a positive error.
+        Total weight of the logarithmic terms: a 1% increase of errors adds 0.01 nats per element of a measurement. 0 if
+        the cost is a positive error.
     warning : str or None
         Shown to the user before the search.
     """
@@ -56,7 +56,7 @@ class Objective:
         return np.where(scores.failed | ~np.isfinite(costs), np.inf, costs)
 
     def rise(self, costs: Array | float, best: float, elements: int = 2) -> Array:
-        """Return the relative increase of costs; 0.01 means errors that are 1% larger.
+        """Return the relative increase of costs; 0.01 means that errors are 1% larger.
 
         ``elements`` is the number of elements of a measurement.
         """
@@ -90,7 +90,7 @@ def worst_mean(costs: Array, share: float) -> Array:
 
 
 def _pose(scores: Scores) -> Array:
-    # a drive that is too short for an outage or too slow for a heading lacks this term for every set
+    # A drive that is too short for an outage or too slow for a heading lacks this term for every set.
     heading = np.nan_to_num(np.degrees(scores.heading_rmse), posinf=np.inf)
     drift = np.nan_to_num(scores.outage_drift, posinf=np.inf)
     return scores.position_rmse + HEADING_WEIGHT * heading + OUTAGE_WEIGHT * drift

@@ -102,11 +102,11 @@ class Problem(ABC, Generic[P]):
         return []
 
     def fixes_alone(self) -> MotionNoise | None:
-        """Fit the noises of a constant-velocity filter that uses only fixes."""
+        """Fit the noise parameters of a constant-velocity filter that uses only fixes."""
         return None
 
     def forecasts(self, point: Array, noise: MotionNoise) -> list[Forecast]:
-        """Compare drifts with those of a filter that uses only fixes, by outage length."""
+        """Compare the drift of a filter with that of fixes alone, by outage length."""
         return []
 
     def why_none(self, point: Array) -> str | None:
@@ -181,14 +181,14 @@ class CarProblem(Problem[FilterParameters]):
         if parameters.accuracy_scale is not None:
             found += accuracy_warnings(parameters, replays.dataset.map(stated), self.config.use)
         found += scale_warnings(objective.name, parameters, replays)
-        # skipped with truth, since estimating the fixes' noise takes as long as reading a drive
+        # Skipped with truth, since estimating the noise of the fixes takes as long as reading a drive.
         if not (objective.needs_truth and all(drive.truth for drive in self.sensors)):
             noise = replays.dataset.map(fix_noise)
             prior = self.config.prior or 0.0
             names = [drive.name for drive in self.sensors]
             decided = prior_warnings(parameters, prior, names, self._receiver_std, noise) if prior else []
             found += decided or noise_warnings(parameters, noise, self.config.use)
-            if enough_for_fix_error(self.sensors):  # with fewer the remedy does harm
+            if enough_for_fix_error(self.sensors):  # with fewer fixes, the remedy increases errors
                 correlations = replays.of_each_prepared(partial(correlation_of, parameters=parameters))
                 found += correlation_warnings(parameters, correlations, self.config.use)
         return found

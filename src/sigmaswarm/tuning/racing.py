@@ -3,9 +3,10 @@
 Successive halving (K. Jamieson and A. Talwalkar, AISTATS 2016) with drives as the resource. Unlike F-race (M. Birattari
 et al., GECCO 2002) it drops a fixed share, so the number of steps is known in advance.
 
-With many drives, one filter on all drives takes as long as eight. A batch then also races against the best candidate so
-far, the leader. The leader's costs are a control variate for the costs of dropped candidates. A race that starts with
-1/32 of the drives is faster, but these costs then mislead the search.
+One filter takes as long as the eight of a vector, so the last candidate of a race is expensive. With many drives, a
+batch therefore also races against the best candidate so far, the leader. The leader's costs are a control variate for
+the costs of dropped candidates. A race that starts with 1/32 of the drives is faster, but then these costs mislead the
+search.
 """
 
 from collections.abc import Sequence
@@ -36,7 +37,7 @@ class Leader:
 
 @dataclass(frozen=True, eq=False)
 class Raced:
-    """Costs of a batch, shape (n,), with numbers of filter steps and failures.
+    """Costs of a batch, shape (n,), and numbers of filter steps and failures.
 
     Costs are exact for candidates that were evaluated on all drives.
     """
@@ -52,7 +53,7 @@ class Raced:
 
 
 def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
-    """Return numbers of candidates and drives; each rung has half the candidates and twice the drives."""
+    """Return numbers of candidates and drives per rung; each next rung has half the candidates and twice the drives."""
     found = [(n_candidates, n_drives // FIRST if n_drives >= MANY else min(1, n_drives))]
     while (drives := found[-1][1]) < n_drives:
         found.append(((found[-1][0] + 1) // 2, min(2 * drives, n_drives)))
@@ -60,7 +61,7 @@ def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
 
 
 def leader_at(problem: Problem[Any], point: Array, executor: Executor | None) -> Leader:
-    """Evaluate the best point, shape (d,), again, since checkpoints do not contain its cost on each drive."""
+    """Evaluate the best point, shape (d,), again, since checkpoints lack its cost on each drive."""
     each = problem.each(point[np.newaxis], range(len(problem.steps)), executor)
     return Leader(float(problem.mean(each)[0]), each[0])
 
@@ -74,7 +75,7 @@ def race(
 ) -> Raced:
     """Evaluate points, shape (n, d), on the drives in the given order, and drop the worse half at each rung.
 
-    With many drives the points race against ``leader``; without it, or for one point, all drives are used.
+    With many drives, the points race against ``leader``. Without it, or for one point, all drives are used.
     """
     order = np.asarray(order)
     many, n, m = len(order) >= MANY, len(points), len(order)
@@ -117,14 +118,14 @@ def _ahead(each: Array, costs: Array, rival: Leader, seen: NDArray[np.int64]) ->
 
 
 def _in_order(each: Array, order: NDArray[np.int64]) -> Array:
-    """Return the columns in the order of the drives, C-contiguous, since the rounding of sums depends on both."""
+    """Return columns in the order of the drives, C-contiguous, since the rounding of sums depends on both."""
     return np.ascontiguousarray(each[:, np.argsort(order[: each.shape[1]], kind="stable")])
 
 
 def _behind(
     costs: Array, finished: NDArray[np.int64], dropped: list[NDArray[np.int64]], otherwise: float
 ) -> Array:
-    """Raise the costs of dropped candidates above those that continued, or ``otherwise`` if no candidate finished."""
+    """Raise the costs of dropped candidates above those of finished ones, or ``otherwise`` if none finished."""
     shifted, floor = costs.copy(), _highest(costs[finished], otherwise)
     for group in reversed(dropped):
         best = float(costs[group].min(initial=np.inf))

@@ -1,8 +1,8 @@
 """Compare R with the receiver's accuracy: a prior for logs without truth, and warnings of an implausible R.
 
-Many receivers smooth their fixes, so the likelihood of the next fix is largest for an R of centimeters, with which the
-filter copies the fixes. The prior penalizes only a smaller R, since receivers in cities state deviations that are too
-small. It counts once per fix: otherwise more fixes would outweigh it, although they share their errors.
+Many receivers smooth their fixes. The likelihood of the next fix is then largest for an R of centimeters, with which
+the filter copies the fixes. The prior penalizes only a smaller R, since receivers in cities state deviations that are
+too small. It is counted once per fix; otherwise it would lose its weight with more fixes, although these share errors.
 """
 
 from collections.abc import Sequence
@@ -23,11 +23,11 @@ from sigmaswarm.wording import to_do
 DECADES = 0.5
 """Prior standard deviation of log10 R below the receiver's variance."""
 DECADES_ABOVE = 0.25
-"""The same above the receiver's variance; only for fix-error, which needs a small R."""
+"""Prior standard deviation of log10 R above the receiver's variance; only for fix-error, which needs a small R."""
 FAR_BELOW = 3.0
 """Ratio of the receiver's standard deviation to that of R above which a warning is given."""
 NO_PART = 0.05
-"""Share of R below which the stated accuracy of a fix has no effect."""
+"""Share of the stated variances in R below which these have no effect."""
 LOOK = 600.0  # s of a drive in which the scatter of the fixes is measured; a longer part does not change the result
 PRIOR_DECIDED = 0.02
 """Cost of the prior, nats per fix, above which a remark is made."""
@@ -41,8 +41,8 @@ def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array
     """Return the prior's penalty per fix of n parameter sets on m drives, nats, shape (n, m).
 
     The penalty is 0.5 (log10(R / std^2) / 0.5)^2 if R is smaller than std^2, else 0, averaged over both axes. ``std``,
-    m, shape (m, 2), is each drive's `receiver_std`. With stated accuracies R is that of the median fix. With fix errors
-    R includes their variance, and an R larger than std^2 costs 0.5 (log10(R / std^2) / 0.25)^2.
+    m, shape (m, 2), is the `receiver_std` of each drive. With stated accuracies, R is that of the median fix. With fix
+    errors, R includes their variance, and an R larger than std^2 costs 0.5 (log10(R / std^2) / 0.25)^2.
     """
     log = np.log10(typical_variance(parameter_sets, std) / std**2)
     lasts = ParameterTable.of(parameter_sets).column("fix_error")[:, None, None] > 0.0
@@ -61,8 +61,8 @@ def typical_variance(parameter_sets: Sequence[FilterParameters], std: Array) -> 
 class FixNoise:
     """Estimates of the errors of a drive's fixes, m per axis; NaN if unknown.
 
-    ``stated``: median standard deviation that the receiver states. ``scatter``: standard deviation about paths of ten
-    seconds that are consistent with the IMU.
+    ``stated``: median standard deviation that the receiver states. ``scatter``: standard deviation of the fixes about
+    paths of ten seconds that are consistent with the IMU.
     """
 
     stated: float
@@ -120,7 +120,7 @@ def prior_warnings(
     receiver: Array,
     noise: Sequence[FixNoise],
 ) -> list[str]:
-    """Report the first drive on which the prior kept R near the receiver's variance, and why."""
+    """Report the first drive on which the prior kept R close to the receiver's variance, with the reason."""
     costs = weight * prior_costs([parameters], receiver)[0]
     r = np.sqrt(np.mean(typical_variance([parameters], receiver)[0], axis=1))
     for name, std, one, near, cost in zip(names, receiver.mean(axis=1), noise, r, costs, strict=True):

@@ -24,11 +24,11 @@ from sigmaswarm.tuning.diagnostics import Forecast
 from sigmaswarm.tuning.search import Trial
 
 End = float | Literal["-"]
-"""End of the range in which the cost rises by less than 1%; ``-`` if the range reaches the bound."""
+"""End of the range in which the cost increases by less than 1%; ``-`` if the range reaches the bound."""
 NOT_VALIDATED = (
     "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation"
 )
-"""Remark that is omitted after an evaluation. It is recognized by its text in files, so do not change it."""
+"""Remark that is omitted after an evaluation. It is recognized in files by its text, so do not change it."""
 FILE = "tuning.toml"
 HISTORY_FILE = "convergence.csv"
 

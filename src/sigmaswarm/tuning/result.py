@@ -84,16 +84,16 @@ class Tuning(Generic[P]):
     warnings : tuple of str
         Faults of the filter on the training drives that the objective does not show.
     sensitivities : tuple of Sensitivity
-        Range of each parameter in which the cost rises by less than 1%.
+        Range of each parameter in which the cost increases by less than 1%.
     validation : Validation or None
     inflation_factor : float
-        Factor of the process-noise inflation; 1 without it. See `tuning.inflation`.
+        Factor of the process-noise inflation, 1 without inflation: see `tuning.inflation`.
     start_cost : float or None
         Cost of the start filter on the training drives; None without a start.
     fixes_alone : MotionNoise or None
-        Noise parameters of a constant-velocity filter of the fixes alone, fitted to the training drives by likelihood.
+        Noise parameters of a constant-velocity filter of fixes alone, fitted to the training drives by likelihood.
     forecasts : tuple of Forecast
-        Drift over outages of 1, 5 and 30 s on the training drives, compared with fixes alone and the baseline.
+        Drifts over outages of 1, 5 and 30 s on the training drives, compared with fixes alone and the baseline.
     """
 
     parameters: P
@@ -131,7 +131,7 @@ class Tuning(Generic[P]):
 
     @property
     def unidentified(self) -> list[str]:
-        """Parameters that can have any value within their bounds while the cost rises by less than 1%."""
+        """Parameters that can have any value within their bounds while the cost increases by less than 1%."""
         return [s.name for s in self.sensitivities if not s.identified]
 
     @property

@@ -1,4 +1,4 @@
-"""The range of each parameter in which the cost rises by less than 1%.
+"""The range of each parameter in which the cost increases by less than 1%.
 
 Only one parameter changes at a time, so trade-offs are not visible, except that of a common factor on all noise.
 """
@@ -18,7 +18,7 @@ NOISE_SCALE = "all noise variances times"
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Range of one parameter in which the cost rises by less than 1%.
+    """Range of one parameter in which the cost increases by less than 1%.
 
     Attributes
     ----------
@@ -26,9 +26,9 @@ class Sensitivity:
     value : float
         Value in the tuned filter; 1 for the factor on all noise variances.
     lowest, highest : float or None
-        Values at which the cost has risen by 1%; None if the range reaches the bound.
+        Values at which the cost has increased by 1%; None if the range reaches the bound.
     lowest_rise : float
-        Lowest relative change of the cost in the range; below 0 if the search had not converged.
+        Lowest relative change of the cost in the range; negative if the search had not converged.
     """
 
     name: str
@@ -45,12 +45,12 @@ class Sensitivity:
 def sensitivities(
     problem: Problem[Any], point: Array, cost: float, executor: Executor | None
 ) -> tuple[Sensitivity, ...]:
-    """Move each parameter both ways from the best point, shape (d,), until the cost has risen by 1%."""
+    """Move each parameter in both directions from the best point, shape (d,), until the cost has increased by 1%."""
     space, names, axes = problem.space, [*problem.space.names], np.eye(len(point))
     down, up = ((bound - point)[:, np.newaxis] * axes for bound in (space.low, space.high))
     noises = space.logarithmic & space.noises
     if noises.any():
-        # two decades each way, also beyond the bounds: otherwise a variance at its bound would hide the trade-off
+        # Two decades each way, also beyond the bounds; otherwise a variance at its bound would hide the trade-off.
         together = np.where(noises, 2.0, 0.0)
         down, up = np.vstack([down, -together]), np.vstack([up, together])
         names.append(NOISE_SCALE)
@@ -76,7 +76,7 @@ def sensitivities(
 
 
 def _crossing(shares: Array, rise: Array) -> float | None:
-    """Interpolate the share of the distance at which the cost has risen by 1%."""
+    """Interpolate the share of the distance at which the cost has increased by 1%."""
     above = np.flatnonzero(~(rise < RISE))
     if not len(above):
         return None

@@ -57,7 +57,7 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     ),
 }
 TIME = "fix_error_time"
-"""Searched only with truth: the likelihood hardly depends on it."""
+"""Searched only with truth, since the likelihood hardly depends on it."""
 LEAST_WHITE = 0.04
 """Lower bound of R, relative to the receiver's variance, for fix-error without truth.
 
@@ -79,7 +79,7 @@ IMU_DIMENSIONS = (
 )
 """Variances that the IMU's messages state, for robot-localization."""
 ONE_NOISE = ("lateral", "odometer")
-"""Options with only a noise parameter in robot-localization: its twists are in m/s, at the IMU, without delay."""
+"""Options with only a noise parameter in robot-localization, whose twists are in m/s, at the IMU, without delay."""
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     **dict.fromkeys(
         ("adaptive-ukf", "strong-tracking-ukf"),
@@ -204,7 +204,7 @@ def _dimensions(
     """Yield the dimensions in order; east and north share their noise, except in the paper's own filter.
 
     With separate noise, a filter tuned on roads to the east had 1000 times more velocity noise to the north. On a road
-    to the north, the lateral constraint then corrects lateral errors mostly by changes along the road:
+    to the north, the lateral constraint then corrected lateral errors mostly by changes along the road:
     docs/results/planar5.md, "One noise for both map axes".
     """
     if kind != "ekf":

@@ -79,7 +79,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
 
 
 def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return the options and the data of the tuning in a folder, for resuming it with `tune`."""
+    """Return the options and the data of the tuning in a folder, to resume it with `tune`."""
     record = load_record(ConfigRecord, path / "config.json", "not written by a tuning", infinite=True)
     config = _with_current_names(record.model_extra)
     if "start" in config:

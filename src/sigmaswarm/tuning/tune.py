@@ -54,7 +54,7 @@ P = TypeVar("P")
 
 
 class RunOptions(TypedDict, total=False):
-    """Arguments of `tune` that are neither data nor configuration."""
+    """Arguments of `tune` other than data and configuration."""
 
     out: str | Path | None
     resume: bool

@@ -2,8 +2,8 @@
 
 Expected improvement: J. Mockus, V. Tiesis and A. Zilinskas, 1978; D. R. Jones, M. Schonlau and W. J. Welch, J. Global
 Optimization 13, 455-492, 1998. Batches: the kriging believer of D. Ginsbourger, R. Le Riche and L. Carraro, Kriging is
-well-suited to parallelize optimization, 2010. The state is points, costs and generator, since scikit-learn fits the
-length scales each time.
+well-suited to parallelize optimization, 2010. The state consists of points, costs and generator, since scikit-learn
+fits the length scales each time.
 """
 
 import threading
@@ -18,7 +18,7 @@ from sigmaswarm.tuning.optimizers.sampling import SobolSearch
 from sigmaswarm.tuning.options import require_packages
 
 MOST = 200
-"""Largest number of costs in a fit, which needs time proportional to its third power."""
+"""Largest number of costs in a fit, whose time is proportional to the third power of this number."""
 NOISE = 1e-6  # variance of the noise of a cost, relative to the variance of all costs
 LEAST = 1e-12
 """Smallest variance of a predicted cost, relative to the variance of all costs."""
@@ -28,7 +28,7 @@ bounds."""
 SHORTEST, LONGEST = 0.2, 10.0
 """Range of the length scales, in widths of the bounds."""
 _ALONE = threading.Lock()
-"""Lock, since warnings and thread limits are settings of the whole process."""
+"""Lock, since warning filters and thread limits are settings of the whole process."""
 
 
 class BayesianOptimization(AskTell):
@@ -73,8 +73,8 @@ class BayesianOptimization(AskTell):
 def leveled(costs: Array) -> Array:
     """Transform costs, shape (n,), to log(1 + (cost - best) / (median - best)); at least one must be finite.
 
-    A diverged filter may cost a thousand times as much as a good one; without the transformation the process would be
-    flat near the best point.
+    A diverged filter may cost a thousand times as much as a good one. Without the transformation, the Gaussian process
+    would be flat near the best point.
     """
     finite = np.isfinite(costs)
     filled = np.where(finite, costs, costs[finite].max())
@@ -90,7 +90,7 @@ def suggested(
 
     ``effort``: numbers of candidates and of local searches.
     """
-    # one thread, since bits depend on the number of threads, and more are not faster with small matrices
+    # One thread, since bits depend on the number of threads, and more are not faster with small matrices.
     from threadpoolctl import threadpool_limits
 
     n = len(points)

@@ -14,7 +14,7 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 INITIAL_STEP = 0.3  # in widths of the bounds, as the tutorial recommends
 NARROWEST, WIDEST, LARGEST_CONDITION = 1e-12, 10.0, 1e14
-"""Limits of width (in widths of the bounds) and condition number; beyond them the distribution is replaced."""
+"""Limits of width (in widths of the bounds) and condition number, beyond which the search restarts."""
 
 
 class CmaEs(AskTell):

@@ -1,8 +1,8 @@
 """Quantum-behaved particle swarm optimization with moves of differential evolution.
 
-J. Sun, W. Xu and B. Feng, Proc. IEEE Conf. Cybernetics and Intelligent Systems 2004, 111-116. The hybrid is after Y.
-Fu, M. Ding, C. Zhou and H. Hu, IEEE Trans. Systems, Man, and Cybernetics: Systems 43, 1451-1465, 2013; here each
-particle makes one of the two moves at random, so that a generation is one batch.
+J. Sun, W. Xu and B. Feng, Proc. IEEE Conf. Cybernetics and Intelligent Systems 2004, 111-116. The hybrid follows Y. Fu,
+M. Ding, C. Zhou and H. Hu, IEEE Trans. Systems, Man, and Cybernetics: Systems 43, 1451-1465, 2013; here each particle
+makes one of the two moves at random, so that a generation is one batch.
 """
 
 import numpy as np

@@ -12,7 +12,7 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 
 class DifferentialEvolution(AskTell):
-    """A population; trial points replace their parents if their cost is not higher."""
+    """A population whose members are replaced by trial points with the same or a lower cost."""
 
     name = "de"
     saved = ("members", "member_costs")
@@ -44,7 +44,7 @@ class DifferentialEvolution(AskTell):
         return self._redrawn(np.where(crossed, mutants, x))
 
     def _others(self) -> list[NDArray[np.intp]]:
-        """Return three different other members for each member; with fewer than four some repeat."""
+        """Return three different other members for each member; with fewer than four, some repeat."""
         n = len(self.members)
         order = self.rng.random((n, n))
         np.fill_diagonal(order, 2.0)  # the member itself comes last

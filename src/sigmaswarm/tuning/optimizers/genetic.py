@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 CROSSOVER, CROSSOVER_INDEX, MUTATION_INDEX = 0.9, 15.0, 20.0
-"""Probability of crossover, and indices eta: with higher values children are closer to their parents."""
+"""Probability of crossover, and indices eta; with higher indices, children are closer to their parents."""
 
 
 class GeneticAlgorithm(AskTell):
@@ -67,7 +67,7 @@ def offspring(
     ``parents``, shape (m, d), have ``costs``, shape (m,). ``bounds`` has the lower and upper bounds.
     """
     pairs = (n + 1) // 2
-    # winners of the same round are paired, so that a member is rarely paired with itself
+    # Winners of the same round are paired, so that a member is rarely paired with itself.
     first, second = parents[_winners(costs, 2 * pairs, rng).reshape(pairs, 2).T]
     low, high = np.minimum(first, second), np.maximum(first, second)
     u = rng.random(first.shape)
@@ -81,7 +81,7 @@ def offspring(
 
 
 def _winners(costs: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Select the winners of ``n`` tournaments of two; all members enter almost equally often."""
+    """Select the winners of ``n`` tournaments of two; all members take part almost equally often."""
     m = len(costs)
     rounds = np.tile(np.arange(m), (-(-2 * n // m), 1))
     one, other = rng.permuted(rounds, axis=1).ravel()[: 2 * n].reshape(n, 2).T
@@ -89,7 +89,7 @@ def _winners(costs: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]
 
 
 def _spread(u: Array, room: Array, distance: Array, eta: float) -> Array:
-    """Return the distance of two children: beta times the distance of their parents."""
+    """Return the distance between two children: beta times that between their parents."""
     alpha = 2 - (1 + 2 * room / np.maximum(distance, 1e-200)) ** -(eta + 1)
     ua = u * alpha
     beta = np.where(ua <= 1, ua, 1 / (2 - np.minimum(ua, 2 - 1e-15))) ** (1 / (eta + 1))
