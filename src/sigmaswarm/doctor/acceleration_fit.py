@@ -1,12 +1,12 @@
-"""Regression of the path on the accelerations, forward and lateral: mounting, scale, tilt, and the fixes' delay.
+"""Regression of the path on the forward and lateral accelerations: mounting, scale, tilt, and delay of the fixes.
 
-In windows of some seconds the path follows from the IMU, integrated from an unknown start:
+In windows of some seconds, the IMU determines the path, integrated from an unknown start:
 
     p(t) = p0 + v0 t + e^(i theta) (double integral of M u + b),   u = (ax, ay) as recorded
 
-The fixes show this path ``late`` s later. Course and gyro give theta. M (2, 2) and ``late`` are common to all windows;
-p0, v0 and b (tilt, slope, bias) differ between windows. The mean of b is also fitted. M is the identity for a log
-without faults.
+The fixes show this path with a delay of ``late`` s. Course and gyro give theta. M (2, 2) and ``late`` are common to all
+windows; p0, v0 and b (tilt, slope, bias) differ between windows. The mean of b is also fitted. For a log without
+faults, M is the identity.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import white_noise
 
 WINDOW = 10.0
-"""Window length, s: long enough for accelerations, short enough for constant tilt and slope."""
+"""Window length, s: long enough to contain accelerations, short enough for constant tilt and slope."""
 BIAS_SPREAD = (0.1, 0.5)
 """Bounds of the spread of tilt, slope and bias between windows, m/s2."""
 FEW = 8.0
@@ -36,40 +36,40 @@ BIN = 3.0  # s, standard deviation of the Gaussian that aligns gyro and course, 
 @dataclass(frozen=True, eq=False)
 class AccelerationFit:
     matrix: Array  # (2, 2), M: rotates recorded (ax, ay) to forward and left, m/s2
-    covariance: Array  # (5, 5), of M's rows, one after the other, and of `late`
-    late: float  # s, by which the fixes are late
-    bias_std: Array  # (2,) m/s2, standard deviation of the mean bias, which steady circles do not distinguish from M
+    covariance: Array  # (5, 5), of the rows of M, one after the other, and of `late`
+    late: float  # s, delay of the fixes
+    bias_std: Array  # (2,) m/s2, standard deviation of the mean bias, which looks like M in steady circles
     bias: Array  # (k, 2) m/s2, forward and left, of each window: residuals of the recorded accelerations
     rows: NDArray[np.intp]  # (k, n), the fixes of each window
     residual: Complex  # (k, n) m, east + i north
 
 
 def _off_course(time: Array, course: Course, rate: Array, late: float) -> tuple[Array, Array]:
-    """Return the gyro's integral (n,), and the course minus that integral where the car moves, rad."""
+    """Return the gyro's integral (n,), rad, and the course minus this integral where the car moves, rad."""
     turned = integral(time, rate)
     seen = course.moving
     return turned, course.angle[seen] - smoothed(time, turned, course.time[seen] - late, course.span)
 
 
 def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
-    """Return the heading (n,), rad, at the IMU's times: the gyro's integral, aligned with the course over some seconds.
+    """Return the heading (n,), rad, at the IMU's times: the integrated gyro, aligned with the course over some seconds.
 
     ``rate`` (n,): yaw rate, rad/s, with correct sign and unit; ``late``: delay of the fixes, s.
     """
     turned, off = _off_course(time, course, rate + drift_of(time, course, rate, late), late)
     at, speed = course.time[course.moving], np.abs(course.velocity[course.moving])
     jump = np.append(0.0, np.cumsum(np.round(np.diff(off) / (2 * np.pi)))) * 2 * np.pi
-    off = off - jump  # the course may turn by whole circles, unseen, while the car stands
+    off = off - jump  # the course may turn by whole circles while the car stands
     bin_of = ((at - at[0]) // BIN).astype(np.intp)
     bell = np.exp(-0.5 * (np.arange(-6, 7) * BIN / DRIFT_SPAN) ** 2)
-    # the course of a faster car is more accurate
+    # The course of a faster car is more accurate.
     weight, total = (np.convolve(np.bincount(bin_of, v), bell)[6:-6] for v in (speed, speed * off))
     middles = at[0] - late + BIN * (np.arange(len(weight)) + 0.5)
     return turned + np.interp(time, middles[weight > 0], (total / np.maximum(weight, 1e-12))[weight > 0])
 
 
 def drift_of(time: Array, course: Course, rate: Array, late: float) -> float:
-    """Return the gyro's negative bias, rad/s, by the course."""
+    """Return the negative bias of the gyro, rad/s, determined by the course."""
     _, off = _off_course(time, course, rate, late)
     step = max(round(DRIFT_SPAN / float(np.median(np.diff(course.time)))), 1)
     if len(off) <= step:
@@ -92,7 +92,7 @@ def fit_acceleration(
     for k in range(10):
         found = fit.at(late)
         step = 1.0
-        if k > 1:  # the column of the delay needs M and the biases, which the first rounds find
+        if k > 1:  # the column of the delay needs M and the biases of the first rounds
             step = float(np.clip(found.solution[4], -0.2, 0.2))
             late += step
         if abs(step) < 1e-3:
@@ -117,7 +117,7 @@ def usable_windows(imu: Array, course: Course, longest: float) -> NDArray[np.int
 
 
 class _Fit:
-    """Regression at a given delay, with M and the biases' spread from the previous regression."""
+    """Regression at a given delay, with M and the spread of the biases from the previous regression."""
 
     def __init__(self, drive: Drive, course: Course, rate: Array, rows: NDArray[np.intp]):
         self._drive, self._course, self._rate, self._rows = drive, course, rate, rows
@@ -132,7 +132,7 @@ class _Fit:
         """Solve for M, row by row, and the corrections of ``late`` and of the mean bias."""
         position, columns, own = self._terms(late)
         one = np.ones((len(self._rows), 1), dtype=np.complex128)
-        # One more row per window draws its bias to the mean of all windows.
+        # One more row per window is a prior on its bias: the mean of all windows.
         own = [np.hstack([c, f * one]) for c, f in zip(own, (0, 0, self._noise / self._spread), strict=True)]
         position, *columns = (np.hstack([c, 0 * one]) for c in (position, *columns))
         return regress(position, columns, own, np.ones(own[0].shape), rounds)
@@ -150,8 +150,8 @@ class _Fit:
         self._spread = float(np.clip(spread, *BIAS_SPREAD))
 
     def _terms(self, late: float) -> tuple[Complex, list[Complex], list[Complex]]:
-        """Return the positions, and the columns of the common unknowns and of each window's unknowns, all (w, n)."""
-        if late not in self._kept:  # most calls repeat the delay of the call before
+        """Return the positions, and the columns of the common unknowns and of those of each window, all (w, n)."""
+        if late not in self._kept:  # most calls repeat the last delay
             self._kept = {late: self._paths(late)}
         ((vx, x), (vy, y), (vb, b)), position = self._kept[late]
         (xx, xy), (yx, yy) = self._matrix

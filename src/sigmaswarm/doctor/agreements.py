@@ -1,4 +1,4 @@
-"""Measured quantities of the IMU next to their values by the motion of the fixes, for plots."""
+"""Quantities measured by the IMU and their values from the motion of the fixes, for plots."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,10 +11,10 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.stale_fixes import stale_fixes
 
-FEWEST = 8  # fixes, for a course
+FEWEST = 8  # smallest number of fixes for a course
 SLOWEST = 1.0  # m/s, lowest speed at which a course is shown
-SPAN = 2.0  # s, average of the specific force: vibration would hide gravity
-RATE = 10.0  # Hz, of the smoothed specific force
+SPAN = 2.0  # s; the specific force is averaged, since vibration would hide gravity
+RATE = 10.0  # Hz, of the averaged specific force
 FINDINGS = {
     "timing": (
         *("imu-gap", "imu-rate", "imu-repeats", "imu-outside", "gps-gap", "gps-rate", "gps-outside"),
@@ -27,12 +27,12 @@ FINDINGS = {
     "speed": ("speed", "velocity", "odometer"),
     "course": ("course",),
 }
-"""Beginnings of the codes of the findings that each agreement's plot shows."""
+"""Beginnings of the codes of findings, by the agreement whose plot shows them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """Measured quantities over time, and the values that they should follow.
+    """Measured quantities over time, and their expected values.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Agreement:
 
 
 def shown_by(code: str) -> str:
-    """Return the key of the agreement that shows a finding; empty for findings that the map of the fixes shows."""
+    """Return the key of the agreement that shows a finding; "" if the map of the fixes shows it."""
     return next((key for key, starts in FINDINGS.items() if code.startswith(starts)), "")
 
 
@@ -60,12 +60,12 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
     Parameters
     ----------
     drive : Drive
-        A drive; the truth is not used.
+        The drive; its truth is not used.
 
     Returns
     -------
     tuple of Agreement
-        Those that need a moving vehicle are missing if no course can be computed.
+        Without a course, those that need a moving vehicle are missing.
     """
     steps = {
         name: (table.time[1:], np.diff(table.time))
@@ -95,7 +95,7 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
     course = course_of(time[good], position[good])
     at, speed = course.time, np.abs(course.velocity)
     moving = speed > max(SLOWEST, 6 * course.std)
-    moving &= (at > at[0] + course.span / 2) & (at < at[-1] - course.span / 2)  # no velocity at the ends
+    moving &= (at > at[0] + course.span / 2) & (at < at[-1] - course.span / 2)  # the ends have no velocity
     if np.count_nonzero(moving) < FEWEST:
         return
     yield _turning(drive, course, moving)
@@ -125,7 +125,7 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
 
 
 def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
-    """Compare the integral of gz with the course; a constant shifts each part between two stops."""
+    """Compare the integral of gz with the course; each part between two stops is shifted by a constant."""
     imu, at = drive.imu, course.time[moving]
     track = np.unwrap(np.angle(course.velocity[moving]))
     turned = np.interp(at, imu.time, integral(imu.time, imu.gz))

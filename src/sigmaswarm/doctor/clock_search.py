@@ -1,4 +1,4 @@
-"""Search for a large clock offset at which the turns of the gyro match the turns of the course."""
+"""Search for a large clock offset at which the turns of the gyro match those of the course."""
 
 import numpy as np
 
@@ -8,14 +8,14 @@ from sigmaswarm.doctor.verdicts import DEGREE
 from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Drive
 
-WIDEST = 40.0  # s; GPS time minus UTC (18 s) and most receivers' start-up are shorter
+WIDEST = 40.0  # s; GPS time minus UTC (18 s) and the start-up of most receivers are shorter
 STEP = 0.1
-NEAR = 4.0  # s, largest distance of a lag from its peak
+NEAR = 4.0  # s, distance from the best offset within which other offsets belong to the same peak
 SPAN = 5.0  # s, interval over which turns are compared
 LEAST, CLEARLY = 0.8, 0.15
 """Share of the turns that an offset must explain, and its smallest lead over any other offset."""
 FEWER = 4.0
-"""Alternative to the lead: smallest factor by which any other offset leaves more unexplained.
+"""Smallest ratio of the unexplained turns of any other offset to those of this one, as an alternative to the lead.
 
 If turns repeat, other offsets may also explain a large share.
 """
@@ -24,7 +24,7 @@ LEAST_TURN = 0.15  # rad, smallest RMS change of the course within `SPAN`
 
 
 def search_offset(drive: Drive, course: Course) -> float | None:
-    """Find the offset, s, by which the fixes are late; None if none is significant."""
+    """Find the delay of the fixes, s; None if none is significant."""
     imu, at = drive.imu, course.time
     first, last = _pairs(course)
     if len(first) < FEWEST:
@@ -33,7 +33,7 @@ def search_offset(drive: Drive, course: Course) -> float | None:
     whole = float(np.sum((turn - turn.mean()) ** 2))
     if np.sqrt(np.mean((turn - np.mean(turn)) ** 2)) < LEAST_TURN:
         return None
-    # The rate about the vertical in any mounting; gz of an IMU without six axes.
+    # The rate about the vertical for any mounting, or gz if the IMU lacks one of the six axes.
     planar = imu.az is None or imu.gx is None or imu.gy is None
     total = integral(imu.time, imu.gz if planar else turned(imu, level(imu)).gz)
 
@@ -59,7 +59,7 @@ def search_offset(drive: Drive, course: Course) -> float | None:
 
 
 def _pairs(course: Course) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of fixes about 5 s apart between which the car never stops."""
+    """Return the indices of pairs of fixes about 5 s apart between which the car never stops."""
     interval = float(np.median(np.diff(course.time)))
     step = max(round(SPAN / interval), 1)
     first = np.arange(max(len(course.time) - step, 0))

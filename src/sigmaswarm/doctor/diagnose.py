@@ -32,7 +32,7 @@ CHECKS = (
     check_use,
 )
 """All checks, in the order of findings of equal severity."""
-KEPT = 32  # diagnoses in the cache; commands and pages need them several times
+KEPT = 32  # diagnoses in the cache, since commands and pages need them several times
 _kept: dict[tuple[str, str], Diagnosis] = {}
 
 
@@ -52,7 +52,7 @@ def diagnose(drive: Drive) -> Diagnosis:
     Raises
     ------
     DriveError
-        The drive is too short, or IMU and GPS do not overlap.
+        If the drive is too short, or IMU and GPS do not overlap.
     """
     if shortage := shortage_of(drive.imu, drive.gps):
         raise DriveError(f"{drive.name}/{shortage}")
@@ -67,7 +67,7 @@ def diagnose(drive: Drive) -> Diagnosis:
 
 
 def _diagnosed(drive: Drive) -> Diagnosis:
-    if spoiled := spoiled_times(drive.imu, drive.gps):  # no other check works on such a log
+    if spoiled := spoiled_times(drive.imu, drive.gps):  # such a log allows no other check
         ends = float(drive.imu.time[0]), float(drive.imu.time[-1])
         return Diagnosis(drive.name, tuple(finding_of(wrong, "serious", ends, 0.999) for wrong in spoiled))
     evidence = gather(drive)
@@ -77,7 +77,7 @@ def _diagnosed(drive: Drive) -> Diagnosis:
 
 
 def findings_of(drive: Drive) -> tuple[str, ...]:
-    """Return serious findings and warnings as sentences; none for a drive that is too short."""
+    """Return serious findings and warnings as sentences; empty for a drive that is too short."""
     try:
         found = diagnose(drive).findings
     except DriveError:

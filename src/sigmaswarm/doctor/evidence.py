@@ -18,38 +18,38 @@ from sigmaswarm.drives.sensors import white_noise
 from sigmaswarm.drives.stale_fixes import stale_fixes
 
 SEARCHED = 2.3
-"""Largest offset that the fit finds, s; the tried delays end at 2.5 s."""
-LEAST_SEARCHED = 0.3  # s, smallest offset that the search finds
+"""Largest offset that the fit determines, s; it tries delays up to 2.5 s."""
+LEAST_SEARCHED = 0.3  # s, smallest offset that the search determines
 USUAL = 1.0
-"""Largest usual delay of a receiver, s. A larger delay counts only if the search finds no other offset."""
+"""Largest usual delay of a receiver, s. A larger delay is accepted only if the search finds no other offset."""
 AS_RECORDED = Yaw(known=True)
 """Another column, sign or unit is accepted only if no offset explains the data."""
-FEWEST = 20  # fixes, for the checks that need motion
+FEWEST = 20  # smallest number of fixes for the checks that need motion
 KEPT = 256
-"""Number of drives with a cached scatter: a tuning needs the scatter in each repetition."""
+"""Number of drives with a cached scatter, which a tuning needs in each repetition."""
 _scatters: dict[str, float] = {}
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    drive: Drive  # with its IMU turned by `mounting`, where that is needed; all fits are in these axes
+    drive: Drive  # with its IMU rotated by `mounting` if necessary; all fits are in these axes
     stale: Mask  # (n,), fixes that repeat an earlier fix
-    outlying: Mask  # (n,), fixes far off the path
+    outlying: Mask  # (n,), fixes far from the path
     used: NDArray[np.intp]  # (m,), indices of the fixes in `course`
     course: Course | None
     yaw_fit: YawFit | None  # the regression of the course on the gyro
     yaw: Yaw  # interpretation of `yaw_fit`
     acceleration: AccelerationFit | None  # the regression of the path on the accelerometers
     mount: Mount | None  # interpretation of `acceleration`
-    clock: ClockOffset  # the fixes' delay
-    noise: float  # m per axis, noise from each fix to the next
+    clock: ClockOffset  # delay of the fixes
+    noise: float  # m per axis, noise from fix to fix
     scatter: float  # m per axis, of the fixes about the path over ten seconds
     mounting: Mounting | None  # mounting of the IMU in the vehicle, for a log with six axes
-    moved: float = 0.0  # s, subtracted from the fixes' times where the clocks are far apart
+    moved: float = 0.0  # s, subtracted from the fixes' times if the clocks are far apart
 
     @property
     def mounted(self) -> bool:
-        """True if a known rotation of the IMU is to be corrected."""
+        """True if a known rotation of the IMU must be corrected."""
         return self.mounting is not None and self.mounting.needed
 
     @property
@@ -66,7 +66,7 @@ class Evidence:
 def gather(drive: Drive) -> Evidence:
     """Fit the gyro to the course and the accelerometers to the path, and interpret the fits.
 
-    If the gyro as recorded does not follow the course within a second, search an offset of the clocks up to 40 s first.
+    If the gyro as recorded does not follow the course within a second, first search for a clock offset up to 40 s.
     """
     evidence = _read(drive)
     for old in list(_scatters)[: len(_scatters) + 1 - KEPT]:
@@ -76,7 +76,7 @@ def gather(drive: Drive) -> Evidence:
 
 
 def scatter_of(drive: Drive) -> float:
-    """Return the `scatter` of a drive's evidence, m per axis, from memory if possible."""
+    """Return the `scatter` of a drive's evidence, m per axis, from the cache if possible."""
     kept = _scatters.get(fingerprint(drive))
     return gather(drive).scatter if kept is None else kept
 
@@ -93,7 +93,7 @@ def _read(drive: Drive) -> Evidence:
     if fits or fit.course_change < LEAST_TURN:  # only a large offset contradicts this interpretation
         if late is None or abs(late) < SEARCHED:
             return evidence
-    elif late is None:  # without a common clock no axis can be interpreted
+    elif late is None:  # no axis can be interpreted without a common clock
         return replace(evidence, yaw=Yaw(), mount=None, clock=ClockOffset())
     rest = 0.0
     for _ in range(2):  # the fits determine the remaining offset

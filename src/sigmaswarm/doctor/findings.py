@@ -13,7 +13,7 @@ SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "note")
 
 @dataclass(frozen=True)
 class Repair:
-    """The repair of a finding: a key of `sigmaswarm.doctor.repairs.ACTIONS`, and its parameters."""
+    """The repair of a finding: a key of `sigmaswarm.doctor.repairs.ACTIONS`, and parameters."""
 
     action: str
     values: tuple[float, ...]
@@ -26,7 +26,7 @@ class Finding:
     Attributes
     ----------
     code : str
-        A short, stable name for programs: "gyro-sign", "clock-offset" and so on (docs/doctor.md has all).
+        A short, stable name for programs, such as "gyro-sign" or "clock-offset" (list in docs/doctor.md).
     severity : {"note", "warning", "serious"}
     what : str
         The fault in one sentence, with values.
@@ -38,9 +38,9 @@ class Finding:
         0 to 1.
     remedy : str
     repair : Repair or None
-        The repair that ``repair`` applies; None if there is none.
+        The repair that ``repair`` applies, if any.
     cut : float or None
-        Time at which to cut the log, s; the later part is free of the fault.
+        Time at which to cut the log, s; the part after it is free of the fault.
     """
 
     code: str
@@ -117,5 +117,5 @@ def confidence_of(deviations: float) -> float:
 
 
 def confidence_by_margin(margin: float) -> float:
-    """Return the confidence, 0 to 1, in an interpretation that lowers chi-square by a margin."""
+    """Return the confidence, 0 to 1, in an interpretation that lowers chi-square by ``margin``."""
     return round(min(1 - math.exp(-max(margin, 0.0) / 2), _HIGHEST_CONFIDENCE), 3)

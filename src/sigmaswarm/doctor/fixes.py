@@ -12,13 +12,13 @@ from sigmaswarm.drives.sensors import white_noise
 Mask = NDArray[np.bool_]
 
 NEIGHBORS = 3
-"""Fixes on each side that predict the fix between them."""
-HARDEST = 8.0  # m/s2, largest acceleration of a car, which does not count as a jump
+"""Number of fixes on each side from which the position of a fix is predicted."""
+HARDEST = 8.0  # m/s2, largest acceleration of a car, which is not a jump
 SPAN = (3.0, 6.0)  # s, shortest and longest time over which one velocity is computed
 SPEED_STD = 0.5  # m/s, intended standard deviation of the velocity
 SLOWEST = 3.0  # m/s; at lower speeds the course is noise
 USUAL_SHARE = 0.5
-"""Share of a slow vehicle's usual speed above which accurate fixes give a course."""
+"""Share of a slow vehicle's usual speed above which accurate fixes determine a course."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,21 +28,21 @@ class Course:
     time: Array  # (n,) s
     position: Complex  # (n,) m, east + i north
     velocity: Complex  # (n,) m/s, east + i north; the mean over about `span`, weighted by a parabola
-    std: float  # m/s per axis, of the velocity, from the fixes' white noise
+    std: float  # m/s per axis, standard deviation of the velocity due to white noise of the fixes
     angle: Array  # (n,) rad, the course, unwrapped
-    moving: Mask  # (n,), true where the car is fast enough for a course
-    slowest: float  # m/s, the lowest speed with a course
+    moving: Mask  # (n,), True if the car is fast enough for a course
+    slowest: float  # m/s, lowest speed with a course
     span: float  # s
 
 
 def jumps(time: Array, position: Complex) -> Mask:
-    """Mark fixes that are farther from the line through their neighbors than a car can drive, (n,)."""
+    """Mark fixes, (n,), that are farther from the line through their neighbors than a car can drive."""
     kept = np.arange(len(time))
     if len(time) < 10:
         return np.zeros(len(time), bool)
     for _ in range(
         20
-    ):  # one jump at a time, the largest among its neighbors: a jump also distorts the neighbors' lines
+    ):  # one jump at a time, the largest among its neighbors, since a jump also distorts the lines of these
         off = np.abs(_off_line(time[kept], position[kept]))
         limit = 12 * float(np.median(off)) + 0.5 * HARDEST * (NEIGHBORS * np.gradient(time[kept])) ** 2
         worst = np.lib.stride_tricks.sliding_window_view(np.pad(off, NEIGHBORS), 2 * NEIGHBORS + 1).max(
@@ -56,7 +56,7 @@ def jumps(time: Array, position: Complex) -> Mask:
 
 
 def _off_line(time: Array, position: Complex) -> Complex:
-    """Return the offset of each fix from the straight line through the neighboring fixes, (n,) m."""
+    """Return the distance, (n,) m, of each fix from the straight line through its neighbors, as a complex number."""
     n = len(time)
     offsets = np.array([k for k in range(-NEIGHBORS, NEIGHBORS + 1) if k])
     index = np.arange(n)[:, None] + offsets
@@ -79,7 +79,7 @@ def course_of(time: Array, position: Complex) -> Course:
         stretch = slice(first[i], last[i])
         t = time[stretch] - time[stretch].mean()
         velocity[i] = t @ position[stretch] / (t @ t)
-    whole = (last - first) >= 0.7 * span / interval  # no velocity across a gap or at the ends
+    whole = (last - first) >= 0.7 * span / interval  # no velocity in a gap or at the ends
     whole &= (time - span / 2 >= time[0] - interval) & (time + span / 2 <= time[-1] + interval)
     std = float(noise * np.sqrt(12 * interval / span) / span)
     usual = float(np.quantile(np.abs(velocity[whole]), 0.9)) if whole.any() else 0.0

@@ -1,4 +1,4 @@
-"""Repair the faults that a diagnosis found. The given drive and its truth are not changed."""
+"""Repair the faults in a diagnosis. The given drive and its truth are not changed."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -20,19 +20,19 @@ from sigmaswarm.geodesy import wrap_angle
 
 
 def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
-    """Return a copy of the drive with all repairs that are possible.
+    """Return a copy of the drive with all possible repairs.
 
     Parameters
     ----------
     drive : Drive
-        The drive that was diagnosed.
+        The diagnosed drive.
     diagnosis : Diagnosis
 
     Returns
     -------
     Drive
-        A drive of the same name; ``repaired`` in its metadata lists the findings that were repaired, and
-        ``imu_mounting_deg`` includes the rotation of the axes.
+        A drive of the same name; ``repaired`` in its metadata lists the repaired findings, and ``imu_mounting_deg``
+        includes the rotation of the axes.
     """
     found = [(f.code, f.repair) for f in diagnosis.findings if f.repair is not None]
     if not found:
@@ -46,17 +46,17 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
 
 def _applied(drive: Drive, repairs: Sequence[Repair]) -> Drive:
     for action, apply in ACTIONS.items():
-        # Latest jump first: closing it leaves the times of earlier jumps unchanged.
+        # The latest jump is closed first, which does not change the times of earlier jumps.
         for values in sorted((r.values for r in repairs if r.action == action), reverse=True):
             drive = apply(drive, *values)
     return drive
 
 
 def _rotation(drive: Drive, repairs: Sequence[Repair]) -> Array | None:
-    """Return the rotation (3, 3) that repairs of the IMU's axes are together; None if they are no rotation.
+    """Return the total rotation (3, 3) of repairs of the IMU's axes; None if they are not a rotation.
 
-    The repairs are applied to an IMU whose samples are the unit vectors. Factors are left out, since they are units and
-    scales. An IMU without all six axes is turned about z, or exchanges axes: only ax, ay and gz count.
+    The repairs are applied to an IMU whose samples are the unit vectors. Factors are ignored, since they are units and
+    scales. Of an IMU without all six axes, only ax, ay and gz are considered, which are rotated about z or exchanged.
     """
     names = [n for n in ("ax", "ay", "az", "gx", "gy", "gz") if getattr(drive.imu, n) is not None]
     columns = {name: np.eye(3)["xyz".index(name[1])] for name in names}
@@ -88,7 +88,7 @@ def _drop(sensor: str, drive: Drive, *times: float) -> Drive:
 
 
 def _rotate(drive: Drive, *rotation: float) -> Drive:
-    """Rotate all six axes by a matrix, given row by row."""
+    """Rotate all six axes by a matrix that is given row by row."""
     return replace(drive, imu=turned(drive.imu, np.reshape(rotation, (3, 3))))
 
 
@@ -116,7 +116,7 @@ def _accelerometer(drive: Drive, a: float, b: float, c: float, d: float, up: flo
 
 
 def _turn(drive: Drive, angle: float) -> Drive:
-    """Rotate the horizontal axes of accelerometer and gyro back about z by an angle, rad."""
+    """Rotate the horizontal axes of accelerometer and gyro by -angle, rad, about z."""
     c, s = math.cos(angle), math.sin(angle)
     return _tilt_rates(_accelerometer(drive, c, -s, s, c, 1.0), c, -s, s, c)
 
@@ -127,7 +127,7 @@ def _level(drive: Drive, x: float, y: float) -> Drive:
 
 
 def _state_noise(drive: Drive, std: float) -> Drive:
-    """Scale the stated standard deviations so that their median is ``std``, m per axis."""
+    """Scale the stated standard deviations to a median of ``std``, m per axis."""
     x, y = drive.gps.std_x, drive.gps.std_y
     if x is not None and y is not None:
         factor = std / float(np.median(np.concatenate([x, y])))
@@ -138,7 +138,7 @@ def _state_noise(drive: Drive, std: float) -> Drive:
 
 
 def _velocity(drive: Drive, factor: float, convention: float) -> Drive:
-    """Multiply the speed by a factor; convert the course from one of `CONVENTIONS`, counted from 1; 0 leaves it."""
+    """Multiply the speed by a factor, and convert the course from one of `CONVENTIONS`, from 1; 0: unchanged."""
     speed, course = drive.gps.speed, drive.gps.course
     if speed is None or course is None:
         return drive
@@ -163,7 +163,7 @@ def _odometer(drive: Drive, factor: float) -> Drive:
 
 
 def _drop_readings(drive: Drive, *ends: float) -> Drive:
-    """Leave out spans of the odometer, given by their starts and ends, s."""
+    """Remove spans of the odometer, given by starts and ends, s."""
     spans = zip(ends[::2], ends[1::2], strict=True)
     return replace(drive, odometer=(drive.odometer and without(drive.odometer, spans)) or None)
 
@@ -177,7 +177,7 @@ def _close_jump(drive: Drive, moment: float, jump: float) -> Drive:
 
 
 AXES = {"rotate", "gyro", "tilt-rates", "accelerometer", "turn"}
-"""Actions that change the IMU's axes."""
+"""Actions that change the axes of the IMU."""
 ACTIONS: dict[str, Callable[..., Drive]] = {
     "shift-clock": partial(_shift, "gps"),
     "drop-samples": partial(_drop, "imu"),
@@ -197,4 +197,4 @@ ACTIONS: dict[str, Callable[..., Drive]] = {
     "shift-odometer": partial(_shift, "odometer"),
     "close-jump": _close_jump,
 }
-"""Actions in the order of their application; they identify rows by recorded times, fixes by corrected times."""
+"""Actions in the order of application; they identify rows by recorded times, and fixes by corrected times."""

@@ -1,4 +1,4 @@
-"""Decisions from fits with covariances: units, signs, axes, mounting, and clock offset."""
+"""Decisions from fits with covariances: units, signs, axes, mounting and clock offset."""
 
 import math
 from dataclasses import dataclass
@@ -14,41 +14,40 @@ from sigmaswarm.drives.drive import Array
 
 DEGREE = math.pi / 180
 FAMILIAR = 1.35
-"""Largest ratio to a known factor (1, -1, deg/s), or its inverse, at which a factor counts as known."""
+"""Largest ratio to a known factor (1, -1, deg/s), or its inverse, at which a factor is that factor."""
 LEAST_SHARE = 0.2
 """Share of the course's changes that a column must explain, unless the gain is CERTAIN."""
 LEAST_TURN = 0.05
-"""RMS change of the course within 20 s above which the course shows the mounting, rad.
+"""RMS change of the course within 20 s above which the course determines the mounting, rad.
 
-Below it the course is mostly noise. A yaw rate other than as recorded must then be CERTAIN, or have LARGE_SHARE.
+Below it, the course is mostly noise. A yaw rate other than as recorded must then be CERTAIN or have LARGE_SHARE.
 """
 LARGE_SHARE = 0.5
 CERTAIN = 12.0
-"""Ratio of the gain to its standard deviation above which a small share of the course's changes suffices: in a city,
-errors of the fixes cause most changes.
-"""
+"""Ratio of the gain to its standard deviation above which a small share of the course's changes suffices, since in a
+city errors of the fixes cause most changes."""
 CLEARLY = 16.0
 """Lead in chi-square of another interpretation over the log as recorded, and largest chi-square of a log in g.
 
-In steady circles the forces barely exceed the noise, and do not show the unit. Logs in g have a chi-square of 4.
+In steady circles, the forces hardly exceed the noise and do not determine the unit. Logs in g have a chi-square of 4.
 """
 ALIKE = 0.05
-"""Tolerance of M off the diagonal: slip, and tilt in maneuvers."""
+"""Tolerance of the off-diagonal elements of M, for slip, and for tilt in maneuvers."""
 SCALE = 0.12
-"""Tolerance on the diagonal: roll and pitch of the body add 5 to 10% to the acceleration."""
+"""Tolerance of the diagonal elements, since roll and pitch of the body add 5 to 10% to the acceleration."""
 SHOWN = 0.25
-"""Standard deviation of an entry of M below which the drive shows the entry."""
+"""Standard deviation of an element of M below which the drive determines it."""
 LEAST_OFFSET = 0.1
 """Smallest reported offset, s; the receiver's noise hides smaller offsets."""
 CLEAR_OFFSET = (2.5, 3.3, 4.5)
 """Ratios of an offset to its standard deviation for a note, a warning with a repair, and a serious finding."""
-MOUNTED = math.radians(40)  # rad, rotation above which axes count as exchanged
+MOUNTED = math.radians(40)  # rad, rotation above which axes are exchanged
 ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
 
 
 @dataclass(frozen=True)
 class Yaw:
-    """The yaw rate in rad/s as a column times a factor; ``known``: the drive shows both."""
+    """The yaw rate in rad/s as a column times a factor; ``known``: True if the drive determines both."""
 
     column: str = "gz"
     factor: float = 1.0
@@ -56,7 +55,7 @@ class Yaw:
 
 
 def yaw_of(fit: YawFit | None) -> Yaw:
-    """Find the column, sign and unit of the gyro by the course; without evidence return those of the format."""
+    """Find column, sign and unit of the gyro by the course; without evidence, return those of the format."""
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < LEAST_SHARE and size < CERTAIN):
         return Yaw()
@@ -71,10 +70,10 @@ def yaw_of(fit: YawFit | None) -> Yaw:
 class Mount:
     axes: Array  # (2, 2), signed permutation of (ax, ay)
     unit: float  # 1, or m/s2 per g
-    angle: float  # rad: the interpreted axes are turned about z by -angle relative to the car
+    angle: float  # rad: the interpreted axes are rotated about z by -angle relative to the car
     angle_std: float  # rad
     margin: float  # lead in chi-square of this interpretation over the log as recorded
-    known: tuple[bool, bool]  # (forward, left): True if the drive shows that axis
+    known: tuple[bool, bool]  # (forward, left): True if the drive determines the axis
     scale: tuple[
         tuple[float, float], tuple[float, float]
     ]  # (forward, left): remaining factor, and its standard deviation
@@ -121,7 +120,7 @@ def mount_of(fit: AccelerationFit) -> Mount:
     if plain - best < CLEARLY:
         axes, unit = as_recorded, 1.0
     if unit == 1 and not ((deviation(axes, unit) < SHOWN) & (axes != as_recorded).any(axis=1)).any():
-        axes = as_recorded  # an axis that the drive does not show is not changed
+        axes = as_recorded  # an axis that the drive does not determine is not changed
     misfits = misfits_of(axes, unit, ANGLES)
     k = int(np.clip(np.argmin(misfits), 1, len(ANGLES) - 2))
     bend = (misfits[k - 1] + misfits[k + 1] - 2 * misfits[k]) / (ANGLES[1] - ANGLES[0]) ** 2
@@ -139,7 +138,7 @@ def mount_of(fit: AccelerationFit) -> Mount:
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """Delay of the fixes, its standard deviation, and the largest delay searched, s."""
+    """Delay of the fixes, its standard deviation, and the largest tried delay, s."""
 
     late: float = 0.0
     std: float = math.inf
@@ -147,18 +146,18 @@ class ClockOffset:
 
     @property
     def least(self) -> float:
-        """The smallest delay, s, that counts as an offset."""
+        """Smallest delay, s, that is an offset."""
         return max(LEAST_OFFSET, CLEAR_OFFSET[0] * self.std)
 
     @property
     def visible(self) -> float | None:
-        """The smallest offset, s, detected with a probability of 95%; None if there is none."""
+        """Smallest offset, s, that is detected with a probability of 95%, or None."""
         offset = self.least + 1.65 * self.std
         return offset if offset < self.searched else None
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """Bounds, s, that contain the offset with a probability of 95% or more; None beyond the search."""
+        """Bounds, s, that contain the offset with a probability of at least 95%; None beyond the tried delays."""
         half = max(LEAST_OFFSET, 2 * self.std)
         low, high = self.late - half, self.late + half
         return (low, high) if max(-low, high) < self.searched else None
@@ -167,7 +166,7 @@ class ClockOffset:
 def clock_of(
     yaw_fit: YawFit | None, yaw: Yaw, acceleration: AccelerationFit | None, mount: Mount | None
 ) -> ClockOffset:
-    """Combine the delays of accelerometers and gyro; the standard deviation grows with their disagreement."""
+    """Combine the delays of accelerometers and gyro; their disagreement increases the standard deviation."""
     found: list[tuple[float, float]] = []
     searched = float(acceleration_fit.LATENESS[-1])
     if acceleration is not None and mount is not None:

@@ -26,7 +26,7 @@ def integral(time: Array, values: Values) -> Values:
 
 
 def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
-    """Average around times ``at`` over ``span`` s with parabolic weights, as a line fitted to an integral does."""
+    """Average around times ``at`` over ``span`` s with parabolic weights, like a line fitted to an integral."""
     points = at[:, None] + _NODES * span / 2
     return np.einsum("nk,k->n", np.interp(points, time, values), _PARABOLA)
 
@@ -34,7 +34,7 @@ def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
 def moving_mean(rows: Array, count: int) -> Array:
     """Compute the moving mean of rows (r, n), mirrored at their ends.
 
-    The import of `scipy.ndimage.uniform_filter1d` takes longer than all checks.
+    Importing `scipy.ndimage.uniform_filter1d` would take longer than all checks.
     """
     left = count // 2
     padded = np.pad(rows, ((0, 0), (left, count - left - 1)), mode="symmetric")
@@ -43,7 +43,7 @@ def moving_mean(rows: Array, count: int) -> Array:
 
 
 def windows_of(time: Array, usable: NDArray[np.bool_], length: float) -> NDArray[np.intp]:
-    """Return the indices (w, n) of windows of about ``length`` s that overlap by half; none has a gap."""
+    """Return the indices (w, n) of windows of about ``length`` s that overlap by half and contain no gap."""
     index = np.flatnonzero(usable)
     interval = float(np.median(np.diff(time)))
     count = max(round(length / interval), 8)
@@ -54,15 +54,15 @@ def windows_of(time: Array, usable: NDArray[np.bool_], length: float) -> NDArray
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """A robust fit of y = sum over k of solution[k] columns[k] + the unknowns of each window."""
+    """A robust fit of y = sum over k of solution[k] columns[k] + the terms of each window's unknowns."""
 
     solution: Array  # (k,)
     residual: Complex  # (w, n)
     weight: Array  # (w, n), the robust weight of each value, 0 to 1
     cost: float  # the mean magnitude of the residual
-    columns: Array  # (w, k, 2n), weighted, orthogonal to the columns `own`; real and imaginary parts in turn
+    columns: Array  # (w, k, 2n), weighted, orthogonal to the columns `own`; real, imaginary alternate
     left: Array  # (w, 2n), the residuals, in the same form
-    own: int  # number of the unknowns of each window
+    own: int  # number of unknowns of each window
 
     @cached_property
     def covariance(self) -> Array:
@@ -78,10 +78,10 @@ def regress(
     Parameters
     ----------
     y : (w, n) complex
-    columns : each (w, n); their factors are real and common to all windows
-    own : each (w, n); their factors are complex and differ between windows
-    weight : (w, n), one over the known part of the standard deviation, up to a factor
-    rounds : 1 for plain least squares; more to downweight outliers
+    columns : each (w, n); their coefficients are real and common to all windows
+    own : each (w, n); their coefficients are complex and differ between windows
+    weight : (w, n), inverse of the known part of the standard deviation, up to a factor
+    rounds : 1 for plain least squares; more to reduce the weight of outliers
     """
     fit = _solve(y, columns, own, weight, np.ones(y.shape))
     for _ in range(rounds - 1):
@@ -96,8 +96,8 @@ def _solve(
 ) -> Regression:
     """Project out the columns of each window (QR), then solve for the common unknowns.
 
-    Normal equations of scaled columns are accurate enough here. `numpy.linalg.lstsq` takes ten times as long where BLAS
-    has two threads, which wait for each other.
+    Normal equations of scaled columns are accurate enough here. `numpy.linalg.lstsq` takes ten times as long if
+    BLAS has two threads, which wait for each other.
     """
     root = weight * np.sqrt(robust)
     q = np.linalg.qr(np.stack([root * c for c in own], axis=-1))[0]
@@ -123,8 +123,8 @@ def pinv(gram: Array) -> Array:
 def _covariance(a: Array, left: Array, own: int) -> Array:
     """Return the covariance of the solution, from the columns (w, k, n) and the residuals (w, n).
 
-    It is that of white residuals, but at least that of the disagreement between windows (the sandwich estimate of
-    White, 1980, with windows as clusters), doubled, since each fix is in two windows.
+    It is that of white residuals, but at least the sandwich estimate of White (1980) with windows as clusters, which is
+    doubled since each fix is in two windows.
     """
     inverse = pinv(np.sum(a @ a.transpose(0, 2, 1), axis=0))
     white = inverse * float(np.sum(left**2)) / max(left.size - 2 * own * len(left), 1)

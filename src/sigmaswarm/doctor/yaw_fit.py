@@ -1,4 +1,4 @@
-"""Regress the course on the integrated gyro: column, gain, and delay of the fixes."""
+"""Regression of the course on the integrated gyro: column, gain, and delay of the fixes."""
 
 import math
 from dataclasses import dataclass
@@ -13,32 +13,32 @@ from sigmaswarm.drives.drive import Array, Drive
 WINDOW = 20.0
 """Window length, s: long enough for turns, and so short that the integral of a bias is a straight line."""
 EXPLAINED = 0.7
-"""Share of the course's changes above which gz is the yaw rate, and other columns are not tried."""
+"""Share of the course's changes above which gz is the yaw rate, and no other column is tried."""
 CLEARLY_BETTER = 0.3
 """Smallest lead of another column over gz in this share."""
 AHEAD = (0.8, 0.8)
 """Mean and standard deviation of the antenna's distance ahead of the rear axle, m.
 
-The rear axle does not slide sideways. At the antenna the course turns earlier, by this distance.
+The rear axle does not slide sideways. At the antenna, the course turns earlier by this distance.
 """
 LATENESS = np.arange(-2.5, 2.51, 0.1)  # s, delays of the fixes to try
 
 
 @dataclass(frozen=True, eq=False)
 class YawFit:
-    """Fit of the course to the integral of a gyro's column: course = gain x turned, later by ``late``."""
+    """Fit of the course to the integral of a gyro column: course = gain x turned, delayed by ``late``."""
 
     column: str
     gain: float  # 1 for the yaw rate of the car in rad/s
     std: float  # of the gain
     share: float  # of the course's changes that the column explains, 0 to 1
-    late: float  # s, by which the fixes are late
+    late: float  # s, delay of the fixes
     late_std: float  # s
     course_change: float  # rad, RMS change of the course within windows
 
 
 def fit_yaw(drive: Drive, course: Course) -> YawFit | None:
-    """Fit the column that explains the course best; None if the car hardly drives."""
+    """Fit the column that explains the course best; None if the car hardly moves."""
     rows = yaw_windows(course)
     if not len(rows):
         return None
@@ -99,7 +99,7 @@ def fit_column(
         late = float(min(tried, key=misfit))
     for _ in range(4):
         joint = at(late, gain=float(at(late).solution[0]))
-        # A car that never turns does not show the delay: the column is zero, and so is its covariance.
+        # If the car never turns, the column is zero, and so is its covariance.
         late_std = math.sqrt(joint.covariance[1, 1]) or math.inf
         late += float(np.clip(joint.solution[1], -0.1, 0.1))
     fit = at(late)

@@ -1,1 +1,1 @@
-"""The checks: functions ``check_...`` that return findings from the evidence."""
+"""The checks: functions ``check_...`` that yield findings from the evidence."""

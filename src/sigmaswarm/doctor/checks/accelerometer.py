@@ -1,4 +1,4 @@
-"""Check axes, signs, unit and scale of ax and ay, the mounting angle, gravity in ax and ay, and the size of az."""
+"""Check axes, signs, unit and scale of ax and ay, the mounting angle, gravity in ax and ay, and the magnitude of az."""
 
 import math
 from collections.abc import Iterator
@@ -16,18 +16,18 @@ from sigmaswarm.drives.drive import Array, Imu
 
 MOUNTING = (math.radians(5), math.radians(10))  # rad about z, for a warning and for a serious finding
 TILT = (0.5, 1.2)
-"""Residuals of ax, ay for a warning and for a serious finding, m/s2. Roads and biases of cheap sensors stay below the
-second.
+"""Residuals of ax, ay for a warning and for a serious finding, m/s2. Those due to roads and to biases of cheap sensors
+are below the second.
 """
 SIZE = (0.3, 1.0)
 """Errors of the median specific force for a note and for a warning, m/s2.
 
-Cheap sensors reach 0.8 m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
+Those of cheap sensors reach 0.8 m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
 """
 LIKELY, CLEAR = 2.5, 3.5
-"""Ratios of a rotation to its standard deviation for a note, and for a repair."""
+"""Ratios of a rotation to its standard deviation for a note and for a repair."""
 WRONG_SCALE = 0.4
-LEAST_PUSH = 0.4  # m/s2, smallest spread of the acceleration that shows its scale
+LEAST_PUSH = 0.4  # m/s2, smallest spread of the acceleration that determines its scale
 WHERE = "imu.csv, ax, ay"
 
 
@@ -77,7 +77,7 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
         degrees, side = (
             math.degrees(angle),
             "left" if angle > 0 else "right",
-        )  # a = R(angle) u: where x points
+        )  # a = R(angle) u: direction of x
         what = (
             f"the IMU {'is' if clear else 'may be'} turned by {abs(degrees):.0f} deg (standard deviation "
             f"{math.degrees(std):.0f}) to the {side} about the vertical"
@@ -149,7 +149,7 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
         where = "imu.csv, ay, az, gy, gz"
         yield Finding("mounting", "serious", what, where, span, 0.95, remedy, repair)
     elif wrong.code != "accelerometer-unit":
-        free = abs(up) < 0.2 * GRAVITY  # gravity was subtracted, and no information is lost
+        free = abs(up) < 0.2 * GRAVITY  # gravity was subtracted, which loses no information
         sign = Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, -1.0)) if up < -0.7 * GRAVITY else None
         yield finding_of(wrong, "note" if free else "warning", span, 0.99, sign)
     elif mount is None or not any(mount.known):  # otherwise the motion is better evidence
@@ -172,7 +172,7 @@ def _magnitude(evidence: Evidence, unit: float) -> Iterator[Finding]:
     if abs(off) < SIZE[0]:
         return
     large = abs(off) > SIZE[1]
-    # Gravity is almost all on az: the factor of az that corrects the magnitude.
+    # Gravity is mostly on az, so a factor of az corrects the magnitude.
     level = float(np.median(np.sum(force[:2] ** 2, axis=0)))
     factor = math.sqrt(GRAVITY**2 - level) / float(np.median(force[2])) if level < GRAVITY**2 / 2 else 1.0
     what = (

@@ -1,8 +1,8 @@
 """Check the gyro: column, sign, unit, scale and bias of the yaw rate; signs and columns of the roll and pitch rates.
 
-Within half a second the direction of the specific force, in body axes, rotates opposite to the body (g' = -w x g). The
-car's acceleration rotates it too, but a body on springs leans accordingly: in a left turn the force points to the left
-and the left side rises. So flat roads also show the signs, but not the scales.
+Within half a second, the direction of the specific force in body axes rotates opposite to the body (g' = -w x g). The
+car's acceleration also rotates it. But a body on springs leans accordingly: in a left turn, the force points to the
+left, and the left side rises. So flat roads also show the signs, but not the scales.
 """
 
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
 from sigmaswarm.drives.drive import Array
 
 WRONG = 0.1  # smallest reported difference of a gain from 1
-LEAST_TURN = np.radians(1.0)  # rad; smaller changes of course within some seconds are swaying
+LEAST_TURN = np.radians(1.0)  # rad; smaller changes of course within some seconds are due to swaying
 BIAS = (np.radians(0.1), np.radians(1.0))  # rad/s, for a note and for a warning
 
 SMOOTHED, LAG = 0.3, 0.5
@@ -31,7 +31,7 @@ sign is significant by 9.5 standard deviations or more.
 CLEAR = 7.0
 """Number of standard deviations of a significant sign; it is high, since neighboring changes share samples."""
 CLEARER = 2.0
-"""Smallest ratio of a column's significance to the other's."""
+"""Smallest ratio of the significance of a column to that of the other."""
 OUTLYING = 3.0  # standard deviations from which a change is an outlier
 
 Follows = tuple[int, float, float]
@@ -93,7 +93,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _whole_gain(evidence: Evidence) -> float:
-    """Return the slope of the course's turns over the gyro's turns in whole windows, fitted without a bias.
+    """Return the ratio of the turns of course and gyro over whole windows, by a fit without bias.
 
     In steady circles, changes within windows are small, and the effects of lever arm and slip look like a scale.
     """
@@ -106,14 +106,14 @@ def _whole_gain(evidence: Evidence) -> float:
 
 
 def check_tilt(evidence: Evidence) -> Iterator[Finding]:
-    """Find faults of gx and gy; none if an axis is missing, or gravity is not in az."""
+    """Find faults of gx and gy, unless an axis is missing or gravity is not in az."""
     follows = _tilt_rates(evidence)
     if not follows or upside_down(evidence):
         return
     seen, span = [axis for axis in follows if axis], evidence.span
     if any(axis and axis[0] != right for right, axis in enumerate(follows)):
         if [axis[0] for axis in seen] != [1, 0]:
-            return  # one rate alone, or both following one column: no exchange of axes explains this
+            return  # one rate alone, or both on one column: no exchange of axes explains this
         roll, pitch = (f"{'-' if sign < 0 else ''}{('gx', 'gy')[column]}" for column, sign, _ in seen)
         yield Finding(
             "gyro-tilt", "warning",
@@ -177,7 +177,7 @@ def _force_and_rates(evidence: Evidence) -> tuple[Array, Array] | None:
 
 
 def _follows(time: Array, force: Array, rates: Array) -> list[Follows | None]:
-    """Find the rates that roll and pitch of the direction follow; None if unclear."""
+    """Find the rates with which roll and pitch of the direction change; None if unclear."""
     interval = float(np.median(np.diff(time)))
     count, lag = (max(round(seconds / interval), 1) for seconds in (SMOOTHED, LAG))
     first = np.arange(0, len(time) - lag, max(lag // 2, 1))
@@ -192,9 +192,9 @@ def _follows(time: Array, force: Array, rates: Array) -> list[Follows | None]:
 
 
 def _deviations(angle: Array, change: Array) -> Array:
-    """Return the factors of the turns about x and y in the change, in standard deviations, by robust least squares.
+    """Return the coefficients of the turns about x and y, in standard deviations, by robust least squares.
 
-    The turn about z is also a regressor, since a tilted sensor and cornering contain a part of it.
+    The turn about z is also a regressor, since it changes the direction if the sensor is tilted or the car corners.
     """
     columns = np.column_stack([*angle, np.ones(len(change))])
     scale = np.linalg.norm(columns, axis=0)

@@ -1,4 +1,4 @@
-"""Check the heading of two antennas or a compass by course and gyro: convention, mounting, delay."""
+"""Check the heading of two antennas or a compass against course and gyro: convention, mounting, delay."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -22,9 +22,9 @@ HEADINGS: dict[str, Callable[[Array], Array]] = {
 }
 """Conventions of a heading; the first is that of a drive."""
 ALIKE = math.radians(15)  # rad, largest median difference from the course, apart from a constant
-TURNED = math.radians(2), math.radians(10)  # rad from the course, for a warning and a serious finding
+TURNED = math.radians(2), math.radians(10)  # rad from the course, for a warning and for a serious finding
 LATE, WORSE = 0.15, 0.8
-"""Delay of a warning, s, and largest ratio of the misfits with and without it."""
+"""Delay for a warning, s, and largest ratio of the misfits with and without this delay."""
 WINDOW = 5.0  # s, over which turns of the heading and of the gyro are compared
 FEWEST = 30
 WHERE = "gps.csv, heading"
@@ -58,7 +58,7 @@ def _offset(off: Array) -> tuple[float, float]:
 
 
 def _fitting(offsets: list[tuple[float, float]]) -> int:
-    """Among conventions that follow the course about equally well, return that with the smallest constant offset."""
+    """Return the convention with the smallest constant offset among those that follow the course about equally well."""
     limit = min(ALIKE, min(rest for _, rest in offsets) + TURNED[0])
     fitting = [k for k, (_, rest) in enumerate(offsets) if rest <= limit]
     return min(fitting, key=lambda k: abs(offsets[k][0]), default=0)

@@ -1,4 +1,4 @@
-"""Quantities that the fixes of a drive do not show, and the measurements that a filter can use."""
+"""Quantities that the fixes of a drive do not determine, and measurements that a filter can use."""
 
 from collections.abc import Iterator
 
@@ -15,7 +15,7 @@ from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, s
 MORE = "use a drive with turns, starts and stops to check it"
 ABOVE_NOISE = 3.0
 """RMS change of the course within windows, in standard deviations, above which the car turns."""
-LEAST_TURN = np.radians(5.0)  # rad, RMS change of the course within windows that swaying does not cause
+LEAST_TURN = np.radians(5.0)  # rad, RMS change of the course within windows; swaying causes less
 
 
 def check_observability(evidence: Evidence) -> Iterator[Finding]:
@@ -42,7 +42,7 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
-    """Return why the course does not show the gyro's sign and unit, and the remedy."""
+    """Return why the course does not determine the gyro's sign and unit, and the remedy."""
     course, fit = evidence.course, evidence.yaw_fit
     assert course is not None
     moving = course.moving
@@ -70,9 +70,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
         return
     drive = evidence.drive
     chosen = suggest_filter([drive])
-    reasons = dict.fromkeys(
-        chosen.use, ""
-    )  # every car's filter has this model, unless the log gives a reason
+    reasons = dict.fromkeys(chosen.use, "")  # filters for cars have this model, unless the log gives a reason
     if drive.odometer is not None:
         reasons["odometer"] = "odometer.csv has the wheels' speed"
     if stated := stated_spread(drive):
@@ -86,7 +84,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
     if drive.gps.heading is not None and not any(check_heading(evidence)):
         may.append("heading to --use: the fixes have a heading")
     what = f"tune takes {chosen.options}{f': {because}' if because else ''}"
-    # A tuning may use several drives, or a part of this one, so the number of fixes is stated, not compared.
+    # A tuning may use several drives or a part of this one, so the number of fixes is stated, not compared.
     if drive.truth is None and has_lasting_errors(drive):
         what += f"; with {FIXES_FOR_FIX_ERROR} fixes or more for training also fix-error"
         enough = len(drive.gps) >= FIXES_FOR_FIX_ERROR

@@ -1,4 +1,4 @@
-"""The mounting of an IMU with six axes, a change of it, and a log that begins in reverse."""
+"""Check the mounting of an IMU with six axes, its changes, and logs that begin in reverse."""
 
 import math
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from sigmaswarm.drives.mounting import NOT_TURNED
 from sigmaswarm.geodesy import roll_pitch_yaw, rotation_of
 
 MOVED, STANDS_OUT = math.radians(18.0), 4.0
-"""Change of gravity's direction if the IMU was moved: in rad, and in typical errors of a median.
+"""Smallest change of gravity's direction if the IMU was moved: in rad, and in typical errors of a median.
 
 In fault-free drives with 20 s of hard maneuvers at one end, the change was up to 16 degrees.
 """
@@ -24,8 +24,8 @@ WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 STANDS = 1.0  # m/s, speed below which a car may change between forward and reverse
 STEP = 2.0  # s, for changes of speed and the integral of ax
 CLEAR, LEAST = 3.0, 0.4
-"""Smallest slope of speed changes on the integral of ax that shows the direction: in standard deviations, and absolute.
-"""
+"""Smallest slope of speed changes over the integral of ax that determines the direction: in standard deviations, and
+absolute."""
 
 
 def check_mounting(evidence: Evidence) -> Iterator[Finding]:
@@ -42,7 +42,7 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
     elif mounting is not None and mounting.needed:
         roll, pitch, yaw = mounting.degrees
         total, angle = float(np.linalg.norm(mounting.std)), angle_of(mounting.repair)
-        # The import starts from raw samples.
+        # The import starts from the raw samples.
         before = rotation_of(*(evidence.drive.mounting or NOT_TURNED))
         mount = ",".join(f"{degrees:g}" for degrees in roll_pitch_yaw(mounting.repair @ before, 1))
         yield Finding(
@@ -58,8 +58,8 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
 def moved(drive: Drive) -> tuple[float, float] | None:
     """Find the time, s, at which the IMU was moved, and the angle of gravity, rad; None if it was not moved.
 
-    The directions of the specific force, averaged over 5 s, scatter least about the medians of the parts before and
-    after.
+    At this time, the directions of the specific force, averaged over 5 s, scatter least about their medians before
+    and after.
     """
     imu = drive.imu
     if imu.az is None:
@@ -88,7 +88,7 @@ def moved(drive: Drive) -> tuple[float, float] | None:
 
 
 def check_reverse(evidence: Evidence) -> Iterator[Finding]:
-    """Find a log whose filter would start in reverse, with the course as heading.
+    """Find a log on which a filter would start in reverse, with the course as heading.
 
     Reversing before the start is harmless.
     """
@@ -117,7 +117,7 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _slope(time: Array, speed: Array, gained: Array) -> tuple[float, float] | None:
-    """Fit the slope of speed changes on the integral of ax, and its limit of significance; None without changes."""
+    """Fit speed changes to the integral of ax; return the slope and its limit of significance, or None."""
     step = max(round(STEP / float(np.median(np.diff(time)))), 1)
     if len(time) < step + 4:
         return None

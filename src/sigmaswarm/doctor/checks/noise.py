@@ -1,4 +1,4 @@
-"""Compare the stated standard deviation with the scatter of the fixes; find correlated errors and outliers."""
+"""Compare stated standard deviations with the scatter of the fixes; find correlated errors and outliers."""
 
 from collections.abc import Iterator
 
@@ -12,16 +12,16 @@ from sigmaswarm.drives.sensors import motion_in_noise, stated_std
 TOO_SMALL = 2.0
 """Largest ratio of observed noise to stated noise."""
 LEAST_STATED = 0.003
-"""Standard deviation, m, that no receiver reaches in motion (RTK: 0.006 to 0.01 m by data sheets).
+"""Standard deviation, m, that no receiver reaches in motion (data sheets of RTK state 0.006 to 0.01 m).
 
-A smaller one is compared with the noise from fix to fix: the scatter about a path of 10 s contains the IMU's errors.
+A smaller one is compared with the noise from fix to fix, since the scatter about a path of 10 s includes IMU errors.
 """
 TOO_LARGE = 6.5
-"""Largest ratio of stated noise to observed white noise; high, since slow errors are not observed."""
+"""Largest ratio of stated noise to observed white noise; it is high, since slow errors are not observed."""
 LASTS = 2.5
 """Ratio of the stated noise to the scatter about a path of 10 s above which most of the error lasts longer."""
 FAR_FIRST = 1000.0
-"""Distance of the first fix from the others, m, above which it displaces the drive as its origin."""
+"""Distance of the first fix from the others, m, above which it displaces the drive, whose origin it is."""
 WHITE = 0.7
 """Ratio of the noise from fix to fix to the scatter about a path of 10 s: 1 for white noise, less if correlated."""
 
@@ -54,7 +54,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
     unseen = motion_in_noise(float(np.median(np.diff(gps.time))))
     if stated < LEAST_STATED:
         scatter, unseen = noise, 0.0
-    # A smoothing receiver's errors are correlated: its stated accuracy may be right although the fixes scatter little.
+    # Errors of a receiver that smooths are correlated, so its stated accuracy may be right despite little scatter.
     white = noise > WHITE * scatter and scatter > LEAST_NOISE
     if noise - unseen > TOO_SMALL * stated:
         how, confidence = "smaller", confidence_of(3 + noise / stated / TOO_SMALL)

@@ -1,4 +1,4 @@
-"""Check the wheel speed by fixes and accelerometer: sign, unit, scale, clock, a stuck counter, and slip."""
+"""Check the wheel speed against fixes and accelerometer: sign, unit, scale, clock, a stuck counter, slip."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -15,17 +15,17 @@ from sigmaswarm.drives.drive import Array, Odometer
 SPAN = (6.0, 20.0)
 """Bounds of the duration of the compared paths, s, which is otherwise a tenth of the drive's duration.
 
-Longer paths are less sensitive to noise, and the gyro's bias matters little within 20 s.
+Longer paths are less sensitive to noise, and the gyro's bias has little effect within 20 s.
 """
 SHORTEST = 15.0  # m, shortest straight distance of a compared path
 FEWEST = 6  # smallest number of compared paths
 WRONG = 0.02
 """Smallest reported error of the scale; it must also exceed three standard deviations."""
 FAMILIAR = 1.25
-"""Ratio of the speeds, or its inverse, at which the unit is wrong, not the size of the tires."""
+"""Ratio of the speeds, or its inverse, above which the unit is wrong rather than the tire size."""
 
-LATE = 0.15  # s, delay of a warning; the latency of a filter corrects smaller delays
-LARGEST_LAG, STEP, SMOOTH = 3.0, 0.02, 0.4  # s: largest tried delay, step, average of both accelerations
+LATE = 0.15  # s, delay for a warning; a filter's latency corrects smaller delays
+LARGEST_LAG, STEP, SMOOTH = 3.0, 0.02, 0.4  # s: largest delay, its step, averaging time of both accelerations
 ALIKE = 0.6  # smallest correlation of the accelerations at a delay
 
 STUCK = 4.0  # s, shortest constant reading that counts as stuck
@@ -34,10 +34,10 @@ APART = 2.5  # m/s, smallest median difference of a stuck reading from the fixes
 JUMP = 2.5
 """Change of speed within `WITHIN` without acceleration, m/s, at which wheels spin or lock.
 
-A slope of 10% causes an apparent change of 1 m/s, a delay of 0.3 s a change of 2 m/s during full braking.
+A slope of 10% looks like a change of 1 m/s, a delay of 0.3 s like a change of 2 m/s during full braking.
 """
 WITHIN, LASTS_AT_MOST = 1.0, 10.0  # s: longest jump, longest time until the wheels return
-AGREE = 0.5  # m/s, largest median difference of speed changes; above it slip cannot be checked
+AGREE = 0.5  # m/s, largest median difference of speed changes; above it, slip cannot be checked
 
 Spans = list[tuple[float, float]]  # start and end, s
 SPEED = "odometer.csv, speed"
@@ -79,7 +79,7 @@ def without(odometer: Odometer, spans: Iterable[tuple[float, float]]) -> Odomete
 
 
 def _stuck(odometer: Odometer, course: Course, _: Evidence) -> Spans:
-    """Return spans of constant readings that the fixes contradict for every sign, unit and scale."""
+    """Return spans of constant readings that contradict the fixes for any sign, unit and scale."""
     time, speed, seen = odometer.time, np.abs(odometer.speed), np.abs(course.velocity)
     begins = np.flatnonzero(np.append(True, np.diff(odometer.speed) != 0))
     ends = np.append(begins[1:], len(time)) - 1
@@ -169,7 +169,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Return the ratios of the displacements by odometer and gyro and by fixes, and the latter, m."""
+    """Return ratios of displacements, by odometer and gyro to those by fixes, and the latter displacements, m."""
     imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)
@@ -221,7 +221,7 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
 
 
 def _quick(time: Array, values: Array, at: Array) -> Array:
-    """Return accelerations around times, minus their mean over 10 s, which removes the slope of the road from ax."""
+    """Return accelerations around times, minus their mean over 10 s to remove the slope of the road from ax."""
     slope = _gain(time, values, at, SMOOTH) / SMOOTH
     n = max(3, min(len(slope) // 2, round(10.0 / STEP)))
     total = np.append(0.0, np.cumsum(slope))

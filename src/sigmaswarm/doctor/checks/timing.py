@@ -1,4 +1,4 @@
-"""Check clock offset, rates, gaps, pauses, and repeated values."""
+"""Check clock offset, rates, gaps, pauses and repeated values."""
 
 from collections.abc import Iterator
 
@@ -12,7 +12,7 @@ from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, gaps_in, unshared_times
 from sigmaswarm.drives.drive import Array, Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
-GRAVE = 0.3  # s, offset between the clocks above which errors are meters
+GRAVE = 0.3  # s, clock offset above which errors are meters
 SLOW_IMU = 8.0  # Hz, rate below which turns are lost between samples
 UNEVEN = 0.5
 """Largest range of the middle 90% of the intervals, as a share of their median."""
@@ -24,7 +24,7 @@ LEAST_MISSED = 0.3
 """Smallest excess of an interval between fixes, in usual intervals, that shows missing fixes."""
 AROUND = 2.0  # s on each side of a gap in which the speed is measured
 SIGMAS = 3.0
-"""Number of standard deviations that distinguishes a pause from a jump of the clock."""
+"""Number of standard deviations that distinguishes a pause from a clock jump."""
 
 
 def check_clock(evidence: Evidence) -> Iterator[Finding]:
@@ -121,7 +121,7 @@ def _gaps(sensor: str, time: Array, limit: tuple[float, float], remedy: str) -> 
 
 
 def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
-    """Find intervals without data of both sensors: the logger paused, or its clock jumped."""
+    """Find intervals without data of both sensors, in which the logger paused or its clock jumped."""
     interval, fix_interval = np.diff(imu), np.diff(gps.time)
     usual, fix_usual = float(np.median(interval)), float(np.median(fix_interval))
     for i in np.flatnonzero(interval > max(IMU_GAP[0] * usual, IMU_GAP[1])):
@@ -148,7 +148,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
                 "warning",
                 "subtract the jump from all later times in all files",
             )
-            # A jump can be closed only if both sensors have the full jump: lost samples can't be restored.
+            # A jump can be closed only if both sensors have the full jump, since lost samples can't be restored.
             if apart < 0.5 * fix_usual and passed < fix_usual + SIGMAS * std:
                 repair = Repair("close-jump", (float(imu[i]), missed))
         else:
@@ -159,10 +159,10 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
 
 
 def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
-    """Estimate the time, s, from fix j to the next, from the speed around them, and its standard deviation.
+    """Estimate the time, s, from fix j to the next, and its standard deviation, from the speed before and after.
 
-    Lines through the fixes of `AROUND` seconds on each side give the speed, since single fixes are too noisy. If the
-    two speeds differ, the car may have had any speed between them.
+    Each speed is that of a line through the fixes of `AROUND` seconds, since single fixes are too noisy. If the two
+    speeds differ, the car may have had any speed between them.
     """
     position, time = gps.x + 1j * gps.y, gps.time
     noise = max(white_noise(position), motion_in_noise(float(np.median(np.diff(time)))))

@@ -1,4 +1,4 @@
-"""The receiver's speed and course compared with its positions: units, convention, delay."""
+"""Compare the receiver's speed and course with its positions: units, convention, delay."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -20,7 +20,7 @@ CONVENTIONS: dict[str, Callable[[Array], Array]] = {
 }
 """Conventions of a course other than rad counter-clockwise from east."""
 ALIKE = math.radians(15)
-LATE = 0.2  # s, delay above which a finding is a warning
+LATE = 0.2  # s, delay for a warning
 FEWEST = 30
 REMEDY = (
     "a filter assumes the same time for both: leave speed and course out, or give them their own times (in a recipe, a "
@@ -71,7 +71,7 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
 
 
 def agrees(evidence: Evidence) -> bool:
-    """Return whether the receiver's speed and course fit the positions in their own rows best."""
+    """Return True if the receiver's speed and course agree with the positions best without a delay."""
     gps = evidence.drive.gps
     if gps.speed is None or gps.course is None or evidence.course is None or any(check_velocity(evidence)):
         return False
