@@ -61,7 +61,7 @@ REFUSED = {
         "can't be set in a comparison, which compares costs without it; leave it out",
     ),
 }
-"""Options of `tune` that a comparison rejects, and the reasons."""
+"""Options of `tune` that a comparison rejects, with the reasons."""
 
 
 class GridOptions(CompareOptions, total=False):
@@ -93,7 +93,7 @@ def compare(
         Continue the comparison in ``out``; except for the times, the result is the same as without interruption.
     cluster : distributed.Client, optional
         Dask cluster whose workers read the drives (also given as paths or URLs) and run the filters; ``workers`` is
-        then the number of simultaneous tunings. The result does not depend on it.
+        then the number of simultaneous tunings. The result does not depend on the cluster.
     progress : callable, optional
         Called with the numbers of finished runs and of all runs.
     optimizers : sequence of str

@@ -18,7 +18,7 @@ from sigmaswarm.records import load_record
 from sigmaswarm.tuning.config import TuneConfig
 
 FEWEST_SEEDS = 6
-"""Seeds below which a two-sided signed-rank test can't reach p = 5%: its lowest p is 2^(1 - seeds)."""
+"""Number of seeds below which a two-sided signed-rank test can't reach p = 5%; its lowest p is 2^(1 - seeds)."""
 
 COMPARED = {
     "cost": "training cost",
@@ -97,7 +97,7 @@ class Comparison:
     Attributes
     ----------
     contenders : tuple of Contender
-        The statistical tests compare with the first one.
+        The first one is the reference of the statistical tests.
     runs : mapping of a contender's label to tuple of Outcome
         One outcome for each seed.
     budget : int
@@ -107,7 +107,7 @@ class Comparison:
     drives, test : tuple of str
         Names of the training and of the held-out drives.
     fixes_alone_rmse : float or None
-        Mean position RMSE on the held-out drives, m, of a filter of the fixes alone, fitted to the training drives.
+        Mean position RMSE on the held-out drives, m, of a filter of fixes alone that was fitted to the training drives.
     """
 
     contenders: tuple[Contender, ...]

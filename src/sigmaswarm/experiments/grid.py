@@ -2,7 +2,7 @@
 
 Each task saves its results in a folder, so an interrupted experiment gives the same results. Forked processes need 75%
 of the time of threads, since a tuning spends 25% of its time in the Python interpreter. They inherit drives and
-prepared time lines without a copy.
+prepared time lines without copying.
 """
 
 import ctypes
@@ -47,9 +47,9 @@ def run_grid(
     """Run every task; the first failure or interruption stops the others. Results are in the order of the tasks.
 
     ``run(task, report)`` runs a task of ``rounds`` rounds and calls ``report`` with the number of finished rounds.
-    ``executor`` has threads that run the tasks if ``processes``, the number of forks (Linux only), is 0. Kernels should
-    be compiled before a fork. Tasks with the largest ``effort`` start first. ``progress`` is called in this thread with
-    the finished rounds of all tasks, the total number, and a task that advanced.
+    ``processes`` is the number of forks (Linux only). If it is 0, the threads of ``executor`` run the tasks. Kernels
+    should be compiled before a fork. Tasks with the largest ``effort`` start first. ``progress`` is called in this
+    thread with the finished rounds of all tasks, the total number, and a task that advanced.
     """
     done, stop = RawArray("q", len(tasks)), RawArray("b", 1)  # shared with forked processes
     one = partial(_one, tasks, run, rounds, done, stop)
@@ -100,7 +100,7 @@ def _one(tasks: Sequence[T], run: Callable[[T, Report], R], rounds: int, done: A
 
 def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) -> dict[int, Future[R]]:
     try:
-        with warnings.catch_warnings():  # of forks with threads; these hold no lock that a child needs
+        with warnings.catch_warnings():  # of forks with threads, which hold no lock that a child needs
             warnings.simplefilter("ignore", DeprecationWarning)
             return {k: pool.submit(run, k) for k in order}
     except OSError as error:
@@ -110,7 +110,7 @@ def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) ->
 def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
     """Prepare a forked process, which is killed when its parent or the grid ends.
 
-    Killing the process is safe, since files are written atomically.
+    Killing it is safe, since files are written atomically.
     """
     global _run
     _run = run

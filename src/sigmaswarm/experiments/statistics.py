@@ -1,8 +1,8 @@
 """Statistics of repeated tunings: intervals of means and medians, paired tests, and correction for multiple tests.
 
 Scores are arrays of shape (trials, drives); they are NaN if a trial did not test on a drive. The bootstrap draws n - 1
-of n values (J. N. K. Rao and C. F. J. Wu, J. American Statistical Association 83, 1988). With n draws the variance of a
-mean would be too small by the factor (n - 1) / n.
+of n values (J. N. K. Rao and C. F. J. Wu, J. American Statistical Association 83, 1988). With n draws, the variance of
+a mean would be too small by the factor (n - 1) / n.
 """
 
 import math
@@ -30,7 +30,7 @@ class Draws:
     def weights(
         self, strata: Sequence[str], times: Array | None = None, trials: int = 1
     ) -> tuple[Array, Array]:
-        """Return the weights of drives, see `_drive_weights`, and of trials, see `_weights`."""
+        """Return the weights of drives (see `_drive_weights`) and of trials (see `_weights`)."""
         key = trials, times if times is None else times.tobytes(), *strata
         if key not in self._known:
             rng = np.random.default_rng(self._seed)
@@ -94,10 +94,10 @@ def bootstrap(
 def crossed_bootstrap(values: Array, strata: Sequence[str], draws: Draws) -> Interval:
     """Return the percentile interval of the mean, with drives and trials resampled independently.
 
-    It accounts for the choice of drives and the variation of the optimizer (A. B. Owen, The pigeonhole bootstrap,
-    Annals of Applied Statistics 1, 2007). `levels` are resampled instead of scores, since trials also differ by their
-    drives. With few trials or drives quantiles are too narrow; Student's t widens their tails (T. C. Hesterberg, The
-    American Statistician 69, 2015).
+    The interval accounts for the choice of drives and the variation of the optimizer (A. B. Owen, The pigeonhole
+    bootstrap, Annals of Applied Statistics 1, 2007). `levels` are resampled instead of scores, since trials also differ
+    by their drives. With few trials or drives, quantiles are too narrow; Student's t widens their tails (T. C.
+    Hesterberg, The American Statistician 69, 2015).
     """
     known_values = ~np.isnan(values)
     kept, trials = known_values.any(axis=0), known_values.any(axis=1)
@@ -171,7 +171,7 @@ def improvement(tuned: Array | np.float64, manual: Array | np.float64) -> Array:
 def median_interval(values: Array) -> Interval:
     """Return a distribution-free interval of the median, from symmetric order statistics.
 
-    W. J. Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2. With fewer than six values it is the
+    W. J. Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2. With fewer than six values, it is the
     whole range.
     """
     ordered = np.sort(values)
@@ -199,7 +199,7 @@ def signed_rank(ours: Array, theirs: Array) -> float:
 
 
 def rank_biserial(difference: Array) -> float:
-    """Return the rank-sum share of negative minus that of positive differences, from -1 to 1.
+    """Return the share of the rank sum of negative differences minus that of positive differences, from -1 to 1.
 
     D. S. Kerby, Comprehensive Psychology 3, 2014.
     """

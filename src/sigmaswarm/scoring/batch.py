@@ -96,7 +96,7 @@ class Replayer:
 
     @staticmethod
     def together(parts: Sequence["Replayer"]) -> "Replayer":
-        """Join replayers that have the same passes, without preparing drives again."""
+        """Join replayers with the same passes, without preparing drives again."""
         whole = Replayer.__new__(Replayer)
         whole._ready = tuple(one for part in parts for one in part._ready)
         whole._passes = {
@@ -132,7 +132,7 @@ class Replayer:
 
     @property
     def hidden_fixes(self) -> list[int]:
-        """Number of hidden fixes on each drive."""
+        """Number of hidden fixes of each drive."""
         return [replay.n_hidden for replay in self._passes.get("forecasts", ())]
 
     @property
@@ -166,7 +166,7 @@ class Replayer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """Score the parameter sets, and apply ``take``, which returns shape (n_sets, n_drives)."""
+        """Score the parameter sets and apply ``take``, which returns shape (n_sets, n_drives)."""
         return np.asfortranarray(take(self.scores(parameter_sets, executor)))
 
     def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
@@ -201,7 +201,7 @@ def scores_of(passes: Mapping[str, Sequence[Replay]], sums: Mapping[str, Sums]) 
 
 
 def _divisors_of(replays: Sequence[Replay]) -> Array:
-    """Return the divisors of the sums of each replay, shape (5, n_drives, 1); NaN in place of 0.
+    """Return the divisors of the sums of each replay, shape (5, n_drives, 1), with NaN in place of 0.
 
     They are the number of positions, the weights of positions and headings, and the numbers of fixes and hidden fixes.
     """

@@ -19,7 +19,7 @@ from sigmaswarm.filters.run import Innovations, run_innovations
 GATE_95 = -2 * math.log(0.05)
 """95% quantile of NIS for a consistent filter: 5.99."""
 FAR_NEES = 4.0
-"""Mean NEES above which errors are clearly too large; a constant, since NEES has no band."""
+"""Mean NEES above which errors are clearly larger than expected; a constant, since NEES has no band."""
 RIGHT_NEES = 1.5
 """Lowest mean NEES of a consistent position covariance; the highest is `FAR_NEES`."""
 LAGS = 10  # fixes, largest lag of the autocorrelation
@@ -135,12 +135,12 @@ Kind = Literal[
 - ``optimistic``: larger (overconfident). ``pessimistic``: smaller.
 - ``alike``: smaller, and consecutive innovations are nearly equal, so the position error is unknown without truth.
 - ``lasting``: smaller, but errors against truth agree with the covariances, since predictions share the fixes' errors.
-- ``correlated``: of the right size, but correlated; only without truth.
+- ``correlated``: of the expected size, but correlated; only without truth.
 """
 ALIKE = 0.5
 """Lag-1 correlation above which consecutive innovations are nearly equal."""
 CORRELATED = 0.2
-"""Lag-1 correlation above which a right NIS does not prove consistency."""
+"""Lag-1 correlation above which a mean NIS of 2 does not prove consistency."""
 FORECASTS = "this covers predictions of the fixes; position errors cannot be judged without truth"
 
 VERDICTS: dict[Kind, str] = {
@@ -204,13 +204,13 @@ def _kinds(one: Consistency) -> Iterator[Kind]:
 
 
 def _size(mean_squares: Sequence[float], what: str) -> str:
-    """Compare sigmas with the right values, from the mean NIS or NEES, which should be 2."""
+    """Compare sigmas with the correct values, from the mean NIS or NEES, which should be 2."""
     mean = sum(mean_squares) / max(len(mean_squares), 1)
     return f"{size_of(math.sqrt(2 / mean) if mean > 0 else math.inf)} (mean {what} {mean:.2g}, should be 2)"
 
 
 def size_of(ratio: float) -> str:
-    """Describe the ratio of sigmas to the right values, such as ``20% too small``."""
+    """Describe the ratio of sigmas to the correct values, such as ``20% too small``."""
     size = "large" if ratio > 1 else "small"
     if 0.5 < ratio < 2:
         return f"{100 * abs(ratio - 1):.0f}% too {size}"

@@ -29,8 +29,8 @@ from sigmaswarm.scoring.truth import root_mean
 SMOOTHED = "smoothed"  # the tuned filter, smoothed
 SWARM = "swarm"  # a filter bank of the tuned filter
 LEARNED = ("outage-lstm", "noise-gru")
-OWN = "against"  # another tuning, or the user's own filter
-FIXES = "fixes_alone"  # a constant-velocity filter without the IMU
+OWN = "against"  # another tuning, or a user's own filter
+FIXES = "fixes_alone"  # a constant-velocity filter without IMU
 BASELINE = "untuned"  # the baseline
 
 
@@ -52,7 +52,8 @@ Runs = Mapping[str, Callable[[Replay], Run]]
 class Outages:
     """Outages of one length on a drive in several placements, and the drifts of methods over them.
 
-    ``seeds`` has a seed per placement; it is empty if no outage fits. ``failed``: methods that failed in any placement.
+    ``seeds`` contains one seed per placement; it is empty if no outage fits. ``failed``: methods that failed in any
+    placement.
     """
 
     def __init__(self, ready: PreparedDrive, *, length: float, seed: int, most: int | None = None) -> None:
@@ -93,7 +94,7 @@ class Outages:
     def _run_placed(
         self, seed: Seed, filters: Mapping[str, FilterParameters], also: Runs, *, monitored: bool
     ) -> None:
-        """Run one placement; a separate function, so that its memory is freed before the next."""
+        """Run one placement; in a separate function, so that its memory is freed before the next placement."""
         outages = outage_replay(self._ready, length=self._length, seed=seed)
         ends = self._ends[self.seeds.index(seed)]
         if monitored:

@@ -85,8 +85,8 @@ class Options:
     more : mapping of str to callable
         Further methods, with names from `ALSO`: functions that run a method on a replay, such as a trained network.
     fixes_alone : MotionNoise, optional
-        Noise parameters of the filter that uses only the fixes, as in ``tuning.fixes_alone``. By default they are
-        fitted to each evaluated drive, so the scores of this filter are lower bounds.
+        Noise parameters of the filter that uses only the fixes, as in ``tuning.fixes_alone``. By default, they are
+        fitted to each evaluated drive, so the errors of this filter are lower bounds.
     """
 
     against: FilterParameters | None = None
@@ -112,8 +112,9 @@ class Options:
 class Evaluated:
     """Results of all methods on a drive.
 
-    ``restarts`` are times of resets, s, by method; ``drifts`` are by measure. ``consistency`` and ``innovations``
-    belong to the tuned filter. ``picture`` has more points than ``tracks``. ``stale_fixes`` is a number of fixes.
+    ``restarts`` are times of resets, s, by method; ``drifts`` are by measure. ``consistency`` and ``innovations`` are
+    those of the tuned filter. ``picture`` has more points than ``tracks``. ``stale_fixes`` is the number of stale
+    fixes.
     """
 
     scores: Mapping[str, Score]
@@ -139,7 +140,7 @@ class Evaluated:
         )
 
     def seen_in(self, overlap: Overlap) -> "Evaluated":
-        """Return a copy that records the part of the drive that the tuning used."""
+        """Return a copy that records the part of the drive that was used in the tuning."""
         part = {"seen_s": overlap.seconds, "seen_in": list(overlap.of)}
         return replace(self, record=self.record.model_copy(update=part))
 
@@ -217,7 +218,7 @@ class Evaluation:
 
     @property
     def worse_than_raw(self) -> tuple[str, ...]:
-        """Sentences on drives on which the tuned filter's position is worse than the raw fixes."""
+        """Sentences on drives on which the tuned filter's position is worse than that of the raw fixes."""
         return worse_than_raw(self.record)
 
     @property
@@ -317,14 +318,14 @@ def evaluate(
     Parameters
     ----------
     drives : Drive or sequence of Drive
-        Preferably drives that the tuning did not use. Without truth the only error is the outage drift, relative to the
-        hidden fixes.
+        Preferably drives that the tuning did not use. Without truth, the only error is the outage drift, relative to
+        the hidden fixes.
     parameters : FilterParameters
         Parameters of the tuned filter.
     seen : sequence of Landmarks, optional
-        Landmarks of the training drives: ``tuning.seen``, or the result of `tuning.record.seen_by`. With them the
+        Landmarks of the training drives: ``tuning.seen``, or the result of `tuning.record.seen_by`. With them, the
         evaluation reports the part of each drive that was used for training, even if the drive was renamed, cut or
-        repaired. Without seen.npz only complete drives are recognized.
+        repaired. Without seen.npz, only complete drives are recognized.
     cluster : distributed.Client, optional
         Dask cluster whose workers read the drives (also given as paths or URLs) and run the filters. The result does
         not depend on the cluster.
@@ -342,7 +343,7 @@ def evaluate(
     one = partial(_evaluated, parameters=parameters, options=chosen, marked=seen is not None)
     found: dict[str, Evaluated] = {}
     for drive, each, marks in dataset.imap(one):
-        numbered = (f"{drive} ({i})" for i in range(2, len(found) + 2))  # two drives may have one name
+        numbered = (f"{drive} ({i})" for i in range(2, len(found) + 2))  # two drives may have the same name
         name = next(n for n in (drive, *numbered) if n not in found)
         found[name] = each if name == drive else each.called(name)
         if seen is not None and marks is not None and (overlap := known_overlap(marks, seen)) is not None:
@@ -427,7 +428,7 @@ def _tracked(
 ) -> tuple[Evaluated, Runs]:
     """Run every method over all fixes; return the results, and the methods other than single filters.
 
-    A separate function, so that its memory is freed before the next pass.
+    This is a separate function, so that its memory is freed before the next pass.
     """
     replay = tracking_replay(ready)
     further = options.further(filters["tuned"])

@@ -1,4 +1,4 @@
-"""Jobs of a batch: each runs some of the replays with some of the parameter sets.
+"""Jobs of a batch, each of which runs some of the replays with some of the parameter sets.
 
 A kernel runs up to `most_lanes` parameter sets at once; with fewer sets, each set takes more time.
 """
@@ -13,13 +13,13 @@ from sigmaswarm.filters.compiled.layout import WIDEST, most_lanes
 
 Result = TypeVar("Result")
 
-MOST_SETS = 64  # in a job of a single worker, to limit the memory
-SHORT = 20_000  # steps; shorter replays share a job, unless workers would be idle
+MOST_SETS = 64  # largest number in a job of a single worker, to limit the memory
+SHORT = 20_000  # steps; shorter replays share a job unless workers would be idle
 
 
 @dataclass(frozen=True)
 class Job:
-    """A range of replays of the pass ``name``, and a range of parameter sets."""
+    """A range of replays of the pass ``name`` and a range of parameter sets."""
 
     name: str
     replays: range
@@ -32,7 +32,7 @@ class Job:
 
 
 def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, workers: int) -> list[Job]:
-    """Divide a batch into jobs; ``steps`` has the number of steps of each replay, by pass."""
+    """Divide a batch into jobs; ``steps`` contains the number of steps of each replay, by pass."""
     total = sum(map(sum, steps.values()))
     parts = list(_parts(steps, total if workers == 1 else min(SHORT, total / workers)))
     most = MOST_SETS if workers == 1 else most_lanes(kernel)
@@ -69,7 +69,7 @@ def run_jobs(
 ) -> list[Result]:
     """Call a function with each tuple of arguments, in ``executor`` or in this thread.
 
-    After an exception or an interrupt no further job starts; running jobs end first.
+    After an exception or an interrupt, no further job starts, and running jobs end first.
     """
     if executor is None:
         return [function(*job) for job in jobs]
@@ -78,7 +78,7 @@ def run_jobs(
         for job in jobs:
             futures.append(executor.submit(function, *job))
         # Jobs start in order. If a job has not started when its result is needed, the executor is busy with other work
-        # (this thread may be one of its own), so the job runs in this thread.
+        # (this thread may belong to it), so the job runs in this thread.
         return [
             function(*job) if future.cancel() else future.result()
             for job, future in zip(jobs, futures, strict=True)

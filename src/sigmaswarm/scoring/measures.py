@@ -93,11 +93,11 @@ MEASURES = measures()
 DRIFTS = ("short_outage_drift_m", "outage_drift_m", "long_outage_drift_m")
 """Measures in which a filter with an IMU should be better than the fixes alone."""
 NO_OUTAGES = ("raw_gps", "imu_only")
-"""Methods without a drift of an outage: IMU only drifts from the start, and files contain that error."""
+"""Methods without outage drifts. IMU only drifts from the start, and files contain that error."""
 POSITION_MEASURES = {"position_rmse_m": "RMSE", "position_median_m": "50%", "position_95_m": "95%"}
-"""Measures for comparing a filter with the raw fixes, and their names in sentences."""
+"""Measures by which a filter is compared with the raw fixes, and their names in sentences."""
 
 
 def with_outages(method: str, values: Mapping[str, float | None]) -> dict[str, float | None]:
-    """Return a method's values by measure, without the drifts of outages that it does not have."""
+    """Return a method's values by measure, without drifts if it has no outages."""
     return {m: v for m, v in values.items() if method not in NO_OUTAGES or m not in DRIFTS}

@@ -1,4 +1,4 @@
-"""Compute the radius within which a position error lies with a stated probability, and its coverage.
+"""Compute the radius within which a position error lies with a given probability, and its coverage.
 
 The filter's covariance may lack the variance of correlated fix errors, which do not average out. The total variance per
 axis is estimated as
@@ -6,9 +6,9 @@ axis is estimated as
     sigma^2 = P + max(s^2 - w^2 - g s^2, 0)
 
 where P is the mean of the filter's variances of x and y, s is the standard deviation of the fixes (`receiver_std`), and
-w that of their white noise (`white_noise`). If the filter has states for correlated errors, P contains their variance g
-s^2; otherwise g = 0. A short training drive determines a covariance from few independent errors. Therefore error /
-sigma is modeled by Student's t with `DOF` degrees of freedom, and for a probability q
+w that of their white noise (`white_noise`). If the filter has states for correlated errors, P contains their variance
+g s^2; otherwise g = 0. A short training drive determines a covariance from few independent errors. Therefore, error /
+sigma is modeled by Student's t with `DOF` degrees of freedom. For a probability q,
 
     radius^2 = DOF ((1 - q)^(-2 / DOF) - 1) sigma^2
 

@@ -18,7 +18,7 @@ ALL_OF_IT = 0.99
 FAR_BELOW = 1.0
 """Mean NIS below which predictions of the fixes do not measure the position error."""
 NOTABLE = 0.9
-"""Ratio to the tuned filter's error below which a method without tuning counts as better."""
+"""Ratio to the tuned filter's error below which a method without tuning is reported as better."""
 
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:

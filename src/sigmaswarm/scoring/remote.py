@@ -1,4 +1,4 @@
-"""Scores on the drives of a cluster's workers, which receive parameter sets and return numbers."""
+"""Scores on drives of the workers of a cluster, which receive parameter sets and return numbers."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -20,7 +20,7 @@ from sigmaswarm.scoring.batch import Passes, Replayer, Scores
 
 T = TypeVar("T")
 Check = Callable[[Replayer], None]
-"""Picklable function that raises `InputError` if prepared drives can't be used."""
+"""Picklable function that raises `InputError` if prepared drives are not usable."""
 
 
 def replays_on(dataset: Dataset, passes: Passes, check: Check) -> "Replays":
@@ -43,7 +43,7 @@ def _replayer(drives: Sequence[PreparedDrive], passes: Passes, check: Check) -> 
 
 @dataclass(frozen=True)
 class RemoteReplayer:
-    """A `Replayer` of a remote dataset; executors are ignored, since the cluster's workers do the work."""
+    """A `Replayer` of a remote dataset; executors are ignored, since the workers of the cluster run the filters."""
 
     dataset: RemoteDataset
     passes: Passes
@@ -68,7 +68,7 @@ class RemoteReplayer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """Score the sets and apply ``take``, which returns shape (..., n_sets, n_drives), on the workers."""
+        """Score the sets on the workers, and apply ``take``, which returns shape (..., n_sets, n_drives), there."""
         sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
         answers = self.dataset.call(_taken, self.passes, self.check, take, sets)
         shape = len(self.dataset), *answers[0][1].shape[-2::-1]

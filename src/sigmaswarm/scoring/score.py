@@ -1,7 +1,7 @@
 """Compute the errors of one estimate against truth: the reference definitions in NumPy.
 
 error = estimate - truth, at truth times from the common start of all methods to the last IMU sample. The estimate is
-linearly interpolated. If the truth has standard deviations, errors are weighted (see `truth.py`).
+interpolated linearly. If the truth has standard deviations, errors are weighted: see `truth.py`.
 """
 
 import math
@@ -62,7 +62,7 @@ def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: floa
     """Return the negative log-likelihood, nats, of innovations under a distribution that tolerates outliers.
 
     The value is ln 2 pi + ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c), shape (f,), where v is ``dof`` and c is
-    ``scale``. Innovations have shape (f, 2), m, and S has shape (f, 2, 2), m2. With c = v this is Student's t in two
+    ``scale``. Innovations have shape (f, 2), m, and S has shape (f, 2, 2), m2. With c = v, this is Student's t in two
     dimensions, up to a constant. For c see `sigmaswarm.filters.student`.
     """
     nis = np.einsum("fi,fi->f", innovation, np.linalg.solve(covariance, innovation[..., None])[..., 0])
@@ -97,7 +97,7 @@ class PieceErrors:
 
     @property
     def errors(self) -> tuple[Array, Array, Array]:
-        """Truth times so far, s, with the added variances, m2, and the position errors, m."""
+        """Truth times so far, s, with the corresponding variances, m2, and position errors, m."""
         none = np.empty(0)
         variance, off = (np.concatenate([none, *of]) for of in (self._variance, self._off))
         return self._truth.time[self._first : self._next], variance, off

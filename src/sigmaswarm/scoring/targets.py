@@ -30,7 +30,7 @@ def tracking_replay(ready: PreparedDrive) -> Replay:
 
 
 def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: Seed = 0) -> Replay:
-    """Create a replay with fixes hidden in random outages; the ends are compared with truth, else with the fixes."""
+    """Create a replay with fixes hidden in random outages, whose ends are compared with truth, else with the fixes."""
     windows = outage_windows(ready.drive, ready.initial, length=length, seed=seed)
     timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows), removed=True)
     ends, reference = windows[:, 1], drift_reference(ready)
@@ -43,7 +43,7 @@ def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: 
 
 
 def drift_reference(ready: PreparedDrive) -> Gps | Truth:
-    """Return truth, else the fixes without stale ones."""
+    """Return the truth or, without it, the fixes without stale ones."""
     drive = ready.drive
     return drive.gps.select(~ready.stale) if drive.truth is None else drive.truth
 
@@ -77,7 +77,7 @@ def placements(drive: Drive, initial: InitialState, *, length: float, seed: int)
 
 
 def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: Seed) -> Array:
-    """Return windows of exactly ``length`` s that end at IMU samples, but not in gaps of truth, s, shape (k, 2)."""
+    """Return windows of exactly ``length`` s, shape (k, 2), s, that end at IMU samples but not in gaps of truth."""
     reference = (drive.gps if drive.truth is None else drive.truth).time
     earliest = float(reference[0]) - OUTAGE_FIRST_AFTER - length  # so no window ends before the reference
     last = float(min(drive.imu.time[-1], reference[-1]))

@@ -11,9 +11,9 @@ Columns = Mapping[str, NDArray[np.floating[Any]]]
 
 
 class Thinned:
-    """A limited number of rows of a series, with the peaks of the position error or of the NIS.
+    """A limited number of rows of a series, including the peaks of the position error or of the NIS.
 
-    The first and the last row are kept. The rows in between are divided into equal parts; from each part the rows with
+    The first and the last row are kept. The rows in between are divided into equal parts. In each part, the rows with
     the smallest and the largest value are kept.
     """
 

@@ -1,6 +1,6 @@
 """Record thinned tracks and errors of every method on a drive; write tracks.npz.
 
-tracks.npz has one array ``i/series/column`` for each column of each series of the drive with index ``i`` in ``names``.
+tracks.npz contains one array ``i/series/column`` for each column of each series of drive ``i`` in ``names``.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -32,8 +32,8 @@ from sigmaswarm.scoring.truth import is_known
 TRACKS_FILE = "tracks.npz"
 NIS = ".nis"
 SHARES, MOVED = ".shares", ".moved"  # of a filter bank: weights, distance from the tuned parameters
-MOST_POINTS = 1500  # of a series in a file; more than the pixel columns of most charts
-MOST_DRAWN = 20_000  # of a series in a static plot
+MOST_POINTS = 1500  # largest number of points of a series in a file, above the pixel columns of most charts
+MOST_DRAWN = 20_000  # largest number of points of a series in a static plot
 NOTHING_STATED: tuple[Array, Array, Array | None] = np.empty(0), np.empty(0), None
 CLOSE_UP = 50.0  # m, side of the close-up of a track
 
@@ -69,7 +69,7 @@ class Picture:
 
 
 def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameters]:
-    """Return the baseline and the tuned filter, which is last, so that it is drawn on top."""
+    """Return the baseline and the tuned filter; the latter is last, so it is drawn on top."""
     return {BASELINE: baseline(drive, like=tuned), "tuned": tuned}
 
 
@@ -77,8 +77,8 @@ class Tracker:
     """Recorder of thinned tracks of methods that run over a drive; complete estimates are not stored.
 
     ``own_sigma``: RMS of each filter's position standard deviation, m. ``stated``: times, s, position variances per
-    axis, m2, and errors, m, of the tuned filter at the times of truth, else at all estimates without errors. With
-    ``picture`` the data of a static plot are also recorded.
+    axis, m2, and errors, m, of the tuned filter at the times of truth; without truth, times and variances of all
+    estimates. With ``picture``, the data of a static plot are also recorded.
     """
 
     def __init__(

@@ -12,7 +12,7 @@ from sigmaswarm.drives.gaps import MANY, SHORTEST
 POSITION_FLOOR = 0.3
 """Standard deviation of truth, m per axis, below which the weight hardly increases.
 
-It is the accuracy of the best filters with cheap receivers. Without it, stretches under open sky, where every filter is
+It is the accuracy of the best filters with cheap receivers. Without it, parts under open sky, where every filter is
 accurate, would have nearly all the weight.
 """
 HEADING_FLOOR = math.radians(0.3)  # the same for the heading
@@ -73,10 +73,10 @@ def _gaps(truth: Truth) -> NDArray[np.bool_]:
 
 
 def truth_offset(drive: Drive) -> str:
-    """Return a sentence on a constant offset of the fixes from truth, with its remedy; empty if there is none.
+    """Return a sentence on a constant offset of the fixes from truth, with its remedy; "" if there is none.
 
-    The offset belongs to the map frame (east, north) or the vehicle frame (forward, left): to the one in which the
-    averages over `BLOCKS` parts of the drive agree better.
+    The offset is in the map frame (east, north) or in the vehicle frame (forward, left): the one in which the averages
+    over `BLOCKS` parts of the drive agree better.
     """
     gps, truth = drive.gps, drive.truth
     if truth is None or len(truth) < 2 or not np.any(used := is_known(truth, gps.time)):

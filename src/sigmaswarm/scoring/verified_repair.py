@@ -1,4 +1,4 @@
-"""Repair a log, but do not apply repairs that make forecasts worse."""
+"""Repair a log without repairs that increase the errors of predicted fixes."""
 
 import warnings
 from collections.abc import Collection
@@ -20,13 +20,13 @@ CLOCKS = {"shift-clock", "shift-fixes"}
 VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
 """Repairs of axes, signs, units and clocks, which change a filter's motion."""
 WORSE = 1.05
-"""Ratio of forecast errors after and before a repair above which the repair is withheld."""
+"""Ratio of prediction errors after and before a repair above which the repair is withheld."""
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
 """Noise densities of planar8's states, unit/sqrt(s).
 
-With them the filter follows the fixes over seconds and the IMU over shorter times.
+With them, the filter follows the fixes over seconds and the IMU over shorter times.
 """
-LEAST_STD = 0.5  # m, smallest standard deviation that is assumed for the fixes
+LEAST_STD = 0.5  # m, smallest assumed standard deviation of the fixes
 
 
 def checking_filter(drive: Drive) -> FilterParameters:
@@ -48,16 +48,16 @@ def checking_filter(drive: Drive) -> FilterParameters:
 
 
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
-    """Return a copy of the drive with all repairable faults repaired, except repairs that make forecasts worse.
+    """Return a copy of the drive without the repairable faults, except repairs that increase prediction errors.
 
     A filter with fixed noise, and for clocks also the baseline of the default filter, runs over the log before and
-    after the repairs. These filters forecast the next fix, and fixes hidden for 3 to 5 s. If a forecast error increases
-    by more than 5%, the responsible repair of axes or clocks is withheld.
+    after the repairs. These filters predict the next fix, and fixes that are hidden for 3 to 5 s. If a prediction error
+    increases by more than 5%, the responsible repair of axes or clocks is withheld.
 
     Parameters
     ----------
     drive : Drive
-        The drive that was diagnosed.
+        The diagnosed drive.
     diagnosis : Diagnosis
         The diagnosis of this drive.
     only : collection of str, optional
@@ -89,7 +89,7 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
         after = _forecasts(repairs.repair(drive, kept), judges)
         if np.all((after <= WORSE * before) | np.isnan(before)):
             break
-        # The responsible repair is the one without which the forecasts are best.
+        # The responsible repair is the one without which the predictions are best.
         errors: dict[str, float] = {}
         for code in sorted(doubtful):
             found = _forecasts(repairs.repair(drive, _without(kept, {code})), judges)

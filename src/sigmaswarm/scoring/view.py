@@ -30,7 +30,7 @@ from sigmaswarm.scoring.remarks import (
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 from sigmaswarm.tables import Cell, Column, Table
 
-LATE = 5.0  # s from the start of a drive; a later start of its scores is reported
+LATE = 5.0  # s from the start of a drive; if scores begin later, this is reported
 NO_TRUTH = (
     "without truth there are no errors of position and heading. The tables have the drift of each filter while fixes "
     "are hidden from it, measured against these fixes (their own errors included), and the consistency of its "
@@ -333,7 +333,7 @@ def explained_scores(view: EvaluationView) -> str:
 def with_training(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
     """Mark a drive as a training drive if it has the hash of a training drive.
 
-    Other drives stay unmarked, since they may contain a part of a training drive.
+    Other drives remain unmarked, since they may contain a part of a training drive.
     """
     same = [one.name for one in tuned_on if one.sha256 == drive.sha256 and one.sha256]
     if drive.seen_s is not None or not same:

@@ -26,7 +26,7 @@ from sigmaswarm.tuning.space import Scale
 from sigmaswarm.wording import first_mistake
 
 ALL = "all"
-"""Group of all conditions, and an unknown maneuver or environment."""
+"""Group of all conditions, and name of an unknown maneuver or environment."""
 BASELINE = "untuned"  # protocol
 ProtocolName = Literal["paper", "honest"]
 
@@ -42,7 +42,7 @@ PROTOCOLS: dict[str, Protocol] = {
     "paper": Protocol(objective="gps-rmse", scale="linear"),
     "honest": Protocol(objective="truth-rmse", scale="log10"),
 }
-"""The objective of ``paper`` is the paper's equation 4."""
+"""Protocols by name; the objective of ``paper`` is the paper's equation 4."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,10 @@ class Method:
 MAIN = "pso-ukf"
 """The paper's method, with which all others are compared."""
 BY_DEFAULT = "default"
-"""Method with the filter, objective and optimizer that `tune` chooses."""
+"""Method with the filter, objective and optimizer that `tune` chooses by default."""
 BY_BO = "bo-ukf"
 HELPED = "pso-planar8"
-"""Method with the filter that networks support: `noise-gru` does not support tilted12, and planar5 has no biases."""
+"""Method with the filter to which networks are added; `noise-gru` does not support tilted12, planar5 has no biases."""
 HONEST: tuple[ProtocolName, ...] = ("honest",)
 METHODS: dict[str, Method] = {
     "imu-only": Method("IMU only", paper="imu-only"),

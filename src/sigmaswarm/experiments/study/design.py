@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 OTHER_IMU = ("mpu-6050", "icm-20602")
-"""IMUs for tests with other sensors; the first that differs from the study's IMU is used."""
+"""IMUs for tests with other sensors; the first one that is not the study's IMU is used."""
 HOME_CAR, OTHER_CAR = "model3", "model3-carla"
 
 
@@ -210,7 +210,7 @@ def make_design(
 
 
 def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[str, Design]:
-    """Read or simulate test drives with other sensors or another car; return designs by description."""
+    """Read or simulate test drives with other sensors or of another car; return designs by description."""
     c = home.config
     if not c.rivals or (c.drives and not c.elsewhere):
         return {}

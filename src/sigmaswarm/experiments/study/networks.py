@@ -1,4 +1,4 @@
-"""Networks of a study, each trained for the filter of one trial, on the training drives of that trial.
+"""Networks of a study, each trained on the training drives of a trial for the filter of this trial.
 
 Each network has a folder in learned/, as written by `sigmaswarm learn`. Networks are trained one after the other, so
 that the processor time of each can be measured.
@@ -30,9 +30,9 @@ from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_wind
 LEAST = 21.0
 """Shortest usable drive, s after the filter's start: for segments of 20 s, and outages of 10 s that begin at 10 s."""
 ALONE = 80.0
-"""Shortest drive, s after the filter's start, that suffices as the only one."""
+"""Shortest drive, s after the filter's start, on which alone a network can be trained."""
 FEWEST = 3
-"""Number of drives from which on the last third is held back, for early stopping and calibration."""
+"""Smallest number of drives of which the last third is held back, for early stopping and calibration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Lessons:
 
 @dataclass(frozen=True)
 class Training:
-    """Training of a network in a trial, on ``minutes`` of driving; by default the study's ``learn_minutes``."""
+    """Training of a network in a trial on ``minutes`` of driving, by default the study's ``learn_minutes``."""
 
     network: NetworkName
     trial: int
@@ -76,7 +76,7 @@ class Trained:
 def lessons(design: Design, trial: int, minutes: float) -> Lessons:
     """Draw minutes of driving from a trial's training drives: complete drives, and the beginning of one more.
 
-    More minutes include the drives for fewer minutes. Drives are added if those drawn are too few for training.
+    The drives for more minutes include those for fewer minutes. If too few are drawn for training, drives are added.
     """
     left, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
     order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()
@@ -95,7 +95,7 @@ def lessons(design: Design, trial: int, minutes: float) -> Lessons:
         else:
             begun.append(clip(drive, end=start + took))
         longest, driven, left = max(longest, took), driven + took, left - took
-    chosen = begun + whole  # the last ones are held back, and these should be complete
+    chosen = begun + whole  # the last drives are held back, and these should be complete
     if len(chosen) < FEWEST and longest < ALONE:
         raise InputError(
             f"trial {trial} has too few data to train networks: they need {FEWEST} drives of {LEAST:g} s after the "

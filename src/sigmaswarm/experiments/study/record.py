@@ -35,7 +35,7 @@ Variant = tuple[str, str]  # protocol, method
 
 
 Figure = Annotated[float | None, BeforeValidator(finite)]
-"""A number; None in place of NaN and infinity, which JSON does not have."""
+"""A number; None instead of NaN and infinity, which JSON does not have."""
 Interval = tuple[Figure, Figure]
 Touched = Annotated[TouchedBound, BeforeValidator(TouchedBound.read), PlainSerializer(str)]
 
@@ -90,9 +90,9 @@ class PairedStatistics(_Part):
 
     Attributes
     ----------
-    mean_difference, interval : method minus other (negative is better), with bootstrap interval over drives
+    mean_difference, interval : method minus other (negative is better), with the bootstrap interval over drives
     p : p-value of Wilcoxon's two-sided signed-rank test
-    rank_biserial : effect size from -1 to 1: share of the rank sum for the method minus the share against it
+    rank_biserial : effect size from -1 to 1: share of the rank sum in favor of the method minus the share against it
     improvement, improvement_interval : %, the paper's equation 5
     """
 
@@ -151,8 +151,8 @@ class Convergence(_Part):
 class Effort(_Part):
     """Data and free parameters of a tuned or trained method; means over trials.
 
-    - ``labelled_s``: driving time with truth, s, of all training drives of its filter.
-    - ``learned_s``: driving time, s, used without truth to train its network.
+    - ``labelled_s``: driving time with truth, s, of all training drives of the filter.
+    - ``learned_s``: driving time, s, on which the network is trained without truth.
     - ``numbers``: number of parameters that tuning and training determine.
     """
 
@@ -170,7 +170,7 @@ class ElsewhereSummary(VariantSummary):
 
 
 class CurvePoint(_Part):
-    """A network after ``minutes`` of training data, on the first trial's test drives.
+    """A network after training on ``minutes`` of data, evaluated on the first trial's test drives.
 
     0 minutes is the filter without a network. ``interval`` is the bootstrap interval of the mean over drives.
     """
@@ -237,7 +237,7 @@ QUANTILES = {"low": 0.05, "first": 0.25, "median": 0.5, "third": 0.75, "high": 0
 
 
 class Spread(_Part):
-    """Quantiles over drives of a drive's mean over its trials; ``failed``: number of drives with failures."""
+    """Quantiles over drives of the mean over a drive's trials; ``failed``: number of drives with failures."""
 
     protocol: str
     method: str
@@ -285,8 +285,8 @@ class _TuningConfig(BaseModel):
 class StudyRecord:
     """Content of the folder of a study.
 
-    ``spreads`` come from scores.csv, ``versions`` from the tunings. ``live``: predict_ms and predict_and_update_ms of
-    live filters, and their ranges. ``rival_times``: training_s for a trial and sample_us for an IMU sample.
+    ``spreads`` are from scores.csv, ``versions`` from the tunings. ``live``: predict_ms and predict_and_update_ms of
+    live filters, and their ranges. ``rival_times``: training_s of a trial and sample_us of an IMU sample.
     """
 
     results: Results

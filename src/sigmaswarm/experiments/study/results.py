@@ -109,7 +109,7 @@ def summarize(values: Array, strata: Sequence[str], test_per_train: float, draws
 
 
 def _comparisons(scores: ScoreTable, draws: Draws) -> Iterator[PairedComparison]:
-    """Compare PSO-UKF with the methods without tuning or tuned under the same protocol."""
+    """Compare PSO-UKF with the methods without tuning and those tuned under the same protocol."""
     for protocol in PROTOCOLS:
         others = [v for v in scores.values if v[0] in (BASELINE, protocol) and v[1] != MAIN]
         for measure in _compared(scores):
@@ -117,7 +117,7 @@ def _comparisons(scores: ScoreTable, draws: Draws) -> Iterator[PairedComparison]
 
 
 def _compared(scores: ScoreTable) -> list[str]:
-    """Return all measures except NIS, for which lower is not better."""
+    """Return all measures except NIS, since a lower NIS is not better."""
     return [measure for measure in scores.design.config.measures if measure != "nis"]
 
 
@@ -197,7 +197,7 @@ def rival_results(
 def _efforts(
     design: Design, trials: Mapping[Task, Trial], networks: Mapping[Task, Trained]
 ) -> Iterator[Effort]:
-    """Compute the data and free parameters of each variant; for a network those of the filter are included."""
+    """Compute the data and free parameters of each variant; those of a network include those of its filter."""
     durations = [float(ready.drive.imu.time[-1] - ready.drive.imu.time[0]) for ready in design.prepared]
     splits = [design.split(trial)[0] for trial in range(design.config.trials)]
     truth = float(np.mean([sum(durations[i] for i in train) for train in splits]))

@@ -120,7 +120,7 @@ def score_all(
 
 @dataclass(frozen=True, eq=False)
 class _Pass:
-    """Prepared drives, a mask of those with room for an outage, and functions of measures."""
+    """Prepared drives, a mask of the drives with room for an outage, and functions that compute measures."""
 
     replays: Replays
     fits: NDArray[np.bool_]
@@ -128,7 +128,7 @@ class _Pass:
 
 
 def _passes(design: Design) -> list[_Pass]:
-    """Prepare the drives; longer outages are measured only on local drives."""
+    """Prepare the drives of each pass; longer outages are measured only on local drives."""
     passes = [_Pass(design.replays(outages=True), np.ones(len(design.drives), dtype=np.bool_), TAKEN)]
     seed = design.config.seed
     for measure, length in design.config.long_outages.items():
@@ -175,7 +175,7 @@ def _manual(ready: PreparedDrive, method: str) -> FilterParameters:
 def _unfiltered(method: str, design: Design) -> dict[str, Array]:
     """Score raw fixes, fixes alone or IMU only on all drives: arrays of shape (1, drives) by measure.
 
-    Fixes alone have the medians of the noise parameters fitted to the drives.
+    The noise parameters of fixes alone are the medians of those fitted to the drives.
     """
     lengths, seed = {"outage_drift_m": OUTAGE_LENGTH} | design.config.long_outages, design.config.seed
     noise = MotionNoise.typical(design.of_each(noise_of)) if method == "fixes-alone" else None

@@ -31,7 +31,7 @@ LIVE: dict[str, tuple[FilterKind, ModelName]] = {
 
 
 class Stopwatch:
-    """Wall and processor time of each lap, s; child processes are included after they end."""
+    """Wall and processor time of each lap, s, including child processes after their end."""
 
     def __init__(self) -> None:
         self.laps: dict[str, dict[str, float]] = {}
@@ -59,8 +59,8 @@ def rival_times(
 ) -> dict[str, dict[str, float]]:
     """Return the processor times of every tuned or trained variant, by names such as ``honest-pso-ukf``.
 
-    ``training_s`` is the time of a trial, s; for a network without the tuning of the filter. ``sample_us`` is the mean
-    time of an IMU sample, us. Of a resumed trial only the last part is counted.
+    ``training_s`` is the time of a trial, s; that of a network does not include the tuning of its filter. ``sample_us``
+    is the mean time per IMU sample, us. For a resumed trial, only the last part is counted.
     """
     ready = design.prepared[design.split(0)[1][0]]
     spent: dict[str, list[float]] = {}
