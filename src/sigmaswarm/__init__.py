@@ -3,7 +3,7 @@
 Data flow
 ---------
 A `Drive` is read, recorded or simulated; filters run over it; scores measure their errors; an objective
-turns scores into a cost; a swarm searches the parameters with the lowest cost; the result is a `Tuning`.
+turns scores into a cost; a swarm searches for the parameters with the lowest cost; the result is a `Tuning`.
 
 Conventions
 -----------

@@ -42,7 +42,7 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
     Parameters
     ----------
     log : str or Path
-        A file or folder; it contains the IMU.
+        File or folder with the samples of the IMU.
     name : str, optional
         Name of the drive; by default the name of the log.
     **settings
@@ -211,7 +211,7 @@ def export(
         Folder for the files; by default nothing is written.
     **options
         ``replay`` (a Drive), ``as_recorded``, ``lanes``, ``seed``: see ``sigmaswarm export --help``. ``mounting``:
-        roll, pitch and yaw, deg, of an IMU whose raw samples are to be turned; by default that of the tuning.
+        roll, pitch and yaw, deg, of an IMU whose raw samples are to be rotated; by default that of the tuning.
 
     Returns
     -------

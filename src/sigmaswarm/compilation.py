@@ -49,7 +49,7 @@ def once(make: Callable[P, T]) -> Callable[P, T]:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A function that is generated, which takes half a second, only if its machine code is not cached.
+    """A function that is generated only if its machine code is not cached, since this takes half a second.
 
     ``like`` has the same name and parameters. ``key`` distinguishes functions of this name.
     """

@@ -24,7 +24,7 @@ class TuningStopped(SigmaswarmError):
 
 
 class SigmaswarmWarning(UserWarning):
-    """Something looks wrong, but the work continues."""
+    """A probable fault that does not stop the work."""
 
 
 class DriveWarning(SigmaswarmWarning):

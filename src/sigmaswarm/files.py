@@ -196,7 +196,7 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 class _Part(io.FileIO):
-    """A file that remembers a failed write, since some writers replace its error."""
+    """A file that stores the error of a failed write, since some writers replace this error."""
 
     failure: OSError | None = None
 

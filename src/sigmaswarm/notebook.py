@@ -1,4 +1,4 @@
-"""Make HTML of records for notebooks, without scripts or other files, and pandas' tables.
+"""HTML of records for notebooks, without scripts or other files, and conversion to pandas.
 
 Texts are escaped, since names come from logs.
 """
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 WIDTH, HEIGHT, MARGIN = 360.0, 240.0, 10.0  # px
-MOST_POINTS = 400  # of a line, since a notebook stores its pictures
+MOST_POINTS = 400  # largest number on a line, since a notebook stores its pictures
 COLORS = {"truth": "#000000", "fixes": "#009e73", "estimate": "#0072b2"}
-"""Colors that are distinguishable with color blindness too."""
+"""Colors that are also distinguishable with color blindness."""
 
 
 def number(value: float | None) -> str:

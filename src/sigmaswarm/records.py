@@ -55,7 +55,7 @@ def read_content(
             return {**read_arrays(path)}
         if path.suffix == ".json":
             content = json.loads(read_bounded(path, MOST_JSON))
-            numbers = finite(content)  # which also refuses what is nested too deep to be walked
+            numbers = finite(content)  # which also refuses content nested too deeply
             content = content if infinite else numbers
         else:
             content = tomllib.loads(read_toml_text(path))
@@ -63,7 +63,7 @@ def read_content(
         raise InputError(f"{path}: no such file; {missing}") from None
     except InputError:
         raise
-    # A damaged archive raises anything, a nested text RecursionError, a number ValueError.
+    # A damaged archive can raise any error, a nested text RecursionError, a long number ValueError.
     except Exception as error:
         said = shown(" ".join(str(error).split()) or type(error).__name__, 160)
         raise InputError(f"{path}: not readable: {said}; {remedy}") from None

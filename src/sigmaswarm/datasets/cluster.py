@@ -97,9 +97,9 @@ def connected(address: str) -> Generator["Client"]:
     Raises
     ------
     InputError
-        Dask is not installed, or the address is invalid.
+        If Dask is not installed, or the address is invalid.
     ClusterError
-        No scheduler answers at the address.
+        If no scheduler answers at the address.
     """
     try:
         import distributed

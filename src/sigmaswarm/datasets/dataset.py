@@ -67,7 +67,7 @@ def datasets_of(
     Raises
     ------
     InputError
-        An item is not a drive, or both an executor and a cluster are given.
+        If an item is not a drive, or both an executor and a cluster are given.
     """
     if cluster is not None and executor is not None:
         raise InputError(

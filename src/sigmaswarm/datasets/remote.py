@@ -152,7 +152,7 @@ class RemoteDataset:
         return RemoteDataset(self.assignment, tuple(self.indices[i] for i in indices))
 
     def call(self, function: Callable[..., T], *arguments: Any) -> list[tuple[list[int], T]]:
-        """Call a function once on each worker; return the indices of its drives, and the result, of each call.
+        """Call a function once on each worker; return, for each call, the indices of the drives and the result.
 
         The function takes a list of `CachedDrive`, an Executor or None, and the arguments; it returns anything but
         None.
@@ -183,7 +183,7 @@ class RemoteDataset:
         Raises
         ------
         InputError
-            The error of the function; if there are several, a `DriveError` that names the drives.
+            If the function raises it; several errors become one `DriveError` that names the drives.
         """
         return in_order(self.call(apply_to_each, partial(_with_drive, function)))
 
@@ -211,9 +211,9 @@ def remote_datasets(
     Raises
     ------
     DriveError
-        Drives can't be read; the message names all of them.
+        If drives can't be read; the message names all of them.
     ClusterError
-        A worker has other versions, or its drives don't fit into its memory.
+        If a worker has other versions, or its drives don't fit into its memory.
     """
     sources = [[source_of(drive) for drive in group] for group in groups]
     assignment = Assignment(cluster, [source for group in sources for source in group])

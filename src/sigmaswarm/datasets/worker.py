@@ -66,9 +66,9 @@ class DriveCache:
         Raises
         ------
         InputError
-            A drive can't be read.
+            If a drive can't be read.
         ClusterError
-            These drives together don't fit into the memory.
+            If these drives together don't fit into the memory.
         """
         known = {key: drive for key in sources if (drive := self._drives.get(key))}
         missing = {key: source for key, source in sources.items() if key not in known and source}

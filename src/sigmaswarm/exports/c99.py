@@ -63,7 +63,7 @@ def c99(
 ) -> dict[str, str]:
     """Return the files by name. Q refers to steps of ``interval`` s; ``as_recorded`` is as in `PreparedDrive`.
 
-    ``mounting``: roll, pitch and yaw of the IMU, deg; the files then have a function that turns raw samples.
+    ``mounting``: roll, pitch and yaw of the IMU, deg; the files then have a function that rotates raw samples.
 
     Raises
     ------

@@ -109,7 +109,7 @@ class Emitter:
 class _Function(ast.NodeTransformer):
     """Translation of one function to C.
 
-    In a rewritten expression each name is C text; also numbers are names, for example ``R(0.5)``.
+    In a rewritten expression, each name is C text; numbers are also names, for example ``R(0.5)``.
     """
 
     def __init__(
@@ -170,7 +170,7 @@ class _Function(ast.NodeTransformer):
         return chosen
 
     def drop_unused(self) -> None:
-        """Remove locals that only removed terms used. Keep calls of kernels."""
+        """Remove locals that were used only in removed terms; keep calls of kernels."""
         for line in reversed(list(self.lines)):
             match = re.match(r"( +)const (?:real|bool) (\w+) = ([^;]*;)$", line)
             if match and len(re.findall(rf"(?<!>)\b{match[2]}\b", "\n".join(self.lines))) == 1:

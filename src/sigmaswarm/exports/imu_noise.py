@@ -66,7 +66,7 @@ _white = attrgetter("white.value")
 
 
 def _walk_of(noise: Noise, sensor: str) -> Callable[[AxisNoise], float]:
-    """Return the random walk of the bias of an axis, unit/sqrt(s), or without a measurement a typical value."""
+    """Return the random walk of the bias of an axis, unit/sqrt(s), or a typical value if not measured."""
 
     def walk(axis: AxisNoise) -> float:
         std, time = axis.bias(noise.longest)

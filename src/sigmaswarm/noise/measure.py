@@ -44,7 +44,7 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
     Raises
     ------
     InputError
-        The log can't be read or is too short, the IMU moves, or no axis shows its noise.
+        If the log can't be read or is too short, the IMU moves, or no axis shows its noise.
     """
     if isinstance(log, Imu):
         return _measured("IMU", log, None)
@@ -80,7 +80,7 @@ def filter_noise(parameters: FilterParameters, name: str = "filter") -> Noise:
     Raises
     ------
     InputError
-        The filter does not state the interval of its Q.
+        If the filter does not state the interval of its Q.
     """
     p, dt = parameters, parameters.nominal_interval
     if dt is None:

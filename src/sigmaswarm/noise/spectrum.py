@@ -25,7 +25,7 @@ BAND = 0.1
 ENOUGH = 200
 """Smallest number of used frequencies; if necessary, the band is extended, up to half the sampling rate."""
 FIRST = 2
-"""Lowest used frequency, periods per stretch; the subtracted trend contains most of lower frequencies."""
+"""Lowest used frequency, periods per stretch; the subtracted trend contains most of the lower frequencies."""
 PER_DECADE = 24  # frequency bands, over which the periodogram is averaged
 TAPER = 1.5  # neighboring frequencies that the sine taper correlates
 CERTAIN = 5.99

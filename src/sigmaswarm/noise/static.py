@@ -21,9 +21,9 @@ RESTLESS = 3.0
 CALM = {"a": 0.02, "g": np.radians(0.1)}  # m/s2, rad/s: standard deviation without motion
 ROUGH = 0.3  # m/s2, standard deviation of an accelerometer in motion
 FIX_SPEED = 0.5  # m/s, speed of the line through a stretch's fixes that shows motion
-SAMPLE = 100_000  # samples, approximately, that determine the quantization step
+SAMPLE = 100_000  # approximate number of samples for the quantization step
 PILED = 3.0
-"""Ratio of samples at the end of an axis's range to samples at the next value, if the axis is saturated."""
+"""Smallest ratio of samples at the end of the range to samples at the next value, for a saturated axis."""
 LEAST_PILED = 1e-3  # share of samples at the end of the range of a saturated axis
 
 
@@ -42,7 +42,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
     Raises
     ------
     InputError
-        No stretch is long enough.
+        If no stretch is long enough.
     """
     steps = np.diff(imu.time)
     if len(imu) < FEWEST or not np.all(steps > 0):

@@ -93,7 +93,7 @@ def reference(
     lever_arm : (float, float, float), optional
         Vector from the IMU to the good receiver's antenna, m forward, left and up; by default 0.
     offset : float
-        Time to add to the fixes' times, s, so that both have one clock; 0 by default.
+        Time to add to the fixes' times, s, so that both are on one clock; 0 by default.
     accuracy : float
         Largest standard deviation of the truth per axis, m; other rows are left out. 0.1 by default.
     fix_std : float, optional
@@ -110,9 +110,9 @@ def reference(
     Raises
     ------
     InputError
-        The fixes can't be read, share no time with the drive, state no accuracy, or are too few.
+        If the fixes can't be read, share no time with the drive, state no accuracy, or are too few.
     AlignmentError
-        The car hardly moves while the good receiver has fixes.
+        If the car hardly moves while the good receiver has fixes.
     """
     chosen = _Options(**options)
     log, name = _log(fixes, drive, chosen.offset)
