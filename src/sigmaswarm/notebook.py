@@ -23,7 +23,7 @@ COLORS = {"truth": "#000000", "fixes": "#009e73", "estimate": "#0072b2"}
 
 
 def number(value: float | None) -> str:
-    """Format three significant digits, thousands in full, and a dash for an unknown value."""
+    """Format a number with three significant digits, thousands in full; return a dash if it is unknown."""
     if value is None or not math.isfinite(value):
         return "-"
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.3g}"

@@ -1,4 +1,4 @@
-"""Read TOML, JSON and npz files that sigmaswarm writes into typed records."""
+"""Read TOML, JSON and npz files written by sigmaswarm as typed records."""
 
 import json
 import tomllib

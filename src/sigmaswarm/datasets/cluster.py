@@ -130,7 +130,7 @@ def connected(address: str) -> Generator["Client"]:
 
 
 def _scheduler(address: str) -> str:
-    """Return the address of a scheduler, which a scheduler file may give."""
+    """Return the address of a scheduler; read it from a scheduler file if one is given."""
     if "://" in address:
         if not re.fullmatch(r"(?!tls)\w+://.+:\d+", address):
             raise InputError(

@@ -56,7 +56,7 @@ def _rotation(drive: Drive, repairs: Sequence[Repair]) -> Array | None:
     """Return the total rotation (3, 3) of repairs of the IMU's axes; None if they are not a rotation.
 
     The repairs are applied to an IMU whose samples are the unit vectors. Factors are ignored, since they are units and
-    scales. Of an IMU without all six axes, only ax, ay and gz are considered, which are rotated about z or exchanged.
+    scales. For an IMU without all six axes, only ax, ay and gz count, which are rotated about z or exchanged.
     """
     names = [n for n in ("ax", "ay", "az", "gx", "gy", "gz") if getattr(drive.imu, n) is not None]
     columns = {name: np.eye(3)["xyz".index(name[1])] for name in names}

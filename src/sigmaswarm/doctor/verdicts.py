@@ -80,7 +80,7 @@ class Mount:
 
     @property
     def matrix(self) -> Array:
-        """The unit times the axes, (2, 2)."""
+        """`unit` times `axes`, (2, 2)."""
         return self.unit * self.axes
 
 

@@ -218,7 +218,7 @@ class Alignments:
         return fit.state(self._leaning(k, fit.time)) if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
-        """Fit the gyro's bias, too, without the accelerometer, whose bias accumulates over the longer time."""
+        """Fit also the gyro's bias; leave out the accelerometer, whose bias accumulates over the longer time."""
         first = int(self._first[k])
         interval = float(self.time[k] - self.time[first]) / (k - first)
         rows = np.arange(k, first - 1, -max(1, round(SLOW_INTERVAL / interval)))[::-1]

@@ -17,18 +17,18 @@ from sigmaswarm.wording import counted
 FEWEST_SAMPLES, FEWEST_SHARED_FIXES = 100, 10
 """Smallest number of IMU samples, and of fixes within the time of the IMU."""
 IMU_GAP = (10.0, 0.1)
-"""A gap of the IMU exceeds both this many usual intervals and this many s."""
+"""Limits of a gap of the IMU, in usual intervals and in s; a gap exceeds both."""
 GPS_GAP = (5.0, 2.0)
-"""A gap of fixes or truth exceeds both this many usual intervals and this many s."""
+"""Limits of a gap of fixes or truth, in usual intervals and in s; a gap exceeds both."""
 UNSHARED = 10.0
 """Shortest reported time without the other sensor at the start or end, s."""
 UNSHARED_IMU = 0.1
-"""The same, as a share of the IMU's time, since many logs begin before the first fix."""
+"""The same limit as a share of the IMU's time, since many logs begin before the first fix."""
 GRAVITY = 9.80665  # m/s2, standard gravity
 IMPOSSIBLE_RATE = 3.0  # rad/s; no car makes half a turn in a second
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units per second
 _SLOWEST = (2.0, 60.0)  # s between samples and between fixes; longer intervals suggest another unit
-_USUAL = (0.5, 20.0)  # s between samples and between fixes, in the right unit
+_USUAL = (0.5, 20.0)  # s between samples and between fixes; a unit that gives more is wrong
 _JUMP = 3600.0  # s; a longer interval is due to a corrupt time stamp or to a clock that was set
 _WINDOW = 5.0
 """Time over which fixes give speed and course, s: long enough for noise of meters, short enough for turns."""
@@ -110,7 +110,7 @@ def spoiled_times(imu: Imu, gps: Gps) -> list[Remark]:
 
 
 def _time_unit(imu: Array, gps: Array) -> Remark | None:
-    """Check for ms, us or ns: in one sensor by the durations, in both by the rates."""
+    """Check for times in ms, us or ns: in one sensor by the durations, in both by the rates."""
     lasts = float(np.ptp(imu)), float(np.ptp(gps))
     if min(lasts) <= 0:
         return None

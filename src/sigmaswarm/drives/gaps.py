@@ -6,11 +6,11 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array
 
 MANY, SHORTEST = 5.0, 0.05
-"""A gap exceeds both this many usual intervals and this many s."""
+"""Limits of a gap, in usual intervals and in s; a gap exceeds both."""
 OVER = 32.0
-"""Approximate number of intervals over which the mean that is the usual interval is taken."""
+"""Approximate number of intervals over which the usual interval is averaged."""
 MOST = 3.0
-"""Upper limit of an interval in this mean, in usual intervals, so that a gap does not become usual."""
+"""Upper limit of an interval in this average, in usual intervals, so that a gap does not become usual."""
 
 
 def gaps_before(time: Array) -> Array:

@@ -38,7 +38,7 @@ class Wheels:
 
 
 def measurements_of(odometer: Odometer, start: float, end: Array, sampled: NDArray[np.bool_]) -> Wheels:
-    """Compute the measurements; steps end at ``end`` (k,) s, at an IMU sample where ``sampled`` (k,).
+    """Compute the measurements; steps end at ``end`` (k,), s, and at an IMU sample where ``sampled`` (k,).
 
     In each interval with a new reading, the measurement is at the first IMU sample after this reading, and averages the
     readings since the last measurement.

@@ -156,8 +156,8 @@ def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
 def _offset(a: Array, b: Array, tolerance: float) -> float | None:
     """Return the offset, s, between the clocks of landmarks (time in us, values ...) with the most equal pairs.
 
-    Some pairs agree by chance. So half of the landmarks in the common time must agree, in the drive with fewer
-    landmarks, since a copy may be decimated. Their values must differ, since a standing car repeats one value.
+    Since some pairs agree by chance, half of the landmarks in the common time must agree. The drive with fewer of them
+    counts, since a copy may be decimated. Values must differ, since a standing car repeats one value.
     """
     if min(len(a), len(b)) < FEWEST:
         return None

@@ -140,7 +140,7 @@ class DivergenceMonitor:
     restarts : list of float
         Times of the resets, s.
     lost : bool
-        True while the filter has diverged and cannot be reset, without an alignment; the estimate is then `at_fix`.
+        True while the filter has diverged and no alignment is available for a reset; the estimate is then `at_fix`.
     """
 
     def __init__(self) -> None:

@@ -82,7 +82,7 @@ def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def sound_lanes(rows: Array, model: str) -> NDArray[np.bool_]:
-    """Return True, (m, lanes), for lanes of final rows (m, N_KEPT, lanes) that are sound with a definite P."""
+    """Return True, (m, lanes), for final rows (m, N_KEPT, lanes) without a failure and with a positive definite P."""
     found = np.empty((len(rows), rows.shape[2]), dtype=np.bool_)
     _find_sound(rows, P0, len(FILTERS[model].states), R.OK, found)
     return found

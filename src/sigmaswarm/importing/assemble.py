@@ -279,7 +279,7 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
 
 
 def _held_course(vx: Array, vy: Array) -> Array:
-    """Return the course (n,), rad; at low speed, that of the last row in motion or, before it, of the first."""
+    """Return the course (n,), rad; at low speed, hold that of the last row in motion or, at the start, of the first."""
     moving = np.hypot(vx, vy) > MOVING
     if not moving.any():
         return np.zeros(len(vx))

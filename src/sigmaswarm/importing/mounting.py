@@ -62,7 +62,7 @@ def parse_mount(text: str) -> Array:
 
 
 def _from_axes(text: str, parts: list[str]) -> Array:
-    """Make the matrix from given axes; one missing axis is the cross product, and of two z or x is unchanged."""
+    """Make the matrix from one to three axes; with one, z (or x) is unchanged; the last is the cross product."""
     unit = dict(zip(_AXES, np.eye(3), strict=True))
     rows: dict[str, Array] = {}
     for part in parts:

@@ -93,7 +93,7 @@ def quantity(columns: Columns, what: str, role: Role) -> Found:
 def _without_unit(columns: Columns, what: str, role: Role) -> Found:
     """Read accelerations as g or mg if their magnitude then equals gravity, and rates above 5 as deg/s.
 
-    Others are in SI units or, if too large for a car, raw counts.
+    Other values are in SI units or, if too large for a car, are raw counts.
     """
     text, letter = columns.text(what), what[0]
     axes = [a for a in (f"{letter}{i}" for i in "xyz") if a in columns and columns.names[a].unit is None]

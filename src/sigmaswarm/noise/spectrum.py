@@ -21,7 +21,7 @@ from scipy.fft import prev_fast_len, rfft
 from sigmaswarm.drives.tables import Array
 
 BAND = 0.1
-"""Ratio of the highest used frequency to the sampling rate; above it sensors filter, and engines vibrate."""
+"""Highest used frequency / sampling rate; the sensor's filter and engine vibration change higher frequencies."""
 ENOUGH = 200
 """Smallest number of used frequencies; if necessary, the band is extended, up to half the sampling rate."""
 FIRST = 2

@@ -65,7 +65,7 @@ def simulate_many(
     Raises
     ------
     InputError
-        As in `simulate`, before the first drive.
+        If an argument is invalid, as in `simulate`; raised before the first drive.
     """
     duration = options.pop("duration", None)
     # Check the names for later drives; the first drive checks all other options.

@@ -22,8 +22,9 @@ OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
 WITH_FORECASTS = "0.5 innovation-t + 0.5 forecast-t"
 """Objective without truth, for a model with roll and pitch and receivers with white errors.
 
-If errors are correlated, the forecasts follow them: with a u-blox M8, the error of the tuned filter was 11 m instead of
-4 m. A planar filter overfits to its training roads: on roads of another car, its error was 3.6 times that of the fixes.
+If errors are correlated, tuned forecasts reproduce them: with a u-blox M8, the error of the tuned filter was 11 m
+instead of 4 m. A planar filter overfits to its training roads: on roads of another car, its error was 3.6 times that of
+the fixes.
 """
 WITH_FIX_ERROR = "truth-pose + 0.2 nees + 0.1 innovation-t"
 """Objective with truth and fix-error: the likelihood distinguishes correlated fix errors from white noise."""

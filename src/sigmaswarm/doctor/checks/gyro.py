@@ -95,7 +95,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
 def _whole_gain(evidence: Evidence) -> float:
     """Return the ratio of the turns of course and gyro over whole windows, by a fit without bias.
 
-    In steady circles, changes within windows are small, and the effects of lever arm and slip look like a scale.
+    In steady circles, changes within windows are small, and lever arm and slip have the effect of a scale error.
     """
     imu, course, yaw, fit = evidence.drive.imu, evidence.course, evidence.yaw, evidence.yaw_fit
     assert course is not None and fit is not None

@@ -30,7 +30,7 @@ from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_wind
 LEAST = 21.0
 """Shortest usable drive, s after the filter's start: for segments of 20 s, and outages of 10 s that begin at 10 s."""
 ALONE = 80.0
-"""Shortest drive, s after the filter's start, on which alone a network can be trained."""
+"""Shortest drive, s after the filter's start, that suffices as the only training drive."""
 FEWEST = 3
 """Smallest number of drives of which the last third is held back, for early stopping and calibration."""
 

@@ -90,7 +90,7 @@ class Steps:
         return place
 
     def _run(self, lanes: Array, place: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
-        """Run from a place to step ``stop``, exclusive; lanes and place change."""
+        """Run the lanes from ``place`` to step ``stop``, exclusive; this changes both lanes and ``place``."""
         k = len(self.rows)
         flags, steps = self.rows[:, T_FLAGS].astype(np.uint16), self.rows[:, T_STEP]
         arrays = (
@@ -207,7 +207,7 @@ def search(
 
 
 def _trials(offsets: Array, spread: Spread, rng: np.random.Generator) -> Array:
-    """Make a trial for each member: another member plus the scaled difference of two more, crossed with the member."""
+    """Make a trial for each member: the member crossed with another member plus the scaled difference of two more."""
     n, d = offsets.shape
     others = np.array([rng.permutation(np.delete(np.arange(n), i))[:3] for i in range(n)])
     a, b, c = (offsets[others[:, k]] for k in range(3))

@@ -134,7 +134,7 @@ class Spread:
         return found
 
     def warnings(self, moved: Array) -> tuple[str, ...]:
-        """Return warnings of offsets (d,) that are too large for the vehicle of the tuning."""
+        """Return warnings of offsets (d,) that are too large for the tuned vehicle."""
         found, by = list[str](), dict(zip(self.names, moved.tolist(), strict=True))
         common = by[SCALE]
         if abs(common) > FAR:
