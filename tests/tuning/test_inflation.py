@@ -10,6 +10,7 @@ import pytest
 from sigmaswarm import Drive, run_batch, simulate, tune
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.inflation import STEP, inflated
 from sigmaswarm.tuning.space import search_space
 
@@ -109,16 +110,23 @@ LEAST = {"q_tilt": 2e-9, "q_gyro_bias_xy": 1e-12, "accel_bias_std": 0.005, "gyro
 """At 100 Hz: 0.01 of what a second has."""
 
 
+@pytest.mark.parametrize(
+    ("objective", "drives", "biases"),
+    [("innovation-t", 1, True), ("innovation-t", 3, True), ("truth-pose", 2, True), ("truth-pose", 3, False)],
+)
 @pytest.mark.parametrize("cost_per_decade", [0.0, 100.0])
 @pytest.mark.parametrize("model", POWERS)
-def test_of_a_tilted_model_no_less_than_a_little_is_left(model: str, cost_per_decade: float):
-    """Whether the cost bears a factor or not: what is below it at the optimum stands at it afterwards."""
+def test_a_tilted_model_has_lower_limits(
+    model: str, cost_per_decade: float, objective: str, drives: int, biases: bool
+):
+    """A noise below its limit is set to it, whether the cost allows a factor or not."""
     space = search_space(model, "log10", 0.01, kind="ekf", use=("lateral",))
 
     class Lowest:
         """Its optimum is where all is as small as can be."""
 
-        data: ClassVar = [{"duration_s": 100.0}]
+        data: ClassVar = [{"duration_s": 100.0 / drives}] * drives
+        config = TuneConfig(model="tilted12", objective=objective)
 
         def __init__(self):
             self.space = space
@@ -135,6 +143,9 @@ def test_of_a_tilted_model_no_less_than_a_little_is_left(model: str, cost_per_de
     found = dict(zip(space.names, space.values(point), strict=True))
     lowest = dict(zip(space.names, space.lowest, strict=True))
     for name, least in LEAST.items() if model == "tilted12" else ():
+        if not biases and name.endswith("bias_std"):
+            assert found[name] == lowest[name]
+            continue
         raised = found[name] > least * (1 + 1e-9)
         assert found[name] >= least * (1 - 1e-9)
         assert not raised or (factor > 1.0 and name.startswith("q_"))

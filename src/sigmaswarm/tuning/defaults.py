@@ -12,7 +12,7 @@ from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import clash
 from sigmaswarm.tuning.config import C, TuneConfig, validated_config
-from sigmaswarm.tuning.inflation import INFLATION, TILTED_INFLATION
+from sigmaswarm.tuning.inflation import INFLATION, TILTED_INFLATION, WITH_TRUTH
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.wording import counted
 
@@ -138,14 +138,19 @@ def explain_tuning(drives: Sequence[Drive | Sensors], **options: Any) -> list[st
 
 
 def with_guards(config: C) -> C:
-    """Set the prior on R and the process-noise inflation; by default both apply to likelihoods without truth."""
+    """Set the prior on R and the process-noise inflation, which by default apply to likelihoods without truth.
+
+    A model with roll and pitch is also inflated with truth.
+    """
     if not isinstance(config, TuneConfig):
         return config
     objective, model = objective_named(config.objective), MODELS[config.model]
     blind = objective.likelihood and not objective.needs_truth
     prior, inflation = float(blind), 0.0
-    if blind and config.scale == "log10":
+    if config.scale == "log10" and blind:
         inflation = TILTED_INFLATION if model.tilts or model.measures_imu else INFLATION
+    elif config.scale == "log10" and objective.needs_truth and model.tilts:
+        inflation = WITH_TRUTH
     return config.model_copy(
         update={
             "prior": prior if config.prior is None else config.prior,
