@@ -37,5 +37,5 @@ def gap_of(interval: float, usual: float) -> float:
 
 @cached
 def usual_after(interval: float, usual: float) -> float:
-    """Update the usual interval, s, an exponentially weighted mean, by another interval."""
+    """Update the usual interval, s, an exponentially weighted mean, with the next interval, s."""
     return usual + (min(interval, MOST * usual) - usual) / OVER if usual > 0.0 else interval

@@ -1,8 +1,8 @@
 """Gyro bias from the last seconds before a start, and its use by filters.
 
 A cheap gyro may start with a bias of 20 deg/s. Then the curvature of its path differs from that of the fixes, and the
-integrated roll drifts. Both determine the bias to about 1 deg/s. This is less accurate than the ``bias_std`` of a good
-gyro, which keeps its start, and far more accurate than the prior of a cheap gyro.
+integrated roll drifts. Both determine the bias to about 1 deg/s. This is far more accurate than the prior of a cheap
+gyro. A good gyro has a ``bias_std`` below 1 deg/s and keeps its prior.
 """
 
 from collections.abc import Mapping, Sequence

@@ -75,8 +75,8 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
 def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
     """Estimate the car's speed (m/s) at a time from the new fixes of the seconds up to row ``last``.
 
-    It is the smaller of the speeds of a line and of a parabola at that time, since a car that brakes to a halt was fast
-    a second before. In a log that begins with repeated fixes, it is 0.
+    A line and a parabola are fitted, and the smaller speed is returned, since a car that brakes to a halt was fast a
+    second before. In a log that begins with repeated fixes, the result is 0.
     """
     origin, n = fixes[last, 0], 0.0
     t1, t2, t3, t4 = 0.0, 0.0, 0.0, 0.0

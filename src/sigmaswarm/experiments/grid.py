@@ -1,6 +1,6 @@
 """Parallel execution of the tasks of an experiment, in the threads of an executor or in forked processes.
 
-Each task saves its results in a folder, so an interrupted experiment gives the same results. Forked processes need 75%
+Each task saves its results in a folder, so an interrupted experiment can continue. Forked processes need 75%
 of the time of threads, since a tuning spends 25% of its time in the Python interpreter. They inherit drives and
 prepared time lines without copying.
 """

@@ -68,7 +68,7 @@ class Sums:
 
 
 class KernelArray:
-    """Parameter sets of one kernel and with the same measurements, which run together.
+    """Parameter sets that run together, since they have the same kernel and the same measurements.
 
     Each block has ``width`` columns, up to `most_lanes`. A partial block is filled with copies of a set. ``like`` is a
     set with the model and measurements of all ``size`` sets. ``reads`` are the requirements on a drive: model, stated

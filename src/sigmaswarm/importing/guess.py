@@ -16,7 +16,7 @@ from sigmaswarm.wording import names_shown
 Z_DOWN = "x=x,y=-y"
 """Mounting of an IMU with x forward, y right and z down."""
 SAMPLE = 2000
-"""First rows from which units are guessed if the rows of a format are decoded one by one."""
+"""Number of first rows from which units are guessed if the rows of a format are decoded one by one."""
 BLOCKS, BLOCK = 16, 500
 """Number and length of blocks of rows from which units are guessed. They are spread over the table, since a log may
 begin without fixes and at standstill. Rows of a block are consecutive, so most time steps are those of the log, even if

@@ -66,7 +66,7 @@ _DATES_S = (3e8, 4e9)
 
 @dataclass(frozen=True)
 class Found:
-    """Expression of a drive's column, an assumption, and a reason not to use it."""
+    """Expression of a drive's column; ``note`` states an assumption, ``fault`` a reason not to use the expression."""
 
     expression: str
     note: str = ""
@@ -193,8 +193,8 @@ def _week(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
 def _dates_and_times(names: Sequence[Name], frame: pl.DataFrame) -> list[tuple[Name, bool, Found]]:
     """Read a day in one column of text and the time of day in another.
 
-    Return the clock, True if the names are the usual ones, and the time, of each pair. Clocks with at most half as many
-    distinct times as the finest clock come last.
+    For each pair, return the clock, True if the names are the usual ones, and the time. Clocks with at most half as
+    many distinct times as the finest clock come last.
     """
     schema = frame.schema
     texts = [n for n in names if schema[n.column] == pl.String and not len(numbers_of(frame[n.column]))]

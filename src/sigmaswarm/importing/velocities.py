@@ -89,8 +89,8 @@ def _remedy(ratio: float, texts: dict[str, str], role: str) -> str:
 def _stretches(time: Array, x: Array, y: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the first and last rows of stretches in which the position moves steadily.
 
-    A stretch is longer than ten times the noise between rows and has at least five positions. No single step is most of
-    it, since a jump of the fixes of a parked vehicle is no motion.
+    A stretch is longer than ten times the noise between rows and has at least five positions. No single step makes up
+    most of it: a jump of the fixes of a parked vehicle is no motion.
     """
     rows = np.flatnonzero(
         np.append(True, (np.diff(x) != 0) | (np.diff(y) != 0))

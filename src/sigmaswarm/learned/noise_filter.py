@@ -1,6 +1,7 @@
 """The extended Kalman filter of planar5 and planar8 in JAX, to train `noise-gru` with gradients.
 
-It has the textbook form and the steps of `schedule`, without reset after divergence, receiver's velocity and odometer.
+It is the textbook form with the steps of `schedule`, but does not use receiver's velocity or odometer, or reset the
+filter after a divergence.
 """
 
 from dataclasses import dataclass

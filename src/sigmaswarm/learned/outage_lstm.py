@@ -1,7 +1,7 @@
 """outage-lstm: a filter that is updated with a network's forecasts of displacements during outages.
 
-The network estimates the displacement in the last second, forward and left, from windows of the IMU, which shows the
-speed by vibration and lateral acceleration. The filter's speed is not an input, since the update would use it twice.
+The network estimates the displacement in the last second, forward and left, from windows of the IMU. Vibration and
+lateral acceleration depend on the speed. The filter's speed is not an input, since the update would use it twice.
 
 Errors of the forecasts are modeled as Gauss-Markov processes. In an outage the last known error, multiplied by a decay,
 is subtracted. Two factors maximize the likelihood of hidden fixes on validation drives. The factor of the forecasts'

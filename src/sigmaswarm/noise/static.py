@@ -23,7 +23,7 @@ ROUGH = 0.3  # m/s2, standard deviation of an accelerometer in motion
 FIX_SPEED = 0.5  # m/s, speed of the line through a stretch's fixes that shows motion
 SAMPLE = 100_000  # approximate number of samples for the quantization step
 PILED = 3.0
-"""Smallest ratio of samples at the end of the range to samples at the next value, for a saturated axis."""
+"""Smallest ratio of the number of samples at the end of the range to that at the next value, for a saturated axis."""
 LEAST_PILED = 1e-3  # share of samples at the end of the range of a saturated axis
 
 

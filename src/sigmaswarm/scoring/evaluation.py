@@ -293,7 +293,7 @@ class Evaluation:
         return self.view.to_html()
 
     def save(self, folder: Path) -> list[Path]:
-        """Write scores.json, scores.csv, evaluation.json, tracks.npz and any other filter; return the paths."""
+        """Write scores.json, scores.csv, evaluation.json, tracks.npz and the other filter, if any; return the paths."""
         paths = [folder / name for name in (SCORES_FILE, "scores.csv", ASKED_FILE, TRACKS_FILE)]
         write_json(paths[0], self.to_dict())
         write_whole(paths[1], self._frame({m: m for m in self.names}).write_csv())

@@ -1,7 +1,7 @@
 """Routes of the paper's maneuvers, and `urban`, minutes of mixed driving.
 
-If the paper's target is impossible on a road, the driver uses the friction limit. A drive stores target and achieved
-values.
+If the paper's target is impossible on a road, the driver drives at the friction limit. The target and the achieved
+value are stored in the drive.
 """
 
 import math

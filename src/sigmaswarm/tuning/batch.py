@@ -65,7 +65,7 @@ def run_batch(
     objective : str
         A name in `OBJECTIVES`, or a weighted sum of them.
     worst : float
-        Share of the drives over which the cost of each set is averaged: its worst drives; 1 means all drives.
+        The cost of a set is averaged over this share of the drives, those with its highest costs; 1 means all drives.
     outage_seed : int
         Seed of the outages, for objectives that hide fixes.
     as_recorded : bool

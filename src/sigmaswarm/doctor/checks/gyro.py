@@ -1,8 +1,8 @@
 """Check the gyro: column, sign, unit, scale and bias of the yaw rate; signs and columns of the roll and pitch rates.
 
 Within half a second, the direction of the specific force in body axes rotates opposite to the body (g' = -w x g). The
-car's acceleration also rotates it. But a body on springs leans accordingly: in a left turn, the force points to the
-left, and the left side rises. So flat roads also show the signs, but not the scales.
+car's acceleration also rotates it. But a sprung body leans with the force: in a left turn, the force points to the
+left, and the left side rises. So the signs are also visible on flat roads, but the scales are not.
 """
 
 from collections.abc import Iterator

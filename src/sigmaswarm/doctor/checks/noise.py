@@ -21,7 +21,7 @@ TOO_LARGE = 6.5
 LASTS = 2.5
 """Ratio of the stated noise to the scatter about a path of 10 s above which most of the error lasts longer."""
 FAR_FIRST = 1000.0
-"""Distance of the first fix from the others, m, above which it displaces the drive, whose origin it is."""
+"""Distance of the first fix from the others, m, above which it is an outlier that displaces the drive's origin."""
 WHITE = 0.7
 """Ratio of the noise from fix to fix to the scatter about a path of 10 s: 1 for white noise, less if correlated."""
 

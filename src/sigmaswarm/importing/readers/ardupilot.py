@@ -1,8 +1,8 @@
 """ArduPilot's dataflash logs, ``.bin``, or the same as text, ``.log``, through pymavlink.
 
-Messages (ArduPilot, libraries/AP_Logger/LogStructure.h): TimeUS in us since start; before 3.3 TimeMS in ms, or T of
-GPS, whose TimeMS is the time of week; IMU forward, right, down (m/s2, rad/s); GPS in degrees, m/s, degrees from north;
-GPA with the stated accuracies; SIM with the true position of a simulation.
+Messages (ArduPilot, libraries/AP_Logger/LogStructure.h): times are TimeUS in us since start; before 3.3 they are TimeMS
+in ms, or T in GPS, whose TimeMS is the time of week. IMU is forward, right, down (m/s2, rad/s). GPS is in degrees, m/s
+and degrees from north. GPA contains the stated accuracies, SIM the true position of a simulation.
 """
 
 from contextlib import ExitStack, redirect_stderr, redirect_stdout, suppress

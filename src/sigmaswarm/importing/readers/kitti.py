@@ -1,6 +1,6 @@
-"""KITTI raw: texts of the OXTS RT3003, synchronized (10 Hz) or not (100 Hz).
+"""KITTI raw: text files of the OXTS RT3003, synchronized (10 Hz) or not (100 Hz).
 
-A drive has one text of 30 numbers per sample, and a file of times. Meaning, units and signs are from
+A drive has one file of 30 numbers per sample, and a file of times. Meaning, units and signs are from
 ``dataformat.txt`` of the data set (A. Geiger et al., "Vision meets Robotics: The KITTI Dataset", IJRR 2013): x forward,
 y left, z up, yaw from east.
 """

@@ -50,7 +50,7 @@ def prefix(table: Table, paths: Mapping[str, str]) -> str | None:
 
 @dataclass
 class Topics:
-    """Finder of the topics of the roles, which notes choices; ``first`` returns the first message of a topic."""
+    """Search for the topics of each role; ``first`` returns the first message of a topic, ``notes`` are the choices."""
 
     path: Path
     tables: Mapping[str, Table]
