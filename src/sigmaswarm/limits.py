@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import zipfile
 
 LONGEST_LINE = 1 << 20  # bytes of text
-MOST_CELLS = 120_000_000  # of a Parquet table, 1 GB: a week of an IMU at 50 Hz
+MOST_CELLS = 120_000_000  # cells of a Parquet table, 1 GB: a week of an IMU at 50 Hz
 MOST_COLUMNS = 1000
 LONGEST_NAME = 1000  # characters of a column's name
 MOST_TOML = 1 << 20  # bytes; parsing takes 3 s

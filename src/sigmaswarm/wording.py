@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
-MOST_CHARACTERS = 60  # of a name or a cell
+MOST_CHARACTERS = 60  # largest length of a name or a cell
 MOST_NAMES = 12
 TO_DO = "TO DO: "  # begins remarks that require action
 

@@ -114,7 +114,7 @@ def connected(address: str) -> Generator["Client"]:
             client = distributed.Client(
                 where, timeout=CONNECT_TIMEOUT, set_as_default=False, name="sigmaswarm"
             )
-        except Exception as error:  # of sockets, addresses, protocols
+        except Exception as error:  # errors of sockets, addresses, protocols
             said = " ".join(str(error).split())[:150]
             raise ClusterError(
                 f"--cluster {address}: no scheduler answers there ({type(error).__name__}: {said}); "

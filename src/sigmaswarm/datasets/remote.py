@@ -31,7 +31,7 @@ Progress = Callable[[int, int], None]
 POLL_INTERVAL = 2.0  # s, between requests to the scheduler for its workers
 MOST_RETRIES = 3
 """Rounds without an answer, after which the drives are the likely cause of lost workers."""
-DRIVES_SHOWN = 10  # in a message
+DRIVES_SHOWN = 10  # largest number of drives named in a message
 
 
 class Assignment:

@@ -57,7 +57,7 @@ class DriveCache:
     def __init__(self, worker: str, threads: int, memory: float) -> None:
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self._worker, self._memory = worker, memory
-        self._drives: dict[str, CachedDrive] = {}  # in the order of use
+        self._drives: dict[str, CachedDrive] = {}  # the most recently used one last
         self._lock = threading.Lock()
 
     def get(self, sources: Mapping[str, Source | None]) -> list[CachedDrive] | None:

@@ -38,7 +38,7 @@ class AccelerationFit:
     matrix: Array  # (2, 2), M: rotates recorded (ax, ay) to forward and left, m/s2
     covariance: Array  # (5, 5), of the rows of M, one after the other, and of `late`
     late: float  # s, delay of the fixes
-    bias_std: Array  # (2,) m/s2, standard deviation of the mean bias, which looks like M in steady circles
+    bias_std: Array  # (2,) m/s2, of the mean bias, whose effect in steady circles resembles that of M
     bias: Array  # (k, 2) m/s2, forward and left, of each window: residuals of the recorded accelerations
     rows: NDArray[np.intp]  # (k, n), the fixes of each window
     residual: Complex  # (k, n) m, east + i north

@@ -14,7 +14,7 @@ from sigmaswarm.drives.stale_fixes import stale_fixes
 FEWEST = 8  # smallest number of fixes for a course
 SLOWEST = 1.0  # m/s, lowest speed at which a course is shown
 SPAN = 2.0  # s; the specific force is averaged, since vibration would hide gravity
-RATE = 10.0  # Hz, of the averaged specific force
+RATE = 10.0  # Hz, rate of the averaged specific force
 FINDINGS = {
     "timing": (
         *("imu-gap", "imu-rate", "imu-repeats", "imu-outside", "gps-gap", "gps-rate", "gps-outside"),

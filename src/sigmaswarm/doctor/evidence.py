@@ -43,7 +43,7 @@ class Evidence:
     mount: Mount | None  # interpretation of `acceleration`
     clock: ClockOffset  # delay of the fixes
     noise: float  # m per axis, noise from fix to fix
-    scatter: float  # m per axis, of the fixes about the path over ten seconds
+    scatter: float  # m per axis, scatter of the fixes about the path over ten seconds
     mounting: Mounting | None  # mounting of the IMU in the vehicle, for a log with six axes
     moved: float = 0.0  # s, subtracted from the fixes' times if the clocks are far apart
 

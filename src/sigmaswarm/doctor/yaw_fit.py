@@ -30,8 +30,8 @@ class YawFit:
 
     column: str
     gain: float  # 1 for the yaw rate of the car in rad/s
-    std: float  # of the gain
-    share: float  # of the course's changes that the column explains, 0 to 1
+    std: float  # standard deviation of the gain
+    share: float  # share of the changes of the course that the column explains, 0 to 1
     late: float  # s, delay of the fixes
     late_std: float  # s
     course_change: float  # rad, RMS change of the course within windows

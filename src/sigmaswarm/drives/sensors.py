@@ -22,7 +22,7 @@ WHITE = 0.4
 The share is 1 for KITTI and colorado, 0.25 for a u-blox M8, and at most 0.02 for receivers in cars that smooth
 (kingston-1, comma2k19, dresden).
 """
-UNSTATED_GPS_STD = 2.1  # m per axis, of receivers that state no accuracy: u-blox M8, 2.5 m CEP
+UNSTATED_GPS_STD = 2.1  # m per axis, assumed if a receiver states no accuracy: u-blox M8, 2.5 m CEP
 SHOWN = 0.25 * UNSTATED_GPS_STD
 """White noise from fix to fix, m per axis, above which a receiver that states no accuracy does not smooth its fixes.
 

@@ -100,7 +100,7 @@ def _one(tasks: Sequence[T], run: Callable[[T, Report], R], rounds: int, done: A
 
 def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) -> dict[int, Future[R]]:
     try:
-        with warnings.catch_warnings():  # of forks with threads, which hold no lock that a child needs
+        with warnings.catch_warnings():  # the threads hold no lock that a child needs
             warnings.simplefilter("ignore", DeprecationWarning)
             return {k: pool.submit(run, k) for k in order}
     except OSError as error:

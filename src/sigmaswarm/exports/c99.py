@@ -131,7 +131,7 @@ def replay_events(
         axes += ["az", "gx", "gy"]
     seen = initial.gyro
     assert seen is not None  # every alignment estimates the gyro bias
-    start += [*seen.bias, *seen.variance, seen.taken, *seen.turns]  # as InsGpsGyro
+    start += [*seen.bias, *seen.variance, seen.taken, *seen.turns]  # in the order of InsGpsGyro
     events = [
         (z[0], 0, "fix", z) for z in _fixes(drive.gps, heading)
     ]  # a fix precedes a sample of the same time

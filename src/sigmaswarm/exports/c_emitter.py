@@ -76,7 +76,7 @@ class Emitter:
 
     def __init__(self, rows: Mapping[str, str | float | None], states: Sequence[str] = STATES) -> None:
         self.rows, self.states, self.texts = rows, states, list[str]()
-        self.constants: dict[str, float] = {}  # of the kernels' modules
+        self.constants: dict[str, float] = {}  # constants of the kernels' modules
         self.signatures: dict[str, tuple[str, list[list[str]]]] = {}  # by name in Python
 
     def add(self, function: Any, name: str = "", **known: Any) -> None:

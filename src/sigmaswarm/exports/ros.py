@@ -32,7 +32,7 @@ SIGMA, FIX = "/sigmaswarm/sigma", "/sigmaswarm/fix"
 INNOVATION, INNOVATION_SIGMA, NIS = (
     f"/sigmaswarm/{name}" for name in ("innovation", "innovation_sigma", "nis")
 )
-INTERVAL = 0.1  # s, of the topics SIGMA and FIX
+INTERVAL = 0.1  # s between messages of the topics SIGMA and FIX
 NOT_ESTIMATED = 1e6
 """Variance of quantities that a filter does not estimate: height, rates; for planar models roll and pitch."""
 RawMessage = tuple[int, Any, Any]  # ns, connection in the new bag, bytes

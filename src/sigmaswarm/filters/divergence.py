@@ -67,7 +67,7 @@ class Check:
     time: float  # s
     mean: Array  # (n,)
     covariance: Array  # (n, n)
-    fix_time: float  # of the last fix, s
+    fix_time: float  # time of the last fix, s
     fix: Array  # (2,), m
     fix_variance: Array  # (2,), m2
     lever: Array  # (2,), m forward and left from the IMU to the antenna

@@ -22,7 +22,7 @@ from sigmaswarm.filters.models import MODELS, CarModel, State, Tilts
 Array = NDArray[np.float64]
 
 STATES = tuple(State(name, "m", (0.0, 0.0), name) for name in ("fix_error_x", "fix_error_y"))
-SUFFIX = "+fix-error"  # in the name of a model with the states b
+SUFFIX = "+fix-error"  # end of the name of a model with the states b
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,9 @@ With v degrees of freedom, Student's t is a Gaussian whose covariance is divided
 gamma distribution; an outlier's weight is small.
 """
 
-ITERATIONS = 3  # of the variational update, which alternately estimates the state and the weight of a fix
+ITERATIONS = 3  # number of alternating estimates of the state and the weight of a fix
 OUTLYING = 0.25  # a fix with a smaller weight is an outlier
-OUTLIERS = 3  # so many consecutive outliers over OUTLIERS_SPAN show that the filter, not the fixes, is wrong
+OUTLIERS = 3  # this many consecutive outliers over OUTLIERS_SPAN show that the filter is wrong
 OUTLIERS_SPAN = 5.0  # s
 
 # c of an objective is 2 x with x e^x E1(x) = v / (v + 2), where E1 is the exponential integral. Then the mean of

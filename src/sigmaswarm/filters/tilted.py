@@ -142,7 +142,7 @@ def tilted12(state: Array, dt: float, imu: Array) -> Array:
 def transition(state: Array, dt: float, imu: Array) -> Array:
     """Return F, (12, 12), of a small error over a step."""
     r, _, a = _middle(state, dt, imu)
-    of_error = np.zeros((2, N))  # of the acceleration, e x a and -R b
+    of_error = np.zeros((2, N))  # derivatives of the acceleration's error, e x a - R b
     of_error[:, [*ATTITUDE]] = [[0.0, GRAVITY, -a[1]], [-GRAVITY, 0.0, a[0]]]
     of_error[:, [*ACCEL_BIAS]] = -r[:2, :2]
     f = np.eye(N)

@@ -20,7 +20,7 @@ from sigmaswarm.learned.cells import Weights, gru, head
 
 NAME = "noise-gru"
 FEATURES = 4
-MOST_SCALE = 30.0  # of R and Q; the smallest factor is the inverse
+MOST_SCALE = 30.0  # largest factor of R and Q; the smallest is its inverse
 
 
 def log_scales(xp: Any, weights: Weights, h: Any) -> Any:

@@ -29,7 +29,7 @@ from sigmaswarm.scoring.score import negative_log_t
 from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER
 
 LENGTHS = (10.0, 40.0)  # s, shortest and longest calibration outage
-PLACEMENTS = 4  # of outages in each drive
+PLACEMENTS = 4  # number of placements of outages in each drive
 EVERY = 0.25  # s, between examples
 BORDER = 5.0  # s, gap between the training and validation data
 INFLATIONS, UNSURE = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0), (1.0, 10.0, 100.0)

@@ -13,7 +13,7 @@ from sigmaswarm.errors import InputError
 HORIZON = 1.0  # s, duration of a displacement
 OUTAGE_AFTER = 2.0
 """Time since the last fix after which an outage begins, s; a working receiver has 1 Hz or more."""
-STEPS = 40  # of a resampled window
+STEPS = 40  # number of steps of a resampled window
 _QUIET = 1e-3
 """Offset that is added to the vibration of an axis before the logarithm, m/s2; a tenth of it for a gyro, rad/s."""
 _GRAVITY = 9.80665

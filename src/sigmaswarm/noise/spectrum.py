@@ -26,18 +26,18 @@ ENOUGH = 200
 """Smallest number of used frequencies; if necessary, the band is extended, up to half the sampling rate."""
 FIRST = 2
 """Lowest used frequency, periods per stretch; the subtracted trend contains most of the lower frequencies."""
-PER_DECADE = 24  # frequency bands, over which the periodogram is averaged
-TAPER = 1.5  # neighboring frequencies that the sine taper correlates
+PER_DECADE = 24  # number of bands over which the periodogram is averaged
+TAPER = 1.5  # number of neighboring frequencies that the sine taper correlates
 CERTAIN = 5.99
 """Largest excess deviance inside a 95% interval: chi-square with two degrees of freedom.
 
 The unknown correlation time widens the intervals of the other parameters. They cover 93 to 100%
 (benchmarks/imu_noise.py).
 """
-POINTS = 11  # values of a parameter per pass of its profile
-PASSES = 3  # refinements of an end of an interval
-TIMES = 8  # finite correlation times
-STEPS = 15  # of Fisher's scoring, until convergence
+POINTS = 11  # number of values of a parameter in a pass of its profile
+PASSES = 3  # number of refinements of each end of an interval
+TIMES = 8  # number of finite correlation times
+STEPS = 15  # number of steps of Fisher's scoring; enough for convergence
 SHORTEST = 10.0  # s; noise with a shorter correlation time looks like a sensor's low-pass filter
 
 

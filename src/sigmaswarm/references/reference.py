@@ -35,8 +35,8 @@ from sigmaswarm.tuning.tune import tune
 ACCURACY = 0.1  # m per axis, largest standard deviation of the truth
 HIDDEN = (2.0, 20.0)
 """Durations of hidden fixes, s; in the shorter one, IMUs of cars drift by a decimeter."""
-HIDDEN_FIRST = 10.0  # s, from the start to the first window, and between two windows
-PLACEMENTS = 3  # of the hidden windows
+HIDDEN_FIRST = 10.0  # s from the start to the first window, and between windows
+PLACEMENTS = 3  # number of placements of the hidden windows
 COVERED = 0.95, 1.96
 """Share of the hidden fixes inside an interval, and half the interval's width in sigmas, per axis."""
 OBJECTIVE = "innovation-t"

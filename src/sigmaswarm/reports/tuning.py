@@ -246,7 +246,7 @@ def shown_config(config: dict[str, Any]) -> dict[str, Any]:
 
     A custom model is shown as name and fingerprint.
     """
-    if config.get("optimizer", "pso") != "pso":  # in old files without an optimizer it was pso
+    if config.get("optimizer", "pso") != "pso":  # old files of pso lack this key
         config = {key: value for key, value in config.items() if key not in SWARM}
     model = config.get("model")
     if isinstance(model, dict):

@@ -31,7 +31,7 @@ from sigmaswarm.scoring.truth import is_known
 
 TRACKS_FILE = "tracks.npz"
 NIS = ".nis"
-SHARES, MOVED = ".shares", ".moved"  # of a filter bank: weights, distance from the tuned parameters
+SHARES, MOVED = ".shares", ".moved"  # series of a filter bank: weights, distance from the tuned parameters
 MOST_POINTS = 1500  # largest number of points of a series in a file, above the pixel columns of most charts
 MOST_DRAWN = 20_000  # largest number of points of a series in a static plot
 NOTHING_STATED: tuple[Array, Array, Array | None] = np.empty(0), np.empty(0), None

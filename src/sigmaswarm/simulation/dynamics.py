@@ -24,7 +24,7 @@ from sigmaswarm.compilation import cached
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81  # m/s2, as in CARLA
-STEP = 0.001  # s, of the integration
+STEP = 0.001  # s, step of the integration
 STEPS_PER_LOOK = 10  # integration steps per step of the driver
 AIR_DENSITY = 1.204  # kg/m3, at 20 degrees and sea level
 
@@ -64,7 +64,7 @@ class Vehicle(NamedTuple):
     relaxation_lateral: float  # m
     drive_front_share: float
     brake_front_share: float
-    roll_front_share: float  # of the roll moment
+    roll_front_share: float  # the front axle's share of the roll moment
     steer_max: float  # rad, at the road wheel
     steer_rate: float  # rad/s
     steer_lag: float  # s
@@ -85,7 +85,7 @@ class Vehicle(NamedTuple):
 class Drivetrain(NamedTuple):
     """Quantities that all wheels share at one time."""
 
-    tangent: float  # of the steering angle
+    tangent: float  # tangent of the steering angle
     peak: float  # slip of the peak force of a tire
     drive: float  # N m, of all motors
     brake: float  # N m, of all brakes
@@ -253,7 +253,7 @@ def _derivative(
         s[ROLL] + 2.0 * car.roll_damping / car.roll_frequency * s[ROLL_RATE],
     )
     drive, brake = _torques(s, car)
-    peak = car.tire_shape * math.tan(0.5 * math.pi / car.tire_shape)  # of the magic formula
+    peak = car.tire_shape * math.tan(0.5 * math.pi / car.tire_shape)  # slip at the peak of the magic formula
     shared = Drivetrain(math.tan(s[STEER]), peak, drive, brake, friction)
     force_x = force_y = moment = 0.0
     for i in range(4):

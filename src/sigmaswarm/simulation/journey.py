@@ -26,7 +26,7 @@ from sigmaswarm.simulation.environments import Environment, named
 from sigmaswarm.simulation.maneuvers import KMH, MANEUVERS, Maneuver, Road, urban
 from sigmaswarm.simulation.planning import LOOK, SPACING, draw_sway, lay_path, plan_speed
 
-STAND = 1.0  # s, at the beginning
+STAND = 1.0  # s of standstill at the beginning
 URBAN_DURATION = 180.0  # s, default
 
 

@@ -35,7 +35,7 @@ REFERENCE_DURATION = 100.0
 Shorter drives allow no more: on 60 s of a motorway, 0.086 instead of 0.05 increased drifts over 5 s on other roads by
 20%.
 """
-DECADES = 4.0  # of the largest factor
+DECADES = 4.0  # decades; the largest factor is 10^4
 STEP = 0.1  # decades between two factors
 
 

@@ -41,7 +41,7 @@ STEP = {"forward": 0.1, "left": 0.1, "latency": 0.01, "rear_axle": 0.1, "tire_sl
     SCALES, 0.005
 )
 """Steps of finite differences."""
-DOF = 8.0  # of Student's t, which reduces the weight of outliers
+DOF = 8.0  # degrees of freedom of Student's t, which reduces the weight of outliers
 BLOCK = 20.0
 """Length of a block, s: fix errors may be correlated within a block."""
 FITTED = 1.2

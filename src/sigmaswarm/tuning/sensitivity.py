@@ -59,7 +59,7 @@ def sensitivities(
         first = int(np.argmax(noises))
         return float(space.values(at)[k] if k < len(point) else 10 ** (at[first] - point[first]))
 
-    shares = np.array([0.5**k for k in range(10, -1, -1)])  # of the distance to the bound
+    shares = np.array([0.5**k for k in range(10, -1, -1)])  # shares of the distance to the bound
     steps = np.stack([down, up], axis=1)
     points = (point + shares[:, np.newaxis] * steps[:, :, np.newaxis]).reshape(-1, len(point))
     tried, of = np.unique(points, axis=0, return_inverse=True)  # a parameter at a bound moves one way only

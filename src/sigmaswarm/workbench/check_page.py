@@ -12,7 +12,7 @@ from sigmaswarm.workbench.parts import Page, button, card, line, link, message, 
 from sigmaswarm.workbench.plots import agreement_plot, show_map, time_plot
 from sigmaswarm.workbench.state import CHECKED, LEFT_OUT, Workbench
 
-SHORTEST = 30.0  # s, of a part that a button keeps
+SHORTEST = 30.0  # s, shortest part that a button keeps
 Step = dict[str, Any]
 """``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s."""
 Agreements = dict[str, Agreement]

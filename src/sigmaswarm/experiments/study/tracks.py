@@ -21,7 +21,7 @@ FOLLOWED: tuple[tuple[ProtocolName, str], ...] = (
 )
 """Tuned filters with saved tracks, in series such as ``honest-pso-ukf``."""
 MOST_DRIVES = 10
-MOST_POINTS = 700  # of a series, to limit the size of the page
+MOST_POINTS = 700  # largest number of points of a series, to limit the size of the page
 
 
 def follow(

@@ -76,7 +76,7 @@ class _Snapshot:
 
     logged: int  # number of logged steps
     time: float
-    fixed_at: float  # of the last fix before the snapshot, s
+    fixed_at: float  # time of the last fix before the snapshot, s
     lanes: Array  # (N_KEPT, LANES)
     evidence: Array
     ancestors: NDArray[np.intp]  # (LANES,): the snapshot's lanes from which the current lanes were copied

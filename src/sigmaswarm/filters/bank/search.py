@@ -33,7 +33,7 @@ from sigmaswarm.filters.student import INNOVATION_DOF
 GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9  # F and CR of differential evolution
 NOT_SCORED = 2.0  # s at the start of a replay, in which a filter with new offsets converges
-FEWEST_SCORED_FIXES = 8  # fewer scored fixes: no result
+FEWEST_SCORED_FIXES = 8  # smallest number of scored fixes for a result
 FARTHEST = 8.0  # bound of an offset, in its standard deviations
 
 

@@ -10,12 +10,12 @@ from sigmaswarm.filters.compiled.layout import CONSTANTS, LANES, LETTERS
 from sigmaswarm.filters.models import MODELS, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
-OFFSET_DOF = 4.0  # of Student's t, the distribution of offsets: most are small, those of another sensor large
+OFFSET_DOF = 4.0  # of Student's t, the prior of an offset: most are small, a few (another sensor) large
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
 """Standard deviations of offsets, decades of variance: noise of a state, walk of a bias, R, other measurements."""
-R_DOWN_STD = 0.45  # in the penalty of a smaller R; small, since fixes in a city are accurate until they jump
-SCALE_STD = 0.7  # of a common factor of all variances, which hardly changes the estimates
-START_STD = 1.5  # of the biases' initial variance, which is never below the tuning's in the first offsets
+R_DOWN_STD = 0.45  # standard deviation of a smaller R; fixes in a city are accurate until they jump
+SCALE_STD = 0.7  # same, of a common factor of all variances, which hardly changes the estimates
+START_STD = 1.5  # same, of the biases' initial variance; at first never below the tuning's
 AXLE_STD = 0.7  # m
 R, SCALE, START, AXLE = "r", "scale", "bias_start", "rear_axle"
 FIXED = (

@@ -42,7 +42,7 @@ class FuzzyNoise:
     tuned_process_noise: Array  # (n,), diagonal of Q per nominal step at a ratio of 1
     tuned_measurement_noise: Array  # (2,), diagonal of R at a ratio of 1
     memory: float  # weight of the previous average at each fix
-    widths: tuple[float, float]  # of the edges of ratio and trend
+    widths: tuple[float, float]  # widths of the edges of ratio and trend
     gains: tuple[float, float]  # largest factors of R and Q
     quick: float = 1.0  # averages of the ratio of the actual to the theoretical innovation covariance
     slow: float = 1.0

@@ -51,7 +51,7 @@ class CmaEs(AskTell):
         self.c_step = (mu + 2) / (d + mu + 5)  # (55)
         self.damping = 1 + 2 * max(0.0, np.sqrt((mu - 1) / (d + 1)) - 1) + self.c_step
         self.mu_eff = mu
-        self.expected_length = np.sqrt(d) * (1 - 1 / (4 * d) + 1 / (21 * d**2))  # of a normal vector
+        self.expected_length = np.sqrt(d) * (1 - 1 / (4 * d) + 1 / (21 * d**2))  # length of a normal vector
 
     def _restart(self, mean: Array) -> None:
         d = len(mean)
