@@ -254,7 +254,7 @@ def report(results: Any, out: str | Path | None = None) -> str:
     Raises
     ------
     InputError
-        If ``results`` has no page, or a file in the folder is missing or damaged.
+        If no page exists for the type of ``results``, or a file in the folder is missing or damaged.
     """
     from sigmaswarm.files import write_whole
     from sigmaswarm.reports.folders import read_report

@@ -146,7 +146,7 @@ class ClockOffset:
 
     @property
     def least(self) -> float:
-        """Smallest delay, s, that is an offset."""
+        """Smallest delay, s, that is reported as a clock offset."""
         return max(LEAST_OFFSET, CLEAR_OFFSET[0] * self.std)
 
     @property

@@ -56,8 +56,8 @@ def ros2(
     Raises
     ------
     InputError
-        If rosbags is not installed, a time is before 0, or ``merge`` is no bag of these times, is damaged, or already
-        has the topic. No file remains.
+        If rosbags is not installed, a time is before 0, or ``merge`` is damaged, covers other times, or already has the
+        topic. No file remains.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer

@@ -164,7 +164,7 @@ class Antenna:
         return state[:2] - self.latency * state[2:4] + (rotation(state) @ self.lever)[:2]
 
     def jacobian(self, state: Array) -> Array:
-        """Return H, (2, 12): e x R lever, position and velocity."""
+        """Return H, (2, 12): 1 for the position, -latency for the velocity, and e x R lever for the attitude."""
         east, north, up = rotation(state) @ self.lever
         h = np.zeros((2, N))
         h[:, :2], h[:, 2:4] = np.eye(2), -self.latency * np.eye(2)

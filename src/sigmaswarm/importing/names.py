@@ -111,7 +111,7 @@ _TRANSLATED = {
 
 @dataclass(frozen=True)
 class Name:
-    """Name of a column: unchanged, in lower case without its unit, and the unit."""
+    """Name of a column as in the table; ``plain`` is the name in lower case without its unit."""
 
     column: str
     plain: str

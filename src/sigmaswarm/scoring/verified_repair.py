@@ -24,7 +24,7 @@ WORSE = 1.05
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
 """Noise densities of planar8's states, unit/sqrt(s).
 
-With them, the filter follows the fixes over seconds and the IMU over shorter times.
+With these densities, the filter follows the fixes over seconds and the IMU over shorter times.
 """
 LEAST_STD = 0.5  # m, smallest assumed standard deviation of the fixes
 

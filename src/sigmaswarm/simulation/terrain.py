@@ -142,7 +142,7 @@ def _wander(rng: np.random.Generator, count: int, std: float, length: float, lim
 
 
 def lay_road(curvature: Array, terrain: Terrain, rng: np.random.Generator) -> Road:
-    """Draw the slopes of a road. ``curvature`` (p,), 1/m, is of the path, every `SPACING` m."""
+    """Draw the slopes of a road; ``curvature`` (p,), 1/m, is that of the path at each `SPACING` m."""
     length = len(curvature) * SPACING
     at = np.arange(-_BEYOND, length + _BEYOND, _KNOTS)
     grade = _wander(rng, len(at), terrain.grade_std, terrain.grade_length, terrain.grade_limit)

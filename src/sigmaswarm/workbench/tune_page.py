@@ -23,7 +23,7 @@ MODELS = {
     "tilted12": "tilted12",
 }
 STARTING = "reading the drives, to tune on them"
-"""Work that a change of a choice must not interrupt."""
+"""Work that continues if the user changes a choice."""
 COMPARED = 6
 Update = Callable[[], None]
 
