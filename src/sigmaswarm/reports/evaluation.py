@@ -48,9 +48,9 @@ from sigmaswarm.scoring.tracks import CLOSE_UP, MOVED, SHARES, Columns, Picture,
 from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, tuning_file
 from sigmaswarm.wording import names_shown
-"""Series of a track from bottom to top. The truth is drawn above the tuned filter, whose line is wider."""
+
 DRAWN = ("raw_gps", BASELINE, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth")
-"""Series of a track from bottom to top. The tuned filter has a wider line than the truth, so it is below."""
+"""Series of a track from bottom to top. The truth is drawn above the tuned filter, whose line is wider."""
 HEADING_SHOWN = (1.0, 30.0)
 """Limits of the range of the heading axis, deg, since a diverged filter has large errors."""
 
