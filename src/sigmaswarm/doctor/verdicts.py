@@ -14,7 +14,7 @@ from sigmaswarm.drives.drive import Array
 
 DEGREE = math.pi / 180
 FAMILIAR = 1.35
-"""Largest ratio to a known factor (1, -1, deg/s), or its inverse, at which a factor is that factor."""
+"""A factor within this ratio of a known factor (1, -1, deg/s), in either direction, is taken as that factor."""
 LEAST_SHARE = 0.2
 """Share of the course's changes that a column must explain, unless the gain is CERTAIN."""
 LEAST_TURN = 0.05

@@ -31,12 +31,12 @@ MICRO = 1_000_000
 SAME_TIME = 1000  # us, largest difference between the times of one landmark, after the clock offset
 SAME_PLACE = 3.0  # cm or 1e-7 deg (1.1 cm to the north), largest difference of one fix in two files
 SAME_RATE = 2e-4
-"""Largest difference between the logarithms of one yaw rate in two units, with 8 decimals."""
+"""Largest difference between the logarithms of equal yaw rates that were written with 8 decimals in two units."""
 MOVING = 1.5  # m/s, smallest speed between a landmark and a neighboring fix
 UNITS = math.log(180 / math.pi)
 """ln of the ratio of rad/s to deg/s; landmarks are the logarithms of yaw rates modulo this."""
 WIDTH = 0.4
-"""Width of the part of `UNITS` with landmarks, for a tenth of all samples: about those of 1 to 1.5 deg/s."""
+"""Width of the part of `UNITS` that contains landmarks: a tenth of all samples, about those of 1 to 1.5 deg/s."""
 MOST = 20_000
 """Largest number of yaw-rate landmarks; a long drive uses a smaller part of `UNITS`."""
 COMMON = 100  # occurrences in a drive; a more frequent yaw rate, as of a coarse gyro, is ignored

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 Nanoseconds = NDArray[np.int64]
 SECOND = 1_000_000_000
 LONG_AGO = 1_000_000 * SECOND
-"""Larger times (12 days) count from 1970 or from the start of a phone; a drive's times then begin at 0."""
+"""Times above 12 days count from 1970 or from the start of a phone; the drive's times then begin at 0."""
 GPS_EPOCH = 315_964_800
 """1980-01-06 (IS-GPS-200), s since 1970-01-01."""
 WEEK = 604_800

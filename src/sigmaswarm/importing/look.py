@@ -23,7 +23,7 @@ from sigmaswarm.importing.source import ROLES, Fault, Log, Role
 from sigmaswarm.importing.times import numbers_of, time_of
 
 SAMPLE = 5000
-"""Rows of a table from which ranges are computed."""
+"""Number of rows of a table from which ranges are computed."""
 LOOKED_AT = 25_000
 """Rows that are read if the rows of tables alternate; a table that does not occur in them has no values."""
 

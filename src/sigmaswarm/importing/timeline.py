@@ -26,7 +26,7 @@ FEWEST_ROWS = 20
 LEAST_FALL, STEPS = 0.2, 2
 """Smallest step back of a clock between recordings, in s and in median steps."""
 REPEATED = 0.02
-"""Share of rows with the time of the previous row, above which rows share stamps."""
+"""If a larger share of the rows repeats the time of the previous row, rows share stamps."""
 UNEVEN = 0.1
 """Largest share of stamps whose number of rows differs from the usual number."""
 

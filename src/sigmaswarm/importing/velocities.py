@@ -20,8 +20,8 @@ quantile of this ratio for a wrong unit, which gives a constant ratio."""
 MOVED = 0.3
 """Smallest share of the rows in motion that the compared stretches must contain."""
 ACROSS = np.radians(40)
-"""Smallest median difference between a course and that of the positions that is a contradiction. A course that lags in
-turns, or that of noisy positions, differs by less."""
+"""Median difference, rad, from the course of the positions at which a stated course contradicts them. A course that
+lags in turns, and one from noisy positions, differ by less."""
 FEWEST = 5
 """Smallest number of stretches for a contradiction."""
 _SPEED = ("speed", "course", "vx", "vy")

@@ -21,7 +21,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.tuning.problem import Problem
 
 FIRST = 12
-"""The race starts with this fraction of the drives: 1 / FIRST."""
+"""A race starts with 1 / FIRST of the drives."""
 MANY = 96
 """Smallest number of drives for a race against the leader; with fewer, 1/12 of them is too few for a test."""
 Order = Sequence[int] | NDArray[np.int64]

@@ -28,7 +28,7 @@ SCALING = (
     Dimension("beta", "beta", 0, 0.0, 3.0, spread=False),
     Dimension("kappa", "kappa", 0, 0.0, 5.0, spread=False),
 )
-"""The paper's bounds."""
+"""Scaling of the sigma points, with the paper's bounds."""
 OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "velocity": (Dimension("velocity_noise", "velocity_noise", 0, 1e-4, 10.0),),
     "lateral": (
@@ -57,7 +57,7 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     ),
 }
 TIME = "fix_error_time"
-"""Searched only with truth, since the likelihood hardly depends on it."""
+"""Parameter that is searched only with truth, since the likelihood hardly depends on it."""
 LEAST_WHITE = 0.04
 """Lower bound of R, relative to the receiver's variance, for fix-error without truth.
 

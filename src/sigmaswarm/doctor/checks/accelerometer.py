@@ -16,13 +16,13 @@ from sigmaswarm.drives.drive import Array, Imu
 
 MOUNTING = (math.radians(5), math.radians(10))  # rad about z, for a warning and for a serious finding
 TILT = (0.5, 1.2)
-"""Residuals of ax, ay for a warning and for a serious finding, m/s2. Those due to roads and to biases of cheap sensors
-are below the second.
+"""Residuals of ax, ay for a warning and for a serious finding, m/s2. Roads and the biases of cheap sensors cause
+residuals below the second limit.
 """
 SIZE = (0.3, 1.0)
 """Errors of the median specific force for a note and for a warning, m/s2.
 
-Those of cheap sensors reach 0.8 m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
+Errors of cheap sensors reach 0.8 m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
 """
 LIKELY, CLEAR = 2.5, 3.5
 """Ratios of a rotation to its standard deviation for a note and for a repair."""

@@ -31,7 +31,7 @@ sign is significant by 9.5 standard deviations or more.
 CLEAR = 7.0
 """Number of standard deviations of a significant sign; it is high, since neighboring changes share samples."""
 CLEARER = 2.0
-"""Smallest ratio of the significance of a column to that of the other."""
+"""Smallest ratio of the significance of a column to that of the other column."""
 OUTLYING = 3.0  # standard deviations from which a change is an outlier
 
 Follows = tuple[int, float, float]

@@ -24,8 +24,8 @@ WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 STANDS = 1.0  # m/s, speed below which a car may change between forward and reverse
 STEP = 2.0  # s, for changes of speed and the integral of ax
 CLEAR, LEAST = 3.0, 0.4
-"""Smallest slope of speed changes over the integral of ax that determines the direction: in standard deviations, and
-absolute."""
+"""Smallest slope, in standard deviations and absolute, with which a regression of speed changes on the integral of ax
+determines the direction."""
 
 
 def check_mounting(evidence: Evidence) -> Iterator[Finding]:

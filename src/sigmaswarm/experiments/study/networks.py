@@ -32,7 +32,7 @@ LEAST = 21.0
 ALONE = 80.0
 """Shortest drive, s after the filter's start, that suffices as the only training drive."""
 FEWEST = 3
-"""Smallest number of drives of which the last third is held back, for early stopping and calibration."""
+"""Smallest number of drives of which whole drives, the last third, are held back for early stopping and calibration."""
 
 
 @dataclass(frozen=True, eq=False)
