@@ -10,10 +10,10 @@ error on another car is 0.86 instead of 0.65 times that of the fixes. Without in
 heading error with a cheap IMU is 50% larger. The noises of heading and yaw rate in robot-localization are not inflated,
 since they do not depend on roads.
 
-A factor has no effect on a noise near zero. A filter with roll and pitch therefore has lower limits (`space.LEAST`), also
-if it is tuned with truth: tuned on one drive, its error on another car's drive is 0.8 instead of 1.7 m. On drives of the
-same car the limits change the error by -5 to +2%. With truth, three drives determine the deviations of the initial
-biases, so these have no limit then: it raised the heading error by 10%.
+A factor has no effect on a noise near zero. A filter with roll and pitch therefore has lower limits (`space.LEAST`),
+also if it is tuned with truth: with the limits, the error of a filter tuned on one drive is 0.8 instead of 1.7 m on
+another car's drive. On drives of the same car the limits change the error by -5 to +2%. Three drives with truth
+determine the deviations of the initial biases, which then have no limit: it would raise the heading error by 10%.
 """
 
 from concurrent.futures import Executor
