@@ -83,14 +83,14 @@ def test_something_else_in_the_way_is_named(tmp_path: Path):
     for path, said in (
         (tmp_path, "is a folder; name a file"),
         (tmp_path / "pipe", "is not a regular file"),
-        (tmp_path / "file" / "x", "can't be written (Not a directory); name another place"),
+        (tmp_path / "file" / "x", "can't be written (Not a directory); name another folder"),
         (tmp_path / "none" / "x", "can't be written (No such file or directory)"),
     ):
         with pytest.raises(InputError) as caught:
             write_whole(path, "")
         assert str(caught.value).startswith(f"{path}: {said}")
     with pytest.raises(
-        InputError, match=r"file: can't be made a folder \(File exists\); choose another --out"
+        InputError, match=r"file: can't be created as a folder \(File exists\); choose another --out"
     ):
         make_folder(tmp_path / "file")
     assert names(tmp_path) == ["file", "pipe"]
@@ -124,7 +124,8 @@ def test_a_full_disk_leaves_the_good_file_and_is_told_with_its_name(tmp_path: Pa
     (tmp_path / "x.csv").write_text("good")
     done = limited(script, tmp_path)
     assert done.stderr.splitlines()[-1] == (
-        "sigmaswarm.errors.InputError: x.csv: can't be written (File too large); free some space, or name another place"
+        "sigmaswarm.errors.InputError: x.csv: can't be written (File too large); free some space, or name another "
+        "folder"
     )
     assert (tmp_path / "x.csv").read_text() == "good"
     assert names(tmp_path) == ["x.csv"]
@@ -145,7 +146,7 @@ with whole_folder(Path("d"), replace=True) as new:
 
 
 def test_a_folder_that_somebody_made_meanwhile_stays(tmp_path: Path):
-    with pytest.raises(InputError, match="d: exists already; delete it"), whole_folder(tmp_path / "d") as new:
+    with pytest.raises(InputError, match="d: already exists; delete it"), whole_folder(tmp_path / "d") as new:
         new.mkdir()
         (tmp_path / "d").mkdir()
         (tmp_path / "d" / "theirs").touch()

@@ -32,7 +32,7 @@ def filter_of(given: Filter) -> FilterParameters:
         return FilterParameters.load(given)
     parameters = given.parameters if isinstance(given, Tuning) else given
     if not isinstance(parameters, FilterParameters):
-        raise InputError(f"got {type(parameters).__name__}; give FilterParameters, a Tuning or its path")
+        raise InputError(f"got {type(parameters).__name__}; pass FilterParameters, a Tuning or its path")
     return parameters
 
 
@@ -277,7 +277,7 @@ def report(results: Any, out: str | Path | None = None) -> str:
             text = page(read_report(kept))
     else:
         raise InputError(
-            f"a {type(results).__name__} has no page; give an Evaluation, a Tuning or a folder of results"
+            f"a {type(results).__name__} has no page; pass an Evaluation, a Tuning or a folder of results"
         )
     if out is not None:
         write_whole(Path(out), text)
@@ -318,5 +318,5 @@ def plot(what: Any, drive: str | None = None) -> "Figure":
     if isinstance(what, Comparison):
         return comparison_figure(what)
     raise InputError(
-        f"a {type(what).__name__} has no figure; give a Drive, an Evaluation, a Tuning or a Comparison"
+        f"a {type(what).__name__} has no figure; pass a Drive, an Evaluation, a Tuning or a Comparison"
     )

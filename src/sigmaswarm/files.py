@@ -65,7 +65,7 @@ def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{path}: can't be made a folder ({error.strerror}); {remedy}") from None
+        raise InputError(f"{path}: can't be created as a folder ({error.strerror}); {remedy}") from None
     return path
 
 
@@ -77,7 +77,7 @@ def held_folder(path: Path) -> Generator[Path]:
         lock = _lock(file, wait=False)
     except TimeoutError:
         raise InputError(
-            f"{path}: another run is writing to it; wait for its end, or choose another --out"
+            f"{path}: another run is writing to it; wait until that run ends, or choose another --out"
         ) from None
     # A run that was killed just after the last file of a subfolder left a lock file that no later write would find. No
     # run makes deeper folders, and a search of a user's whole tree would take long.
@@ -98,7 +98,7 @@ def whole_file(path: Path) -> Generator[BinaryIO]:
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if path.exists() and not path.is_file():  # as root, /dev/null could be replaced
-        raise InputError(f"{path}: is not a regular file; name another")
+        raise InputError(f"{path}: is not a regular file; name another file")
     with _staging(path) as new:
         part = _Part(str(new), "xb")
         try:
@@ -185,12 +185,12 @@ def _unwritable(path: Path, error: OSError) -> InputError:
     rust = re.search(r"\(os error (\d+)\)", str(error))  # polars gives the number in words
     number = int(rust[1]) if rust else error.errno
     if number in (EEXIST, ENOTEMPTY):
-        return InputError(f"{path}: exists already; delete it, or choose another name")
+        return InputError(f"{path}: already exists; delete it, or choose another name")
     reason = os.strerror(number) if number else str(error)
     remedy = (
-        "free some space, or name another place"
+        "free some space, or name another folder"
         if number in (ENOSPC, EDQUOT, EFBIG)
-        else "name another place"
+        else "name another folder"
     )
     return InputError(f"{path}: can't be written ({reason}); {remedy}")
 

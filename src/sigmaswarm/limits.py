@@ -69,7 +69,7 @@ def _require_lines(path: Path, file: BinaryIO) -> int:
         first, last = block.find(b"\n"), block.rfind(b"\n")
         if begun + (len(block) if first < 0 else first) > LONGEST_LINE:
             raise InputError(
-                f"{path}, row {lines + 1}: is longer than {LONGEST_LINE} bytes; the file is damaged, copy it again"
+                f"{path}, row {lines + 1}: is longer than {LONGEST_LINE} bytes; the file is damaged; copy it again"
             )
         begun = begun + len(block) if last < 0 else len(block) - last - 1
         lines += block.count(b"\n")

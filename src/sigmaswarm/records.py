@@ -15,8 +15,8 @@ from sigmaswarm.limits import MOST_JSON, read_bounded, read_toml_text
 from sigmaswarm.wording import first_mistake, shown
 
 R = TypeVar("R")
-ARRAYS = ConfigDict(arbitrary_types_allowed=True, extra="forbid")  # for the record of an npz file
-DAMAGED = "not a result of sigmaswarm, or a damaged one"
+ARRAYS = ConfigDict(arbitrary_types_allowed=True, extra="forbid")  # of a record of an npz file
+DAMAGED = "not a result of sigmaswarm, or damaged"
 MISSING = "repeat the command that made the folder"
 
 

@@ -189,7 +189,7 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     careful = sum(c["mean_nis"] < c["nis_band_95"][0] for c in consistent.values())
     assert careful
     assert (
-        f"On {careful} of 2 drives the filter is too cautious: the sigmas of its predictions are "
+        f"On {careful} of 2 drives the filter is underconfident: the sigmas of its predictions are "
         in ended.out
     )
     assert ended.out.endswith("next: sigmaswarm report e\n")
@@ -251,7 +251,7 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
     shown = sigmaswarm("evaluate", tuned, "blind", drives / "urban-clear-00", "--verbose").out
     assert "RMSE" in shown
     assert "raw GPS" in shown
-    assert "\nurban-clear-03: without truth there are no errors of position and heading." in shown
+    assert "\nurban-clear-03: without truth, errors of position and heading can't be computed." in shown
     assert shown.count("Position error on") == 1, "where there is truth, it tells"
     assert shown.endswith("next: repeat this command with --out evaluation to get figures and a page\n")
 

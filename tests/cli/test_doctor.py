@@ -199,4 +199,4 @@ def test_copies_replace_earlier_ones_only_on_request_and_never_the_drive(sigmasw
     assert sigmaswarm("convert", sick, "--to", "csv", drive.parent).code == 0
     for command in (("doctor", drive, "--fix", drive.parent), ("convert", drive, drive.parent)):
         ended = sigmaswarm(*command, "--overwrite")
-        assert ended.code == 2 and "is a drive that is read; name another folder" in ended.err
+        assert ended.code == 2 and "is a drive that this command reads; name another folder" in ended.err

@@ -35,7 +35,7 @@ def test_c_of_a_tuning_with_a_mounting_says_so(sigmaswarm: Command, tuned: Path,
         return "tuning.toml"
 
     said = sigmaswarm("export", mounted(0.0, 10.5, 90.0), "--to", "c99", "--out", "c").out
-    assert "as imported, by the mounting of the training drives (0, 10.5, 90 deg)" in said
+    assert "by the mounting of the training drives (0, 10.5, 90 deg)" in said
     assert "ins_gps_turn_imu" in Path("c/ins_gps.c").read_text()
     assert "ins_gps_turn_imu" not in sigmaswarm("export", tuned, "--to", "c99", "--out", "d").out
     ended = sigmaswarm("export", mounted(0.0, np.nan, 90.0), "--to", "c99", "--out", "e")
@@ -79,7 +79,7 @@ def test_lanes_are_checked_against_the_swarm(sigmaswarm: Command, tuned: Path, d
     assert "#define INS_GPS_LANES 3" in Path("c/ins_gps.h").read_text()
     wrong = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--lanes", 17)
     assert (wrong.code, wrong.err.count("\n")) == (2, 1)
-    assert "lanes = 17: out of range; give 2 to 16" in wrong.err
+    assert "lanes = 17: out of range; choose 2 to 16" in wrong.err
     wrong = sigmaswarm("export", tuned, "--to", "filterpy", "--out", "py", "--lanes", 4)
     assert wrong.code == 2
     assert "--lanes is for --to c99 only" in wrong.err
@@ -183,7 +183,7 @@ def test_a_place_that_is_none_is_refused(
     assert ended.code == 2
     assert (
         ended.err
-        == f"sigmaswarm: --origin '{place}' is not a place; write LAT,LON in degrees, for example 49.011,8.416\n"
+        == f"sigmaswarm: --origin '{place}' is not a position; write LAT,LON in degrees, for example 49.011,8.416\n"
     )
     assert list(here.iterdir()) == []
 

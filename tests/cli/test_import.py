@@ -75,7 +75,7 @@ def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     assert "wrote drives/monday: 40.0 s" in ended.out
     assert "importing" in ended.err  # progress
     then, held = ended.out.splitlines()[-2:]
-    assert held.endswith("or a part of this one first: sigmaswarm split drives/monday --out parts)")
+    assert held.endswith("or first split this drive: sigmaswarm split drives/monday --out parts)")
     # Its speeds are drawn by chance, which no repair mends.
     assert "next: sigmaswarm doctor drives/monday    (then correct the other faults in the log)" in ended.out
     assert then == "then: sigmaswarm tune drives/monday --out tuned"
@@ -165,7 +165,7 @@ def test_options_reach_the_drive(sigmaswarm: Command, here: Path, bagged: bytes)
     ("arguments", "said"),
     [
         (("nowhere", "--out", "out"), "nowhere does not exist"),
-        (("log.mcap",), "--out is missing: give a folder for the drive"),
+        (("log.mcap",), "--out is missing: specify a folder for the drive"),
         (("log.mcap", "--out", "out", "--format", "rosbag"), "--format 'rosbag' is unknown; perhaps"),
         (("log.mcap", "--out", "out", "--format", "ros"), "log.mcap"),
         (("notes.md", "--out", "out"), "has an unknown format"),
@@ -338,10 +338,10 @@ def test_nothing_that_is_read_is_overwritten(sigmaswarm: Command, here: Path, tu
     for source, more in ((drive, ()), (drive / "imu.csv", ("--gps", drive / "gps.csv"))):
         ended = sigmaswarm("import", source, *more, "--out", drive, "--overwrite")
         assert (ended.code, ended.err.count("\n")) == (2, 1)
-        assert "contains a log that is read; choose another folder" in ended.err
+        assert "contains a log that this command reads; choose another folder" in ended.err
     for option in ("--out", "--before"):
         also = () if option == "--out" else ("--out", "estimate.csv")
         ended = sigmaswarm("run", tuned, drive, option, drive / "gps.csv", *also)
         assert (ended.code, ended.err.count("\n")) == (2, 1)
-        assert "is a file of the drive that is read; choose another file" in ended.err
+        assert "is a file of the drive that this command reads; choose another file" in ended.err
     assert {file.name: file.read_bytes() for file in drive.iterdir()} == before

@@ -162,7 +162,7 @@ def test_a_full_disk_leaves_what_was_there(
     assert done.returncode == 2, done.stderr
     told = [line for line in done.stderr.splitlines() if line.startswith("sigmaswarm: ")]
     assert len(told) == 1
-    assert "can't be written (File too large); free some space, or name another place" in told[0]
+    assert "can't be written (File too large); free some space, or name another folder" in told[0]
     assert "out" in told[0]
     left = tree(Path("out"))
     assert set(old) <= set(left)
@@ -220,7 +220,7 @@ def test_a_disk_that_is_really_full(sigmaswarm, arguments, monkeypatch: pytest.M
         assert ended.code == 2
         assert ended.err == (
             "sigmaswarm: out/e.csv: can't be written (No space left on device); free some space, or name another "
-            "place\n"
+            "folder\n"
         )
         assert tree(Path("out")) == {"e.csv": b"good"}
     finally:
@@ -235,7 +235,7 @@ def test_two_runs_into_one_bag(sigmaswarm, arguments):
     assert {code for _, code in ended} <= {0, 2}
     assert 0 in {code for _, code in ended}
     for said, code in ended:
-        assert not code or "out/e.ros2: exists already" in said
+        assert not code or "out/e.ros2: already exists" in said
     assert sorted(p.name for p in Path("out").iterdir()) == ["e.ros2"]
     found = sorted(p.name for p in Path("out/e.ros2").iterdir())
     assert found == ["e.ros2.mcap", "foxglove-layout.json", "metadata.yaml"]

@@ -150,7 +150,7 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "unknown-command": (nothing, "tone good", ["tone", "tune"]),
     "unknown-option": (nothing, "tune good --out t --partikles 3", ["--partikles"]),
     "no-drive": (nothing, "tune --out t", ["DRIVE"]),
-    "no-out": (nothing, "tune good", ["--out is missing: give a folder for the result"]),
+    "no-out": (nothing, "tune good", ["--out is missing: specify a folder for the result"]),
     "misspelt-out": (nothing, "tune good --ouy t", ["--out", "Did you mean"]),
     "empty-out": (nothing, "tune good --out", ["--out", "requires an argument"]),
     "folder-without-drives": (
@@ -222,7 +222,7 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "compare-unknown-scale": (nothing, "compare good --out c --scales cubic", ["cubic", "log10"]),
     "compare-no-seeds": (nothing, "compare good --out c --seeds 0", ["seeds = 0"]),
     "compare-no-workers": (nothing, "compare good --out c --workers 0", ["workers", "0"]),
-    "compare-no-out": (nothing, "compare good", ["--out is missing: give a folder for the result"]),
+    "compare-no-out": (nothing, "compare good", ["--out is missing: specify a folder for the result"]),
     "compare-no-validation-drive": (
         nothing,
         "compare good --out c --validation nowhere",
@@ -230,11 +230,11 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     ),
     "compare-out-is-a-file": (file("c"), "compare good --out c", ["c:", "folder", "--out"]),
     "no-tuning": (nothing, "evaluate nowhere good", ["nowhere", "no such file"]),
-    "evaluate-swapped": (nothing, "evaluate good tuning.toml", ["good: is a drive", "give the tuning first"]),
+    "evaluate-swapped": (nothing, "evaluate good tuning.toml", ["good: is a drive", "pass the tuning first"]),
     "run-swapped": (
         nothing,
         "run good tuning.toml --out x.csv",
-        ["good: is a drive", "give the tuning first"],
+        ["good: is a drive", "pass the tuning first"],
     ),
     "tuning-without-filter": (file("p.toml", "a = 1"), "evaluate p.toml good", ["p.toml", "[filter]"]),
     "tuning-broken": (file("p.toml", "a ="), "evaluate p.toml good", ["p.toml", "not readable"]),
@@ -251,7 +251,7 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "run-no-suffix": (nothing, "run tuning.toml good --out x", ["x:", ".csv", ".tum"]),
     "run-no-such-folder": (nothing, "run tuning.toml good --out no/x.csv", ["no", "no such folder"]),
     "run-out-is-a-folder": (folder("x.csv"), "run tuning.toml good --out x.csv", ["x.csv", "folder"]),
-    "run-no-out": (nothing, "run tuning.toml good", ["--out is missing: give a file for the result"]),
+    "run-no-out": (nothing, "run tuning.toml good", ["--out is missing: specify a file for the result"]),
     "run-two-drives": (nothing, "run tuning.toml good good --out x.csv", ["good"]),
     "run-negative-variance": (
         file(
@@ -261,7 +261,7 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
         "run p.toml good --out x.csv",
         ["p.toml", "process_noise[3]", "-1", "positive"],
     ),
-    "simulate-no-out": (nothing, "simulate", ["--out is missing: give a folder"]),
+    "simulate-no-out": (nothing, "simulate", ["--out is missing: specify a folder"]),
     "simulate-no-runs": (nothing, "simulate --out s --runs 0", ["--runs"]),
     "simulate-negative-runs": (nothing, "simulate --out s --runs -2", ["--runs", "-2"]),
     "simulate-unknown-maneuver": (

@@ -74,8 +74,8 @@ def test_a_tuning(sigmaswarm, tuned: Path, here: Path):
 
 
 MISTAKES = {
-    "nothing": ([], "give either a LOG or --tuned TUNING"),
-    "both": (["LOG", "--tuned", "x"], "give either a LOG or --tuned TUNING"),
+    "nothing": ([], "specify either a LOG or --tuned TUNING"),
+    "both": (["LOG", "--tuned", "x"], "specify either a LOG or --tuned TUNING"),
     "no-file": (["absent.csv"], "absent.csv"),
     "short": (["short.csv"], "short.csv: the log is 4.95 s long: it has no standstill of 10 s"),
     "moves": (["moving.csv"], "moving.csv: the log moves: it has no standstill of 10 s"),

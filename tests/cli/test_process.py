@@ -51,7 +51,7 @@ def test_a_mistake_is_one_line_and_exit_code_2():
     assert (done.returncode, done.stdout) == (2, "")
     assert (
         done.stderr
-        == "sigmaswarm: nowhere: no such file; give a tuning.toml or the folder that contains it\n"
+        == "sigmaswarm: nowhere: no such file; name a tuning.toml or the folder that contains it\n"
     )
 
 

@@ -181,7 +181,7 @@ def test_the_command_tells_a_cluster_that_is_not_there_in_one_line(folders, tmp_
         main()
     assert ended.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("sigmaswarm: --cluster tcp://127.0.0.1:1: no scheduler answers there")
+    assert line.startswith("sigmaswarm: --cluster tcp://127.0.0.1:1: no scheduler answers at this address")
 
 
 def test_all_drives_that_cannot_be_read_are_named_first(client, folders, tmp_path):
@@ -236,7 +236,7 @@ def test_a_worker_with_another_version_is_refused(processes, folders):
         with connected(str(processes.file)) as client:
             client.wait_for_workers(3, timeout=60)
             with pytest.raises(
-                ClusterError, match=r"^worker tcp://127.*: has sigmaswarm 0\.0\.1, this machine "
+                ClusterError, match=r"^worker tcp://127.*: has sigmaswarm 0\.0\.1, but this machine has "
             ):
                 tune(folders, cluster=client, **SMALL)
     finally:
@@ -246,11 +246,11 @@ def test_a_worker_with_another_version_is_refused(processes, folders):
 @pytest.mark.parametrize(
     ("address", "said"),
     [
-        ("tcp://127.0.0.1:1", "no scheduler answers there"),
+        ("tcp://127.0.0.1:1", "no scheduler answers at this address"),
         ("tcp://127.0.0.1", "write it as tcp://host:8786"),
         ("tls://127.0.0.1:8786", "create a Client in Python"),
         ("nowhere.json", "is neither an address like tcp://host:8786 nor an existing scheduler file"),
-        ("local:none", "give the number of processes, for example local:4"),
+        ("local:none", "specify the number of processes, for example local:4"),
     ],
 )
 def test_an_address_that_is_none_is_one_line(address, said, monkeypatch):

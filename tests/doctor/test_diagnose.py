@@ -369,19 +369,19 @@ def test_a_deviation_below_that_of_every_receiver_is_contradicted_by_the_noise_f
 def test_the_options_follow_from_the_log():
     drive = simulated("mpu-6050")
     n, rng = len(drive.gps), np.random.default_rng(0)
-    six = "tune takes --model tilted12 --use lateral standstill robust: "
+    six = "tune uses --model tilted12 --use lateral standstill robust: "
     tilts = "the IMU has az, gx and gy, which distinguish hills from motion"
     assert found_of(drive, "use") == six + tilts
     planar = replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None))
-    assert found_of(planar, "use") == "tune takes --model planar8 --use lateral standstill robust"
+    assert found_of(planar, "use") == "tune uses --model planar8 --use lateral standstill robust"
     varied = states(drive, rng.uniform(0.5, 2.0, n))
     assert found_of(varied, "use").startswith(
-        "tune takes --model tilted12 --use lateral standstill accuracy robust: the stated standard deviations"
+        "tune uses --model tilted12 --use lateral standstill accuracy robust: the stated standard deviations"
     )
     velocity = simulated("icm-20602")  # its receiver gives speed and course, and its errors are correlated
     few = "; with 250 fixes or more for training also fix-error"
     lasting = f"{few}, since the fixes differ by less than the receiver's error"
-    may = "; you may add velocity to --use: the receiver gives speed and course"
+    may = "; you may add velocity to --use: the receiver measures speed and course"
     assert found_of(velocity, "use") == six + tilts + may, "with truth, fix-error is not added"
     velocity = replace(velocity, truth=None)
     assert found_of(velocity, "use") == six + tilts + lasting + may
@@ -423,7 +423,7 @@ def test_a_velocity_that_fits_better_later_is_not_recommended():
 def test_a_city_s_receiver():
     kingston = recorded("kingston-1")
     asked = "--model planar8 --use lateral standstill accuracy robust:"
-    assert found_of(kingston, "use").startswith(f"tune takes {asked}")
+    assert found_of(kingston, "use").startswith(f"tune uses {asked}")
     assert "the receiver states 2.6 m" in found_of(kingston, "gps-correlated")
     assert found_of(kingston, "gps-repeats").startswith("18 fixes")
 

@@ -230,11 +230,11 @@ def test_a_car_that_never_moves_can_not_be_aligned(gps_std: float):
     [
         (
             standing_then_going(2.0, duration=60.0, gps_rate=1 / 3),
-            r"its fixes come every 3 s.*log the receiver at 1 Hz",
+            r"its fixes come every 3 s.*record fixes at 1 Hz",
         ),
         (
             standing_then_going(1e9, duration=60.0, gps_std=15.0),
-            r"never as the IMU measured.*doctor",
+            r"never agrees with the IMU.*doctor",
         ),
         (standing_then_going(1e9, duration=60.0), r"never travels 20 m within 6 s.*\(12 km/h for 6 s\)"),
         (
@@ -255,7 +255,7 @@ def test_of_four_fixes_far_apart_their_rate_is_told():
     """The car travels 20 m between any two of them."""
     drive = standing_then_going(2.0, duration=31.0, gps_rate=0.1)
     assert len(drive.gps.time) == ALIGNMENT_FIXES
-    with pytest.raises(AlignmentError, match=r"its fixes come every 10 s, .*log the receiver at 1 Hz"):
+    with pytest.raises(AlignmentError, match=r"its fixes come every 10 s, .*record fixes at 1 Hz"):
         initial_state(drive)
 
 

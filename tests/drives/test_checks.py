@@ -102,7 +102,7 @@ def test_exchanged_axes(level: str, sign: int, has_az: bool):
     exchanged = {level: sign * drive.imu.az, "az": getattr(drive.imu, level) if has_az else None}
     messages = warnings_of(imu_with(drive, **exchanged))
     assert (
-        f"imu.csv: column {level} has median {sign * GRAVITY:.2f} m/s2: this is gravity, which az must contain"
+        f"imu.csv: column {level} has median {sign * GRAVITY:.2f} m/s2: this is gravity, which must be in az"
         in messages[0]
     )
     assert "to x forward, y left, z up: import with --mount auto" in messages[0]
@@ -128,7 +128,7 @@ def test_gaps_in_each_file():
     one = without(drive, "imu", 20.0, 20.5)
     message = only(without(one, "imu", 40.0, 41.5))
     assert "imu.csv: 2 gaps, the longest 1.51 s after t = 39.99 s (usual interval 0.010 s)" in message
-    assert "with the mean of the samples around it, and its covariance grows" in message
+    assert "uses the mean of the samples before and after it, and increases its covariance" in message
     assert "imu.csv: 1 gap, the longest 0.51 s after t = 19.99 s" in only(one)
     assert "gps.csv: 1 gap, the longest 3.20 s after t = 9.90 s (usual interval 0.200 s)" in only(
         without(drive, "gps", 10.0, 13.0)
@@ -142,7 +142,7 @@ def test_a_drive_s_gaps_are_told_in_one_sentence():
     )
     for file in ("imu", "gps", "truth"):
         assert message.count(f"{file}.csv: 1 gap") == 1
-    assert message.endswith("if the car maneuvered there, split the drive")
+    assert message.endswith("if the car maneuvered during the gap, split the drive")
 
 
 @pytest.mark.parametrize(("table", "length"), [("imu", 0.085), ("gps", 1.7), ("truth", 1.9)])
@@ -163,8 +163,8 @@ def test_fixes_outside_of_the_imus_time_are_counted(begin: float, end: float, en
     gps, imu = whole.gps.time, drive.imu.time
     count, n = np.count_nonzero((gps < imu[0]) | (gps > imu[-1])), len(gps)
     assert only(drive) == (
-        f"gps.csv: {count} of {n} fixes lie outside of the IMU's time, {ends}, and are not used; nothing to do if the "
-        "receiver recorded for longer; else put both on one clock"
+        f"gps.csv: {count} of {n} fixes lie outside of the IMU's time, {ends}, and are not used; no action is needed "
+        "if the receiver recorded for longer; otherwise convert both to one clock"
     )
 
 

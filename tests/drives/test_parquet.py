@@ -121,7 +121,7 @@ def test_what_may_be_a_secret_is_not_said():
 def test_convert_does_not_write_into_a_drive(tmp_path: Path, folder: Path):
     other = write_drive(make_drive(duration=20.0), tmp_path / "other")
     with pytest.raises(
-        InputError, match="other: is a drive; give a folder for the converted drives as the last argument"
+        InputError, match="other: is a drive; pass a folder for the converted drives as the last argument"
     ):
         convert(str(folder), str(other))
     convert(str(folder), str(tmp_path / "out"), to="csv")

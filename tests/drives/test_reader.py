@@ -99,8 +99,8 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
         lambda f: (shutil.rmtree(f), f.write_text("")),
         ["good", "is a file, not a folder", "name a folder"],
     ),
-    "imu-missing": (delete("imu.csv"), ["imu.csv", "is missing", "needs it"]),
-    "gps-missing": (delete("gps.csv"), ["gps.csv", "is missing", "needs it"]),
+    "imu-missing": (delete("imu.csv"), ["imu.csv", "is missing", "needs this file"]),
+    "gps-missing": (delete("gps.csv"), ["gps.csv", "is missing", "needs this file"]),
     "toml-missing": (delete("drive.toml"), ["drive.toml", "is missing", 'frame = "enu"']),
     "file-empty": (text("imu.csv", ""), ["imu.csv", "is empty", "header line"]),
     "lever-arm-number": (
@@ -121,7 +121,7 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
     ),
     "mounting-large": (
         text("drive.toml", "imu_mounting_deg = [0.0, 0.0, 361.0]"),
-        ["drive.toml", "is not an angle; give roll, pitch and yaw in degrees"],
+        ["drive.toml", "is not an angle; specify roll, pitch and yaw in degrees"],
     ),
     "std-zero": (text("drive.toml", "gps_std_m = 0"), ["drive.toml", "gps_std_m = 0", "positive"]),
     "name-with-slash": (text("drive.toml", 'name = "../up"'), ["drive.toml", "'../up'", "slashes"]),

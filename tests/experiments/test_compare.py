@@ -154,7 +154,7 @@ def test_the_tables_say_what_the_runs_were(whole):
     assert comparison.frame["cost_p"].to_list()[1:] == holm(raw)
     said = (folder / "comparison.md").read_text()
     assert "3 seeds, 24 evaluations each" in said
-    assert said.endswith("\n\nToo few seeds for a test, which needs 6 or more.\n")
+    assert said.endswith("\n\nThere are too few seeds for a test, which needs 6 or more.\n")
     header, _, _, random, *_ = (line.split(" | ") for line in said.splitlines())
     low, middle, high = sorted(costs)
     assert random[2:5] == [f"{middle:.4g} [{low:.4g}, {high:.4g}]", f"{high:.4g}", "-"]
@@ -176,7 +176,7 @@ def test_with_enough_seeds_the_table_has_tests(whole):
     enough = replace(few, runs={label: runs * 2 for label, runs in few.runs.items()})
     assert enough.seeds == 6 == FEWEST_SEEDS
     table = comparison_table(enough)
-    assert "Too few" not in table.to_markdown()
+    assert "too few" not in table.to_markdown()
     assert [row[5] for row in table.rows] == enough.frame["cost_p"].to_list()
     assert signed_rank(np.arange(1.0, FEWEST_SEEDS + 1), np.zeros(FEWEST_SEEDS)) < 0.05
     assert signed_rank(np.arange(1.0, FEWEST_SEEDS), np.zeros(FEWEST_SEEDS - 1)) > 0.05

@@ -220,7 +220,7 @@ def test_drives_that_are_too_short_are_told_before_anything_is_tuned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(Search, "trial", lambda *_: pytest.fail("tuned already"))
-    with pytest.raises(InputError, match=r"too few data to train networks.*add drives"):
+    with pytest.raises(InputError, match=r"too little data to train networks.*add drives"):
         run_study(TINY.model_copy(update={"maneuvers": ("brake",)}), tmp_path / "out")
 
 

@@ -49,7 +49,7 @@ def test_a_replay_comes_beside_the_c_library(tmp_path: Path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"nominal_interval": None}, "does not state the IMU interval .* add nominal_interval"),
+        ({"nominal_interval": None}, "does not contain the IMU interval .* add nominal_interval"),
         ({"process_noise": (1e-3, -1e-3, 1e-3, 1e-3, 1e-3)}, "variance of the filter is not positive"),
         ({"measurement_noise": (0.0, 1.0)}, "variance of the filter is not positive"),
     ],
@@ -69,5 +69,5 @@ def test_what_was_asked_for_wrongly_is_said(tmp_path: Path):
     with pytest.raises(InputError, match="--replay is for --to c99 only"):
         export_filter(P, "filterpy", tmp_path, replay=make_drive(duration=8.0))
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"file: can't be made a folder .*; choose another --out"):
+    with pytest.raises(InputError, match=r"file: can't be created as a folder .*; choose another --out"):
         export_filter(P, "c99", tmp_path / "file")

@@ -155,7 +155,7 @@ def test_failure_of_a_negative_variance_is_said():
     assert estimate.failure is not None
     first = estimate.time[np.flatnonzero(np.isnan(estimate.mean[:, 0]))[0]]
     assert f"t = {first:.3f} s" in estimate.failure
-    assert "variances positive" in estimate.failure
+    assert "variances are positive" in estimate.failure
 
 
 def test_a_sound_filter_says_nothing():

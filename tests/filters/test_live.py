@@ -99,7 +99,7 @@ def test_live_weighs_fixes_as_the_run_does(model: str, kind: str, option: str, l
 @pytest.mark.parametrize("std", [None, (1.0, math.nan), (-1.0, 1.0), (math.inf, 1.0)])
 def test_a_filter_that_goes_by_accuracy_needs_it(std: tuple[float, float] | None):
     filter = LiveFilter(parameters("planar5", accuracy_scale=0.4), start(), nominal_interval=0.01)
-    with pytest.raises(InputError, match="give two standard deviations in m"):
+    with pytest.raises(InputError, match="pass two standard deviations in m"):
         filter.update(start().time + 0.1, (0.0, 0.0), std=std)
     assert filter.update(start().time + 0.1, (0.0, 0.0), std=(1.0, 2.0))
 

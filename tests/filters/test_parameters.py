@@ -82,7 +82,8 @@ def test_a_filter_that_goes_by_accuracy_refuses_a_drive_that_states_none():
     drive, p = make_drive(duration=20.0), replace(GOOD, accuracy_scale=1.0)
     for run in (run_filter, run_textbook):
         with pytest.raises(
-            InputError, match=r"synthetic: the filter weighs .* no std_x and std_y for all fixes; use"
+            InputError,
+            match=r"synthetic: the filter weights .* does not contain std_x and std_y for all fixes; use",
         ):
             run(drive, p)
     n = len(drive.gps)
@@ -234,7 +235,7 @@ def test_a_bad_file_is_refused_in_one_line(tmp_path: Path, case: str):
 
 
 def test_a_missing_file_and_a_folder_without_one(tmp_path: Path):
-    with pytest.raises(InputError, match=r"nowhere.toml: no such file; give a tuning.toml or the folder"):
+    with pytest.raises(InputError, match=r"nowhere.toml: no such file; name a tuning.toml or the folder"):
         FilterParameters.load(tmp_path / "nowhere.toml")
     with pytest.raises(InputError, match=r"tuning.toml: no such file"):
         FilterParameters.load(tmp_path)

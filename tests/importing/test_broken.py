@@ -314,9 +314,9 @@ def test_times_beyond_64_bits_are_left_out(tmp_path: Path, system: str):
     lines[21] = "9" * 30 + "," + lines[21].partition(",")[2]
     (folder / "Gyroscope.csv").write_text("\n".join(lines))
     got = imported(folder)
-    assert any("left out 2 rows of Gyroscope.csv, which have no time" in note for note in got.notes), (
-        got.notes
-    )
+    assert any(
+        "2 rows of Gyroscope.csv are left out, since they have no time" in note for note in got.notes
+    ), got.notes
     np.testing.assert_allclose(got.drive.imu.ax, IMU.ax, atol=1e-9)
     assert look(Request(folder)).tables
 
@@ -332,7 +332,7 @@ def test_times_of_px4_beyond_64_bits_are_left_out(tmp_path: Path):
         data[at : at + 8] = struct.pack("<Q", 2**64 - 7)
     (tmp_path / "f.ulg").write_bytes(data)
     got = imported(tmp_path / "f.ulg")
-    assert any("which have no time" in note for note in got.notes)
+    assert any("since they have no time" in note for note in got.notes)
     np.testing.assert_array_equal(got.drive.imu.ax, np.delete(whole.imu.ax, 50))
     assert look(Request(tmp_path / "f.ulg")).tables
 
@@ -536,7 +536,7 @@ def test_quotes_that_are_closed_may_hold_line_breaks(tmp_path: Path):
 def test_a_velocity_of_one_axis_is_left_out(tmp_path: Path, lone: str):
     got = imported(table(tmp_path, f"t,ax,ay,gz,x,y,{lone}", *(row + ",1" for row in ROWS)))
     assert got.drive.gps.speed is None
-    assert any(f"gps: {lone} left out" in note for note in got.notes)
+    assert any(f"gps: {lone} is left out" in note for note in got.notes)
 
 
 def test_an_endless_cell_is_shown_cut(tmp_path: Path):
@@ -579,8 +579,8 @@ def drive(tmp_path: Path) -> Path:
         ("gps_std_m = [1.0]", "can't be used"),
         ("gps_std_m = 0x" + "f" * 5000, "can't be used"),
         ("gps_lever_arm_m = [1, 0x" + "f" * 400 + "]", "can't be used"),
-        ("origin = [50, 8, 0x" + "f" * 400 + "]", "is not a place"),
-        ("origin = [50, 8, 1e300]", "is not a place"),
+        ("origin = [50, 8, 0x" + "f" * 400 + "]", "is not a position"),
+        ("origin = [50, 8, 1e300]", "is not a position"),
         ("frame = [[1], [2]]", "is unknown"),
         ('frame = "' + "x" * 5000 + '"', "is unknown"),
     ],

@@ -223,7 +223,7 @@ def test_one_table_for_all_with_fixes_repeated(tmp_path: Path):
     got = imported(tmp_path / "all.csv")
     np.testing.assert_allclose(got.drive.gps.lat, gps.lat)
     assert np.all((got.drive.gps.time - gps.time >= 0) & (got.drive.gps.time - gps.time < 0.011))
-    assert any("repeat the position" in note for note in got.notes)
+    assert any("repeat the previous position" in note for note in got.notes)
 
 
 def test_one_table_for_all_with_empty_cells(tmp_path: Path):
@@ -852,7 +852,8 @@ def test_a_log_without_a_gyro_is_named(tmp_path: Path):
     imu = DRIVE.imu
     pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "az": imu.az}).write_csv(tmp_path / "log.csv")
     with pytest.raises(
-        InputError, match=r"it has accelerations, but no column is known as an angular rate\); .*--map"
+        InputError,
+        match=r"the log has accelerations, but no column is recognized as an angular rate\); .*--map",
     ):
         imported(tmp_path / "log.csv")
 

@@ -113,14 +113,14 @@ def test_hard_iron_within_two_percent_and_no_heading_near_steel(tmp_path: Path, 
 
 def test_too_little_turning_is_refused(tmp_path: Path):
     folder, _, _ = a_log(tmp_path / "log", "highway")
-    with pytest.raises(InputError, match=r"covers [7-9]0 of 360 deg while it moves, too little"):
+    with pytest.raises(InputError, match=r"cover [7-9]0 of 360 deg while the vehicle moves, too little"):
         imported(folder, maps=MAPS, choice=TABLE)
 
 
 def test_a_field_that_does_not_turn_with_the_drive_is_refused(tmp_path: Path):
     folder, _, _ = a_log(tmp_path / "log", "block")
     maps = ("mag.mx=mag_z", "mag.my=0.3*sin(t/7)")
-    with pytest.raises(InputError, match="does not turn as the drive does"):
+    with pytest.raises(InputError, match="does not rotate like the vehicle"):
         imported(folder, maps=maps, choice=TABLE)
 
 
@@ -134,7 +134,7 @@ def test_axes_of_the_wrong_hand_or_turned_ones_change_no_heading(tmp_path: Path)
         off, known = errors_of(got.drive, right.heading)
         np.testing.assert_array_equal(known, right.std_heading < np.pi)
         assert np.abs(off[known]).max() < 1e-6
-        assert any("turn the wrong way round" in note for note in got.notes) == wrong
+        assert any("rotate in the wrong direction" in note for note in got.notes) == wrong
     for options, said in (
         (
             {"maps": mirrored, "choice": TABLE, "recipe": Recipe(declination_deg=4.0)},
@@ -179,9 +179,9 @@ def test_without_a_choice_a_magnetometer_changes_nothing(tmp_path: Path):
     assert got.drive.gps.heading is None and "mag" not in got.recipe.roles
     assert "declination" not in got.recipe.to_toml()
     maps = ("gps.heading=x/1000", "gps.std_heading=0.1", *MAPS)
-    with pytest.raises(InputError, match="the fixes have a heading already"):
+    with pytest.raises(InputError, match="the fixes already have a heading"):
         imported(folder, maps=maps, choice=TABLE)
-    with pytest.raises(InputError, match="nothing gives mx"):
+    with pytest.raises(InputError, match="no column contains mx"):
         imported(folder, choice=Choice({"mag": "gps.csv"}), maps=("mag.mx=", "mag.my="))
 
 

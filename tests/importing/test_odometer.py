@@ -79,7 +79,7 @@ def bag(folder: Path, topic: str) -> Path:
 def test_a_topic(tmp_path: Path):
     named = imported(bag(tmp_path / "a", "/wheel/twist"))
     assert_wheels(named.drive)
-    assert any("/wheel/twist taken as the wheels' speed" in note for note in named.notes)
+    assert any("/wheel/twist is used as the wheel speed" in note for note in named.notes)
     other = bag(tmp_path / "b", "/base/twist")  # it may as well be of a camera
     assert imported(other).drive.odometer is None
     assert_wheels(imported(other, choice=Choice(tables={"odometer": "/base/twist"})).drive)

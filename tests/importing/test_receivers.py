@@ -160,7 +160,7 @@ def test_nmea_damaged(tmp_path: Path):
         ("log.ubx", ubx(0)[:50], "contains no whole message"),
         ("log.ubx", b"".join(ubx(i, fixType=0) for i in range(20)), "no usable row"),
         ("log.nmea", b"", "is empty"),
-        ("log.nmea", b"\xff\x00\n" * 9, "no whole NMEA sentence"),
+        ("log.nmea", b"\xff\x00\n" * 9, "no complete NMEA sentence"),
         ("log.nmea", b"".join(line for i in range(20) for line in nmea(i)[:2]), "--gps-offset"),
     ],
 )

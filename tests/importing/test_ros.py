@@ -106,7 +106,7 @@ def test_several_imus_are_chosen_among(tmp_path: Path):
     bag = write_ros(tmp_path / "bag", doubled())
     first = imported(bag, recipe=AT)
     assert_same(first.drive)
-    assert any("/imu/data taken for the imu, not /imu/second" in note for note in first.notes)
+    assert any("/imu/data is used for the imu, not /imu/second" in note for note in first.notes)
     second = imported(bag, choice=Choice({"imu": "imu/second"}))
     assert np.all(second.drive.imu.ax == 7.0)
 
@@ -127,7 +127,7 @@ def test_wheel_odometry_is_no_truth_unless_chosen(tmp_path: Path):
     bag = write_ros(tmp_path / "bag", renamed)
     got = imported(bag, recipe=AT)
     assert got.drive.truth is None
-    assert any("/wheel not taken as truth" in note for note in got.notes)
+    assert any("/wheel not used as truth" in note for note in got.notes)
     assert_same(imported(bag, recipe=AT, choice=Choice({"truth": "/wheel"})).drive)
 
 
@@ -262,7 +262,7 @@ def test_static_transforms_are_the_mounting_and_the_lever_arm(tmp_path: Path, ki
         f"mounting {got.recipe.mount} deg" in note and "imu_link in base_link" in note for note in got.notes
     )
     assert any(
-        "lever arm 1.5,-0.5,0.8 m taken from tf_static, from imu_link to gps" in note for note in got.notes
+        "lever arm 1.5,-0.5,0.8 m is taken from tf_static, from imu_link to gps" in note for note in got.notes
     )
 
 
@@ -292,9 +292,9 @@ def test_transforms_that_lead_nowhere_place_nothing(tmp_path: Path, broken: str)
     got = imported(mounted("sqlite3", tmp_path, message), recipe=AT)
     assert got.recipe.mount == {"ring": "0,0,0", "zero": "", "no antenna": "0,0,90"}[broken]
     assert "gps_lever_arm_m" not in got.drive.metadata
-    assert any("has no position of gps; state it with --lever-arm" in n for n in got.notes) == (
-        broken != "zero"
-    )
+    assert any(
+        "does not contain the position of gps; specify it with --lever-arm" in n for n in got.notes
+    ) == (broken != "zero")
 
 
 def test_fixes_of_navsat_transform_are_those_of_the_vehicle(tmp_path: Path):

@@ -424,9 +424,9 @@ def test_an_altitude_in_another_unit_is_left_out_and_the_remedy_helps(tmp_path: 
     lon = [f"{b!r},{(h + 400) * scale!r}" for b, h in zip(GPS.lon.tolist(), GPS.alt.tolist(), strict=True)]
     write_fixes(tmp_path, None, lon, "t,lat,lon,height")
     got = imported(tmp_path)
-    (said,) = [note for note in got.notes if "is no altitude in m" in note]
+    (said,) = [note for note in got.notes if "is not an altitude in m" in note]
     assert got.drive.gps.alt is None
-    assert said.endswith("; if it is in cm, with *1e-2")
+    assert said.endswith(" if it is in mm, *1e-2 if it is in cm")
     again = imported(tmp_path, maps=[maps_in(said)[0].replace("1e-3", repr(1 / scale))]).drive.gps
     np.testing.assert_allclose(again.alt, GPS.alt + 400)
 
@@ -513,7 +513,7 @@ def test_a_first_fix_far_from_the_rest_is_left_out(tmp_path: Path, place: tuple[
     write_fixes(tmp_path, [place[0], *GPS.lat[1:].tolist()], [place[1], *GPS.lon[1:].tolist()])
     got = imported(tmp_path)
     np.testing.assert_allclose(got.drive.origin[:2], (GPS.lat[1], GPS.lon[1]))
-    assert any("km from the others left out, including the first" in note for note in got.notes)
+    assert any("km from the others are left out, including the first" in note for note in got.notes)
 
 
 @pytest.mark.parametrize("value", ["-999", "1e10", "9999", "nan"])
@@ -523,7 +523,7 @@ def test_placeholders_of_the_imu_are_no_samples(tmp_path: Path, value: str):
     write_fixes(tmp_path)
     got = imported(tmp_path)
     assert len(got.drive.imu) == len(IMU) - 3 and np.abs(got.drive.imu.az).max() < 20
-    assert any("left out 3 rows that have an empty cell" in note for note in got.notes)
+    assert any("3 rows are left out, since they have an empty cell" in note for note in got.notes)
 
 
 @pytest.mark.parametrize(

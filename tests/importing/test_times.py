@@ -232,7 +232,7 @@ def test_digits_of_hours_minutes_and_seconds_are_no_seconds(tmp_path: Path, head
     day = "141123," if "," in head else ""
     write(tmp_path, head, lambda t: day + at(t, "%H%M%S.%f", BEFORE_A_MINUTE))
     assert apart(tmp_path) < 2e-6
-    assert any("hhmmss: converted" in note for note in imported(tmp_path).notes)
+    assert any("(hhmmss) and are converted" in note for note in imported(tmp_path).notes)
 
 
 @pytest.mark.parametrize("one", ["imu", "gps"])
@@ -242,7 +242,9 @@ def test_digits_within_a_minute_are_mapped_where_the_others_cross_one(tmp_path: 
     file = tmp_path / f"{one}.csv"
     head, *rows = file.read_text().splitlines()
     file.write_text("\n".join([head, *rows[: len(rows) // 2 - 5]]))
-    with pytest.raises(InputError, match=r"put both on one clock; if the times of .* are digits") as caught:
+    with pytest.raises(
+        InputError, match=r"convert both to one clock; if the times of .* are digits"
+    ) as caught:
         imported(tmp_path)
     drive = imported(tmp_path, maps=maps_in(str(caught.value))).drive
     begin = BEFORE_A_MINUTE % 86400
@@ -355,7 +357,9 @@ def test_a_date_is_that_of_its_time(tmp_path: Path, head: str, form: str):
 def test_times_in_two_formats_are_refused(tmp_path: Path, cells: Cells, first: str):
     """Rows of another format than most were once left out without a question."""
     write(tmp_path, "t", cells)
-    with pytest.raises(InputError, match=f"{first}.*(?:has another format than|different days)") as caught:
+    with pytest.raises(
+        InputError, match=f"{first}.*(?:has a format different from that|different days)"
+    ) as caught:
         imported(tmp_path)
     remedy = re.search('--time "([^"]+)"', str(caught.value))[1]
     assert 0.6 * len(IMU) < len(imported(tmp_path, time=remedy).drive.imu) <= len(IMU)
@@ -459,7 +463,7 @@ def test_a_clock_that_starts_anew_is_two_recordings(tmp_path: Path, begins: tupl
     assert_close(first.drive.imu, IMU.select(slice(0, 700)), "ax gz", 1e-12)
     assert_close(second.drive.imu, IMU.select(slice(700, None)), "ax gz", 1e-12)
     assert len(first.drive.gps) + len(second.drive.gps) == len(GPS)
-    with pytest.raises(InputError, match="there is no recording 3; give --part 1"):
+    with pytest.raises(InputError, match="there is no recording 3; choose --part 1"):
         imported(tmp_path, part=3)
 
 

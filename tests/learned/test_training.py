@@ -65,7 +65,7 @@ def test_the_filter_that_is_trained_through_is_the_compiled_one(model: str, opti
     ("p", "said"),
     [
         (parameters("tilted12"), "does not support tilted12"),
-        (parameters("planar8", kind="adaptive-ukf"), "adapts its noise itself"),
+        (parameters("planar8", kind="adaptive-ukf"), "adapts its noise"),
         (parameters("planar8", velocity_noise=0.1), "velocity_noise"),
     ],
 )

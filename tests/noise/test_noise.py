@@ -236,7 +236,7 @@ def test_a_drift_is_named_and_the_walk_of_a_bias_is_not():
     noise = imu_noise(warm)
     gz = next(a for a in noise.axes if a.axis == "gz")
     assert gz.drift * 3600**2 == pytest.approx(np.radians(240), rel=0.3)
-    assert [r for r in noise.remarks if r.startswith("gz drifts by ") and "warms up" in r]
+    assert [r for r in noise.remarks if r.startswith("gz drifts by ") and "warm-up" in r]
 
 
 ERRORS = {

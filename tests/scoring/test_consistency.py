@@ -100,7 +100,7 @@ def test_the_verdicts_count_the_drives_of_each_kind():
     said = judged([optimistic, pessimistic, pessimistic, right, None])
     assert {kind: line.split(":")[0] for kind, line in said.items()} == {
         "optimistic": "on 1 of 5 drives the filter is overconfident",
-        "pessimistic": "on 2 of 5 drives the filter is too cautious",
+        "pessimistic": "on 2 of 5 drives the filter is underconfident",
         "consistent": "on 1 of 5 drives the filter is consistent",
         "unknown": "on 1 of 5 drives the filter failed or had too few fixes to judge its consistency",
     }
@@ -108,11 +108,14 @@ def test_the_verdicts_count_the_drives_of_each_kind():
     assert alone.endswith("are 41% too large (mean NIS 1, should be 2)")
     assert "without truth" not in alone  # there is truth
     blind = judged([(1.0, band, None, 0.4)])["pessimistic"]
-    assert "(this covers predictions of the fixes; position errors cannot be judged without truth)" in blind
+    assert (
+        "(this result is for predictions of the fixes; without truth, position errors can't be assessed)"
+        in blind
+    )
     assert judged([]) == {}
     alike = judged([(1.0, band, None, 0.6), (1.0, band, None, 0.4), (2.0, band, None, 0.6)])
     assert list(alike) == ["pessimistic", "alike", "correlated"]
-    assert "cannot be estimated without truth" in alike["alike"]
+    assert "can't be estimated without truth" in alike["alike"]
 
 
 def test_a_truth_that_contradicts_the_fixes_is_told():
@@ -130,7 +133,7 @@ def test_a_right_size_is_not_all():
     said = judged([(2.0, band, None, 0.3), (2.0, band, None, 0.1)])
     assert list(said) == ["correlated", "consistent"]
     assert "on 1 of 2 drives" in said["correlated"]
-    assert "of the right size but correlated" in said["correlated"]
+    assert "of the correct size, but they are correlated" in said["correlated"]
     assert list(judged([(2.0, band, 2.1, 0.3)])) == ["consistent"]  # the truth bears it out
 
 
@@ -139,7 +142,7 @@ def test_fixes_whose_errors_last_are_told():
     band = (1.8, 2.2)
     said = judged([(0.2, band, 2.1, 0.9)])
     assert list(said) == ["lasting"]
-    assert "low NIS with the right NEES: errors of consecutive fixes are correlated" in said["lasting"]
+    assert "low NIS with a correct NEES: errors of consecutive fixes are correlated" in said["lasting"]
     for nis, nees in (
         (0.2, 0.3),
         (0.9, 1.6),

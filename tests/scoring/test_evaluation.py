@@ -118,8 +118,8 @@ def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(ev
     said = evaluate(drive, GOOD).record.drift_said("outage_drift_m")
     low, high = told.spread("tuned") or (np.nan, np.nan)
     of = f"{told.outages} outages in 8 placements"
-    few = ", all on the same short stretch: another stretch may give far more"
-    assert said == f"{of}; a single placement gives {low:.3g} to {high:.3g} m{few}"
+    few = ", all on the same short stretch: the drift on another stretch may be far larger"
+    assert said == f"{of}; the drift in a single placement is {low:.3g} to {high:.3g} m{few}"
     many = {name: {"outage_drift_m": told.model_copy(update={"outages": 8 * 5})}}
     assert few not in evaluation.record.model_copy(update={"drifts": many}).drift_said("outage_drift_m")
     long = make_drive(duration=3600.0, imu_rate=10.0, gps_rate=1.0)

@@ -215,7 +215,7 @@ def test_what_can_not_be_tuned_is_refused(tmp_path: Path):
     out = tmp_path / "out"
     blind = Log(**(vars(LOGS[0]) | {"truth": {}}))
     for call, expected in (
-        (lambda: tune([], out=out, **SMALL), "no logs were given"),
+        (lambda: tune([], out=out, **SMALL), "there are no logs; pass at least one"),
         (lambda: tune(LOGS, out=out), "got a Log; tune takes Drives, or Logs together with model=Model(...)"),
         (lambda: tune(make_drive(duration=10.0), out=out, **SMALL), "got a Drive"),
         (

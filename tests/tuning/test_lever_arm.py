@@ -177,9 +177,9 @@ def test_a_real_drive_shows_a_planted_arm_within_its_standard_deviation():
 
 def test_a_mistake_is_one_line(urban: Drive):
     other = replace(urban, metadata={**urban.metadata, "gps_lever_arm_m": [1.0, 0.0]})
-    with pytest.raises(InputError, match="no drives: give at least one"):
+    with pytest.raises(InputError, match="there are no drives; pass at least one"):
         estimate_lever_arm([])
-    with pytest.raises(InputError, match="the drives state different gps_lever_arm_m"):
+    with pytest.raises(InputError, match="the drives contain different gps_lever_arm_m"):
         estimate_lever_arm([urban, other])
     with pytest.raises(InputError, match="within = 0: must be positive and finite, m"):
         estimate_lever_arm(urban, within=0.0)

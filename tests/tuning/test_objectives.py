@@ -91,7 +91,7 @@ def test_a_drive_without_outages_or_headings_has_no_such_term():
 
 
 def test_only_the_paper_s_objective_warns():
-    assert "copies the GPS" in OBJECTIVES["gps-rmse"].warning
+    assert "copies the fixes" in OBJECTIVES["gps-rmse"].warning
     assert OBJECTIVES["truth-rmse"].warning is OBJECTIVES["truth-pose"].warning is None
 
 
@@ -124,7 +124,7 @@ def test_a_sum_needs_what_its_terms_need():
     assert both.needs_truth
     assert both.needs_outages
     assert both.needs_forecasts
-    assert "copies the GPS" in both.warning
+    assert "copies the fixes" in both.warning
     assert not objective_named("innovation-nll + nis").needs_truth
 
 

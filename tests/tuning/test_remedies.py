@@ -54,8 +54,7 @@ def test_a_deviation_in_drive_toml_or_the_accuracy_answers_an_r_that_copies_the_
     copying = replace(copying, measurement_noise=(0.01**2, 0.01**2))
     (said,) = noise_warnings(copying, [FixNoise(float("nan"), 0.1)], ["lateral"])
     assert (
-        "write the standard deviation of the receiver's fixes, m per axis, as gps_std_m into drive.toml"
-        in said
+        "write the standard deviation of the receiver's fixes, m per axis, to drive.toml as gps_std_m" in said
     )
     assert "--use" not in said
     assert fix_noise(smooth(1.5)).stated == 1.5

@@ -236,11 +236,11 @@ def test_drives_that_can_not_be_tuned_on_are_refused(tmp_path: Path):
         InputError, match=r"d0: has no truth, which the objective truth-rmse needs; without truth"
     ):
         tune(replace(DRIVES[0], truth=None), objective="truth-rmse", out=tmp_path / "out")
-    with pytest.raises(InputError, match=r"d0: .* no room to hide fixes"):
+    with pytest.raises(InputError, match=r"d0: .* is too short to hide fixes"):
         tune(clip(DRIVES[0], 0.0, 12.0), objective="outage-rmse", out=tmp_path / "out")
     gps = DRIVES[0].gps
     silent = replace(DRIVES[0], gps=gps.select(gps.time < initial_state(DRIVES[0]).time + 1.0))
-    with pytest.raises(InputError, match=r"d0: .* no fix falls into the windows"):
+    with pytest.raises(InputError, match=r"d0: .* contains no fix in the windows"):
         tune(silent, objective="outage-rmse", out=tmp_path / "out")
     zero = np.zeros(len(DRIVES[0].gps))
     still = replace(DRIVES[0], gps=replace(DRIVES[0].gps, x=zero, y=zero))
@@ -360,7 +360,10 @@ def test_validation_drives_are_scored_but_choose_nothing():
     plain = tune(training, **SMALL)
     assert plain.validation is None
     assert any("of the drives it was tuned on" in remark for remark in plain.remarks)
-    strange, blind = "suits only the receiver and the IMU of these drives", {"objective": "innovation-t"}
+    strange, blind = (
+        "is valid only for the receiver and the IMU of these drives",
+        {"objective": "innovation-t"},
+    )
     assert any(strange in remark for remark in plain.remarks)
     without = replace(plain, config=plain.config.model_copy(update=blind))
     assert not any(strange in remark for remark in without.remarks)

@@ -160,7 +160,7 @@ def _missing_out(error: Exception) -> str | None:
     if error.argument is None or error.argument.name != "--out" or error.argument.tokens:
         return None
     what = "file" if "run" in (error.command_chain or ()) else "folder"
-    return f"--out is missing: give a {what} for the result"
+    return f"--out is missing: specify a {what} for the result"
 
 
 def _other_name(error: Exception) -> str | None:

@@ -53,7 +53,7 @@ def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *
     read = {Path(place).resolve() for place in all_drive_locations(sources)}
     for folder in folders:
         if overwrite and folder.resolve() in read:
-            raise InputError(f"{folder}: is a drive that is read; name another folder")
+            raise InputError(f"{folder}: is a drive that this command reads; name another folder")
         require_replaceable(folder.resolve(), overwrite, "add --overwrite, or name another folder")
 
 

@@ -42,13 +42,13 @@ def convert(
     from sigmaswarm.drives.urls import is_url
 
     if len(drives) < 2:
-        raise InputError("give the drives and, as the last argument, a folder for the converted drives")
+        raise InputError("pass the drives and, as the last argument, a folder for the converted drives")
     *given, last = drives
     if is_url(last):
-        raise InputError(f"{last}: is a URL; give a local folder for the converted drives")
+        raise InputError(f"{last}: is a URL; pass a local folder for the converted drives")
     out, written = Path(last), list[str]()
     if any((out / table).exists() for table in TABLES):
-        raise InputError(f"{last}: is a drive; give a folder for the converted drives as the last argument")
+        raise InputError(f"{last}: is a drive; pass a folder for the converted drives as the last argument")
     for place in all_drive_locations(given):
         drive = read_known(place)
         if drive.name in written:

@@ -104,7 +104,8 @@ def export(
     if mounting and to == "c99":
         angles = ", ".join(f"{angle:g}" for angle in mounting)
         say(
-            f"ins_gps_turn_imu() turns samples, as imported, by the mounting of the training drives ({angles} deg)"
+            "ins_gps_turn_imu() rotates samples with the imported axes by the mounting of the training drives "
+            f"({angles} deg)"
         )
     say(f"next: {_next_step(to, out, replay=drive is not None)}")
 

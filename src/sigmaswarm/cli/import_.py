@@ -168,11 +168,11 @@ def import_(
     """
     request, heading = _request(source, options), options.heading_from_north
     if heading is not None and not abs(heading) <= 360:
-        raise InputError(f"--heading-from-north {heading:g} is not an angle; give degrees, 0 to 360")
+        raise InputError(f"--heading-from-north {heading:g} is not an angle; specify degrees, 0 to 360")
     if options.show:
         _show(request, options)
     elif options.out is None:
-        raise InputError("--out is missing: give a folder for the drive, or look at the log with --show")
+        raise InputError("--out is missing: specify a folder for the drive, or look at the log with --show")
     else:
         _import(request, options.out, options)
 
@@ -227,7 +227,7 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
         place.resolve() for place in (request.source, request.gps, request.truth, request.odometer) if place
     ]
     if any(out.resolve() in (place, place.parent) for place in read) and out.exists():
-        raise InputError(f"{out}: contains a log that is read; choose another folder")
+        raise InputError(f"{out}: contains a log that this command reads; choose another folder")
     require_replaceable(out.resolve(), options.overwrite, "add --overwrite, or choose another folder")
     with progress_bar("importing") as show:
         imported = import_drive(request, options.name or out.resolve().name, lambda share: show(share, 1.0))
@@ -258,7 +258,7 @@ def _next_steps(diagnosis: "Diagnosis", out: Path) -> Iterator[str]:
     yield f"next: {following}"
     yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned"
     part = f"sigmaswarm split {shlex.quote(str(ready))} --out parts"
-    yield f"      (to evaluate, keep another drive, or a part of this one first: {part})"
+    yield f"      (for an evaluation keep another drive, or first split this drive: {part})"
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
@@ -282,7 +282,7 @@ def _report(imported: "Imported", out: Path) -> Iterator[str]:
     yield from (f"read: {shown(read, 1000)}" for read in imported.recipe.said())
     yield from (f"note: {shown(note, 1000)}" for note in imported.notes)
     if not imported.recipe.mount:
-        yield "note: the IMU's axes are assumed to be x forward, y left, z up; give another mounting with --mount"
+        yield "note: the IMU's axes are assumed to be x forward, y left, z up; specify another mounting with --mount"
     rate = 1 / drive.nominal_interval
     yield (
         f"wrote {out}: {drive.duration:.1f} s, {len(drive.imu)} IMU samples ({rate:.3g} Hz), "
@@ -315,14 +315,14 @@ def _print_look(seen: "Look", options: ImportOptions) -> None:
     planned = "The recipe that import would use (save it with --save-recipe, change it with --map):"
     console.print(f"\n{planned}", style="bold")
     recipe = "\n".join(shown(line, 1000) for line in seen.recipe.to_toml().split("\n"))
-    say(recipe or "nothing was recognized; give the columns with --map")
+    say(recipe or "nothing was recognized; map the columns with --map")
     say(*(f"note: {shown(note, 1000)}" for note in seen.notes))
     if seen.proposal:
-        title = "To read the rest, add to the command"
+        title = "To read the other columns, add to the command"
         console.print(f"\n{title}{'' if seen.works else ', with the missing parts'}:", style="bold")
         of_rows = re.search(r"\b(imu|gps)\.t=", seen.proposal)
         times = "; imu.t and gps.t are the times of the IMU's and the fixes' rows" if of_rows else ""
-        evidence = f"({shown(seen.evidence, 1000)}{times}; it is applied only on request)"
+        evidence = f"({shown(seen.evidence, 1000)}{times}; the mapping is applied only on request)"
         say(shown(seen.proposal, 4000), evidence)
     if seen.unread:
         console.print("\nColumns that neither the recipe nor the proposal uses:", style="bold")

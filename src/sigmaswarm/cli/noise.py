@@ -88,7 +88,7 @@ def _found(log: Path | None, options: NoiseOptions) -> "Noise":
     from sigmaswarm.noise import filter_noise, imu_noise
 
     if (log is None) == (options.tuned is None):
-        raise InputError("give either a LOG or --tuned TUNING")
+        raise InputError("specify either a LOG or --tuned TUNING")
     if options.tuned is not None:
         return filter_noise(FilterParameters.load(options.tuned), str(options.tuned))
     settings: dict[str, Any] = {"recipe": options.recipe, "maps": options.map, "time": options.time}

@@ -106,7 +106,7 @@ def options_of(
 
 
 def _annotation(name: str, field: FieldInfo, old: str | None, shown: bool, constant: bool) -> Any:
-    """Return type and `Parameter` of a field. Of a union, the command line accepts the first type only."""
+    """Return type and `Parameter` of a field. For a union, the command line accepts only the first type."""
     kind, option = field.annotation, f"--{name.replace('_', '-')}"
     if get_origin(kind) in (Union, UnionType):
         kind = next(member for member in get_args(kind) if member is not NoneType)

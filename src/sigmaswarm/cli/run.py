@@ -59,7 +59,8 @@ def run(
         Path,
         Parameter(
             name="TUNING",
-            help="A tuning.toml or its folder. --smooth and --bank do not use the network of the tuning, if any.",
+            help="A tuning.toml or its folder. If the folder contains a network, --smooth and --bank do not use "
+            "the network.",
         ),
     ],
     drive: Annotated[Path, Parameter(name="DRIVE", help="A drive folder.")],
@@ -117,7 +118,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     out, smooth, before, truth = options.out, options.smooth, options.before, options.truth
     for file in filter(None, (out, before, truth)):
         if file.resolve().parent == drive.resolve() and file.name in FILES:
-            raise InputError(f"{file}: is a file of the drive that is read; choose another file")
+            raise InputError(f"{file}: is a file of the drive that this command reads; choose another file")
     if smooth and options.bank:
         raise InputError(
             "--smooth and --bank can't be combined, since a filter bank is not smoothed; leave one out"
@@ -127,7 +128,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     parameters = sigmaswarm.FilterParameters.load(tuning)
     read = read_known(drive)
     if place and read.origin:
-        raise InputError(f"{drive}: has an origin already; leave --origin out")
+        raise InputError(f"{drive}: already has an origin; leave --origin out")
     target: dict[str, Any] = {"origin": place or read.origin, "time_origin": time_origin_of(read)}
     true = true_trajectory(read) if truth else None
     check_target(out, target["origin"], options.merge)
@@ -180,7 +181,7 @@ def _print(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixe
     earlier = first - float(drive.imu.time[0])
     if earlier > 5.0:  # s; a drive that begins in motion needs as long
         rest = f"wrote the {fixes} earlier fixes to {options.before}"
-        rest = rest if options.before else "--before NAME.csv writes the earlier fixes"
+        rest = rest if options.before else "--before NAME.csv writes the fixes before the start"
         say(f"the first {earlier:.1f} s have no estimate: a filter starts at {START_RULE}; {rest}")
 
 
@@ -218,4 +219,6 @@ def _place(text: str) -> tuple[float, float, float]:
             return latitude, longitude, altitude[0] if altitude else 0.0
     except ValueError:
         pass
-    raise InputError(f"--origin {text!r} is not a place; write LAT,LON in degrees, for example 49.011,8.416")
+    raise InputError(
+        f"--origin {text!r} is not a position; write LAT,LON in degrees, for example 49.011,8.416"
+    )

@@ -44,10 +44,10 @@ def split(
     from sigmaswarm.drives.alignment import NoStart, find_start
 
     if at is not None and train_fraction is not None:
-        raise sigmaswarm.InputError("give --at or --train-fraction, not both")
+        raise sigmaswarm.InputError("specify --at or --train-fraction, not both")
     if at is not None and len(at) > 2:
         raise sigmaswarm.InputError(
-            f"--at has {len(at)} times; give one, or two to leave out the part between them"
+            f"--at has {len(at)} times; specify one time, or two times to leave out the part between them"
         )
     times = None if not at else at[0] if len(at) == 1 else (at[0], at[1])
     whole = read_known(drive)

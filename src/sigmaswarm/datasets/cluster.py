@@ -71,8 +71,8 @@ class Cluster:
             for name in ("sigmaswarm", "numpy", "numba", "scipy"):
                 if theirs.get(name) != own[name] and address not in found:
                     found[address] = ClusterError(
-                        f"worker {address}: has {name} {theirs.get(name)}, this machine {own[name]}; results would "
-                        "differ, so install the same version on both"
+                        f"worker {address}: has {name} {theirs.get(name)}, but this machine has {own[name]}; "
+                        "results would differ, so install the same version on both"
                     )
         return found
 
@@ -82,8 +82,8 @@ class Cluster:
 
     def lost_scheduler(self) -> ClusterError:
         return ClusterError(
-            f"the scheduler at {self.address} no longer answers; with --out, results so far are saved: continue with "
-            "--resume and another cluster"
+            f"the scheduler at {self.address} no longer answers; if --out was specified, the results so far are "
+            "saved: continue with --resume and another cluster"
         )
 
 
@@ -117,7 +117,7 @@ def connected(address: str) -> Generator["Client"]:
         except Exception as error:  # errors of sockets, addresses, protocols
             said = " ".join(str(error).split())[:150]
             raise ClusterError(
-                f"--cluster {address}: no scheduler answers there ({type(error).__name__}: {said}); "
+                f"--cluster {address}: no scheduler answers at this address ({type(error).__name__}: {said}); "
                 "start one with `dask scheduler`"
             ) from None
         try:
@@ -158,7 +158,7 @@ def _local(address: str, count: str) -> Generator[Any]:
     import distributed
 
     if not count.isdecimal() or int(count) < 1:
-        raise InputError(f"--cluster {address}: give the number of processes, for example local:4")
+        raise InputError(f"--cluster {address}: specify the number of processes, for example local:4")
     with TemporaryDirectory(prefix="sigmaswarm-", ignore_cleanup_errors=True) as scratch:
         local: Any = distributed.LocalCluster  # its type stubs lack dashboard_address=None
         cluster = local(

@@ -172,8 +172,8 @@ class RemoteDataset:
             if lost > MOST_RETRIES:
                 need = in_gb(sum(assignment.sizes[i] for i in self.indices))
                 raise ClusterError(
-                    f"all workers with these drives died, {lost} times; the drives need about {need} of memory; give "
-                    "the workers more memory, or start more of them"
+                    f"all workers with these drives died, {lost} times; the drives need about {need} of memory; "
+                    "increase the memory of the workers, or start more workers"
                 )
         return answers
 

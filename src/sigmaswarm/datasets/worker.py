@@ -84,7 +84,7 @@ class DriveCache:
         if needed > self._memory:
             raise ClusterError(
                 f"worker {self._worker}: its {len(sources)} drives need about {in_gb(needed)} of memory, and it has "
-                f"{in_gb(max(self._memory, 0.0))} for drives; start more workers, or give them more memory"
+                f"{in_gb(max(self._memory, 0.0))} for drives; start more workers, or increase their memory"
             )
         return [known[key] for key in sources]
 

@@ -177,21 +177,22 @@ class Alignments:
         if self._many.any():
             if np.any(self._chord[self._many] >= MIN_TRAVEL):
                 return NoStart(
-                    f"its fixes move {travel} within {time}, but never as the IMU measured, so the heading "
-                    "can't be found: the fixes scatter or jump, or an axis, a unit or the clock of the IMU is wrong",
+                    f"its fixes move {travel} within {time}, but the motion never agrees with the IMU, so the "
+                    "heading can't be found: the fixes scatter or jump, or an axis, a unit or the clock of the "
+                    "IMU is wrong",
                     "repair what `sigmaswarm doctor` finds",
                 )
             return NoStart(
-                f"the vehicle never travels {travel} within {time}, nor far enough beyond the fixes' noise within "
-                f"{SLOW_DURATIONS[-1]:g} s, so the heading can't be found",
+                f"the vehicle never travels {travel} within {time}, and never far enough compared with the "
+                f"fixes' noise within {SLOW_DURATIONS[-1]:g} s, so the heading can't be found",
                 f"use a longer drive, or a faster one ({3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for "
-                f"{time}), or state the heading at the first IMU sample in drive.toml, as heading_deg = 90 "
-                "(degrees counter-clockwise from east)",
+                f"{time}), or write the heading at the first IMU sample to drive.toml, for example heading_deg "
+                "= 90 (degrees counter-clockwise from east)",
             )
         every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
         if every > MAX_DURATION / (ALIGNMENT_FIXES - 1):
             what = f"its fixes come every {every:.3g} s, but the heading needs {ALIGNMENT_FIXES} fixes within {time}"
-            return NoStart(f"no filter can start: {what}", "log the receiver at 1 Hz or faster")
+            return NoStart(f"no filter can start: {what}", "record fixes at 1 Hz or faster")
         span = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
         usable = f"{len(self.time)} of {len(self._drive.gps.time)} fixes can be used, {span:.3g} s from first to last"
         needs = (

@@ -74,7 +74,7 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
     if first > gps.time[-1] or gps.time[0] > last:
         return (
             f"imu.csv: column t covers {first:g} to {last:g} s, gps.csv {gps.time[0]:g} to {gps.time[-1]:g} s: "
-            "they do not overlap; put both on one clock"
+            "they do not overlap; convert both to one clock"
         )
     if len(imu) < FEWEST_SAMPLES:
         return f"imu.csv: {len(imu)} samples are too few; record at least {FEWEST_SAMPLES}"
@@ -131,7 +131,7 @@ def _time_unit(imu: Array, gps: Array) -> Remark | None:
     if not unit:
         return None
     power = f"{TIME_UNITS[unit]:.0e}".replace("+0", "")
-    remedy = f"divide t of {file.replace(', ', ' and ')} by {power}; in an import use --time or --map, as in "
+    remedy = f"divide t of {file.replace(', ', ' and ')} by {power}; in an import use --time or --map, for example "
     return Remark("time-unit", file, "t", what, f"{remedy}t=stamp*1e-{power[2:]}")
 
 
@@ -140,7 +140,7 @@ def gravity_on(imu: Imu) -> Remark | None:
     axis = max(median, key=lambda name: abs(median[name]))
     if abs(median[axis]) <= 0.7 * GRAVITY:
         return None
-    what = f"column {axis} has median {median[axis]:.2f} m/s2: this is gravity, which az must contain"
+    what = f"column {axis} has median {median[axis]:.2f} m/s2: this is gravity, which must be in az"
     remedy = (
         "turn the axes to x forward, y left, z up: import with --mount auto (six axes), or exchange columns"
     )
@@ -160,7 +160,7 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
         what = f"column az has median {az:.2f} m/s2, but specific force is +9.8 at rest with z up"
         remedy = "turn the axes, or change the sign of ax, ay, az if the sensor reports the opposite"
     elif abs(az) < 0.2 * GRAVITY:
-        remedy = "check its unit and axis, or leave it out if gravity was already subtracted"
+        remedy = "check the unit and the axis, or leave the column out if gravity was already subtracted"
     elif abs(az - GRAVITY) > 0.2 * GRAVITY:
         remedy = "check its unit and axis"
     else:
@@ -181,11 +181,11 @@ def gaps_in(time: Array, limit: tuple[float, float]) -> Gaps | None:
 
 def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
     crossed = (
-        "a filter crosses a gap with the mean of the samples around it, and its covariance grows; if the car "
-        "maneuvered there, split the drive"
+        "in a gap a filter uses the mean of the samples before and after it, and increases its covariance; if "
+        "the car maneuvered during the gap, split the drive"
     )
-    alone = "during this time a filter uses only the IMU; nothing to do if this is intended"
-    unscored = "during this time errors are not measured; nothing to do if this is intended"
+    alone = "during this time a filter uses only the IMU; no action is needed if this is intended"
+    unscored = "during this time errors are not measured; no action is needed if this is intended"
     sensors = [("imu", imu, IMU_GAP, crossed), ("gps", gps, GPS_GAP, alone)]
     sensors += [("truth", truth, GPS_GAP, unscored)] if truth is not None else []
     found: list[tuple[str, str, str]] = []
@@ -214,13 +214,15 @@ def unshared_times(imu: Array, gps: Array) -> Remark | None:
         ends = [(early, "before its first sample"), (late, "after its last sample")]
         up_to = " and ".join(f"up to {length:.0f} s {where}" for length, where in ends if length >= 0.5)
         what = f"{count} of {len(gps)} fixes lie outside of the IMU's time, {up_to}, and are not used"
-        remedy = "nothing to do if the receiver recorded for longer; else put both on one clock"
+        remedy = (
+            "no action is needed if the receiver recorded for longer; otherwise convert both to one clock"
+        )
         return Remark("gps-outside", "gps.csv", "t", f"{what}; {alone}" if alone else what, remedy)
     if not alone:
         return None
     remedy = (
-        "a filter starts after the first fixes, and uses the IMU alone after the last one; nothing to do if this is "
-        "intended"
+        "a filter starts after the first fixes, and uses the IMU alone after the last fix; no action is needed "
+        "if this is intended"
     )
     return Remark("imu-outside", "imu.csv", "t", alone, remedy)
 

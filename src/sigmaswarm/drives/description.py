@@ -39,7 +39,7 @@ def read_description(path: Path) -> dict[str, Any]:
     """Read drive.toml; ``frame`` is not checked, since it depends on gps.csv."""
     if not path.is_file():
         raise DriveError(
-            f'{path} is missing; write one with the line frame = "enu" (x, y) or frame = "wgs84" (lat, lon)'
+            f'{path} is missing; write this file with the line frame = "enu" (x, y) or frame = "wgs84" (lat, lon)'
         )
     try:
         about = tomllib.loads(read_toml_text(path))
@@ -66,7 +66,7 @@ def require_name(name: object, where: object) -> None:
         )
     surrogates = any("\ud800" <= c <= "\udfff" for c in name)  # bytes in a file name that are not UTF-8
     if name in (".", "..") or set(name) & {"/", "\\", "\n", "\0"} or surrogates:
-        raise DriveError(f"{where}: name = {quoted(name)} can't name a folder; leave slashes out")
+        raise DriveError(f"{where}: name = {quoted(name)} can't be the name of a folder; leave slashes out")
 
 
 def _require_numbers(key: str, value: Any, path: Path) -> None:
@@ -78,9 +78,9 @@ def _require_numbers(key: str, value: Any, path: Path) -> None:
     if not numbers or not plain or length not in lengths:
         what = f"can't be used; write for example {key} = {example}"
     elif key in _ANGLES and max(map(abs, numbers)) > 360:
-        what = f"is not an angle; give {_ANGLES[key]}, -360 to 360"
+        what = f"is not an angle; specify {_ANGLES[key]}, -360 to 360"
     elif key not in (*_ANGLES, "gps_lever_arm_m") and not min(numbers) > 0:
-        what = "must be positive; leave it out if it is not known"
+        what = "must be positive; leave the key out if the value is not known"
     if what:
         raise DriveError(f"{path}: {key} = {value_shown(value)} {what}")
 
@@ -91,8 +91,8 @@ def _origin(value: Any, path: Path) -> Origin:
         if abs(latitude) <= 90 and abs(longitude) <= 180 and abs(altitude) <= 1e7:
             return float(latitude), float(longitude), float(altitude)
     raise DriveError(
-        f"{path}: origin = {value_shown(value)} is not a place; "
-        "write origin = [latitude deg, longitude deg, altitude m]"
+        f"{path}: origin = {value_shown(value)} is not a position; write origin = [latitude deg, longitude deg, "
+        "altitude m]"
     )
 
 
@@ -112,7 +112,7 @@ def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
         x, y = POSITIONS[frame]
         raise DriveError(
             f'{description}: frame = "{frame}", but {gps.name} lacks columns {x}, {y}; '
-            f'write frame = "{present[0]}", as its columns show'
+            f'write frame = "{present[0]}", which agrees with its columns'
         )
     return frame
 

@@ -45,7 +45,7 @@ def _columns_of(table: Any, name: str, renamed: Mapping[str, str]) -> dict[str, 
     if isinstance(table, str | Path):
         raise DriveError(f"{name} is a path, {quoted(str(table))}; read it with read_drive or import_log")
     if not hasattr(table, "keys") and not hasattr(table, "columns"):
-        raise DriveError(f"{name} is a {type(table).__name__}; give a data frame or a mapping of columns")
+        raise DriveError(f"{name} is a {type(table).__name__}; pass a data frame or a mapping of columns")
     keys = table.keys() if isinstance(table, Mapping) else table.columns
     found = {renamed.get(str(key), str(key)): _values(table[key]) for key in keys}
     time = next((key for key in _TIMES if key in found), None)
@@ -61,7 +61,7 @@ def _columns_of(table: Any, name: str, renamed: Mapping[str, str]) -> dict[str, 
         for key, values in found.items():
             if values.ndim != 1 or values.shape != rows:
                 what = f"column {quoted(key)} has shape {values.shape}, the times {rows}"
-                raise DriveError(f"{name}: {what}; give arrays of one dimension and equal length")
+                raise DriveError(f"{name}: {what}; pass arrays of one dimension and equal length")
     return found
 
 

@@ -138,7 +138,7 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
         low, high = min(low for low, _ in spreads), max(high for _, high in spreads)
         reasons.append(f"stated standard deviations from {low:.2g} to {high:.2g} m")
     if found and all(one.heading for one in found):
-        reasons.append("a heading, which you may add to --use")
+        reasons.append("a heading, which you can add to --use")
     use = ("lateral", "standstill", *["odometer"] * wheels, *["accuracy"] * stated, "robust")
     return SuggestedFilter("tilted12" if six else "planar8", use, ", ".join(reasons))
 

@@ -32,7 +32,9 @@ def split_drives(
     """
     _require_fraction(train_fraction)
     if len(drives) < 2:
-        raise InputError(f"{len(drives)} drive can't be split; give at least 2, or split one by time")
+        raise InputError(
+            f"{len(drives)} drive can't be split; pass at least 2 drives, or split one drive in time"
+        )
     count = min(max(round(train_fraction * len(drives)), 1), len(drives) - 1)
     chosen = set(rng.permutation(len(drives))[:count].tolist())
     train = [drive for i, drive in enumerate(drives) if i in chosen]
@@ -69,7 +71,9 @@ def split_time(
         at = float(drive.imu.time[0] + train_fraction * drive.duration)
     times = np.ravel(np.asarray(at, np.float64))
     if len(times) not in (1, 2):
-        raise InputError(f"at has {len(times)} times; give one, or two to leave out the part between them")
+        raise InputError(
+            f"at has {len(times)} times; pass one time, or two times to leave out the part between them"
+        )
     end, start = float(times[0]), float(times[-1])
     if start < end:
         raise InputError(f"at = {end:g}, {start:g} s: the first time is after the second; exchange them")
@@ -81,9 +85,7 @@ def split_time(
     sha256 = fingerprint(drive)
     for part in parts:
         if isinstance(found := find_start(part), NoStart):
-            message = (
-                f"{part.name} can't be used as a drive: {found.what}; split elsewhere, or {found.remedy}"
-            )
+            message = f"{part.name} can't be used as a drive: {found.what}; split at another time, or {found.remedy}"
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
     first, last = (
         {"drive": drive.name, "start_s": float(t[0]), "end_s": float(t[-1]), "sha256": sha256}

@@ -18,13 +18,17 @@ from sigmaswarm.limits import MOST_CELLS, MOST_COLUMNS, require_regular, require
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LARGEST = 1e7
-"""Largest accepted value. Values of a car's sensors are smaller in m, m/s, m/s2, rad or rad/s, and in units that can be
-repaired (mm, mg or mdeg/s)."""
-_METERS, _NO_STD = "give meters from an origin near by", "leave the column out if no deviation is stated"
+"""Largest accepted value: above any value of a car's sensor in m, m/s, m/s2, rad or rad/s, or in units that can be
+repaired (mm, mg or mdeg/s).
+"""
+_METERS, _NO_STD = (
+    "convert it to meters from a nearby origin",
+    "leave the column out if no deviation is stated",
+)
 RANGES: dict[str, tuple[float, float, str]] = {
-    "lat": (-90.0, 90.0, "give degrees north; lat and lon may be exchanged"),
-    "alt": (-LARGEST, LARGEST, "give meters above the ellipsoid"),
-    "lon": (-180.0, 180.0, "give degrees east; subtract 360 if they run from 0 to 360"),
+    "lat": (-90.0, 90.0, "convert it to degrees north; lat and lon may be exchanged"),
+    "alt": (-LARGEST, LARGEST, "convert it to meters above the ellipsoid"),
+    "lon": (-180.0, 180.0, "convert it to degrees east; subtract 360 if the values are between 0 and 360"),
     **dict.fromkeys(("x", "y"), (-LARGEST, LARGEST, _METERS)),
     **dict.fromkeys(("std_x", "std_y", "std_heading"), (1e-6, LARGEST, _NO_STD)),
     "std_theta": (1e-9, LARGEST, _NO_STD),
@@ -68,7 +72,8 @@ class TableFile:
         require_regular(path)
         if not path.is_file():
             raise DriveError(
-                f"{path} is missing; a drive needs it, with a header line and one row per sample, or as {PARQUET[1:]}"
+                f"{path} is missing; a drive needs this file, with a header line and one row per sample, or as "
+                f"{PARQUET[1:]}"
             )
         if path.suffix == PARQUET:
             cells = _parquet(path)
@@ -171,7 +176,7 @@ class TableFile:
         what, remedy = "lies too far after", "delete the row with the damaged time"
         if late.size:
             i, what = int(late[0]) + 1, "is not after"
-            remedy = "sort the rows by time and delete repeated ones"
+            remedy = "sort the rows by time and delete repeated rows"
         if i:
             before = f"{shown(self.cells['t'][i - 1])} in row {self.lines[i - 1]}"
             raise self._fault(i, "t", f"{what} {before}", remedy)
@@ -185,8 +190,8 @@ class TableFile:
 
 def _require_size(path: Path, rows: int, columns: int) -> None:
     if columns > MOST_COLUMNS:
-        what = f"has {columns} columns, more than {MOST_COLUMNS}"
-        raise DriveError(f"{path}: {what}; leave out what a drive does not need")
+        what = f"has {columns} columns; the limit is {MOST_COLUMNS}"
+        raise DriveError(f"{path}: {what}; leave out columns that a drive does not need")
     if rows * columns > MOST_CELLS:
         raise DriveError(
             f"{path}: has {rows} rows of {columns} columns; the limit is {MOST_CELLS} cells; split the drive"
@@ -214,9 +219,9 @@ def _parquet(path: Path) -> pl.DataFrame:
         kept = [pl.col(n) if kind.is_numeric() else pl.lit(None, kind).alias(n) for n, kind in schema.items()]
         cells = scan.select(kept).collect()
     except (*BROKEN, OSError):
-        raise DriveError(f"{path} is no Parquet file that can be read; write it again") from None
+        raise DriveError(f"{path} is not a readable Parquet file; write the file again") from None
     if cells.is_empty():
-        raise DriveError(f"{path} contains no rows; it needs one row per sample")
+        raise DriveError(f"{path} contains no rows; the table needs one row per sample")
     return cells
 
 
@@ -245,7 +250,7 @@ def _has_lone_quote(path: Path) -> bool:
 
 def _empty(path: Path) -> DriveError:
     what = "is empty" if path.stat().st_size == 0 else "contains no rows"
-    return DriveError(f"{path} {what}; it needs a header line and one row per sample")
+    return DriveError(f"{path} {what}; the file needs a header line and one row per sample")
 
 
 def _shape_fault(path: Path, otherwise: DriveError | None = None) -> DriveError:
@@ -262,4 +267,6 @@ def _shape_fault(path: Path, otherwise: DriveError | None = None) -> DriveError:
                     )
         except csv.Error:  # a quote that is not closed
             return DriveError(f'{path}, row {rows.line_num}: a quote (") is not closed; close or delete it')
-    return otherwise or DriveError(f"{path} is not comma-separated text in UTF-8; export it as that")
+    return otherwise or DriveError(
+        f"{path} is not comma-separated text in UTF-8; export the file in this format"
+    )

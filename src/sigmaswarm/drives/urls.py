@@ -47,7 +47,8 @@ def local_copy(url: str) -> Generator[Path]:
     """Copy the files of a drive to a temporary folder, which is removed at the end of the block."""
     if "?" in url:
         raise InputError(
-            f"{without_secrets(url)}?...: a drive has several files, which a signed URL can't name; give their folder"
+            f"{without_secrets(url)}?...: a drive has several files, which a signed URL can't name; pass the "
+            "URL of their folder"
         )
     with TemporaryDirectory(prefix="sigmaswarm-") as scratch:
         folder = Path(scratch) / (url.rpartition("/")[2] or "drive")
@@ -92,7 +93,7 @@ def _errors_in_one_line(url: str) -> Generator[None]:
         raise
     except FileNotFoundError:
         raise DriveError(
-            f"{without_secrets(url)} does not exist, or can't be seen from here; name a drive's folder"
+            f"{without_secrets(url)} does not exist, or is not accessible from this machine; name the folder of a drive"
         ) from None
     except Exception as error:  # each protocol's library has its own errors
         why = shown(without_secrets(f"{type(error).__name__}: {error}"), 200)

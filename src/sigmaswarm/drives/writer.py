@@ -96,7 +96,7 @@ def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:
         contents = {"drive.toml": tomli_w.dumps(about).encode()}
     except TypeError as error:
         raise DriveError(
-            f"{folder / 'drive.toml'}: TOML can't hold the metadata: {error}; change it"
+            f"{folder / 'drive.toml'}: the metadata can't be written as TOML: {error}; change it"
         ) from None
     for name in RECORDS:
         if (table := getattr(drive, name)) is not None:

@@ -221,13 +221,13 @@ def _contenders(options: GridOptions, drives: Sequence[Any]) -> list[Contender]:
         raise InputError("nothing to compare: name at least one optimizer and one scale")
     found = [_contender(name, scale, shared) for scale in scales for name in names]
     if len({c.label for c in found}) < len(found):
-        raise InputError("an optimizer or scale is named twice; name each of them once")
+        raise InputError("an optimizer or scale is named twice; name each only once")
     first = found[0]
     for other in found:
         if other.budget != first.budget:
             raise InputError(
                 f"{other.name} has {other.budget} evaluations (particles x generations x trials), "
-                f"{first.name} has {first.budget}; give all of them the same"
+                f"but {first.name} has {first.budget}; use the same number for all"
             )
     return found
 

@@ -132,7 +132,7 @@ def accuracy_section(evaluation: Evaluation) -> str:
 def _compared(evaluation: Evaluation, other: str, name: str, measure: str) -> str:
     tuned, theirs = evaluation.mean("tuned", measure), evaluation.mean(other, measure)
     if not tuned or not theirs:
-        return f"The errors of ekf.yaml and of {name} can't be compared: one of these filters failed."
+        return f"The errors of ekf.yaml and of {name} can't be compared, since one of these filters failed."
     title = evaluation.measures[measure].title
     if other == OWN and theirs < tuned:
         return (

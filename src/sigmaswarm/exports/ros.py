@@ -67,7 +67,7 @@ def ros2(
     first, last = (end + time_origin for end in span)
     if first < 0:
         raise InputError(
-            f"{path}: a bag has no times before 0 (start is {first:g} s); shift the times of the drive"
+            f"{path}: a bag can't contain times before 0 (start is {first:g} s); shift the times of the drive"
         )
     store = get_typestore(Stores.ROS2_HUMBLE)
     with (
@@ -95,11 +95,11 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
     """Open a ROS 2 bag (folder, .db3 or .mcap file) that overlaps the time from ``first`` to ``last``, s."""
     highlevel, typesys = library("rosbags.highlevel", "ros"), library("rosbags.typesys", "ros")
     if not path.exists():
-        raise InputError(f"{path}: no such bag; give the bag from which the drive was imported")
+        raise InputError(f"{path}: no such bag; name the bag from which the drive was imported")
     paths = bag_paths(path)
     if not paths:
         raise InputError(
-            f"{path}: contains no bag; give the folder with metadata.yaml, or a .db3 or .mcap file"
+            f"{path}: contains no bag; name the folder with metadata.yaml, or a .db3 or .mcap file"
         )
     if paths[0].suffix == ".bag":
         raise InputError(
@@ -121,10 +121,10 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
         if round(last * 1e9) < begin or round(first * 1e9) > end:
             raise InputError(
                 f"{path}: covers {begin / 1e9:.3f} to {end / 1e9:.3f} s, the estimate {first:.3f} to "
-                f"{last:.3f} s; give the bag from which the drive was imported"
+                f"{last:.3f} s; name the bag from which the drive was imported"
             )
         if TOPIC in reader.topics:
-            raise InputError(f"{path}: already contains {TOPIC}; give the original bag")
+            raise InputError(f"{path}: already contains {TOPIC}; name the original bag")
         yield reader
     finally:
         reader.close()

@@ -101,8 +101,8 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
         require_driven_by_imu(parameters.model, target)
     if parameters.nominal_interval is None:
         raise InputError(
-            "the filter does not state the IMU interval of its process noise; add nominal_interval (s), for "
-            "example nominal_interval = 0.01, to [filter] in its file"
+            "the file of the filter does not contain the IMU interval of its process noise; add "
+            "nominal_interval (s) to [filter], for example nominal_interval = 0.01"
         )
     if min(parameters.process_noise) < 0 or min(parameters.measurement_noise) <= 0:
         raise InputError(

@@ -137,15 +137,15 @@ def check_target(path: Path, origin: Origin | None = None, merge: str | Path | N
     if merge and path.suffix != BAG:
         raise InputError(f"{path}: --merge copies the messages of a bag into a bag; end the name in {BAG}")
     if path.suffix == BAG and path.exists():
-        raise InputError(f"{path}: exists already; delete it, or choose another name")
+        raise InputError(f"{path}: already exists; delete it, or choose another name")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():
         raise InputError(f"{path.parent}: no such folder; create it first")
     if path.suffix in MAPS and origin is None:
         raise InputError(
-            f"{path}: a map needs degrees, but the drive has no origin; give "
-            "--origin LAT,LON, or origin in its drive.toml, or write .csv, .mat, .tum, .kitti or .ros2"
+            f"{path}: a map needs degrees, but the drive has no origin; specify --origin LAT,LON, or origin in "
+            "its drive.toml, or write .csv, .mat, .tum, .kitti or .ros2"
         )
 
 

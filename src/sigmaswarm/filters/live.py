@@ -127,14 +127,14 @@ class LiveFilter:
         lag: float | None = None,
     ) -> None:
         if lag is not None and not 0 < lag < np.inf:
-            raise InputError(f"lag = {lag}: give a positive number of seconds, or leave it out")
+            raise InputError(f"lag = {lag}: pass a positive number of seconds, or leave lag out")
         if not (
             nominal_interval > 0
             and history >= 0
             and max(history, lag or 0) <= MOST_HISTORY * nominal_interval < np.inf
         ):
             raise InputError(
-                f"nominal_interval = {nominal_interval} s, history = {history} s, lag = {lag} s: give a positive "
+                f"nominal_interval = {nominal_interval} s, history = {history} s, lag = {lag} s: pass a positive "
                 f"interval, and a history and lag of at most {MOST_HISTORY} intervals"
             )
         p = parameters
@@ -194,13 +194,13 @@ class LiveFilter:
         """
         if len(imu) != len(self._axes):
             raise InputError(
-                f"an IMU sample of {len(imu)} numbers: {self.parameters.model} reads {', '.join(self._axes)}; "
-                "give these, in this order"
+                f"the IMU sample has {len(imu)} numbers, but {self.parameters.model} reads {', '.join(self._axes)}; "
+                "pass these numbers in this order"
             )
         try:
             took = self._calls.sample(self._memory.handle, t, *imu, *self._no_axes)
         except _NO_NUMBERS as error:
-            raise InputError(f"an IMU sample that is not all numbers: {error}") from None
+            raise InputError(f"the IMU sample contains values that are not numbers: {error}") from None
         # Most samples need no check.
         if took == live.DUE or (self._holds and took and t > self._filter_state[live.START]):
             self._check_divergence(t, due=took == live.DUE)
@@ -242,7 +242,7 @@ class LiveFilter:
                 self._calls.fix(self._memory.handle, t, *seen, var_x, var_y, theta, var_theta) == live.TAKEN
             )
         except _NO_NUMBERS as error:
-            raise InputError(f"a fix that is not two numbers: {error}") from None
+            raise InputError(f"the fix does not consist of two numbers: {error}") from None
 
     def update_odometer(self, t: float, speed: float) -> bool:
         """Process a reading of the odometer: m/s, forward positive.
@@ -258,7 +258,7 @@ class LiveFilter:
         try:
             return self._calls.speed(self._memory.handle, t, speed) == live.TAKEN
         except _NO_NUMBERS as error:
-            raise InputError(f"a reading of the odometer that is not a number: {error}") from None
+            raise InputError(f"the odometer reading is not a number: {error}") from None
 
     def _check_divergence(self, now: float, *, due: bool) -> None:
         """Reset the filter after a sample if it has diverged; ``due``: True if a check is due."""
@@ -421,8 +421,8 @@ def _known_heading(theta: float, std: float) -> tuple[float, float]:
 def _squared(std: Sequence[float] | None) -> tuple[float, float]:
     if std is None or not (len(std) == 2 and 0 <= std[0] <= LARGEST and 0 <= std[1] <= LARGEST):
         raise InputError(
-            f"std = {std}: the filter weighs each fix by the accuracy that the receiver states (accuracy_scale); "
-            f"give two standard deviations in m, at most {LARGEST:g}, or use a filter that was tuned without accuracy"
+            f"std = {std}: the filter weights each fix by the accuracy that the receiver states (accuracy_scale); "
+            f"pass two standard deviations in m, at most {LARGEST:g}, or use a filter that was tuned without accuracy"
         )
     return float(std[0]) ** 2, float(std[1]) ** 2
 

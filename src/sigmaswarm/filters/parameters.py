@@ -244,14 +244,14 @@ class FilterParameters:
 
             if has_table(path, "imu") and not (path / "tuning.toml").exists():
                 raise InputError(
-                    f"{path}: is a drive; give the tuning first, as in sigmaswarm evaluate TUNING DRIVE"
+                    f"{path}: is a drive; pass the tuning first, as in sigmaswarm evaluate TUNING DRIVE"
                 )
             path = path / "tuning.toml"
         table = read_content(
-            path, "give a readable TOML file", missing="give a tuning.toml or the folder that contains it"
+            path, "name a readable TOML file", missing="name a tuning.toml or the folder that contains it"
         )
         if not isinstance(table.get("filter"), dict):
-            raise InputError(f"{path}: has no [filter] table; give a file written by `sigmaswarm tune`")
+            raise InputError(f"{path}: has no [filter] table; name a file written by `sigmaswarm tune`")
         parameters = cls._validated(table["filter"], path)
         _warn_of_age(table, path)
         return parameters
@@ -298,9 +298,15 @@ def clash(kind: str, use: Collection[str]) -> str | None:
             "leave robust out"
         )
     if "accuracy" in use and kind == "adaptive-ukf":
-        return "accuracy can't be combined with adaptive-ukf, which estimates R; use another kind, or leave it out"
+        return (
+            "accuracy can't be combined with adaptive-ukf, which estimates R; use another kind, or leave "
+            "accuracy out"
+        )
     if "fix-error" in use and kind not in ("ukf", "ekf"):
-        return f"fix-error can't be combined with {kind}, which adapts its noise; use ukf or ekf, or leave it out"
+        return (
+            f"fix-error can't be combined with {kind}, which adapts its noise; use ukf or ekf, or leave "
+            "fix-error out"
+        )
     return None
 
 

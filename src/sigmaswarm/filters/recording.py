@@ -292,5 +292,5 @@ def failure_at(line: Timeline, time: float) -> str:
     """Return a message about a filter's failure at a time, s."""
     return (
         f"{line.drive.name}: the filter failed at t = {time:.3f} s (covariance not positive "
-        "definite, or NaN in the data); are all variances positive and all samples finite?"
+        "definite, or NaN in the data); check that all variances are positive and all samples are finite"
     )

@@ -56,7 +56,7 @@ def require_odometer(drive: Drive) -> None:
     """Raise `InputError` if a drive has no odometer, for a filter that uses one."""
     if drive.odometer is None:
         raise InputError(
-            f"{drive.name}: the filter uses the wheels' speed (odometer_noise), and the drive has no odometer.csv; "
+            f"{drive.name}: the filter uses the wheel speed (odometer_noise), but the drive has no odometer.csv; "
             "use a filter that was tuned without odometer"
         )
 
@@ -65,8 +65,9 @@ def require_accuracy(line: Timeline) -> None:
     """Raise `InputError` if a fix has no stated accuracy, for a filter that weights fixes by it."""
     if not line.states_accuracy:
         raise InputError(
-            f"{line.drive.name}: the filter weighs each fix by the accuracy that the receiver states (accuracy_scale), "
-            "and gps.csv has no std_x and std_y for all fixes; use a filter that was tuned without accuracy"
+            f"{line.drive.name}: the filter weights each fix by the accuracy that the receiver states "
+            "(accuracy_scale), but gps.csv does not contain std_x and std_y for all fixes; use a filter that "
+            "was tuned without accuracy"
         )
 
 

@@ -184,16 +184,18 @@ def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Value
         values["speed"], values["course"] = np.hypot(vx, vy), np.arctan2(vy, vx)
     for single in ("vx", "vy"):
         if values.pop(single, None) is not None:
-            say(f"gps: {single} left out, since a velocity needs vx and vy")
+            say(f"gps: {single} is left out, since a velocity needs vx and vy")
     if "course" in values:
         values["course"] = np.asarray(wrap_angle(values["course"]))
     if "lat" in values and "lon" in values:
         if not len(values["lat"]):
-            raise InputError("gps: no fix is left; --show shows the contents of the log")
+            raise InputError("gps: no fix remains; --show shows the contents of the log")
         origin = origin or _first_place(values)
         values = level(values, values.get("alt", origin[2]), origin, "gps")
     elif not {"x", "y"} <= set(values):
-        raise InputError("gps: no column gives a position; map lat and lon (deg), or x and y (m east, north)")
+        raise InputError(
+            "gps: no column contains a position; map lat and lon (deg), or x and y (m east, north)"
+        )
     for given, missing in (("std_x", "std_y"), ("std_y", "std_x")):
         if given in values and missing not in values:
             values[missing] = values[given]
@@ -213,13 +215,15 @@ def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[V
     """
     if "lat" in values and "lon" in values:
         if origin is None and gps:
-            raise InputError("the truth is in degrees and the fixes are not; give --origin lat,lon,alt")
+            raise InputError(
+                "the truth is in degrees and the fixes are in meters; specify --origin lat,lon,alt"
+            )
         origin = origin or _first_place(values)
         flat = "lat" in gps and "alt" not in gps
         values = level(values, origin[2] if flat else values.get("alt", origin[2]), origin, "truth")
     if not {"x", "y"} <= set(values) or len(values["x"]) < 2:
         raise InputError(
-            "truth: no column gives a position; map truth.x and truth.y, or truth.lat and truth.lon"
+            "truth: no column contains a position; map truth.x and truth.y, or truth.lat and truth.lon"
         )
     return values, origin
 
@@ -229,11 +233,11 @@ def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, o
     time = seconds["gps"]
     inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])
     if np.count_nonzero(inside) < 3:
-        return f"{said}; state it with --origin lat,lon,alt"
+        return f"{said}; specify the origin with --origin lat,lon,alt"
     apart = [gps[n][inside] - np.interp(time[inside], seconds["truth"], truth[n]) for n in ("x", "y")]
     (east, north), spread = np.mean(apart, axis=1), np.std(apart, axis=1) / np.sqrt(np.count_nonzero(inside))
     lat, lon, _ = enu_to_geodetic(np.array([[east, north, 0.0]]), origin)[0]
-    state = f"state it; --origin {lat:.8f},{lon:.8f},{origin[2]:.3f} fits the fixes best"
+    state = f"specify the origin; --origin {lat:.8f},{lon:.8f},{origin[2]:.3f} fits the fixes best"
     if np.all(np.abs([east, north]) < 5 * spread):
         return f"{said}; {state}"
     return f"{said}; but the fixes lie {east:.2f} m east and {north:.2f} m north of the truth on average: {state}"
@@ -243,7 +247,9 @@ def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]
     """Make fixes from the truth at a rate, Hz, with white noise, m per axis."""
     given = f"--gps-from-truth {rate:g},{noise:g}"
     if not (0 < rate <= 1000 and 0 <= noise < np.inf):
-        raise InputError(f"{given} can't be used; give a rate in Hz and a deviation in m, as 5,1")
+        raise InputError(
+            f"{given} can't be used; specify a rate in Hz and a standard deviation in m, for example 5,1"
+        )
     if not (truth.time[-1] - truth.time[0]) * rate <= MOST_FIXES:
         raise InputError(f"{given} would make more than {MOST_FIXES} fixes; check the truth's times")
     time = np.arange(truth.time[0] + 0.5 / rate, truth.time[-1], 1 / rate)
@@ -262,10 +268,12 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
         speed, course = values["speed"], values["course"]
         values["vx"], values["vy"] = speed * np.cos(course), speed * np.sin(course)
     if "vx" not in values or "vy" not in values:
-        say("truth: velocity taken from the positions' differences")
+        say("truth: the velocity is computed from the differences of the positions")
         values["vx"], values["vy"] = np.gradient(values["x"], time), np.gradient(values["y"], time)
     if "theta" not in values:
-        say("truth: heading taken from the course, constant while the vehicle is slower than 1 m/s")
+        say(
+            "truth: the heading is that of the course, and is constant while the vehicle is slower than 1 m/s"
+        )
         values["theta"] = _held_course(values["vx"], values["vy"])
     else:
         course, rows = course_of(time, values["x"], values["y"])
@@ -274,7 +282,9 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
         east, north = (float(np.median(values[n]) - np.median(gps[n])) for n in ("x", "y"))
         apart = np.hypot(east, north)
         if apart > 1000.0:
-            say(f"truth: {apart:.0f} m from the fixes (median); if it has another origin, give --origin")
+            say(
+                f"truth: {apart:.0f} m from the fixes (median); if the truth has another origin, specify --origin"
+            )
     return {name: values[name] for name in ("x", "y", "vx", "vy", "theta")}
 
 

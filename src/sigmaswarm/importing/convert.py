@@ -242,14 +242,14 @@ def _require_sensors(
             raise InputError(f"{path}: no {what} found in {there}; {why[0]}; or {remedy}")
         columns = [name.meaning for table in logs[path].tables.values() for name in read_names(table.columns)]
         if role == "imu" and "ax" in columns and not {"gx", "gy", "gz"} & {*columns}:
-            there += " (it has accelerations, but no column is known as an angular rate)"
+            there += " (the log has accelerations, but no column is recognized as an angular rate)"
         around = path.iterdir() if role == "gps" and path.is_dir() else ()
         more = next(
             (f"; {f.name} is not read, since it is {kind}" for f in around if (kind := unread(f))), ""
         )
         raise InputError(
-            f"{path}: no {what} found in {there}; {remedy}, or name the columns with --map (--show lists "
-            f"them, and proposes a line where their names suggest one){more}"
+            f"{path}: no {what} found in {there}; {remedy}, or name the columns with --map (--show lists the "
+            f"columns, and proposes a mapping if their names suggest one){more}"
         )
 
 

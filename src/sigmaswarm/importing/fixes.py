@@ -62,8 +62,8 @@ def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.boo
         if not parts:
             there = names_shown(log.tables)
             raise InputError(
-                f"{path}: no position fixes found in {there}; name the receiver's own log, or make a drive of it with "
-                "sigmaswarm import and name that"
+                f"{path}: no position fixes found in {there}; name the receiver's own log, or convert it to a "
+                "drive with sigmaswarm import and name the drive"
             )
         parts = [one for part in parts for one in complete_parts(part, log, "gps")]
         fixed = [replace(parts[0], columns={**parts[0].columns, "keep": guess.fixed})] if guess.fixed else []

@@ -26,7 +26,7 @@ READERS: dict[str, tuple[str, str]] = {
     "sensor-logger": ("sensor_logger", "Sensor Logger's export, a folder or .zip"),
     "phyphox": ("phyphox", "phyphox's export as CSV, a folder or .zip"),
     "gnss-logger": ("gnss_logger", "a text of Android's GnssLogger"),
-    "csv": ("columns", "CSV or Parquet, a file or a folder of them"),
+    "csv": ("columns", "CSV or Parquet, a file or a folder of files"),
 }
 """By the name for --format: the module in ``readers/``, and a description. The most general format is last.
 
@@ -42,21 +42,22 @@ NOT_READ = {
     ".tlog": "a MAVLink log; run: mavlogdump.py --format csv --types SCALED_IMU,GPS_RAW_INT, or take the .bin",
     ".bbl .bfl": "a blackbox log; run: blackbox_decode --merge-gps --unit-acceleration m/s2 --unit-rotation deg/s, and "
     "import the .csv with --map 'gps.lat=`GPS_coord[0]`' 'gps.lon=`GPS_coord[1]`'",
-    ".mf4 .mdf": "a measurement file of ASAM; export it as CSV, as with asammdf",
+    ".mf4 .mdf": "a measurement file of ASAM; export it as CSV, for example with asammdf",
     ".sbf": "a Septentrio stream; convert it to NMEA with sbfconvert or RxTools",
-    ".rtcm .rtcm3 .obs .rnx": "raw measurements; make fixes with RTKLIB (convbin, rnx2rtkp), import the .pos",
-    ".gpx .kml .kmz .fit": "a track; convert it to CSV, as: gpsbabel -i gpx -f IN -o unicsv -F track.csv",
-    ".json .jsonl .ndjson": "JSON; write it as CSV, as with pandas.read_json(...).to_csv",
+    ".rtcm .rtcm3 .obs "
+    ".rnx": "raw measurements; compute fixes with RTKLIB (convbin, rnx2rtkp), and import the .pos file",
+    ".gpx .kml .kmz .fit": "a track; convert it to CSV, for example with: gpsbabel -i gpx -f IN -o unicsv -F track.csv",
+    ".json .jsonl .ndjson": "JSON; write it as CSV, for example with pandas.read_json(...).to_csv",
     ".npy .npz .pkl": "Python arrays; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
-    ".h5 .hdf5": "HDF5; write its tables as CSV, as with pandas.read_hdf(...).to_csv",
+    ".h5 .hdf5": "HDF5; write its tables as CSV, for example with pandas.read_hdf(...).to_csv",
     ".gz .bz2 .xz .zst .7z .tar .tgz": "a compressed file or an archive; unpack it",
     ".db .sqlite": "a database; export its tables as CSV (a ROS 2 bag is called .db3)",
     ".vbo": "a file of Racelogic; export it as CSV, with the channels of the IMU",
     ".ld .xrk .drk": "a log of a race car; export it as CSV with the logger's program (MoTeC i2, Race Studio)",
-    ".blf": "a log of a CAN bus; decode its signals with their DBC file, as with asammdf, and export CSV",
+    ".blf": "a log of a CAN bus; decode its signals with their DBC file, for example with asammdf, and export CSV",
     ".novatel": "a log of NovAtel; convert the fixes to NMEA with NovAtel Convert, and the IMU to CSV",
     ".mtb": "a recording of Xsens; export it as text with MT Manager, with UTC time and position",
-    ".mp4 .mov .insv": "a video; extract the telemetry of its IMU and GPS as CSV, as with gopro-telemetry",
+    ".mp4 .mov .insv": "a video; extract the telemetry of its IMU and GPS as CSV, for example with gopro-telemetry",
     ".pcap .pcapng": "network packets; decode them with the sensor's own program, and export CSV",
 }
 """Suffixes of formats that are not supported, and how to convert them."""
@@ -117,7 +118,7 @@ def format_of(path: Path) -> str:
             f"{path}: contains no log, but folders with tables ({there}); import one of them, such as {tables[0]}, and "
             "name the others with --gps, --truth and --odometer"
         )
-    raise InputError(f"{path}: has an unknown format; name it with --format: {', '.join(READERS)}")
+    raise InputError(f"{path}: has an unknown format; specify the format with --format: {', '.join(READERS)}")
 
 
 def unread(path: Path) -> str:

@@ -138,7 +138,7 @@ def _complete(part: Part, log: Log, role: Role) -> Part:
     if "t" not in part.columns:
         raise InputError(
             f"{log.path}: which column of {shown(part.table)} is the time of the {role} was not found; "
-            f'give it with --time, or count rows where the rate is known: --map "{role}.t=row/100" for 100 Hz'
+            f'specify it with --time, or count rows if the rate is known: --map "{role}.t=row/100" for 100 Hz'
         )
     for text in part.columns.values():
         try:

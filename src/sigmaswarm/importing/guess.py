@@ -200,8 +200,8 @@ def _with_fix(columns: Columns) -> Found | None:
         return None
     if len(kept) >= (1 - MOST_DROPPED) * len(fixes):
         return Found(text)
-    seen = f"{len(fixes) - len(kept)} of {len(fixes)} fixes where {text} is not true are used"
-    return Found("", note=f'{seen}; to leave them out, write --map "gps.keep={text}"')
+    seen = f"{len(fixes) - len(kept)} of {len(fixes)} fixes for which {text} is not true are used"
+    return Found("", note=f'{seen}; to leave these fixes out, write --map "gps.keep={text}"')
 
 
 def _downward(imu: Columns) -> str:
@@ -215,6 +215,6 @@ def _downward(imu: Columns) -> str:
 def points_down(column: str) -> str:
     """Describe a vertical axis that points down, and the remedy."""
     return (
-        f"{column} is negative: the z axis points down; if x points forward and y to the right, use --mount "
+        f"{column} is negative, so the z axis points down; if x points forward and y to the right, use --mount "
         f"{Z_DOWN}, and check the result with `sigmaswarm doctor`"
     )

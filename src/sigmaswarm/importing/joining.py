@@ -39,9 +39,9 @@ def join(
             continue
         inside = (time >= other_time[0]) & (time <= other_time[-1])
         if left := int(np.count_nonzero(~inside)):
-            say(f"{role}: {left} rows left out, since not all tables of the sensor cover them")
+            say(f"{role}: {left} rows are left out, since not all tables of the sensor cover their times")
         if not inside.any():
-            raise InputError(f"the {role}: its tables do not overlap in time; put them on one clock")
+            raise InputError(f"{role}: its tables do not overlap in time; convert them to one clock")
         time, values = time[inside], {k: v[inside] for k, v in values.items()}
         at, known_at = ((t - other_time[0]) / SECOND for t in (time, other_time))
         for name, column in other.items():
@@ -88,20 +88,20 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
     where = f"{role}: {table}"
     if part.unkept:
         keep = part.part.columns["keep"]
-        say(f"{role}: {part.unkept} of {part.seen} rows of {table} left out: {keep} is not true")
+        say(f"{role}: {part.unkept} of {part.seen} rows of {table} are left out, since {keep} is not true")
     if part.timeless:
-        say(f"{role}: left out {part.timeless} rows of {table}, which have no time")
+        say(f"{role}: {part.timeless} rows of {table} are left out, since they have no time")
     if not len(time):
-        why = "no usable row; --show shows its contents"
+        why = "no usable row; --show shows the contents of the log"
         if part.timeless:
-            why = "no time within 292 years of 1970; give its column and unit with --time"
-        raise InputError(f"the {role}: {table} contains {why}")
+            why = "no time within 292 years of 1970; specify the column of the time and its unit with --time"
+        raise InputError(f"{role}: {table} contains {why}")
     for name, (value, count) in part.placeholders.items():
-        say(f"{where}: {count} values of {shown(name)} are {value:g}, a placeholder: left out")
+        say(f"{where}: {count} values of {shown(name)} are {value:g}, a placeholder, and are left out")
     filled = _finite(values, len(time)).any(axis=0)
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
-        say(f"{role}: left out {empty} rows that have an empty cell")
-    if role == "gps":  # a row that repeats time and position of the previous row
+        say(f"{role}: {empty} rows are left out, since they have an empty cell")
+    if role == "gps":  # a row that repeats the time and the place of the row before
         same = [np.diff(column) == 0 for column in (time, *(values[n] for n in POSITIONS if n in values))]
         filled &= ~np.append(False, np.all(same, axis=0))
     if filled.any():
@@ -130,9 +130,7 @@ def _complete_rows(
     """Leave out mostly empty columns, then rows with an empty cell."""
     for name in required:
         if name not in values or not np.isfinite(values[name]).any():
-            raise InputError(
-                f"the {role}: nothing gives {name}; name its column with --map {role}.{name}=..."
-            )
+            raise InputError(f"{role}: no column contains {name}; specify one with --map {role}.{name}=...")
     values = dict(values)
     for name in values.keys() & {"std_x", "std_y"}:
         values[name] = np.where(values[name] > LEAST_STD, values[name], np.nan)
@@ -145,16 +143,18 @@ def _complete_rows(
         if np.mean(empty) > SPARSE:
             gone = next((pair for pair in TOGETHER if name in pair), (name,))
             if not empty.all():
-                say(f"{role}: {' and '.join(gone)} left out, empty in {np.mean(empty):.0%} of the rows")
+                say(
+                    f"{role}: {' and '.join(gone)} left out, since {np.mean(empty):.0%} of the rows are empty"
+                )
             values = {n: column for n, column in values.items() if n not in gone}
     full = _finite(values, len(time)).all(axis=0)
     if not full.any():
         raise InputError(
-            f"the {role}: no row has all of {', '.join(values)}; leave one out with --map {role}.NAME="
+            f"{role}: no row has all of {', '.join(values)}; leave one out with --map {role}.NAME="
         )
     sparse = role == "gps" and np.mean(placed) < 0.5
     if (left := int(np.count_nonzero(~full))) and not sparse:
-        say(f"{role}: left out {left} rows that have an empty cell")
+        say(f"{role}: {left} rows are left out, since they have an empty cell")
     time, values = time[full], _rows(values, full)
     position = [values[n] for n in POSITIONS if n in values]
     if role != "gps" or not position or len(time) < 10:
@@ -162,6 +162,6 @@ def _complete_rows(
     changed = np.append(True, np.any([np.diff(p) != 0 for p in position], axis=0))
     if np.mean(changed) > 0.5:
         return time, values
-    # Fixes that are repeated until the next one (a table at the IMU's rate) count once.
-    say(f"gps: {int(np.count_nonzero(~changed))} rows that repeat the position before left out")
+    # fixes that are repeated until the next one comes (a table at the IMU's rate) count once
+    say(f"gps: {int(np.count_nonzero(~changed))} rows are left out, since they repeat the previous position")
     return time[changed], _rows(values, changed)

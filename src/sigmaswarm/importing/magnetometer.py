@@ -41,8 +41,11 @@ WORST = np.radians(20)
 LEAST_STD = np.radians(0.5)
 """Smallest stated standard deviation, rad."""
 LONGEST_GAP = 1.0
-"""Largest sample interval that is interpolated, s."""
-_UNLIKE = "mag: the field does not turn as the drive does (by course and gyro); map other columns, or omit it"
+"""Largest interval of samples that is interpolated, s."""
+_UNLIKE = (
+    "mag: the field does not rotate like the vehicle (course and gyro); map other columns, or omit the "
+    "magnetometer"
+)
 _AXES = (
     r"(?:.*[\W_])?mag(?:netic[\W_]?field|[a-z]*)\d*[\W_]*([xyz])(?:[\W_].*)?",
     r"[mb][\W_]?([xyz])",
@@ -96,7 +99,9 @@ def with_magnetometer(
     drive: Drive, parts: Sequence[Gathered], recipe: Recipe, say: Say, recording: int | None
 ) -> Drive:
     if drive.gps.heading is not None:
-        raise InputError("mag: the fixes have a heading already; omit one of the two with --map")
+        raise InputError(
+            "mag: the fixes already have a heading; omit the heading or the magnetometer with --map"
+        )
     stamps, values = join(parts, "mag", ("mx", "my"), say, recording)
     zero = int(drive.metadata.get("time_origin_s", 0))
     time, field = (stamps - zero * SECOND) / SECOND, _in_vehicle(values, recipe.mount)
@@ -106,7 +111,8 @@ def with_magnetometer(
     turned = _turned(reference[moving])
     if turned < LEAST_TURN:
         raise InputError(
-            f"mag: the drive covers {turned} of 360 deg while it moves, too little to determine the hard iron "
+            f"mag: the headings of the drive cover {turned} of 360 deg while the vehicle moves, too little to "
+            "determine the hard iron "
             f"({LEAST_TURN} are needed); import a drive with more turns, or omit the magnetometer"
         )
     calibration = calibrate(reference[moving], field[moving])
@@ -209,11 +215,13 @@ def _turn(calibration: Calibration, stated: float | None) -> float:
     if stated is None:
         return 0.0
     if not abs(stated) <= 180:
-        raise InputError(f"--declination {stated:g} is not an angle; give degrees, east positive, as 3.5")
+        raise InputError(
+            f"--declination {stated:g} is not an angle; specify degrees, east positive, for example 3.5"
+        )
     if calibration.mirrored:
         raise InputError(
-            "mag: mx and my turn the wrong way round, so --declination can't be applied; change the sign of one, "
-            "exchange them, or omit --declination"
+            "mag: mx and my rotate in the wrong direction, so --declination can't be applied; change the sign "
+            "of one of them, exchange them, or omit --declination"
         )
     return calibration.declination - float(np.radians(stated))
 
@@ -222,9 +230,12 @@ def _said(calibration: Calibration, stated: float | None) -> str:
     x, y = calibration.center
     fitted = f"mag: hard iron {x:.4g}, {y:.4g}, soft iron {calibration.soft_iron:.1%}"
     if calibration.mirrored:
-        return f"{fitted}; mx and my turn the wrong way round (x forward, y left): corrected by the course"
+        return (
+            f"{fitted}; mx and my rotate in the wrong direction for x forward and y left, which is corrected "
+            "from the course"
+        )
     total = (
         f"{np.degrees(calibration.declination):+.1f} deg for declination plus the sensor's rotation about z"
     )
     stating = "" if stated is None else f"; declination {stated:+.1f} deg as stated"
-    return f"{fitted}{stating}; the course of the fixes gives {total}"
+    return f"{fitted}{stating}; the course of the fixes yields {total}"

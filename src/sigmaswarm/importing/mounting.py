@@ -23,7 +23,7 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
     if mounting is None or mounting.confidence == "no":
         reason = mounting.reason if mounting else "required: ax, ay, az, gx, gy, gz and a moving vehicle"
         raise InputError(
-            f"mount auto: the log does not show the mounting ({reason}); state it, as in mount 0,10,90"
+            f"mount auto: the log does not show the mounting ({reason}); specify it, for example mount 0,10,90"
         )
     mount = ",".join(f"{angle:g}" for angle in mounting.degrees)
     total = math.degrees(float(np.linalg.norm(mounting.std)))

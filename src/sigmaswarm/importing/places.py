@@ -28,11 +28,15 @@ def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) ->
     lat, lon = values["lat"], values["lon"]
     zero = (lat == 0) & (lon == 0)
     if zero.any() and not zero.all():
-        say(f"{role}: {int(zero.sum())} rows at latitude 0, longitude 0 left out, since they are no fix")
+        say(
+            f"{role}: {int(zero.sum())} rows are left out, since latitude 0 and longitude 0 mean that there is no fix"
+        )
     good = ~zero if not zero.all() else np.ones(len(time), bool)
     outside = good & ((np.abs(lat) > 90) | (np.abs(lon) > 360))
     if outside.any() and outside.sum() < 0.5 * good.sum():
-        say(f"{role}: {int(outside.sum())} rows with an impossible latitude or longitude left out")
+        say(
+            f"{role}: {int(outside.sum())} rows are left out, since their latitude or longitude is impossible"
+        )
         good &= ~outside
     if not good.any() or np.abs(lat[good]).max() > 90:
         return good
@@ -44,7 +48,9 @@ def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) ->
     far = good & (away > FARTHEST + FASTEST * span)
     if far.any() and far.sum() < 0.1 * good.sum():
         first = ", including the first" if far[np.argmax(good)] else ""
-        say(f"{role}: {int(far.sum())} rows {away[far].max() / 1e3:.0f} km from the others left out{first}")
+        say(
+            f"{role}: {int(far.sum())} rows {away[far].max() / 1e3:.0f} km from the others are left out{first}"
+        )
         good &= ~far
     return good
 
@@ -53,7 +59,7 @@ def with_longitudes(values: Values, role: str, say: Say) -> Values:
     """Convert longitudes of 0 to 360 degrees to -180 to 180."""
     if "lon" not in values or not (np.abs(values["lon"]) > 180).any() or (np.abs(values["lon"]) > 360).any():
         return values
-    say(f"{role}: longitudes beyond 180 degrees taken as 0 to 360")
+    say(f"{role}: longitudes beyond 180 degrees are read as 0 to 360")
     return {**values, "lon": np.mod(values["lon"] + 180, 360) - 180}
 
 
@@ -73,7 +79,7 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
     if len(rows) < 5:
         if "heading" not in what or np.abs(angle).max(initial=0.0) < 7.0:
             return angle
-        say(f"{what} taken as degrees clockwise from north; no course confirms it")
+        say(f"{what} is read as degrees clockwise from north; no course confirms this unit")
         return np.asarray(wrap_angle(np.pi / 2 - np.radians(angle)))
     conventions = (
         ("", angle),
@@ -98,7 +104,7 @@ def level(values: Values, altitude: Array | float, origin: tuple[float, float, f
         wrong = values[name][np.abs(values[name]) > most]
         if len(wrong):
             raise InputError(
-                f"the {role}: {name} = {wrong[0]:g} is not in degrees; map it, for example --map {name}={name}*1e-7"
+                f"{role}: {name} = {wrong[0]:g} is not in degrees; map it, for example --map {name}={name}*1e-7"
             )
     enu = geodetic_to_enu(values["lat"], values["lon"], altitude, origin)
     return {**values, "x": enu[:, 0], "y": enu[:, 1]}

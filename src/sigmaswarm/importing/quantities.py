@@ -32,10 +32,10 @@ MOST_FORCE = 100.0
 FASTEST = 250.0
 """Largest angular rate of a car, deg/s."""
 HIGHEST = 9000.0
-"""Largest altitude, m; a wrong unit would stretch the track by 0.15% or more."""
-_ACCELEROMETERS = "usual 16-bit sensors: 16384 counts per g at +-2 g, 8192 at 4, 4096 at 8, 2048 at 16"
+"""Largest altitude, m; another unit would stretch the track by 0.15% or more."""
+_ACCELEROMETERS = "common 16-bit sensors: 16384 counts per g at +-2 g, 8192 at 4, 4096 at 8, 2048 at 16"
 _GYROS = (
-    "usual 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at 500, 32.8 at 1000, 16.4 at 2000; mrad/s: each "
+    "common 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at 500, 32.8 at 1000, 16.4 at 2000; mrad/s: each "
     "column*1e-3; deg/s: radians(column)"
 )
 
@@ -77,9 +77,9 @@ class Columns:
 def quantity(columns: Columns, what: str, role: Role) -> Found:
     name, text, dimension = columns.names[what], columns.text(what), DIMENSIONS[what]
     if name.unit is None and what == "alt" and columns.largest(what) > HIGHEST:
-        seen = f"{name.column} left out: {columns.largest(what):.6g} is no altitude in m"
+        seen = f"{name.column} is left out: {columns.largest(what):.6g} is not an altitude in m"
         example = _maps(columns, role, ["alt"], "{}*1e-3")
-        return Found("", note=f"{seen}; map it: if it is in mm, as {example}; if it is in cm, with *1e-2")
+        return Found("", note=f"{seen}; map the column: {example} if it is in mm, *1e-2 if it is in cm")
     if name.unit is None:
         return _without_unit(columns, what, role) if dimension in ("acceleration", "rate") else Found(text)
     if name.unit.dimension == dimension:
@@ -105,9 +105,9 @@ def _without_unit(columns: Columns, what: str, role: Role) -> Found:
         usual = {a: median_of(v.filter(v > 0)) for a, v in values.items()}
         steady = high <= STEADY * low  # like gravity; accelerations without gravity are small at rest
         if steady and (0.8 < usual.get("az", 0.0) < 1.2 or 0.9 < size < 1.12):
-            return Found(f"{text}*9.80665", "accelerations taken as g, since gravity in them is about 1")
+            return Found(f"{text}*9.80665", "accelerations are read as g, since gravity appears as about 1")
         if 930 < size < 1050 and largest < 8000:
-            note = "accelerations taken as mg, since gravity in them is about 1000"
+            note = "accelerations are read as mg, since gravity appears as about 1000"
             return Found(f"{text}*0.00980665", note)
         raw = max(usual[a] for a in axes) > 30 or largest > MOST_FORCE
         return Found("", fault=_raw_counts(columns, what, role)) if raw else Found(text)
@@ -116,7 +116,7 @@ def _without_unit(columns: Columns, what: str, role: Role) -> Found:
         return Found("", fault=_raw_counts(columns, what, role))
     if largest > 5.0:
         option = _maps(columns, role, axes, "{}")
-        note = f"angular rates taken as deg/s, since they exceed 5; if they are in rad/s, write {option}"
+        note = f"angular rates are read as deg/s, since they exceed 5; if they are in rad/s, write {option}"
         return Found(f"radians({text})", note)
     return Found(text)
 
@@ -136,7 +136,7 @@ def _raw_counts(columns: Columns, what: str, role: Role) -> str:
     named = ", ".join(quoted(columns.names[a].column) for a in axes)
     maps = _maps(columns, role, axes, form)
     return (
-        f"columns {named} contain raw counts, or have an unknown unit: {seen}; give their scale, for example {maps} "
+        f"columns {named} contain raw counts, or have an unknown unit: {seen}; specify their scale, for example {maps} "
         f"({about})"
     )
 
@@ -269,9 +269,9 @@ def _place_form(columns: Columns, role: Role) -> Found:
     if low <= 90 and high <= 360:
         return Found("{}")
     if low <= 9000 and high <= 18060 and all((v % 100 >= 60).sum() <= FEW_ODD * len(v) for v in (lat, lon)):
-        return Found("ddmm({})", "latitude and longitude taken as degrees and minutes, ddmm.mmmm")
+        return Found("ddmm({})", "latitude and longitude are read as degrees and minutes, ddmm.mmmm")
     if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 180e6):
-        return Found("{}*1e-7", "latitude and longitude taken as 1e-7 degrees")
+        return Found("{}*1e-7", "latitude and longitude are read as 1e-7 degrees")
     said = f"{_maps(columns, role, both, '{}*1e-7')} (or another factor)"
     fault = f"latitude and longitude of about {low:.6g} and {high:.6g} are not degrees; write {said}"
     return Found("", fault=fault)
@@ -286,7 +286,7 @@ def heading(columns: Columns, what: str, role: Role) -> Found:
     angle = in_si(name.unit, text) if name.unit is not None else angle
     degrees = "radians" in angle
     if what == "bearing" or (what == "course" and degrees):
-        note = f"{name.column} taken as {'degrees' if degrees else 'radians'} clockwise from north"
+        note = f"{name.column} is read as {'degrees' if degrees else 'radians'} clockwise from north"
         return Found(f"radians(90-{text})" if angle == f"radians({text})" else f"pi/2-{angle}", note)
     assumed = what == "theta" and name.unit is None and degrees
-    return Found(angle, f"{name.column} taken as degrees" if assumed else "")
+    return Found(angle, f"{name.column} is read as degrees" if assumed else "")

@@ -60,7 +60,7 @@ class Limits:
         found = list(islice(names, self.columns + 1))
         if len(found) > self.columns:
             raise InputError(
-                f"{path}: has more than {self.columns} columns; raise --max-columns if this is right"
+                f"{path}: has more than {self.columns} columns; raise --max-columns if this number is correct"
             )
         return tuple(name for name in found if name)
 
@@ -115,12 +115,12 @@ class Placement:
         """Describe the mounting and the lever arm that an import takes from tf_static."""
         base, imu, antenna = self.frames
         if mount == self.mount:
-            yield f"mounting {mount} deg (roll, pitch, yaw) taken from tf_static, {imu} in {base}"
+            yield f"mounting {mount} deg (roll, pitch, yaw) is taken from tf_static, {imu} in {base}"
         if self.lever_arm and lever_arm == self.lever_arm:
             x, y, z = self.lever_arm
-            yield f"lever arm {x:.4g},{y:.4g},{z:.4g} m taken from tf_static, from {imu} to {antenna} in {base}"
+            yield f"lever arm {x:.4g},{y:.4g},{z:.4g} m is taken from tf_static, from {imu} to {antenna} in {base}"
         elif not self.lever_arm:
-            yield f"tf_static has no position of {antenna or 'the antenna'}; state it with --lever-arm"
+            yield f"tf_static does not contain the position of {antenna or 'the antenna'}; specify it with --lever-arm"
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
     limit = max(2 * SECOND, 2 * float(np.median(np.abs(steps))))
     if (minute >= 60).any() or (second >= 60).any() or not new.any() or np.abs(steps[new]).max() > limit:
         return time, ""
-    return fine, "its times are hours, minutes and seconds, hhmmss: converted"
+    return fine, "its times are hours, minutes and seconds (hhmmss) and are converted"
 
 
 def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
@@ -66,7 +66,7 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
             inside |= int(np.ptp(time)) <= period and int(edge.max()) <= 60 * SECOND
         if wraps.any() and np.array_equal(wraps, wraps & near) and inside:
             turns = np.concatenate([[0], np.cumsum(wraps)])
-            return time + turns * period, f"{name}, wraps {int(wraps.sum())} time(s): unwrapped"
+            return time + turns * period, f"{name}, wraps {int(wraps.sum())} time(s) and is unwrapped"
     return time, ""
 
 
@@ -97,8 +97,8 @@ def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice,
     if part is None:
         raise InputError(f"{said}; import each by itself: --part 1 to --part {len(parts)}")
     if not 1 <= part <= len(parts):
-        raise InputError(f"{said}; there is no recording {part}; give --part 1 to --part {len(parts)}")
-    return parts[part - 1], f"{said}; number {part} taken"
+        raise InputError(f"{said}; there is no recording {part}; choose --part 1 to --part {len(parts)}")
+    return parts[part - 1], f"{said}; recording {part} is used"
 
 
 def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]:
@@ -107,7 +107,7 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
     repeated = 1 - len(new) / len(time)
     if len(time) > 2 and len(new) < 2:
         raise InputError(
-            f"{where}: all {len(time)} rows have the same time; name a finer one with --map {role}.t=..., or count "
+            f"{where}: all {len(time)} rows have the same time; specify a finer time with --map {role}.t=..., or count "
             f'rows where the rate is known: --map "{role}.t=row/100" for 100 Hz'
         )
     if repeated <= REPEATED or len(new) < 2:
@@ -124,8 +124,8 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
         lost, rate = len(time) - len(new), usual * SECOND / step
         raise InputError(
             f"{where}: {lost} of {len(time)} rows ({repeated:.0%}) have the time of the row before, and the number "
-            f"of rows per time varies from {counts.min()} to {counts.max()}: the times of the {role} are too coarse; "
-            f"name a finer one with --map {role}.t=..., or count rows where the rate is known, as "
+            f"of rows per time varies from {counts.min()} to {counts.max()}: the times of the {role} are too "
+            f"coarse; specify a finer time with --map {role}.t=..., or count rows where the rate is known, as "
             f'--map "{role}.t=row/{rate:.6g}"'
         )
     group = np.repeat(np.arange(len(new)), counts)
@@ -165,7 +165,9 @@ def in_order(
         say(f"{where}: {note}")
     new = np.diff(time, prepend=time[0] - 1) > 0
     if not new.all():
-        say(f"{where}: {int(np.count_nonzero(~new))} rows with the time of the row before left out")
+        say(
+            f"{where}: {int(np.count_nonzero(~new))} rows are left out, since they have the time of the previous row"
+        )
     return time[new], rows[new]
 
 

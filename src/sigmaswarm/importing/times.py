@@ -244,7 +244,7 @@ def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> Found:
     if values.dtype.is_temporal():
         return Found(text)
     if name.is_one("sample_?time_?fine"):
-        return Found(f"{text}*1e-4", f"{name.column} taken as ticks of 0.1 ms, as of Xsens")
+        return Found(f"{text}*1e-4", f"{name.column} is read as ticks of 0.1 ms, as in logs of Xsens")
     if name.unit is None:
         return _of_numbers(values, text, role)
     if name.unit.dimension == "time":
@@ -256,7 +256,7 @@ def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
     known = name.unit is not None and name.unit.known
     kind = f"a unit of {name.unit.dimension}, not of {dimension}" if name.unit and known else "not known"
     said = f"column {quoted(name.column)}: the unit {quoted(name.unit.text if name.unit else '')} is {kind}"
-    return f'{said}; give the factor to SI units, as --map "{role}.{column}={written(name.column)}*1.0"'
+    return f'{said}; specify the factor to SI units, for example --map "{role}.{column}={written(name.column)}*1.0"'
 
 
 def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
@@ -280,7 +280,8 @@ def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
         left = texts.filter(_read_by(texts, form).is_null())[0]
         whole = f"utc({called}, '{form}')" if form else f"utc({called})"
         said = (
-            f"column {quoted(columns[0])}: {quoted(left)} has another format than {most} of {len(texts)} rows"
+            f"column {quoted(columns[0])}: {quoted(left)} has a format different from that of {most} of "
+            f"{len(texts)} rows"
         )
         return Found("", fault=f'{said}; correct these rows, or leave them out with --time "{whole}"')
     by_day, by_month = (next((f for f in fitting if f.startswith(begin)), "") for begin in ("%d/%m", "%m/%d"))
@@ -314,8 +315,10 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
     if role == "imu" and not dated and unit != "s" and step * COUNTED[unit] > SLOWEST_IMU:
         rates = ", ".join(f'"{_scaled(text, u)}" for {1 / (step * COUNTED[u]):.4g} Hz' for u in ("ms", "us"))
         said = f"column {quoted(column)}: steps of {step:g} have no likely unit"
-        return Found("", fault=f'{said}; state it with --time: {rates}, or "{text}*1e-4" for ticks of 0.1 ms')
-    return Found(_scaled(text, unit), "" if unit == "s" else f"{column} taken as {unit}")
+        return Found(
+            "", fault=f'{said}; specify the unit with --time: {rates}, or "{text}*1e-4" for ticks of 0.1 ms'
+        )
+    return Found(_scaled(text, unit), "" if unit == "s" else f"{column} is read as {unit}")
 
 
 def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> Found:
@@ -324,7 +327,7 @@ def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role
     likely = SHORTEST_STEP < step * 86400 < 4 * LONGEST_STEP[role]
     for begin, end, epoch, whose in ((2e4, 8e4, EXCEL_EPOCH, "1900"), (6.5e5, 8e5, MATLAB_EPOCH, "year 0")):
         if likely and begin < low and high < end:
-            return Found(f"({text} - {epoch})*86400", f"{column} taken as days since {whose}")
+            return Found(f"({text} - {epoch})*86400", f"{column} is read as days since {whose}")
     if likely and low > 1e-3 and high < 1:
         return Found(f"{text}*86400", f"{column} read as days (fractions of a day)")
     said = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes, *1 for seconds'

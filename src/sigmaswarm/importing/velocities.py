@@ -49,7 +49,7 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
     wrong = ""
     if speed is not None and len(begin) < FEWEST:
         usual = float(np.median(np.abs(speed))) if len(speed) else 0.0
-        wrong = f"{usual:.4g} m/s (median) is no speed of a vehicle" if usual > FASTEST else ""
+        wrong = f"{usual:.4g} m/s (median) is not the speed of a vehicle" if usual > FASTEST else ""
     elif speed is not None and (ratio := _ratio(time, values, speed, begin, end)) > ALIKE:
         wrong = f"{ratio:.3g} times the speed of the positions (median){_remedy(ratio, texts, role)}"
     elif course is not None and len(begin) >= FEWEST:

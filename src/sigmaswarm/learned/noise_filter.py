@@ -45,7 +45,7 @@ def require_supported(p: FilterParameters) -> None:
         raise InputError(f"noise-gru does not support {p.model}; tune planar8, and train noise-gru for it")
     if p.kind not in ("ukf", "ekf"):
         raise InputError(
-            f"{p.kind} adapts its noise itself, so noise-gru does not support it; tune a ukf or an ekf"
+            f"{p.kind} adapts its noise, so noise-gru does not support this kind; tune a ukf or an ekf"
         )
     for name in ("velocity_noise", "odometer_noise", "heading_noise", "fix_error"):
         if getattr(p, name) is not None:

@@ -50,7 +50,7 @@ def segments_of(
                 held.append(bool(start + length > since) if all_held is None else all_held)
         if len(parts) == before:
             raise InputError(
-                f"no drive has {length:g} s with fixes after the start of the filter; give longer drives"
+                f"no drive has {length:g} s with fixes after the start of the filter; use longer drives"
             )
     most = max(len(part[2]) for part in parts)
     padded = [(*p[:2], np.pad(p[2], ((0, most - len(p[2])), (0, 0))), *p[3:]) for p in parts]

@@ -158,7 +158,7 @@ class OutageLearner:
         cases = cases_of(self._tracks, self._seed)
         if not cases:
             raise InputError(
-                "the held-back driving is too short for outages of 10 s; give longer drives, or --validation"
+                "the held-back driving is too short for outages of 10 s; use longer drives, or --validation"
             )
         found = calibrate(network, cases, self._parameters)
         inflation = found.inflation if np.isfinite(found.inflation) else None

@@ -20,9 +20,8 @@ from sigmaswarm.noise.spectrum import Interval, fit, spectrum_of
 from sigmaswarm.noise.static import AXES, fault_of, find_stretches
 
 TUNED = (
-    "a tuned Q also contains the errors of the filter's model, such as slopes, tilt and wheel slip: expect larger "
-    "values "
-    "than the sensor's own"
+    "a tuned Q also contains the errors of the filter's model, such as slopes, tilt and wheel slip: expect "
+    "values larger than the noise of the sensor"
 )
 
 
@@ -53,7 +52,9 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
     folder = Path(log)
     if is_url(log) or (has_table(folder, "imu") and has_table(folder, "gps")):
         if settings:
-            raise InputError(f"{log} is a drive, which has no settings of an import; leave them out")
+            raise InputError(
+                f"{log} is a drive, which has no settings of an import; leave these settings out"
+            )
         drive = read_with_warnings(log)[0]
         imu, gps, name = drive.imu, drive.gps, drive.name
     else:
@@ -85,8 +86,8 @@ def filter_noise(parameters: FilterParameters, name: str = "filter") -> Noise:
     p, dt = parameters, parameters.nominal_interval
     if dt is None:
         raise InputError(
-            "the filter does not state the IMU interval of its process noise; add nominal_interval (s), for "
-            "example nominal_interval = 0.01, to [filter] in its file"
+            "the file of the filter does not contain the IMU interval of its process noise; add "
+            "nominal_interval (s) to [filter], for example nominal_interval = 0.01"
         )
     model = MODELS[p.model]
     q = {state: max(v, 0.0) / dt for state, v in zip(model.names, p.process_noise, strict=True)}

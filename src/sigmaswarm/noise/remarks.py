@@ -85,8 +85,8 @@ def on_trend(axis: str, trend: float) -> list[str]:
     if not trend:
         return []
     return [
-        f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, more than its noise explains, as when a "
-        "sensor warms up: start the log after half an hour of running"
+        f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, more than its noise explains, as during "
+        "warm-up: start the log half an hour after switching the sensor on"
     ]
 
 

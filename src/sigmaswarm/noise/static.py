@@ -47,7 +47,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
     steps = np.diff(imu.time)
     if len(imu) < FEWEST or not np.all(steps > 0):
         raise InputError(
-            f"{len(imu)} samples with increasing times are not a log; give at least {SHORTEST:g} s"
+            f"{len(imu)} samples with increasing times are too few; record at least {SHORTEST:g} s"
         )
     columns = [axis for axis in AXES if getattr(imu, axis) is not None]
     if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:
@@ -73,7 +73,8 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         duration = imu.time[-1] - imu.time[0]
         what = f"is {duration:.3g} s long" if duration < 2 * SHORTEST else "moves"
         raise InputError(
-            f"the log {what}: it has no standstill of {SHORTEST:g} s; log the IMU at rest, an hour for all noise terms"
+            f"the log {what}: it has no standstill of {SHORTEST:g} s; record the IMU at rest, for an hour to "
+            "determine all noise terms"
         )
     static = sum(part.stop - part.start for part in parts)
     return Stretches(tuple(parts), static / len(imu), len(begins) - 1)
@@ -137,7 +138,7 @@ def fault_of(values: Sequence[Array]) -> str | None:
     """Return why the samples of an axis do not show its noise, or None."""
     low, high = min(np.min(v) for v in values), max(np.max(v) for v in values)
     if low == high:
-        return f"constant at {low + 0.0:.6g}: dead, or quantized in steps that are larger than its noise"
+        return f"constant at {low + 0.0:.6g}: defective, or quantized in steps that are larger than its noise"
     step, count = step_of(np.concatenate(values)), sum(map(len, values))
     if high - low <= 2.5 * step:
         return f"quantized in steps of {step:.3g}, which hide its noise"

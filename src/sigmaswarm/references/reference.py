@@ -65,7 +65,9 @@ class _Options:
     def __post_init__(self) -> None:
         for name, value in (("accuracy", self.accuracy), ("fix_std", self.fix_std)):
             if value is not None and not 0 < value < np.inf:
-                raise InputError(f"{name} = {value:g}: is a standard deviation in m; give a number above 0")
+                raise InputError(
+                    f"{name} = {value:g}: is not a standard deviation in m; specify a number above 0"
+                )
 
 
 def reference(
@@ -196,7 +198,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
     accuracy, fix_std = options.accuracy, options.fix_std
     if (gps.std_x is None or gps.std_y is None) and fix_std is None:
         raise InputError(
-            f"{name}: states no standard deviation of its fixes; give one for all of them, in m per axis, with "
+            f"{name}: contains no standard deviations of its fixes; specify one for all fixes, in m per axis, with "
             "--fix-std"
         )
     if fix_std is not None:
@@ -208,7 +210,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
         there = f"t = {gps.time[0]:.1f} to {gps.time[-1]:.1f} s" if len(gps) else "nothing"
         raise InputError(
             f"{name}: covers {there} on the drive's clock, the IMU t = {start:.1f} to {end:.1f} s: they share "
-            f"{np.count_nonzero(within)} fixes; put both on one clock with --offset"
+            f"{np.count_nonzero(within)} fixes; convert both to one clock with --offset"
         )
     sure = within & log.sure
     known = sure & np.all([std <= accuracy for std in _stated(gps)], axis=0)

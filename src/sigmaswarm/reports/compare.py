@@ -51,7 +51,7 @@ def comparison_table(comparison: Comparison) -> Table:
         if alone
         else ""
     )
-    few = "" if tested else f"\n\nToo few seeds for a test, which needs {FEWEST_SEEDS} or more."
+    few = "" if tested else f"\n\nThere are too few seeds for a test, which needs {FEWEST_SEEDS} or more."
     note = (
         f"{comparison.seeds} seeds, {comparison.budget} evaluations each. Values: median [95% interval of the median] "
         f"and worst run. p: paired Wilcoxon test against {comparison.contenders[0].label}, with Holm's correction over "

@@ -17,14 +17,14 @@ def read_report(folder: Path) -> Report:
     """Read a folder of results. Raise `InputError` for another folder, or a missing or damaged file."""
     if not folder.is_dir():
         wrong = "is a file" if folder.exists() else "no such folder"
-        raise InputError(f"{folder}: {wrong}; give a folder that tune, evaluate or study wrote")
+        raise InputError(f"{folder}: {wrong}; name a folder that tune, evaluate or study wrote")
     for file, report in REPORTS.items():
         if (folder / file).exists():
             return report(folder)
     if (folder / "config.json").exists() and list(folder.glob("checkpoint-*.npz")):
         raise InputError(f"{folder}: the tuning is not finished; repeat its command with --resume")
     raise InputError(
-        f"{folder}: contains no results (none of {', '.join(REPORTS)}); give a folder that "
+        f"{folder}: contains no results (none of {', '.join(REPORTS)}); name a folder that "
         "tune, evaluate or study wrote"
     )
 

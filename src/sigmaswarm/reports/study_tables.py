@@ -43,8 +43,9 @@ PAIRED = (
 INTERVALS = (
     "The interval over trials (as in the paper) is the uncertainty from optimizer and split. It contains the mean "
     "over new drives in only about half of the cases. The other two intervals are for new drives. The bootstrap "
-    "interval contains this mean in 95% of the cases in a full study, and in 85 to 95% in a small study. The interval "
-    "from the corrected t contains it as often or more, and is too wide if the results of the optimizer vary much."
+    "interval contains this mean in 95% of the cases in a full study, and in 85 to 95% in a small study. The "
+    "interval from the corrected t contains this mean at least as often, and is too wide if the results of the "
+    "optimizer vary much."
 )
 EFFORT = (
     "Labelled: driving time with truth, for the tuning. Learned: driving time without truth, for the training of a "

@@ -93,7 +93,7 @@ def tuning_report(folder: Path) -> Report:
     result = file.result
     if result is None:
         raise InputError(
-            f"{folder / FILE}: has no [result] table; give a folder that `sigmaswarm tune` wrote"
+            f"{folder / FILE}: has no [result] table; name a folder that `sigmaswarm tune` wrote"
         )
     figures = [("cost", f"{result.cost:.4g}", f"{result.objective}, training drives")]
     held_out = "The errors on other drives are not known yet: run sigmaswarm evaluate."
@@ -161,7 +161,7 @@ def parameters_section(file: TuningRecord) -> Section:
     titles = ("parameter", "value", "unit", "from", "to", "density", "remark")
     text = (
         "From and to: values at which the cost is 1% higher while all other parameters stay unchanged. "
-        "At the bound: even at the bound of the search the cost is less than 1% higher."
+        "At the bound: the cost at the bound of the search is less than 1% higher."
     )
     table = Table("", tuple(map(Column, titles)), tuple(rows))
     return Section("Parameters", (text,) if ranges else (), (table,))

@@ -140,28 +140,29 @@ Kind = Literal[
 ALIKE = 0.5
 """Lag-1 correlation above which consecutive innovations are nearly equal."""
 CORRELATED = 0.2
-"""Lag-1 correlation above which a mean NIS of 2 does not prove consistency."""
-FORECASTS = "this covers predictions of the fixes; position errors cannot be judged without truth"
+"""Lag-1 correlation above which a right NIS does not prove consistency."""
+FORECASTS = "this result is for predictions of the fixes; without truth, position errors can't be assessed"
 
 VERDICTS: dict[Kind, str] = {
     "optimistic": "is overconfident: the sigmas of its predictions are {nis_size}",
-    "pessimistic": "is too cautious: the sigmas of its predictions are {nis_size}",
+    "pessimistic": "is underconfident: the sigmas of its predictions are {nis_size}",
     "alike": (
         "has innovations that are correlated and smaller than its covariances (sigmas {nis_size}): the receiver "
-        "smooths its fixes, or their errors are correlated. The error they share cannot be estimated without truth"
+        "smooths its fixes, or their errors are correlated. The part of the error that all fixes have in common "
+        "can't be estimated without truth"
     ),
     "lasting": (
-        "has a low NIS with the right NEES: errors of consecutive fixes are correlated. The position covariances are "
-        "right and should not be made smaller"
+        "has a low NIS with a correct NEES: errors of consecutive fixes are correlated. The position "
+        "covariances are correct and should not be reduced"
     ),
     "correlated": (
-        "has innovations of the right size but correlated: the receiver's errors are correlated too, or the model "
-        "misses a part of the motion. The position error may be larger than its sigma"
+        "has innovations of the correct size, but they are correlated: the receiver's errors are correlated, or "
+        "the model does not describe a part of the motion. The position error may be larger than its sigma"
     ),
     "consistent": "is consistent: its innovations agree with their covariances",
     "optimistic_position": (
-        "is overconfident about its position: the sigmas are {nees_size}. Fixes share these errors, which NIS "
-        "therefore does not show"
+        "is overconfident about its position: the sigmas are {nees_size}. The fixes have the same errors, so "
+        "NIS does not show them"
     ),
     "unknown": "failed or had too few fixes to judge its consistency",
 }

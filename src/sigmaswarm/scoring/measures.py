@@ -56,8 +56,9 @@ def baseline_note(tuned: str) -> str:
             "and 0.01 m2/s4, and the stated accuracy of the fixes (else 2.1 m)"
         )
     return (
-        "The baseline is the tuned filter's model without tuning: R from the accuracy of the fixes, stated or shown "
-        "(else 2.1 m), Q from the IMU's noise density (else that of an MPU-6050) and typical errors of the model"
+        "The baseline is the tuned filter's model without tuning: R is from the stated or observed accuracy of "
+        "the fixes (else 2.1 m), and Q is from the IMU's noise density (else that of an MPU-6050) and typical "
+        "errors of the model"
     )
 
 

@@ -41,8 +41,8 @@ def said_of_drives(data: Sequence[DriveRecord]) -> str:
 
 def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:
     return tuple(
-        f"errors on {drive.name} cover {drive.truth_share:.0%} of the time from the filters' start: the rest has no "
-        "truth"
+        f"errors on {drive.name} cover {drive.truth_share:.0%} of the time from the filters' start: the other "
+        "times have no truth"
         for drive in data
         if drive.has_truth and drive.truth_share is not None and drive.truth_share < ALL_OF_IT
     )
@@ -139,4 +139,7 @@ def said_of_position(found: Consistency) -> str:
         return f"{said}, or somewhat less: {included}, less than expected ({nis})"
     if alike:
         return f"{said}, or more: {included}, as expected, but the errors of neighboring fixes are correlated"
-    return f"about {said}, and the log agrees: {included}, as expected. An error that all fixes share is not included"
+    return (
+        f"about {said}, and the log agrees: {included}, as expected. An error that all fixes have in common "
+        "is not included"
+    )

@@ -32,9 +32,9 @@ from sigmaswarm.tables import Cell, Column, Table
 
 LATE = 5.0  # s from the start of a drive; if scores begin later, this is reported
 NO_TRUTH = (
-    "without truth there are no errors of position and heading. The tables have the drift of each filter while fixes "
-    "are hidden from it, measured against these fixes (their own errors included), and the consistency of its "
-    "predictions of the fixes (NIS)"
+    "without truth, errors of position and heading can't be computed. The tables contain the drift of each "
+    "filter relative to fixes that are hidden from it (including the errors of these fixes), and the "
+    "consistency of its predictions of the fixes (NIS)"
 )
 
 
@@ -186,8 +186,8 @@ class EvaluationView:
         said += [f"{', '.join(blind)}: {NO_TRUTH}."] if blind else []
         said += map(_sentence, how_far(self.scores, data))
         said += [
-            f"{name}: no filter used {n} of the fixes: they are stale (repeat an earlier one although the vehicle "
-            "may have moved)."
+            f"{name}: no filter used {n} of the fixes: they are stale (they repeat an earlier fix, although the "
+            "vehicle may have moved)."
             for name, n in self.scores.stale_fixes.items()
         ]
         return tuple(said)
@@ -242,7 +242,7 @@ class EvaluationView:
         said += self.setup.truth_offsets.values()
         if len(data) == 1 and data[0].duration_s:
             said.append(
-                f"the scores come from one drive of {data[0].duration_s:.0f} s: other drives may differ"
+                f"the scores are from one drive of {data[0].duration_s:.0f} s: they may differ on other drives"
             )
         return tuple(map(_sentence, said))
 
@@ -288,11 +288,11 @@ def explained_consistency(nees: bool) -> str:
     what = "NIS (of predictions of the fixes) and NEES (of errors) average" if nees else "NIS averages"
     return (
         f"This table shows whether the tuned filter's {'predictions and errors' if nees else 'predictions'} agree "
-        f"with its covariances. If they do, {what} 2; above 2 the filter is overconfident, below 2 too cautious."
-        f"{'' if nees else f' Note: {FORECASTS}.'} Innovations of a consistent filter are white: no correlation to "
-        "the next fix. p is the probability that white innovations look as correlated as these (Ljung and Box's test "
-        "over ten fixes). Below 0.01, consecutive fixes share a part of their errors, as with most real receivers, "
-        "and the errors average out less than the filter assumes."
+        f"with its covariances. If they do, {what} 2; above 2 the filter is overconfident, below 2 underconfident."
+        f"{'' if nees else f' Note: {FORECASTS}.'} Innovations of a consistent filter are white: they are not "
+        "correlated from fix to fix. p is the probability that white innovations seem as correlated as these "
+        "(Ljung and Box's test over ten fixes). If p is below 0.01, the errors of consecutive fixes are "
+        "correlated, as with most real receivers, and average out less than the filter assumes."
     )
 
 
@@ -300,8 +300,9 @@ def explained_radius() -> str:
     factors = [factor_of(level) for level in LEVELS]
     return (
         "Radius within which the position error should lie with a probability of 95% or 99.9% (median over the drive). "
-        "Its variance per axis is the filter's plus that of correlated fix errors, which the log does not show: the "
-        "square of the stated standard deviation, else of 2.1 m, minus the white noise of the fixes. The radii are "
+        "The variance per axis is the sum of the filter's variance and the variance of correlated fix errors, "
+        "which the log does not show: the square of the stated standard deviation, else of 2.1 m, minus the "
+        "white noise of the fixes. The radii are "
         f"{factors[0]:.2f} and {factors[1]:.2f} sigma, from Student's t with {DOF:g} degrees of freedom, since a "
         "training drive determines a covariance from few independent errors. The filter's own covariances, in "
         "estimates and in exports, do not contain this addition."
@@ -313,20 +314,17 @@ def explained_scores(view: EvaluationView) -> str:
     drifts = rmse = ""
     if view.scores.drifts:
         drifts = (
-            " Each method runs again with the fixes hidden, for up to eight placements of the outages; a drift "
-            "is the RMS over the ends of all of them."
+            " For the drift each method runs again with hidden fixes, for up to eight placements of the "
+            "outages; the drift is the RMS error at the ends of all outages."
         )
         if not with_truth:
             drifts += " Without truth the drift is relative to the hidden fixes and includes their errors."
     if with_truth:
-        rmse = (
-            " RMSE: root of the mean square error. Half of the position errors lie below the 50% column, 19 of 20 "
-            "below the 95% column."
-        )
+        rmse = " RMSE: root of the mean square error. 50% and 95%: quantiles of the position error."
     return (
         f"Lower is better. Outages last {SHORT_OUTAGE_LENGTH:g}, {view.setup.outage_length_s:g} and "
         f"{LONG_OUTAGE_LENGTH:g} s.{drifts}{rmse} "
-        "IMU only uses no fix after the drive's start, so it has no drift of an outage."
+        "The method IMU only uses no fixes after the start, so it has no outage drift."
     )
 
 

@@ -125,14 +125,16 @@ def require_fit(replayer: Replayer, objective: str, seed: int) -> None:
         if needs_truth and drive.truth is not None and not moments:
             raise InputError(
                 f"{drive.name}: truth covers t = {drive.truth.time[0]:g} to {drive.truth.time[-1]:g} s, but a filter "
-                f"runs from {initial.time:g} to {drive.imu.time[-1]:g} s; put truth and sensors on one clock"
+                f"runs from {initial.time:g} to {drive.imu.time[-1]:g} s; convert truth and sensors to one clock"
             )
     for drive, initial, hidden in zip(replayer.drives, replayer.initial, replayer.hidden_fixes, strict=False):
         if hidden:
             continue
-        what, drives = f"there is no room to hide fixes for 3 to 5 s, which {objective} needs", "longer"
+        what, drives = f"is too short to hide fixes for 3 to 5 s, which {objective} needs", "longer"
         if len(forecast_windows(drive, initial, seed=seed)):
-            what = f"no fix falls into the windows of 3 to 5 s whose fixes {objective} hides and forecasts"
+            what = (
+                f"contains no fix in the windows of 3 to 5 s in which {objective} hides and forecasts fixes"
+            )
             drives = "other"
-        span = f"from the start at {initial.time:g} s to {drive.imu.time[-1]:g} s"
+        span = f"the time from the start at {initial.time:g} s to {drive.imu.time[-1]:g} s"
         raise InputError(f"{drive.name}: {span} {what}; use {drives} drives or innovation-nll")

@@ -70,7 +70,7 @@ class ModelProblem(Problem[dict[str, float]]):
 
 def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> ModelProblem:
     if not logs:
-        raise InputError("no logs were given; give at least one")
+        raise InputError("there are no logs; pass at least one")
     if config.objective not in MODEL_OBJECTIVES:
         raise InputError(
             f"the objective {config.objective!r} is not available for a model of your own; "
@@ -96,8 +96,8 @@ def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
     within = (moments >= log.time[0]) & (moments <= log.time[-1])
     if not within.any():
         raise log.wrong(
-            f"truth covers t = {moments[0]:g} to {moments[-1]:g} s, the inputs {log.time[0]:g} to {log.time[-1]:g} s; "
-            "put both on one clock"
+            f"truth covers t = {moments[0]:g} to {moments[-1]:g} s, the inputs {log.time[0]:g} to "
+            f"{log.time[-1]:g} s; convert both to one clock"
         )
     moments = moments[within]
     before = np.searchsorted(log.time, moments, side="right") - 1

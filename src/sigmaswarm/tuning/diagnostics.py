@@ -201,12 +201,17 @@ def scale_warnings(objective: str, parameters: FilterParameters, replays: Replay
         return []
     before = replays.scores([parameters])
     nis = float(before.mean_nis.mean())
-    said = f"{objective} leaves the scale of the covariances free: mean NIS is {nis:.2g} where 2 is expected"
+    said = (
+        f"{objective} does not determine the scale of the covariances: mean NIS is {nis:.2g}, but should be 2"
+    )
     remedy = SCALE_REMEDY.format(objective=objective)
     if parameters.model != "planar5" and nis > 0:
         after = replays.scores([parameters.scaled(nis / 2)])
         moved = float(after.position_rmse.mean() / before.position_rmse.mean() - 1)
         if abs(moved) <= SCALE_MOVED and abs(float(after.mean_nis.mean()) / 2 - 1) <= SCALE_NEAR:
-            right = f"all variances times {nis / 2:.3g} make mean NIS 2 and change the position RMSE by {moved:+.1%}"
+            right = (
+                f"a factor of {nis / 2:.3g} on all variances changes mean NIS to 2 and the position RMSE by "
+                f"{moved:+.1%}"
+            )
             return [to_do(f"{remedy}, or use FilterParameters.scaled({nis / 2:.3g})", f"{said}; {right}")]
     return [to_do(remedy, said)]

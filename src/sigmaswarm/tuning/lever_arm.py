@@ -154,12 +154,12 @@ def estimate_lever_arm(
     """
     read = [replace(drive, truth=None) for drive in listed(drives)]
     if not read:
-        raise InputError("no drives: give at least one")
+        raise InputError("there are no drives; pass at least one")
     if not 0 < within < math.inf:
         raise InputError(f"within = {within:g}: must be positive and finite, m")
     if len({(*drive.lever_arm, *_stated_std(drive)) for drive in read}) > 1:
         raise InputError(
-            "the drives state different gps_lever_arm_m: give drives of one vehicle, or one at a time"
+            "the drives contain different gps_lever_arm_m; pass drives of one vehicle, or one drive at a time"
         )
     mean, std = read[0].lever_arm, _stated_std(read[0])
     prior = {name: (float(m), s) for name, m, s in zip(ARM, mean, std, strict=True)}

@@ -79,7 +79,7 @@ def worst_mean(costs: Array, share: float) -> Array:
     Rockafellar and S. Uryasev, J. Risk 2, 2000).
     """
     if not 0 < share <= 1:
-        raise InputError(f"worst = {share:g}: give a share of the drives above 0 and at most 1")
+        raise InputError(f"worst = {share:g}: specify a share of the drives above 0 and at most 1")
     if share == 1.0:
         return costs.mean(axis=1)
     count = costs.shape[1]
@@ -163,8 +163,8 @@ OBJECTIVES = {
             "the paper's equation 4: RMSE against the fixes after their update, m",
             lambda scores: scores.fix_rmse,
             warning=(
-                "gps-rmse compares the filter with the fix of the last update, so it rewards a filter that copies "
-                "the GPS; kept to reproduce the paper. Without truth, use innovation-nll"
+                "gps-rmse compares the filter with the fix of the last update, so it is lowest for a filter "
+                "that copies the fixes; it is only for repeating the paper. Without truth, use innovation-nll"
             ),
         ),
     )

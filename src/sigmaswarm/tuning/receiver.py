@@ -34,8 +34,8 @@ PRIOR_DECIDED = 0.02
 """Cost of the prior, nats per fix, above which a remark is made."""
 SMOOTH = 0.5
 """Scatter of the fixes, m, below which the receiver smooths them or uses RTK."""
-UNKNOWN = "without truth a log does not show the error that they share"
-STATE = "write the standard deviation of the receiver's fixes, m per axis, as gps_std_m into drive.toml"
+UNKNOWN = "without truth a log does not show the error that all fixes have in common"
+STATE = "write the standard deviation of the receiver's fixes, m per axis, to drive.toml as gps_std_m"
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
@@ -107,7 +107,12 @@ def noise_warnings(
         return [to_do(remedy, f"{why}: their errors are correlated, and {UNKNOWN}")]
     elif np.isnan(stated) and scatter < SMOOTH:
         why = f"the fixes scatter by {scatter:.2g} m per axis and their receiver states no deviation"
-        return [to_do(remedy, f"{why}; fixes with correlated errors can scatter as little, and {UNKNOWN}")]
+        return [
+            to_do(
+                remedy,
+                f"{why}; the scatter of fixes with correlated errors can also be this small, and {UNKNOWN}",
+            )
+        ]
     else:
         return []
     said = f"the filter copies the fixes: its R corresponds to {r:.2g} m per axis, and {why}"
@@ -133,8 +138,8 @@ def prior_warnings(
             return [f"{name}: R was kept near the {std:.2g} m per axis that the receiver states{more}"]
         if std == UNSTATED_GPS_STD:
             why = (
-                f"{name} states no accuracy of its fixes, so R was kept near that of a usual receiver, {std:.2g} m per "
-                "axis, and NIS will be low if the receiver smooths its fixes"
+                f"{name} contains no accuracy of its fixes, so R was kept near that of a usual receiver, "
+                f"{std:.2g} m per axis. NIS will be low if the receiver smooths its fixes"
             )
             return [
                 to_do(
@@ -157,8 +162,8 @@ def accuracy_warnings(
     if share > NO_PART:
         return []
     why = (
-        f"the accuracy that the receiver states is {share:.0%} of R, so `accuracy` has no effect: it hardly changes "
-        "from fix to fix, or is unrelated to their errors"
+        f"the accuracy that the receiver states is {share:.0%} of R, so `accuracy` has no effect: the stated "
+        "accuracy hardly changes from fix to fix, or is unrelated to the errors of the fixes"
     )
     rest = " ".join(name for name in use if name != "accuracy")
     return [to_do(f"tune with --use {rest}" if rest else "leave accuracy out of --use", why)]

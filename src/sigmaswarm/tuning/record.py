@@ -26,7 +26,8 @@ from sigmaswarm.tuning.search import Trial
 End = float | Literal["-"]
 """End of the range in which the cost increases by less than 1%; ``-`` if the range reaches the bound."""
 NOT_VALIDATED = (
-    "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation"
+    "its cost is that of the drives it was tuned on; evaluate the filter on other drives, or pass some drives "
+    "as validation"
 )
 """Remark that is omitted after an evaluation. It is recognized in files by its text, so do not change it."""
 FILE = "tuning.toml"

@@ -34,13 +34,12 @@ P = TypeVar("P", default=FilterParameters)
 SHOWN_REMARKS = 5  # number of remarks in the printed text
 INFLATED = (
     "{} times as large as at the lowest cost (process-noise inflation): the costs of the two filters hardly differ, "
-    "and on roads and IMUs that the tuning did not use, the one with more process noise is more accurate. On the same "
-    "roads it drifts slightly more over outages; --inflation 0 turns it off"
+    "and on roads and IMUs that the tuning did not use, the filter with more process noise is more accurate. On "
+    "the same roads this filter drifts slightly more in outages; --inflation 0 turns the inflation off"
 )
 OF_THESE_SENSORS = (
-    "a filter tuned with truth suits only the receiver and the IMU of these drives: with other sensors it may be far "
-    ""
-    "less accurate than the fixes. For other sensors tune without truth (--objective innovation-t)"
+    "a filter tuned with truth is valid only for the receiver and the IMU of these drives: with other sensors it "
+    "may be far less accurate than the fixes. For other sensors tune without truth (--objective innovation-t)"
 )
 MORE_DRIVES = "tune on more drives, or on drives that resemble the validation drives"
 LARGE_GAP = 0.2  # relative increase of the errors on validation drives
@@ -256,7 +255,7 @@ class Tuning(Generic[P]):
         record = load_record(TuningRecord, file)
         result = record.result
         if result is None:
-            raise InputError(f"{file}: has no [result] table; give a file written by `sigmaswarm tune`")
+            raise InputError(f"{file}: has no [result] table; name a file written by `sigmaswarm tune`")
         own = isinstance(record.config.get("model"), dict)
         config = validated_config(ModelTuneConfig if own else TuneConfig, record.config)
         parameters: Any = record.filter if own else FilterParameters.load(file)
@@ -325,11 +324,17 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
             "rises by less than 1%"
         )
     if NOISE_SCALE in t.unidentified and objective not in SCALE_FREE:
-        why = "it does not determine the common scale of all noise variances, so the covariances can't be trusted"
+        why = (
+            "the objective does not determine the common scale of all noise variances, so the covariances are "
+            "not reliable"
+        )
         yield to_do("add innovation-nll or nis to the objective", why)
     if car and not (car.lateral_noise or car.velocity_noise) and "truth-pose" not in objective:
         remedy = "for a car use the lateral constraint (--use lateral), or tune with truth-pose"
-        why = "the fixes alone hardly determine the heading, which may be wrong by tens of degrees"
+        why = (
+            "without other measurements, the fixes hardly determine the heading, which may be wrong by tens "
+            "of degrees"
+        )
         yield to_do(remedy, why)
     better = min(t.sensitivities, key=lambda s: s.lowest_rise, default=None)
     if better and better.lowest_rise < -RISE and factor == 1.0:
@@ -340,7 +345,7 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     if t.mounting is None and any(KEY in entry for entry in t.data):
         yield f"the IMU's mountings of the training drives differ ({KEY}), so exports do not contain a rotation"
     if t.start_cost is not None:
-        yield f"the filter that the search started from has cost {notebook.number(t.start_cost)} with the same inputs"
+        yield f"the filter from which the search started has cost {notebook.number(t.start_cost)} with the same inputs"
     if t.validation is None:
         yield NOT_VALIDATED
     elif not np.isfinite(t.validation.cost):

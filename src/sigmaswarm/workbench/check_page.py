@@ -234,7 +234,10 @@ def _apply(drive: Drive, step: Step) -> Drive:
 def _look_ahead(drive: Drive, diagnosis: Diagnosis) -> dict[str, tuple[Agreements, str]]:
     """Try each repair. Return the agreements after it, and a sentence if the repair is withheld."""
     after: dict[str, tuple[Agreements, str]] = {}
-    said = "The doctor withholds this repair, since a filter predicts the fixes worse with it. Check the log yourself."
+    said = (
+        "The doctor withholds this repair, since a filter predicts the fixes worse after this repair. Check "
+        "the log yourself."
+    )
     for code in dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None):
         mended = sigmaswarm.repair(drive, diagnosis, only=[code])
         withheld = code in mended.metadata.get("withheld", ())

@@ -31,7 +31,7 @@ class OpenLog(Page):
         if self.wrong and self.look and self.look.tables:
             text(
                 "p",
-                "Choose the use of each column below (--map). Each choice reads the log again.",
+                "Choose the use of each column below (--map). After each choice the log is read again.",
             )
         message(self.done, "good")
 

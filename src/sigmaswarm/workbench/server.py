@@ -85,7 +85,7 @@ def serve(folder: Path, logs: list[Path], *, port: int = 0, browse: bool = True)
         listening.listen()
     except OSError as error:
         raise InputError(
-            f"--port {port}: {error.strerror or error}; omit --port, or give another port"
+            f"--port {port}: {error.strerror or error}; omit --port, or specify another port"
         ) from None
     token, port = secrets.token_urlsafe(24), listening.getsockname()[1]
     app, frame = FastAPI(docs_url=None, redoc_url=None, openapi_url=None), Frame(bench)

@@ -29,7 +29,8 @@ TARGETS = {
     ),
     "robot_localization": (
         "ROS robot_localization",
-        "Needs ROS 2 and robot_localization. Its filter has no IMU biases, so the values are only a starting point.",
+        "Needs ROS 2 and robot_localization. The filter of robot_localization has no IMU biases, so the values "
+        "are only initial values.",
         "ros2 launch ekf.launch.py",
     ),
 }

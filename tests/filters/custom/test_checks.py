@@ -34,20 +34,20 @@ def with_value(column, at, value):
     ("change", "expected"),
     [
         ({"time": LOG.time[:-1]}, "truth['angle'] has shape (201,), but time has 200 values"),
-        ({"time": LOG.time[:, None]}, "time has shape (201, 1); give one time"),
+        ({"time": LOG.time[:, None]}, "time has shape (201, 1); pass one time"),
         ({"time": []}, "time has shape (0,)"),
         ({"time": with_value(LOG.time, 5, 0.0)}, "time[5] = 0 s does not come after 0.04 s; sort the rows"),
         ({"time": LOG.time + 100, "truth": {}}, "no measurement lies within time = 100 to 102 s"),
         ({"measurement_time": LOG.measurement_time[1:]}, "measurements has shape (20, 1), but measurement_time has 19"),
         ({"measurement_time": with_value(LOG.measurement_time, 3, np.inf)}, "measurement_time[3] is inf"),
-        ({"measurements": with_value(LOG.measurements, (7, 0), np.nan)}, "measurements[7, 0] is nan; repair it"),
+        ({"measurements": with_value(LOG.measurements, (7, 0), np.nan)}, "measurements[7, 0] is nan; correct"),
         ({"measurements": np.zeros((F, 1, 1))}, "measurements has shape (20, 1, 1)"),
         ({"measurements": ["a"] * F}, "measurements is not an array of numbers"),
         ({"inputs": np.zeros(N - 1)}, "inputs has shape (200,), but time has 201 values"),
         ({"inputs": np.full(N, np.nan)}, "inputs[0] is nan"),
         ({"mean": [0.0, np.nan]}, "mean[1] is nan"),
         ({"mean": 3.0}, "mean has shape ()"),
-        ({"covariance": np.eye(3)}, "covariance has shape (3, 3); give shape (2, 2), for 2 states"),
+        ({"covariance": np.eye(3)}, "covariance has shape (3, 3); pass shape (2, 2) for 2 states"),
         ({"covariance": -np.eye(2)}, "covariance is not symmetric and positive definite"),
         ({"covariance": [[1.0, 0.5], [0.0, 1.0]]}, "covariance is not symmetric"),
         ({"truth": {"angle": [1.0]}}, "truth['angle'] has shape (1,), but time has 201 values"),
@@ -69,17 +69,17 @@ def test_a_log_says_what_is_wrong_with_it(change: dict, expected: str):
         ({"states": ("angle", "angle")}, "states: 'angle' occurs twice"),
         ({"states": ()}, "states is empty"),
         ({"states": "angle"}, "states = 'angle' should be a tuple"),
-        ({"states": ("an angle", "rate")}, "states: 'an angle' is not a name"),
+        ({"states": ("an angle", "rate")}, "states: 'an angle' is not a valid name"),
         ({"angles": ("heading",)}, "angles names 'heading', which is not a state; the states are angle, rate"),
         ({"scored": ("height",)}, "scored names 'height', which is not a state"),
         ({"parameters": ()}, "parameters is empty"),
         ({"parameters": (Tunable("q", 1, 2), Tunable("q", 1, 2))}, "'q' occurs twice"),
-        ({"parameters": (Tunable("lambda", 1, 2),)}, "'lambda' is not a name"),
-        ({"parameters": (Tunable("_q", 1, 2),)}, "'_q' is not a name"),
+        ({"parameters": (Tunable("lambda", 1, 2),)}, "'lambda' is not a valid name"),
+        ({"parameters": (Tunable("_q", 1, 2),)}, "'_q' is not a valid name"),
         ({"parameters": (Tunable("alpha", 1, 2),)}, "'alpha' is a parameter of the sigma points"),
-        ({"parameters": (Tunable("q", 2, 1),)}, "parameter q: bounds 2, 1 are not a range; give the lower one first"),
+        ({"parameters": (Tunable("q", 2, 1),)}, "parameter q: bounds 2, 1 are not a range; pass the lower bound first"),
         ({"parameters": (Tunable("q", 1, math.nan),)}, "parameter q: bounds 1, nan"),
-        ({"parameters": (Tunable("q", 0, 1),)}, "a lower bound of 0 has no logarithm; give a positive bound"),
+        ({"parameters": (Tunable("q", 0, 1),)}, "a lower bound of 0 has no logarithm; pass a positive bound"),
         ({"f": 3}, "f = 3 is not a function"),
         ({"kind": "kf"}, "kind = 'kf'; choose ukf or ekf"),
     ],
@@ -94,15 +94,18 @@ def test_a_model_says_what_is_wrong_with_it(change: dict, expected: str):
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"f": lambda s, dt, u, p: s[:1]}, "f gives shape (1,) on swing; it should be (2,)"),
+        ({"f": lambda s, dt, u, p: s[:1]}, "f returns shape (1,) on swing; it should be (2,)"),
         ({"f": lambda s, dt, u, p: s * u[0]}, "f fails on swing: IndexError: index 0 is out of bounds"),
         ({"f": lambda s, dt, u, p: s * p.mass}, "f fails on swing: AttributeError: 'p' object has no attribute 'mass'"),
         ({"f": lambda s, dt: s}, "f fails on swing: TypeError"),
-        ({"h": lambda s, p: s}, "h gives shape (2,) on swing; it should be (1,)"),
-        ({"h": lambda s, p: s[0]}, "h gives shape () on swing; it should be (1,)"),
-        ({"process_noise": lambda dt, p: np.ones(3)}, "process_noise gives shape (3,) on swing; it should be (2,) or"),
-        ({"measurement_noise": lambda p: p.r_angle}, "measurement_noise gives shape () on swing"),
-        ({"measured_angles": (1,)}, "measured_angles has 1, but a measurement of swing has 1 elements, from 0"),
+        ({"h": lambda s, p: s}, "h returns shape (2,) on swing; it should be (1,)"),
+        ({"h": lambda s, p: s[0]}, "h returns shape () on swing; it should be (1,)"),
+        ({"process_noise": lambda dt, p: np.ones(3)}, "process_noise returns shape (3,) on swing; it should be (2,)"),
+        ({"measurement_noise": lambda p: p.r_angle}, "measurement_noise returns shape () on swing"),
+        (
+            {"measured_angles": (1,)},
+            "measured_angles contains the index 1, but a measurement of swing has 1 elements (indices from 0)",
+        ),
         ({"kind": "ekf", "h": lambda s, p: np.arctan2(s[:1], 1.0)}, "h of a complex state fails on swing: TypeError"),
     ],
     ids=lambda v: v if isinstance(v, str) else "",
@@ -116,7 +119,7 @@ def test_a_function_that_does_not_fit_the_log_is_named(change: dict, expected: s
 
 def test_a_log_of_another_model_is_named():
     three = Log(**(vars(LOG) | {"mean": np.zeros(3), "covariance": np.eye(3)}))
-    assert "mean has 3 values, the model pendulum has 2 states" in said(
+    assert "mean has 3 values, but the model pendulum has 2 states" in said(
         lambda: run_model(three, PENDULUM, PARAMETERS)
     )
     tall = Log(**(vars(LOG) | {"truth": {"height": LOG.time}}))

@@ -91,7 +91,7 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
         pushed = np.std(smoothed(imu.time, row, second, 1.0))
         if pushed > LEAST_PUSH and abs(scale - 1) > max(WRONG_SCALE, 5 * std):
             what = (
-                f"the car's {name} acceleration is {scale:.2f} times the one measured by the IMU "
+                f"the car's {name} acceleration is {scale:.2f} times the acceleration that the IMU measures "
                 f"(standard deviation {std:.2f})"
             )
             remedy = "check the sensor's range setting and low-pass filter"
@@ -144,7 +144,9 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
         what = (
             "az, gx and gy show that the IMU is upside down; the fixes do not show which axis points forward"
         )
-        remedy = "turn all axes about x: import with --mount x=x,y=-y, or as the sensor's data sheet states"
+        remedy = (
+            "turn all axes about x: import with --mount x=x,y=-y, or with the axes in the sensor's data sheet"
+        )
         repair = Repair("rotate", tuple(np.diag([1.0, -1.0, -1.0]).ravel().tolist()))
         where = "imu.csv, ay, az, gy, gz"
         yield Finding("mounting", "serious", what, where, span, 0.95, remedy, repair)

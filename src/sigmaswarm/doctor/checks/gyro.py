@@ -44,7 +44,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     if fit is None or course is None or not yaw.known:
         if impossible_rate(imu.gz - np.median(imu.gz)):
             what = f"the yaw rate gz is above {IMPOSSIBLE_RATE:g} rad/s, as if in deg/s; no course confirms this unit"
-            remedy = "look up the unit; multiply gx, gy, gz by pi/180 if it is deg/s"
+            remedy = "look up the unit; multiply gx, gy, gz by pi/180 if the unit is deg/s"
             yield Finding("gyro-unit", "warning", what, "imu.csv, gz", span, 0.9, remedy)
         return
     where, confidence = f"imu.csv, {yaw.column}", confidence_of(fit.gain / fit.std / 6 * 3)
@@ -88,7 +88,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     if abs(bias) > BIAS[0]:
         severity = "warning" if abs(bias) > BIAS[1] else "note"
         what = f"the gyro's bias is about {np.degrees(bias):.2f} deg/s"
-        remedy = "use a filter that estimates it: --model planar8"
+        remedy = "use a filter that estimates the bias: --model planar8"
         yield Finding("gyro-bias", severity, what, where, span, 0.95, remedy)
 
 
@@ -139,7 +139,7 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
             f"the body hardly {' or '.join(motion)} according to the specific force: "
             f"the sign of {' and '.join(columns)} can't be checked"
         )
-        remedy = "use a drive with turns, starts and stops to check it"
+        remedy = "use a drive with turns, starts and stops to check the sign"
         yield Finding("unseen-tilt", "note", what, f"imu.csv, {', '.join(columns)}", span, 0.95, remedy)
 
 

@@ -44,9 +44,7 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
     if np.count_nonzero(known) >= FEWEST and (late := _delay(evidence, theta, known, best)):
         way = "later" if late > 0 else "earlier"
         what = f"the heading is {abs(late):.2f} s {way} than the positions of the same rows"
-        remedy = (
-            "a filter assumes the same time for both: give headings their own times, or leave the column out"
-        )
+        remedy = "a filter assumes the same time for both: map headings with their own times, or leave the column out"
         yield Finding("heading-delay", "warning", what, WHERE, evidence.span, 0.95, remedy)
 
 
@@ -68,13 +66,16 @@ def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) ->
     span = evidence.span
     if rest > ALIKE:
         what = "heading does not follow the positions in any known convention"
-        remedy = "give rad, counter-clockwise from east, or leave the column out"
+        remedy = "convert the heading to rad, counter-clockwise from east, or leave the column out"
         yield Finding("heading-convention", "serious", what, WHERE, span, 0.95, remedy)
         return
     turned = offset if abs(offset) >= TURNED[0] else 0.0
     repair = Repair("heading", (float(best), turned))
     if best:
-        what, remedy = f"heading is in {[*HEADINGS][best]}", "give rad, counter-clockwise from east"
+        what, remedy = (
+            f"heading is in {[*HEADINGS][best]}",
+            "convert the heading to rad, counter-clockwise from east",
+        )
         yield Finding("heading-convention", "serious", what, WHERE, span, 0.99, remedy, repair)
     elif turned:
         degrees, serious = math.degrees(offset), abs(offset) >= TURNED[1]

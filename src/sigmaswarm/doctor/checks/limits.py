@@ -12,7 +12,7 @@ from sigmaswarm.doctor.findings import Finding
 from sigmaswarm.drives.alignment import NoStart, find_start
 from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, stated_spread, suggest_filter
 
-MORE = "use a drive with turns, starts and stops to check it"
+MORE = "use a drive with turns, starts and stops to check these faults"
 ABOVE_NOISE = 3.0
 """RMS change of the course within windows, in standard deviations, above which the car turns."""
 LEAST_TURN = np.radians(5.0)  # rad, RMS change of the course within windows; swaying causes less
@@ -24,7 +24,7 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
     if isinstance(start, NoStart):
         yield Finding("no-start", "warning", start.what, "gps.csv", span, 0.99, start.remedy)
     if not evidence.drives:
-        what = "the fixes show no motion: heading, axes, units and clocks can't be checked"
+        what = "the fixes show no motion, so heading, axes, units and clocks can't be checked"
         remedy = "use a longer or faster drive"
         yield Finding("unseen-motion", "warning", what, "gps.csv", span, 0.99, remedy)
         return
@@ -52,7 +52,7 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
         f"where the car is faster than {course.slowest:.1f} m/s"
     )
     if fit is None:
-        return f"{shown}, but never long enough", MORE
+        return f"{shown}, but never for long enough", MORE
     change = np.degrees(fit.course_change)
     if fit.course_change > max(
         LEAST_TURN, ABOVE_NOISE * course.std / np.median(np.abs(course.velocity[moving]))
@@ -72,19 +72,21 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
     chosen = suggest_filter([drive])
     reasons = dict.fromkeys(chosen.use, "")  # filters for cars have this model, unless the log gives a reason
     if drive.odometer is not None:
-        reasons["odometer"] = "odometer.csv has the wheels' speed"
+        reasons["odometer"] = "odometer.csv contains the wheel speed"
     if stated := stated_spread(drive):
-        reasons["accuracy"] = f"the stated standard deviations run from {stated[0]:.2g} to {stated[1]:.2g} m"
+        reasons["accuracy"] = (
+            f"the stated standard deviations range from {stated[0]:.2g} to {stated[1]:.2g} m"
+        )
     if count := int(np.count_nonzero(evidence.outlying)):
         reasons["robust"] = f"{count} fix{'es lie' if count > 1 else ' lies'} far off the path"
     if chosen.model == "tilted12":
         reasons["model"] = "the IMU has az, gx and gy, which distinguish hills from motion"
     because = "; ".join(filter(None, reasons.values()))
-    may = ["velocity to --use: the receiver gives speed and course"] if agrees(evidence) else []
+    may = ["velocity to --use: the receiver measures speed and course"] if agrees(evidence) else []
     if drive.gps.heading is not None and not any(check_heading(evidence)):
         may.append("heading to --use: the fixes have a heading")
-    what = f"tune takes {chosen.options}{f': {because}' if because else ''}"
-    # A tuning may use several drives or a part of this one, so the number of fixes is stated, not compared.
+    what = f"tune uses {chosen.options}{f': {because}' if because else ''}"
+    # A tuning may use several drives, or a part of this one, so the number of fixes is stated, not compared.
     if drive.truth is None and has_lasting_errors(drive):
         what += f"; with {FIXES_FOR_FIX_ERROR} fixes or more for training also fix-error"
         enough = len(drive.gps) >= FIXES_FOR_FIX_ERROR

@@ -34,7 +34,8 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
         time, angle = change
         what = f"the IMU was moved at t = {time:.0f} s: gravity's direction changes by {math.degrees(angle):.0f} deg"
         remedy = (
-            f"cut the log there: sigmaswarm split DRIVE --at {time:.0f} --out parts; the two parts have different "
+            f"split the drive at this time: sigmaswarm split DRIVE --at {time:.0f} --out parts; the two parts "
+            "have different "
             "mountings"
         )
         span = time, evidence.span[1]
@@ -109,8 +110,11 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
     (first, slope, limit), *rest = shown
     until = float(course.time[first.stop - 1])
     if start.time < until + course.span and slope < -limit and any(s > least for _, s, least in rest):
-        what = f"the log seems to begin in reverse, until t = {until:.0f} s: ax is positive there while the speed falls"
-        remedy = f"cut that part off: sigmaswarm split DRIVE --at {until + 2:.0f} --out parts, and use the second part"
+        what = (
+            f"the log seems to begin in reverse, until t = {until:.0f} s: in this part ax is positive while "
+            "the speed falls"
+        )
+        remedy = f"remove this part: sigmaswarm split DRIVE --at {until + 2:.0f} --out parts, and use the second part"
         span = evidence.span[0], until
         where, cut = "gps.csv, imu.csv, ax", round(until + 2)
         yield Finding("reverse-start", "serious", what, where, span, 0.99, remedy, cut=cut)

@@ -40,7 +40,7 @@ def check_noise(evidence: Evidence) -> Iterator[Finding]:
     if off[0] and jump > FAR_FIRST:
         severity, what = "serious", f"{what}; the first fix lies {jump / 1e3:.3g} km from the others"
     span, repair = (float(time[0]), float(time[-1])), Repair("drop-fixes", tuple(time.tolist()))
-    remedy = "leave them out, or let the filter do it: --use robust"
+    remedy = "leave these fixes out, or use a filter that reduces their weight: --use robust"
     yield Finding("gps-outliers", severity, what, "gps.csv, positions", span, 0.99, remedy, repair)
 
 
@@ -69,7 +69,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
                 "a filter's error can be checked"
             )
             remedy = (
-                "expect larger errors than the filter's standard deviations, which contain only the scatter"
+                "expect errors larger than the filter's standard deviations, which contain only the scatter"
             )
             yield Finding(
                 "gps-correlated", "note", what, where, span, confidence_of(stated / scatter), remedy
@@ -81,7 +81,8 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         f"{scatter:.2g} m per axis"
     )
     remedy = (
-        f"state {scatter:.2g} m, or more if slow errors are known; a log without truth does not show them"
+        f"state {scatter:.2g} m, or more if you know that there are slow errors, which a log without truth does "
+        "not show"
     )
     yield Finding(
         "gps-noise", "warning", what, where, span, confidence, remedy, Repair("state-noise", (scatter,))

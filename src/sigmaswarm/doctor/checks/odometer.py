@@ -52,7 +52,7 @@ def check_odometer(evidence: Evidence) -> Iterator[Finding]:
         (
             "slip",
             0.9,
-            "the wheels' speed jumps without acceleration: the wheels spin or lock",
+            "the wheel speed jumps without acceleration: the wheels spin or lock",
             _slips,
         ),
     ):
@@ -162,7 +162,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
     if size > 0.1 and abs(size - 1) > max(WRONG, 3 * unsure):
         way = "more" if size > 1 else "less"
         what = f"the odometer measures {abs(size - 1):.1%} {way} than the fixes (+- {unsure:.1%})"
-        remedy = f"divide speed by {size:.4f}, or let `tune --use odometer` find its scale"
+        remedy = f"divide speed by {size:.4f}, or tune the scale with --use odometer"
         yield Finding(
             "odometer-scale", "warning", what, SPEED, span, 0.95, remedy, Repair("odometer", (1 / size,))
         )
@@ -211,9 +211,7 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
     if abs(late) >= LATE and alike[best] > max(ALIKE, float(alike[len(lags) // 2]) + 0.05):
         way = "late" if late > 0 else "early"
         what = f"the wheels' speed changes {abs(late):.2f} s {way} relative to the acceleration"
-        remedy = (
-            f"add {-late:+.2f} s to the times of odometer.csv, or let `tune --use odometer` find its latency"
-        )
+        remedy = f"add {-late:+.2f} s to the times of odometer.csv, or tune the latency with --use odometer"
         repair = Repair("shift-odometer", (-late,))
         yield Finding(
             "odometer-clock", "warning", what, "odometer.csv, t", evidence.span, 0.9, remedy, repair

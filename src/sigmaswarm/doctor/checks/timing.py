@@ -49,7 +49,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             f"(standard deviation {std:.2f} s)",
             where, span, confidence_of(late / std),
             f"{move} the fixes' times{'' if clear else ' if other drives show it too'}, or let the tuning find it "
-            "(--use latency); the tuned value gives the best forecasts, and may differ from this one by a few "
+            "(--use latency); the tuned value leads to the best forecasts, and may differ from this offset by a few "
             "standard deviations",
             Repair("shift-fixes", (-late,)) if clear else None,
         )  # fmt: skip
@@ -76,7 +76,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     yield _rate("gps", "fixes", gps.time)
     remedy = "a filter uses the mean of the samples around a gap, and increases its covariance"
     yield from _gaps("imu", imu.time, IMU_GAP, remedy)
-    remedy = "during this time a filter uses only the IMU; nothing to do if this is intended"
+    remedy = "during this time a filter uses only the IMU; no action is needed if this is intended"
     yield from _gaps("gps", gps.time, GPS_GAP, remedy)
     if remark := unshared_times(imu.time, gps.time):
         yield finding_of(remark, "note", _ends(imu.time), 1.0)
@@ -84,14 +84,19 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     same = np.append(False, (np.diff(imu.ax) == 0) & (np.diff(imu.ay) == 0) & (np.diff(imu.gz) == 0))
     if same.mean() > HELD:
         share, fresh = 100 * same.mean(), (1 - same.mean()) / float(np.median(np.diff(imu.time)))
-        what = f"{share:.0f}% of the samples repeat the previous one: the sensor gives about {fresh:.0f} per second"
+        what = (
+            f"{share:.0f}% of the samples repeat the previous one: the sensor measures about {fresh:.0f} "
+            "times per second"
+        )
         repair = Repair("drop-samples", tuple(imu.time[same].tolist()))
         where, remedy = "imu.csv, ax, ay, gz", "log only new samples"
         yield Finding("imu-repeats", "warning", what, where, _ends(imu.time), 0.99, remedy, repair)
     stale = gps.time[evidence.stale]
     if len(stale) >= FEWEST_STALE:
         what = f"{len(stale)} fixes repeat the previous one to the last digit while the car drives"
-        remedy = "filters ignore these old positions with new times; remove these fixes for other tools"
+        remedy = (
+            "filters ignore these old positions with new times; remove the fixes for use with other programs"
+        )
         repair = Repair("drop-fixes", tuple(stale.tolist()))
         yield Finding(
             "gps-repeats", "warning", what, "gps.csv, positions", _ends(stale), 0.99, remedy, repair
@@ -105,7 +110,7 @@ def _rate(sensor: str, counted: str, time: Array) -> Finding:
     what = f"{len(time)} {counted} at {1 / usual:.3g} Hz over {time[-1] - time[0]:.0f} s"
     if high - low > UNEVEN * usual:
         what += f", uneven: 9 of 10 intervals last {1e3 * low:.0f} to {1e3 * high:.0f} ms"
-    severity, remedy = "note", "filters step by the true intervals; nothing to do"
+    severity, remedy = "note", "filters use the true intervals; no action is needed"
     if sensor == "imu" and usual > 1 / SLOW_IMU:
         severity, remedy = "warning", "record at 25 Hz or more"
     return Finding(f"{sensor}-rate", severity, what, f"{sensor}.csv, t", _ends(time), 1.0, remedy)
@@ -136,11 +141,11 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
         code, severity, remedy, repair = (
             "logger-pause",
             "note",
-            "nothing to do, or split the drive there",
+            "no action is needed; you can split the drive there",
             None,
         )
         if 0.5 * fix_missed < SIGMAS * std:
-            what = "the logger paused, or its clock jumped: the car's speed does not show which"
+            what = "the logger paused, or its clock jumped: the car's speed does not show which of the two"
         elif passed < fix_usual + 0.5 * fix_missed:
             what = f"the logger's clock jumped: the car needs only {passed:.1f} s for the distance between these fixes"
             code, severity, remedy = (

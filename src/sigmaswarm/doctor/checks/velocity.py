@@ -23,8 +23,8 @@ ALIKE = math.radians(15)
 LATE = 0.2  # s, delay for a warning
 FEWEST = 30
 REMEDY = (
-    "a filter assumes the same time for both: leave speed and course out, or give them their own times (in a recipe, a "
-    "second [[gps]] of the same table, with a shifted t) and test them on another drive"
+    "a filter assumes the same time for both: leave speed and course out, or map them with their own times (in "
+    "a recipe, a second [[gps]] of the same table, with a shifted t) and test them on another drive"
 )
 
 
@@ -52,7 +52,7 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
     if not alike(angle):
         fitting = [(k, name) for k, (name, read) in enumerate(CONVENTIONS.items(), 1) if alike(read(angle))]
         what, confidence, repair = "course does not follow the positions in any known convention", 0.95, None
-        remedy = "give rad, counter-clockwise from east"
+        remedy = "convert the course to rad, counter-clockwise from east"
         if fitting:
             what, confidence = f"course is in {fitting[0][1]}", 0.99
             repair = Repair("velocity", (1.0, float(fitting[0][0])))
@@ -66,7 +66,7 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
     if abs(late) >= LATE and share < 0.8:
         way = "later" if late > 0 else "earlier"
         what = f"speed and course are {abs(late):.2f} s {way} than the positions of the same rows; the default filter "
-        what += "does not use them, so nothing need be done without velocity in --use"
+        what += "does not use them, so no action is needed without velocity in --use"
         yield Finding("velocity-delay", "note", what, "gps.csv, speed, course", span, 0.95, REMEDY)
 
 

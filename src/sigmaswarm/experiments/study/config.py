@@ -225,7 +225,7 @@ def read_config(path: Path | None, **changes: Any) -> StudyConfig:
     options: dict[str, Any] = {}
     if path is not None:
         missing = "leave --config out for the paper's study"
-        options = read_content(path, "give a readable TOML file", missing=missing)
+        options = read_content(path, "name a readable TOML file", missing=missing)
     try:
         return StudyConfig(**(options | changes))
     except ValidationError as error:

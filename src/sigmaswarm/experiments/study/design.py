@@ -193,7 +193,7 @@ def make_design(
     else:
         drives = _simulated(config, executor, config.runs)
     if len(drives) < 2:
-        raise InputError(f"a study needs at least 2 drives to split, not {len(drives)}; give more")
+        raise InputError(f"a study needs at least 2 drives to split, not {len(drives)}; add drives")
     _require_truth(drives)
     if not config.drives and config.runs < 2 and config.per_condition:
         raise InputError("runs = 1: a condition of one drive can't be split; choose 2 or more")

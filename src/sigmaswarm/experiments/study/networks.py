@@ -98,7 +98,7 @@ def lessons(design: Design, trial: int, minutes: float) -> Lessons:
     chosen = begun + whole  # the last drives are held back, and these should be complete
     if len(chosen) < FEWEST and longest < ALONE:
         raise InputError(
-            f"trial {trial} has too few data to train networks: they need {FEWEST} drives of {LEAST:g} s after the "
+            f"trial {trial} has too little data to train networks, which need {FEWEST} drives of {LEAST:g} s after the "
             f"start of the filter, or one drive of {ALONE:g} s; add drives, or the maneuver urban"
         )
     shown = len(chosen) - len(chosen) // FEWEST

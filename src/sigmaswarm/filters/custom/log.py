@@ -70,12 +70,12 @@ class Log:
                 clock = "truth_time" if given else "time"
                 raise self.wrong(
                     f"truth[{name!r}] has shape {column.shape}, but {clock} has {len(moments)} values; "
-                    "give one for each"
+                    "pass one for each"
                 )
         object.__setattr__(self, "truth", truth)
         if not np.any((fixes >= time[0]) & (fixes <= time[-1])):
             raise self.wrong(
-                f"no measurement lies within time = {time[0]:g} to {time[-1]:g} s; put both on one clock"
+                f"no measurement lies within time = {time[0]:g} to {time[-1]:g} s; convert both to one clock"
             )
 
     def wrong(self, what: str) -> InputError:
@@ -95,13 +95,13 @@ class Log:
         if len(bad):
             place = ", ".join(str(i) for i in bad[0])
             value = column[tuple(bad[0])]
-            raise self.wrong(f"{name}[{place}] is {value:g}; repair it, or leave the row out")
+            raise self.wrong(f"{name}[{place}] is {value:g}; correct the value, or leave the row out")
         return column
 
     def _clock(self, name: str, values: ArrayLike | None) -> Array:
         time = self._finite(name, values)
         if time.ndim != 1 or not len(time):
-            raise self.wrong(f"{name} has shape {time.shape}; give one time, in s, for each row")
+            raise self.wrong(f"{name} has shape {time.shape}; pass one time, in s, for each row")
         late = np.flatnonzero(np.diff(time) <= 0)
         if len(late):
             i = int(late[0]) + 1
@@ -116,17 +116,17 @@ class Log:
         if table.ndim != 2 or len(table) != length:
             clock = {"inputs": "time"}.get(name, "measurement_time")
             raise self.wrong(
-                f"{name} has shape {np.shape(values)}, but {clock} has {length} values; give one row for each"
+                f"{name} has shape {np.shape(values)}, but {clock} has {length} values; pass one row for each"
             )
         return table
 
     def _check_start(self, mean: Array) -> None:
         if mean.ndim != 1:
-            raise self.wrong(f"mean has shape {mean.shape}; give one value for each state")
+            raise self.wrong(f"mean has shape {mean.shape}; pass one value for each state")
         n = len(mean)
         if self.covariance.shape != (n, n):
             raise self.wrong(
-                f"covariance has shape {self.covariance.shape}; give shape ({n}, {n}), for {n} states"
+                f"covariance has shape {self.covariance.shape}; pass shape ({n}, {n}) for {n} states"
             )
         try:
             np.linalg.cholesky(self.covariance)
@@ -134,7 +134,10 @@ class Log:
         except np.linalg.LinAlgError:
             sound = False
         if not sound:
-            raise self.wrong("covariance is not symmetric and positive definite; start from a diagonal one")
+            raise self.wrong(
+                "covariance is not symmetric and positive definite; pass a diagonal covariance "
+                "with positive elements"
+            )
 
 
 @dataclass(frozen=True, eq=False)

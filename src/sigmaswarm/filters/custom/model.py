@@ -121,7 +121,7 @@ class Model:
         for i, name in enumerate(names):
             if not name.isidentifier() or keyword.iskeyword(name) or name.startswith("_"):
                 raise self.wrong(
-                    f"{field}: {name!r} is not a name; use letters, digits and _, a letter first"
+                    f"{field}: {name!r} is not a valid name; use letters, digits and _, and begin with a letter"
                 )
             if name in names[:i]:
                 raise self.wrong(f"{field}: {name!r} occurs twice; rename one of them")
@@ -135,12 +135,13 @@ class Model:
                 )
             if not (np.isfinite([t.lowest, t.highest]).all() and t.lowest < t.highest):
                 raise self.wrong(
-                    f"parameter {t.name}: bounds {t.lowest:g}, {t.highest:g} are not a range; give the lower one first"
+                    f"parameter {t.name}: bounds {t.lowest:g}, {t.highest:g} are not a range; pass the lower "
+                    "bound first"
                 )
             if t.logarithmic and t.lowest <= 0:
                 raise self.wrong(
                     f"parameter {t.name}: a lower bound of {t.lowest:g} has no logarithm; "
-                    "give a positive bound, or logarithmic=False"
+                    "pass a positive bound, or logarithmic=False"
                 )
 
     @cached_property

@@ -128,8 +128,8 @@ def failure_in(log: Log, steps: Steps, failed: int) -> str | None:
         return None
     moment = log.time[0] + steps.dt[: failed + 1].sum()
     return (
-        f"{log.name}: the filter failed at t = {moment:.3f} s (covariance not positive definite, or f or h gave no "
-        "finite number); are all variances positive?"
+        f"{log.name}: the filter failed at t = {moment:.3f} s (covariance not positive definite, or f or h "
+        "returned a value that is not finite); check that all variances are positive"
     )
 
 
@@ -241,8 +241,8 @@ def _compiled(model: Model, steps: Steps) -> Any:
             return _compiled(model, steps)
         why = "the compiled functions return other numbers"
     warnings.warn(
-        f"model {model.name}: its functions can't be compiled ({why}); the textbook filter runs them, about a hundred "
-        "times slower",
+        f"model {model.name}: its functions can't be compiled ({why}); the textbook filter runs them, which is "
+        "about a hundred times slower",
         SigmaswarmWarning,
         stacklevel=2,
     )
@@ -278,14 +278,15 @@ def check(model: Model, log: Log) -> None:
     """Call the model's functions with the first data of the log; raise `InputError` if a result is not usable."""
     n, m = len(model.states), log.measurements.shape[1]
     if len(log.mean) != n:
-        raise log.wrong(f"mean has {len(log.mean)} values, the model {model.name} has {n} states")
+        raise log.wrong(f"mean has {len(log.mean)} values, but the model {model.name} has {n} states")
     for name in log.truth:
         if name not in model.states:
             raise log.wrong(f"truth names {name!r}, which is not a state of the model {model.name}")
     for i in model.measured_angles:
         if i not in range(m):
             raise model.wrong(
-                f"measured_angles has {i}, but a measurement of {log.name} has {m} elements, from 0"
+                f"measured_angles contains the index {i}, but a measurement of {log.name} has {m} elements "
+                "(indices from 0)"
             )
     p = model.values(trial_parameters(model))
     dt = float(np.diff(log.time).mean()) if len(log.time) > 1 else 1.0
@@ -315,4 +316,4 @@ def _shape(model: Model, log: Log, role: str, call: Callable[[], Any], wanted: l
             raise model.wrong(f"{role} fails on {log.name}: {type(error).__name__}: {said}") from error
     if result.shape not in wanted:
         shapes = " or ".join(str(shape) for shape in wanted)
-        raise model.wrong(f"{role} gives shape {result.shape} on {log.name}; it should be {shapes}")
+        raise model.wrong(f"{role} returns shape {result.shape} on {log.name}; it should be {shapes}")

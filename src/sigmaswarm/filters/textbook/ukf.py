@@ -71,8 +71,8 @@ def square_root(covariance: Array, first: Sequence[int] = ()) -> Array:
         factor = np.linalg.cholesky(covariance[order][:, order])
     except np.linalg.LinAlgError:
         raise NotPositiveDefiniteError(
-            "the covariance is not positive definite: the filter has failed; "
-            "are all process and measurement variances positive?"
+            "the covariance is not positive definite: the filter has failed; check that all process and "
+            "measurement variances are positive"
         ) from None
     root = np.empty((n, n))
     root[order] = factor

@@ -128,7 +128,7 @@ def _require_decodable(file: Path, shown_as: Path, limits: Limits) -> None:
 def _check_names(names: Sequence[str], shown_as: Path, limits: Limits) -> None:
     if len(names) < 2:
         raise InputError(
-            f"{shown_as}: is one column, {quoted(''.join(names))}; name the format, or separate cells by commas"
+            f"{shown_as}: is one column, {quoted(''.join(names))}; specify the format, or separate cells by commas"
         )
     limits.first_columns(iter(names), shown_as)
 

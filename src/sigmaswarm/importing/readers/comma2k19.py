@@ -38,7 +38,7 @@ PARTS: tuple[tuple[Role, str, dict[str, str]], ...] = (
     ("truth", "pose", {name: name for name in ("t", "lat", "lon", "alt", "vx", "vy", "theta")}),
     ("odometer", "speed", {"t": "t", "speed": "speed"}),
 )
-_NOTE = "the IMU's axes turned from forward, right, down; the truth is the camera's"
+_NOTE = "the IMU's axes are rotated from forward, right, down; the truth is the position of the camera"
 
 
 def recognizes(path: Path) -> bool:

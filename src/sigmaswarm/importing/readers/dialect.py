@@ -94,7 +94,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
         _require_one_kind(data, shown_as)
         if names := _of_message(data[0]):
             remarks.append(
-                f"{shown_as.name}: read as a message of {width} values, as `ros2 topic echo --csv` prints it"
+                f"{shown_as.name}: is read as a message of {width} values, in the format of `ros2 topic echo --csv`"
             )
         names = names or [""] * most
     if not any(name and not name.startswith(" [") for name in names):
@@ -105,7 +105,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     names = [f"c{k}{name}" if name[:1] in ("", " ") else name for k, name in enumerate(names, 1)]
     commas = tuple(k for k in numeric if _has_decimal_commas([row[k] for row in data if k < len(row)]))
     if commas:
-        remarks.append(f"{shown_as.name}: numbers with decimal commas")
+        remarks.append(f"{shown_as.name}: numbers have decimal commas")
     return Dialect(separator, tuple(names), first, encoding, commas, surplus, tuple(remarks))
 
 
@@ -129,9 +129,9 @@ def _require_one_kind(rows: Rows, shown_as: Path) -> None:
     if named and 1 < len(names) <= 20 and len({width for _, width in kinds}) > 1:
         bare = names[0].strip("$")
         raise InputError(
-            f"{shown_as}: has rows of several kinds, {names_shown(names)}; write each kind to a file of its own, as: "
-            f"grep '^ *[$]*{bare}[^A-Za-z0-9_]' {quote(shown_as.name)} > {bare.lower()}.csv, and give each file a "
-            "header line"
+            f"{shown_as}: has rows of several kinds, {names_shown(names)}; write each kind to a separate file, "
+            f"for example with: grep '^ *[$]*{bare}[^A-Za-z0-9_]' {quote(shown_as.name)} > {bare.lower()}.csv, "
+            "and add a header line to each file"
         )
 
 
@@ -156,7 +156,8 @@ def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
     head = first_bytes(file, HEAD)
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError(
-            f"{shown_as}: is text in UTF-16; save it as UTF-8, as: iconv -f UTF-16 -t UTF-8 {shown_as.name} > new.csv"
+            f"{shown_as}: is text in UTF-16; save it as UTF-8, for example with: iconv -f UTF-16 -t UTF-8 "
+            f"{shown_as.name} > new.csv"
         )
     cut = head if len(head) < HEAD else head[: head.rfind(b"\n") + 1]
     try:

@@ -64,7 +64,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     columns = {kind: names for kind, names in columns.items() if kind in present}
     _require_one_clock(columns, path)
     if not columns:
-        raise InputError(f"{path}: contains no lines of {', '.join(_KINDS)}; log fixes and sensors")
+        raise InputError(f"{path}: contains no lines of {', '.join(_KINDS)}; record fixes and sensors")
     cells = pl.col("line").str.count_matches(",", literal=True)
     widths = pl.col("kind").replace_strict({k: len(n) for k, n in columns.items()}, default=0)
     for row, line, _ in collect(lines.filter(cells < widths).head(1), path, path.name).iter_rows():
@@ -101,5 +101,5 @@ def _guess(columns: Wanted) -> Guess:
         p, q, r = (f"{gyro[0]}{axis}RadPerSec" for axis in "XYZ")
         parts.append(("imu", acceleration[0], {"t": t, "ax": y, "ay": f"-{x}", "az": z}))
         parts.append(("imu", gyro[0], {"t": t, "gx": q, "gy": f"-{p}", "gz": r}))
-    late = () if shared else ("Fix has no elapsedRealtimeNanos: times are the milliseconds of UTC",)
+    late = () if shared else ("Fix has no elapsedRealtimeNanos, so the times are UTC in milliseconds",)
     return Guess(roles_of(parts, columns), (FLAT, *late))

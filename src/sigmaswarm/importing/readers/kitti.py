@@ -32,10 +32,10 @@ GUESS = Guess(
         "truth": (Part(TABLE, _PLACE | {"vx": "ve", "vy": "vn", "theta": "yaw"}),),
     },
     (
-        "KITTI has no separate receiver: fixes and truth are one RTK/INS solution; for a realistic test make "
-        "noisy fixes with --gps-from-truth",
-        "the unit's angular rates are about 0.06 s late relative to its yaw; docs/importing.md shows how to advance "
-        "them",
+        "KITTI has no separate receiver: fixes and truth are one RTK/INS solution; for a realistic test "
+        "simulate noisy fixes with --gps-from-truth",
+        "the angular rates of the OXTS unit are about 0.06 s late relative to its yaw; docs/importing.md shows how to "
+        "correct their times",
     ),
     metadata={"licence": "CC BY-NC-SA 3.0", "dataset": "KITTI raw"},
 )

@@ -38,8 +38,8 @@ FILES: dict[Role, tuple[str, str, dict[str, str]]] = {
         _T | {"x": "y", "y": "x", "theta": "pi/2 - heading"},
     ),
 }
-"""By role: file, columns, and expressions of a drive's columns."""
-_NOTE = "the MS25's axes turned from x forward, y right, z down; course and speed of gps.csv are not used"
+"""File, columns, and a drive's expressions of each role."""
+_NOTE = "the axes of the MS25 are rotated from x forward, y right, z down; course and speed of gps.csv are not used"
 
 
 def recognizes(path: Path) -> bool:

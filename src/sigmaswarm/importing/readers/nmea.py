@@ -34,7 +34,9 @@ GUESS = Guess(
             ),
         )
     },
-    ("NMEA: times are UTC; altitudes are above the ellipsoid where GGA states the geoid",),
+    (
+        "NMEA: times are UTC; altitudes are heights above the ellipsoid where GGA contains the geoid separation",
+    ),
     fixed="quality == 4",
 )
 _SENTENCES = (b"GGA", b"RMC", b"GSA", b"GSV", b"GLL", b"VTG", b"GNS", b"TXT", b"ZDA")
@@ -57,8 +59,8 @@ def _rows(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[tupl
     if not any(_day(message) for message, _ in _messages(path, pynmeagps, [])):
         day = date(1970, 1, 1)
         remarks.append(
-            f"{path.name}: no sentence (RMC, ZDA) states the date: times count from midnight UTC; "
-            "--gps-offset moves them"
+            f"{path.name}: no sentence (RMC, ZDA) contains the date: times count from midnight UTC; "
+            "--gps-offset changes the times"
         )
     clock: time | None = None
     fix: dict[str, float] = {}
@@ -78,7 +80,7 @@ def _rows(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[tupl
     if fix and day is not None and clock is not None:
         yield _row(day, clock, fix), 1.0
     if undated:
-        remarks.append(f"{path.name}: {undated} fixes before the first date left out")
+        remarks.append(f"{path.name}: {undated} fixes before the first date are left out")
 
 
 def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[Any, float]]:
@@ -101,9 +103,9 @@ def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[
             complete += 1
             yield message, read / size
     if not complete:
-        raise InputError(f"{path}: contains no whole NMEA sentence; name the format with --format")
+        raise InputError(f"{path}: contains no complete NMEA sentence; specify the format with --format")
     if broken:
-        remarks.append(f"{path.name}: {broken} damaged lines skipped")
+        remarks.append(f"{path.name}: {broken} damaged lines are skipped")
 
 
 def _day(message: Any) -> date | None:

@@ -12,8 +12,11 @@ from sigmaswarm.importing.readers.columns import of_files, scan
 from sigmaswarm.importing.source import Guess, Limits, Log, whole
 from sigmaswarm.limits import require_text
 
-FLAT = "the phone is assumed to lie flat, screen up, top edge forward; else add --mount, or --mount auto"
-"""In the axes of a phone, x is right and y is up along the screen (Android's SensorEvent): forward y, left -x."""
+FLAT = (
+    "the phone is assumed to lie flat with the screen up and the top edge forward; otherwise add --mount, or "
+    "--mount auto"
+)
+"""A phone's x points right and y to its top edge (Android's SensorEvent): forward is y, left is -x."""
 RADIUS_68 = 1.515
 """Radius of a circle that contains 68% of normal errors, in standard deviations per axis: sqrt(-2 ln 0.32)."""
 

@@ -107,14 +107,14 @@ def _log(path: Path, reader: Any, limits: Limits) -> Log:
             tables[topic] = Table(columns, kind, info.msgcount)
             limits = limits.less(len(columns))
         else:
-            unread.append(f"{topic} ({kind}; give its definition with --msg {kind.rpartition('/')[2]}.msg)")
+            unread.append(f"{topic} ({kind}; pass its definition with --msg {kind.rpartition('/')[2]}.msg)")
 
     def stream(topics: Collection[str]) -> Iterator[Message]:
         wanted = [c for c in reader.connections if c.topic in topics]
         for connection, received, raw in reader.messages(connections=wanted) if wanted else ():
             if not isinstance(received, int):
                 raise InputError(
-                    f"{path}: a message of {connection.topic} has {received!r} for its time; record it again"
+                    f"{path}: a message of {connection.topic} has {received!r} for its time; record the bag again"
                 )
             yield connection.topic, received, reader.deserialize(raw, connection.msgtype)
 

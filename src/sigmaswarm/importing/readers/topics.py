@@ -75,11 +75,11 @@ class Topics:
             moving = {t for t in self._having(_VELOCITY) - self._having(_POSITION) if _RECEIVER.search(t)}
             if velocity := self._topic("velocity", {t for t in moving if not re.search("cmd|odom", t)}):
                 roles["gps"] += (self._part(velocity, self._named(velocity, _VELOCITY)),)
-                self.notes.append(f"{velocity} taken as the receiver's velocity, m/s east and north")
+                self.notes.append(f"{velocity} is used as the receiver's velocity, m/s east and north")
             turning = {t for t in self._having(_ORIENTATION) if _HEADING.search(t)}
             if heading := self._topic("heading", turning):
                 roles["gps"] += (self._part(heading, self._heading(heading)),)
-                self.notes.append(f"{heading} taken as the heading of two antennas")
+                self.notes.append(f"{heading} is used as the heading of two antennas")
         located = self._having(_POSITION) | self._having(_FIX)
         truth = self._topic("truth", {t for t in located if _TRUTH.search(t)})
         if truth:
@@ -87,7 +87,7 @@ class Topics:
         elif poses := sorted(t for t, one in self.tables.items() if "Odometry" in one.kind and t != fixes):
             there = names_shown(poses)
             self.notes.append(
-                f"{there} not taken as truth, since no name indicates it; choose one with --truth-topic"
+                f"{there} not used as truth, since no name indicates truth; choose a topic with --truth-topic"
             )
         other = re.compile(f"{_TRUTH.pattern}|{_RECEIVER.pattern}|cmd|command", re.IGNORECASE)
         counted = {t for t in self.tables if self._speed(t) and _WHEELS.search(t) and not other.search(t)}
@@ -98,7 +98,7 @@ class Topics:
                     "another topic, or map odometer.speed"
                 )
             roles["odometer"] = (self._part(wheels, {"speed": speed}),)
-            self.notes.append(f"{wheels} taken as the wheels' speed, m/s forward")
+            self.notes.append(f"{wheels} is used as the wheel speed, m/s forward")
         return Guess(roles, tuple(self.notes), metadata=metadata, downward=self._downward(imu) if imu else "")
 
     def _having(self, paths: Mapping[str, str]) -> set[str]:
@@ -119,7 +119,9 @@ class Topics:
         ranked = [t for t in ranked if self.tables[t].rows != 0]
         if len(ranked) > 1:
             others = names_shown(ranked[1:])
-            self.notes.append(f"{ranked[0]} taken for the {role}, not {others}; choose with --{role}-topic")
+            self.notes.append(
+                f"{ranked[0]} is used for the {role}, not {others}; choose another topic with --{role}-topic"
+            )
         return ranked[0] if ranked else None
 
     def _named(self, topic: str, paths: Mapping[str, str]) -> dict[str, str]:
@@ -169,7 +171,7 @@ class Topics:
         found = self._named(topic, _POSITION)
         if "pose.covariance[0]" in columns:
             found |= {"std_x": "sqrt(pose.covariance[0])", "std_y": "sqrt(pose.covariance[7])"}
-        self.notes.append(f"{topic} taken as meters east and north")
+        self.notes.append(f"{topic} is read as meters east and north")
         return found
 
     def _heading(self, topic: str) -> dict[str, str]:
@@ -192,7 +194,10 @@ class Topics:
             if prefix(self.tables[topic], _VELOCITY) is not None:
                 velocity = self._named(topic, _VELOCITY)
                 found |= {"forward": velocity["vx"], "left": velocity["vy"]}
-        self.notes.append(f"{topic} taken as truth, m east and north of the origin, velocity in the body")
+        self.notes.append(
+            f"{topic} is used as truth: position in m east and north of the origin, velocity in "
+            "the body frame"
+        )
         return found
 
     def _part(self, topic: str, columns: dict[str, str]) -> Part:
@@ -221,5 +226,6 @@ class Topics:
         header = getattr(message[2], "header", None) if message else None
         if name := getattr(header, "frame_id", ""):
             self.notes.append(
-                f"{topic} is in the frame {name!r}, axes as in REP-103; state other axes with --mount"
+                f"{topic} is in the frame {name!r}, and its axes are assumed to be those of REP-103; specify "
+                "other axes with --mount"
             )

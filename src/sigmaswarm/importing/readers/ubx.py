@@ -37,7 +37,7 @@ PVT = _FIX | {
     "keep": "gnssFixOk == 1 and fixType >= 2 and fixType <= 4",
 }
 POSLLH = _FIX | {"vx": "velE*1e-2", "vy": "velN*1e-2", "keep": "gpsFix >= 2 and gpsFix <= 4"}
-RAW = "raw measurements: make fixes of them with RTKLIB (convbin, rnx2rtkp) and import its .pos"
+RAW = "raw measurements: compute fixes with RTKLIB (convbin, rnx2rtkp) and import the .pos file"
 
 
 def recognizes(path: Path) -> bool:
@@ -48,7 +48,7 @@ def recognizes(path: Path) -> bool:
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     pyubx2 = library("pyubx2", "logs")
     if SYNC not in first_bytes(path, 1 << 20):
-        raise InputError(f"{path}: contains no UBX messages; name the format with --format")
+        raise InputError(f"{path}: contains no UBX messages; specify the format with --format")
     remarks: list[str] = []
     split = "the stated horizontal accuracy is split evenly between east and north"
     kinds = {raw[2:4] for raw, _ in _messages(path) if raw is not None}
@@ -64,7 +64,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         return of_rows(path, "NAV-POSLLH", COLUMNS_6, lambda: _rows_6(path, pyubx2, remarks), guess, remarks)
     there = sorted(pyubx2.UBX_MSGIDS.get(kind, kind.hex()) for kind in kinds)
     raw = any(kind[:1] == b"\x02" for kind in kinds)
-    what = RAW if raw else "have the receiver send NAV-PVT, or NAV-POSLLH and NAV-SOL"
+    what = RAW if raw else "configure the receiver to send NAV-PVT, or NAV-POSLLH and NAV-SOL"
     raise InputError(
         f"{path}: contains {names_shown(there) or 'no whole message'}, and neither NAV-PVT nor NAV-POSLLH; {what}"
     )
@@ -93,7 +93,7 @@ def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[f
     if broken:
         remarks.append(f"{path.name}: {broken} damaged messages skipped")
     if undated:
-        remarks.append(f"{path.name}: {undated} messages without a valid date skipped")
+        remarks.append(f"{path.name}: {undated} messages without a valid date are skipped")
 
 
 def _headings(path: Path, pyubx2: Any) -> dict[int, tuple[float, float]]:
@@ -149,7 +149,8 @@ def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple
         remarks.append(f"{path.name}: {broken} damaged messages skipped")
     if not week:
         remarks.append(
-            f"{path.name}: no NAV-SOL states the GPS week: times are those of the week; --gps-offset moves them"
+            f"{path.name}: no NAV-SOL message contains the GPS week: times count from the start of the week; "
+            "--gps-offset changes the times"
         )
 
 

@@ -78,7 +78,7 @@ class AskTell:
         if np.shape(costs) != (len(self.positions),):
             raise ValueError(
                 f"`ask` returned {len(self.positions)} points, but the costs have shape {np.shape(costs)}; "
-                "give one cost for each point"
+                "pass one cost for each point"
             )
         costs = np.where(np.isfinite(costs), costs, np.inf)
         if len(costs) and costs.min() < self.global_cost:
