@@ -101,7 +101,11 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> Path:
             {"drop_frame": MID_DRIVE},
             r"frame \d+ of brake-clear-01 is missing: the server went from \d+ to \d+",
         ),
-        ({"die": MID_DRIVE}, "stopped answering: .*0 drives of this call are complete in .*--resume"),
+        pytest.param(
+            {"die": MID_DRIVE},
+            "stopped answering: .*0 drives of this call are complete in .*--resume",
+            marks=pytest.mark.long,
+        ),
     ],
     ids=lambda v: next(iter(v)) if isinstance(v, dict) else "",
 )
@@ -144,6 +148,7 @@ def test_a_failed_run_takes_another_route(fault: str, said: str, tmp_path: Path)
     sigmaswarm.read_drive(tmp_path / "d" / "brake-clear-00")
 
 
+@pytest.mark.long
 def test_a_late_sensor_is_waited_for(complete: Path, tmp_path: Path):
     with stand_in(tmp_path, late=["imu", MID_DRIVE, 1.0]) as server:
         done = record(server.port, tmp_path / "late", *BRAKE, "--runs", 1)
@@ -168,6 +173,7 @@ def test_a_lost_connection_is_taken_up_again(tmp_path: Path):
     assert len(sigmaswarm.read_drive(out / "incomplete" / "brake-clear-00-0").imu) > 200
 
 
+@pytest.mark.long
 def test_a_connection_that_is_lost_again_and_again_is_given_up(tmp_path: Path):
     with stand_in(tmp_path, hang_up=200, always=True) as server:
         done = record(server.port, tmp_path / "d", *BRAKE, "--runs", 1, "--timeout", 1)
@@ -244,6 +250,7 @@ def test_mistakes(more: tuple, said: str, tmp_path: Path):
     check_one_line(done.stderr, said)
 
 
+@pytest.mark.long
 def test_maps(tmp_path: Path):
     with stand_in(tmp_path) as server:
         unknown = record(server.port, tmp_path / "d", *BRAKE, "--map", "Town99")

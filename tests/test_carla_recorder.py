@@ -187,6 +187,7 @@ def test_without_noise_the_sensors_are_the_simulators(tmp_path: Path):
     assert about["carla"]["tire_friction"] == pytest.approx(3.5 * 0.65 / 0.85, rel=1e-6)
 
 
+@pytest.mark.long
 def test_a_sweep_of_the_brakes_measures_the_friction_and_uses_it(tmp_path: Path):
     out = tmp_path / "d"
     with stand_in(tmp_path, grip=0.5) as server:

@@ -107,6 +107,7 @@ def test_every_maneuver_finds_its_way(version: str):
     assert all(3.0 <= long <= 4.8 for plan in plans for _, long in plan["outages"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_map_without_a_long_straight_says_how_long_its_longest_is(version: str):
     small = write_town(COLUMNS, ROWS, tail=150.0)

@@ -120,6 +120,7 @@ def test_what_is_checked_in_was_executed_in_order_and_is_small():
     assert "OUT = None" in parameters
 
 
+@pytest.mark.long
 def test_two_frames_become_a_tuned_filter_and_nothing_is_written(tmp_path: Path):
     """The notebook on data frames, executed: figures are drawn, the tuned filter is in C, no file is left."""
     copy, text = tmp_path / "dataframes.ipynb", (EXAMPLES / "dataframes.ipynb").read_text()

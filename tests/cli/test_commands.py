@@ -309,6 +309,7 @@ def at_rest_before(imu: Imu, seconds: float) -> Imu:
     return Imu(time=np.append(time, imu.time), **rows)
 
 
+@pytest.mark.long
 def test_a_second_tuning_of_the_same_drives_says_how_the_two_compare(sigmaswarm, drives: Path, here: Path):
     quick = ("--particles", 4, "--generations", 2, "--trust-log")
     first = sigmaswarm("tune", drives, "--out", "first", *quick, "--model", "planar5")
@@ -424,6 +425,7 @@ def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest
     assert sigmaswarm("demo", "--out", "show", "--seed", "1").code == 2
 
 
+@pytest.mark.long
 def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives: Path, here: Path):
     first, second = sorted(drives.iterdir())[:2]
     assert sigmaswarm("split", first, "--out", "parts", "--train-fraction", 0.8).code == 0

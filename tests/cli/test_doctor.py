@@ -170,6 +170,7 @@ def test_the_lever_arm_is_one_line_and_goes_into_the_copy(sigmaswarm, good, here
     assert "repaired: lever-arm. Remaining findings" in ended.out
 
 
+@pytest.mark.long
 def test_a_lever_arm_that_the_turns_do_not_show_changes_no_copy(sigmaswarm, good, here: Path):
     place = write_drive(good, here / "fine")
     ended = sigmaswarm("doctor", place, "--lever-arm-within", 0.01, "--fix", "mended", "--json")

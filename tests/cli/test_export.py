@@ -69,6 +69,7 @@ def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: 
     assert (ended.code, ended.err.count("\n")) == (2, 1) and "ekf.yaml: has neither" in ended.err
 
 
+@pytest.mark.long
 @needs_gcc
 @pytest.mark.usefixtures("unoptimized")
 def test_lanes_are_checked_against_the_swarm(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):

@@ -66,6 +66,7 @@ def test_from_a_bag_to_a_bag_with_the_estimate(sigmaswarm: Command, here: Path, 
     assert "tuesday: no such bag" in ended.err
 
 
+@pytest.mark.long
 def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     drive = simulated()
     write_ros(here / "bag", messages(drive))

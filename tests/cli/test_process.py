@@ -68,6 +68,7 @@ def test_the_installed_command_answers():
     assert done.stdout.strip()[0].isdigit()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("empty", quickly([(False,), (True,)], lambda empty: not empty))
 def test_the_second_start_compiles_nothing(tmp_path: Path, drives: Path, tuned: Path, empty: bool):
     """Numba itself says what it loads and what it saves."""

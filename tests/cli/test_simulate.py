@@ -36,6 +36,7 @@ def digests(folder: str) -> dict[str, str]:
     return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
+@pytest.mark.long
 def test_the_same_bytes_whatever_the_number_of_workers(sigmaswarm, here: Path):
     said = json.loads(sigmaswarm("simulate", "--out", "a", *SOME, "--workers", 1, "--json").out)
     assert said == {"drives": [f"a/{name}" for name in NAMES], "written": 4, "kept": 0}
@@ -176,6 +177,7 @@ def test_plot_draws_a_simulated_drive(sigmaswarm, here: Path):
     assert Path("again.png").read_bytes() == Path("outages-rain-00.png").read_bytes()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("painted")
 def test_plot_draws_a_recorded_drive_without_truth(sigmaswarm, here: Path, caplog):
     library.write_drive(make_drive(duration=20.0, truth=False, name="by-me"), "recorded")

@@ -81,6 +81,7 @@ def test_a_tuning_ends_in_the_bytes_of_one_on_threads(client, folders, on_thread
     assert tree(tmp_path / "out") == on_threads
 
 
+@pytest.mark.long
 def test_a_race_and_an_evaluation_are_those_of_threads(client, folders):
     drives = [read_drive(folder) for folder in folders]
     asked = SMALL | {"racing": True}

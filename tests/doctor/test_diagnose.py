@@ -116,6 +116,7 @@ def test_a_good_simulated_drive_raises_no_alarm(maneuver: str, sensors: str):
     assert serious(sigmaswarm.diagnose(drive)) == []
 
 
+@pytest.mark.long
 @needs_shared
 def test_the_log_as_it_came_is_seen_through():
     """Its README: accelerations of the wrong sign, deg/s, pitched 10.5 deg, 0.65 s late, velocity 0.45 s later."""
@@ -139,6 +140,7 @@ def diagnosed_anew(drive: Drive) -> Diagnosis:
     return sigmaswarm.diagnose(drive)
 
 
+@pytest.mark.long
 def test_the_same_drive_gives_the_same_findings():
     drive = FAULTS["15 deg"][0](simulated("icm-20602"))
     assert diagnosed_anew(drive) == diagnosed_anew(drive)
@@ -320,6 +322,7 @@ def test_a_corrupt_last_time():
     assert (alone.code, alone.where) == ("time-jump", "imu.csv, t")
 
 
+@pytest.mark.long
 def test_a_log_whose_fixes_end_early_is_no_matter_of_units():
     drive = make_drive(duration=60.0)
     short = replace(drive, gps=drive.gps.select(drive.gps.time < 6.0))
@@ -407,6 +410,7 @@ def test_tune_adds_fix_error_with_the_stated_number_of_fixes_on_a_part_too(n: in
     assert all(s and (n >= int(s[1])) == ("fix-error" in with_filter({}, [part])[0]["use"]) for s in stated)
 
 
+@pytest.mark.long
 @needs_shared
 def test_a_velocity_that_fits_better_later_is_not_recommended():
     whole = recorded("dresden")
@@ -419,6 +423,7 @@ def test_a_velocity_that_fits_better_later_is_not_recommended():
     assert not found_of(rest, "velocity-delay")
 
 
+@pytest.mark.long
 @needs_shared
 def test_a_city_s_receiver():
     kingston = recorded("kingston-1")
@@ -428,6 +433,7 @@ def test_a_city_s_receiver():
     assert found_of(kingston, "gps-repeats").startswith("18 fixes")
 
 
+@pytest.mark.long
 @needs_shared
 @pytest.mark.parametrize(
     ("name", "seed"),
@@ -489,6 +495,7 @@ def test_no_jump_is_made_up_wherever_the_gap_lies(jumped: bool, every: int):
     assert named >= 20
 
 
+@pytest.mark.long
 @needs_shared
 def test_a_pause_in_a_real_log_is_no_jump():
     found = sigmaswarm.diagnose(recorded("kitti-09-30-0018")).codes
@@ -527,6 +534,7 @@ def test_a_scale_of_the_gyro_shows_in_whole_turns_too(sense: float, scale: float
         assert bool(found) == faulty, found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("speed", "radius"), quickly([(8, 20), (2, 3), (20, -100)], lambda speed, radius: speed == 8)
 )

@@ -16,6 +16,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.tables import NO_HEADING
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.simulation.scenarios import simulate
+from support import quickly
 
 FAULTS: dict[str, tuple[Callable[[Array], Array], str, str]] = {
     "sign": (np.negative, "heading-convention", "heading is in rad clockwise from east"),
@@ -56,7 +57,9 @@ def test_a_good_heading_has_no_finding_and_is_recommended():
     assert found["use"].endswith("you may add heading to --use: the fixes have a heading")
 
 
-@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize(
+    "name", quickly([(n,) for n in FAULTS], lambda n: n in ("as NMEA", "from north", "mounted across"))
+)
 def test_faults_are_named_and_repaired(name: str):
     spoil, code, said = FAULTS[name]
     heading, std = good().gps.heading, good().gps.std_heading
@@ -100,6 +103,7 @@ def test_a_fix_without_a_heading_has_none_after_a_repair():
     np.testing.assert_allclose(mended.std_heading, np.where(lost, NO_HEADING, std))
 
 
+@pytest.mark.long
 def test_fixes_that_are_late_as_a_whole_are_no_delay_of_the_heading():
     drive = replace(good(), gps=replace(good().gps, time=good().gps.time + 18.0))
     assert not [found for found in check_heading(gather(drive)) if found.code == "heading-delay"]

@@ -38,9 +38,7 @@ def estimate(drive: Drive, rotation: np.ndarray):
 
 @pytest.mark.parametrize(
     ("grade", "seed"),
-    quickly(
-        [(g, s) for g in GRADES for s in range(4)], lambda g, s: (g, s) in {("mpu-6050", 0), ("adis16405", 1)}
-    ),
+    quickly([(g, s) for g in GRADES for s in range(4)], lambda g, s: (g, s) == ("mpu-6050", 0)),
 )
 def test_a_random_rotation_is_found(grade: str, seed: int):
     found, error = estimate(drive_of(grade), Rotation.random(random_state=seed).as_matrix())
@@ -70,6 +68,7 @@ def test_the_estimate_of_a_turned_drive_is_the_turned_estimate(name: str, seeds:
         assert np.degrees(angle_of(found.rotation @ rotation @ plain.rotation.T)) < 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("terrain", ["flat", "hilly"])
 def test_the_direction_of_travel_depends_on_no_hill(terrain: str):
     drive, turn = drive_of("icm-20602", terrain), Rotation.from_euler("zy", (4, -3), degrees=True)
@@ -94,7 +93,7 @@ def test_a_sensor_that_reports_the_opposite_turns_no_axis(sensor: str, terrain: 
     quickly(
         [((n,),) for n in ("ax", "ay", "az")]
         + [(("ax", "gz"),), (("ay", "gz"),), (("ax", "ay", "az", "gx", "gy", "gz"),)],
-        lambda names: names in (("ax",), ("az",), ("ay", "gz")),
+        lambda names: names in (("az",), ("ay", "gz")),
     ),
 )
 def test_a_mirror_image_is_no_mounting(names: tuple[str, ...]):
@@ -216,6 +215,7 @@ def test_a_slow_robot_in_circles_with_z_down():
     assert [code for code, f in found.items() if f.severity != "note"] == ["mounting"]
 
 
+@pytest.mark.long
 def test_windows_of_a_minute_are_never_called_sure_and_reversed():
     drive, wrong = drive_of("mpu-6050", "hilly"), []
     for start in (0.0, 20.0, 60.0, 80.0):

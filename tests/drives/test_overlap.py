@@ -126,6 +126,7 @@ def test_no_two_different_real_drives_overlap():
     assert found == {("dresden", "dresden-as-recorded"), ("dresden-as-recorded", "dresden")}  # the same drive
 
 
+@pytest.mark.long
 def test_simulated_drives_of_one_seed_are_different_drives():
     """Runs of a maneuver follow one road at nearly one speed; environments share it to the last bit."""
     drives = [

@@ -76,6 +76,7 @@ def test_each_run_is_a_tuning(whole):
     assert comparison.runs["de:racing=true, log10"][0].history_steps[-1] == raced.steps < raced.full_steps
 
 
+@pytest.mark.long
 def test_the_number_of_threads_changes_no_byte(whole, tmp_path: Path):
     comparison = compare(DRIVES, out=tmp_path, workers=4, scales=("log10", "linear"), **OPTIONS)
     save_comparison(comparison, tmp_path)
@@ -89,6 +90,7 @@ def test_the_number_of_threads_changes_no_byte(whole, tmp_path: Path):
     assert len(lines) == 1 + 2 * 4 * 3
 
 
+@pytest.mark.long
 def test_interrupted_after_any_run_it_ends_in_the_same_bytes(whole, tmp_path: Path):
 
     def stop(done: int, total: int):

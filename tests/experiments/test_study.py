@@ -89,6 +89,7 @@ def test_killed_several_times_it_ends_in_the_same_bytes(whole: Study, tmp_path: 
     assert contents(out) == contents(whole.folder)
 
 
+@pytest.mark.long
 def test_finished_trials_are_not_done_again(whole: Study, monkeypatch: pytest.MonkeyPatch):
     before = contents(whole.folder)
     # as a run leaves it that is killed after it has kept the trial, and before it has dropped this
@@ -228,6 +229,7 @@ def test_the_fixes_alone_are_a_row_without_tuning(whole: Study):
     assert whole.results.summary("untuned", "fixes-alone", "nis") is None
 
 
+@pytest.mark.long
 def test_each_condition_can_be_tuned_by_itself(tmp_path: Path):
     config = TINY.model_copy(update={"per_condition": True, "generations": 1})
     study = run_study(config, tmp_path / "out")
@@ -280,6 +282,7 @@ def test_drives_without_truth_are_refused(tmp_path: Path, design: Design):
         make_design(TINY.model_copy(update={"drives": (str(tmp_path / "drives"),)}))
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("unpainted")
 def test_each_drive_is_aligned_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """By search, scores, tracks, pictures and timings together; and no search space is made twice."""

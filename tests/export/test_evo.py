@@ -75,6 +75,7 @@ def relative(x: np.ndarray, y: np.ndarray, theta: np.ndarray, steps: int) -> np.
     return (z[steps:] - z[:-steps]) * np.exp(-1j * theta[:-steps])
 
 
+@pytest.mark.long
 @needs_evo
 @needs_shared
 def test_ape_on_a_real_drive(tmp_path: Path):

@@ -72,7 +72,7 @@ def test_c_is_the_run_at_any_rate(tmp_path: Path, rate: float):
 
 @needs_shared
 @needs_gcc
-@pytest.mark.parametrize("times", [2, 10])
+@pytest.mark.parametrize("times", quickly([(2,), (10,)], lambda times: times == 2))
 def test_c_is_the_run_on_a_real_drive_with_a_faster_imu(tmp_path: Path, times: int):
     drive = real(times)
     p = tuned("planar8", "ukf", times * drive.nominal_interval)
@@ -117,7 +117,9 @@ def test_fixes_that_leave_too_early_are_told(tmp_path: Path):
 
 
 @needs_gcc
-@pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT",)], ids=["double", "float"])
+@pytest.mark.parametrize(
+    "flags", quickly([((),), (("-DINS_GPS_FLOAT",),)], lambda flags: not flags), ids=["double", "float"]
+)
 def test_a_fix_that_rounding_alone_puts_behind_a_sample_waits_for_the_next_one(
     tmp_path: Path, flags: tuple[str, ...]
 ):

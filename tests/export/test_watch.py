@@ -56,7 +56,11 @@ int main(void) /* Time, x, y, whether it started anew and whether it is lost, af
 """
 
 
-@pytest.fixture(scope="module", params=[SANITIZERS, ("-DINS_GPS_FLOAT",)], ids=["double", "float"])
+@pytest.fixture(
+    scope="module",
+    params=quickly([(SANITIZERS,), (("-DINS_GPS_FLOAT",),)], lambda flags: flags is not SANITIZERS),
+    ids=["double", "float"],
+)
 def program(request, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build(tmp_path_factory.mktemp("watch"), SET, *request.param, main=WATCHED)
 

@@ -181,7 +181,13 @@ def consistency(
 EVERY_FILTER = [(model, kind) for model in STATES for kind in MODELS[model].kinds if kind in ("ukf", "ekf")]
 
 
-@pytest.mark.parametrize(("model", "kind"), EVERY_FILTER)
+@pytest.mark.parametrize(
+    ("model", "kind"),
+    quickly(
+        EVERY_FILTER,
+        lambda *case: case != ("tilted12", "ekf"),
+    ),
+)
 def test_errors_are_as_large_as_the_covariance_says(model: str, kind: str):
     found = consistency(model, kind)
     assert all(found.inside.values()), found

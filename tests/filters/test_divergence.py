@@ -140,7 +140,7 @@ ROADS = ["urban", "turns", "cruise", "brake", "outages"]
     ("maneuver", "gps"),
     quickly(
         product(ROADS, RECEIVERS),
-        lambda maneuver, gps: (ROADS.index(maneuver) + RECEIVERS.index(gps)) % 5 == 0,
+        lambda maneuver, gps: maneuver != "urban" and (ROADS.index(maneuver) + RECEIVERS.index(gps)) % 5 == 0,
     ),
 )
 def test_no_sound_filter_starts_anew_on_a_simulated_drive(maneuver: str, gps: str):
@@ -155,13 +155,28 @@ def test_no_sound_filter_starts_anew_on_a_simulated_drive(maneuver: str, gps: st
 @needs_shared
 @pytest.mark.filterwarnings("ignore::sigmaswarm.DriveWarning")
 @pytest.mark.parametrize(
-    "name", [*REAL, "kitti-09-26-0022", "kitti-09-26-0101", "kitti-09-30-0034", "comma2k19", "dresden"]
+    "name",
+    quickly(
+        [
+            (n,)
+            for n in (
+                *REAL,
+                "kitti-09-26-0022",
+                "kitti-09-26-0101",
+                "kitti-09-30-0034",
+                "comma2k19",
+                "dresden",
+            )
+        ],
+        lambda name: name in REAL,
+    ),
 )
 def test_no_sound_filter_starts_anew_on_a_recording(name: str):
     for p in (SET, TRUSTING):
         assert run_filter(drive_of(name), p).restarts == ()
 
 
+@pytest.mark.long
 def test_a_gyro_that_is_far_off_is_no_reason_to_start_anew_for_a_filter_that_knows_it():
     """The alignment takes such a bias only for certain where fixes contradict it far beyond their noise."""
     drive = sigmaswarm.simulate("urban", duration=200.0, gps="white-1m", seed=5)
@@ -303,7 +318,7 @@ LIVE = {plant: (plant, SET) for plant in PLANTS} | {"turned-tilted12": ("turned"
 
 
 @pytest.mark.parametrize(
-    ("plant", "p"), quickly(LIVE.values(), lambda plant, p: plant != "aside" and p is SET), ids=LIVE
+    ("plant", "p"), quickly(LIVE.values(), lambda plant, p: plant == "turned" and p is SET), ids=LIVE
 )
 def test_live_is_the_run(plant: str, p: FilterParameters):
     drive, start = PLANTS[plant](drive_of("simulated"))
@@ -316,6 +331,7 @@ def test_live_is_the_run(plant: str, p: FilterParameters):
     np.testing.assert_array_equal(lost, run.lost)
 
 
+@pytest.mark.long
 def test_live_is_the_run_while_nothing_can_be_aligned():
     drive, start = stops_and_goes()
     run = run_filter(drive, SET, initial=start)

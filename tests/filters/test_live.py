@@ -295,6 +295,7 @@ def test_samples_and_fixes_out_of_order_do_no_harm():
     assert filter.state.mean.tobytes() == before.mean.tobytes()
 
 
+@pytest.mark.long
 def test_memory_stays_flat_over_a_long_stream():
     # benchmarks/live_stream.py does it for a day; here 200 000 samples with all that a filter can keep.
     filter = LiveFilter(parameters("planar8", **OPTIONS["all"]), start(), nominal_interval=0.01)

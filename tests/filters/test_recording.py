@@ -46,7 +46,7 @@ def as_bits(recording: Recording) -> dict[str, bytes]:
     quickly(
         (case.values for case in EVERY_FILTER),
         lambda model, kind, option: (
-            option == "all" and (model, kind) in (("planar5", "ukf"), ("planar8", "ekf"), ("tilted12", "ekf"))
+            option == "all" and (model, kind) in (("planar5", "ukf"), ("planar8", "ekf"))
         ),
     ),
 )

@@ -501,6 +501,7 @@ def test_columns_without_names(tmp_path: Path):
     assert len(got.drive.imu) == 300 and not any("twice" in note for note in got.notes)
 
 
+@pytest.mark.long
 def test_one_name_thousands_of_times(tmp_path: Path):
     """Told in one line; finding other names took a minute."""
     log = table(tmp_path, "t,ax,ay,gz,x,y" + ",ax" * 2000, *(row + ",7" * 2000 for row in ROWS))

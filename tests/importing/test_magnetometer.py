@@ -124,6 +124,7 @@ def test_a_field_that_does_not_turn_with_the_drive_is_refused(tmp_path: Path):
         imported(folder, maps=maps, choice=TABLE)
 
 
+@pytest.mark.long
 def test_axes_of_the_wrong_hand_or_turned_ones_change_no_heading(tmp_path: Path):
     folder, _, _ = a_log(tmp_path / "log", "town")
     right = imported(folder, maps=MAPS, choice=TABLE).drive.gps

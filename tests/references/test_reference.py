@@ -57,6 +57,7 @@ def write_pos(path: Path, gps: Gps, ahead: float = 0.0) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_it_is_as_near_the_truth_as_it_says(cheap: Drive, made: Drive):
     got, true = made.truth, cheap.truth
     at = np.searchsorted(true.time, got.time)

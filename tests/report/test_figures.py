@@ -207,6 +207,7 @@ def test_comparison_without_truth_has_no_empty_panels():
     assert not ax.axison
 
 
+@pytest.mark.long
 def test_every_figure_has_the_same_bytes_twice(tmp_path: Path, tuning: Tuning, evaluation: Evaluation):
     makers = {
         "convergence": lambda: convergence(tuning),

@@ -453,6 +453,7 @@ def test_nothing_of_a_drive_s_name_gets_out_of_its_text(files: dict[str, Path]):
     assert not re.search(r'(?:src|href)="(?!data:,|#)', text.split("<script", 1)[0])
 
 
+@pytest.mark.long
 def test_a_page_of_many_drives_stays_below_2_mb_and_keeps_the_peaks(folders: tuple[Path, Path, Evaluation]):
     report = read_report(folders[1])
     (at,) = (i for i, section in enumerate(report.sections) if section.tracks)

@@ -52,6 +52,7 @@ def test_a_log_that_shows_nothing_of_the_error_gets_no_figure():
     assert said.startswith("not known. The filter's own estimate is 1.6 m (RMS), but the fixes")
 
 
+@pytest.mark.long
 def test_what_a_filter_says_of_itself_is_what_it_is_off_where_the_log_bears_it_out():
     """Fixes with white errors and a filter that is right: the word is within a third of the truth."""
     drives = [

@@ -88,6 +88,7 @@ def test_without_warm_up_a_drive_starts_in_motion():
     assert drive.metadata["achieved"]["time_s"] == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.long
 def test_maneuver_drives_are_25_to_30_seconds_long_on_average():
     lengths = [d.duration for d in simulate_many(environments=("clear", "rain"), runs=2)]
     assert 25.0 < np.mean(lengths) < 30.0

@@ -29,6 +29,7 @@ def bits(tuning: Tuning) -> list[bytes]:
     return [a.tobytes() for a in arrays] + [repr((tuning.parameters, tuning.cost)).encode()]
 
 
+@pytest.mark.long
 def test_the_likelihood_finds_the_noise_that_made_the_log():
     """Against the optimum of an exact likelihood, and against the truth within three standard deviations."""
     log = point_log(n=300, q=0.5, r=0.3)
@@ -157,7 +158,7 @@ def test_the_file_holds_the_parameters_by_name_and_who_they_belong_to(tmp_path: 
     assert json.loads((tmp_path / "config.json").read_text())["model"] == PENDULUM.identity()
 
 
-@pytest.mark.parametrize("generation", [1, 7])
+@pytest.mark.parametrize("generation", quickly([(1,), (7,)], lambda generation: generation == 7))
 def test_a_resumed_tuning_ends_in_the_same_bytes(tmp_path: Path, generation: int):
     tune(LOGS, out=tmp_path / "whole", **SMALL)
     interrupted(LOGS, tmp_path / "cut", generation, **SMALL)
@@ -175,6 +176,7 @@ tune(pendulum_log(), model=PENDULUM, out=sys.argv[1], **{KILLED})
 """
 
 
+@pytest.mark.long
 def test_killed_in_another_process_it_ends_here_in_the_same_bytes(tmp_path: Path):
     """The functions' identity is the same in every process, or it would not be resumed."""
     checkpoint = tmp_path / "killed" / "checkpoint-000.npz"

@@ -13,6 +13,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.inflation import STEP, inflated
 from sigmaswarm.tuning.space import search_space
+from support import quickly
 
 
 @cache
@@ -31,7 +32,9 @@ POWERS = {
     ),  # theta, roll and pitch are left alone
 }
 """Of the factor, by state."""
-EVERY_MODEL = pytest.mark.parametrize("model", POWERS)
+EVERY_MODEL = pytest.mark.parametrize(
+    "model", quickly([(m,) for m in POWERS], lambda model: model != "tilted12")
+)
 
 
 def raised(p: FilterParameters, factor: float) -> FilterParameters:
@@ -85,6 +88,7 @@ def test_it_is_kept_with_the_tuning(tmp_path, model: str, said: str):
     assert not [remark for remark in tuning.remarks if "search longer" in remark]
 
 
+@pytest.mark.long
 def test_twice_the_data_bear_half_the_rise():
     longer = simulate("urban", duration=120.0, gps="white-1m")
     for drives in ([longer], [town(), simulate("urban", duration=60.0, gps="white-1m", seed=1)]):

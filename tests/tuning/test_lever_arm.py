@@ -166,6 +166,7 @@ def test_outliers_do_not_move_it():
     assert np.all(np.abs(np.array([found.forward + 1.5, found.left - 0.6])) < 3 * np.array(found.std))
 
 
+@pytest.mark.long
 @needs_shared
 @pytest.mark.filterwarnings("ignore::sigmaswarm.errors.DriveWarning")  # a gap of 0.13 s
 def test_a_real_drive_shows_a_planted_arm_within_its_standard_deviation():

@@ -75,6 +75,7 @@ def test_without_the_accuracy_that_plays_no_part_nothing_is_said_of_it():
     assert without.parameters.accuracy_scale is None and not to_dos(without, "`accuracy` has no effect")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("objective", "better"),
     quickly([("truth-rmse", "truth-rmse + 0.2 nees"), ("truth-pose", "truth-pose + 0.2 nees")],
@@ -103,6 +104,7 @@ def test_the_lateral_constraint_determines_the_heading():
     assert off[1] < off[0]
 
 
+@pytest.mark.long
 def test_states_for_errors_that_last_whiten_the_innovations():
     options: dict[str, Any] = {"model": "planar8", "kind": "ekf", **FEW}
     plain = tune(smooth(0.3), use=["lateral"], **options)

@@ -22,7 +22,7 @@ from sigmaswarm.tuning.objectives import OBJECTIVES, Objective
 from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint, saved_history, saved_options
 from sigmaswarm.tuning.tune import tune
-from support import make_drive
+from support import make_drive, quickly
 
 DRIVES = [make_drive(duration=20.0, seed=s, name=f"d{s}") for s in range(2)]
 OPTIONS = {
@@ -99,7 +99,10 @@ def test_a_finished_tuning_leaves_these_files(uninterrupted: dict[str, bytes]):
     ]
 
 
-@pytest.mark.parametrize("generation", [1, 2, 5, 6, 7, 11, 12])
+@pytest.mark.parametrize(
+    "generation",
+    quickly([(n,) for n in (1, 2, 5, 6, 7, 11, 12)], lambda generation: generation in (1, 6, 7, 12)),
+)
 def test_a_resumed_tuning_ends_in_the_same_bytes(tmp_path: Path, uninterrupted, generation: int):
     out = tmp_path / "out"
     interrupted(DRIVES, out, generation, **OPTIONS)

@@ -15,7 +15,7 @@ import sigmaswarm
 from importing.logs import ORIGIN
 from processes import COMMAND, Process
 from sigmaswarm.drives.drive import Drive
-from support import make_drive
+from support import make_drive, quickly
 
 expect = pytest.importorskip("playwright.sync_api").expect
 expect.set_options(timeout=60_000)
@@ -150,8 +150,15 @@ def take_away(page: Any, folder: Path) -> None:
 
 @pytest.mark.parametrize(
     ("write", "prepare", "whole"),
-    [(odd_csv, name_columns, True), (phone, None, False), (bag, None, False)]
-    + [pytest.param(write, None, True, marks=pytest.mark.long) for write in (phone, bag)],
+    quickly(
+        [
+            (odd_csv, name_columns, False),
+            (odd_csv, name_columns, True),
+            (phone, None, True),
+            (bag, None, True),
+        ],
+        lambda write, prepare, whole: not whole,
+    ),
 )
 def test_road(write: Any, prepare: Any, whole: bool, tmp_path: Path, serve: Any, tab: Any):
     """To a drive that the shown command makes, too; ``whole``: and on to a filter in C."""

@@ -165,6 +165,7 @@ VARIED = replace(
 )
 
 
+@pytest.mark.long
 def test_a_process_that_wraps_its_angle_is_the_same_filter():
     log = pendulum_log(duration=8.0, start=(0.7, 9.0))
     plain = run_model(log, PENDULUM, PARAMETERS)

@@ -46,6 +46,7 @@ def lowest(name: str, seed: int, budget: int = 30) -> float:
     return optimizer.global_cost
 
 
+@pytest.mark.long
 def test_it_learns_from_thirty_costs_what_even_points_do_not():
     """Of a landscape as filters have them: a narrow place to be in, costs by the thousand, failures."""
     ours, even = ([lowest(name, seed) for seed in range(3)] for name in ("bo", "sobol"))
