@@ -40,6 +40,18 @@ def pytest_collect_file(file_path: Path) -> Generator[None, list[pytest.Collecto
     return [file for file in found if type(file).__name__ != "MarkdownDocstringCodeModule"]
 
 
+LONG_PAGES = ("docs/reference/evaluation.md", "docs/reference/experiments.md")
+"""Pages whose examples take seconds; those of README.md and docs/reference/tuning.md call the same functions."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave some pages to `make test-long`, before pytest selects by marker."""
+    for item in items:
+        if item.nodeid.startswith(LONG_PAGES):
+            item.add_marker(pytest.mark.long)
+
+
 def pytest_collection_finish() -> None:
     """Simulate and diagnose the same drive once, and keep the collected tests out of garbage collections.
 

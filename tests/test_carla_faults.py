@@ -128,6 +128,7 @@ def test_broken_in_the_second_drive(fault: dict, said: str, complete: Path, tmp_
     assert len(partial.imu) > 200
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("fault", "said"),
     quickly(

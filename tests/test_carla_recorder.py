@@ -108,7 +108,7 @@ def check_achieved(drive: sigmaswarm.Drive) -> None:
     [
         ("0.9.16", ("outages", "brake")),
         pytest.param("0.9.16", ALL, marks=pytest.mark.long),
-        ("0.9.14", ALL),
+        pytest.param("0.9.14", ALL, marks=pytest.mark.long),
         ("0.9.15", ("turns", "brake")),
     ],
 )

@@ -21,7 +21,7 @@ from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.limits import LONGEST_LINE
-from support import make_drive
+from support import make_drive, quickly
 
 ROW = b"1.0,1.0,1.0,1.0\n"
 
@@ -61,7 +61,7 @@ TABLES: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.mark.parametrize("table", ["imu", "truth"])
+@pytest.mark.parametrize("table", quickly([("imu",), ("truth",)], lambda table: table == "truth"))
 @pytest.mark.parametrize("how", TABLES)
 def test_a_table_of_a_drive_is_refused_by_its_name(how: str, table: str, drive: Path):
     file = drive / f"{table}.csv"
@@ -71,7 +71,10 @@ def test_a_table_of_a_drive_is_refused_by_its_name(how: str, table: str, drive: 
 
 
 @pytest.mark.parametrize("how", [how for how in TABLES if how != "many columns"])
-@pytest.mark.parametrize("form", ["csv", "nmea", "rtklib", "gnss-logger"])
+@pytest.mark.parametrize(
+    "form",
+    quickly([("csv",), ("nmea",), ("rtklib",), ("gnss-logger",)], lambda form: form in ("csv", "rtklib")),
+)
 def test_a_log_is_refused_by_its_name(how: str, form: str, tmp_path: Path):
     file = tmp_path / "log.csv"
     file.write_bytes(b"t,ax,ay,gz\n" + ROW * 10_000)
@@ -80,6 +83,7 @@ def test_a_log_is_refused_by_its_name(how: str, form: str, tmp_path: Path):
         pass
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rows", [50_000_000])
 def test_rows_of_parquet_are_counted_before_they_are_read(rows: int, drive: Path):
     (drive / "imu.csv").unlink()

@@ -9,9 +9,10 @@ import pytest
 
 from filter_cases import rough
 from sigmaswarm.drives.writer import write_drive
+from support import quickly
 
 
-@pytest.mark.parametrize("as_recorded", [False, True])
+@pytest.mark.parametrize("as_recorded", quickly([(False,), (True,)], lambda as_recorded: as_recorded))
 def test_the_command_line_keeps_to_what_was_tuned(sigmaswarm, tmp_path: Path, as_recorded: bool):
     folder = write_drive(rough(), tmp_path / "rough")
     options = ["--particles", "4", "--generations", "2", *(["--as-recorded"] if as_recorded else [])]

@@ -55,6 +55,7 @@ def test_a_mistake_is_one_line_and_exit_code_2():
     )
 
 
+@pytest.mark.long
 def test_without_arguments_it_helps():
     done, helped = sigmaswarm(), sigmaswarm("--help")
     assert (done.returncode, done.stdout) == (0, helped.stdout)

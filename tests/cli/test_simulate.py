@@ -147,6 +147,7 @@ def test_labels_of_one_physics_are_said_to_be_so(sigmaswarm, here: Path):
     assert "physics" not in apart.out
 
 
+@pytest.mark.long
 def test_a_failure_on_the_way_is_one_line_and_can_be_resumed(sigmaswarm, here: Path, monkeypatch):
     """A disk that is full, say: what was written is whole, and --resume goes on."""
     write = library.write_drive

@@ -90,6 +90,7 @@ def test_ideal_sensors_give_a_drive_that_is_read_back(
     assert len(read_drive(folder).imu) > 100
 
 
+@pytest.mark.long
 def test_import_proposes_the_cut_of_a_log_whose_imu_was_moved(
     sigmaswarm: Command, tmp_path, monkeypatch
 ) -> None:

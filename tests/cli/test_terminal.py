@@ -111,7 +111,7 @@ def test_any_terminal_will_do(drive, environment: dict[str, str]):
     "arguments",
     quickly(
         [(["doctor", "named"],), (["doctor", "named", "--json"],), (["--help"],)],
-        lambda arguments: "--json" not in arguments,
+        lambda arguments: arguments == ["--help"],
     ),
     ids=str,
 )

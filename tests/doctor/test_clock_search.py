@@ -63,6 +63,7 @@ def test_turns_that_would_match_with_another_sign_or_a_smaller_offset(period: fl
     assert not sigmaswarm.diagnose(sound).serious
 
 
+@pytest.mark.long
 @needs_shared
 @pytest.mark.filterwarnings("ignore::sigmaswarm.errors.DriveWarning")
 def test_a_search_that_ends_at_its_beginning_is_no_offset():

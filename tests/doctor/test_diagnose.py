@@ -94,7 +94,7 @@ def test_a_fault_planted_in_a_recording_is_named(name: str, fault: str):
     "name",
     quickly(
         [(name,) for name in (*REAL, "kitti-09-30-0034", "kitti-09-30-0018", "dresden")],
-        lambda name: name in ("colorado-1", "kingston-1", "comma2k19"),
+        lambda name: name in ("kingston-1", "comma2k19"),
     ),
 )
 def test_a_good_recording_raises_no_alarm(name: str):
@@ -258,6 +258,7 @@ def test_a_short_drive_with_few_turns_says_what_it_does_not_see():
     assert found.to_dict()["visible_clock_offset_s"] == found.visible_clock_offset
 
 
+@pytest.mark.long
 def test_gravity_on_a_wrong_axis():
     imu = simulated("icm-20602").imu
     drive = replace(simulated("icm-20602"), imu=replace(imu, ax=imu.az, az=imu.ax))
@@ -280,7 +281,10 @@ def test_few_fixes_have_no_jumps(count: int):
 
 @pytest.mark.parametrize(
     ("course", "factor"),
-    [(lambda c: np.degrees(np.pi / 2 - c) % 360, 1.0), (np.degrees, 3.6), (np.degrees, 1000.0)],
+    quickly(
+        [(lambda c: np.degrees(np.pi / 2 - c) % 360, 1.0), (np.degrees, 3.6), (np.degrees, 1000.0)],
+        lambda course, factor: factor != 3.6,
+    ),
 )
 def test_a_receiver_with_its_own_convention(course, factor: float):
     drive = simulated("icm-20602")

@@ -85,7 +85,7 @@ def urban(rate: float) -> Drive:
 
 @pytest.mark.parametrize("jitter", [False, True], ids=["even", "jitter and gaps"])
 @pytest.mark.parametrize(
-    "rate", quickly([(10.0,), (50.0,), (100.0,), (200.0,), (1000.0,)], lambda rate: rate in (10, 100))
+    "rate", quickly([(10.0,), (50.0,), (100.0,), (200.0,), (1000.0,)], lambda rate: rate == 10)
 )
 def test_it_decides_as_said_at_any_rate(rate: float, jitter: bool):
     drive = shaken(urban(rate), int(rate)) if jitter else urban(rate)

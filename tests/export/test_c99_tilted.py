@@ -135,6 +135,7 @@ def test_float_is_off_by_little(tmp_path: Path):
     assert 1e-9 < np.max(np.abs(off[:, :2])) < 2e-2
 
 
+@pytest.mark.long
 @needs_gcc
 def test_the_sanitizers_find_nothing_over_a_drive(tmp_path: Path):
     p = given("all")

@@ -174,6 +174,7 @@ def test_cpp_takes_the_headers_and_links(tmp_path: Path, p: FilterParameters, fl
     run(tmp_path / "app")
 
 
+@pytest.mark.long
 @needs_arm
 @pytest.mark.parametrize(
     ("p", "flags"),  # test_microcontroller compiles others

@@ -91,11 +91,16 @@ def test_an_indefinite_covariance_is_found(
 
 @pytest.mark.parametrize(
     "more",
-    [
-        *({"latency": 1e9}, {"latency": 1e5, "measurement_noise": (1e-12, 1e-12)}),
-        *({"measurement_noise": (1e-300, 1e-300)}, {"measurement_noise": (1e250, 1e-250)}),
-        {"process_noise": (1e200, 1e-200, 1e200, 1e-200, 1e100)},
-    ],
+    quickly(
+        [
+            ({"latency": 1e9},),
+            ({"latency": 1e5, "measurement_noise": (1e-12, 1e-12)},),
+            ({"measurement_noise": (1e-300, 1e-300)},),
+            ({"measurement_noise": (1e250, 1e-250)},),
+            ({"process_noise": (1e200, 1e-200, 1e200, 1e-200, 1e100)},),
+        ],
+        lambda more: "latency" not in more or "measurement_noise" in more,
+    ),
     ids=str,
 )
 def test_hostile_parameters_never_give_an_indefinite_covariance_unsaid(more: dict, tmp_path: Path):

@@ -264,6 +264,7 @@ def test_cpp_takes_the_header(tmp_path: Path):
     subprocess.run(["g++", "-Wall", "-Wextra", "-Werror", "-c", "main.cpp"], cwd=tmp_path, check=True)
 
 
+@pytest.mark.long
 @needs_arm
 def test_a_board_finds_the_mixture(tmp_path: Path):
     p, drive = given("planar8", "ukf", "all"), equipped()

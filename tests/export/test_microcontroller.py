@@ -92,6 +92,7 @@ def test_in_float_a_board_finds_it_within_a_centimetre(tmp_path: Path, name: str
     assert 0.0 < metres < 0.01 and 0.0 < degrees < 0.01
 
 
+@pytest.mark.long
 @needs_shared
 @needs_arm
 def test_float_is_as_good_kilometres_from_the_origin(tmp_path: Path):

@@ -103,6 +103,7 @@ def live_over(drive: Drive, p: FilterParameters) -> np.ndarray:
     return np.array(means)
 
 
+@pytest.mark.long
 @needs_gcc
 def test_fixes_that_leave_too_early_are_told(tmp_path: Path):
     drive = simulate("urban", gps_rate=50.0, duration=60.0, seed=4)

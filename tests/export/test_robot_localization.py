@@ -141,6 +141,7 @@ def test_odometer_and_thresholds_of_the_imu_are_written_and_read_back(tmp_path: 
     assert found.odometer_noise is not None
 
 
+@pytest.mark.long
 def test_the_page_compares_it_with_its_defaults_and_another_filter():
     drive = make_drive(duration=40.0)
     own = tuned("planar8", "ekf", 0.01, everything=False)

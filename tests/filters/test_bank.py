@@ -529,6 +529,7 @@ def test_one_lane_that_fails_counts_nothing_and_goes_on_from_the_best():
     assert (filter.weights[[2, 9]] > 0.0).all()  # after the next search
 
 
+@pytest.mark.long
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="takes minutes uncompiled")
 def test_memory_stays_flat():
     filter = LiveFilterBank(parameters("planar8", **ALL), start(), nominal_interval=0.01)

@@ -148,6 +148,7 @@ def test_axes_of_the_wrong_hand_or_turned_ones_change_no_heading(tmp_path: Path)
             imported(folder, **options)
 
 
+@pytest.mark.long
 def test_a_stated_declination_and_the_mounting(tmp_path: Path):
     folder, heading, _ = a_log(tmp_path / "log", "town")
     for stated in (4.0, 0.0, -10.0):

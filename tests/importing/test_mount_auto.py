@@ -44,6 +44,7 @@ def test_the_mounting_is_found(tmp_path: Path, roll: float, pitch: float, yaw: f
     np.testing.assert_allclose(turned(raw, parse_mount(mount)).gx, made.imu.gx, atol=1e-9)
 
 
+@pytest.mark.long
 def test_a_log_that_does_not_show_it_is_refused_with_the_reason(tmp_path: Path):
     log = log_of(sigmaswarm.simulate("cruise", gps="white-1m"), tmp_path / "log")
     with pytest.raises(

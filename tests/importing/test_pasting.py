@@ -18,14 +18,7 @@ from support import quickly
 
 __all__ = ["sigmaswarm"]
 G = 9.80665
-QUICK = {
-    "csv",
-    "ubx",
-    "px4",
-    "ros1",
-    "phyphox",
-    "rtklib",
-}
+QUICK = {"csv", "ros1", "phyphox"}
 
 
 def pasted(said: str) -> list[str]:

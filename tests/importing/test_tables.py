@@ -495,7 +495,7 @@ def test_places_that_may_be_two_things_are_refused_and_the_remedy_helps(tmp_path
 
 
 @pytest.mark.parametrize("cell", ["0", "0.0", "-999", "1e10", "-9999.0", "", "n/a", "NaN"])
-@pytest.mark.parametrize("count", [1, 5])
+@pytest.mark.parametrize("count", quickly([(1,), (5,)], lambda count: count == 5))
 def test_placeholders_are_no_fixes(tmp_path: Path, cell: str, count: int):
     (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
     lat = [cell] * count + list(map(repr, GPS.lat[count:].tolist()))

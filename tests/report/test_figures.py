@@ -196,6 +196,7 @@ def test_comparison_has_bars_for_every_method(evaluation: Evaluation):
         assert (ax.get_xscale(), ax.get_xlim()[0]) == ("linear", 0.0)
 
 
+@pytest.mark.long
 def test_comparison_without_truth_has_no_empty_panels():
     blind = replace(DRIVE, truth=None)
     figure = comparison(evaluate(blind, GOOD))

@@ -56,6 +56,7 @@ def section(folder: Path, title: str) -> Section:
 # ---- tracks.npz ----
 
 
+@pytest.mark.long
 def test_tracks_are_of_drives_that_their_filters_never_saw(study: Study):
     costs = [study.trials[Task("honest", "pso-ukf", "all", trial)].cost for trial in range(CONFIG.trials)]
     best = int(np.argmin(costs))
@@ -198,6 +199,7 @@ def test_a_filter_that_does_not_know_its_errors_is_named(study: Study, copy: Pat
     assert any("honest: the tunings of PSO-UKF differ" in r and "1 to 2 m" in r for r in remarks)
 
 
+@pytest.mark.long
 def test_filters_of_each_condition_have_a_row_each(tmp_path: Path):
     config = CONFIG.model_copy(update={"per_condition": True, "generations": 2})
     done = run_study(config, tmp_path)

@@ -373,6 +373,7 @@ def test_a_failure_on_one_drive_leaves_no_mean_to_boast_of():
     assert evaluation.mean("untuned", "position_rmse_m") == 1.0
 
 
+@pytest.mark.long
 def test_the_outages_options_reach_the_outages():
     one, other, longer = (
         evaluate(DRIVES[:1], GOOD, **kw).to_dict()["mean"]["untuned"]
@@ -385,6 +386,7 @@ def test_the_outages_options_reach_the_outages():
     )
 
 
+@pytest.mark.long
 def test_the_drives_order_and_company_change_no_bit(evaluation: Evaluation):
     turned = evaluate(DRIVES[::-1], GOOD).to_dict()["drives"]
     assert turned == evaluation.to_dict()["drives"]

@@ -82,6 +82,7 @@ def wandering(seed: int):
     return replace(drive, gps=gps)
 
 
+@pytest.mark.long
 def test_without_truth_it_is_honest_where_white_noise_is_not(tmp_path):
     drive, search = wandering(3), {"model": "planar8", "kind": "ekf", "particles": 16, "generations": 15}
     blind = replace(drive, truth=None)

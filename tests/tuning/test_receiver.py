@@ -109,6 +109,7 @@ def test_the_doctor_leaves_a_smooth_receiver_its_stated_deviation():
     assert "gps-noise" in diagnose(stating(unstated(), 30.0)).codes  # white noise shows whole
 
 
+@pytest.mark.long
 def test_of_a_long_drive_the_middle_is_looked_at(monkeypatch: pytest.MonkeyPatch):
     """Fixes that are wild in its first and last minute, and calm between: its scatter is that of the middle."""
     monkeypatch.setattr("sigmaswarm.tuning.receiver.LOOK", 90.0)

@@ -27,6 +27,12 @@ main()
 """
 SMALL = {"model": "planar5", "particles": 8, "generations": 4}
 """Options of a tuning that takes a second."""
+AT_REST = """document.addEventListener("DOMContentLoaded", () => {
+  const style = document.createElement("style");
+  style.textContent = "*, ::before, ::after { animation: none !important; transition: none !important; }";
+  document.head.append(style);
+});"""
+"""Without spinners that turn: a browser without a graphics card draws the page anew for each of their frames."""
 
 
 class Served:
@@ -68,6 +74,7 @@ def tab(browser: Any) -> Iterator[Any]:
     context = browser.new_context(viewport={"width": 1280, "height": 900})
     context.grant_permissions(["clipboard-read", "clipboard-write"])
     context.set_default_timeout(60_000)
+    context.add_init_script(AT_REST)
     wrong: list[str] = []
 
     def opened(url: str) -> Any:

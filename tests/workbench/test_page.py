@@ -44,9 +44,28 @@ def tab_to(page: Any, name: str) -> None:
 
 
 def test_repair_and_back(tmp_path: Path, serve: Any, tab: Any):
-    """One click mends, one takes it back; the original stays; another tab sees it; cuts keep a part or leave it out."""
+    """One click mends, one takes it back in another tab; the original stays."""
     original = wrong_sign(tmp_path / "bench")
     before = (original / "imu.csv").read_bytes()
+    served = serve(tmp_path / "bench")
+    page = tab(served.url + "check")
+    page.get_by_role("button", name="Mend: gyro-sign").click()
+    page.get_by_text("repaired: gyro-sign").wait_for()
+    page.get_by_role("heading", name="No serious finding").wait_for()
+    checked = original.with_name("monday-checked")
+    mended = sigmaswarm.read_drive(checked)
+    np.testing.assert_allclose(mended.imu.gz, -sigmaswarm.read_drive(original).imu.gz)
+    other = tab(served.url + "check")
+    other.get_by_role("button", name="Undo: repaired: gyro-sign").click()
+    page.get_by_role("button", name="Mend: gyro-sign").wait_for()
+    assert not checked.exists()
+    assert (original / "imu.csv").read_bytes() == before
+
+
+@pytest.mark.long
+def test_cuts(tmp_path: Path, serve: Any, tab: Any):
+    """Cuts keep a part or leave it out, also beside a repair, which another tab sees."""
+    original = wrong_sign(tmp_path / "bench")
     served = serve(tmp_path / "bench")
     page, other = tab(served.url + "check"), tab(served.url + "check")
     page.get_by_role("button", name="Mend: gyro-sign").click()
@@ -54,8 +73,6 @@ def test_repair_and_back(tmp_path: Path, serve: Any, tab: Any):
         one.get_by_text("repaired: gyro-sign").wait_for()
     page.get_by_role("heading", name="No serious finding").wait_for()
     checked = original.with_name("monday-checked")
-    mended = sigmaswarm.read_drive(checked)
-    np.testing.assert_allclose(mended.imu.gz, -sigmaswarm.read_drive(original).imu.gz)
     page.get_by_label("to, s").fill("40")
     page.get_by_role("button", name="Keep only this part").click()
     page.get_by_text("kept only 0 to 40 s").wait_for()
@@ -73,7 +90,6 @@ def test_repair_and_back(tmp_path: Path, serve: Any, tab: Any):
     first, last = (sigmaswarm.read_drive(f"{original}-{part}").imu.time for part in ("before", "after"))
     assert first[-1] < 20.0
     assert last[0] >= 25.0
-    assert (original / "imu.csv").read_bytes() == before
     page.goto(served.url + "tune")
     expect(page.get_by_role("combobox", name="monday", exact=True)).to_have_value("leave it out")
 
