@@ -7,9 +7,11 @@ import pytest
 
 from exported import tuned
 from sigmaswarm.exports.c99 import c99
+from sigmaswarm.exports.c_emitter import Emitter
 from sigmaswarm.exports.features import _chosen, fill
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.targets import TARGETS
+from sigmaswarm.filters.compiled.measurements import update_fix
 from support import quickly
 
 TEXT = """a
@@ -67,3 +69,8 @@ def test_no_place_and_no_part_is_left_over(target, model: str, kind: str, everyt
         assert re.findall(r"@[A-Z]", text) == []
         assert "USE_" not in text
         assert text.endswith("\n")
+
+
+def test_a_row_that_is_kept_between_steps_must_have_a_c_text():
+    with pytest.raises(TypeError, match="update_fix: row FADING has no C text; add it to "):
+        Emitter({}).add(update_fix, fix_error=0, stores_innovation=0, adaptive=0, note_prior=0)

@@ -13,7 +13,7 @@ from functools import cache
 from typing import Any
 
 from sigmaswarm.drives import odometer, timeline
-from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, NAMES, QUATERNION
+from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, N_KEPT, NAMES, QUATERNION
 from sigmaswarm.filters.compiled.unroll import Kernel
 
 STATES = (
@@ -352,6 +352,8 @@ class _Function(ast.NodeTransformer):
             return self.mirrored(*(self.emitter.states[MEAN.index(letter)] for letter in name))
         if name[:3] in ("C1_", "C2_"):
             return f"work->{name[:2]}[{self.emitter.states[MEAN.index(name[3:])]}]", ""
+        if row < N_KEPT:  # only scratch rows are written before they are read
+            raise TypeError(f"{self.name}: row {name} has no C text; add it to c_kernels._rows")
         return f"work->{name.lower()}", ""
 
     def place_in_loop(self, index: ast.expr) -> tuple[str | None, str]:

@@ -9,7 +9,7 @@ from typing import Any
 from sigmaswarm.exports.c_emitter import FIX_ERROR, PARAMETERS, STATES, Emitter
 from sigmaswarm.filters import schedule
 from sigmaswarm.filters.compiled import fix_error, lanes, measurements, planar5, planar8, step, tilted12
-from sigmaswarm.filters.compiled.layout import MEAN
+from sigmaswarm.filters.compiled.layout import MEAN, SUMS
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.models import MEASURED, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
@@ -181,15 +181,15 @@ def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> 
         **{"FUZZY": "FORGETTING", "QUICK": "b->quick", "SLOW": "b->slow"},
         **{"TIMES_R": "b->times_r", "TIMES_Q": "b->times_q"},
         **{name: name for name in ("WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q")},
-        **dict.fromkeys(("NIS", "DET", "TAIL", "SQ_FIX")),
+        **dict.fromkeys(SUMS[: SUMS.index("OK")]),  # scores, which C does not have
         **{"DOF": "ROBUST_DOF", "PATIENCE": "PATIENCE", "OUTLIERS": "b->outliers", "SPAN": "b->span"},
         "OK": "b->failed",
         **{name: name for name in ("FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR")},
         **dict.fromkeys(("FACED", "FACED_ALL"), "b->faced" if turns_along else None),
         **dict.fromkeys(("TINY", "GRAVITY")),
     }
-    if turns_along:
-        rows |= {"COS": "b->cos", "SIN": "b->sin"}
+    memory = "b" if turns_along else "work"
+    rows |= {"COS": f"{memory}->cos", "SIN": f"{memory}->sin"}
     if not features["USE_GATE"]:
         rows["USE"] = 1.0
     if not (features["USE_LANES"] or fuzzy):

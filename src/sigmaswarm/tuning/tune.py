@@ -171,7 +171,7 @@ def _problem_of(
         data, others = listed(drives), listed(validation)
         stray = [type(thing).__name__ for thing in (*data, *others) if not isinstance(thing, Log)]
         if stray:
-            raise InputError(f"got a {stray[0]}; tune takes Drives, or Logs together with model=Model(...)")
+            raise InputError(f"got a {stray[0]}; {TAKES}")
         config = validated_config(ModelTuneConfig, options | {"model": model.identity()})
         problem = model_problem(data, model, settled(config, [*data, *others]))
     else:
