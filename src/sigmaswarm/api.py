@@ -19,7 +19,7 @@ from sigmaswarm.tuning.result import Tuning
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from sigmaswarm.exports.targets import Target
+    from sigmaswarm.exports.names import Target
     from sigmaswarm.importing.look import Look
     from sigmaswarm.scoring.evaluation import Evaluation
 

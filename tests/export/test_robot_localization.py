@@ -11,8 +11,9 @@ import yaml
 from exported import tuned
 from sigmaswarm import evaluate
 from sigmaswarm.errors import InputError
+from sigmaswarm.exports.names import Target
 from sigmaswarm.exports.robot_localization import accuracy_section, robot_localization, yaml_number
-from sigmaswarm.exports.targets import Target, export_texts
+from sigmaswarm.exports.targets import export_texts
 from sigmaswarm.filters.parameters import FilterParameters
 from support import make_drive
 

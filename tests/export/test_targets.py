@@ -8,17 +8,18 @@ import pytest
 
 from exported import tuned
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.targets import TARGETS, Target, export_filter
+from sigmaswarm.exports.names import Target
+from sigmaswarm.exports.targets import TARGETS, export_filter
 from support import make_drive
 
 P = tuned("planar5", "ukf", 0.01, everything=False)
 FILES = {
-    "filterpy": ["run_filter.py"],
     "c99": [
         *("ins_gps.h", "ins_gps.c", "ins_gps_align.h", "ins_gps_align.c", "replay.c", "README.md"),
         *("CMakeLists.txt", "library.json", "zephyr/module.yml", "zephyr/CMakeLists.txt", "zephyr/Kconfig"),
         *("ins_gps.py", "ins_gps_shared.c"),
     ],
+    "filterpy": ["run_filter.py"],
     "robot_localization": ["robot_localization.yaml"],
 }
 
@@ -63,7 +64,7 @@ def test_a_filter_that_can_not_be_handed_over_is_refused(tmp_path: Path, target,
 
 def test_what_was_asked_for_wrongly_is_said(tmp_path: Path):
     with pytest.raises(
-        InputError, match="there is no export target 'rust'; choose one of filterpy, c99, robot_loc"
+        InputError, match="there is no export target 'rust'; choose one of c99, filterpy, robot_loc"
     ):
         export_filter(P, "rust", tmp_path)
     with pytest.raises(InputError, match="--replay is for --to c99 only"):

@@ -3,13 +3,14 @@
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 import sigmaswarm
 from sigmaswarm.cli.common import print_json, read_drives, read_known, say, tuned_as_recorded
 from sigmaswarm.cli.options import FIELDS, Json
+from sigmaswarm.exports.names import AnyTarget, next_command
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,7 +42,7 @@ class ExportOptions:
         Seed of the parameters in the filter bank.
     """
 
-    to: Literal["filterpy", "c99", "robot_localization", "robot-localization"]
+    to: AnyTarget
     out: Path
     replay: Path | None = None
     check: list[Path] | None = None
@@ -107,7 +108,7 @@ def export(
             "ins_gps_turn_imu() rotates samples with the imported axes by the mounting of the training drives "
             f"({angles} deg)"
         )
-    say(f"next: {_next_step(to, out, replay=drive is not None)}")
+    say(f"next: {next_command(to, out, texts)}")
 
 
 def _accuracy(
@@ -134,15 +135,3 @@ def _found(checked: "Checked", lanes: int) -> str:
         f"{line}; in float the difference is at most {1e3 * single.position:.2g} mm and "
         f"{math.degrees(single.heading):.1g} degrees"
     )
-
-
-def _next_step(to: str, out: Path, *, replay: bool) -> str:
-    if to == "filterpy":
-        return f"python {out / 'run_filter.py'} DRIVE estimate.csv"
-    if to == "c99":
-        build = f"cd {out} && cc -std=c99 -O2 ins_gps.c ins_gps_align.c replay.c -lm -o replay"
-        return build + (" && ./replay < replay.csv > estimate.csv" if replay else "")
-    if (out / "ekf.yaml").exists():
-        return f"read {out / 'README.md'}, then ros2 launch {out / 'ekf.launch.py'}"
-    file = out / "robot_localization.yaml"
-    return f"read the comments of {file}, then pass it to robot_localization with --params-file"

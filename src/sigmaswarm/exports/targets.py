@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.mounting import Angles
@@ -10,18 +10,15 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c99 import c99, replay_rows
 from sigmaswarm.exports.filterpy import filterpy
 from sigmaswarm.exports.lanes import Lanes
+from sigmaswarm.exports.names import DESCRIPTIONS, AnyTarget, Target, target_named
 from sigmaswarm.exports.robot_localization import robot_localization
 from sigmaswarm.files import make_folder, staged_files, write_whole
 from sigmaswarm.filters.models import MODELS, require_driven_by_imu
 from sigmaswarm.filters.parameters import FilterParameters
 
-Target = Literal["filterpy", "c99", "robot_localization"]
-Alias = Literal["robot-localization"]
-"""Name of the model, accepted for the target robot_localization."""
-
 TARGETS: dict[Target, Callable[..., dict[str, str]]] = {
-    "filterpy": filterpy,
     "c99": c99,
+    "filterpy": filterpy,
     "robot_localization": robot_localization,
 }
 """Functions that return texts by file name. Arguments: parameters, nominal interval (s), ``as_recorded``, mounting."""
@@ -29,7 +26,7 @@ TARGETS: dict[Target, Callable[..., dict[str, str]]] = {
 
 def export_texts(
     parameters: FilterParameters,
-    target: Target | Alias,
+    target: AnyTarget,
     *,
     replay: Drive | None = None,
     as_recorded: bool = False,
@@ -63,8 +60,7 @@ def export_texts(
         If the target is unknown or does not support the model, ``replay`` or ``lanes``; if the parameters lack the
         nominal interval; or if a variance is not positive.
     """
-    if target == "robot-localization":
-        target = "robot_localization"
+    target = target_named(target)
     interval = _checked(parameters, target)
     side_by_side = Lanes(lanes, seed)
     if target != "c99":
@@ -85,13 +81,13 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
     """Check that a target supports a filter. Return the IMU interval of Q, s."""
     if target not in TARGETS:
         raise InputError(f"there is no export target {target!r}; choose one of {', '.join(TARGETS)}")
-    if MODELS[parameters.model].tilts and target != "c99":
+    if MODELS[parameters.model].tilts and not DESCRIPTIONS[target].tilts:
         raise InputError(
             f"{target} does not support {parameters.model}; run it with `sigmaswarm run` or LiveFilter, or export "
             "planar8"
         )
-    absent = ["fix-error"] if parameters.fix_error is not None and target != "c99" else []
-    absent += ["heading"] if parameters.heading_noise is not None and target == "filterpy" else []
+    used = {"fix-error": parameters.fix_error, "heading": parameters.heading_noise}
+    absent = [option for option in DESCRIPTIONS[target].lacks if used[option] is not None]
     if absent:
         raise InputError(
             f"{target} does not support {absent[0]}; tune without {absent[0]} (--use lateral standstill robust), or "
@@ -122,7 +118,7 @@ def write_texts(texts: Mapping[str, str], folder: str | Path) -> list[Path]:
 
 
 def export_filter(
-    parameters: FilterParameters, target: Target | Alias, folder: str | Path, **options: Any
+    parameters: FilterParameters, target: AnyTarget, folder: str | Path, **options: Any
 ) -> list[Path]:
     """Write the files of a filter, with arguments as in `export_texts`. Return their paths."""
     return write_texts(export_texts(parameters, target, **options), folder)

@@ -1,6 +1,5 @@
 """Step 5: export the filter as C, for ROS or for Python, and its trajectories."""
 
-import shlex
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,31 +8,11 @@ from nicegui import ui
 
 import sigmaswarm
 from sigmaswarm import time_origin_of, write_estimate
+from sigmaswarm.exports.names import DESCRIPTIONS, Description, next_command
 from sigmaswarm.files import make_folder
 from sigmaswarm.workbench.parts import Page, button, card, command, line, link, message, select, text
 from sigmaswarm.workbench.state import Workbench, attempt
 
-BUILD = (
-    "cc -std=c99 -O2 ins_gps.c ins_gps_align.c replay.c -lm -o replay && ./replay < replay.csv > estimate.csv"
-)
-TARGETS = {
-    "c99": (
-        "C99",
-        "Needs a C compiler and math.h; no heap, no other library. Runs on a microcontroller.",
-        BUILD,
-    ),
-    "filterpy": (
-        "Python",
-        "Needs numpy and filterpy (pip install filterpy).",
-        "python run_filter.py DRIVE estimate.csv",
-    ),
-    "robot_localization": (
-        "ROS robot_localization",
-        "Needs ROS 2 and robot_localization. The filter of robot_localization has no IMU biases, so the values "
-        "are only initial values.",
-        "ros2 launch ekf.launch.py",
-    ),
-}
 ENDINGS = {".csv": "CSV with standard deviations", ".tum": "TUM poses, for evo", ".kitti": "KITTI poses",
            ".mat": "MATLAB", ".geojson": "GeoJSON map", ".gpx": "GPX map", ".kml": "KML map",
            ".ros2": "ROS 2 bag"}  # fmt: skip
@@ -43,8 +22,8 @@ class TakePage(Page):
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
         self.chosen: dict[str, Any] = {}
-        self.outcomes: dict[str, tuple[str, str]] = {}
-        """Message about written files and error message, by target."""
+        self.outcomes: dict[str, tuple[str, str, str]] = {}
+        """By target: message about written files, error message, and the command that uses the files."""
 
     def content(self) -> None:
         tunings, drives = self.bench.finished, self.bench.drive_names
@@ -59,9 +38,9 @@ class TakePage(Page):
             select("Filter", tunings, self.chosen["tuning"], partial(self._choose, "tuning"))
             select("Drive to replay", drives, self.chosen["drive"], partial(self._choose, "drive"))
         message(self.waiting, "wait")
-        for target, (title, needs, then) in TARGETS.items():
+        for name, target in DESCRIPTIONS.items():
             with card():
-                self._export(target, title, needs, then)
+                self._export(name, target)
         with card():
             self._trajectories()
         with card():
@@ -77,15 +56,15 @@ class TakePage(Page):
     def _folder(self, target: str) -> Path:
         return self.bench.path("exports", f"{self.chosen['tuning']}-{target}")
 
-    def _export(self, target: str, title: str, needs: str, then: str) -> None:
+    def _export(self, name: str, target: Description) -> None:
         tuning = self.bench.path("tunings", self.chosen["tuning"])
-        refused = "" if target == "c99" else attempt(sigmaswarm.export, tuning, target)[1]
+        refused = attempt(sigmaswarm.export, tuning, name)[1]
         with line("between"):
-            text("h2", title)
-            write = button(f"Write {title}", partial(self._begin, target), "download", main=True)
+            text("h2", target.title)
+            write = button(f"Write {target.title}", partial(self._begin, name), "download", main=True)
             write.set_enabled(not self.waiting and not refused)
-        text("p", (refused and f"Not for this filter: {refused}") or needs, "soft")
-        self._outcome(target, f"cd {shlex.quote(str(self._folder(target)))} && {then}")
+        text("p", (refused and f"Not for this filter: {refused}") or target.needs, "soft")
+        self._outcome(name)
 
     def _trajectories(self) -> None:
         text("h2", "Trajectories")
@@ -97,10 +76,10 @@ class TakePage(Page):
             box.on_value_change(lambda event: self._choose("smooth", event.value))
             write = button("Write", partial(self._begin, "track"), "timeline", main=True)
             write.set_enabled(not self.waiting)
-        self._outcome("track", "")
+        self._outcome("track")
 
-    def _outcome(self, target: str, then: str) -> None:
-        good, wrong = self.outcomes.get(target, ("", ""))
+    def _outcome(self, target: str) -> None:
+        good, wrong, then = self.outcomes.get(target, ("", "", ""))
         message(wrong, "bad")
         message(good, "good")
         if good:
@@ -112,12 +91,13 @@ class TakePage(Page):
         self.start("writing", self._write, target, then=partial(self._wrote, target))
         self.refresh()
 
-    def _wrote(self, target: str, good: str | None) -> None:
-        self.outcomes[target] = good or "", self.wrong
+    def _wrote(self, target: str, written: tuple[str, str] | None) -> None:
+        good, then = written or ("", "")
+        self.outcomes[target] = good, self.wrong, then
         self.refresh()
 
-    def _write(self, target: str) -> str:
-        """Write an export or a trajectory. Return a message about it."""
+    def _write(self, target: Any) -> tuple[str, str]:
+        """Write an export or a trajectory. Return a message and the command that uses the files."""
         tuning = self.bench.path("tunings", self.chosen["tuning"])
         name, folder = self.chosen["drive"], make_folder(self._folder(target))
         drive = self.bench.read(name) if name else None
@@ -129,7 +109,7 @@ class TakePage(Page):
                 file = folder / f"{name}-{len(list(folder.iterdir()))}.ros2"
             estimate = sigmaswarm.run(drive, tuning, smooth=self.chosen.get("smooth", False))
             write_estimate(estimate, file, origin=drive.origin, time_origin=time_origin_of(drive), name=name)
-            return f"wrote {file}"
+            return f"wrote {file}", ""
         more = {"replay": drive} if target == "c99" and drive else {}
-        texts = sigmaswarm.export(tuning, target, folder, **more)  # pyright: ignore
-        return f"wrote {len(texts)} files to {folder}"
+        texts = sigmaswarm.export(tuning, target, folder, **more)
+        return f"wrote {len(texts)} files to {folder}", next_command(target, folder, texts)

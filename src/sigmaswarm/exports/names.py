@@ -1,0 +1,74 @@
+"""Names and descriptions of export targets, without kernels, so that help and workbench are fast."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from shlex import quote
+from typing import Literal
+
+Target = Literal["c99", "filterpy", "robot_localization"]
+AnyTarget = Literal[Target, "robot-localization"]
+"""Targets and the name of the model, accepted for the target robot_localization."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """Description of an export target.
+
+    Attributes
+    ----------
+    title, needs : str
+        Name and requirements, for users.
+    commands : dict of str to str
+        By exported file: a part of the shell command that uses the files; ``{}`` is their folder.
+    lacks : tuple of str
+        Options of `tune` that the target does not support.
+    tilts : bool
+        True if the target supports models with attitude.
+    """
+
+    title: str
+    needs: str
+    commands: Mapping[str, str]
+    lacks: tuple[str, ...] = ()
+    tilts: bool = False
+
+
+DESCRIPTIONS: dict[Target, Description] = {
+    "c99": Description(
+        title="C99",
+        needs="Needs a C compiler and math.h; no heap, no other library. Runs on a microcontroller.",
+        commands={
+            "ins_gps.c": "cd {} && cc -std=c99 -O2 ins_gps.c ins_gps_align.c replay.c -lm -o replay",
+            "replay.csv": " && ./replay < replay.csv > estimate.csv",
+        },
+        tilts=True,
+    ),
+    "filterpy": Description(
+        title="Python",
+        needs="Needs numpy and filterpy (pip install filterpy).",
+        commands={"run_filter.py": "python {}/run_filter.py DRIVE estimate.csv"},
+        lacks=("fix-error", "heading"),
+    ),
+    "robot_localization": Description(
+        title="ROS robot_localization",
+        needs="Needs ROS 2 and robot_localization. The values of a planar filter are only a start.",
+        commands={
+            "ekf.launch.py": "ros2 launch {}/ekf.launch.py",
+            "robot_localization.yaml": (
+                "ros2 run robot_localization ekf_node --ros-args --params-file {}/robot_localization.yaml"
+            ),
+        },
+        lacks=("fix-error",),
+    ),
+}
+
+
+def target_named(target: AnyTarget) -> Target:
+    return "robot_localization" if target == "robot-localization" else target
+
+
+def next_command(target: AnyTarget, folder: str | Path, files: Iterable[str]) -> str:
+    """Return the shell command that uses the exported files in a folder."""
+    commands = DESCRIPTIONS[target_named(target)].commands
+    return "".join(commands[file] for file in commands if file in {*files}).format(quote(str(folder)))
