@@ -8,6 +8,7 @@ import pytest
 
 from sigmaswarm import DriveError, Odometer, clip, read_drive, split_time, write_drive
 from sigmaswarm.drives.fingerprint import fingerprint
+from sigmaswarm.drives.tables import RECORDS
 from support import make_drive
 
 TIME = np.arange(0.003, 12.0, 0.012)
@@ -41,6 +42,15 @@ def test_fingerprint():
     assert DRIVE.odometer is not None
     slower = replace(DRIVE, odometer=replace(DRIVE.odometer, speed=0.99 * DRIVE.odometer.speed))
     assert len({fingerprint(drive) for drive in (bare, DRIVE, slower)}) == 3
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_fingerprint_depends_on_every_column_of_every_table(name: str):
+    table = DRIVE.tables[name]
+    columns = [column for column, values in vars(table).items() if values is not None]
+    changed = [replace(table, **{column: vars(table)[column] + 1.0}) for column in columns]
+    drives = (DRIVE, *(replace(DRIVE, **{name: each}) for each in changed))
+    assert len({fingerprint(drive) for drive in drives}) == len(columns) + 1
 
 
 @pytest.mark.parametrize(

@@ -40,9 +40,7 @@ class CachedDrive:
     @property
     def size(self) -> float:
         """Estimated size of the drive and of all data prepared from it, bytes."""
-        drive = self.drive
-        tables = (drive.imu, drive.gps, drive.truth, drive.odometer)
-        columns = [c for table in tables if table is not None for c in vars(table).values() if c is not None]
+        columns = [c for table in self.drive.tables.values() for c in vars(table).values() if c is not None]
         return BYTES_PER_COLUMN_BYTE * sum(column.nbytes for column in columns)
 
     def once(self, key: Hashable, make: Callable[[Drive], T]) -> T:

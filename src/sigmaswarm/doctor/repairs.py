@@ -170,9 +170,8 @@ def _drop_readings(drive: Drive, *ends: float) -> Drive:
 
 def _close_jump(drive: Drive, moment: float, jump: float) -> Drive:
     """Subtract the jump, s, from all times after ``moment``, s."""
-    for sensor in ("imu", "gps", "truth", "odometer"):
-        if table := getattr(drive, sensor):
-            drive = _with(sensor, drive, time=np.where(table.time > moment, table.time - jump, table.time))
+    for sensor, table in drive.tables.items():
+        drive = _with(sensor, drive, time=np.where(table.time > moment, table.time - jump, table.time))
     return drive
 
 

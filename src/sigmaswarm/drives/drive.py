@@ -11,7 +11,7 @@ from sigmaswarm import notebook
 from sigmaswarm.drives.checks import checked
 from sigmaswarm.drives.frames import tables_from_frames
 from sigmaswarm.drives.mounting import KEY, Angles
-from sigmaswarm.drives.tables import Array, Gps, Imu, Odometer, Table, Truth
+from sigmaswarm.drives.tables import RECORDS, Array, Gps, Imu, Odometer, Table, Truth
 
 T = TypeVar("T")
 
@@ -109,6 +109,11 @@ class Drive:
         return drive
 
     from_arrays = from_frames
+
+    @property
+    def tables(self) -> dict[str, Table]:
+        """Existing tables, by their names in `RECORDS`."""
+        return {name: table for name in RECORDS if (table := getattr(self, name)) is not None}
 
     @property
     def nominal_interval(self) -> float:

@@ -56,13 +56,12 @@ def fingerprint(drive: Drive) -> str:
         digest.update(b"antenna height" + repr(drive.antenna_height).encode())
     if drive.heading is not None:
         digest.update(b"heading" + repr(drive.heading).encode())
-    for table in (drive.imu, drive.gps, drive.truth):
-        for name, column in sorted(vars(table).items()) if table is not None else ():
-            if column is not None:
+    for kind, table in drive.tables.items():
+        columns = {name: column for name, column in vars(table).items() if column is not None}
+        if kind in ("imu", "gps", "truth"):
+            for name, column in sorted(columns.items()):
                 digest.update(name.encode())
                 digest.update(np.ascontiguousarray(column).data)
-    if (
-        drive.odometer is not None
-    ):  # after the other tables: a drive without an odometer keeps its fingerprint
-        digest.update(b"odometer" + drive.odometer.time.tobytes() + drive.odometer.speed.tobytes())
+        else:  # the form of tables that were added later: a drive without them keeps its fingerprint
+            digest.update(kind.encode() + b"".join(column.tobytes() for column in columns.values()))
     return digest.hexdigest()

@@ -3,18 +3,16 @@
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from sigmaswarm.drives.alignment import NoStart, find_start
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
-from sigmaswarm.drives.tables import Table
 from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
 
 T = TypeVar("T")
-AnyTable = TypeVar("AnyTable", bound=Table)
 
 
 def split_drives(
@@ -100,24 +98,19 @@ def split_time(
 def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | None = None) -> Drive:
     """Return the part of a drive with start <= t < end, s; raise DriveError for fewer than two IMU samples."""
 
-    def inside(table: AnyTable) -> AnyTable:
-        return table.select((table.time >= start) & (table.time < end))
-
-    imu = inside(drive.imu)
-    if len(imu) < 2:
+    inside = {k: v.select((v.time >= start) & (v.time < end)) for k, v in drive.tables.items()}
+    if len(inside["imu"]) < 2:
         span = f"t = {drive.imu.time[0]:g} to {drive.imu.time[-1]:g} s"
         raise DriveError(
             f"{drive.name}: {start:g} <= t < {end:g} leaves no drive; choose times within {span}"
         )
-    begins = imu.time[0] == drive.imu.time[0]  # a stated heading refers to the first sample
+    begins = inside["imu"].time[0] == drive.imu.time[0]  # a stated heading refers to the first sample
+    changes: dict[str, Any] = {k: v if len(v) or k == "gps" else None for k, v in inside.items()}
     return replace(
         drive,
         name=drive.name if name is None else name,
-        imu=imu,
-        gps=inside(drive.gps),
-        truth=(drive.truth and inside(drive.truth)) or None,  # None without rows
-        odometer=(drive.odometer and inside(drive.odometer)) or None,
         metadata={k: v for k, v in drive.metadata.items() if begins or k != "heading_deg"},
+        **changes,
     )
 
 

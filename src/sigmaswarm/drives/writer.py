@@ -10,7 +10,6 @@ import tomli_w
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_with_warnings
 from sigmaswarm.drives.table_files import TABLES
-from sigmaswarm.drives.tables import RECORDS
 from sigmaswarm.errors import DriveError
 from sigmaswarm.files import make_folder, whole_folder
 
@@ -98,13 +97,12 @@ def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:
         raise DriveError(
             f"{folder / 'drive.toml'}: the metadata can't be written as TOML: {error}; change it"
         ) from None
-    for name in RECORDS:
-        if (table := getattr(drive, name)) is not None:
-            unwritten = {"x", "y"} if wgs84 and name == "gps" else set[str]()
-            columns = {k: v for k, v in vars(table).items() if v is not None and k not in unwritten}
-            columns = {k: columns[k] for k in sorted(columns, key="gz".__eq__)}  # the format has gz last
-            frame = pl.DataFrame(columns).rename({"time": "t"})
-            contents[f"{name}.{form}"] = frame.write_csv().encode() if form == "csv" else _parquet(frame)
+    for name, table in drive.tables.items():
+        unwritten = {"x", "y"} if wgs84 and name == "gps" else set[str]()
+        columns = {k: v for k, v in vars(table).items() if v is not None and k not in unwritten}
+        columns = {k: columns[k] for k in sorted(columns, key="gz".__eq__)}  # the format has gz last
+        frame = pl.DataFrame(columns).rename({"time": "t"})
+        contents[f"{name}.{form}"] = frame.write_csv().encode() if form == "csv" else _parquet(frame)
     return contents
 
 
