@@ -11,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.scoring.batch import Scores
+from sigmaswarm.tuning.config import SearchConfig
 from sigmaswarm.tuning.objectives import OBJECTIVES, objective_named, worst_mean
 
 
@@ -45,6 +46,8 @@ def test_the_three_objectives_are_there():
         False,
     ]
     assert all(o.name == name and o.summary for name, o in OBJECTIVES.items())
+    help_text = SearchConfig.model_fields["objective"].description or ""
+    assert list(OBJECTIVES) == [name for name in re.split(r"[^a-z-]+", help_text) if name in OBJECTIVES]
 
 
 @pytest.mark.parametrize(

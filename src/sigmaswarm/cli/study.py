@@ -150,10 +150,9 @@ def _config(options: StudyOptions) -> "StudyConfig":
 def _print(done: "Study", out: Path, page: Path) -> None:
     from sigmaswarm.experiments.study.config import BY_DEFAULT
     from sigmaswarm.experiments.study.design import tuning_name
-    from sigmaswarm.reports.study_tables import objectives_compared, runtime_table, study_tables
+    from sigmaswarm.reports.study_tables import UNPRINTED, objectives_compared, runtime_table, study_tables
 
-    shown = ("table-", "optimum", "rivals", "elsewhere-", "learning-")
-    tables = [table for name, table in study_tables(done.results).items() if name.startswith(shown)]
+    tables = [table for name, table in study_tables(done.results).items() if not name.startswith(UNPRINTED)]
     say(*(f"{t.to_markdown()}\n" for t in (*tables, runtime_table(done.results, done.record.live))))
     name = tuning_name("honest", BY_DEFAULT, done.design.group_of(0))
     say(

@@ -89,6 +89,10 @@ def _table(
     return Table(caption, tuple(columns), tuple(rows), strong, note)
 
 
+UNPRINTED = ("comparison-", "conditions-")
+"""Beginnings of the names of long tables, which `sigmaswarm study` only writes to files."""
+
+
 def study_tables(results: Results) -> dict[str, Table]:
     """Return all tables of a study except the run times, which differ between runs.
 

@@ -1,19 +1,17 @@
 """Drifts of methods during outages, over several random placements."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import Piece, Recording
 from sigmaswarm.filters.replay import Replay, joined, run_replays
-from sigmaswarm.filters.run import Estimate
+from sigmaswarm.filters.run import Estimate, Run
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.records import DriftRecord
 from sigmaswarm.scoring.targets import (
@@ -32,18 +30,6 @@ LEARNED = ("outage-lstm", "noise-gru")
 OWN = "against"  # another tuning, or a user's own filter
 FIXES = "fixes_alone"  # a constant-velocity filter without IMU
 BASELINE = "untuned"  # the baseline
-
-
-class Run(Protocol):
-    """A run over a drive that yields its estimates in pieces."""
-
-    @property
-    def initial(self) -> InitialState: ...
-    @property
-    def failure(self) -> str | None: ...
-    @property
-    def restarts(self) -> Sequence[float]: ...
-    def __iter__(self) -> Iterator[Piece]: ...
 
 
 Runs = Mapping[str, Callable[[Replay], Run]]

@@ -3,7 +3,7 @@
 import random
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.optimizers import OPTIMIZERS, Optimizer, create_optimizer
+from sigmaswarm.tuning.options import OptimizerName
 from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
 from support import quickly
 
@@ -202,6 +203,10 @@ def test_the_global_random_states_are_left_alone(name: str):
     generations(made(name, polish=20))
     np.testing.assert_array_equal(np.random.get_state()[1], numpys)  # noqa: NPY002 (as above)
     assert random.getstate() == pythons
+
+
+def test_options_and_optimizers_have_the_same_names():
+    assert list(OPTIMIZERS) == list(get_args(OptimizerName))
 
 
 @everyone
