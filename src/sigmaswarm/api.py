@@ -69,7 +69,7 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
 
     request = request_of(log, settings)
     imported = import_drive(request, name or Path(log).resolve().stem)
-    drive, notes = imported.drive, list(imported.notes)
+    drive, notes = imported.drive, [*imported.notes, *imported.assumed]
     # The command shows this as a finding of the doctor.
     if unshared := unshared_times(drive.imu.time, drive.gps.time):
         notes.append(str(unshared).replace(".csv", ""))

@@ -63,7 +63,7 @@ def doctored() -> None:
 @pytest.fixture(autouse=True)
 def undoctored_unless_doctored(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     if "doctored" not in request.fixturenames:
-        monkeypatch.setattr("sigmaswarm.cli.findings.warn_of_serious", lambda *_: None)
+        monkeypatch.setattr("sigmaswarm.cli.findings.warn_of_serious", lambda *_: [])
 
 
 @pytest.fixture(scope="session")

@@ -66,7 +66,7 @@ def test_a_mended_copy_is_offered_where_something_can_be_mended_and_its_folder_i
 ):
     def told(folder: Path) -> str:
         with pytest.warns(SigmaswarmWarning) as warned:
-            read_datasets([folder], trusted=False)
+            read_datasets([folder], remedies=[])
         (line,) = [str(one.message) for one in warned if "SERIOUS" in str(one.message)]
         return line
 

@@ -6,6 +6,7 @@ import shlex
 import sys
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -346,3 +347,61 @@ def test_nothing_that_is_read_is_overwritten(sigmaswarm: Command, here: Path, tu
         assert (ended.code, ended.err.count("\n")) == (2, 1)
         assert "is a file of the drive that this command reads; choose another file" in ended.err
     assert {file.name: file.read_bytes() for file in drive.iterdir()} == before
+
+
+def test_several_files_in_place_of_one_are_explained(sigmaswarm: Command, here: Path):
+    """A shell's pattern gives several files; Cyclopts calls them unused tokens."""
+    for command, takes in (
+        (
+            ("import", "a.csv", "b.csv", "c.csv", "--out", "x"),
+            "takes one SOURCE; for several files give their folder",
+        ),
+        (("split", "a", "b", "c", "--out", "x"), "takes one DRIVE; repeat the command for each"),
+        (("run", "t", "a", "b", "c", "--out", "x.csv"), "takes one TUNING and one DRIVE; repeat"),
+        (("study", "a", "b", "--out", "x"), "takes options only"),
+    ):
+        ended = sigmaswarm(*command)
+        assert (ended.code, ended.err.count("\n")) == (2, 1)
+        assert "and 1 more argument are too many: " in ended.err and takes in ended.err, ended.err
+
+
+def test_an_option_in_a_message_is_in_a_help(sigmaswarm: Command, here: Path):
+    rows = [f"{i / 100},0,0,0,{i},0" for i in range(300)]
+    (here / "log.csv").write_text("t,ax,ay,gz,x,y\n" + "\n".join(rows) + "\n")
+    ended = sigmaswarm("import", "log.csv", "--out", "x", "--declination", "3")
+    assert "with --mag-topic (`sigmaswarm import --help-all` describes --mag-topic)" in ended.err
+    assert sigmaswarm("import", "log.csv", "--out", "x").code == 0
+    ended = sigmaswarm("import", "log.csv", "--out", "x")
+    assert "add --overwrite, or choose another folder\n" in ended.err
+    assert "--overwrite" in sigmaswarm("import", "--help").out
+
+
+def test_a_drive_is_not_written_into_a_drive(sigmaswarm: Command, here: Path):
+    library.write_drive(library.simulate("urban", duration=40.0, imu_rate=50.0), here / "outer")
+    for command in (("split", "outer", "--out", "outer"), ("doctor", "outer", "--fix", "outer/mended")):
+        ended = sigmaswarm(*command)
+        assert ended.code == 2 and f"is inside of the drive {here / 'outer'}; name a folder" in ended.err
+    assert len(list((here / "outer").iterdir())) == 4
+
+
+def test_what_is_next_follows_the_findings(sigmaswarm: Command, here: Path, doctored: None):
+    """An IMU upside down: neither the assumption of its axes, nor a tuning, is proposed."""
+    drive = library.simulate("urban", duration=90.0, imu_rate=50.0, gps="white-1m")
+    imu = drive.imu
+    down = [-values for values in (imu.ay, imu.az, imu.gy, imu.gz) if values is not None]
+    over = replace(imu, **dict(zip(("ay", "az", "gy", "gz"), down, strict=True)))
+    library.write_drive(replace(drive, imu=over, truth=None), here / "over")
+    log = "import", "over/imu.csv", "--gps", "over/gps.csv", "--out"
+    told = sigmaswarm(*log, "drive").out
+    assert "[mounting]" in told and "assumed" not in told and "points down" not in told
+    assert "next: sigmaswarm doctor drive --fix mended " in told
+    told = sigmaswarm(*log, "right", "--mount", "auto").out
+    assert "found in the log" in told and "assumed" not in told and "next: sigmaswarm plot right" in told
+    told = sigmaswarm("split", "drive", "--out", "parts").out
+    assert "next: sigmaswarm doctor parts/drive-train parts/drive-test --fix mended" in told
+    quick = "--particles", "2", "--generations", "1", "--model", "planar5"
+    told = sigmaswarm("tune", "drive", "--out", "t", *quick).out
+    assert "next:     sigmaswarm doctor drive --fix mended\n" in told and "evaluate" not in told
+    told = sigmaswarm("evaluate", "t", "drive").out
+    assert "next: sigmaswarm doctor drive --fix mended " in told
+    assert "next: repeat this" in sigmaswarm("evaluate", "t", "drive", "--trust-log").out

@@ -374,3 +374,18 @@ def test_real_drive_in_degrees():
     steps = np.hypot(np.diff(drive.gps.x[::10]), np.diff(drive.gps.y[::10]))  # at 10 Hz noise would add up
     travelled = np.sum(drive.gps.speed[1:] * np.diff(drive.gps.time))
     assert steps.sum() == pytest.approx(travelled, rel=0.05)  # the receiver's own speed is the oracle
+
+
+def test_keys_without_effect_are_reported(tmp_path: Path):
+    """A key that is appended to drive.toml belongs to the last table."""
+    folder = write_drive(make_drive(duration=5.0), tmp_path / "a")
+    text = 'frame = "enu"\ngps_std = 1.0\nnote = "x"\n[cut_from]\ndrive = "b"\ncolor = 1\ngps_std_m = 2.0\n'
+    (folder / "drive.toml").write_text(text)
+    with pytest.warns(SigmaswarmWarning) as found:
+        drive = read_drive(folder)
+    assert "gps_std_m" not in drive.metadata
+    assert [str(one.message).removeprefix(f"{folder / 'drive.toml'}: ") for one in found] == [
+        "the key gps_std is unknown and has no effect; if gps_std_m is meant, rename it",
+        "color in the table [cut_from] has no effect; delete it",
+        "gps_std_m in the table [cut_from] has no effect; move it to the top of the file",
+    ]

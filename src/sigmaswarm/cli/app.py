@@ -1,13 +1,21 @@
 """Subcommands, exit codes and error messages of the `sigmaswarm` command."""
 
 import logging
+import re
 import sys
 import traceback
 import warnings
 from tempfile import NamedTemporaryFile
 from typing import Any, Literal, NoReturn
 
-from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, UnknownOptionError
+from cyclopts import (
+    App,
+    CycloptsError,
+    MissingArgumentError,
+    Parameter,
+    UnknownOptionError,
+    UnusedCliTokensError,
+)
 
 import sigmaswarm
 from sigmaswarm.cli import terminal
@@ -20,7 +28,7 @@ from sigmaswarm.cli.export import export
 from sigmaswarm.cli.import_ import import_
 from sigmaswarm.cli.learn import learn
 from sigmaswarm.cli.noise import noise
-from sigmaswarm.cli.options import HELP_ALL
+from sigmaswarm.cli.options import HELP_ALL, MORE
 from sigmaswarm.cli.plot import plot
 from sigmaswarm.cli.record_carla import record_carla
 from sigmaswarm.cli.reference import reference
@@ -32,6 +40,7 @@ from sigmaswarm.cli.study import study
 from sigmaswarm.cli.tune import tune
 from sigmaswarm.cli.workbench import workbench
 from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
+from sigmaswarm.wording import counted
 
 app = App(
     name="sigmaswarm",
@@ -119,8 +128,9 @@ def _run() -> int:
         return end.code if isinstance(end.code, int) else 0
     except (SigmaswarmError, CycloptsError) as error:
         hint = "; see --help" if isinstance(error, CycloptsError) else ""
-        said = _missing_out(error) or _other_name(error) or terminal.one_line(error).removesuffix(".")
-        return _fail(2, f"{said}{hint}")
+        ours = _missing_out(error) or _other_name(error) or _too_many(error)
+        said = ours or terminal.one_line(error).removesuffix(".")
+        return _fail(2, f"{said}{hint or _hidden_option(said)}")
     except KeyboardInterrupt:
         resumable = sys.argv[1:2] in (["tune"], ["compare"], ["simulate"], ["study"])
         print(file=sys.stderr)
@@ -173,6 +183,37 @@ def _other_name(error: Exception) -> str | None:
     name = SYNONYMS.get(given.strip("-").replace("-", "_"))
     known = {name for argument in error.argument_collection for name in argument.names}
     return f"Unknown option: {given}. Did you mean --{name}?" if f"--{name}" in known else None
+
+
+def _too_many(error: Exception) -> str | None:
+    """Return the message for arguments that the command does not take, such as the files of a pattern."""
+    if not isinstance(error, UnusedCliTokensError) or not error.unused_tokens:
+        return None
+    first, *more = error.unused_tokens
+    said = f"{first} and {counted(len(more), 'more argument')} are" if more else f"{first} is one argument"
+    name = " ".join(error.command_chain or ())
+    arguments = app[name].assemble_argument_collection() if name else ()
+    places = [argument.name for argument in arguments if argument.name[0].isupper()]
+    if not places:
+        return f"{said} too many: `sigmaswarm {name}` takes options only"
+    files = {"SOURCE", "LOG"} & {*places}
+    remedy = "for several files give their folder" if files else "repeat the command for each"
+    return f"{said} too many: `sigmaswarm {name}` takes one {' and one '.join(places)}; {remedy}"
+
+
+def _hidden_option(said: str) -> str:
+    """Return where a message's option is described if the short help of the command lacks it, else nothing."""
+    command = sys.argv[1] if len(sys.argv) > 1 else ""
+    if command not in app:
+        return ""
+    hidden = {
+        name
+        for argument in app[command].assemble_argument_collection()
+        if argument.parameter.group == MORE.group
+        for name in argument.names
+    }
+    named = [word for word in re.findall(r"--[a-z][a-z-]*", said) if word in hidden and word not in sys.argv]
+    return f" (`sigmaswarm {command} {HELP_ALL}` describes {named[0]})" if named else ""
 
 
 _default_showwarning = warnings.showwarning

@@ -70,11 +70,15 @@ def cluster_at(address: str | None) -> "Generator[Client | None]":
 
 
 def read_datasets(
-    *groups: "Sequence[Location]", cluster: "Client | None" = None, trusted: bool = True, gaps: bool = False
+    *groups: "Sequence[Location]",
+    cluster: "Client | None" = None,
+    remedies: list[str] | None = None,
+    gaps: bool = False,
 ) -> "list[Dataset]":
     """Read groups of drives in this process or on the workers of a cluster.
 
-    The doctor checks drives that are not ``trusted``. ``gaps`` selects whether warnings about gaps are printed.
+    With ``remedies`` the doctor checks the drives; the commands against serious faults are added to the list.
+    ``gaps`` selects whether warnings about gaps are printed.
     """
     from sigmaswarm.cli.findings import warn_of_serious
     from sigmaswarm.cli.terminal import progress_bar
@@ -93,9 +97,9 @@ def read_datasets(
             remote, warned = remote_datasets(Cluster(cluster), locations, progress=show)
         datasets = [*remote]
     _warn_of_reading(warned, gaps=gaps)
-    if not trusted:
+    if remedies is not None:
         for drives, group in zip(datasets, locations, strict=True):
-            warn_of_serious(drives, group)
+            remedies += warn_of_serious(drives, group)
     return datasets
 
 

@@ -103,7 +103,8 @@ def evaluate(
     learned, out = load_learned(tuning), options.out
     parameters = sigmaswarm.FilterParameters.load(tuning)
     record = load_record(TuningRecord, tuning_file(tuning))
-    result = _evaluated(tuning, parameters, drives, options, learned, record)
+    remedies: list[str] = []
+    result = _evaluated(tuning, parameters, drives, options, learned, record, remedies)
     _warn_of_training_drives(result)
     written = save_evaluation(result, out, tuning, learned) if out else []
     if options.json:
@@ -119,6 +120,8 @@ def evaluate(
         if out
         else "repeat this command with --out evaluation to get figures and a page"
     )
+    if remedies:
+        page = f"{remedies[0]}    (then use the repaired copy)"
     say(f"next: {page}")
 
 
@@ -129,7 +132,9 @@ def _evaluated(
     options: EvaluateOptions,
     learned: "Learned | None",
     record: "TuningRecord",
+    remedies: list[str],
 ) -> "Evaluation":
+    """Evaluate; the commands against serious faults of the drives are added to ``remedies``."""
     from sigmaswarm.learned.folder import seen_in
     from sigmaswarm.scoring.evaluation import evaluate as evaluate_drives
     from sigmaswarm.tuning.record import seen_by, tuning_file
@@ -138,7 +143,7 @@ def _evaluated(
         raise InputError(f"--outage-length must be positive and finite (is {options.outage_length:g})")
     run = learned and partial(learned.run, parameters=parameters, recover=True)
     with cluster_at(options.cluster) as client:
-        (read,) = read_datasets(drives, cluster=client, trusted=options.trust_log)
+        (read,) = read_datasets(drives, cluster=client, remedies=None if options.trust_log else remedies)
         return evaluate_drives(
             read,
             parameters,

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from sigmaswarm.doctor.findings import Diagnosis, Finding
     from sigmaswarm.drives.reader import Location
 
+OF_AXES = frozenset({"rotate", "turn", "accelerometer", "gyro", "tilt-rates"})
+"""Repairs that change axes or signs of the IMU."""
 _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
 
@@ -52,19 +54,22 @@ def _said(finding: "Finding") -> str:
     )
 
 
-def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> None:
-    """Print one line about the serious faults of each drive."""
+def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[str]:
+    """Print one line about the serious faults of each drive; return the commands that repair or show the faults."""
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.errors import SigmaswarmWarning
 
+    commands: list[str] = []
     for diagnosis, folder in zip(drives.map(diagnose), places, strict=True):
         if diagnosis.serious:
+            commands.append(mending(diagnosis, folder)[0])
             codes = ", ".join(f.code for f in diagnosis.findings if f.severity == "serious")
             message = (
                 f"{folder}: the doctor finds SERIOUS faults, which distort the result ({codes}); "
-                f"run {mending(diagnosis, folder)[0]}, or suppress this warning with --trust-log"
+                f"run {commands[-1]}, or suppress this warning with --trust-log"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
+    return commands
 
 
 def cutting(diagnosis: "Diagnosis", folder: "Location") -> str:
@@ -74,13 +79,24 @@ def cutting(diagnosis: "Diagnosis", folder: "Location") -> str:
     return found[0].replace("DRIVE", shlex.quote(str(folder))) if found else ""
 
 
+def turns(diagnosis: "Diagnosis") -> bool:
+    """Return True if a finding about the axes or signs of the IMU is serious or a warning."""
+    found = [finding for finding in diagnosis.findings if finding.severity != "note"]
+    return any(f.code == "mounting-changed" or (f.repair and f.repair.action in OF_AXES) for f in found)
+
+
+def repairable(diagnosis: "Diagnosis") -> bool:
+    """Return True if the doctor can repair a serious finding or a warning."""
+    return any(finding.repair and finding.severity != "note" for finding in diagnosis.findings)
+
+
 def mending(diagnosis: "Diagnosis", folder: "Location") -> tuple[str, Path | None]:
     """Return the command that repairs a drive, and the folder of the repaired copy.
 
-    If the doctor can repair no serious fault, return the command that shows the faults, and None.
+    If the doctor can repair nothing, return the command that shows the faults, and None.
     """
     command = f"sigmaswarm doctor {shlex.quote(str(folder))}"
-    if not any(f.severity == "serious" and f.repair for f in diagnosis.findings):
+    if not repairable(diagnosis):
         return command, None
     folders = (Path("mended" if i == 1 else f"mended-{i}") for i in count(1))
     out = next(out for out in folders if not (out / diagnosis.drive).exists())

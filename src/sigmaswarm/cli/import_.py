@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from sigmaswarm.cli.common import numbers_of, print_json, say, stdout
-from sigmaswarm.cli.findings import cutting, mending, print_diagnosis
+from sigmaswarm.cli.findings import cutting, mending, print_diagnosis, repairable, turns
 from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.errors import InputError
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from sigmaswarm.importing.convert import Imported, Request
     from sigmaswarm.importing.look import Glance, Look
 
+ASSUMED = "the IMU's axes are assumed to be x forward, y left, z up; if not, add --mount auto, or state the mounting"
 MOST_UNREAD = 100
 """Number of unused columns that are named per table."""
 
@@ -138,7 +139,7 @@ class ImportOptions:
     max_columns: Annotated[int | None, MORE] = None
     max_unpacked_mb: Annotated[int | None, MORE] = None
     name: Annotated[str | None, MORE] = None
-    overwrite: Annotated[bool, MORE] = False
+    overwrite: bool = False
     json: Annotated[Json, MORE] = False
 
 
@@ -241,7 +242,7 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
     if options.json:
         print_json(_summary(imported, out) | {"doctor": diagnosis.to_dict()})
         return
-    say(*_report(imported, out))
+    say(*_report(imported, out, diagnosis))
     print_diagnosis(diagnosis)
     say(*_next_steps(diagnosis, out))
 
@@ -251,7 +252,7 @@ def _next_steps(diagnosis: "Diagnosis", out: Path) -> Iterator[str]:
     if cut := cutting(diagnosis, out):
         yield from (f"next: {cut}", "then: sigmaswarm doctor parts --fix mended")
         return
-    if diagnosis.serious:
+    if diagnosis.serious or repairable(diagnosis):
         command, mended = mending(diagnosis, out)
         go_on = f"continue with {mended}, not with {out}" if mended else "correct the other faults in the log"
         following, ready = f"{command}    (then {go_on})", mended or out
@@ -271,18 +272,18 @@ def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
         "truth_samples": len(drive.truth or ()),
         "odometer_samples": len(drive.odometer or ()),
         "recipe": imported.recipe.to_toml(),
-        "notes": list(imported.notes),
+        "notes": [*imported.notes, *imported.assumed],
     }
 
 
-def _report(imported: "Imported", out: Path) -> Iterator[str]:
+def _report(imported: "Imported", out: Path, diagnosis: "Diagnosis") -> Iterator[str]:
     drive = imported.drive
     truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
     wheels = f", {len(drive.odometer)} of the odometer" if drive.odometer else ""
     yield from (f"read: {shown(read, 1000)}" for read in imported.recipe.said())
-    yield from (f"note: {shown(note, 1000)}" for note in imported.notes)
-    if not imported.recipe.mount:
-        yield "note: the IMU's axes are assumed to be x forward, y left, z up; specify another mounting with --mount"
+    # a finding about the axes has a better remedy than an assumption
+    assumed = () if turns(diagnosis) else imported.assumed or (() if imported.recipe.mount else (ASSUMED,))
+    yield from (f"note: {shown(note, 1000)}" for note in (*imported.notes, *assumed))
     rate = 1 / drive.nominal_interval
     yield (
         f"wrote {out}: {drive.duration:.1f} s, {len(drive.imu)} IMU samples ({rate:.3g} Hz), "

@@ -73,11 +73,17 @@ def tune(
         Continue an interrupted tuning; the result is the same as without the interruption.
     """
     asked = {"out": out, "resume": resume, "paper": paper, "start": start}
+    remedies = None if trust_log else list[str]()
     with cluster_at(cluster) as client:
-        groups = read_datasets(drives, validation or [], cluster=client, trusted=trust_log, gaps=True)
+        groups = read_datasets(drives, validation or [], cluster=client, remedies=remedies, gaps=True)
         tuning, look, before, after = _tune(groups, drives[0], asked, options, workers)
     from sigmaswarm.reports.tuning import save_tuning_figures  # late, since it takes memory
 
+    if remedies:
+        after = [
+            f"next:     {remedies[0]}",
+            "          then tune on the repaired copy: this filter is tuned to the faults",
+        ]
     pictures = save_tuning_figures(tuning, look.picture, out)
     if json:
         print_json(tuning.to_dict())

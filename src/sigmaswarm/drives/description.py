@@ -1,7 +1,8 @@
 """Read drive.toml: the name of a drive, its frame and origin, and other keys that filters use."""
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -29,6 +30,10 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "imu_stated_noise": ((2,), "[1e-4, 1e-2]"),
 }
 """Keys of drive.toml that filters use: allowed numbers of elements (0: a single number), and an example."""
+CUT, OF_A_CUT = "cut_from", frozenset({"drive", "sha256", "start_s", "end_s"})
+"""Table in the drive.toml of a part of a drive, and its keys."""
+ALIKE = 0.8
+"""Similarity of an unknown key to a known one, 0 to 1, from which it counts as misspelled."""
 _ANGLES = {
     "heading_deg": "degrees counter-clockwise from east",
     "imu_mounting_deg": "roll, pitch and yaw in degrees",
@@ -56,6 +61,18 @@ def read_description(path: Path) -> dict[str, Any]:
         if key in about:
             _require_numbers(key, about[key], path)
     return about
+
+
+def ineffective_keys(about: Mapping[str, Any], path: Path) -> Iterator[str]:
+    """Yield a message for each key of drive.toml that seems meant for a filter, but that no filter uses."""
+    for key, value in about.items():
+        if isinstance(value, dict):
+            for inner in cast("dict[str, Any]", value):
+                if inner in _NUMBERS or (key == CUT and inner not in OF_A_CUT):
+                    remedy = "move it to the top of the file" if inner in _NUMBERS else "delete it"
+                    yield f"{path}: {shown(inner)} in the table [{shown(key)}] has no effect; {remedy}"
+        elif key not in _NUMBERS and (near := get_close_matches(key, _NUMBERS, 1, ALIKE)):
+            yield f"{path}: the key {shown(key)} is unknown and has no effect; if {near[0]} is meant, rename it"
 
 
 def require_name(name: object, where: object) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sigmaswarm.drives.checks import checked
-from sigmaswarm.drives.description import frame_of, place_on_plane, read_description
+from sigmaswarm.drives.description import frame_of, ineffective_keys, place_on_plane, read_description
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.table_files import CSV, FORMS, TableFile
 from sigmaswarm.drives.tables import COLUMNS, RECORDS
@@ -143,5 +143,6 @@ def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
         return f"{folder}/{message}"
 
     drive = Drive(name, frame=frame, origin=origin, metadata=about, **records)
+    ignored += ineffective_keys(about, folder / "drive.toml")
     warned = [SigmaswarmWarning(message) for message in ignored]
     return drive, [*warned, *checked(drive.imu, drive.gps, drive.truth, as_filed)]

@@ -8,7 +8,7 @@ import polars as pl
 import tomli_w
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.reader import read_with_warnings
+from sigmaswarm.drives.reader import has_table, read_with_warnings
 from sigmaswarm.drives.table_files import TABLES
 from sigmaswarm.errors import DriveError
 from sigmaswarm.files import make_folder, whole_folder
@@ -65,7 +65,12 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
 def require_replaceable(
     folder: Path, overwrite: bool, remedy: str = "delete it, or name another folder"
 ) -> None:
-    """Raise an error if the folder exists, unless it is empty or, with ``overwrite``, contains only a drive."""
+    """Raise an error if the folder exists, unless it is empty or, with ``overwrite``, contains only a drive.
+
+    A folder inside of a drive is refused, since the drive could no longer be replaced or copied as one drive.
+    """
+    if around := next((parent for parent in folder.parents if has_table(parent, "imu")), None):
+        raise DriveError(f"{folder} is inside of the drive {around}; name a folder outside of it")
     if not folder.exists():
         return
     if not folder.is_dir():

@@ -61,6 +61,7 @@ class Imported:
     drive: Drive
     recipe: Recipe
     notes: tuple[str, ...]
+    assumed: tuple[str, ...] = ()  # notes on the mounting, if none is given
 
 
 Guesses = Mapping[Path, Guess]
@@ -97,7 +98,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
         If a log is damaged or incomplete, or a column cannot be computed; the message states the remedy.
     """
     require_name(name, "the drive")
-    recipe, gathered, notes, metadata = _read(request, ROLES, progress)
+    recipe, gathered, notes, assumed, metadata = _read(request, ROLES, progress)
     progress(1.0)
     try:
         plain = replace(recipe, mount="") if recipe.mount == AUTO else recipe
@@ -115,12 +116,12 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
         raise InputError(f"{request.source.name}: {error}") from None
     source = os.fsencode(request.source.name).decode("utf-8", "replace")  # a name may not be valid UTF-8
     drive = replace(drive, metadata={**metadata, **drive.metadata, "source": source})
-    return Imported(drive, recipe, tuple(dict.fromkeys(notes)))
+    return Imported(drive, recipe, tuple(dict.fromkeys(notes)), assumed)
 
 
 def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
     """Read the IMU of a log, with or without fixes; return it and the assumptions of the import."""
-    recipe, gathered, notes, _ = _read(request, ("imu",), lambda done: None)
+    recipe, gathered, notes, *_ = _read(request, ("imu",), lambda done: None)
     try:
         imu = assemble_imu(gathered["imu"], recipe, notes.append, request.part)
     except InputError as error:
@@ -130,8 +131,8 @@ def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
 
 def _read(
     request: Request, roles: Sequence[Role], progress: Progress
-) -> tuple[Recipe, dict[Role, list[Gathered]], list[str], dict[str, Any]]:
-    """Return the recipe, columns, notes, and metadata that the logs state."""
+) -> tuple[Recipe, dict[Role, list[Gathered]], list[str], tuple[str, ...], dict[str, Any]]:
+    """Return the recipe, columns, notes, assumptions on the mounting, and metadata that the logs state."""
     with opened(request) as (logs, guesses):
         recipe = complete_recipe(request, guesses)
         wanted = {role: parts for role, parts in recipe.roles.items() if role in roles}
@@ -141,7 +142,8 @@ def _read(
         _require_sensors(recipe, request, logs, guesses, roles)
         gathered = _gather_all(request, logs, recipe, progress)
         metadata = {key: value for guess in guesses.values() for key, value in guess.metadata.items()}
-        return recipe, gathered, notes_of(logs, guesses, recipe), metadata
+        notes, assumed = notes_of(logs, guesses, recipe), assumed_mounting(guesses, recipe)
+        return recipe, gathered, notes, assumed, metadata
 
 
 @contextmanager
@@ -212,12 +214,16 @@ def faults_left(request: Request, recipe: Recipe, guesses: Guesses) -> list[str]
 
 
 def notes_of(logs: Mapping[Path, Log], guesses: Guesses, recipe: Recipe) -> list[str]:
-    """Return the notes of the readers; notes on a downward axis only if no mounting is given."""
     made, found = recipe.mount, guesses.values()
     notes = [note for guess in found for note in guess.notes]
     notes += [n for guess in found if guess.placed for n in guess.placed.notes(made, recipe.gps_lever_arm_m)]
-    notes += [guess.downward for guess in found if guess.downward and not made]
     return notes + [remark for log in logs.values() for remark in log.remarks]
+
+
+def assumed_mounting(guesses: Guesses, recipe: Recipe) -> tuple[str, ...]:
+    """Return the readers' sentences on the mounting; none if a mounting is given."""
+    found = () if recipe.mount else guesses.values()
+    return tuple(dict.fromkeys(note for guess in found for note in (guess.flat, guess.downward) if note))
 
 
 def _require_sensors(

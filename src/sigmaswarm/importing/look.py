@@ -103,7 +103,7 @@ def look(request: Request) -> Look:
             for name, table in log.tables.items()
             for rows in [first[path][name]]
         ]
-    notes += convert.notes_of(logs, guesses, recipe)
+    notes += (*convert.notes_of(logs, guesses, recipe), *convert.assumed_mounting(guesses, recipe))
     proposal = _proposal(request, recipe, first)
     evidence = ""
     if proposal:

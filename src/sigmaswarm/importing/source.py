@@ -133,8 +133,9 @@ class Guess:
     notes : sentences for the user
     origin : latitude (deg), longitude (deg), altitude (m) of the truth's frame, if the format defines it
     metadata : keys for drive.toml
-    downward : a sentence if the vertical axis of the IMU points down, for an import without a mounting
-    fixed : expression over the first table of fixes, true for fixed integer ambiguities; empty if unknown
+    flat : the assumption on a phone's mounting, for an import without a mounting
+    downward : a sentence if the IMU's vertical axis points down, for an import without a mounting
+    fixed : expression over the fixes' first table, true where carrier phases are fixed; empty if the log lacks it
     faults : reasons not to use columns unchanged, unless the user maps them
     placed : mounting and lever arm that the log states
     """
@@ -143,6 +144,7 @@ class Guess:
     notes: tuple[str, ...] = ()
     origin: tuple[float, float, float] | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    flat: str = ""
     downward: str = ""
     fixed: str = ""
     faults: tuple[Fault, ...] = ()

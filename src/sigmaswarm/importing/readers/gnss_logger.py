@@ -102,4 +102,4 @@ def _guess(columns: Wanted) -> Guess:
         parts.append(("imu", acceleration[0], {"t": t, "ax": y, "ay": f"-{x}", "az": z}))
         parts.append(("imu", gyro[0], {"t": t, "gx": q, "gy": f"-{p}", "gz": r}))
     late = () if shared else ("Fix has no elapsedRealtimeNanos, so the times are UTC in milliseconds",)
-    return Guess(roles_of(parts, columns), (FLAT, *late))
+    return Guess(roles_of(parts, columns), late, flat=FLAT)

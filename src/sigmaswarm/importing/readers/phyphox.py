@@ -92,7 +92,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
             roles[role] = (*roles.get(role, ()), part)
     if len(roles.get("imu", ())) < 2:
         roles.pop("imu", None)
-    return log.guessed(Guess(roles, (FLAT,)))
+    return log.guessed(Guess(roles, flat=FLAT))
 
 
 def _unit(column: str) -> str:

@@ -33,13 +33,13 @@ def recognizes(path: Path) -> bool:
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     log = phone_files(path, FILES, limits, stack)
-    notes = [FLAT]
+    notes: list[str] = []
     parts: list[tuple[Role, str, dict[str, str | tuple[str, ...]]]] = [("gps", _PLACES, {**_T, **_FIX})]
     if _RATES in log.tables and (acceleration := _acceleration(log, notes)):
         imu = {**acceleration, _RATES: {"gx": "y", "gy": "-x", "gz": "z"}}
         parts.extend(("imu", table, {**_T, **columns}) for table, columns in imu.items())
-    guess = Guess(roles_of(parts, {name: table.columns for name, table in log.tables.items()}), tuple(notes))
-    return log.guessed(guess)
+    roles = roles_of(parts, {name: table.columns for name, table in log.tables.items()})
+    return log.guessed(Guess(roles, tuple(notes), flat=FLAT))
 
 
 def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:
