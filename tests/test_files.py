@@ -1,5 +1,6 @@
 """Files are written whole or not at all, and nothing is removed that the process did not make."""
 
+import json
 import os
 import resource
 import subprocess
@@ -10,7 +11,17 @@ import pytest
 
 from sigmaswarm import files
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import held_folder, make_folder, whole_file, whole_folder, write_json, write_whole
+from sigmaswarm.files import (
+    RESULT_FILE,
+    earlier_result,
+    held_folder,
+    make_folder,
+    staged_files,
+    whole_file,
+    whole_folder,
+    write_json,
+    write_whole,
+)
 
 HIDDEN = ".x.csv.sigmaswarm-0123456789ab"
 
@@ -255,3 +266,46 @@ def test_a_run_removes_lock_files_of_killed_ones_in_folders_that_it_does_not_wri
     left.touch()
     with held_folder(tmp_path):
         assert not left.exists()
+
+
+def test_a_result_replaces_its_own_files_alone(tmp_path: Path):
+    """The files of an earlier result are replaced or removed; anything else in the folder is not touched."""
+    out = tmp_path / "out"
+
+    def write(kind: str, **texts: str) -> None:
+        with staged_files(out, kind) as new:
+            for name, text in texts.items():
+                (new / name.replace("_", "/")).parent.mkdir(exist_ok=True)
+                write_whole(new / name.replace("_", "/"), text)
+
+    write("export", a="1", b="1", sub_c="1")
+    (out / "mine").write_text("mine")
+    write("export", a="2")
+    assert {f.name: f.read_text() for f in out.iterdir() if f.name != RESULT_FILE} == {
+        "a": "2",
+        "mine": "mine",
+    }
+    for kind, text in (("evaluation", r"out: is not empty and contains no evaluation; choose another --out"),
+                       ("export", r"mine: is not part of the earlier export; move it")):  # fmt: skip
+        with pytest.raises(InputError, match=text):
+            write(kind, a="3", mine="3")
+        assert {f.name: f.read_text() for f in out.iterdir() if f.name != RESULT_FILE} == {
+            "a": "2",
+            "mine": "mine",
+        }
+    (out / RESULT_FILE).unlink()
+    with pytest.raises(InputError, match="is not empty and contains no export"):
+        write("export", a="3")
+    assert earlier_result(out, "tuning", "mine") is None  # of a version without lists of files
+
+
+def test_a_list_of_files_can_not_name_files_outside_of_its_folder(tmp_path: Path):
+    (tmp_path / "outside").write_text("mine")
+    out = tmp_path / "out"
+    with staged_files(out, "export") as new:
+        write_whole(new / "a", "1")
+    files = ["../outside", str(tmp_path / "outside"), "a"]
+    (out / RESULT_FILE).write_text(json.dumps({"kind": "export", "files": files}))
+    with staged_files(out, "export") as new:
+        write_whole(new / "b", "1")
+    assert (tmp_path / "outside").read_text() == "mine" and not (out / "a").exists()

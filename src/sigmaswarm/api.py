@@ -211,7 +211,8 @@ def export(
         Folder for the files; by default nothing is written.
     **options
         ``replay`` (a Drive), ``as_recorded``, ``lanes``, ``seed``: see ``sigmaswarm export --help``. ``mounting``:
-        roll, pitch and yaw, deg, of an IMU whose raw samples are to be rotated; by default that of the tuning.
+        roll, pitch and yaw, deg, of an IMU whose raw samples are to be turned. ``as_recorded`` and ``mounting``
+        are by default those of the tuning.
 
     Returns
     -------
@@ -223,17 +224,19 @@ def export(
     InputError
         If the target is unknown or does not support the model.
     """
-    from sigmaswarm.exports.targets import export_texts, write_texts
-    from sigmaswarm.tuning.record import tuned_mounting
+    from sigmaswarm.exports.targets import export_texts, kind_of, write_texts
+    from sigmaswarm.tuning.record import tuned_as_recorded, tuned_mounting
 
     known = filter_of(parameters)
     if isinstance(parameters, str | Path):
-        options.setdefault("mounting", tuned_mounting(Path(parameters)))
+        path = Path(parameters)
+        options = {"mounting": tuned_mounting(path), "as_recorded": tuned_as_recorded(path)} | options
     elif isinstance(parameters, Tuning):
-        options.setdefault("mounting", parameters.mounting)
+        recorded = parameters.config.model_dump()["as_recorded"]
+        options = {"mounting": parameters.mounting, "as_recorded": recorded} | options
     texts = export_texts(known, to, **options)
     if folder is not None:
-        write_texts(texts, folder)
+        write_texts(texts, folder, kind_of(to))
     return texts
 
 

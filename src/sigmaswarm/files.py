@@ -12,7 +12,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Generator
+from collections.abc import Generator, Set
 from contextlib import contextmanager, suppress
 from errno import EDQUOT, EEXIST, EFBIG, ENOSPC, ENOTEMPTY
 from functools import cache
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from filelock import BaseFileLock
     from numpy.typing import NDArray
 
+RESULT_FILE = ".sigmaswarm-result.json"
+"""Kind and files of a result in its folder."""
+_HIDDEN = re.compile(r"\.sigmaswarm\.lock|\..+\.sigmaswarm-[0-9a-f]{12}(\.lock)?")
 _LOCK = re.compile(r"\..+\.sigmaswarm-[0-9a-f]{12}\.lock")
 
 
@@ -135,12 +138,55 @@ def whole_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
             raise
 
 
+def earlier_result(folder: Path, kind: str, mark: str = "") -> frozenset[str] | None:
+    """Return the files of an earlier result of the same kind in a folder; none if it is missing or empty.
+
+    None: the result has the file ``mark`` but no list of files, as in version 0.3.0.
+
+    Raises
+    ------
+    InputError
+        The folder contains anything else: only our own results are replaced.
+    """
+    if not folder.is_dir() or not any(not _HIDDEN.fullmatch(entry.name) for entry in folder.iterdir()):
+        return frozenset()
+    if mark and (folder / mark).is_file() and not (folder / RESULT_FILE).exists():
+        return None
+    found = _result_in(folder)
+    if found.get("kind") != kind:
+        raise InputError(f"{folder}: is not empty and contains no {kind}; choose another --out")
+    inside = folder.resolve()
+    return frozenset(
+        name for name in found["files"] if (folder / name).parent.resolve().is_relative_to(inside)
+    )
+
+
+def add_to_result(folder: Path, name: str) -> None:
+    """Add a file to the files of a result in a folder, if the folder lists any, so that the next result replaces it."""
+    if not (found := _result_in(folder)):
+        return
+    if (folder / name).exists() and name not in found["files"]:
+        raise InputError(f"{folder / name}: is not part of the result in this folder; move it")
+    write_json(folder / RESULT_FILE, {**found, "files": sorted({*found["files"], name})})
+
+
+def _result_in(folder: Path) -> dict[str, Any]:
+    try:
+        found = json.loads((folder / RESULT_FILE).read_bytes())
+        return found if isinstance(found["kind"], str) and all(type(n) is str for n in found["files"]) else {}
+    except (OSError, ValueError, LookupError, TypeError):
+        return {}
+
+
 @contextmanager
-def staged_files(folder: Path) -> Generator[Path]:
+def staged_files(folder: Path, kind: str = "", mark: str = "") -> Generator[Path]:
     """Yield a hidden folder for files; when the block ends, all or none of them are moved into ``folder``.
 
     The next run that writes into the folder restores the old files if this one is killed between two replacements.
+    With ``kind`` the files are a whole result: it replaces an earlier one as in `earlier_result`, whose other files are
+    removed, and no file of anyone else.
     """
+    before = earlier_result(folder, kind, mark) if kind else None
     make_folder(folder)
     with _staging(folder / "results", folder) as hidden:
         new = hidden / "new"
@@ -150,18 +196,31 @@ def staged_files(folder: Path) -> Generator[Path]:
             yield new
         except InputError as error:  # it names a hidden file
             raise InputError(str(error).replace(str(new), str(folder))) from None
+        names = {file.relative_to(new).as_posix() for file in new.rglob("*") if file.is_file()}
+        if before is not None:
+            for name in sorted(names - before):
+                if (folder / name).exists():
+                    raise InputError(
+                        f"{folder / name}: is not part of the earlier {kind}; move it, or choose another --out"
+                    )
+        if kind:
+            (new / RESULT_FILE).write_text(json.dumps({"kind": kind, "files": sorted(names)}) + "\n")
         _flush(new)
-        _exchange(hidden, folder)
+        _exchange(hidden, folder, (before or frozenset()) - names)
 
 
-def _exchange(hidden: Path, folder: Path) -> None:
-    """Move new files to their places, and the old files aside; undo this if one can't be moved."""
+def _exchange(hidden: Path, folder: Path, stale: Set[str]) -> None:
+    """Move new files to their places, and old and stale files aside; undo this if one can't be moved."""
     new, old = hidden / "new", hidden / "old"
     files = sorted(file.relative_to(new) for file in new.rglob("*") if file.is_file())
     for name in files:
         if (place := folder / name).exists() and not place.is_file():
             raise InputError(f"{place}: is not a regular file; move it, or choose another --out")
     try:
+        for name in sorted(stale):
+            if (folder / name).is_file():
+                make_folder((old / name).parent)
+                (folder / name).rename(old / name)
         for name in files:
             make_folder((folder / name).parent)
             if (folder / name).exists():
@@ -173,6 +232,10 @@ def _exchange(hidden: Path, folder: Path) -> None:
         if isinstance(error, OSError):
             raise _unwritable(folder, error) from None
         raise
+    for name in sorted(stale, reverse=True):
+        with suppress(OSError):  # not empty, or the result's folder itself
+            if (folder / name).parent != folder:
+                (folder / name).parent.rmdir()
 
 
 def _restore(hidden: Path, folder: Path) -> None:

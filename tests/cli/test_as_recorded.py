@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import sigmaswarm as library
 from filter_cases import rough
 from sigmaswarm.drives.writer import write_drive
 from support import quickly
@@ -28,6 +29,13 @@ def test_the_command_line_keeps_to_what_was_tuned(sigmaswarm, tmp_path: Path, as
     assert same is as_recorded
     said = sigmaswarm("evaluate", str(tmp_path / "tuned"), str(folder), "--verbose").out
     assert ("no filter used 5 of the fixes" in said) is not as_recorded
+    tuned = tmp_path / "tuned"
+    stated, other = (
+        library.export(tuned, "c99", as_recorded=each) for each in (as_recorded, not as_recorded)
+    )
+    assert (
+        library.export(tuned, "c99") == library.export(library.Tuning.load(tuned), "c99") == stated != other
+    )
 
 
 def test_a_tuning_of_an_older_version_is_told(sigmaswarm, tmp_path: Path):

@@ -434,11 +434,12 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     tune = ("tune", "parts/urban-clear-00-train", *QUICK, "--model", "planar5")
     assert sigmaswarm(*tune, "--out", "part").code == 0
     told = sigmaswarm("evaluate", "part", first, "--json").err
-    assert "tuned on 32 of its 40 s (urban-clear-00-train), so this is not a held-out drive" in told
-    said = sigmaswarm("evaluate", "part", first, "--out", "e").out
-    sentence = (
-        "On 1 drive (NOT held out: the tuning used 32 of the 40 s of urban-clear-00, in urban-clear-00-train)"
+    assert (
+        "the tuning used 32 of the 40 s of urban-clear-00, as urban-clear-00-train: the errors on training"
+        in told
     )
+    said = sigmaswarm("evaluate", "part", first, "--out", "e").out
+    sentence = "On 1 drive (TRAINING DATA: the tuning used 32 of the 40 s of urban-clear-00, as urban-clear-00-train)"
     assert said.startswith(sentence)
     assert sigmaswarm("report", "e").code == 0
     assert sentence in Path("e/page.html").read_text()
@@ -450,7 +451,7 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     assert plain in Path("f/page.html").read_text()
     told = sigmaswarm("evaluate", "alone", second, "parts/urban-clear-00-train").out
     assert told.startswith(
-        "On 2 drives (NOT all held out: the tuning used 32 of the 32 s of urban-clear-00-train"
+        "On 2 drives (PARTLY TRAINING DATA: the tuning used all of the 32 s of urban-clear-00-train)"
     )
     shutil.copy("part/tuning.toml", "part/mine.txt")  # a filter's file may be called anything
     ended = sigmaswarm("evaluate", "part/mine.txt", second)

@@ -199,3 +199,81 @@ def test_a_drive_that_knows_its_place_takes_no_other(
     ended = sigmaswarm("run", tuned, "drive", "--out", "e.gpx", "--origin", "1,2")
     assert ended.code == 2 and "leave --origin out" in ended.err
     assert sigmaswarm("run", tuned, "drive", "--out", "e.gpx").code == 0
+
+
+def test_results_replace_no_files_of_anyone_else(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
+    """An earlier result of the same kind is replaced as a whole; a folder with anything else is refused."""
+    drive = drives / "urban-clear-00"
+    assert sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--replay", drive).code == 0
+    assert (here / "c/replay.csv").exists()
+    assert sigmaswarm("export", tuned, "--to", "c99", "--out", "c").code == 0
+    assert not (here / "c/replay.csv").exists()
+    (here / "mine").mkdir()
+    (here / "mine/page.html").write_text("mine")
+    search = "--particles", 2, "--generations", 1
+    for command in (
+        ("export", tuned, "--to", "filterpy", "--out", "c"),
+        ("export", tuned, "--to", "c99", "--out", "mine"),
+        ("evaluate", tuned, drive, "--out", "mine"),
+        ("evaluate", tuned, drive, "--out", tuned),
+        ("noise", drive, "--out", "mine"),
+        ("tune", drive, "--out", "mine", *search),
+        ("compare", drive, "--out", "mine", *search),
+        ("learn", "noise-gru", tuned, drive, "--out", "mine"),
+        ("study", "--out", "mine"),
+        ("demo", "--out", "mine"),
+    ):
+        ended = sigmaswarm(*command)
+        assert (ended.code, ended.err.count("\n")) == (2, 1), (command, ended.err)
+        assert "choose another --out" in ended.err, ended.err
+    assert [file.name for file in (here / "mine").iterdir()] == ["page.html"]
+
+
+def test_an_evaluation_replaces_the_page_of_the_last_and_not_its_own_tuning(
+    sigmaswarm: Command, tuned: Path, drives: Path, here: Path
+):
+    drive = drives / "urban-clear-00"
+    assert sigmaswarm("evaluate", tuned, drive, "--out", "e").code == 0
+    assert sigmaswarm("report", "e").code == 0 and (here / "e/page.html").exists()
+    ended = sigmaswarm("evaluate", "e", drive, "--out", "e")
+    assert ended.code == 2 and "e: contains e, which is read; choose another --out" in ended.err
+    assert (here / "e/page.html").exists()
+    assert sigmaswarm("evaluate", tuned, drive, "--out", "e").code == 0
+    assert not (here / "e/page.html").exists()
+    (here / "e/page.html").write_text("mine")
+    ended = sigmaswarm("report", "e")
+    assert ended.code == 2 and "is not part of the result in this folder; move it" in ended.err
+
+
+def test_an_export_says_what_to_do_where_mountings_differ(sigmaswarm: Command, tuned: Path, here: Path):
+    for name, second in (("one", (0.0, 10.5, 90.0)), ("two", (0.0, 10.5, 45.0))):
+        content = tomllib.loads(tuned.read_text())
+        data = [
+            {"name": n, "imu_mounting_deg": m} for n, m in (("monday", (0.0, 10.5, 90.0)), ("friday", second))
+        ]
+        Path(f"{name}.toml").write_text(tomli_w.dumps(content | {"data": data}))
+    note = "the export contains no rotation: turn raw samples to x forward, y left, z up before the filter, or tune on"
+    assert note in sigmaswarm("export", "two.toml", "--to", "c99", "--out", "c").out
+    assert note not in sigmaswarm("export", "one.toml", "--to", "c99", "--out", "d").out
+
+
+def test_a_configuration_of_robot_localization_in_place_of_a_tuning(
+    sigmaswarm: Command, drives: Path, here: Path
+):
+    Path("ekf.yaml").write_text(
+        "imu0_config: [" + "false, " * 11 + "true, true, true, false]\ntwo_d_mode: true\n"
+    )
+    assert sigmaswarm("export", "ekf.yaml", "--to", "robot_localization", "--out", "ekf").code == 0
+    for command, fault in (
+        (
+            ("export", "ekf.yaml", "--to", "c99", "--out", "c"),
+            "c99 does not support robot-localization; use planar8",
+        ),
+        (
+            ("evaluate", "ekf.yaml", drives / "urban-clear-00"),
+            "evaluate a tuning and add --against ekf.yaml, or use",
+        ),
+    ):
+        ended = sigmaswarm(*command)
+        assert (ended.code, ended.err.count("\n")) == (2, 1) and fault in ended.err, ended.err
+    assert sigmaswarm("run", "ekf.yaml", drives / "urban-clear-00", "--out", "e.csv").code == 0

@@ -35,7 +35,7 @@ def test_it_writes_the_same_files_again(tmp_path: Path, target):
     before = [path.read_bytes() for path in written]
     assert [path.read_bytes() for path in export_filter(P, target, tmp_path / "a" / "b")] == before
     folder = tmp_path / "a" / "b"
-    found = [str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()]
+    found = [str(path.relative_to(folder)) for path in folder.rglob("[!.]*") if path.is_file()]
     assert sorted(found) == sorted(FILES[target])
 
 

@@ -76,11 +76,13 @@ def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     assert [each.length_s for each in good.forecasts] == [1.0, 5.0, 30.0]
     assert good.fixes_alone == MotionNoise.typical([noise_of(PreparedDrive(town()))])
     short = good.forecasts[1]
-    measured = drifts_of(PreparedDrive(town()), good.parameters, 2, length=5.0, noise=good.fixes_alone)
+    measured = drifts_of(PreparedDrive(town()), good.parameters, length=5.0, noise=good.fixes_alone)
     assert (short.tuned_m, short.baseline_m, short.fixes_alone_m) == pytest.approx(measured)
     assert "NOT BEATEN" in str(replace(short, fixes_alone_m=short.tuned_m))
     assert "NOT BEATEN" not in str(replace(short, fixes_alone_m=1.01 * short.tuned_m))
-    assert f"drift without fixes: {good.forecasts[0]}" in repr(good)
+    assert f"drift without fixes on the training drives: {good.forecasts[0]}" in repr(good)
+    same = evaluate([town()], good)
+    assert measured[:2] == pytest.approx([same.mean(m, "outage_drift_m") for m in ("tuned", "untuned")])
     whole = evaluate([town()], bad)
     assert (tuned, other) == pytest.approx(
         [whole.mean(m, "long_outage_drift_m") for m in ("tuned", "untuned")]

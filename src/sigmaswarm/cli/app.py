@@ -5,6 +5,7 @@ import re
 import sys
 import traceback
 import warnings
+from collections import Counter
 from tempfile import NamedTemporaryFile
 from typing import Any, Literal, NoReturn
 
@@ -40,7 +41,7 @@ from sigmaswarm.cli.study import study
 from sigmaswarm.cli.tune import tune
 from sigmaswarm.cli.workbench import workbench
 from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
-from sigmaswarm.wording import counted
+from sigmaswarm.wording import counted, shown
 
 app = App(
     name="sigmaswarm",
@@ -109,7 +110,11 @@ def main() -> NoReturn:
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # without a home it reports its cache folder
     terminal.prepare()
     terminal.tell_of_compiling()
+    _warned.clear()
     code = _run()
+    for said, count in _warned.items():
+        if count > 1:
+            print(f"warning: given {count} times: {shown(said, 80)}", file=sys.stderr)
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
@@ -216,11 +221,15 @@ def _hidden_option(said: str) -> str:
     return f" (`sigmaswarm {command} {HELP_ALL}` describes {named[0]})" if named else ""
 
 
+_warned: Counter[str] = Counter()
 _default_showwarning = warnings.showwarning
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
     if issubclass(category, SigmaswarmWarning):
-        print(f"warning: {terminal.one_line(message)}", file=sys.stderr)
+        said = terminal.one_line(message)
+        _warned[said] += 1
+        if _warned[said] == 1:
+            print(f"warning: {said}", file=sys.stderr)
     else:
         _default_showwarning(message, category, *where, **more)

@@ -57,6 +57,17 @@ def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *
         require_replaceable(folder.resolve(), overwrite, "add --overwrite, or name another folder")
 
 
+def require_result_folder(out: Path, sources: "Iterable[Location | None]", kind: str, mark: str = "") -> None:
+    """Refuse, before any work, a folder that contains anything but an earlier result of the kind, or what is read."""
+    from sigmaswarm.errors import InputError
+    from sigmaswarm.files import earlier_result
+
+    for source in filter(None, sources):
+        if out.resolve() in (Path(source).resolve(), Path(source).resolve().parent):
+            raise InputError(f"{out}: contains {source}, which is read; choose another --out")
+    earlier_result(out, kind, mark)
+
+
 @contextmanager
 def cluster_at(address: str | None) -> "Generator[Client | None]":
     """Connect to a cluster until the block ends. Yield None without an address."""
@@ -101,14 +112,6 @@ def read_datasets(
         for drives, group in zip(datasets, locations, strict=True):
             remedies += warn_of_serious(drives, group)
     return datasets
-
-
-def tuned_as_recorded(tuning: Path) -> bool:
-    """Check if a tuning was made without preprocessing."""
-    from sigmaswarm.records import load_record
-    from sigmaswarm.tuning.record import TuningConfigRecord, tuning_file
-
-    return load_record(TuningConfigRecord, tuning_file(tuning)).config.get("as_recorded", False) is True
 
 
 def numbers_of(text: str | None, count: int, option: str, example: str) -> tuple[float, ...] | None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import sigmaswarm
-from sigmaswarm.cli.common import cluster_at, print_json, read_datasets, say
+from sigmaswarm.cli.common import cluster_at, print_json, read_datasets, require_result_folder, say
 from sigmaswarm.cli.options import MORE, Cluster, Json, Places, Workers, options_of
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.tuning.config import DECIDED_LATER, TuneConfig
@@ -67,6 +67,7 @@ def compare(
     """
     from sigmaswarm.reports.compare import comparison_table, save_comparison
 
+    require_result_folder(out, [], "comparison", "config.json")
     asked: dict[str, Any] = {"seeds": seeds, "out": out, "resume": resume, "workers": workers}
     asked |= {name: value for name, value in (("optimizers", optimizers), ("scales", scales)) if value}
     with cluster_at(cluster) as client:

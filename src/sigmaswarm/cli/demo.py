@@ -4,7 +4,6 @@ from pathlib import Path
 
 from sigmaswarm.cli.options import Json, Seed
 from sigmaswarm.cli.study import StudyOptions, study
-from sigmaswarm.errors import InputError
 
 
 def demo(*, out: Path = Path("demo"), seed: Seed = 0, json: Json = False) -> None:
@@ -22,6 +21,4 @@ def demo(*, out: Path = Path("demo"), seed: Seed = 0, json: Json = False) -> Non
     seed
         Seed of drives, splits and swarms.
     """
-    if out.is_dir() and any(out.iterdir()) and not (out / "study.toml").exists():
-        raise InputError(f"{out}: is not empty and contains no demo; choose another --out")
     study(options=StudyOptions(out=out, quick=True, seed=seed, resume=True, json=json))

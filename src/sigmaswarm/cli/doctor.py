@@ -56,12 +56,12 @@ def doctor(
         require_writable([fix / drive.name for drive in read], drives, overwrite=overwrite)
     arm = None if lever_arm_within is None else _lever_arm(read, lever_arm_within, repaired=fix is not None)
     result: list[dict[str, Any]] = []
-    serious = False
+    serious, seen = False, set[str]()
     for drive in read:
         diagnosis = sigmaswarm.diagnose(drive)
         found = diagnosis.to_dict()
         if not json:
-            print_diagnosis(diagnosis)
+            print_diagnosis(diagnosis, seen)
         if fix is not None:
             folder, copy = fix / drive.name, sigmaswarm.repair(drive, diagnosis)
             copy = arm.applied(copy) if arm else copy
@@ -73,7 +73,7 @@ def doctor(
             found["copy"] = {"path": str(folder), "mended": mended, **diagnosis.to_dict()}
             if mended and not json:
                 say(f"wrote {folder}, repaired: {', '.join(mended)}. Remaining findings:\n")
-                print_diagnosis(diagnosis)
+                print_diagnosis(diagnosis, seen)
             elif not json:
                 why = "all repairs are withheld" if codes else "the doctor has no repair for these findings"
                 say(f"wrote {folder}, an unchanged copy: {why}\n")

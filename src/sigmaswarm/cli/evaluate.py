@@ -16,8 +16,8 @@ from sigmaswarm.cli.common import (
     print_evaluation,
     print_json,
     read_datasets,
+    require_result_folder,
     say,
-    tuned_as_recorded,
 )
 from sigmaswarm.cli.options import FIELDS, Cluster, Json, Places, Seed, TrustLog
 from sigmaswarm.errors import InputError, SigmaswarmWarning
@@ -95,14 +95,23 @@ def evaluate(
         sigmaswarm evaluate tuned drives/friday --swarm
         sigmaswarm evaluate tuned drives/friday --json
     """
+    from sigmaswarm.filters.robot_yaml import YAML
     from sigmaswarm.learned.folder import load_learned
     from sigmaswarm.records import load_record
     from sigmaswarm.reports.evaluation import save_evaluation
+    from sigmaswarm.scoring.records import ASKED_FILE, EVALUATION
     from sigmaswarm.tuning.record import TuningRecord, tuning_file
 
+    if tuning.suffix in YAML:
+        raise InputError(
+            f"{tuning}: is a configuration of robot_localization, not a tuning; evaluate a tuning and add --against "
+            f"{tuning}, or use `sigmaswarm run`"
+        )
     learned, out = load_learned(tuning), options.out
     parameters = sigmaswarm.FilterParameters.load(tuning)
     record = load_record(TuningRecord, tuning_file(tuning))
+    if out:
+        require_result_folder(out, [tuning, options.against], EVALUATION, ASKED_FILE)
     remedies: list[str] = []
     result = _evaluated(tuning, parameters, drives, options, learned, record, remedies)
     _warn_of_training_drives(result)
@@ -137,7 +146,7 @@ def _evaluated(
     """Evaluate; the commands against serious faults of the drives are added to ``remedies``."""
     from sigmaswarm.learned.folder import seen_in
     from sigmaswarm.scoring.evaluation import evaluate as evaluate_drives
-    from sigmaswarm.tuning.record import seen_by, tuning_file
+    from sigmaswarm.tuning.record import seen_by, tuned_as_recorded, tuning_file
 
     if not 0 < options.outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {options.outage_length:g})")
@@ -161,11 +170,13 @@ def _evaluated(
 
 def _warn_of_training_drives(evaluation: "Evaluation") -> None:
     """Warn about drives that the tuning used, since the errors on them are too small."""
-    for name, found in evaluation.drives.items():
+    from sigmaswarm.scoring.remarks import said_of_training
+
+    for found in evaluation.drives.values():
         drive = found.record
         if drive.seen_s:
             message = (
-                f"{name}: the filter was tuned on {drive.seen_s:.0f} of its {drive.duration_s:.0f} s "
-                f"({', '.join(drive.seen_in)}), so this is not a held-out drive"
+                f"{said_of_training(drive)}: the errors on training data are smaller; evaluate on a drive that the "
+                "tuning did not use"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_drives, read_known, say, tuned_as_recorded
+from sigmaswarm.cli.common import print_json, read_drives, read_known, say
 from sigmaswarm.cli.options import FIELDS, Json
 from sigmaswarm.exports.names import AnyTarget, next_command
 
@@ -71,9 +71,9 @@ def export(
         sigmaswarm export tuned --to robot_localization --out ekf --check drives/friday --against tuned-tilted12
     """
     from sigmaswarm.exports.check import check_export
-    from sigmaswarm.exports.targets import export_texts, write_texts
+    from sigmaswarm.exports.targets import export_texts, kind_of, write_texts
     from sigmaswarm.filters.models import MODELS
-    from sigmaswarm.tuning.record import tuned_mounting
+    from sigmaswarm.tuning.record import mountings_differ, tuned_as_recorded, tuned_mounting
 
     to, out, lanes, seed = options.to, options.out, options.lanes, options.seed
     parameters = sigmaswarm.FilterParameters.load(tuning)
@@ -93,7 +93,7 @@ def export(
     texts = export_texts(parameters, to, replay=drive, mounting=mounting, **settings)
     if drives and ros:
         texts["README.md"] += _accuracy(parameters, drives, tuning, options.against)
-    written = write_texts(texts, out)
+    written = write_texts(texts, out, kind_of(to))
     checked: list[Checked] = []
     if drives and not ros:
         checked = check_export(out, parameters, drives, **settings)
@@ -107,6 +107,11 @@ def export(
         say(
             "ins_gps_turn_imu() rotates samples with the imported axes by the mounting of the training drives "
             f"({angles} deg)"
+        )
+    if mountings_differ(tuning):
+        say(
+            "note: the IMU's mountings of the training drives differ, so the export contains no rotation: turn raw "
+            "samples to x forward, y left, z up before the filter, or tune on drives of one mounting"
         )
     say(f"next: {next_command(to, out, texts)}")
 

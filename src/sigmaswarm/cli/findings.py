@@ -21,8 +21,8 @@ OF_AXES = frozenset({"rotate", "turn", "accelerometer", "gyro", "tilt-rates"})
 _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
 
-def print_diagnosis(diagnosis: "Diagnosis") -> None:
-    """Print the findings about a drive."""
+def print_diagnosis(diagnosis: "Diagnosis", seen: set[str] | None = None) -> None:
+    """Print the findings about a drive; of notes in ``seen``, only the number. New notes are added to ``seen``."""
     from rich.table import Table
     from rich.text import Text
 
@@ -34,8 +34,16 @@ def print_diagnosis(diagnosis: "Diagnosis") -> None:
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(width=9)
     table.add_column(overflow="fold")
+    seen, repeated = set() if seen is None else seen, 0
     for finding in diagnosis.findings:
-        table.add_row(Text(f"  {finding.severity}", _STYLES[finding.severity]), Text(_said(finding)))
+        said = _said(finding)
+        if finding.severity == "note" and said in seen:
+            repeated += 1
+            continue
+        seen.add(said)
+        table.add_row(Text(f"  {finding.severity}", _STYLES[finding.severity]), Text(said))
+    if repeated:
+        table.add_row(Text("  note", _STYLES["note"]), Text(f"{counted(repeated, 'note')} as above."))
     out.print(table)
     out.print()
 

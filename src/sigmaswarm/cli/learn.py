@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_drives, say
+from sigmaswarm.cli.common import print_json, read_drives, require_result_folder, say
 from sigmaswarm.cli.options import FIELDS, Seed
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.filters.names import NetworkName
@@ -72,6 +72,7 @@ def learn(
         sigmaswarm learn noise-gru tuned drives/training --out learned --seed 1
         sigmaswarm learn noise-gru tuned drives/training --out learned --resume
     """
+    require_result_folder(options.out, [tuning], "network", "config.json")
     record = _learn(network, tuning, drives, options)
     if options.json:
         print_json(record.model_dump(mode="json"))

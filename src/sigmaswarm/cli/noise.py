@@ -6,12 +6,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.common import print_json, say
+from sigmaswarm.cli.common import print_json, require_result_folder, say
 from sigmaswarm.cli.options import FIELDS, Json
 from sigmaswarm.errors import InputError
 
 if TYPE_CHECKING:
     from sigmaswarm.noise import Noise
+
+
+NOISE = "noise of an IMU"
+"""Kind of the result in its folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,13 +71,12 @@ def noise(
         sigmaswarm noise --tuned tuned --to kf-gins
     """
     from sigmaswarm.exports.imu_noise import noise_texts
-    from sigmaswarm.exports.targets import write_texts
 
+    if options.out is not None:
+        require_result_folder(options.out, [log, options.tuned], NOISE)
     found = _found(log, options)
     texts = {file: text for target in options.to or () for file, text in noise_texts(found, target).items()}
-    written = [] if options.out is None else write_texts(texts, options.out)
-    if options.out is not None and log is not None:
-        written += _write_figure(found, options.out)
+    written = [] if options.out is None else _write(found, texts, options.out, figure=log is not None)
     if options.json:
         print_json(found.to_dict() | {"written": [str(path) for path in written], "texts": texts})
         return
@@ -99,13 +102,17 @@ def _found(log: Path | None, options: NoiseOptions) -> "Noise":
     return imu_noise(log or "", **{key: value for key, value in settings.items() if value})
 
 
-def _write_figure(found: "Noise", out: Path) -> list[Path]:
+def _write(found: "Noise", texts: dict[str, str], out: Path, *, figure: bool) -> list[Path]:
     import json
 
-    from sigmaswarm.files import finite, write_whole
+    from sigmaswarm.files import finite, staged_files, write_whole
     from sigmaswarm.reports.figures import save_both
     from sigmaswarm.reports.noise import noise_figure
 
-    record = out / "noise.json"
-    write_whole(record, json.dumps(finite(found.to_dict()), indent=1))
-    return [record, *save_both(noise_figure(found), out / "noise")]
+    if figure:
+        texts = {**texts, "noise.json": json.dumps(finite(found.to_dict()), indent=1)}
+    with staged_files(out, NOISE) as new:
+        for file, text in texts.items():
+            write_whole(new / file, text)
+        drawn = save_both(noise_figure(found), new / "noise") if figure else []
+    return [out / name for name in (*texts, *(path.name for path in drawn))]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_known, say, tuned_as_recorded
+from sigmaswarm.cli.common import print_json, read_known, say
 from sigmaswarm.cli.options import FIELDS
 from sigmaswarm.errors import InputError
 
@@ -114,6 +114,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     from sigmaswarm.filters.run import estimates_of, replay_of
     from sigmaswarm.filters.smoothing import Smoothing
     from sigmaswarm.learned.folder import load_learned
+    from sigmaswarm.tuning.record import tuned_as_recorded
 
     out, smooth, before, truth = options.out, options.smooth, options.before, options.truth
     for file in filter(None, (out, before, truth)):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter, validators
 
-from sigmaswarm.cli.common import cluster_at, print_json, say
+from sigmaswarm.cli.common import cluster_at, print_json, require_result_folder, say
 from sigmaswarm.cli.options import AT_LEAST_0, FIELDS, Count
 from sigmaswarm.cli.terminal import progress_bar
 
@@ -113,6 +113,7 @@ def study(*, options: Annotated[StudyOptions, FIELDS]) -> None:
     from sigmaswarm.reports.folders import save_page
     from sigmaswarm.reports.study_charts import save_study
 
+    require_result_folder(options.out, [], "study", "study.toml")
     out, config = options.out, _config(options)
     counted = "generations and epochs, remaining" if config.rivals else "generations, remaining"
     with cluster_at(options.cluster) as client, progress_bar("study", counted) as show:

@@ -9,7 +9,14 @@ from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import sigmaswarm
-from sigmaswarm.cli.common import MOST_SENTENCES, cluster_at, print_json, read_datasets, say
+from sigmaswarm.cli.common import (
+    MOST_SENTENCES,
+    cluster_at,
+    print_json,
+    read_datasets,
+    require_result_folder,
+    say,
+)
 from sigmaswarm.cli.options import MORE, Cluster, Json, Places, TrustLog, Workers, options_of
 from sigmaswarm.cli.terminal import tuning_progress
 from sigmaswarm.errors import InputError
@@ -72,6 +79,7 @@ def tune(
     resume
         Continue an interrupted tuning; the result is the same as without the interruption.
     """
+    require_result_folder(out, [start], "tuning", "config.json")
     asked = {"out": out, "resume": resume, "paper": paper, "start": start}
     remedies = None if trust_log else list[str]()
     with cluster_at(cluster) as client:
@@ -160,7 +168,7 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
         said = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
         on = counted(len(tuning.validation.drives), "validation drive")
         yield f"cost {tuning.validation.cost:.4f} on {on}: {said}"
-    yield from said_of_forecasts(tuning.forecasts)
+    yield from said_of_forecasts(tuning.forecasts, [one["duration_s"] for one in tuning.data])
 
 
 def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:

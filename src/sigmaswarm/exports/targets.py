@@ -107,18 +107,23 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
     return parameters.nominal_interval
 
 
-def write_texts(texts: Mapping[str, str], folder: str | Path) -> list[Path]:
-    """Write the files of an export into a folder, which is created if missing. Replace files of the same names."""
+def write_texts(texts: Mapping[str, str], folder: str | Path, kind: str = "export") -> list[Path]:
+    """Write the files of an export into a folder, which is created if missing; replace an earlier result."""
     folder = Path(folder)
-    with staged_files(folder) as new:
+    with staged_files(folder, kind) as new:
         for name, text in texts.items():
             make_folder((new / name).parent)
             write_whole(new / name, text)
     return [folder / name for name in texts]
 
 
+def kind_of(target: str) -> str:
+    """Return the kind of result that an export is in its folder."""
+    return f"export to {target.replace('-', '_')}"
+
+
 def export_filter(
     parameters: FilterParameters, target: AnyTarget, folder: str | Path, **options: Any
 ) -> list[Path]:
     """Write the files of a filter, with arguments as in `export_texts`. Return their paths."""
-    return write_texts(export_texts(parameters, target, **options), folder)
+    return write_texts(export_texts(parameters, target, **options), folder, kind_of(target))

@@ -43,7 +43,7 @@ from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.scoring.drifts import BASELINE, FIXES, LEARNED, OWN
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation
 from sigmaswarm.scoring.measures import Measure, with_outages
-from sigmaswarm.scoring.records import seal
+from sigmaswarm.scoring.records import ASKED_FILE, EVALUATION, seal
 from sigmaswarm.scoring.tracks import CLOSE_UP, MOVED, SHARES, Columns, Picture, Tracks
 from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, tuning_file
@@ -62,7 +62,7 @@ def save_evaluation(
 
     The folder also gets copies of ``tuning`` (the evaluated tuning.toml or its folder) and ``network``.
     """
-    with staged_files(folder) as new:
+    with staged_files(folder, EVALUATION, ASKED_FILE) as new:
         written = [*evaluation.save(new), save(comparison(evaluation), new / "comparison.png")]
         labels = LABELS | dict(evaluation.names)
         for name, found in evaluation.drives.items():

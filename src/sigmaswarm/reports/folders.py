@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import write_whole
+from sigmaswarm.files import add_to_result, write_whole
 from sigmaswarm.reports.evaluation_page import evaluation_report
 from sigmaswarm.reports.figures import check_file
 from sigmaswarm.reports.page import Report, page
@@ -36,5 +36,7 @@ def save_page(folder: Path, out: Path | None = None) -> Path:
     read = read_report(folder)
     file = out or folder / "page.html"
     check_file(file, ".html")
+    if out is None:
+        add_to_result(folder, file.name)
     write_whole(file, page(read))
     return file

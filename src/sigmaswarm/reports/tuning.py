@@ -111,7 +111,10 @@ def tuning_report(folder: Path) -> Report:
         lead=(
             what_was_tuned(file),
             held_out,
-            *(f"D{said[1:]}." for said in said_of_forecasts(file.forecasts)),
+            *(
+                f"D{said[1:]}."
+                for said in said_of_forecasts(file.forecasts, [d.duration_s or 0.0 for d in file.data])
+            ),
         ),
         figures=tuple(figures),
         remarks=tuple(result.remarks),

@@ -73,6 +73,10 @@ class ScoresRecord(BaseModel):
         return [m for m in methods if m != "raw_gps" or raw], known or measures
 
 
+EVALUATION = "evaluation"
+"""Kind of a result in its folder."""
+
+
 class AgainstRecord(BaseModel):  # another filter in the comparison
     kind: str
     model: str

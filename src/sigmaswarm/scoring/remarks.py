@@ -26,16 +26,20 @@ def restarted(scores: ScoresRecord) -> tuple[str, ...]:
     return tuple(f"the tuned filter {said_of_restarts(drive, times)}" for drive, times in found.items())
 
 
+def said_of_training(drive: DriveRecord) -> str:
+    """Return how much of a drive the tuning used, and the training drives if their names differ."""
+    used, whole = drive.seen_s or 0.0, drive.duration_s or 0.0
+    part = "all" if round(used) >= round(whole) else f"{used:.0f}"
+    others = [name for name in drive.seen_in if name != drive.name]
+    as_others = f", as {', '.join(others)}" if others else ""
+    return f"the tuning used {part} of the {whole:.0f} s of {drive.name}{as_others}"
+
+
 def said_of_drives(data: Sequence[DriveRecord]) -> str:
     called = counted(len(data), "drive")
-    each = [
-        f"the tuning used {drive.seen_s:.0f} of the {drive.duration_s or 0:.0f} s of {drive.name}, in "
-        f"{', '.join(drive.seen_in)}"
-        for drive in data
-        if drive.seen_s
-    ]
+    each = [said_of_training(drive) for drive in data if drive.seen_s]
     if each:
-        return f"{called} (NOT {'all ' if len(data) > 1 else ''}held out: {'; '.join(each)})"
+        return f"{called} ({'PARTLY ' if len(each) < len(data) else ''}TRAINING DATA: {'; '.join(each)})"
     return called + " that the tuning did not use" * all(drive.seen_s is not None for drive in data)
 
 

@@ -66,8 +66,11 @@ class Forecast:
         return f"{self.length_s:g} s {self.tuned_m:.3g} m ({others})"
 
 
-def said_of_forecasts(forecasts: Sequence[Forecast]) -> list[str]:
-    """Return a sentence on the drifts, and one if the drift over 5 s exceeds the baseline's; empty without drifts."""
+def said_of_forecasts(forecasts: Sequence[Forecast], durations: Sequence[float] = ()) -> list[str]:
+    """Return a sentence on the drifts, and one if the filter drifts further than the baseline over 5 s, or neither.
+
+    ``durations`` of the training drives, s: only a part of many or long drives is measured.
+    """
     if not forecasts:
         return []
     worse = [
@@ -77,14 +80,19 @@ def said_of_forecasts(forecasts: Sequence[Forecast]) -> list[str]:
         if one.length_s == OUTAGE_LENGTH and f"{one.tuned_m:.3g}" != f"{one.baseline_m:.3g}"
         if one.tuned_m > one.baseline_m
     ]
-    return [f"drift without fixes: {', '.join(map(str, forecasts))}", *worse]
+    on = f"the first {NAMED} training drives" if len(durations) > NAMED else "the training drives"
+    on += f", {LOOK:g} s in the middle of each" * any(duration > LOOK for duration in durations[:NAMED])
+    return [f"drift without fixes on {on}: {', '.join(map(str, forecasts))}", *worse]
 
 
 def forecasts_of(parameters: FilterParameters, noise: MotionNoise, replays: Replays) -> Iterator[Forecast]:
-    """Measure the drift over outages of several lengths, in the middle of the first drives."""
+    """Measure the drift over outages of several lengths, in the middle of the first drives.
+
+    The placements are those of an evaluation, so that the drifts are the same on the same drive.
+    """
     some = replays.subset(range(min(len(replays.dataset), NAMED)))
     for length in FORECAST_LENGTHS:
-        measure = partial(drifts_of, parameters=parameters, length=length, most=FEW, noise=noise)
+        measure = partial(drifts_of, parameters=parameters, length=length, noise=noise)
         drifts = _together(some.of_each_prepared(measure))
         if drifts[0] > 0:
             yield Forecast(length, *drifts)
@@ -190,9 +198,9 @@ def drifts_of(
 
 
 def _together(found: Iterable[tuple[float, ...]]) -> list[float]:
-    """Return the RMS of each drift over the drives."""
+    """Return the mean of each drift over the drives, as an evaluation does."""
     known = np.array([drifts for drifts in found if np.isfinite(drifts).all()])
-    return np.sqrt(np.mean(known**2, axis=0)).tolist() if len(known) else [0.0, 0.0]
+    return np.mean(known, axis=0).tolist() if len(known) else [0.0, 0.0]
 
 
 def scale_warnings(objective: str, parameters: FilterParameters, replays: Replays) -> list[str]:

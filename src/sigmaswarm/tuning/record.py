@@ -93,12 +93,27 @@ def tuning_file(path: Path) -> Path:
     return path / FILE if path.is_dir() else path
 
 
+def tuned_as_recorded(path: Path) -> bool:
+    """Return True if a tuning was made without preprocessing; an ekf.yaml is no tuning."""
+    if path.suffix in YAML:
+        return False
+    return load_record(TuningConfigRecord, tuning_file(path)).config.get("as_recorded", False) is True
+
+
 def tuned_mounting(path: Path) -> Angles | None:
     """Return the mounting on which the training drives of a tuning agree; None for parameters without a tuning."""
+    return common_mounting(_mountings(path))
+
+
+def mountings_differ(path: Path) -> bool:
+    """Return True if the training drives of a tuning state mountings that do not agree."""
+    return any(_mountings(path)) and tuned_mounting(path) is None
+
+
+def _mountings(path: Path) -> list[Angles | None]:
     if path.suffix in YAML:
-        return None
-    data = load_record(TuningDataRecord, tuning_file(path)).data
-    return common_mounting(drive.imu_mounting_deg for drive in data)
+        return []
+    return [drive.imu_mounting_deg for drive in load_record(TuningDataRecord, tuning_file(path)).data]
 
 
 def seen_by(file: Path) -> list[Landmarks]:

@@ -218,7 +218,7 @@ class Tuning(Generic[P]):
         if v := self.validation:
             on = counted(len(v.drives), "validation drive")
             lines.append(f"cost {notebook.number(v.cost)} on {on}, errors {v.gap:+.1%}")
-        lines += said_of_forecasts(self.forecasts)
+        lines += said_of_forecasts(self.forecasts, [one["duration_s"] for one in self.data])
         remarks = self.remarks
         lines += remarks[:SHOWN_REMARKS]
         if (more := len(remarks) - SHOWN_REMARKS) > 0:
@@ -320,8 +320,8 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
             yield f"{touched}: the optimum may lie beyond the bounds"
     if names := ", ".join(name for name in t.unidentified if name != NOISE_SCALE):
         yield (
-            f"the objective does not determine {names}: each can have any value within its bounds, and the cost "
-            "rises by less than 1%"
+            f"the tuned values of {names} are arbitrary: any other value within the bounds raises the cost by less "
+            "than 1%; no action is needed"
         )
     if NOISE_SCALE in t.unidentified and objective not in SCALE_FREE:
         why = (
@@ -343,7 +343,7 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     if car and "truth" in objective:
         yield OF_THESE_SENSORS
     if t.mounting is None and any(KEY in entry for entry in t.data):
-        yield f"the IMU's mountings of the training drives differ ({KEY}), so exports do not contain a rotation"
+        yield f"the IMU's mountings of the training drives differ ({KEY}), so an export does not turn raw samples"
     if t.start_cost is not None:
         yield f"the filter from which the search started has cost {notebook.number(t.start_cost)} with the same inputs"
     if t.validation is None:
