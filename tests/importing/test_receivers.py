@@ -221,6 +221,27 @@ def test_ublox_6(tmp_path: Path, velocity: bool, week: bool):
         np.testing.assert_allclose(got.speed * np.exp(1j * got.course), EAST + 1j * NORTH, atol=2e-2)
 
 
+def test_ublox_6_with_utc_instead_of_the_week(tmp_path: Path):
+    leaps, day = 18, datetime.fromtimestamp(EPOCH, UTC)
+    when = {n: getattr(day, n) for n in ("year", "month", "day", "hour")} | {
+        "min": day.minute,
+        "sec": day.second,
+    }
+    tow = round((EPOCH + leaps - 315964800) * 1e3) % 604_800_000
+    utc = pyubx2.UBXMessage("NAV", "NAV-TIMEUTC", pyubx2.GET, iTOW=tow, **when, validUTC=1).serialize()
+    fixes = b"".join(ubx6(i, velocity=False, week=False) for i in range(len(GPS)))
+    (tmp_path / "neo.ubx").write_bytes(utc + fixes)
+    got = imported(imu_csv(tmp_path), gps=tmp_path / "neo.ubx").drive.gps
+    np.testing.assert_allclose(got.time, GPS.time, atol=1e-3)
+
+
+def test_nmea_sentences_behind_the_time_of_a_computer(tmp_path: Path):
+    sentences = [line for i in range(len(GPS)) for line in nmea(i)]
+    (tmp_path / "gps.txt").write_bytes(b"".join(b"1714000000.25," + line for line in sentences))
+    got = imported(imu_csv(tmp_path), gps=tmp_path / "gps.txt").drive.gps
+    np.testing.assert_allclose(got.lat, GPS.lat, atol=1e-6)
+
+
 def test_ubx_without_fixes_names_what_it_holds_and_the_way(tmp_path: Path):
     clock = pyubx2.UBXMessage("NAV", "NAV-CLOCK", pyubx2.GET, iTOW=0, clkB=1).serialize()
     raw = pyubx2.UBXMessage("RXM", "RXM-RAWX", pyubx2.GET, numMeas=0).serialize()

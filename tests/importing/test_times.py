@@ -256,20 +256,20 @@ def test_digits_within_a_minute_are_mapped_where_the_others_cross_one(tmp_path: 
 def test_other_clocks_apart_get_the_remedy_of_an_offset(tmp_path: Path, begin: float):
     """Seconds that are no digits, and digits that would not overlap with the others either."""
     write(tmp_path, "t", lambda t: repr(t + 7000), gps_cells=lambda t: repr(t + begin))
-    with pytest.raises(InputError, match=r"with --gps-offset .if both began together"):
+    with pytest.raises(InputError, match=r"put both on one clock: .*--gps-offset \S+ if both began together"):
         imported(tmp_path)
 
 
 @pytest.mark.parametrize("heads", [("t", "t"), ("log_time", "log_time"), ("utc", "time")])
 def test_numbers_with_two_guessed_units_are_one_clock(tmp_path: Path, heads: tuple[str, str]):
-    """Hundredths of a second: steps of 1 look like ms of an IMU, steps of 10 like seconds of fixes."""
-    write(tmp_path, heads[0], lambda t: f"{round(t * 100)}", heads[1], lambda t: f"{round(t * 50)}")
+    """Hundredths of a second: steps of 4 look like ms of an IMU, steps of 10 like seconds of fixes."""
+    write(tmp_path, heads[0], lambda t: f"{round(t * 100) * 4}", heads[1], lambda t: f"{round(t * 50)}")
     with pytest.raises(InputError, match="their numbers do, so they have one unit") as caught:
         imported(tmp_path)
     options = str(caught.value).split("write --map ")[1].split(", or ")
-    (maps,) = (maps_in(o) for o in options if "for 100 Hz and 10 Hz" in o)
+    (maps,) = (maps_in(o) for o in options if "for 25 Hz and 10 Hz" in o)
     drive = imported(tmp_path, maps=maps).drive
-    np.testing.assert_allclose(drive.imu.time, IMU.time, atol=1e-2)
+    np.testing.assert_allclose(drive.imu.time, IMU.time * 4, atol=4e-2)
     np.testing.assert_allclose(drive.gps.time, GPS.time / 2, atol=1e-2)
 
 
@@ -290,7 +290,7 @@ def test_units_that_fit_are_not_refused(tmp_path: Path, case: str):
 
 def test_two_clocks_that_began_apart_get_the_remedy_of_an_offset(tmp_path: Path):
     write(tmp_path, "t", lambda t: f"{t * 1e3 + 5e7:.3f}", gps_cells=lambda t: repr(t))
-    with pytest.raises(InputError, match=r"with --gps-offset .if both began together"):
+    with pytest.raises(InputError, match=r"put both on one clock: .*--gps-offset \S+ if both began together"):
         imported(tmp_path)
 
 

@@ -1,7 +1,7 @@
 """Assemble a drive from joined columns, on one clock and in one frame."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -11,12 +11,21 @@ from sigmaswarm.drives.checks import shortage_of
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
 from sigmaswarm.drives.mounting import with_rotation
 from sigmaswarm.errors import InputError
-from sigmaswarm.geodesy import enu_to_geodetic, wrap_angle
-from sigmaswarm.importing.dates import LONG_AGO, SECOND, Nanoseconds
+from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu, wrap_angle
+from sigmaswarm.importing.dates import GPS_EPOCH, LONG_AGO, SECOND, WEEK, Nanoseconds, gps_to_unix
 from sigmaswarm.importing.gather import Gathered
 from sigmaswarm.importing.joining import join
 from sigmaswarm.importing.mounting import parse_mount, rotate
-from sigmaswarm.importing.places import MOVING, Say, Values, course_of, fitting_angle, level
+from sigmaswarm.importing.places import (
+    FARTHEST,
+    FASTEST,
+    MOVING,
+    Say,
+    Values,
+    course_of,
+    fitting_angle,
+    level,
+)
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Role
 from sigmaswarm.importing.times import FASTEST_IMU, LONGEST_STEP, SLOWEST_IMU
@@ -53,6 +62,7 @@ def assemble(
     gps: Values = {}
     if "gps" in values:
         gps, origin = placed_fixes(values["gps"], origin, say)
+        _require_meters(seconds["gps"], gps, gathered["gps"])
         course, rows = course_of(seconds["gps"], gps["x"], gps["y"])
         for angle in ("course", "heading"):
             if angle in gps:
@@ -86,7 +96,8 @@ def assemble(
         if "overlap" in shortage:
             offset = drive.imu.time[0] - drive.gps.time[0]
             remedy = _as_digits(seconds, gathered) or ("" if zero else _one_clock(seconds, gathered))
-            shortage += remedy or f", with --gps-offset (if both began together: {offset:.3f})"
+            moves = "".join(f"--gps-offset {move:.10g} if {why}, or " for move, why in _moves(seconds, zero))
+            shortage += remedy or f": {moves}--gps-offset {offset:.3f} if both began together"
         raise InputError(f"{name}: {shortage}")
     return drive
 
@@ -107,6 +118,26 @@ def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[G
             mapped = f"{t} % 100 + ({t} % 10000 - {t} % 100)*0.6 + ({t} - {t} % 10000)*0.36"
             return f'; if the times of {role}.csv are digits hhmmss, write --map "{role}.t={mapped}"'
     return ""
+
+
+def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, str]]:
+    """Yield offsets of the fixes, s, with which the clocks overlap, and their reasons."""
+    imu, gps = seconds["imu"] + zero, seconds["gps"] + zero
+    leap = float(max(imu[0], gps[0]) - gps_to_unix(np.array([max(imu[0], gps[0])]))[0])
+    short, dated = min(imu[0], gps[0]), max(imu[0], gps[0]) * SECOND > LONG_AGO
+    reasons = (
+        (900, 0.0, "the local times differ by this", short * SECOND > LONG_AGO),
+        (86_400, 0.0, "one counts from midnight, UTC", dated and short < 2 * 86_400),
+        (WEEK, GPS_EPOCH % WEEK - leap, "one is the GPS time of week", dated and short < WEEK),
+        (2**32 * 1e-6, 0.0, "a counter of microseconds, 2^32, wrapped", not dated),
+    )
+    for period, begin, why, fits in reasons:
+        sign = 1 if imu[0] > gps[0] else -1
+        apart = sign * (float(np.median(imu)) - float(np.median(gps)))
+        move = sign * (round((apart - begin) / period) * period + begin)
+        inside = np.mean((gps + move >= imu[0]) & (gps + move <= imu[-1]))
+        if fits and inside > 0.5 and (period != 900 or abs(move) <= 14 * 3600):
+            yield move, why
 
 
 def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[Gathered]]) -> str:
@@ -202,6 +233,21 @@ def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Value
     return values, origin
 
 
+def _require_meters(time: Array, gps: Values, parts: Sequence[Gathered]) -> None:
+    """Refuse x and y that are no meters, since no vehicle moves so fast."""
+    apart = int(np.searchsorted(time, time[0] + 2.0)) if len(time) else 0
+    if "lat" in gps or len(time) < 10 or not 0 < apart < len(time):
+        return
+    far = np.hypot(*(gps[n][apart:] - gps[n][:-apart] for n in ("x", "y")))
+    if (speed := float(np.median(far / (time[apart:] - time[:-apart])))) > FASTEST:
+        texts = {n: text for one in parts for n, text in one.part.columns.items() if n in ("x", "y")}
+        maps = (" ".join(f'"gps.{n}=({text})*1e-{k}"' for n, text in texts.items()) for k in (3, 2))
+        raise InputError(
+            f"the fixes move at {speed:.4g} m/s (median): x and y are not in m, or the times not in s; write "
+            "--map {} if they are in mm, --map {} if in cm".format(*maps)
+        )
+
+
 def _first_place(values: Values) -> Origin:
     lat, lon, alt = (float(values[name][0]) if name in values else 0.0 for name in ("lat", "lon", "alt"))
     return lat, lon, alt
@@ -234,10 +280,26 @@ def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, o
     inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])
     if np.count_nonzero(inside) < 3:
         return f"{said}; specify the origin with --origin lat,lon,alt"
-    apart = [gps[n][inside] - np.interp(time[inside], seconds["truth"], truth[n]) for n in ("x", "y")]
-    (east, north), spread = np.mean(apart, axis=1), np.std(apart, axis=1) / np.sqrt(np.count_nonzero(inside))
-    lat, lon, _ = enu_to_geodetic(np.array([[east, north, 0.0]]), origin)[0]
-    state = f"specify the origin; --origin {lat:.8f},{lon:.8f},{origin[2]:.3f} fits the fixes best"
+    time = time[inside]
+    true = np.column_stack([np.interp(time, seconds["truth"], truth[n]) for n in ("x", "y")])
+    height = gps.get("alt", np.full(len(inside), origin[2]))[inside]
+
+    def apart(begin: Origin) -> Array:
+        return geodetic_to_enu(gps["lat"][inside], gps["lon"][inside], height, begin)[:, :2] - true
+
+    off = apart(origin)
+    (east, north), spread = np.mean(off, axis=0), np.std(off, axis=0) / np.sqrt(len(time))
+    if np.hypot(east, north) > FARTHEST:
+        return (
+            f"{said}, {np.hypot(east, north) / 1e3:.0f} km away, as the coordinates of a map (UTM) are: convert it to "
+            "degrees, as with pyproj, and map truth.lat and truth.lon"
+        )
+    best = origin
+    for _ in range(3):  # north turns with the place
+        move = np.append(np.mean(apart(best), axis=0), 0.0)[None]
+        lat, lon, _ = enu_to_geodetic(move, best)[0]
+        best = float(lat), float(lon), origin[2]
+    state = f"specify the origin; --origin {best[0]:.8f},{best[1]:.8f},{best[2]:.3f} fits the fixes best"
     if np.all(np.abs([east, north]) < 5 * spread):
         return f"{said}; {state}"
     return f"{said}; but the fixes lie {east:.2f} m east and {north:.2f} m north of the truth on average: {state}"

@@ -13,8 +13,8 @@ LONG_AGO = 1_000_000 * SECOND
 GPS_EPOCH = 315_964_800
 """1980-01-06 (IS-GPS-200), s since 1970-01-01."""
 WEEK = 604_800
-EXCEL_EPOCH, MATLAB_EPOCH = 25569, 719_529
-"""1970-01-01 as a day number of spreadsheets and of MATLAB's datenum."""
+EXCEL_EPOCH, MATLAB_EPOCH, JULIAN_EPOCH = 25569, 719_529, 2_440_587.5
+"""1970-01-01 in days of spreadsheets, of MATLAB's datenum, and of the Julian date."""
 LEAP_DAYS = (
     *("1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01"),
     *("1992-07-01", "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01"),
@@ -57,6 +57,8 @@ def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
     ahead = zone.struct[1].cast(pl.Float64) * 3600 + zone.struct[2].cast(pl.Float64) * 60
     ahead = pl.when(zone.struct[0] == "-").then(-ahead).otherwise(ahead).fill_null(0.0)
     plain = plain.str.replace(r"(\d\d:.*?) ?[+-]\d\d:?\d\d$", "${1}")
+    if form.startswith("%M"):  # as spreadsheets show times; without a fraction it may be hours and minutes
+        plain, form = pl.when(plain.str.contains(r"\.")).then("0:" + plain), f"%H:{form}"
     if form and "%d" not in form and "%j" not in form:
         return plain.str.to_time(form, strict=False).cast(pl.Int64) / 1e9
     return plain.str.to_datetime(form or None, time_unit="ns", strict=False).dt.timestamp("ns") / 1e9 - ahead

@@ -41,7 +41,7 @@ NOT_READ = {
     ".xlsx .xls .ods": "a spreadsheet; save it as CSV",
     ".tlog": "a MAVLink log; run: mavlogdump.py --format csv --types SCALED_IMU,GPS_RAW_INT, or take the .bin",
     ".bbl .bfl": "a blackbox log; run: blackbox_decode --merge-gps --unit-acceleration m/s2 --unit-rotation deg/s, and "
-    "import the .csv with --map 'gps.lat=`GPS_coord[0]`' 'gps.lon=`GPS_coord[1]`'",
+    "import the .csv",
     ".mf4 .mdf": "a measurement file of ASAM; export it as CSV, for example with asammdf",
     ".sbf": "a Septentrio stream; convert it to NMEA with sbfconvert or RxTools",
     ".rtcm .rtcm3 .obs "

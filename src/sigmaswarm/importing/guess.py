@@ -1,5 +1,6 @@
 """Guess the roles of a log's tables by the names, units and first values of their columns."""
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 
@@ -30,8 +31,14 @@ _NO_PLACES = re.compile(
     re.IGNORECASE,
 )
 """Names of tables whose x, y, z are neither a position nor axes of the IMU."""
-_FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok)?|(?:gps|gnss)_?(?:quality|valid)"
-"""Names of columns that state whether a row has a fix. 0 means no fix; in ROS, -1 means no fix and 0 a fix."""
+_ESTIMATE = re.compile(
+    r"filter|estimat|kalman|(?:^|[^a-z])[eu]?kf|fused|fusion|smooth|predict", re.IGNORECASE
+)
+"""Names of tables with positions that are no measurements."""
+_FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok|status)?|(?:(?:gps|gnss)_?)?valid|(?:gps|gnss)_?quality"
+"""Names of columns that state whether a row has a fix: 0 means none, or -1 where 0 means a fix, as in ROS."""
+_DIMENSIONS = ".*(?:type|mode)"
+"""Names of columns in which 3 means a fix in three dimensions: 1 then means none."""
 MOST_DROPPED = 0.2
 """Largest share of likely fixes that a flag may exclude."""
 _WANTED: dict[Role, tuple[str, ...]] = {
@@ -69,6 +76,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         best = chosen.get(role) or max(
             tables,
             key=lambda t: (
+                not _ESTIMATE.search(t),
                 bool(re.search(_HINTS[role], t, re.IGNORECASE)),
                 role == "gps" and "ax" not in found[t],
             ),
@@ -181,16 +189,11 @@ def _with_fix(columns: Columns) -> Found | None:
 
     In some codes 0 is a fix without fixed ambiguities, and flags may be in other rows than positions.
     """
-    flag = next((n.column for n in read_names(columns.frame.columns) if n.is_one(_FIXED)), None)
     both = ("lat", "lon") if columns.has("lat", "lon") else ("x", "y")
-    if flag is None or not columns.has(*both):
+    text = _fix_stated(columns.frame) if columns.has(*both) else ""
+    names = [columns.names[what].column for what in both if what in columns]
+    if not text or any(columns.frame.schema[n].is_nested() for n in names):
         return None
-    names = [columns.names[what].column for what in both]
-    kinds = sorted({*numbers_of(columns.frame[flag])})
-    nested = any(columns.frame.schema[n].is_nested() for n in names)
-    if len(kinds) < 2 or kinds[0] not in (-1, 0) or nested:
-        return None
-    text = f"{written(flag)} > {kinds[0]:g}"
     rows = columns.frame.with_columns(pl.selectors.float().fill_nan(None)).drop_nulls(names)
     unset = [pl.col(n).cast(pl.Float64, strict=False).is_in([0.0, *PLACEHOLDERS]) for n in names]
     held = [pl.col(n) == pl.col(n).shift() for n in names]
@@ -202,6 +205,24 @@ def _with_fix(columns: Columns) -> Found | None:
         return Found(text)
     seen = f"{len(fixes) - len(kept)} of {len(fixes)} fixes for which {text} is not true are used"
     return Found("", note=f'{seen}; to leave these fixes out, write --map "gps.keep={text}"')
+
+
+def _fix_stated(frame: pl.DataFrame) -> str:
+    """Return the condition that a row has a fix, by a column of flags, else ""."""
+    flag = next((n for n in read_names(frame.columns) if n.is_one(_FIXED)), None)
+    for column in frame.columns:
+        texts = {*frame[column].drop_nulls().unique()} if frame.schema[column] == pl.String else set[str]()
+        if texts == {"A", "V"}:  # as in RMC: active, void
+            return f"{written(column)} == 'A'"
+        if flag and flag.column == column and texts == {"True", "False"}:
+            return f"{written(column)} == 'True'"
+    kinds = sorted({*numbers_of(frame[flag.column])}) if flag else []
+    if flag is None or not kinds:
+        return ""
+    none = (
+        1 if kinds[-1] == 3 and flag.is_one(_DIMENSIONS) else kinds[0] if kinds[0] in (-1, 0) else -math.inf
+    )
+    return f"{written(flag.column)} > {none:g}" if kinds[0] <= none < kinds[-1] else ""
 
 
 def _downward(imu: Columns) -> str:

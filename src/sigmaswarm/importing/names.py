@@ -16,7 +16,7 @@ TIME = (
     "(?:time|secs?|seconds|millis(?:econds)?|micros(?:econds)?)_since_\\w{1,20}|since_start|loggingtime|logging_time"
 )
 CLOCK = (
-    "received|boot|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|gps|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
+    "received|boot|date|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|gps|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
     "(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
 )
 """Names of times, for tables without a more usual name."""
@@ -42,8 +42,8 @@ NAMES: tuple[tuple[str, str], ...] = (
     *((f"a{i}", f"(?:{_ACCELERATION})_?{i}") for i in "xyz"),
     *((f"g{i}", f"(?:{_RATE})_?{i}") for i in "xyz"),
     ("gz", "yaw_?rate"),
-    ("lat", "lat|latitude"),
-    ("lon", "lon|lng|long|longitude"),
+    ("lat", "lat|latitude|gps_coord_x"),
+    ("lon", "lon|lng|long|longitude|gps_coord_y"),
     ("ns", "n_s|ns_indicator|(?:lat|latitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ns|n_s)|north_south"),
     ("ew", "e_?w|ew_indicator|(?:lon|lng|longitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ew|e_w)|east_west"),
     ("alt", "alt|altitude|height|elevation|ele"),
@@ -75,7 +75,9 @@ TURNS = {"roll": "gx", "pitch": "gy", "yaw": "gz"}
 _STATED: tuple[tuple[Dimension, str, str], ...] = (
     ("time", "t", "temps"),
     *(("acceleration", f"a{i}", f"{i}_?acc(?:el(?:eration)?)?|accsmooth_{i}") for i in "xyz"),
-    *(("rate", f"g{i}", f"{i}_?gyro|{i}_rate_of_rotation|gyroadc_{i}") for i in "xyz"),
+    *(("rate", f"g{i}", f"{i}_?gyro|{i}_rate_of_rotation|gyroadc_{i}|as_?{i}") for i in "xyz"),
+    ("rate", "gx", "roll_?rate"),
+    ("rate", "gy", "pitch_?rate"),
     ("speed", "speed", "geschwindigkeit|vitesse|velocidade?|velocita|snelheid"),
 )
 """Names that have a meaning only with a unit of this dimension: "x_acc" may also be an accuracy."""
@@ -206,8 +208,9 @@ def _one_sensor(names: list[Name]) -> list[Name]:
 
 
 def _family(name: Name) -> str:
-    """Return the name without its axis if other names take precedence; else ""."""
-    weak = re.match(_SHORT, name.plain) or _stated(name.plain, name.unit)
+    """Return the name without its axis if other names take precedence, else ""."""
+    stated = not name.plain.endswith("rate") and _stated(name.plain, name.unit)
+    weak = re.match(_SHORT, name.plain) or stated
     return re.sub("^[xyz]|[xyz]$", "", name.plain) if weak else ""
 
 
@@ -227,6 +230,8 @@ def read_name(column: str) -> Name:
 def _read(column: str, text: str) -> Name:
     if len(text) > LONGEST_NAME:
         return Name(column, "")
+    if element := re.fullmatch(r"gyro_rad\[([012])\]", text):  # PX4's name of rates in rad/s
+        return Name(column, f"gyro_{'xyz'[int(element[1])]}", parse_unit("rad/s"))
     if element := re.fullmatch(r"([^\[\]]{1,100})\[([012])\]", text):
         return _with_unit(column, plain_words(element[1]), "xyz"[int(element[2])])
     if text and text[-1] in ")]":

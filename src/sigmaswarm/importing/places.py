@@ -22,15 +22,14 @@ MOVING = 1.0
 
 
 def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:
-    """Mark rows (n,) with a position that is not 0, 0, in the range of degrees, and not far from the others."""
+    """Mark rows (n,) with a position: not the same number twice, within the range of degrees, not far from others."""
     if "lat" not in values or "lon" not in values:
         return np.ones(len(time), bool)
     lat, lon = values["lat"], values["lon"]
-    zero = (lat == 0) & (lon == 0)
+    zero = lat == lon  # the same number in both is a placeholder
     if zero.any() and not zero.all():
-        say(
-            f"{role}: {int(zero.sum())} rows are left out, since latitude 0 and longitude 0 mean that there is no fix"
-        )
+        placed = f"latitude {lat[zero][0]:g}, longitude {lon[zero][0]:g}"
+        say(f"{role}: {int(zero.sum())} rows at {placed} are left out, since such rows are no fixes")
     good = ~zero if not zero.all() else np.ones(len(time), bool)
     outside = good & ((np.abs(lat) > 90) | (np.abs(lon) > 360))
     if outside.any() and outside.sum() < 0.5 * good.sum():

@@ -13,7 +13,7 @@ from sigmaswarm.importing.units import COUNTS, Dimension, in_si
 from sigmaswarm.wording import quoted
 
 PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10)
-NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-")
+NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-", "invalid", *("*" * n for n in range(1, 20)))
 DIMENSIONS: dict[str, Dimension] = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
     **dict.fromkeys(("gx", "gy", "gz"), "rate"),
@@ -126,12 +126,14 @@ def _raw_counts(columns: Columns, what: str, role: Role) -> str:
     axes = [a for a in (f"{what[0]}{i}" for i in "xyz") if a in columns]
     if what[0] == "a":
         gravity = median_of(columns.norms(axes))
-        per = next((k for k in (16384, 8192, 4096, 2048, 1000) if abs(gravity / k - 1) < 0.12), 16384)
+        known = next((k for k in (16384, 8192, 4096, 2048, 1000) if abs(gravity / k - 1) < 0.12), 0)
+        per = known or (f"{gravity:.4g}" if gravity else 16384)
         form, about = f"{{}}*9.80665/{per}", _ACCELEROMETERS
         seen = "they exceed the range of an accelerometer"
         seen = f"gravity appears as about {gravity:.5g}" if gravity else seen
     else:
-        form, about = "radians({}/131)", _GYROS
+        whole = all((columns.numbers(a) == columns.numbers(a).round()).all() for a in axes)
+        form, about = "radians({}/131)" if whole else "radians({})", _GYROS
         seen = f"they reach {max(columns.largest(a) for a in axes):.5g}"
     named = ", ".join(quoted(columns.names[a].column) for a in axes)
     maps = _maps(columns, role, axes, form)
@@ -272,7 +274,8 @@ def _place_form(columns: Columns, role: Role) -> Found:
         return Found("ddmm({})", "latitude and longitude are read as degrees and minutes, ddmm.mmmm")
     if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 180e6):
         return Found("{}*1e-7", "latitude and longitude are read as 1e-7 degrees")
-    said = f"{_maps(columns, role, both, '{}*1e-7')} (or another factor)"
+    fitting = [k for k in (7, 6, 5) if low <= 90 * 10**k and high <= 360 * 10**k] or [7]
+    said = f"{' or '.join(_maps(columns, role, both, f'{{}}*1e-{k}') for k in fitting)} (or another factor)"
     fault = f"latitude and longitude of about {low:.6g} and {high:.6g} are not degrees; write {said}"
     return Found("", fault=fault)
 

@@ -15,10 +15,13 @@ from sigmaswarm.wording import names_shown
 WRAPS: tuple[tuple[int, str], ...] = (
     (2**32 * 1000, "a counter of microseconds, 2^32"),
     (2**32 * 1_000_000, "a counter of milliseconds, 2^32"),
+    (2**31 * 1000, "a counter of microseconds, 2^31"),
+    (2**31 * 1_000_000, "a counter of milliseconds, 2^31"),
     (2**16 * 1_000_000, "a counter of milliseconds, 2^16"),
     (2**32, "a counter of nanoseconds, 2^32"),
     (WEEK * SECOND, "the time of week"),
     (86_400 * SECOND, "the time of day"),
+    (3600 * SECOND, "minutes and seconds"),
 )
 """Periods after which counters restart, ns."""
 FEWEST_ROWS = 20
@@ -59,8 +62,9 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
         wraps = steps < -0.5 * period
         # Two exchanged rows of a short log are no wrap; after a wrap, the times continue by about a usual step.
         near = np.abs(steps + period) <= min(max(50 * usual, 2 * SECOND), 5 * usual + 1e-3 * period)
-        inside = int(time.min()) >= 0 and int(time.max()) <= 1.001 * period
-        # Times may consist of the date of the first row and the time of day of each row.
+        low = -period // 2 if int(time.min()) < 0 else 0  # a number with a sign
+        inside = low <= int(time.min()) and int(time.max()) <= low + 1.001 * period
+        # The times may have the date of the first row and the time of day of each row.
         if period == 86_400 * SECOND and wraps.any():
             edge = np.abs((np.r_[time[1:][wraps], time[:-1][wraps]] + period // 2) % period - period // 2)
             inside |= int(np.ptp(time)) <= period and int(edge.max()) <= 60 * SECOND

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import polars as pl
 
-from sigmaswarm.importing.dates import EXCEL_EPOCH, MATLAB_EPOCH, as_text, parse_dates
+from sigmaswarm.importing.dates import EXCEL_EPOCH, JULIAN_EPOCH, MATLAB_EPOCH, as_text, parse_dates
 from sigmaswarm.importing.names import (
     CLOCK,
     STAMP,
@@ -25,7 +25,9 @@ LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odom
 SHORTEST_STEP = 1e-4
 """Shortest sample interval of a car's sensor, s."""
 FASTEST_IMU, SLOWEST_IMU = 4e-4, 0.15
-"""Range of IMU intervals, s, in which the unit of the time is guessed."""
+"""Intervals of an IMU, s, outside which the unit of its time is not guessed."""
+LEAST_COUNT = 4
+"""Smallest step of whole numbers that are taken as ms: smaller ones may be the numbers of rows, or 0.01 s."""
 DATE_FORMATS = (
     "",
     "%d-%b-%Y %H:%M:%S%.f",
@@ -45,6 +47,7 @@ DATE_FORMATS = (
     "%H:%M:%S%.f",
     "%H:%M:%S:%3f",
     "%I:%M:%S%.f %p",
+    "%M:%S%.f",
 )
 """Formats in the order of trial; the first is ISO 8601."""
 LEAST_FITTING = 0.99
@@ -59,7 +62,13 @@ _CALENDAR = {word: word for word in CALENDAR} | {
 }
 """Last words of the names of a date's six columns."""
 UNITS = {**COUNTED, "days": 86400.0, "h": 3600.0, "min": 60.0}
-"""Units of times, s; those of counters come first."""
+"""Units of times, s; those of clock counters come first."""
+_DAYS = (
+    (2e4, 8e4, EXCEL_EPOCH, "1900"),
+    (6.5e5, 8e5, MATLAB_EPOCH, "year 0"),
+    (2.44e6, 2.5e6, JULIAN_EPOCH, "4713 BC"),
+)
+"""Ranges of days, with the day of 1970-01-01 and the first day."""
 _DATES_S = (3e8, 4e9)
 """Range of dates, s since 1970: 1979 to 2096."""
 
@@ -185,8 +194,9 @@ def _week(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
     if tow.unit is not None and tow.unit.dimension == "time":
         seconds = in_si(tow.unit, written(tow.column))
     else:
-        long = (numbers_of(frame[tow.column]) > 604_800).any()
-        seconds = _scaled(written(tow.column), "ms" if long else "s")
+        largest = float(numbers_of(frame[tow.column]).max() or 0)  # pyright: ignore[reportArgumentType]
+        unit = next((u for u, scale in COUNTED.items() if largest * scale <= 604_800), "ns")
+        seconds = _scaled(written(tow.column), unit)
     return Found(f"gps_time({written(week.column)}, {seconds})", "GPS week and time of week converted to UTC")
 
 
@@ -312,6 +322,12 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
         return _of_days(numbers, text, column, step, role)
     likely = [unit for unit, scale in COUNTED.items() if step * scale < LONGEST_STEP[role]]
     unit = (*dated, *likely, "s")[0]
+    if role == "imu" and not dated and unit == "ms" and step < LEAST_COUNT:
+        rates = ", ".join(f'"{text}*1e-{k}" for {10**k / step:.4g} Hz' for k in (3, 2))
+        said = f"column {quoted(column)}: steps of {step:g} may be ms, hundredths of a second, or numbers of rows"
+        return Found(
+            "", fault=f'{said}; state the unit with --time: {rates}, or "{text}/100" for 100 rows per s'
+        )
     if role == "imu" and not dated and unit != "s" and step * COUNTED[unit] > SLOWEST_IMU:
         rates = ", ".join(f'"{_scaled(text, u)}" for {1 / (step * COUNTED[u]):.4g} Hz' for u in ("ms", "us"))
         said = f"column {quoted(column)}: steps of {step:g} have no likely unit"
@@ -325,7 +341,7 @@ def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role
     """Read numbers whose steps are too short for seconds as days of a spreadsheet or of MATLAB, or as day fractions."""
     low, high = float(numbers.min()), float(numbers.max())  # pyright: ignore[reportArgumentType]
     likely = SHORTEST_STEP < step * 86400 < 4 * LONGEST_STEP[role]
-    for begin, end, epoch, whose in ((2e4, 8e4, EXCEL_EPOCH, "1900"), (6.5e5, 8e5, MATLAB_EPOCH, "year 0")):
+    for begin, end, epoch, whose in _DAYS:
         if likely and begin < low and high < end:
             return Found(f"({text} - {epoch})*86400", f"{column} is read as days since {whose}")
     if likely and low > 1e-3 and high < 1:

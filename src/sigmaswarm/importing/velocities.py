@@ -15,8 +15,10 @@ UNITS = (("mm/s", 1e3, "*1e-3"), ("cm/s", 100.0, "*1e-2"), ("km/h", 3.6, "/3.6")
          ("mph", 2.23694, "*0.44704"), ("knots", 1.94384, "*0.514444444444"))  # fmt: skip
 """Units of speed: the name, the number per m/s, and the conversion in an expression."""
 ALIKE, CONSTANT = 1.5, 2.0
-"""Largest ratio of a stated speed to that of the positions without contradiction; largest ratio of the 90% to the 10%
-quantile of this ratio for a wrong unit, which gives a constant ratio."""
+"""Largest ratio of a stated speed to that of the positions; largest ratio of its 90% to its 10% quantile, since a unit
+gives a constant ratio."""
+SLOWEST = 0.2
+"""Lowest speed, m/s, at which positions are compared with a stated speed: robots are slow."""
 MOVED = 0.3
 """Smallest share of the rows in motion that the compared stretches must contain."""
 ACROSS = np.radians(40)
@@ -35,14 +37,15 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
     parts : the parts of the role, whose expressions the messages state
     """
     texts = {name: text for part in parts for name, text in part.columns.items() if name in _SPEED}
-    begin, end = _stretches(time, values["x"], values["y"])
+    slowest = MOVING if "speed" not in values and "vx" not in values else SLOWEST
+    begin, end = _stretches(time, values["x"], values["y"], slowest)
     speed, course = values.get("speed"), values.get("course")
     if speed is None and course is None and "vx" in values and "vy" in values:
         speed, course = np.hypot(values["vx"], values["vy"]), np.arctan2(values["vy"], values["vx"])
     if speed is not None and course is not None:
         course = np.where(speed < 0, course + np.pi, course)  # a vehicle in reverse
-    if speed is not None:  # slow wander of the positions is no motion, so the speed must also show motion
-        moves = np.concatenate([[0], np.cumsum(np.abs(speed) > MOVING)])
+    if speed is not None:  # slow wander of the positions is no motion: the speed must show motion as well
+        moves = np.concatenate([[0], np.cumsum(np.abs(speed) > SLOWEST)])
         both = moves[end + 1] - moves[begin] > 0.5 * (end + 1 - begin)
         enough = np.sum((end - begin)[both]) >= MOVED * moves[-1]
         begin, end = begin[both & enough], end[both & enough]
@@ -86,8 +89,10 @@ def _remedy(ratio: float, texts: dict[str, str], role: str) -> str:
     return f"; if it is in {unit[0]}, write --map {maps}"
 
 
-def _stretches(time: Array, x: Array, y: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first and last rows of stretches in which the position moves steadily.
+def _stretches(
+    time: Array, x: Array, y: Array, slowest: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first and the last rows of stretches in which the position certainly and steadily moves.
 
     A stretch is longer than ten times the noise between rows and has at least five positions. No single step makes up
     most of it: a jump of the fixes of a parked vehicle is no motion.
@@ -111,5 +116,5 @@ def _stretches(time: Array, x: Array, y: Array) -> tuple[NDArray[np.int64], NDAr
     end = begin + apart
     chord = np.hypot(x[end] - x[begin], y[end] - y[begin])
     largest = np.maximum.reduceat(step[: end[-1]], begin)
-    good = (chord > least) & (chord > MOVING * (time[end] - time[begin])) & (largest < 0.6 * chord)
+    good = (chord > least) & (chord > slowest * (time[end] - time[begin])) & (largest < 0.6 * chord)
     return rows[begin[good]], rows[end[good]]

@@ -144,34 +144,47 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
             lines = text_lines(file, dialect.skip, comment_prefix="#", encoding="utf8")
             frame = lines.select(cells.struct.rename_fields(columns).alias("cells")).unnest("cells")
         else:
-            frame = pl.scan_csv(
-                **one_file(file),
-                separator=dialect.separator,
-                has_header=False,
-                new_columns=columns,
-                skip_lines=dialect.skip,
-                decimal_comma=bool(dialect.comma_columns) and dialect.separator != ",",
-                encoding=cast("Any", dialect.encoding),
-                infer_schema_length=None,
-                comment_prefix="#",
-            )
+            frame = _separated(file, dialect, columns)
         there = frame.collect_schema()
-        if dialect.surplus and frame.select(pl.col(columns[-1]).is_not_null().any()).collect().item():
+        last = [
+            pl.col(c).cast(pl.String).str.strip_chars().ne("").any() for c in columns[len(dialect.names) :]
+        ]
+        if last and any(frame.select(pl.any_horizontal(last)).collect().row(0)):
             raise pl.exceptions.ComputeError("a row has more cells than the header")
     except pl.exceptions.NoDataError:
         return pl.LazyFrame(schema=dict.fromkeys(columns[: len(dialect.names)], pl.String))
     except (*BROKEN, OSError) as error:
-        if (uneven := uneven_row(file, dialect)) is None:
+        if (uneven := uneven_row(file, dialect)) is not None:
+            row, cells = uneven
+            raise InputError(
+                f"{shown_as}, row {row}: has {cells} cells, but the header has {len(dialect.names)}; delete the row, "
+                "or write a header with a name for each column"
+            ) from None
+        try:  # empty cells may follow in some rows
+            frame = _separated(file, dialect, None, truncate_ragged_lines=True)
+            frame = frame.rename(dict(zip(frame.collect_schema(), columns, strict=False)))
+            there = frame.collect_schema()
+        except BROKEN:
             raise broken_table(shown_as, shown_as.name, error) from None
-        row, cells = uneven
-        raise InputError(
-            f"{shown_as}, row {row}: has {cells} cells, but the header has {len(dialect.names)}; delete the row, or "
-            "write a header with a name for each column"
-        ) from None
     missing = [pl.lit(None, pl.Float64).alias(c) for c in columns if c not in there]
     commas = [columns[k] for k in dialect.comma_columns if there.get(columns[k]) == pl.String]
     dotted = [pl.col(c).str.strip_chars().str.replace(",", ".", literal=True) for c in commas]
     return frame.with_columns(*missing, *dotted).select(columns[: len(dialect.names)])
+
+
+def _separated(file: Path, dialect: Dialect, columns: Sequence[str] | None, **options: Any) -> pl.LazyFrame:
+    return pl.scan_csv(
+        **one_file(file),
+        separator=dialect.separator,
+        has_header=False,
+        new_columns=columns,
+        skip_lines=dialect.skip,
+        decimal_comma=bool(dialect.comma_columns) and dialect.separator != ",",
+        encoding=cast("Any", dialect.encoding),
+        infer_schema_length=None,
+        comment_prefix="#",
+        **options,
+    )
 
 
 def text_lines(file: Path, skip: int, encoding: str = "utf8-lossy", **options: Any) -> pl.LazyFrame:

@@ -11,6 +11,7 @@ from shlex import quote
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.names import read_name
+from sigmaswarm.importing.quantities import NO_VALUE
 from sigmaswarm.importing.source import first_bytes
 from sigmaswarm.importing.units import COUNTS, parse_unit
 from sigmaswarm.wording import names_shown
@@ -27,7 +28,7 @@ COMMENTS = "#%!"
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
 _DIGITS = re.compile(r"\d{8} ?\d{4,6}[\d.]{0,10}")
 """A date and a time of day without separators."""
-_EMPTY = ("", "nan", "null", "none", "na", "n/a", "-", "inf", "-inf")
+_EMPTY = (*NO_VALUE, "inf", "-inf")
 Rows = Sequence[Sequence[str]]
 _HEADER, _COVARIANCE = ("sec", "nanosec", "frame_id"), [f"_covariance[{k}]" for k in range(9)]
 _VECTORS = (("orientation", "xyzw"), ("angular_velocity", "xyz"), ("linear_acceleration", "xyz"))
@@ -51,7 +52,7 @@ class Dialect:
     names : names of the columns, with the unit of a units row in brackets
     skip : number of lines above the first row of values
     comma_columns : indices of the columns with decimal commas
-    surplus : True if each row ends in a separator, so that an empty column follows
+    surplus : number of empty cells at the end of each row, for which the header has no names
     remarks : sentences for the user
     """
 
@@ -60,7 +61,7 @@ class Dialect:
     skip: int
     encoding: str = "utf8"
     comma_columns: tuple[int, ...] = ()
-    surplus: bool = False
+    surplus: int = 0
     remarks: tuple[str, ...] = ()
 
 
@@ -81,8 +82,12 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     data = [cells[i] for i in rows if i >= first]
     above = [i for i in range(begin, first) if lines[i].strip()]
     width, most = Counter(map(len, data)).most_common(1)[0][0], max(map(len, data))
-    open_end = all(not row[-1].strip() for row in data if len(row) == width)
-    names, surplus = _header([lines[i] for i in above], separator, width, most, open_end)
+    filled = [
+        max((k for k, c in enumerate(row, 1) if c.strip()), default=0) for row in data if len(row) == width
+    ]
+    empty = width - max(filled)
+    names = _header([lines[i] for i in above], separator, width, most, empty)
+    surplus = width - len(names) if 0 < width - len(names) <= empty else 0
     remarks: list[str] = []
     if not names:
         last = lines[above[-1]] if above else "#"
@@ -230,39 +235,39 @@ def _is_data(cells: Sequence[str], numeric: Sequence[int]) -> bool:
     return bool(filled) and len(cells) > 0.5 * max(numeric) and values >= 0.5 * len(filled)
 
 
-def _header(
-    above: Sequence[str], separator: str, width: int, most: int, open_end: bool
-) -> tuple[list[str], bool]:
-    """Read the names from the lines above the rows; return them, and True if the rows end in a separator.
+def _header(above: Sequence[str], separator: str, width: int, most: int, empty: int) -> list[str]:
+    """Read the names from the lines above the rows: of the last lines, the one with the most known names.
 
-    ``width`` and ``most``: usual and largest number of cells of a row. ``open_end``: True if the last of ``width``
-    cells is always empty.
+    ``width`` and ``most``: usual and largest number of cells of a row; ``empty``: number of last cells that are always
+    empty.
     """
-    fitting = [_fitting(line, separator, width, most, open_end) for line in above]
-    place = next((k for k in range(len(above) - 1, max(len(above) - 4, -1), -1) if fitting[k]), None)
-    if place is None:
-        return [], False
-    titles, upper = fitting[place], fitting[place - 1] if place else []
-    if _are_units(titles, upper):
-        named = upper or [""] * len(titles)
-        titles = [_with_unit(n, u) for n, u in zip(named, titles, strict=False)] + upper[len(titles) :]
-        if not upper:
-            return titles, width == len(titles) + 1 and open_end
-    if len(titles) == width and open_end and not titles[-1].strip():
-        titles = titles[:-1]
+    fitting = [_fitting(line, separator, width, most, empty) for line in above]
+    places = [k for k in range(max(len(above) - 4, 0), len(above)) if fitting[k]]
+    if not places:
+        return []
+    place = max(places, key=lambda k: (_meanings(fitting[k]), k))
+    titles, units = fitting[place], [*fitting, []][place + 1]
+    if not _are_units(units, titles):
+        upper = fitting[place - 1] if place else []
+        titles, units = (upper, titles) if _are_units(titles, upper) else (titles, [])
+        titles = titles or [""] * len(units)
+    if units:
+        titles = [_with_unit(n, u) for n, u in zip(titles, units, strict=False)] + titles[len(units) :]
+    while empty and len(titles) == width and not titles[-1].strip():
+        titles, width, empty = titles[:-1], width - 1, empty - 1
     counted = titles[1:] if not titles[0] else titles
     if counted == [str(k) for k in range(len(counted))]:  # an index, as written by pandas
         titles = [f"c{k}" for k in range(1, len(titles) + 1)]
-    return titles, width == len(titles) + 1 and open_end
+    return titles
 
 
-def _fitting(line: str, separator: str, width: int, most: int, open_end: bool) -> list[str]:
-    """Split a line by the rows' separator, or by another, into one cell per column; else return []."""
+def _fitting(line: str, separator: str, width: int, most: int, empty: int) -> list[str]:
+    """Split a line by the rows' separator or another into one cell for each column; else return []."""
     for other in (separator, *(s for s in (*SEPARATORS, BLANKS) if s != separator)):
         cells = _titles(line, other)
         if len(cells) == width + 1 and not cells[-1].strip():
             cells = cells[:-1]
-        short = len(cells) == width - 1 and open_end
+        short = 0 < width - len(cells) <= empty
         if len(cells) > 1 and (len(cells) == width or short or (len(cells) >= most and other == separator)):
             return cells
     return []
@@ -284,8 +289,11 @@ def _are_units(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
     """Return True if the cells of a line are units, and at most as many are names as in the line above."""
     units = [parse_unit(c.strip("[]() ")) for c in cells if c.strip()]
     known = any(u is not None and (u.known or u.text.lower() in COUNTS) for u in units)
-    meanings = [sum(read_name(c).meaning is not None for c in row[:100]) for row in (cells, above)]
-    return known and meanings[0] <= meanings[1]
+    return known and _meanings(cells) <= _meanings(above)
+
+
+def _meanings(cells: Sequence[str]) -> int:
+    return sum(read_name(c).meaning is not None for c in cells[:100])
 
 
 def _with_unit(name: str, unit: str) -> str:
@@ -294,11 +302,11 @@ def _with_unit(name: str, unit: str) -> str:
 
 
 def uneven_row(file: Path, dialect: Dialect) -> tuple[int, int] | None:
-    """Return line number and number of cells of the first row with more cells than names, or None."""
-    most = len(dialect.names) + dialect.surplus
+    """Find the first row with more filled cells than names; return its line and number of cells, or None."""
+    most = len(dialect.names)
     with file.open(encoding="utf-8", errors="replace") as lines:
         for number, line in enumerate(lines, 1):
             cells = split(line.rstrip("\n"), dialect.separator) if line[:1] != "#" else []
-            if number > dialect.skip and len(cells) > most:
+            if number > dialect.skip and any(cell.strip() for cell in cells[most:]):
                 return number, len(cells)
     return None

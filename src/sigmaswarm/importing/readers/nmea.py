@@ -5,6 +5,7 @@ two antennas. Sentences with the same time of day make one fix. The day is from 
 """
 
 import math
+import re
 from collections.abc import Iterator
 from contextlib import ExitStack
 from datetime import UTC, date, datetime, time, timedelta
@@ -39,13 +40,15 @@ GUESS = Guess(
     ),
     fixed="quality == 4",
 )
-_SENTENCES = (b"GGA", b"RMC", b"GSA", b"GSV", b"GLL", b"VTG", b"GNS", b"TXT", b"ZDA")
+_SENTENCE = re.compile(rb"(?:^|[\d\s,;:])\$..(?:GGA|RMC|GSA|GSV|GLL|VTG|GNS|TXT|ZDA),")
+"""A sentence, perhaps after the time at which a computer received it."""
 
 
 def recognizes(path: Path) -> bool:
     lines = first_bytes(path, 1024).split(b"\n")
-    sentences = any(line[:1] == b"$" and line[3:6] in _SENTENCES for line in lines)
-    return sentences or path.suffix.lower() in (".nmea", ".nma")
+    begun = any(line[:1] == b"$" and _SENTENCE.match(line) for line in lines)
+    sentences = sum(_SENTENCE.search(line) is not None for line in lines)
+    return begun or sentences > 0.5 * len(lines) or path.suffix.lower() in (".nmea", ".nma")
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:

@@ -1,9 +1,9 @@
 """u-blox receivers' UBX streams, through pyubx2: NAV-PVT, or NAV-POSLLH with NAV-SOL and NAV-VELNED of u-blox 6.
 
-u-blox M8 Receiver description, UBX-13003221, 32.17.15 UBX-NAV-PVT: UTC, degrees, mm, mm/s; hAcc and sAcc are estimates
-of standard deviations. u-blox 6 Receiver description, GPS.G6-SW-10018, 35: POSLLH in mm, VELNED in cm/s, times as GPS
-week (SOL) and ms of week. NAV-RELPOSNED (F9 HPG interface description, UBX-21019746): heading from one antenna to the
-other. Other messages in the stream, such as NMEA, are skipped.
+u-blox M8 Receiver description, UBX-13003221, 32.17.15 UBX-NAV-PVT: UTC, degrees, mm, mm/s; hAcc and sAcc are the
+receiver's estimates of standard deviations. u-blox 6 Receiver description, GPS.G6-SW-10018, 35: POSLLH in mm, VELNED in
+cm/s, times as GPS week (SOL, TIMEGPS, or by TIMEUTC) and ms of week. NAV-RELPOSNED (F9 HPG interface description,
+UBX-21019746): heading from one antenna to the other. Other messages in the stream, such as NMEA, are skipped.
 """
 
 import calendar
@@ -24,6 +24,8 @@ from sigmaswarm.wording import names_shown
 SYNC = b"\xb5\x62"
 NAV_PVT, NAV_RELPOSNED = b"\x01\x07", b"\x01\x3c"
 NAV_POSLLH, NAV_SOL, NAV_STATUS, NAV_VELNED = b"\x01\x02", b"\x01\x06", b"\x01\x03", b"\x01\x12"
+NAV_TIMEGPS, NAV_TIMEUTC = b"\x01\x20", b"\x01\x21"
+OF_FIX = (NAV_POSLLH, NAV_SOL, NAV_STATUS, NAV_VELNED, NAV_TIMEGPS, NAV_TIMEUTC)
 COLUMNS = ("t", "lat", "lon", "height", "hAcc", "velE", "velN", "gSpeed", "fixType", "gnssFixOk", "carrSoln")
 HEADING = ("relPosHeading", "accHeading")
 COLUMNS_6 = ("t", "lat", "lon", "height", "hAcc", "velE", "velN", "gpsFix")
@@ -122,14 +124,14 @@ def _time(message: Any) -> float:
 
 
 def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """Yield one row per time of week, from all messages of this time; the week is that of the last NAV-SOL."""
+    """Yield one row per time of week, from all its messages; the week is the last that is stated."""
     week = broken = 0
     fix: dict[str, float] = {}
     for raw, done in _messages(path):
         if raw is None:
             broken += 1
             continue
-        if raw[2:4] not in (NAV_POSLLH, NAV_SOL, NAV_STATUS, NAV_VELNED) or len(raw) < 12:
+        if raw[2:4] not in OF_FIX or len(raw) < 12:
             continue
         try:
             message = pyubx2.UBXReader.parse(raw)
@@ -141,7 +143,7 @@ def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple
             if "lat" in fix:
                 yield _row_6(fix, week), done
             fix = {}
-        week = getattr(message, "week", week)
+        week = _week_of(message, tow * 1e-3) or week
         fix |= {"tow": tow} | {n: float(getattr(message, n)) for n in COLUMNS_6[1:] if hasattr(message, n)}
     if "lat" in fix:
         yield _row_6(fix, week), 1.0
@@ -149,9 +151,21 @@ def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple
         remarks.append(f"{path.name}: {broken} damaged messages skipped")
     if not week:
         remarks.append(
-            f"{path.name}: no NAV-SOL message contains the GPS week: times count from the start of the week; "
-            "--gps-offset changes the times"
+            f"{path.name}: no NAV-SOL or NAV-TIMEUTC message contains the GPS week: times count from the start of the "
+            "week; --gps-offset changes the times"
         )
+
+
+def _week_of(message: Any, tow: float) -> int:
+    """Return the GPS week that a message states, directly or by its date and time of day, or 0."""
+    if not getattr(message, "validUTC", 0):
+        return int(getattr(message, "week", 0))
+    try:
+        day = date(message.year, message.month, message.day)
+    except ValueError:
+        return 0
+    seconds = calendar.timegm((*day.timetuple()[:3], message.hour, message.min, message.sec))
+    return round((seconds - GPS_EPOCH - tow) / WEEK)
 
 
 def _row_6(fix: dict[str, float], week: int) -> tuple[float, ...]:

@@ -1,0 +1,223 @@
+"""Logs as people export them: read right, or refused with an option that reads them."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from importing.logs import imported
+from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
+from sigmaswarm.importing.recipe import Recipe
+
+N, HZ, EVERY = 800, 20, 4
+T = np.arange(N) / HZ
+ORIGIN = (48.0, 11.0, 500.0)
+EPOCH = 1_714_000_000
+Columns = dict[str, np.ndarray]
+
+
+def road(v: float = 8.0) -> tuple[Columns, Columns, Columns]:
+    """Columns of IMU and fixes, and the path in m."""
+    gz = 0.4 * np.sin(T / 3)
+    course = 0.5 + np.cumsum(gz) / HZ
+    east, north = (np.cumsum(v * f(course)) / HZ for f in (np.cos, np.sin))
+    imu = {"ax": 0.1 * np.sin(T), "ay": v * gz, "az": 9.81 + 0 * T, "gx": 0 * T, "gy": 0 * T, "gz": gz}
+    lat, lon, _ = enu_to_geodetic(np.column_stack([east, north, 0 * T]), ORIGIN)[::EVERY].T
+    return imu, {"lat": lat, "lon": lon}, {"x": east, "y": north}
+
+
+IMU, FIXES, PATH = road()
+
+
+def write(
+    folder: Path,
+    imu: Columns | None = None,
+    gps: Columns | None = None,
+    clock: Callable[[np.ndarray], object] = lambda t: t,
+    head: str = "t",
+    gps_clock: Callable[[np.ndarray], object] | None = None,
+) -> None:
+    pl.DataFrame({head: clock(T), **(imu or IMU)}).write_csv(folder / "imu.csv")
+    pl.DataFrame({head: (gps_clock or clock)(T[::EVERY]), **(gps or FIXES)}).write_csv(folder / "gps.csv")
+
+
+def require_right(folder: Path, fixes: int = N // EVERY, **options: object) -> None:
+    """The rates, and the times and places of IMU and fixes, are those that were written."""
+    drive = imported(folder, **options).drive
+    assert len(drive.imu) == N
+    np.testing.assert_allclose(drive.imu.time - drive.imu.time[0], T, atol=0.06)
+    np.testing.assert_allclose(drive.imu.gz, IMU["gz"], atol=1e-3)
+    assert len(drive.gps) == fixes
+    time = drive.gps.time - drive.imu.time[0]
+    for name in ("x", "y"):
+        off = getattr(drive.gps, name) - np.interp(time, T, PATH[name])
+        np.testing.assert_allclose(off - np.median(off), 0, atol=0.7)
+
+
+def options_in(said: str) -> list[list[str]]:
+    return [re.findall(r'"([^"]+)"', part) for part in said.split("--map ")[1:]]
+
+
+CLOCKS: dict[str, tuple[Callable[[np.ndarray], object], str]] = {
+    "mm:ss.0 of a spreadsheet": (lambda t: [f"{int(s) // 60:02d}:{s % 60:06.3f}" for s in t + 50], "t"),
+    "over the hour": (lambda t: [f"{int(s) // 60 % 60:02d}:{s % 60:06.3f}" for s in t + 3590], "t"),
+    "Julian date": (lambda t: 2460425.25 + np.round(t / 86400, 9), "time"),
+    "date": (lambda t: 45406.5 + np.round(t / 86400, 10), "Date"),
+    "a signed counter": (lambda t: (np.round((t - 20) * 1e6).astype(int) + 2**32) % 2**32 - 2**31, "micros"),
+    "a counter of 31 bits": (lambda t: np.round((t - 20) * 1e6).astype(int) % 2**31, "micros"),
+}
+
+
+@pytest.mark.parametrize("name", CLOCKS)
+def test_clocks(tmp_path: Path, name: str):
+    clock, head = CLOCKS[name]
+    write(tmp_path, clock=clock, head=head)
+    require_right(tmp_path)
+
+
+def test_the_unit_of_a_time_of_week_follows_from_its_size(tmp_path: Path):
+    imu, gps = ({"GpsWeek": np.full(n, 2311), **columns} for n, columns in ((N, IMU), (N // EVERY, FIXES)))
+    write(tmp_path, imu, gps, lambda t: np.round((t + 342418) * 1e9).astype(int), "GpsTow")
+    require_right(tmp_path)
+
+
+def test_small_steps_of_whole_numbers_are_no_ms(tmp_path: Path):
+    """Hundredths of a second at 50 Hz have steps of 2; numbers of rows have steps of 1."""
+    write(tmp_path, clock=lambda t: np.round(t * 20).astype(int))
+    with pytest.raises(InputError, match="steps of 1 may be ms, hundredths of a second, or numbers of rows"):
+        imported(tmp_path)
+    write(tmp_path, clock=lambda t: np.round(t * 60).astype(int))
+    with pytest.raises(InputError, match=r'"t\*1e-2" for 33.33 Hz'):
+        imported(tmp_path)
+
+
+APART: dict[str, tuple[Callable[[np.ndarray], object], Callable[[np.ndarray], object]]] = {
+    "zones": (lambda t: t + EPOCH + 7200, lambda t: t + EPOCH),
+    "midnight": (lambda t: t + EPOCH, lambda t: t + EPOCH % 86400),
+    "week": (lambda t: t + EPOCH, lambda t: t + (EPOCH - 315964800 + 18) % 604800),
+    "IMU with the week": (lambda t: t + (EPOCH - 315964800 + 18) % 604800, lambda t: t + EPOCH),
+}
+
+
+@pytest.mark.parametrize("name", APART)
+def test_offsets_between_clocks_are_proposed(tmp_path: Path, name: str):
+    """The fixes begin 3 s after the IMU, which the offset of two beginnings would hide."""
+    write(tmp_path, clock=APART[name][0], gps_clock=lambda t: APART[name][1](t + 3))
+    with pytest.raises(InputError, match="put both on one clock: --gps-offset") as caught:
+        imported(tmp_path)
+    offset = float(re.findall(r"--gps-offset (-?[\d.]+) if (?!both)", str(caught.value))[0])
+    drive = imported(tmp_path, recipe=Recipe(gps_offset_s=offset)).drive
+    assert drive.gps.time[0] - drive.imu.time[0] == pytest.approx(3.0, abs=1e-3)
+
+
+def spoiled(bad: object, good: object) -> tuple[list[object], Columns]:
+    """Flags, and fixes of which the flagged ones are 200 m off."""
+    wrong = np.arange(N // EVERY) % 10 == 3
+    return [bad if w else good for w in wrong], FIXES | {"lat": FIXES["lat"] + 2e-3 * wrong}
+
+
+@pytest.mark.parametrize(
+    ("name", "bad", "good"),
+    [("fix_type", 1, 3), ("status", "V", "A"), ("valid", "False", "True"), ("fix_status", -1, 0)],
+)
+def test_flags(tmp_path: Path, name: str, bad: object, good: object):
+    flags, fixes = spoiled(bad, good)
+    write(tmp_path, gps=fixes | {name: np.array(flags)})
+    require_right(tmp_path, N // EVERY * 9 // 10)
+
+
+@pytest.mark.parametrize("text", ["INVALID", "*****", "-1"])
+def test_placeholders_before_the_first_fix(tmp_path: Path, text: str):
+    cells = {n: np.array([text if k < 40 else f"{v:.9f}" for k, v in enumerate(c)]) for n, c in FIXES.items()}
+    write(tmp_path, gps=cells)
+    require_right(tmp_path, N // EVERY - 40)
+
+
+def rows() -> list[str]:
+    held = {n: np.repeat(c, EVERY) for n, c in FIXES.items()}
+    return [
+        ",".join(map(repr, row))
+        for row in zip(*(c.tolist() for c in (T, *IMU.values(), *held.values())), strict=True)
+    ]
+
+
+@pytest.mark.parametrize(
+    "tail", [lambda k: "," * (k % 2), lambda k: "," * (k > 500), lambda k: ",,", lambda k: ", "]
+)
+def test_empty_cells_at_the_end_of_rows(tmp_path: Path, tail: Callable[[int], str]):
+    lines = [f"{row}{tail(k)}" for k, row in enumerate(rows())]
+    (tmp_path / "log.csv").write_text("\n".join(["t,ax,ay,az,gx,gy,gz,lat,lon", *lines]) + "\n")
+    require_right(tmp_path / "log.csv")
+    lines[600] = rows()[600] + ",7"
+    (tmp_path / "log.csv").write_text("\n".join(["t,ax,ay,az,gx,gy,gz,lat,lon", *lines]) + "\n")
+    with pytest.raises(InputError, match="row 602: has 10 cells"):
+        imported(tmp_path / "log.csv")
+
+
+def test_a_row_of_sources_below_the_header(tmp_path: Path):
+    above = [
+        "t,x_acc,y_acc,z_acc,gx,gy,gz,lat,lon",
+        "s,m/s2,m/s2,m/s2,rad/s,rad/s,rad/s,deg,deg",
+        ",".join(["100: a"] * 9),
+    ]
+    (tmp_path / "log.csv").write_text("\n".join(["exported by x", *above, *rows()]) + "\n")
+    require_right(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize("axes", ["gyro_rad[0] gyro_rad[1] gyro_rad[2]", "AsX(rad/s) AsY(rad/s) AsZ(rad/s)",
+                                  "roll_rate_radps pitch_rate_radps yaw_rate_radps"])  # fmt: skip
+def test_names_of_rates(tmp_path: Path, axes: str):
+    rates = dict(zip(axes.split(), (IMU["gx"] + 0.5, IMU["gy"] + 0.25, IMU["gz"]), strict=True))
+    write(tmp_path, {n: IMU[n] for n in ("ax", "ay", "az")} | rates)
+    require_right(tmp_path)
+    got = imported(tmp_path).drive.imu
+    assert (got.gx[0], got.gy[0]) == pytest.approx((0.5, 0.25))
+
+
+def test_measured_positions_go_before_estimates(tmp_path: Path):
+    write(tmp_path)
+    (tmp_path / "gps.csv").rename(tmp_path / "raw_gps.csv")
+    pl.DataFrame({"t": T, "lat": 48 + 1e-5 * T, "lon": 11 + 0 * T}).write_csv(tmp_path / "gps_filtered.csv")
+    require_right(tmp_path)
+
+
+@pytest.mark.parametrize(("scale", "option"), [(1e3, 0), (1e2, 1)])
+def test_positions_in_mm_and_cm_are_refused(tmp_path: Path, scale: float, option: int):
+    write(tmp_path, gps={n: np.round(scale * p[::EVERY]) for n, p in PATH.items()})
+    with pytest.raises(InputError, match=r"the fixes move at .* x and y are not in m") as caught:
+        imported(tmp_path)
+    require_right(tmp_path, maps=options_in(str(caught.value))[option])
+
+
+def test_other_units_of_an_imu_get_the_scale_that_gravity_shows(tmp_path: Path):
+    write(tmp_path, {n: c / 0.3048 if n[0] == "a" else c for n, c in IMU.items()})
+    with pytest.raises(InputError, match="gravity appears as about 32") as caught:
+        imported(tmp_path)
+    (maps,) = options_in(str(caught.value))
+    np.testing.assert_allclose(imported(tmp_path, maps=maps).drive.imu.ay, IMU["ay"], rtol=0.03, atol=1e-9)
+
+
+def test_the_speed_of_a_slow_robot_is_compared_with_its_positions(tmp_path: Path):
+    imu, fixes, _ = road(0.9)
+    write(tmp_path, imu, fixes | {"speed": np.full(N // EVERY, 3.24)})
+    got = imported(tmp_path)
+    assert got.drive.gps.speed is None
+    assert any("if it is in km/h" in note for note in got.notes)
+    write(tmp_path, imu, fixes | {"speed": np.full(N // EVERY, 0.9)})
+    assert imported(tmp_path).drive.gps.speed is not None
+
+
+def test_the_proposed_origin_of_a_far_truth_fits_to_the_centimeter(tmp_path: Path):
+    """North at a place 5 km to the east differs by 0.9 mrad."""
+    write(tmp_path)
+    far = geodetic_to_enu(FIXES["lat"], FIXES["lon"], 0.0, (48.02, 11.07, 0.0))
+    pl.DataFrame({"t": T[::EVERY], "x": far[:, 0], "y": far[:, 1]}).write_csv(tmp_path / "truth.csv")
+    (origin,) = re.findall(r"--origin (\S+) fits", " ".join(imported(tmp_path).notes))
+    drive = imported(tmp_path, recipe=Recipe(origin=tuple(map(float, origin.split(","))))).drive
+    np.testing.assert_allclose(drive.gps.x, drive.truth.x, atol=0.02)
+    pl.DataFrame({"t": T, "x": PATH["x"] + 691e3, "y": PATH["y"] + 5325e3}).write_csv(tmp_path / "truth.csv")
+    assert any("as the coordinates of a map (UTM) are" in note for note in imported(tmp_path).notes)
