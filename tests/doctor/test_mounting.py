@@ -179,6 +179,13 @@ def test_an_imu_that_was_moved_within_a_log_is_reported_with_its_time(angle: flo
     assert moved(drive) is None
 
 
+@pytest.mark.parametrize("terrain", ["flat", "rolling"])
+def test_accelerations_without_gravity_show_no_moved_imu(terrain: str):
+    drive = drive_of("icm-20602", terrain)
+    assert drive.imu.az is not None
+    assert moved(replace(drive, imu=replace(drive.imu, az=drive.imu.az - 9.81))) is None
+
+
 def blind(drive: Drive) -> Drive:
     """The IMU of a drive with the fixes of a parked receiver: no course shows an axis."""
     noise = np.random.default_rng(1).standard_normal((2, len(drive.gps)))

@@ -19,6 +19,8 @@ MOVED, STANDS_OUT = math.radians(18.0), 4.0
 
 In fault-free drives with 20 s of hard maneuvers at one end, the change was up to 16 degrees.
 """
+SCATTER = 0.5
+"""Largest usual distance of a direction from the median, rad, that shows gravity: accelerations without it scatter."""
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 
 STANDS = 1.0  # m/s, speed below which a car may change between forward and reverse
@@ -83,6 +85,8 @@ def moved(drive: Drive) -> tuple[float, float] | None:
     before, after = (np.median(part, axis=0) for part in parts)
     angle = float(np.arccos(np.clip(before @ after / np.linalg.norm(before) / np.linalg.norm(after), -1, 1)))
     off = np.concatenate([np.linalg.norm(p - m, axis=1) for p, m in zip(parts, (before, after), strict=True)])
+    if float(np.median(off)) > SCATTER:
+        return None
     noise = float(np.median(off)) / math.sqrt(min(len(part) for part in parts))
     at = float(edges[:-1][counts > 0][cut])
     return (at, angle) if angle > max(MOVED, STANDS_OUT * noise) else None
