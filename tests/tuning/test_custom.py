@@ -79,6 +79,11 @@ def test_the_cost_is_that_of_the_parameters():
 
     tuning = tune(LOGS, objective="innovation-nll", **SMALL)
     assert tuning.cost == np.mean([e.nll.mean() for e in estimates(tuning)])
+    assert (
+        f"on 2 logs\nfilter: pendulum (ukf), 2 trial(s)\nparameters: alpha {tuning.parameters['alpha']:.3g}, "
+        in repr(tuning)
+    )
+    assert f"length {tuning.parameters['length']:.3g} m, q_rate " in repr(tuning)
     tuning = tune(LOGS, **SMALL)
     wrong = [e.mean - np.column_stack([log.truth["angle"], log.truth["rate"]])
              for e, log in zip(estimates(tuning), LOGS, strict=True)]  # fmt: skip
@@ -228,7 +233,26 @@ def test_what_can_not_be_tuned_is_refused(tmp_path: Path):
             lambda: tune(blind, out=out, objective="truth-rmse", **SMALL),
             "log a: has no truth for truth-rmse; add it, or tune with innovation",
         ),
-        (lambda: tune(LOGS, out=out, use=("gate",), **SMALL), "use = ('gate',)"),
+        (
+            lambda: tune(LOGS, out=out, use=("gate",), **SMALL),
+            "use = ('gate',): is an option of built-in models; add the sensor to h",
+        ),
+        (
+            lambda: tune(LOGS, out=out, outage_seed=1, **SMALL),
+            "outage_seed = 1: is an option of built-in models; leave",
+        ),
+        (
+            lambda: tune(LOGS, out=out, start="t.toml", **SMALL),
+            "start: is an option of built-in models; narrow the b",
+        ),
+        (
+            lambda: tune(LOGS, out=out, paper=True, **SMALL),
+            "paper = True: is an option of built-in models; leave paper",
+        ),
+        (
+            lambda: tune(LOGS, out=out, n_trials=2, **SMALL),
+            "n_trials = 2: no such option; did you mean trials?",
+        ),
         (lambda: tune(LOGS, out=out, **(SMALL | {"particles": 1})), "particles = 1"),
     ):
         assert expected in refusal(call)

@@ -149,6 +149,15 @@ class ModelTuneConfig(SearchConfig):
     """Result of `Model.identity`."""
 
 
+INSTEAD = {
+    "use": "add the sensor to h, measurement_noise and the logs",
+    "kind": "give kind to Model",
+    "prior": "narrow the bounds of the parameters of measurement_noise",
+    "start": "narrow the bounds of the parameters",
+}
+"""Remedies for options of built-in models that are given for a custom one; for the others, to leave them out."""
+
+
 PAPER: dict[str, Any] = {
     **{
         name: TuneConfig.model_fields[name].default
@@ -191,6 +200,9 @@ def current_options(
     for name, value in options.items():
         if name in RENAMED and RENAMED[name] in known:
             warn_deprecated(f"the option {name}", RENAMED[name])
+        elif config is ModelTuneConfig and name not in known and name in TuneConfig.model_fields:
+            remedy = INSTEAD.get(name, f"leave {name} out")
+            raise InputError(f"{name} = {value!r}: is an option of built-in models; {remedy}")
         elif name not in known:
             nearest = suggested(name, [*known, *arguments])
             hint = f"did you mean {nearest}?" if nearest else f"choose from {', '.join(known)}"

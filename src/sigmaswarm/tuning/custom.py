@@ -55,7 +55,8 @@ class ModelProblem(Problem[dict[str, float]]):
         return each.reshape(len(points), len(drives))
 
     def rise(self, costs: Array | float, best: float) -> Array:
-        elements = self.logs[0].measurements.shape[1]
+        present = (~np.isnan(steps.measurements) for steps in self.runner.steps)
+        elements = float(np.mean([each.sum(axis=1).mean() for each in present]))
         return objective_named(self.config.objective).rise(costs, best, elements)
 
     def on(self, data: Sequence[Log]) -> "ModelProblem":

@@ -55,10 +55,10 @@ class Objective:
         costs = self.per_drive(scores)
         return np.where(scores.failed | ~np.isfinite(costs), np.inf, costs)
 
-    def rise(self, costs: Array | float, best: float, elements: int = 2) -> Array:
+    def rise(self, costs: Array | float, best: float, elements: float = 2) -> Array:
         """Return the relative increase of costs; 0.01 means that errors are 1% larger.
 
-        ``elements`` is the number of elements of a measurement.
+        ``elements`` is the mean number of elements of a measurement.
         """
         costs = np.asarray(costs)
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):

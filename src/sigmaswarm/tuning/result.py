@@ -206,17 +206,28 @@ class Tuning(Generic[P]):
             else meaning
         )
 
+    @property
+    def _noun(self) -> str:
+        return "log" if isinstance(self.config, ModelTuneConfig) else "drive"
+
     def _headline(self) -> str:
-        on = counted(len(self.data), "drive")
+        on = counted(len(self.data), self._noun)
         return f"Tuned for {self.config.objective}: cost {notebook.number(self.cost)} on {on}"
 
     def __repr__(self) -> str:
-        c, filtered = self.config, "a model of your own"
+        c, filtered, parameters = self.config, "a model of your own", list[str]()
         if isinstance(c, TuneConfig):
             filtered = f"{c.model} ({c.kind}) with {', '.join(c.use) or 'position fixes alone'}"
-        lines = [self._headline(), f"filter: {filtered}, {len(self.trial_costs)} trial(s)"]
+        elif isinstance(c, ModelTuneConfig):
+            units = self._filter()["units"]
+            values = (
+                f"{key} {notebook.number(x)} {units.get(key, '')}" for key, x in self.parameters.items()
+            )
+            filtered = f"{c.model['name']} ({c.model['kind']})"
+            parameters = ["parameters: " + ", ".join(value.strip() for value in values)]
+        lines = [self._headline(), f"filter: {filtered}, {len(self.trial_costs)} trial(s)", *parameters]
         if v := self.validation:
-            on = counted(len(v.drives), "validation drive")
+            on = counted(len(v.drives), f"validation {self._noun}")
             lines.append(f"cost {notebook.number(v.cost)} on {on}, errors {v.gap:+.1%}")
         lines += said_of_forecasts(self.forecasts, [one["duration_s"] for one in self.data])
         remarks = self.remarks

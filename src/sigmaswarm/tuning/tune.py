@@ -22,6 +22,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import filter_for
 from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.config import (
+    INSTEAD,
     ModelTuneConfig,
     SearchConfig,
     TuneConfig,
@@ -129,6 +130,8 @@ def tune(
     resume, paper, start = (options.pop(name, None) for name in ("resume", "paper", "start"))
     kind = ModelTuneConfig if isinstance(options.get("model"), Model) else TuneConfig
     options = current_options(kind, options, ARGUMENTS)
+    if paper and kind is ModelTuneConfig:
+        raise InputError("paper = True: is an option of built-in models; leave paper out")
     options = paper_options(options) if paper else options
     problem, held_back, first = _problem_of(drives, validation, options, start, (executor, cluster))
     with ExitStack() as stack:
@@ -167,7 +170,7 @@ def _problem_of(
         if cluster is not None:
             raise InputError("cluster: a model of your own runs on this machine only; leave cluster out")
         if start is not None:
-            raise InputError("start: is available for built-in models only; leave start out")
+            raise InputError(f"start: is an option of built-in models; {INSTEAD['start']}")
         data, others = listed(drives), listed(validation)
         stray = [type(thing).__name__ for thing in (*data, *others) if not isinstance(thing, Log)]
         if stray:

@@ -26,7 +26,8 @@ class Log:
     measurement_time : ndarray, shape (f,)
         s, strictly increasing; the times need not be among ``time``.
     measurements : ndarray, shape (f, m)
-        (f,) stands for (f, 1).
+        (f,) stands for (f, 1). NaN: this element has no value at this time, and the update uses the others. See
+        `from_sensors`.
     mean, covariance : ndarray, shapes (n,), (n, n)
         State estimate at ``time[0]``, where the filter starts. It must not be computed from truth.
     inputs : ndarray, shape (k, u), optional
@@ -52,73 +53,93 @@ class Log:
     truth: Mapping[str, Array] = field(default_factory=dict[str, Array])
     truth_time: Array | None = None
 
+    @classmethod
+    def from_sensors(
+        cls,
+        name: str,
+        time: ArrayLike,
+        sensors: Mapping[str, tuple[ArrayLike, ArrayLike]],
+        mean: ArrayLike,
+        covariance: ArrayLike,
+        *,
+        inputs: ArrayLike | None = None,
+        truth: Mapping[str, ArrayLike] | None = None,
+        truth_time: ArrayLike | None = None,
+    ) -> "Log":
+        """Merge sensors, each with its own times, into the measurements of one log.
+
+        Parameters
+        ----------
+        sensors : mapping of str to (times, values)
+            Shapes (f,), strictly increasing, s, and (f, m) or (f,). A measurement has the elements of all sensors in
+            this order, as ``h`` returns them. Rows that are all NaN are left out.
+        name, time, mean, covariance, inputs, truth, truth_time
+            See `Log`.
+
+        Raises
+        ------
+        InputError
+            If a shape or a value cannot be used, or a sensor has no value within ``time``.
+        """
+        clock, columns = _clock(name, "time", time), list[tuple[Array, Array]]()
+        if not sensors:
+            raise _wrong(name, "sensors is empty; pass at least one")
+        for sensor, pair in sensors.items():
+            role = f"sensors[{sensor!r}]"
+            try:
+                times, values = pair
+            except (TypeError, ValueError):
+                raise _wrong(name, f"{role} is not a pair; pass (times, values)") from None
+            moments = _clock(name, f"times of {role}", times)
+            table = _table(name, f"values of {role}", values, f"times of {role}", len(moments), absent=True)
+            kept = ~np.isnan(table).all(axis=1)
+            _check_overlap(name, role, moments[kept], clock)
+            columns.append((moments[kept], table[kept]))
+        merged = np.unique(np.concatenate([moments for moments, _ in columns]))
+        measurements = np.full((len(merged), sum(table.shape[1] for _, table in columns)), np.nan)
+        first = 0
+        for moments, table in columns:
+            last = first + table.shape[1]
+            measurements[np.searchsorted(merged, moments), first:last] = table
+            first = last
+        others: Any = {"inputs": inputs, "truth": truth or {}, "truth_time": truth_time}
+        return cls(name, clock, merged, measurements, np.asarray(mean), np.asarray(covariance), **others)
+
     def __post_init__(self) -> None:
-        time = self._keep("time", self._clock("time", self.time))
-        fixes = self._keep("measurement_time", self._clock("measurement_time", self.measurement_time))
-        self._keep("measurements", self._table("measurements", self.measurements, len(fixes)))
+        time = self._keep("time", _clock(self.name, "time", self.time))
+        fixes = self._keep("measurement_time", _clock(self.name, "measurement_time", self.measurement_time))
+        given = (self.measurements, "measurement_time", len(fixes))
+        measurements = self._keep("measurements", _table(self.name, "measurements", *given, absent=True))
         inputs = np.empty((len(time), 0)) if self.inputs is None else self.inputs
-        self._keep("inputs", self._table("inputs", inputs, len(time)))
-        mean = self._keep("mean", self._finite("mean", self.mean))
-        self._keep("covariance", self._finite("covariance", self.covariance))
+        self._keep("inputs", _table(self.name, "inputs", inputs, "time", len(time)))
+        mean = self._keep("mean", _finite(self.name, "mean", self.mean))
+        self._keep("covariance", _finite(self.name, "covariance", self.covariance))
         self._check_start(mean)
-        given = self.truth_time is not None
-        moments = self._clock("truth_time", self.truth_time) if given else time
+        clock = "time" if self.truth_time is None else "truth_time"
+        moments = time if self.truth_time is None else _clock(self.name, clock, self.truth_time)
         self._keep("truth_time", moments)
-        truth = {name: self._finite(f"truth[{name!r}]", column) for name, column in self.truth.items()}
-        for name, column in truth.items():
+        truth = {key: _finite(self.name, f"truth[{key!r}]", column) for key, column in self.truth.items()}
+        for key, column in truth.items():
             if column.shape != moments.shape:
-                clock = "truth_time" if given else "time"
                 raise self.wrong(
-                    f"truth[{name!r}] has shape {column.shape}, but {clock} has {len(moments)} values; "
+                    f"truth[{key!r}] has shape {column.shape}, but {clock} has {len(moments)} values; "
                     "pass one for each"
                 )
         object.__setattr__(self, "truth", truth)
-        if not np.any((fixes >= time[0]) & (fixes <= time[-1])):
-            raise self.wrong(
-                f"no measurement lies within time = {time[0]:g} to {time[-1]:g} s; convert both to one clock"
-            )
+        seen = ~np.isnan(measurements)
+        if not seen.any(axis=1).all():
+            row = int(np.argmin(seen.any(axis=1)))
+            raise self.wrong(f"measurements[{row}] has no value, only nan; leave the row out")
+        for i in range(measurements.shape[1]):
+            _check_overlap(self.name, f"measurements[:, {i}]", fixes[seen[:, i]], time)
 
     def wrong(self, what: str) -> InputError:
-        return InputError(f"log {self.name}: {what}")
+        return _wrong(self.name, what)
 
     def _keep(self, name: str, column: Array) -> Array:
         column.setflags(write=False)
         object.__setattr__(self, name, column)
         return column
-
-    def _finite(self, name: str, values: ArrayLike | None) -> Array:
-        try:
-            column = np.array(values, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise self.wrong(f"{name} is not an array of numbers; convert it to floats") from None
-        bad = np.argwhere(~np.isfinite(column))
-        if len(bad):
-            place = ", ".join(str(i) for i in bad[0])
-            value = column[tuple(bad[0])]
-            raise self.wrong(f"{name}[{place}] is {value:g}; correct the value, or leave the row out")
-        return column
-
-    def _clock(self, name: str, values: ArrayLike | None) -> Array:
-        time = self._finite(name, values)
-        if time.ndim != 1 or not len(time):
-            raise self.wrong(f"{name} has shape {time.shape}; pass one time, in s, for each row")
-        late = np.flatnonzero(np.diff(time) <= 0)
-        if len(late):
-            i = int(late[0]) + 1
-            raise self.wrong(
-                f"{name}[{i}] = {time[i]:g} s does not come after {time[i - 1]:g} s; sort the rows"
-            )
-        return time
-
-    def _table(self, name: str, values: Any, length: int) -> Array:
-        table = self._finite(name, values)
-        table = table[:, np.newaxis] if table.ndim == 1 else table
-        if table.ndim != 2 or len(table) != length:
-            clock = {"inputs": "time"}.get(name, "measurement_time")
-            raise self.wrong(
-                f"{name} has shape {np.shape(values)}, but {clock} has {length} values; pass one row for each"
-            )
-        return table
 
     def _check_start(self, mean: Array) -> None:
         if mean.ndim != 1:
@@ -140,6 +161,58 @@ class Log:
             )
 
 
+def _wrong(log: str, what: str) -> InputError:
+    return InputError(f"log {log}: {what}")
+
+
+def _finite(log: str, name: str, values: ArrayLike | None, *, absent: bool = False) -> Array:
+    """Return a copy as finite numbers; with ``absent`` also NaN."""
+    try:
+        column = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise _wrong(log, f"{name} is not an array of numbers; convert it to floats") from None
+    bad = np.argwhere(np.isinf(column) if absent else ~np.isfinite(column))
+    if len(bad):
+        place = ", ".join(str(i) for i in bad[0])
+        value = column[tuple(bad[0])]
+        raise _wrong(log, f"{name}[{place}] is {value:g}; correct the value, or leave the row out")
+    return column
+
+
+def _clock(log: str, name: str, values: ArrayLike | None) -> Array:
+    time = _finite(log, name, values)
+    if time.ndim != 1 or not len(time):
+        raise _wrong(log, f"{name} has shape {time.shape}; pass one time, in s, for each row")
+    late = np.flatnonzero(np.diff(time) <= 0)
+    if len(late):
+        i = int(late[0]) + 1
+        raise _wrong(log, f"{name}[{i}] = {time[i]:g} s does not come after {time[i - 1]:g} s; sort the rows")
+    return time
+
+
+def _table(log: str, name: str, values: ArrayLike, clock: str, length: int, *, absent: bool = False) -> Array:
+    table = _finite(log, name, values, absent=absent)
+    table = table[:, np.newaxis] if table.ndim == 1 else table
+    if table.ndim != 2 or len(table) != length:
+        raise _wrong(
+            log,
+            f"{name} has shape {np.shape(values)}, but {clock} has {length} values; pass one row for each",
+        )
+    return table
+
+
+def _check_overlap(log: str, name: str, moments: Array, time: Array) -> None:
+    """Raise `InputError` if a sensor has no value within the log's time."""
+    if not len(moments):
+        raise _wrong(
+            log, f"{name} has no value, only nan; leave it out, and its element of h and measurement_noise"
+        )
+    if not np.any((moments >= time[0]) & (moments <= time[-1])):
+        raise _wrong(
+            log, f"{name} has no value within time = {time[0]:g} to {time[-1]:g} s; convert both to one clock"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Steps:
     """Steps of a filter over a log. The first step has length zero, for a measurement at the first time."""
@@ -149,7 +222,7 @@ class Steps:
     updates: NDArray[np.int64]  # (k,), row of ``measurements`` for the update at the step's end, or -1
     records: NDArray[np.int64]  # (k,), row of the log's ``time`` at which the step ends, or -1
     inputs: Array  # (i, u)
-    measurements: Array  # (f, m), those within the log's time
+    measurements: Array  # (f, m), those within the log's time; NaN: no value
     measurement_time: Array  # (f,), s
     mean: Array  # (n,), at the start
     covariance: Array  # (n, n), at the start

@@ -37,7 +37,7 @@ class ModelEstimate:
         Times of the measurements within ``time``, s.
     nis, nll : ndarray, shape (f,)
         Normalized innovation squared and negative log-likelihood of each measurement, before its update. The mean NIS
-        of a consistent filter is m, the number of elements of a measurement.
+        of a consistent filter is the mean number of elements of a measurement, without those that are NaN.
     failure : str or None
         The failure and its time; None without a failure.
     """
@@ -149,7 +149,8 @@ class Runner:
             check(model, log)
         self.model = model
         self.steps = [build_steps(log) for log in logs]
-        self.kernel = kernel_of(model, self.steps[0])
+        absent = any(np.isnan(steps.measurements).any() for steps in self.steps)
+        self.kernel = kernel_of(model, self.steps[0], absent=absent)
 
     def run(self, i: int, parameters: Mapping[str, float], *, covariances: bool = False) -> Filtered:
         return _run(self.model, self.kernel, self.steps[i], parameters, covariances=covariances)
@@ -204,19 +205,23 @@ def _nothing(steps: Steps, *, covariances: bool, failed: int = -1) -> Filtered:
     return Filtered(**vars(trajectory), nis=each[0], nll=each[1])
 
 
-_KERNELS: "WeakKeyDictionary[Model, Any]" = WeakKeyDictionary()
+_KERNELS: "WeakKeyDictionary[Model, dict[bool, Any]]" = WeakKeyDictionary()
 _BUILT: "WeakValueDictionary[str, Any]" = WeakValueDictionary()
 """Kernels of these models by their functions: a model with other bounds or another R needs no compilation."""
 
 
-def kernel_of(model: Model, steps: Steps) -> Any:
-    """Return the model's filter, compiled at its first use; None if it cannot be compiled."""
-    if model not in _KERNELS:
-        _KERNELS[model] = _compiled(model, steps) if model.kind == "ukf" else None
-    return _KERNELS[model]
+def kernel_of(model: Model, steps: Steps, *, absent: bool = False) -> Any:
+    """Return the model's filter, compiled at its first use; None if it cannot be compiled.
+
+    ``absent``: elements of measurements may be NaN.
+    """
+    kernels = _KERNELS.setdefault(model, {})
+    if absent not in kernels:
+        kernels[absent] = _compiled(model, steps, absent=absent) if model.kind == "ukf" else None
+    return kernels[absent]
 
 
-def _compiled(model: Model, steps: Steps) -> Any:
+def _compiled(model: Model, steps: Steps, *, absent: bool) -> Any:
     """Compile the filter, and compare it with the textbook filter; None, with a warning, on failure or a difference."""
     few = replace(
         steps, **{name: getattr(steps, name)[:TRIED] for name in ("dt", "source", "updates", "records")}
@@ -224,11 +229,11 @@ def _compiled(model: Model, steps: Steps) -> Any:
     trial = trial_parameters(model)
     diagonal = np.ndim(model.process_noise(1.0, model.values(trial))) == 1
     functions = model.f, model.h, model.process_noise
-    key = fingerprint(*functions, diagonal)
+    key = fingerprint(*functions, diagonal, absent)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Numba's, on slow constructs in a user's function
-            kernel = _BUILT.get(key) or build_kernel(*functions, diagonal=diagonal)
+            kernel = _BUILT.get(key) or build_kernel(*functions, diagonal=diagonal, absent=absent)
             compiled = _run(model, kernel, few, trial, covariances=True)
     except (NumbaError, TypeError, NotImplementedError) as error:  # Numba also raises other errors
         why = _reason(error)
@@ -238,7 +243,7 @@ def _compiled(model: Model, steps: Steps) -> Any:
             _BUILT[key] = kernel
             return kernel
         if _BUILT.pop(key, None):  # a value that the functions read from a module has changed
-            return _compiled(model, steps)
+            return _compiled(model, steps, absent=absent)
         why = "the compiled functions return other numbers"
     warnings.warn(
         f"model {model.name}: its functions can't be compiled ({why}); the textbook filter runs them, which is "

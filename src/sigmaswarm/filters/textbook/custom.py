@@ -33,6 +33,8 @@ class TextbookModel:
             kalman.predict(dt, steps.inputs[steps.source[i]], q)
         if row >= 0:
             innovation = kalman.measure(steps.measurements[row], self.noise)
+            if (absent := np.isnan(steps.measurements[row])).any():
+                innovation = innovation.of(np.flatnonzero(~absent))
             self.nis[row], self.nll[row] = innovation.nis, negative_log_likelihood(innovation)
             kalman.correct(innovation)
 

@@ -42,6 +42,13 @@ class Innovation:
         """Normalized innovation squared, nu^T S^-1 nu."""
         return float(self.nu @ np.linalg.solve(self.variance, self.nu))
 
+    def of(self, elements: NDArray[np.int64]) -> "Innovation":
+        """Return the innovation of some elements of the measurement: their rows and columns."""
+        square = np.ix_(elements, elements)
+        return Innovation(
+            self.nu[elements], self.variance[square], self.cross[:, elements], self.noise[square]
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
