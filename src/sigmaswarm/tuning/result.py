@@ -219,7 +219,7 @@ class Tuning(Generic[P]):
         if isinstance(c, TuneConfig):
             filtered = f"{c.model} ({c.kind}) with {', '.join(c.use) or 'position fixes alone'}"
         elif isinstance(c, ModelTuneConfig):
-            units = self._filter()["units"]
+            units = {t["name"]: t["unit"] for t in c.model["parameters"]}
             values = (
                 f"{key} {notebook.number(x)} {units.get(key, '')}" for key, x in self.parameters.items()
             )

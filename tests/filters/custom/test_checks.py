@@ -41,7 +41,7 @@ def with_value(column, at, value):
         ({"measurement_time": LOG.measurement_time[1:]}, "measurements has shape (20, 1), but measurement_time has 19"),
         ({"measurement_time": with_value(LOG.measurement_time, 3, np.inf)}, "measurement_time[3] is inf"),
         ({"measurements": with_value(LOG.measurements, (7, 0), np.nan)}, "measurements[7] has no value, only nan"),
-        ({"measurements": with_value(LOG.measurements, (7, 0), np.inf)}, "measurements[7, 0] is inf; correct the value"),
+        ({"measurements": with_value(LOG.measurements, (7, 0), np.inf)}, "measurements[7, 0] is inf; correct"),
         ({"measurements": np.full((F, 2), [1.0, np.nan])}, "measurements[:, 1] has no value, only nan; leave it out"),
         ({"measurements": np.zeros((F, 1, 1))}, "measurements has shape (20, 1, 1)"),
         ({"measurements": ["a"] * F}, "measurements is not an array of numbers"),
