@@ -319,7 +319,7 @@ def test_constants_and_start_stand_in_their_rows():
     [
         ({"velocity_noise": 0.1}, "robot-localization has no velocity_noise; leave it out"),
         ({"robust_dof": 4.0, "gate": None}, "robot-localization has no robust_dof; leave it out"),
-        ({"latency": 0.1}, "set smooth_lagged_data where fixes are late"),
+        ({"latency": 0.1}, "set smooth_lagged_data if fixes are late"),
     ],
 )
 def test_what_it_does_not_have_is_refused(change: dict[str, Any], said: str):

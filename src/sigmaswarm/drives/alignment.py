@@ -185,7 +185,7 @@ class Alignments:
             return NoStart(
                 f"the vehicle never travels {travel} within {time}, and never far enough compared with the "
                 f"fixes' noise within {SLOW_DURATIONS[-1]:g} s, so the heading can't be found",
-                f"use a longer drive, or a faster one ({3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for "
+                f"use a longer or a faster drive ({3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for "
                 f"{time}), or write the heading at the first IMU sample to drive.toml, for example heading_deg "
                 "= 90 (degrees counter-clockwise from east)",
             )

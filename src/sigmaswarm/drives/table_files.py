@@ -163,7 +163,7 @@ class TableFile:
                 raise empty if self.path.suffix == PARQUET else _shape_fault(self.path, empty)
             remedy = "write a number with a decimal point, or delete the row"
             if not self.path.suffix:
-                remedy = f"drop such rows, as with dropna(subset=['{column}'])"
+                remedy = f"drop such rows, for example with dropna(subset=['{column}'])"
             raise self._fault(i, column, "is not a finite number", remedy)
         low, high, remedy = RANGES.get(column, (-np.inf, np.inf, ""))
         within = values.is_between(low, high)

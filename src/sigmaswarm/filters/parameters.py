@@ -173,7 +173,7 @@ class FilterParameters:
                 f"fix_error can't be combined with {self.model} as {self.kind}; use ekf, or leave fix_error out"
             )
         if known is not None and self.latency:
-            raise ValueError(f"{self.model} has no latency; set smooth_lagged_data where fixes are late")
+            raise ValueError(f"{self.model} has no latency; set smooth_lagged_data if fixes are late")
 
     @property
     def n_states(self) -> int:

@@ -236,7 +236,7 @@ class _Compiler:
             return pl.lit(float(value))
         except OverflowError:
             raise InputError(
-                f"{quoted(self.text)} has a number beyond 1.8e308; write a smaller one"
+                f"{quoted(self.text)} has a number above 1.8e308; write a smaller number"
             ) from None
 
     def _column(self, name: str) -> pl.Expr:

@@ -90,6 +90,6 @@ def _placed(values: Values, time: Array, drive: Drive, path: Path, say: Say) -> 
     if "lat" in values and drive.origin is None:
         raise InputError(
             f"{path}: positions are in degrees, and {drive.name} has no origin; write "
-            "origin = [lat, lon, alt] into its drive.toml"
+            "origin = [lat, lon, alt] to its drive.toml"
         )
     return Gps(time, **placed_fixes(values, drive.origin, say)[0])

@@ -93,8 +93,8 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
         last = lines[above[-1]] if above else "#"
         if last.lstrip()[:1] not in COMMENTS and len(found := _titles(last, separator)) > 1:
             raise InputError(
-                f"{shown_as}, row {first + 1}: has {width} cells, but the header has {len(found)}; give the header "
-                f"{width} names"
+                f"{shown_as}, row {first + 1}: has {width} cells, but the header has {len(found)}; write a "
+                f"header with {width} names"
             )
         _require_one_kind(data, shown_as)
         if names := _of_message(data[0]):
