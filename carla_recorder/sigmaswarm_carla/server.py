@@ -48,7 +48,7 @@ def connect(carla: Any, options: Options) -> Any:
     place = f"{options.host}:{options.port}"
     if not reachable(options.host, options.port, options.timeout):
         raise RecorderError(
-            f"no CARLA server at {place}; start one (./CarlaUE4.sh -RenderOffScreen), or give --host and --port"
+            f"no CARLA server at {place}; start one (./CarlaUE4.sh -RenderOffScreen), or specify --host and --port"
         )
     client = carla.Client(options.host, options.port)
     client.set_timeout(options.timeout)
@@ -57,7 +57,7 @@ def connect(carla: Any, options: Options) -> Any:
     except RuntimeError as error:
         raise RecorderError(
             f"the program at {place} does not answer like a CARLA server ({one_line(error)}); "
-            "give the --port of the server, or increase --timeout"
+            "specify the --port of the server, or increase --timeout"
         ) from None
     mine = client.get_client_version()
     if number_of(mine) != number_of(server):
