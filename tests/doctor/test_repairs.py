@@ -12,10 +12,12 @@ import sigmaswarm
 from doctor.faults import FAULTS, MORE, codes_of
 from sigmaswarm import Diagnosis, Drive, Finding
 from sigmaswarm.doctor.findings import Repair
-from sigmaswarm.doctor.mounting import turned
+from sigmaswarm.doctor.mounting import angle_of, turned
 from sigmaswarm.doctor.repairs import repair as repaired
+from sigmaswarm.geodesy import rotation_of
 from sigmaswarm.importing.mounting import parse_mount
-from support import DRIVES, needs_shared, quickly
+from sigmaswarm.scoring import verified_repair
+from support import DRIVES, SHARED, needs_shared, quickly
 
 MENDABLE = [fault for fault in [*FAULTS, *MORE] if fault != "gaps"]
 EXACT = {"yaw-flipped", "deg/s", "g", "axes-swapped", "force reversed", "right and down"}
@@ -268,3 +270,30 @@ def test_the_remedy_of_a_turned_drive_is_the_mounting_of_its_log():
     assert np.degrees(Rotation.from_matrix(again @ total.T).magnitude()) < 3
     for rotation in (again, parse_mount(",".join(map(str, mended.mounting)))):
         np.testing.assert_allclose(turned(raw.imu, rotation).ax, mended.imu.ax, atol=0.05)
+
+
+@pytest.mark.parametrize(("after", "withheld"), [((2.1, 4.9, 0.9, 2.0), False), ((3.1, 4.9, 2.3, 4.9), True)])
+def test_a_rotation_is_withheld_by_the_mean_of_all_forecasts(monkeypatch, after, withheld: bool):
+    """One of four forecasts was worse after the right rotation of a phone, and the repair was withheld."""
+    drive, errors = drive_of("simulated, short"), iter([(2.9, 4.4, 2.2, 4.6), after, after, after])
+    monkeypatch.setattr(verified_repair, "_forecasts", lambda *_: np.array(next(errors)))
+    rotation = Repair("rotate", tuple(about_z(0.5).ravel().tolist()))
+    found = Finding("mounting", "serious", "turned", "imu.csv", (0.0, 1.0), 0.999, "turn", rotation)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", sigmaswarm.SigmaswarmWarning)
+        mended = sigmaswarm.repair(drive, Diagnosis(drive.name, (found,)))
+    assert ("withheld" in mended.metadata) == withheld
+    assert (mended.mounting is None) == withheld
+
+
+@needs_shared
+@pytest.mark.long
+@pytest.mark.parametrize("mount", ["0,-60,30", "180,0,0", "60,0,0", "x=-z,y=y"])
+@pytest.mark.filterwarnings("ignore::sigmaswarm.SigmaswarmWarning")
+def test_the_phone_with_a_wrong_mounting_gets_the_right_one(mount: str):
+    log = SHARED / "cases" / "data" / "phone-in-holder"
+    drive, plain = (sigmaswarm.import_log(log, mount=each) for each in (mount, "auto"))
+    mended = sigmaswarm.repair(drive, sigmaswarm.diagnose(drive))
+    assert "withheld" not in mended.metadata
+    off = rotation_of(*mended.mounting) @ rotation_of(*plain.mounting).T
+    assert np.degrees(angle_of(off)) < 0.2

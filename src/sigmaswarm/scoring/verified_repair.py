@@ -20,7 +20,11 @@ CLOCKS = {"shift-clock", "shift-fixes"}
 VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
 """Repairs of axes, signs, units and clocks, which change a filter's motion."""
 WORSE = 1.05
-"""Ratio of prediction errors after and before a repair above which the repair is withheld."""
+"""Ratio of forecast errors after and before a repair above which the repair is withheld.
+
+After the rotation of a tilted phone one error of planar8, which models no tilt, was 10% larger; the other three errors
+were smaller by 28 to 58%.
+"""
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
 """Noise densities of planar8's states, unit/sqrt(s).
 
@@ -50,9 +54,10 @@ def checking_filter(drive: Drive) -> FilterParameters:
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
     """Return a copy of the drive without the repairable faults, except repairs that increase prediction errors.
 
-    A filter with fixed noise, and for clocks also the baseline of the default filter, runs over the log before and
-    after the repairs. These filters predict the next fix, and fixes that are hidden for 3 to 5 s. If a prediction error
-    increases by more than 5%, the responsible repair of axes or clocks is withheld.
+    A filter with fixed noise, and for clocks and rotations also the baseline of the default filter, runs over the log
+    before and after the repairs. These filters forecast the next fix, and fixes that are hidden for 3 to 5 s. If a
+    forecast error increases by more than 5%, the responsible repair of axes or clocks is withheld. A rotation is
+    withheld only if the geometric mean of the errors increases by more than 5%.
 
     Parameters
     ----------
@@ -79,15 +84,17 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
     kept = diagnosis
     doubtful = {f.code for f in diagnosis.findings if f.repair is not None and f.repair.action in VERIFIED}
     judges = [checking_filter(drive)] if doubtful else []
-    if any(f.repair and f.repair.action in CLOCKS for f in diagnosis.findings):
+    actions = {f.repair.action for f in diagnosis.findings if f.repair}
+    if actions & {*CLOCKS, "rotate"}:
         # the baseline of the repaired drive's default filter
         model = "tilted12" if has_attitude(repairs.repair(drive, diagnosis)) else "planar8"
         judges.append(baseline_of(drive, model, ("lateral", "standstill", "robust")))
     before = _forecasts(drive, judges)
     withheld: list[str] = []
     while doubtful and np.isfinite(before).any():
-        after = _forecasts(repairs.repair(drive, kept), judges)
-        if np.all((after <= WORSE * before) | np.isnan(before)):
+        ratio = (_forecasts(repairs.repair(drive, kept), judges) / before)[~np.isnan(before)]
+        rotated = {f.repair.action for f in kept.findings if f.repair} & VERIFIED == {"rotate"}
+        if (np.exp(np.mean(np.log(ratio))) if rotated else np.max(ratio)) <= WORSE:
             break
         # The responsible repair is the one without which the predictions are best.
         errors: dict[str, float] = {}
