@@ -10,7 +10,8 @@ windows: 60 s of a drive whose fixes keep a clock with an offset, a drift, jitte
 diagnosis offers a repair, it is applied as `sigmaswarm.repair` does, and forecasts of the next fix and of fixes 3 to
 5 s ahead are compared before and after, by two untuned filters: planar5, and tilted12. (The preset ``datasheet`` is no
 judge: its forecasts of the next fix on these windows are off by 2 to 80 m before and after.)
-mounting: each log with six axes is turned by three random rotations; whole, and its windows of 60 s. Prints Markdown.
+mounting: each log with six axes is imported with three wrong mountings, one of `WRONG` and two random ones; whole, and
+its windows of 60 s. Prints Markdown.
 """
 
 import argparse
@@ -37,9 +38,11 @@ from sigmaswarm import (
 )
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.mounting import angle_of, mounting_of, turned
+from sigmaswarm.drives.mounting import with_rotation
 from sigmaswarm.drives.split import clip
 from sigmaswarm.filters.presets import DEFAULTS, baseline
 from sigmaswarm.filters.run import run_innovations
+from sigmaswarm.geodesy import rotation_of
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.simulation import IMU_GRADES
 
@@ -64,6 +67,8 @@ JUDGES = {
 CLOCKS = ["sound", "offset", "drift", "jitter", "all"]
 LONGEST = 180.0
 """s, of a recording: its middle."""
+WRONG = [(180, 0, 0), (0, 180, 0), (0, 0, 180), (90, 0, 0), (0, 90, 0), (0, 0, 90), (60, 0, 0), (0, -60, 30)]
+"""Roll, pitch and yaw, deg, of wrong mountings."""
 LENGTH = 60.0
 """s, of a window."""
 
@@ -190,6 +195,7 @@ def mountings(drives: Iterator[Drive]) -> None:
     """Print, for whole drives and for windows, how far the mounting found is off the drive's own axes."""
     errors: dict[tuple[str, str], list[float]] = defaultdict(list)
     apart: list[float] = []
+    mounts: list[float] = []
     for number, drive in enumerate(drives):
         if drive.imu.az is None or drive.imu.gx is None:
             continue
@@ -201,7 +207,11 @@ def mountings(drives: Iterator[Drive]) -> None:
                 own = course and mounting_of(piece, course)
                 for seed in range(3) if what == "whole" else [number % 3]:
                     rotation = Rotation.random(random_state=1000 * number + seed).as_matrix()
-                    found = course and mounting_of(replace(piece, imu=turned(piece.imu, rotation)), course)
+                    if seed == 2:
+                        rotation = rotation_of(*WRONG[number % len(WRONG)])
+                    about = with_rotation(piece.metadata, rotation)
+                    wrong = replace(piece, imu=turned(piece.imu, rotation), metadata=about)
+                    found = course and mounting_of(wrong, course)
                     if not found or not own:
                         errors[what, "none"].append(np.nan)
                         continue
@@ -209,6 +219,7 @@ def mountings(drives: Iterator[Drive]) -> None:
                     if found.confidence != "no":
                         off = found.rotation @ rotation @ own.rotation.T
                         apart.append(float(np.degrees(angle_of(off))))
+                        mounts.append(float(np.degrees(angle_of(found.mount @ own.mount.T))))
         print(
             drive.name, {k: np.round(v, 1).tolist() for k, v in errors.items()}, file=sys.stderr, flush=True
         )
@@ -217,6 +228,7 @@ def mountings(drives: Iterator[Drive]) -> None:
         quantiles = np.quantile(each, [0.5, 0.9, 0.95, 1.0])
         print(f"| {what} | {confidence} | {len(each)} | {' | '.join(f'{q:.1f}' for q in quantiles)} |")
     print(f"\nestimates of a turned log against the turned estimate: {np.max(apart):.2g} deg apart at most")
+    print(f"the mounting reported for other mountings of the import: {np.max(mounts):.2g} deg apart at most")
 
 
 def with_clock(drive: Drive, offset: float, drift: float, jitter: float, rng: np.random.Generator) -> Drive:

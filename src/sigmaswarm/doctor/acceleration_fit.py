@@ -79,29 +79,37 @@ def drift_of(time: Array, course: Course, rate: Array, late: float) -> float:
 
 
 def fit_acceleration(
-    drive: Drive, course: Course, rate: Array, tried: Array = LATENESS
+    drive: Drive,
+    course: Course,
+    rate: Array,
+    tried: Array = LATENESS,
+    known: tuple[float, float] | None = None,
 ) -> AccelerationFit | None:
-    """Fit the path; ``rate`` (n,) is the yaw rate, rad/s, ``tried`` are initial values of ``late``, s."""
+    """Fit the path; ``rate`` (n,) is the yaw rate, rad/s, ``tried`` are initial values of ``late``, s.
+
+    ``known``: `late` and its standard deviation, s, from other data. In turns at constant speed M and `late` are nearly
+    indistinguishable.
+    """
     rows = usable_windows(drive.imu.time, course, WINDOW)
     if not len(rows):
         return None
-    fit = _Fit(drive, course, rate, rows)
+    fit = _Fit(drive, course, rate, rows, known)
     late = float(tried[0])
     if len(tried) > 1:
         late = float(min(tried, key=lambda late: fit.at(float(late), rounds=1).cost))
     for k in range(10):
         found = fit.at(late)
         step = 1.0
-        if k > 1:  # the column of the delay needs M and the biases of the first rounds
-            step = float(np.clip(found.solution[4], -0.2, 0.2))
+        if k > 1:  # the column of the delay needs M and the biases, which the first rounds find
+            step = float(np.clip(fit.solved(found, late)[0][4], -0.2, 0.2))
             late += step
         if abs(step) < 1e-3:
             break
         fit.learn(found, late)
     found = fit.at(late)
     fit.learn(found, late)
-    covariance = found.covariance * (1 + FEW / len(rows))
-    matrix = found.solution[:4].reshape(2, 2)
+    solution, covariance = fit.solved(found, late)
+    matrix = solution[:4].reshape(2, 2)
     bias_std = np.sqrt(np.diag(covariance)[5:])
     return AccelerationFit(matrix, covariance[:5, :5], late, bias_std, fit.bias, rows, found.residual[:, :-1])
 
@@ -119,8 +127,15 @@ def usable_windows(imu: Array, course: Course, longest: float) -> NDArray[np.int
 class _Fit:
     """Regression at a given delay, with M and the spread of the biases from the previous regression."""
 
-    def __init__(self, drive: Drive, course: Course, rate: Array, rows: NDArray[np.intp]):
-        self._drive, self._course, self._rate, self._rows = drive, course, rate, rows
+    def __init__(
+        self,
+        drive: Drive,
+        course: Course,
+        rate: Array,
+        rows: NDArray[np.intp],
+        known: tuple[float, float] | None,
+    ):
+        self._drive, self._course, self._rate, self._rows, self._known = drive, course, rate, rows, known
         self._noise = max(white_noise(course.position), LEAST_NOISE)
         self._matrix = np.zeros((2, 2))
         self._usual = np.zeros(2)  # mean bias, m/s2
@@ -137,11 +152,21 @@ class _Fit:
         position, *columns = (np.hstack([c, 0 * one]) for c in (position, *columns))
         return regress(position, columns, own, np.ones(own[0].shape), rounds)
 
+    def solved(self, found: Regression, late: float) -> tuple[Array, Array]:
+        """Return the solution and its covariance, given also the known delay (a Kalman update)."""
+        solution, covariance = found.solution, found.covariance * (1 + FEW / len(self._rows))
+        if self._known is None:
+            return solution, covariance
+        gain = covariance[:, 4] / (covariance[4, 4] + self._known[1] ** 2)
+        solution = solution + gain * (self._known[0] - late - solution[4])
+        return solution, covariance - np.outer(gain, covariance[4])
+
     def learn(self, found: Regression, late: float) -> None:
-        self._matrix = found.solution[:4].reshape(2, 2)
-        self._usual = self._usual + found.solution[5:]
+        solution, _ = self.solved(found, late)
+        self._matrix = solution[:4].reshape(2, 2)
+        self._usual = self._usual + solution[5:]
         position, columns, own = self._terms(late)
-        rest = position - sum(s * c for s, c in zip(found.solution[:5], columns[:5], strict=True))
+        rest = position - sum(s * c for s, c in zip(solution[:5], columns[:5], strict=True))
         root = np.sqrt(found.weight[:, :-1])
         a = np.stack([root * c for c in own], axis=-1)
         extra = np.einsum("wkn,wn->wk", np.linalg.pinv(a), root * rest)[:, 2]

@@ -9,7 +9,7 @@ from sigmaswarm.doctor.acceleration_fit import LATENESS, AccelerationFit, fit_ac
 from sigmaswarm.doctor.clock_search import LEAST_TURN, WIDEST, search_offset
 from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps
 from sigmaswarm.doctor.mounting import Mounting, mounting_of, turned
-from sigmaswarm.doctor.verdicts import ClockOffset, Mount, Yaw, clock_of, mount_of, yaw_of
+from sigmaswarm.doctor.verdicts import MOUNTED, ClockOffset, Mount, Yaw, clock_of, mount_of, yaw_of
 from sigmaswarm.doctor.windows import Complex
 from sigmaswarm.doctor.yaw_fit import EXPLAINED, YawFit, fit_yaw
 from sigmaswarm.drives.drive import Drive
@@ -120,13 +120,17 @@ def _gather(drive: Drive) -> Evidence:
         imu = turned(imu, mounting.repair)
         drive = replace(drive, imu=imu)
     yaw_fit = course and fit_yaw(drive, course)
-    yaw, acceleration = yaw_of(yaw_fit), None
+    yaw, acceleration, mount = yaw_of(yaw_fit), None, None
     if course and course.moving.any():
-        coarse = yaw_fit.late if yaw_fit and yaw.known and yaw_fit.share > 0.5 else 0.0
-        acceleration = fit_acceleration(
-            drive, course, yaw.factor * getattr(imu, yaw.column), coarse + LATENESS
-        )
-    mount = acceleration and mount_of(acceleration)
+        late = yaw_fit if yaw_fit and yaw.known and yaw_fit.share > 0.5 else None
+        rate, tried = yaw.factor * getattr(imu, yaw.column), (late.late if late else 0.0) + LATENESS
+        acceleration = fit_acceleration(drive, course, rate, tried)
+        mount = acceleration and mount_of(acceleration)
+        as_recorded = mount and np.array_equal(mount.matrix, np.eye(2)) and abs(mount.angle) <= MOUNTED / 8
+        if late and not as_recorded:
+            # Other axes are reported only if they agree with the delay by the gyro.
+            known = fit_acceleration(drive, course, rate, np.array([late.late]), late.delay)
+            mount = known and mount_of(known)
     clock = clock_of(yaw_fit, yaw, acceleration, mount)
     noise, scatter = white_noise(course.position) if course else 0.0, 0.0
     if acceleration:

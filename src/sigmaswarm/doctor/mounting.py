@@ -20,10 +20,11 @@ from sigmaswarm.doctor.yaw_fit import LATENESS as YAW_LATENESS
 from sigmaswarm.doctor.yaw_fit import YawFit, fit_column, yaw_windows
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive, Imu
-from sigmaswarm.geodesy import roll_pitch_yaw
+from sigmaswarm.drives.mounting import NOT_TURNED
+from sigmaswarm.geodesy import rotation_of
 
-ROUNDS = 12
-"""With six rounds, a few logs keep an error of up to a degree."""
+ROUNDS = 16
+"""With six rounds, a few logs keep an error of up to a degree; each round leaves up to 0.7 of it."""
 SURE, LIKELY = math.radians(3.0), math.radians(8.0)
 """Largest total standard deviation, rad, with confidence "sure", and with "likely"."""
 LEAST_SHARE = 0.5
@@ -43,6 +44,7 @@ LEANS = 0.5
 
 Below -LEANS, a mounting rotated by more than 90 degrees is refused: an axis is reversed.
 """
+UPRIGHT = math.radians(15.0)  # rad, largest angle of the specific force to the vertical axis that is found
 WANDERS = math.radians(8.0)  # rad, change of gravity between windows if the mounting is not constant
 LEAST_TILT, LEAST_YAW, CLEAR = math.radians(4.0), math.radians(5.0), 3.5
 """Smallest corrected tilt and rotation about z, rad, and their smallest ratio to the standard deviation."""
@@ -65,28 +67,34 @@ class Mounting:
     confidence: Confidence  # with "no" at most roll and pitch are known
     reason: str  # why the confidence is not higher
 
+    before: Array  # (3, 3), by which the drive's samples were turned already: `Drive.mounting`
+
     @property
     def needed(self) -> bool:
         """True if the rotation is known, and exceeds a tolerance and a multiple of its standard deviation."""
-        return self.confidence != "no" and not np.array_equal(self.repair, np.eye(3))
+        return self.confidence != "no" and not self._agrees(self.rotation)
+
+    @property
+    def mount(self) -> Array:
+        """The rotation (3, 3) from the raw samples, which does not depend on `before`.
+
+        It is the estimate, or an exchange of the raw axes with which the estimate agrees.
+        """
+        found = self.rotation @ self.before
+        exchanged = max(AXES, key=lambda axes: float(np.trace(found @ axes.T)))
+        return exchanged if self._agrees(found @ exchanged.T) else found
 
     @property
     def repair(self) -> Array:
-        """The certain part of the rotation, (3, 3).
+        """The rotation (3, 3) of the drive's axes that leads to `mount`; the identity if none is needed."""
+        return self.mount @ self.before.T if self.needed else np.eye(3)
 
-        It exchanges axes exactly, and corrects tilt and rotation about the vertical only if they are significant.
-        """
-        exchanged = max(AXES, key=lambda axes: float(np.trace(self.rotation @ axes.T)))
-        rest, repair = self.rotation @ exchanged.T, exchanged
-        if np.arccos(np.clip(rest[2, 2], -1.0, 1.0)) > max(LEAST_TILT, CLEAR * np.max(self.std[:2])):
-            repair = levelling(rest[2]) @ repair
-        yaw = math.atan2(rest[1, 0], rest[0, 0])
-        return about_z(yaw) @ repair if abs(yaw) > max(LEAST_YAW, CLEAR * self.std[2]) else repair
-
-    @property
-    def degrees(self) -> tuple[float, float, float]:
-        """Roll, pitch and yaw of `repair`, deg, in the order of ``import --mount``."""
-        return roll_pitch_yaw(self.repair, 1)
+    def _agrees(self, rest: Array) -> bool:
+        """Check that tilt and rotation about the vertical of a remaining rotation (3, 3) are not significant."""
+        tilt, about = np.arccos(np.clip(rest[2, 2], -1.0, 1.0)), rest @ levelling(rest[2]).T
+        level = tilt <= max(LEAST_TILT, CLEAR * np.max(self.std[:2]))
+        yaw = abs(math.atan2(about[1, 0], about[0, 0]))
+        return bool(level and yaw <= max(LEAST_YAW, CLEAR * self.std[2]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,10 +160,16 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
     if seen is None:
         return None
     confidence, reason = _confidence(seen)
+    if confidence != "no" and angle_of(level(turned(imu, rotation))) > UPRIGHT:
+        confidence, reason = (
+            "no",
+            "the axis of turning is not vertical: accelerometers and gyro have different axes",
+        )
     far = confidence != "no" and angle_of(rotation) > math.pi / 2
     if far and np.min(_leaning(turned(imu, rotation))) < -LEANS:
         confidence, reason = "no", "the body would lean into its turns, or forward while it gains speed"
-    return Mounting(rotation, seen.std, confidence, reason)
+    before = rotation_of(*(drive.mounting or NOT_TURNED))
+    return Mounting(rotation, seen.std, confidence, reason, before)
 
 
 def _leaning(imu: Imu) -> Array:
@@ -214,7 +228,7 @@ def _converged(
             break
         turn = levelling(np.append(seen.tilt, 1.0)) @ about_z(seen.yaw)
         rotation = turn @ rotation
-        if angle_of(turn) < math.radians(0.08):
+        if angle_of(turn) < math.radians(0.02):
             break
     return rotation, seen
 
@@ -225,7 +239,7 @@ def _round(drive: Drive, course: Course, last: _Round | None, yaw_fit: YawFit | 
     yaw_fit = yaw_fit or fit_column(drive, course, "gz", yaw_windows(course), tried)
     rate = drive.imu.gz if yaw_fit.gain >= 0 else -drive.imu.gz
     tried = np.array([last.late]) if last else (yaw_fit.late if yaw_fit.share > 0.5 else 0.0) + LATENESS
-    fit = fit_acceleration(drive, course, rate, tried)
+    fit = fit_acceleration(drive, course, rate, tried, yaw_fit.delay if yaw_fit.share > LEAST_SHARE else None)
     if fit is None:
         return None
     straight, mirror = _misfits(fit, 1.0), _misfits(fit, -1.0)

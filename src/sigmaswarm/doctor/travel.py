@@ -14,7 +14,7 @@ import numpy as np
 
 from sigmaswarm.doctor.acceleration_fit import drift_of, usable_windows
 from sigmaswarm.doctor.fixes import Course
-from sigmaswarm.doctor.windows import Complex, integral, regress, smoothed
+from sigmaswarm.doctor.windows import Complex, Regression, integral, regress, smoothed
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Imu
 
@@ -22,6 +22,7 @@ WINDOW, DEGREE = 20.0, 2
 """Duration of a window, s, and degree of its polynomial in time."""
 FORWARD = 4.0
 """Ratio of the velocity's noise along and across the direction of travel."""
+ROUNDS = 2  # fits with the speed by the IMU, as far as the fit before shows it
 LEAST_STRAIGHT = 0.5
 """Smallest assumed ratio of mean velocity to speed, which sharp turns lower."""
 
@@ -64,9 +65,20 @@ def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, A
     powers = np.linspace(-1, 1, at.shape[1]) ** np.arange(DEGREE + 1)[:, None]
     own = [stack(back * factor * power, zero) for power in powers for factor in (1, 1j)]
     own += [stack(0j * back, zero + power) for power in powers]
-    y = stack(back * level - speed, up - speed * np.imag(np.conj(lean) * turned))
     yaw_rate, pitch_rate = (np.interp(at, time, v) for v in (rate, imu.gy))
-    columns = [stack(1j * speed, zero), stack(0j * back, speed), stack(1j * yaw_rate, -pitch_rate)]
     weight = np.hstack([zero + 1 / FORWARD, zero + 1, zero + 1])
-    fit = regress(y, columns, own, weight, 4)
-    return fit.solution[:2], np.sqrt(np.diag(fit.covariance)[:2])
+
+    def fit(own_speed: Array) -> Regression:
+        y = stack(back * level - speed, up - own_speed * np.imag(np.conj(lean) * turned))
+        columns = [
+            stack(1j * own_speed, zero),
+            stack(0j * back, own_speed),
+            stack(1j * yaw_rate, -pitch_rate),
+        ]
+        return regress(y, columns, own, weight, 4)
+
+    found = fit(speed)
+    for _ in range(ROUNDS):
+        # Noise in a column would make its factor smaller: the IMU's speed has none.
+        found = fit(speed + found.residual[:, : at.shape[1]].real)
+    return found.solution[:2], np.sqrt(np.diag(found.covariance)[:2])

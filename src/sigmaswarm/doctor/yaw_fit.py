@@ -21,6 +21,7 @@ AHEAD = (0.8, 0.8)
 
 The rear axle does not slide sideways. At the antenna, the course turns earlier by this distance.
 """
+LATE_FLOOR = 0.1  # s, smallest standard deviation of the delay as a prior
 LATENESS = np.arange(-2.5, 2.51, 0.1)  # s, delays of the fixes to try
 
 
@@ -35,6 +36,11 @@ class YawFit:
     late: float  # s, delay of the fixes
     late_std: float  # s
     course_change: float  # rad, RMS change of the course within windows
+
+    @property
+    def delay(self) -> tuple[float, float]:
+        """The delay and its standard deviation, s, as a prior of other fits."""
+        return self.late, math.hypot(self.late_std, LATE_FLOOR)
 
 
 def fit_yaw(drive: Drive, course: Course) -> YawFit | None:

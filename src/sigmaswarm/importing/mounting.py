@@ -11,7 +11,7 @@ from sigmaswarm.doctor.mounting import turned
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.mounting import with_rotation
 from sigmaswarm.errors import InputError
-from sigmaswarm.geodesy import rotation_of
+from sigmaswarm.geodesy import roll_pitch_yaw, rotation_of
 
 AUTO = "auto"
 _AXES = "xyz"
@@ -25,7 +25,7 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
         raise InputError(
             f"mount auto: the log does not show the mounting ({reason}); specify it, for example mount 0,10,90"
         )
-    mount = ",".join(f"{angle:g}" for angle in mounting.degrees)
+    mount = ",".join(f"{angle:g}" for angle in roll_pitch_yaw(mounting.repair, 1))
     total = math.degrees(float(np.linalg.norm(mounting.std)))
     note = (
         f"mounting {mount} deg found in the log ({mounting.confidence}, standard deviation {total:.1f} deg)"

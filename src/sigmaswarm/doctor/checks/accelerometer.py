@@ -72,7 +72,9 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
     """Check the angle about the vertical, and the scale of each axis."""
     angle, std, imu, span = mount.angle, mount.angle_std, evidence.drive.imu, evidence.span
     if abs(angle) >= max(MOUNTING[0], LIKELY * std):
-        clear = abs(angle) >= CLEAR * std
+        # Six axes show one rotation, with a confidence of its own.
+        six = evidence.mounting is not None and np.array_equal(mount.axes, np.eye(2))
+        clear = abs(angle) >= CLEAR * std and not six
         severity = ("serious" if abs(angle) > MOUNTING[1] else "warning") if clear else "note"
         degrees, side = (
             math.degrees(angle),

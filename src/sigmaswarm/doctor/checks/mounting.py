@@ -7,12 +7,11 @@ import numpy as np
 
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
-from sigmaswarm.doctor.mounting import SERIOUS, angle_of
+from sigmaswarm.doctor.mounting import SERIOUS, Mounting, angle_of
 from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.drives.alignment import NoStart, find_start
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.mounting import NOT_TURNED
-from sigmaswarm.geodesy import roll_pitch_yaw, rotation_of
+from sigmaswarm.geodesy import roll_pitch_yaw
 
 MOVED, STANDS_OUT = math.radians(18.0), 4.0
 """Smallest change of gravity's direction if the IMU was moved: in rad, and in typical errors of a median.
@@ -21,6 +20,9 @@ In fault-free drives with 20 s of hard maneuvers at one end, the change was up t
 """
 SCATTER = 0.5
 """Largest usual distance of a direction from the median, rad, that shows gravity: accelerations without it scatter."""
+LEAST_DIFFERENCE = math.radians(
+    0.5
+)  # smallest difference from the mounting of drive.toml that a note reports
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 
 STANDS = 1.0  # m/s, speed below which a car may change between forward and reverse
@@ -42,20 +44,29 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
         )
         span = time, evidence.span[1]
         yield Finding("mounting-changed", "serious", what, WHERE, span, 0.99, remedy, cut=round(time))
-    elif mounting is not None and mounting.needed:
-        roll, pitch, yaw = mounting.degrees
-        total, angle = float(np.linalg.norm(mounting.std)), angle_of(mounting.repair)
-        # The import starts from the raw samples.
-        before = rotation_of(*(evidence.drive.mounting or NOT_TURNED))
-        mount = ",".join(f"{degrees:g}" for degrees in roll_pitch_yaw(mounting.repair @ before, 1))
+    elif mounting is not None and mounting.confidence != "no":
+        yield from _rotation(evidence, mounting)
+
+
+def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
+    """Report the rotation that is needed, and a mounting of drive.toml that differs from the log's by less."""
+    mount = ",".join(f"{degrees:g}" for degrees in roll_pitch_yaw(mounting.mount, 1))
+    total, angle = float(np.linalg.norm(mounting.std)), angle_of(mounting.repair)
+    sure = f"(standard deviation {math.degrees(total):.1f} deg in total, {mounting.confidence})"
+    if mounting.needed:
+        roll, pitch, yaw = roll_pitch_yaw(mounting.repair, 1)
         yield Finding(
             "mounting", "serious" if angle > SERIOUS else "warning",
-            f"the IMU is turned relative to the vehicle: roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg "
-            f"(standard deviation {math.degrees(total):.1f} deg in total, {mounting.confidence})",
+            f"the IMU is turned relative to the vehicle: roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg {sure}",
             WHERE, evidence.span, confidence_of(angle / total),
             f"turn all six axes: import with --mount {mount}",
             Repair("rotate", tuple(mounting.repair.ravel().tolist())),
         )  # fmt: skip
+    elif (apart := angle_of(mounting.mount @ mounting.before.T)) > LEAST_DIFFERENCE:
+        what = f"the log shows the mounting {mount} deg {sure}; that of drive.toml differs by "
+        what += f"{math.degrees(apart):.1f} deg, which is not significant"
+        remedy = f"keep a measured mounting; otherwise import with --mount {mount}"
+        yield Finding("mounting", "note", what, WHERE, evidence.span, confidence_of(apart / total), remedy)
 
 
 def moved(drive: Drive) -> tuple[float, float] | None:
