@@ -220,9 +220,8 @@ class Tuning(Generic[P]):
             filtered = f"{c.model} ({c.kind}) with {', '.join(c.use) or 'position fixes alone'}"
         elif isinstance(c, ModelTuneConfig):
             units = {t["name"]: t["unit"] for t in c.model["parameters"]}
-            values = (
-                f"{key} {notebook.number(x)} {units.get(key, '')}" for key, x in self.parameters.items()
-            )
+            given = self._filter()["filter"].items()
+            values = (f"{key} {notebook.number(x)} {units.get(key, '')}" for key, x in given)
             filtered = f"{c.model['name']} ({c.model['kind']})"
             parameters = ["parameters: " + ", ".join(value.strip() for value in values)]
         lines = [self._headline(), f"filter: {filtered}, {len(self.trial_costs)} trial(s)", *parameters]
