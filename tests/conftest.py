@@ -41,7 +41,7 @@ def pytest_collect_file(file_path: Path) -> Generator[None, list[pytest.Collecto
 
 
 LONG_PAGES = ("docs/reference/evaluation.md", "docs/reference/experiments.md")
-"""Pages whose examples take seconds; those of README.md and docs/reference/tuning.md call the same functions."""
+"""Pages whose examples take seconds: README.md evaluates, too, and `tests/experiments` compares."""
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -201,7 +201,14 @@ def test_tunings_score_and_estimate_as_before(corpus: Path, name: str):
 
 
 @pytest.mark.parametrize(
-    "name", ["default", "default-no-truth", "paper", "worst-validation-margin", "../custom/track"]
+    "name",
+    quickly(
+        [
+            (n,)
+            for n in ("default", "default-no-truth", "paper", "worst-validation-margin", "../custom/track")
+        ],
+        lambda name: name in ("default", "worst-validation-margin", "../custom/track"),
+    ),
 )
 def test_pages_of_tunings(corpus: Path, tmp_path: Path, command: Callable[..., str], name: str):
     command("report", f"tunings/{name}", "--out", tmp_path / "page.html")

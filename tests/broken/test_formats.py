@@ -19,7 +19,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Limits
-from support import make_drive
+from support import make_drive, quickly
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,9 @@ def test_a_broken_matlab_file_does_not_end_the_process(how: str, tmp_path: Path)
         pass
 
 
-@pytest.mark.parametrize(("at", "value"), [(14, 255), (28, 127), (28, 16)])
+@pytest.mark.parametrize(
+    ("at", "value"), quickly([(14, 255), (28, 127), (28, 16)], lambda at, value: at == 14 or value == 16)
+)
 def test_a_broken_parquet_does_not_end_the_process(
     at: int, value: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):

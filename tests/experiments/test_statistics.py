@@ -215,6 +215,7 @@ def test_holm_by_hand():
     assert s.holm([]) == []
 
 
+@pytest.mark.long
 def test_intervals_for_new_drives_cover_and_the_naive_one_does_not():
     naive, corrected, resampled = coverage(150, luck=0.01, conditions=8, runs=10, trials=10)
     assert naive < 0.8

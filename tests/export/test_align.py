@@ -64,7 +64,11 @@ def rows_of(drive: Drive) -> list[str]:
     return [f"align,{lever[0]!r},{lever[1]!r}", *replay_rows(drive).splitlines()[1:]]
 
 
-@pytest.fixture(scope="module", params=[SANITIZERS, ("-DINS_GPS_FLOAT",)], ids=["double", "float"])
+@pytest.fixture(
+    scope="module",
+    params=quickly([(SANITIZERS,), (("-DINS_GPS_FLOAT",),)], lambda flags: flags is SANITIZERS),
+    ids=["double", "float"],
+)
 def program(request, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build(tmp_path_factory.mktemp("align"), P, *request.param, main=STARTS)
 

@@ -176,7 +176,6 @@ def test_no_sound_filter_starts_anew_on_a_recording(name: str):
         assert run_filter(drive_of(name), p).restarts == ()
 
 
-@pytest.mark.long
 def test_a_gyro_that_is_far_off_is_no_reason_to_start_anew_for_a_filter_that_knows_it():
     """The alignment takes such a bias only for certain where fixes contradict it far beyond their noise."""
     drive = sigmaswarm.simulate("urban", duration=200.0, gps="white-1m", seed=5)

@@ -15,7 +15,7 @@ from sigmaswarm.filters.recording import joined
 from sigmaswarm.scoring.drifts import Outages
 from sigmaswarm.scoring.evaluation import evaluate
 from sigmaswarm.scoring.targets import outage_replay, tracking_replay
-from support import make_drive
+from support import make_drive, quickly
 
 UNSTATED = 2.1**2
 NOISE = MotionNoise(acceleration=0.7, fix=0.3)
@@ -26,7 +26,7 @@ def drive() -> Drive:
     return simulate("urban", duration=60, gps="white-1m")
 
 
-@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize("stated", quickly([(True,), (False,)], lambda stated: stated))
 def test_it_is_the_filter_of_filterpy(drive: Drive, stated: bool):
     """Position, velocity and covariance at every IMU sample, between fixes and at them."""
     gps = drive.gps if stated else replace(drive.gps, std_x=None, std_y=None)

@@ -154,6 +154,7 @@ def test_a_start_is_a_point_of_the_search_and_the_result_no_worse(tmp_path: Path
         tune([DRIVE], model="planar8", kind="ukf", start=P, particles=4, generations=1)
 
 
+@pytest.mark.long
 def test_a_configuration_is_the_rival_in_an_evaluation(tmp_path: Path):
     load(tmp_path, USUAL)
     scores = evaluate([DRIVE], P, against=tmp_path / "ekf.yaml")

@@ -23,7 +23,7 @@ from sigmaswarm.errors import DriveWarning, InputError
 from sigmaswarm.importing.convert import Request
 from sigmaswarm.importing.look import look
 from sigmaswarm.importing.recipe import Recipe
-from support import make_drive
+from support import make_drive, quickly
 
 DRIVE = a_drive()
 IMU, GPS = DRIVE.imu, DRIVE.gps
@@ -345,7 +345,7 @@ def test_times_in_a_wrong_unit_do_not_wrap_round(tmp_path: Path):
     assert len(imported(tmp_path / "log.csv", time="stamp*1e-9").drive.imu) == len(IMU)
 
 
-@pytest.mark.parametrize("unit", ["ms", "us", "ns"])
+@pytest.mark.parametrize("unit", quickly([("ms",), ("us",), ("ns",)], lambda unit: unit == "ms"))
 def test_dates_of_a_parquet_keep_their_unit(tmp_path: Path, unit: str):
     stamp = pl.Series(ns(IMU.time) // 1000).cast(pl.Datetime("us")).cast(pl.Datetime(unit))
     table = {"t": stamp, "ax": IMU.ax, "ay": IMU.ay, "gz": IMU.gz, "x": IMU.time, "y": 0 * IMU.time}

@@ -284,7 +284,9 @@ def test_the_root_of_the_transforms_is_the_vehicle_where_none_is_called_so(tmp_p
     assert any("imu_link in chassis" in note for note in got.notes)
 
 
-@pytest.mark.parametrize("broken", ["ring", "zero", "no antenna"])
+@pytest.mark.parametrize(
+    "broken", quickly([("ring",), ("zero",), ("no antenna",)], lambda broken: broken != "no antenna")
+)
 def test_transforms_that_lead_nowhere_place_nothing(tmp_path: Path, broken: str):
     flat = (0.0, 0.0, 0.0)
     ring = [("imu_link", "base_footprint", flat, flat), ("base_footprint", "imu_link", flat, flat)]

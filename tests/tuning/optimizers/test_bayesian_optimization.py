@@ -156,6 +156,7 @@ def test_of_many_costs_the_best_and_the_latest_are_fitted():
     assert set(range(100)) <= set(search.costs[chosen])
 
 
+@pytest.mark.long
 def test_two_at_once_leave_warnings_alone_and_find_what_one_finds():
     def found(seed: int) -> float:
         return lowest("bo", seed, budget=14)

@@ -58,6 +58,7 @@ def test_the_polish_waits_for_a_finite_cost():
     assert told == 300
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "landscape", quickly([(name,) for name in LANDSCAPES], lambda name: [*LANDSCAPES].index(name) % 2 == 0)
 )
