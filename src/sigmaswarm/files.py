@@ -148,6 +148,8 @@ def earlier_result(folder: Path, kind: str, mark: str = "") -> frozenset[str] | 
     InputError
         The folder contains anything else: only our own results are replaced.
     """
+    if folder.is_dir():
+        _sweep(folder.resolve())  # a killed run may have left its list in place of the older one
     if not folder.is_dir() or not any(not _HIDDEN.fullmatch(entry.name) for entry in folder.iterdir()):
         return frozenset()
     if mark and (folder / mark).is_file() and not (folder / RESULT_FILE).exists():

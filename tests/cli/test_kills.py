@@ -12,6 +12,7 @@ import pytest
 
 from processes import Process, run
 from sigmaswarm import FilterParameters, evaluate, files, read_drive
+from sigmaswarm.files import RESULT_FILE
 from sigmaswarm.reports.evaluation import save_evaluation
 from support import no_pictures, quickly
 
@@ -52,7 +53,7 @@ def tree(folder: Path) -> dict[str, bytes]:
 
 
 def hidden(folder: Path) -> Iterator[Path]:
-    return folder.rglob(".*")
+    return (path for path in folder.rglob(".*") if path.name != RESULT_FILE)
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +117,7 @@ def put_old(name: str, found: dict[str, bytes], drive: Path) -> dict[str, bytes]
     elif name not in FOLDERS:
         for file in found:
             Path("out", file).parent.mkdir(exist_ok=True)
-            Path("out", file).write_text("old")
+            Path("out", file).write_bytes(found[file] if file == RESULT_FILE else b"old")
     return tree(Path("out"))
 
 
@@ -142,7 +143,9 @@ def test_a_kill_leaves_nothing_half_done(
     left = tree(Path("out"))
     assert list(hidden(Path("out")))  # it was killed while it wrote
     shown = {
-        file: text for file, text in left.items() if not any(part[0] == "." for part in Path(file).parts)
+        file: text
+        for file, text in left.items()
+        if not any(part[0] == "." and part != RESULT_FILE for part in Path(file).parts)
     }
     assert set(old) <= set(shown)
     for file, text in shown.items():

@@ -88,7 +88,8 @@ def tree(folder: Path) -> Tree:
 
 
 def visible(files: Tree) -> Tree:
-    return {k: v for k, v in files.items() if not any(part.startswith(".") for part in Path(k).parts)}
+    kept = ".sigmaswarm-result.json"
+    return {k: v for k, v in files.items() if not any(p.startswith(".") and p != kept for p in Path(k).parts)}
 
 
 def prepare(place: Path) -> None:
@@ -135,7 +136,10 @@ def lay_old(place: Path, command: Command, found: Tree) -> Tree:
     elif command.old:
         for file in found:
             (place / "out" / file).parent.mkdir(parents=True, exist_ok=True)
-            (place / "out" / file).write_text("old")
+            content = (
+                found[file] if file.endswith(".sigmaswarm-result.json") else b"old"
+            )  # which lists its files
+            (place / "out" / file).write_bytes(content)
     return tree(place / "out")
 
 

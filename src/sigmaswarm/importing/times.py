@@ -334,7 +334,7 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
         return Found(
             "", fault=f'{said}; specify the unit with --time: {rates}, or "{text}*1e-4" for ticks of 0.1 ms'
         )
-    return Found(_scaled(text, unit), "" if unit == "s" else f"{column} is read as {unit}")
+    return Found(_scaled(text, unit), "" if unit == "s" else f"the times in {column} are read as {unit}")
 
 
 def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> Found:
