@@ -11,7 +11,7 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Gps
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import read_drive
-from sigmaswarm.drives.stale_fixes import HELD, NEW, STALE, STALE_MOVING, judged, stale_fixes
+from sigmaswarm.drives.stale_fixes import HELD, NEW, STALE, STALE_MOVING, classify_fixes, stale_fixes
 from support import DRIVES, make_drive, needs_shared
 
 
@@ -35,7 +35,7 @@ def straight(speed, rate: float = 5.0, duration: float = 20.0) -> Gps:
 def test_repeats_of_a_driving_car_are_frozen_and_no_evidence(rate: float, speed: float):
     gps = straight(lambda t: speed + 0 * t, rate)
     first = int(8 * rate)
-    kinds = judged(repeated(gps, slice(first, first + 4)))
+    kinds = classify_fixes(repeated(gps, slice(first, first + 4)))
     expected = np.full(len(gps), NEW)
     expected[first : first + 4] = STALE_MOVING
     assert kinds.tolist() == expected.tolist()
@@ -46,7 +46,7 @@ def test_repeats_of_a_driving_car_are_frozen_and_no_evidence(rate: float, speed:
 def test_a_receiver_that_holds_its_fix_at_a_red_light_is_believed(rate: float, braking: float):
     gps = straight(lambda t: np.clip(12.0 - braking * (t - 5.0), 0.0, 12.0), rate)
     stopped = int(np.ceil((5.0 + 12.0 / braking) * rate)) + 1
-    kinds = judged(repeated(gps, slice(stopped, len(gps))))
+    kinds = classify_fixes(repeated(gps, slice(stopped, len(gps))))
     assert (kinds[: stopped - 1] == NEW).all()
     assert (kinds[stopped:] == HELD).all()
 
@@ -54,20 +54,20 @@ def test_a_receiver_that_holds_its_fix_at_a_red_light_is_believed(rate: float, b
 def test_no_car_brakes_as_hard_as_a_fix_may_jump():
     # As on kingston-1: 14.8 m, then 8.4 m in a second, then nothing; the car drove on at 13 m/s.
     x = np.cumsum([13.0, 13.5, 14.8, 8.35, 0.0, 0.0, 31.0, 14.0])
-    kinds = judged(Gps(np.arange(8.0), x, np.zeros(8)))
+    kinds = classify_fixes(Gps(np.arange(8.0), x, np.zeros(8)))
     assert kinds.tolist() == [NEW] * 4 + [STALE_MOVING] * 2 + [NEW] * 2
 
 
 def test_between_crawling_and_driving_a_repeat_is_frozen_but_may_be_evidence():
     gps = straight(lambda t: 1.4 + 0 * t)
-    assert (judged(repeated(gps, slice(40, 44)))[40:44] == STALE).all()
+    assert (classify_fixes(repeated(gps, slice(40, 44)))[40:44] == STALE).all()
 
 
 def test_a_run_is_judged_at_its_beginning_however_long_it_is():
     gps = straight(lambda t: 10.0 + 0 * t, duration=120.0)
-    assert (judged(repeated(gps, slice(100, 590)))[100:590] == STALE_MOVING).all()
+    assert (classify_fixes(repeated(gps, slice(100, 590)))[100:590] == STALE_MOVING).all()
     still = straight(lambda t: 0.0 * t, duration=60.0)
-    assert (judged(still)[1:] == HELD).all()  # a log that begins with repeats begins at rest
+    assert (classify_fixes(still)[1:] == HELD).all()  # a log that begins with repeats begins at rest
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.06], ids=["one clock", "two clocks"])
@@ -85,7 +85,7 @@ def test_two_receivers_are_each_compared_with_themselves(shift: float):
 def test_one_position_at_one_time_is_no_repeat():
     gps = straight(lambda t: 10.0 + 0 * t)
     twice = Gps(np.repeat(gps.time, 2), np.repeat(gps.x, 2), np.repeat(gps.y, 2))
-    assert not judged(twice).any()
+    assert not classify_fixes(twice).any()
 
 
 def test_positions_held_in_between_are_frozen_each_time():
@@ -113,9 +113,9 @@ def plainly(gps: Gps) -> list[bool]:
 def test_repeats_are_found_and_nothing_later_is_looked_at(rows: list[tuple[int, int, int]], cut: int):
     steps, x, y = np.array(rows, dtype=float).T
     gps = Gps(np.cumsum(steps * 0.4), 7.0 * x, 7.0 * y)
-    kinds = judged(gps)
+    kinds = classify_fixes(gps)
     assert (kinds != NEW).tolist() == plainly(gps)
-    assert judged(gps.select(slice(0, cut))).tolist() == kinds[:cut].tolist()
+    assert classify_fixes(gps.select(slice(0, cut))).tolist() == kinds[:cut].tolist()
 
 
 def test_the_alignment_does_not_take_frozen_fixes():
@@ -145,6 +145,6 @@ def test_fixes_that_are_hidden_were_judged_with_all_others():
 @needs_shared
 def test_kingston_has_18_frozen_fixes():
     drive = read_drive(DRIVES / "kingston-1")
-    kinds = judged(drive.gps)
+    kinds = classify_fixes(drive.gps)
     assert (kinds == STALE_MOVING).sum() == 18
     assert (kinds >= STALE).sum() == 18

@@ -9,7 +9,7 @@ import pytest
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.reader import read_drive
-from sigmaswarm.drives.stale_fixes import STALE_MOVING, judged
+from sigmaswarm.drives.stale_fixes import STALE_MOVING, classify_fixes
 from sigmaswarm.drives.standstill import MEANS, fixes_stand, is_calm, new_memory, standing
 from sigmaswarm.simulation.scenarios import simulate
 from support import DRIVES, needs_shared, quickly
@@ -20,7 +20,7 @@ class Plain:
 
     def __init__(self, drive: Drive) -> None:
         imu = drive.imu
-        self.gps = drive.gps.select(judged(drive.gps) != STALE_MOVING)
+        self.gps = drive.gps.select(classify_fixes(drive.gps) != STALE_MOVING)
         self.time, self.values = imu.time, np.array([imu.ax, imu.ay, imu.gz])
         self.block = np.floor(imu.time / 0.05)
         self.floor: list[float | None] = [None] * 3
@@ -91,7 +91,7 @@ def test_it_decides_as_said_at_any_rate(rate: float, jitter: bool):
     drive = shaken(urban(rate), int(rate)) if jitter else urban(rate)
     plain = Plain(drive)
     expected = np.array([plain.stands(k) for k in range(len(drive.imu))])
-    found = standing(drive, judged(drive.gps))
+    found = standing(drive, classify_fixes(drive.gps))
     assert 0.02 < expected.mean() < 0.6
     # A threshold may be hit within rounding.
     assert np.count_nonzero(found != expected) <= 1e-4 * len(found)
@@ -137,7 +137,7 @@ def stop(ramp: float) -> Drive:
 @pytest.mark.parametrize("ramp", [0.2, 0.4, 1.0, 10.0])
 def test_a_departure_is_seen_before_the_car_is_fast(ramp: float):
     drive = stop(ramp)
-    stands, time = standing(drive, judged(drive.gps)), drive.imu.time
+    stands, time = standing(drive, classify_fixes(drive.gps)), drive.imu.time
     assert stands[(time > 5.0) & (time < 15.0)].mean() > 0.95
     speed = np.cumsum(np.clip(ramp * (time - 15.0), 0.0, 1.0)) * 0.01
     assert speed[stands].max() < 0.3
@@ -147,7 +147,7 @@ def test_behind_an_outage_a_steady_departure_is_no_standstill():
     drives = [simulate("urban", seed=seed, gps="white-1m", duration=120.0) for seed in (4, 7)]
     for drive, (begin, end) in zip(drives, ((95.19, 100.19), (31.18, 36.18)), strict=True):
         left = drive.gps.select((drive.gps.time < begin) | (drive.gps.time > end))
-        stands = standing(replace(drive, gps=left), judged(left))
+        stands = standing(replace(drive, gps=left), classify_fixes(left))
         speed = np.interp(drive.imu.time, drive.truth.time, np.hypot(drive.truth.vx, drive.truth.vy))
         assert speed[stands].max() < 0.3
 
@@ -155,7 +155,7 @@ def test_behind_an_outage_a_steady_departure_is_no_standstill():
 def test_frozen_fixes_of_a_driving_car_are_no_evidence():
     t = np.arange(0.0, 12.0, 0.5)
     fixes = np.column_stack([t, np.minimum(t, 5.0) * 9.0, 0 * t])
-    kinds = judged(Gps(t, fixes[:, 1], fixes[:, 2]))
+    kinds = classify_fixes(Gps(t, fixes[:, 1], fixes[:, 2]))
     assert (kinds[t > 5.0] == STALE_MOVING).all()
     assert not fixes_stand(fixes, kinds, len(t), 11.9, np.empty(1))
     assert fixes_stand(fixes, 0 * kinds, len(t), 11.9, np.empty(1))
@@ -167,7 +167,7 @@ def test_nothing_that_is_told_to_stand_drives(name: str):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the reader's, about gaps
         drive = read_drive(DRIVES / name)
-    stands = standing(drive, judged(drive.gps))
+    stands = standing(drive, classify_fixes(drive.gps))
     assert drive.truth is not None
     speed = np.interp(drive.imu.time, drive.truth.time, np.hypot(drive.truth.vx, drive.truth.vy))
     assert stands.sum() > 90

@@ -36,7 +36,7 @@ class DriveRecord(BaseModel):
     """Names of these training drives."""
 
 
-def described(drive: Drive) -> dict[str, Any]:
+def record_of(drive: Drive) -> dict[str, Any]:
     return {
         "name": drive.name,
         "duration_s": round(drive.duration, 3),

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.stale_fixes import STALE, judged
+from sigmaswarm.drives.stale_fixes import STALE, classify_fixes
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 
 SMALL = 500_000  # steps of a time line that is kept in memory: more than an hour, 40 MB
@@ -35,8 +35,8 @@ class PreparedDrive:
 
     @cached_property
     def kinds(self) -> Array:
-        """Kind of each fix, (number of fixes,): see `drives.stale_fixes`; all are new with ``as_recorded``."""
-        return np.zeros(len(self.drive.gps)) if self.as_recorded else judged(self.drive.gps)
+        """Kind of each fix, (number of fixes,), see `drives.stale_fixes`; all are new with ``as_recorded``."""
+        return np.zeros(len(self.drive.gps)) if self.as_recorded else classify_fixes(self.drive.gps)
 
     @property
     def stale(self) -> NDArray[np.bool_]:

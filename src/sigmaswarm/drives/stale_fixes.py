@@ -28,30 +28,30 @@ BRAKING = 4.0  # m/s2, largest deceleration of a car; more is noise
 ENOUGH = 3.0  # smallest number of new fixes that show braking; fewer give only a mean speed
 
 
-def judged(gps: Gps) -> Array:
+def classify_fixes(gps: Gps) -> Array:
     """Classify all fixes, (n,): `NEW`, `HELD`, `STALE` or `STALE_MOVING`."""
     # The array of a live filter, so that `kind_of` is compiled once.
     fixes = np.column_stack([gps.time, gps.x, gps.y, np.zeros(len(gps.time))])
     kinds = fixes[:, 3]
     if len(kinds):
-        _judge_all(fixes, kinds)
+        _classify_all(fixes, kinds)
     return kinds.copy()
 
 
 def stale_fixes(gps: Gps) -> NDArray[np.bool_]:
     """Mark the stale fixes, (n,), which no filter uses as positions."""
-    return judged(gps) >= STALE
+    return classify_fixes(gps) >= STALE
 
 
 @cached
-def _judge_all(fixes: Array, kinds: Array) -> None:
+def _classify_all(fixes: Array, kinds: Array) -> None:
     for k in range(len(fixes)):
         kinds[k] = kind_of(fixes, kinds, k)
 
 
 @cached
 def kind_of(fixes: Array, kinds: Array, k: int) -> int:
-    """Classify fix k; rows of ``fixes``, by time, begin with t, x, y, and ``kinds`` contains the kinds of earlier rows.
+    """Classify fix ``k`` by the earlier fixes.
 
     All fixes of the last seconds are compared, so each of two receivers is compared with itself. The first fix of a run
     of repeats determines the kind of the whole run.
@@ -73,7 +73,7 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
 
 @cached
 def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
-    """Estimate the car's speed (m/s) at a time from the new fixes of the seconds up to row ``last``.
+    """Estimate the car's speed (m/s) at a time from the new fixes of the seconds before.
 
     A line and a parabola are fitted, and the smaller speed is returned, since a car that brakes to a halt was fast a
     second before. In a log that begins with repeated fixes, the result is 0.

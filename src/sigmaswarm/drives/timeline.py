@@ -21,7 +21,7 @@ from sigmaswarm.drives.alignment import Alignments
 from sigmaswarm.drives.drive import Array, Drive, Gps
 from sigmaswarm.drives.gaps import gaps_before
 from sigmaswarm.drives.odometer import Wheels, measurements_of
-from sigmaswarm.drives.stale_fixes import STALE, judged
+from sigmaswarm.drives.stale_fixes import STALE, classify_fixes
 from sigmaswarm.drives.standstill import standing
 from sigmaswarm.drives.tables import headings_of
 
@@ -178,7 +178,7 @@ def build_timeline(
     """
     imu = drive.imu
     if kinds is None:
-        kinds = np.zeros(len(drive.gps)) if as_recorded else judged(drive.gps)
+        kinds = np.zeros(len(drive.gps)) if as_recorded else classify_fixes(drive.gps)
     fixes = drive.gps.select(_usable(drive, start, kinds))
     imu_time = imu.time[np.searchsorted(imu.time, start, side="right") :]
     moments = np.union1d(imu_time, fixes.time)

@@ -152,7 +152,7 @@ class LiveFilter:
             1, int(np.ceil(1.25 * max(history, (lag or -1.0) + nominal_interval) / nominal_interval))
         )
         seen = samples + int(FIX_WINDOW / nominal_interval)  # at most as many fixes as samples
-        filter_state = _trust_times(p, initial, nominal_interval, lever_arm)
+        filter_state = _initial_filter_state(p, initial, nominal_interval, lever_arm)
         filter_state[live.AS_RECORDED], filter_state[live.LATE_BY] = as_recorded, history
         counts = np.zeros(live.N_COUNTS, dtype=np.int64)
         self._memory = Memory(
@@ -265,12 +265,12 @@ class LiveFilter:
         fix, monitor = self._last_fix(now), self._monitor
         if fix is None or monitor is None:
             return
-        start = self._judged(monitor, now, fix, self._estimate, due=due)
+        start = self._reset_state(monitor, now, fix, self._estimate, due=due)
         if start is not None:
             self._reset(start)
         self._holds = monitor.lost
 
-    def _judged(
+    def _reset_state(
         self,
         monitor: DivergenceMonitor,
         now: float,
@@ -427,7 +427,7 @@ def _squared(std: Sequence[float] | None) -> tuple[float, float]:
     return float(std[0]) ** 2, float(std[1]) ** 2
 
 
-def _trust_times(
+def _initial_filter_state(
     p: FilterParameters, initial: InitialState, nominal_interval: float, lever_arm: Sequence[float]
 ) -> Array:
     v = np.zeros(live.N_ALL)

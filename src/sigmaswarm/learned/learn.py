@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.fingerprint import DriveRecord, described
+from sigmaswarm.drives.fingerprint import DriveRecord, record_of
 from sigmaswarm.drives.overlap import SEEN_FILE, landmarks, save_landmarks
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import staged_files, write_json, write_whole
@@ -87,8 +87,8 @@ class LearnConfig:
             "filter": self.parameters.to_dict(),
             "search": self.search,
             "seed": self.seed,
-            "data": [described(drive) for drive in self.drives],
-            "validation": [described(drive) for drive in self.validation],
+            "data": [record_of(drive) for drive in self.drives],
+            "validation": [record_of(drive) for drive in self.validation],
             "versions": versions() | {"jax": version("jax")},
         }
 

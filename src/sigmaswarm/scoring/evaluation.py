@@ -13,7 +13,7 @@ from sigmaswarm import notebook
 from sigmaswarm.datasets.dataset import datasets_of
 from sigmaswarm.doctor.diagnose import findings_of
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.fingerprint import DriveRecord, described
+from sigmaswarm.drives.fingerprint import DriveRecord, record_of
 from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
@@ -401,7 +401,7 @@ def _evaluated(
         tracks=tracker.tracks(drive.name),
         picture=tracker.picture(drive.name),
         record=DriveRecord(
-            **described(drive),
+            **record_of(drive),
             scored_from_s=round(start - float(drive.imu.time[0]), 3),
             truth_share=share_known(drive.truth, start, end),
         ),

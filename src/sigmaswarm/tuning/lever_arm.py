@@ -233,7 +233,8 @@ def _step(
     prior: Mapping[str, tuple[float, float]],
 ) -> tuple[Array, list[Whitened], Array, Array]:
     """Return a Gauss-Newton step, the whitened arrays by drive, and the posterior and prior information matrices."""
-    whitened = [_whitened(PreparedDrive(_at(drive, values)), parameters, values) for drive in drives]
+    arm = values["forward"], values["left"]
+    whitened = [_whitened(PreparedDrive(_with_arm(drive, arm)), parameters, values) for drive in drives]
     before = np.diag([1 / std**2 for _, std in prior.values()])
     pull = before @ [mean - values[name] for name, (mean, _) in prior.items()]
     information = before.copy()
@@ -270,10 +271,6 @@ def _others(p: FilterParameters) -> dict[str, tuple[float, float]]:
     names += () if model.measures_imu or p.lateral_noise is None else ("rear_axle", "tire_slip")
     mean = {"rear_axle": HALF_A_WHEELBASE, "latency": p.latency}
     return {name: (mean.get(name, 0.0), {**PRIOR_STD, **rolling}[name]) for name in names}
-
-
-def _at(drive: Drive, values: Mapping[str, float]) -> Drive:
-    return _with_arm(drive, (values["forward"], values["left"]))
 
 
 def _whitened(ready: PreparedDrive, parameters: FilterParameters, values: Values) -> Whitened:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.datasets.dataset import Dataset, LocalDataset
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.fingerprint import described
+from sigmaswarm.drives.fingerprint import record_of
 from sigmaswarm.drives.overlap import Landmarks, landmarks
 from sigmaswarm.drives.sensors import Sensors, enough_for_fix_error, sensors_of
 from sigmaswarm.errors import InputError
@@ -93,7 +93,7 @@ class Problem(ABC, Generic[P]):
         """Return the costs, shape (n,), of points, shape (n, d); ``inf`` where a filter failed."""
         return self.mean(self.each(points, range(len(self.steps)), executor))
 
-    def judged(self, point: Array, executor: Executor | None) -> float:
+    def cost_without_prior(self, point: Array, executor: Executor | None) -> float:
         """Return the cost of a point, shape (d,), without a prior."""
         return float(self.costs(point[np.newaxis], executor)[0])
 
@@ -159,7 +159,7 @@ class CarProblem(Problem[FilterParameters]):
             costs += self.config.prior * prior_costs(parameter_sets, self._receiver_std[list(drives)])
         return costs
 
-    def judged(self, point: Array, executor: Executor | None) -> float:
+    def cost_without_prior(self, point: Array, executor: Executor | None) -> float:
         plain = replace(self, config=self.config.model_copy(update={"prior": 0.0}))
         return float(plain.costs(point[np.newaxis], executor)[0])
 
@@ -231,7 +231,7 @@ def car_problem(
     check_drives(have, objective)
     _check_columns(have, config)
     replays = replays_for(objective, dataset, config.outage_seed, as_recorded=config.as_recorded)
-    data = dataset.map(described)
+    data = dataset.map(record_of)
     # Compiled before the threads start, since all of them would wait for the kernel.
     run_kernel(kernel_name(config.model, config.kind, "fix-error" in config.use))
     return CarProblem(config, space or car_space(config, have), data, replays)

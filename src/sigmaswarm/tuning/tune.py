@@ -248,7 +248,10 @@ def tune_problem(
         point, cost, factor = inflated(problem, point, cost, config.inflation, executor)
     validation = None
     if held_back:
-        own, other = problem.judged(point, executor), held_back.judged(point, executor)
+        own, other = (
+            problem.cost_without_prior(point, executor),
+            held_back.cost_without_prior(point, executor),
+        )
         names = tuple(entry["name"] for entry in held_back.data)
         validation = Validation(other, float(problem.rise(other, own)), names)
     evaluations = sum(trial.evaluations for trial in trials)

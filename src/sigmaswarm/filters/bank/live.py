@@ -364,7 +364,7 @@ class LiveFilterBank(LiveFilter):
             return
         estimate = self._with_sound_biases(together.lost, *self._mixed())
         gyro_bias = self._gyro_bias(estimate[0])
-        start = self._judged(together, now, fix, lambda: estimate, due=due, gyro_bias=gyro_bias)
+        start = self._reset_state(together, now, fix, lambda: estimate, due=due, gyro_bias=gyro_bias)
         if start is None and due and not self.weights.any():  # all lanes have failed
             with np.errstate(all="ignore"):  # non-finite values give no start
                 start = self._check(now, fix, *estimate).start
