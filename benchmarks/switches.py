@@ -156,7 +156,7 @@ def drift(ready: Sequence[PreparedDrive], parameters: FilterParameters, length: 
         for seed in WINDOWS[length]:
             if len(outage_windows(one.drive, one.initial, length=length, seed=seed)):
                 replay = outage_replay(one, length=length, seed=seed)
-                squares += float(run_replays([replay], [parameters]).squared_position[0, 0])
+                squares += float(run_replays([replay], [parameters])["SQ_POSITION"][0, 0])
                 count += replay.targets.n_positions
                 one.forget()
     return float(np.sqrt(squares / count)) if count else float("nan")

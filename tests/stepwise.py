@@ -107,9 +107,9 @@ class CompiledCars:
     def _run(self, part: slice, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
         t = self.line
         rows = self.rows[part, : layout.N_KEPT].T.copy()
-        faced = rows[[R.FACED, R.COS, R.SIN]]
+        faced = rows[[R.SIN_COS_VALID, R.COS, R.SIN]]
         rows[layout.SUM_ROWS] = 0.0
-        rows[[R.FACED, R.COS, R.SIN]] = faced
+        rows[[R.SIN_COS_VALID, R.COS, R.SIN]] = faced
         rows[[R.DET, R.TAIL, R.OK]], rows[R.RECENT] = 1.0, -1.0
         run.run_lanes(
             self.kernel,

@@ -1,6 +1,7 @@
 """Templates: what is filled in, what is left out, and that nothing is forgotten."""
 
 import re
+from dataclasses import replace
 from itertools import product
 
 import pytest
@@ -69,6 +70,11 @@ def test_no_place_and_no_part_is_left_over(target, model: str, kind: str, everyt
         assert re.findall(r"@[A-Z]", text) == []
         assert "USE_" not in text
         assert text.endswith("\n")
+
+
+def test_comments_in_c_have_no_python():
+    p = replace(tuned("planar5", "ukf", 0.01), odometer_noise=0.1)
+    assert re.findall(r"`|\b(?:True|False|None)\b", c99(p, 0.01)["ins_gps.c"]) == []
 
 
 def test_a_row_that_is_kept_between_steps_must_have_a_c_text():

@@ -152,7 +152,7 @@ def test_a_lane_that_is_replaced_goes_where_it_heads():
     for t, seen in steps[:3]:
         among.predict(t, seen)
     rows = among._rows_of(among._numbers)
-    rows[[layout.R.T, layout.R.FACED], 7] = 2.5, 0.0
+    rows[[layout.R.T, layout.R.SIN_COS_VALID], 7] = 2.5, 0.0
     before = rows[[layout.R.U, layout.R.V], 7]
     among.predict(*steps[3])
     east, north = rows[[layout.R.U, layout.R.V], 7] - before

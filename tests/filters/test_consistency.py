@@ -169,7 +169,7 @@ def consistency(
         recording = Recording(replay, wrong)
         run = recording.whole()
         assert run.sound.all()
-        nis += recording.sums.nis[0, 0]
+        nis += recording.sums["NIS"][0, 0]
         error = run.mean[[EARLY, -1]] - truth[[EARLY, -1], j]
         error[:, 4] = wrap_angle(error[:, 4])
         covariance = run.covariance[[EARLY, -1]]

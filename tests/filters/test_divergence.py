@@ -198,7 +198,7 @@ def test_looking_changes_no_bit(samples: int):
     a, b = plain.whole(), watched.whole()
     np.testing.assert_array_equal(a.mean, b.mean)
     np.testing.assert_array_equal(a.covariance, b.covariance)
-    np.testing.assert_array_equal(plain.sums.nis, watched.sums.nis)
+    np.testing.assert_array_equal(plain.sums["NIS"], watched.sums["NIS"])
     np.testing.assert_array_equal(plain.innovations.innovation, watched.innovations.innovation)
 
 

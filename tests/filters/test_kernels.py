@@ -59,7 +59,7 @@ PLANAR8 = FilterParameters(0.5, 2.0, 1.0, (1e-4,) * 5 + (1e-9,) * 3, (1.0, 1.0),
 
 def as_bits(sums: Sums) -> np.ndarray:
     """(sets, sums) of one replay, to be compared as they are."""
-    return np.column_stack([np.asarray(column[0], dtype=float) for column in vars(sums).values()])
+    return np.column_stack([*sums.numbers[:, 0], sums.failed[0].astype(float)])
 
 
 # --- The sine ----------------------------------------------------------------------------------------------

@@ -278,9 +278,9 @@ def test_a_run_adds_up_its_steps(kind: str, model: str):
     assert n_fixes % 8  # the product of det S is moved into its logarithm after every 8, and at the end
     start = first_steps(timeline, n)
     whole = run_replays([Replay(start, initial, Targets.none(start))], sets)
-    assert whole.nis[0] == pytest.approx(total[0], rel=1e-12)
-    assert whole.log_determinant[0] == pytest.approx(total[1], rel=1e-12)
-    assert whole.squared_fix[0] == pytest.approx(total[2], rel=1e-12)
+    assert whole["NIS"][0] == pytest.approx(total[0], rel=1e-12)
+    assert whole["LOG_DET"][0] == pytest.approx(total[1], rel=1e-12)
+    assert whole["SQ_FIX"][0] == pytest.approx(total[2], rel=1e-12)
     stepped = np.array(means)
     stepped[..., THETA] = wrap_angle(stepped[..., THETA])  # as estimates have it
     for lane, p in enumerate(sets):
@@ -331,7 +331,7 @@ def test_no_lane_fails_inside_the_box(name: str):
     table = np.vstack([np.where(every_corner, UPPER, LOWER), box_table(1032)[32:]])
     sums = run_replays([Replay(timeline, initial, Targets.none(timeline))], as_parameters(table))
     assert not sums.failed.any()
-    assert np.isfinite(sums.log_determinant).all()
+    assert np.isfinite(sums["LOG_DET"]).all()
     for p in as_parameters(box_table(48)):
         compiled_run(timeline, initial, p)  # looks at every covariance along the way
 

@@ -115,4 +115,4 @@ def test_sets_of_several_kinds_come_back_in_their_order():
     together = run_replays([replay, replay], mixed)
     for i in (0, 1, 20, 39):
         alone = run_replays([replay], [mixed[i]])
-        assert together.nis[1, i] == alone.nis[0, 0]
+        assert together["NIS"][1, i] == alone["NIS"][0, 0]

@@ -134,7 +134,7 @@ def test_a_displacement_is_absorbed_as_by_a_filter_that_keeps_a_clone(
     rows = run._rows[0].copy()
     assert on.update(begin, rows, stop, at + innovation, noise)
     mean, covariance = on._state(rows)
-    assert not rows[R.FACED].any()
+    assert not rows[R.SIN_COS_VALID].any()
     wanted = (joint - gain @ s @ gain.T)[n:, n:]
     scale = np.sqrt(np.diag(p1))
     np.testing.assert_allclose(minus(mean, plus(x1, gain[n:] @ innovation)) / scale, 0.0, atol=2e-3)

@@ -5,8 +5,8 @@ import numpy as np
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array
 
-MANY, SHORTEST = 5.0, 0.05
-"""Limits of a gap, in usual intervals and in s; a gap exceeds both."""
+MANY = 5.0  # usual intervals, which a gap exceeds
+SHORTEST = 0.05  # s, which a gap also exceeds
 OVER = 32.0
 """Approximate number of intervals over which the usual interval is averaged."""
 MOST = 3.0

@@ -83,15 +83,19 @@ def slot_of(t: Any, start: float, interval: float) -> Any:
 
 @cached
 def wheels_turn(readings: Array, end: int, now: float) -> bool:
-    """Return True if the wheels turn; the first ``end`` rows of ``readings``, time and speed, are up to ``now``."""
+    """Return True if the wheels turn.
+
+    The first ``end`` rows of ``readings``, time and speed, are up to now.
+    """
     return end > 0 and readings[end - 1, 0] > now - LARGEST_AGE and abs(readings[end - 1, 1]) >= SLOW
 
 
 @cached
 def mean_reading(readings: Array, end: int, now: float, before: float, taken: float, wheels: Array) -> bool:
-    """Average the readings since the last measurement, at ``taken``, into ``wheels`` (3,): see SPEED ... MORE.
+    """Average the readings since the last measurement; return False if there is no new reading.
 
-    Return False if no reading is newer than ``before``.
+    ``taken`` is the time of the last measurement, and a new reading is later than ``before``. The result is stored in
+    ``wheels`` (3,): see SPEED ... MORE.
     """
     oldest = now - INTERVAL
     if end == 0 or readings[end - 1, 0] <= max(before, oldest):

@@ -44,16 +44,22 @@ CLOSE = 1e-5
 """The line is fitted again this long before a fix leaves the window, s."""
 TURNING = math.radians(1.5)  # rad/s, largest yaw rate at a standstill, due to the gyro's bias
 
-# A detector's memory, shape (N_MEMORY, 8). Rows: the stacks, from row PLACE on the older one; the current block; the
-# newer stack, merged; the complete blocks of the last second, merged; of the last quarter; the level of calm; means of
-# ax, ay over the second, then over the quarter.
-NOW, FRESH, WHOLE, PART, LEVEL, MEANS = range(SECOND, SECOND + 6)
+# Rows of a detector's memory, shape (N_MEMORY, 8). First the stacks, from row PLACE on the older one.
+NOW = SECOND  # row: the current block
+FRESH = SECOND + 1  # row: the newer stack, merged
+WHOLE = SECOND + 2  # row: the complete blocks of the last second, merged
+PART = SECOND + 3  # row: the complete blocks of the last quarter of a second, merged
+LEVEL = SECOND + 4  # row: usual standard deviations of calm (negative: unknown), then PLACE to LAST
+MEANS = SECOND + 5  # row: means of ax, ay over the last second, then over its last quarter
 N_MEMORY = SECOND + 6
-# Columns of a block: number of samples, means of ax, ay, gz, sums of squares about the means, row of the first of them.
-COUNT, MEAN, SQUARES, FIRST = 0, 1, 4, 7
-# Columns of LEVEL behind the usual deviations of calm (negative: unknown): the row of the stacks that comes next, the
-# age of the oldest block of WHOLE in blocks, the current block's number, the time of the last sample.
-PLACE, AGE, NUMBER, LAST = 3, 4, 5, 6
+COUNT = 0  # column of a block: number of samples
+MEAN = 1  # first of three columns of a block: means of ax, ay, gz
+SQUARES = 4  # first of three columns of a block: sums of squares about the means
+FIRST = 7  # column of a block: row of the first of the blocks that were merged into it
+PLACE = 3  # column of LEVEL: row of the stacks that comes next
+AGE = 4  # column of LEVEL: age of the oldest block of WHOLE, in blocks
+NUMBER = 5  # column of LEVEL: number of the current block
+LAST = 6  # column of LEVEL: time of the last sample
 
 PIECE = 100_000  # samples per copy, to limit the memory
 
@@ -227,11 +233,12 @@ def is_as_it_was(stop: Array, passed: float, means: Array) -> bool:
 
 @cached
 def fixes_stand(fixes: Array, kinds: Array, n: int, now: float, until: Array) -> bool:
-    """Return True if a straight-line fit to the fixes of the last seconds has a low speed; rows begin with t, x, y.
+    """Return True if a straight-line fit to the fixes of the last seconds has a low speed.
 
-    Of the first ``n`` rows, those up to ``now`` are read, except stale fixes of a moving car (``kinds``: see
-    `stale_fixes`). The result is valid until ``until[0]`` if no fix is added. After an outage, the window must first be
-    full: half a window has three times the noise, and a departing car would appear to stand.
+    Rows of ``fixes`` begin with t, x, y. Of the first ``n`` rows, those up to ``now`` are read, except stale fixes of a
+    driving car (``kinds``, see `stale_fixes`). The result is valid until ``until[0]`` if no fix is added. After an
+    outage the window must first be full: half a window has three times the noise, and a departing car would appear to
+    stand.
     """
     count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     first, last, k = 0, 0, n - 1

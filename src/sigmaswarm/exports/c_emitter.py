@@ -28,7 +28,7 @@ PARAMETERS = {
     "z": ("const InsGpsFix *fix",),
     "lever": ("const real *lever",),
     "wheels": ("const Wheels *wheels",),
-    "happens": ("unsigned happens",),
+    "events": ("unsigned events",),
     "since": ("InsGpsEstimate *b",),
     "l": (),
 }
@@ -145,7 +145,7 @@ class _Function(ast.NodeTransformer):
         if "P[" in code:
             self.lines.insert(0, "    real(*P)[N] = b->covariance;")
         documented = (ast.get_docstring(self.definition) or "").split("\n\n")[0].split()
-        doc = textwrap.fill(" ".join(documented), 116, subsequent_indent=" * ")
+        doc = textwrap.fill(_in_c(" ".join(documented)), 116, subsequent_indent=" * ")
         comment = f"/* {doc} */\n" if documented else ""
         head = textwrap.fill(head, 118, subsequent_indent="    ").replace("\0", " ")
         return f"{comment}{head}\n{{\n" + "\n".join(_wrapped(self.lines)) + "\n}\n"
@@ -316,7 +316,7 @@ class _Function(ast.NodeTransformer):
 
     def value(self, node: ast.expr) -> Any:
         """Return the value of an expression, or None if it depends on the state."""
-        if isinstance(node, ast.BinOp) and ast.unparse(node.left) == "happens":
+        if isinstance(node, ast.BinOp) and ast.unparse(node.left) == "events":
             return None if self.evaluate(node.right) else 0  # an event that this filter does not have
         try:
             return self.evaluate(node)
@@ -431,8 +431,8 @@ class _Function(ast.NodeTransformer):
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
         left, right = self.visit(node.left), self.visit(node.right)
-        if _name(left) == "happens":
-            return ast.Name(f"(happens & EVENT_{ast.unparse(node.right)}) != 0u")
+        if _name(left) == "events":
+            return ast.Name(f"(events & EVENT_{ast.unparse(node.right)}) != 0u")
         a, b = _number(left), _number(right)
         match node.op:
             case ast.Add() if a == 0.0:
@@ -565,12 +565,17 @@ def _wrapped(lines: list[str]) -> list[str]:
     return wrapped
 
 
+def _in_c(comment: str) -> str:
+    """Return a comment without the marks and values of Python."""
+    return re.sub(r"\b(True|False)\b", lambda match: match[0].lower(), comment.replace("`", ""))
+
+
 def _comments(source: str) -> dict[int, list[str]]:
     found: dict[int, list[str]] = {}
     waiting: list[str] = []
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
-            text = token.string.lstrip("# ")
+            text = _in_c(token.string.lstrip("# "))
             if text.startswith(("fmt:", "noqa")):
                 continue
             if token.line.lstrip().startswith("#"):

@@ -54,15 +54,15 @@ def kernels_of(
         emitter.add(measurements.update_standstill, **both, gyro_biases=gyro)
     emitter.add(measurements._keep_digits, **both, unscented=0, fix_error=int(model.fix_error))
     if features["USE_STRETCH"]:
-        emitter.add(measurements._stretch, n=n)
+        emitter.add(measurements._inflate_observed, n=n)
     if features["USE_STRONG_TRACKING"]:
-        emitter.add(measurements._fade, n=n)
+        emitter.add(measurements._strong_tracking, n=n)
     if features["USE_ROBUST"]:
-        emitter.add(measurements._weigh)
+        emitter.add(measurements._student_t_weight)
     if features["USE_ADAPTIVE"]:
         emitter.add(measurements._adapt, n=n)
     if features["USE_FUZZY"]:
-        emitter.add(measurements._reason, n=n)
+        emitter.add(measurements._apply_fuzzy_rules, n=n)
     _add_step(emitter, p, features)
     kernels, stepping = emitter.texts[:-1], emitter.texts[-1]
     emitter.texts = kernels
@@ -80,7 +80,7 @@ def _add_step(emitter: Emitter, p: FilterParameters, features: Mapping[str, bool
     model = FILTERS[p.kernel]
     stores_innovation = features["USE_NIS"] or features["USE_LANES"]
     if stores_innovation:
-        emitter.add(measurements._look)
+        emitter.add(measurements._add_likelihood)
     emitter.add(
         measurements.update_fix,
         **{
@@ -113,8 +113,8 @@ def _add_step(emitter: Emitter, p: FilterParameters, features: Mapping[str, bool
 def _add_planar(emitter: Emitter, model: str, features: Mapping[str, bool], n: int) -> None:
     if model == "planar5":
         emitter.add(lanes.sinc_cos)
-        emitter.add(planar5._face)
-        emitter.add(planar5._look_away)
+        emitter.add(planar5._refresh_sin_cos)
+        emitter.add(planar5._invalidate_sin_cos)
         emitter.add(planar5._turn, "turn_acceleration")
         emitter.add(planar5.predict_planar5)
     else:
@@ -185,7 +185,7 @@ def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> 
         **{"DOF": "ROBUST_DOF", "PATIENCE": "PATIENCE", "OUTLIERS": "b->outliers", "SPAN": "b->span"},
         "OK": "b->failed",
         **{name: name for name in ("FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR")},
-        **dict.fromkeys(("FACED", "FACED_ALL"), "b->faced" if turns_along else None),
+        **dict.fromkeys(("SIN_COS_VALID", "SIN_COS_VALID_ALL"), "b->faced" if turns_along else None),
         **dict.fromkeys(("TINY", "GRAVITY")),
     }
     memory = "b" if turns_along else "work"

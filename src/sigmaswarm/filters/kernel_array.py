@@ -23,6 +23,7 @@ from sigmaswarm.filters.compiled.layout import (
     N_KEPT,
     N_STATE,
     Q0,
+    SUMS,
     R,
     lanes_for,
     most_lanes,
@@ -44,27 +45,30 @@ MOST_CACHED = 1_000  # cached starts, 3 kB each, which the next generations reus
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Sums over replays for each parameter set, (n_replays, n_sets); NaN if a set failed."""
+    """Sums over replays for each parameter set; ``sums["NIS"]`` has shape (n_replays, n_sets).
 
-    squared_position: Array  # of errors over the targets, weighted, m2
-    squared_heading: Array  # of errors over the targets with a heading, weighted, rad2
-    nees: Array  # e^T P^-1 e of the position over the targets; P includes the reference's variance
-    squared_fix: Array  # of residuals of the fixes after their update, m2
-    squared_forecast: Array  # of innovations of the hidden fixes, m2
-    nis: Array  # nu^T S^-1 nu over all fixes, also the hidden ones
-    log_tail: Array  # ln(1 + NIS / c) over all fixes, with c of `innovation-t`
-    forecast_t: Array  # ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over hidden fixes, v, c of `forecast-t`
-    log_determinant: Array  # ln det S over all fixes
-    failed: NDArray[np.bool_]  # P was not positive definite, or a state became NaN
+    Attributes
+    ----------
+    numbers : (n_sums, n_replays, n_sets)
+        In the order of `layout.SUMS`; NaN if a set failed.
+    failed : bool (n_replays, n_sets)
+        True if P was not positive definite, or a state became NaN.
+    """
+
+    numbers: Array
+    failed: NDArray[np.bool_]
 
     @classmethod
     def empty(cls, n_replays: int, n_sets: int) -> "Sums":
-        numbers = np.empty((9, n_replays, n_sets))
-        return cls(*numbers, failed=np.empty((n_replays, n_sets), dtype=np.bool_))
+        shape = n_replays, n_sets
+        return cls(np.empty((SHOWN.stop - SHOWN.start, *shape)), np.empty(shape, dtype=np.bool_))
+
+    def __getitem__(self, name: str) -> Array:
+        return self.numbers[SUMS.index(name)]
 
     def put(self, replays: slice, sets: NDArray[np.intp], part: "Sums") -> None:
-        for name, column in vars(self).items():
-            column[replays, sets] = getattr(part, name)
+        self.numbers[:, replays, sets] = part.numbers
+        self.failed[replays, sets] = part.failed
 
 
 class KernelArray:
@@ -130,7 +134,8 @@ class KernelArray:
         """Return the kernel's constants, (N_CONSTANTS, columns), for a drive with this IMU interval, s."""
         constants, own = self._constants[:, self._columns].copy(), self._interval[self._columns]
         constants[_Q] *= nominal_interval / np.where(own > 0.0, own, nominal_interval)
-        constants[R.PATIENCE - CONSTANT_ROWS.start] = _patience(nominal_interval)
+        # In nominal steps, less a margin for the rounding of Unix time.
+        constants[R.PATIENCE - CONSTANT_ROWS.start] = (OUTLIERS_SPAN - 1e-6) / nominal_interval
         constants[R.FIX_ERROR_RATE - CONSTANT_ROWS.start] *= nominal_interval
         return constants
 
@@ -148,16 +153,11 @@ class KernelArray:
         if not all(start in starts for start in initial):
             starts = self._starts_at(tuple(dict.fromkeys(initial)), self._start_std[chosen])
             chosen = slice(None)
-        own, constants = self._interval[columns], _in_blocks(self._constants[:, columns], blocks)
         rows = np.empty((blocks, m, N_KEPT, self.width))
         rows[:] = _FRESH
-        rows[:, :, CONSTANT_ROWS] = constants[:, np.newaxis]
         for k, (start, interval) in enumerate(zip(initial, nominal_intervals, strict=True)):
             state, heading = starts[start]
-            ratio = interval / np.where(own > 0.0, own, interval)
-            rows[:, k, Q0 : Q0 + len(MEAN)] *= _in_blocks(ratio[np.newaxis], blocks)
-            rows[:, k, R.PATIENCE] = _patience(interval)
-            rows[:, k, R.FIX_ERROR_RATE] *= interval
+            rows[:, k, CONSTANT_ROWS] = _in_blocks(self.constants(interval), blocks)
             rows[:, k, :N_STATE] = _in_blocks(state[:, chosen], blocks)
             rows[:, k, R.HEADING] = _in_blocks(heading[np.newaxis, chosen], blocks)[:, 0]
         return rows.reshape(-1, N_KEPT, self.width)
@@ -173,18 +173,13 @@ class KernelArray:
         if self.blocks > 1:  # all columns of a replay side by side
             found, sums = _side_by_side(found, self.blocks), _side_by_side(sums, self.blocks)
         sound = found[:, : self.size] & self.plausible
-        return Sums(*np.where(sound, sums[..., : self.size], np.nan), failed=~sound)
+        return Sums(np.where(sound, sums[..., : self.size], np.nan), ~sound)
 
 
 _Q = slice(Q0 - CONSTANT_ROWS.start, Q0 - CONSTANT_ROWS.start + len(MEAN))
 _FRESH = np.zeros((N_KEPT, 1))  # rows of a filter before its first step
 _FRESH[[R.DET, R.TAIL, R.OK, R.QUICK, R.SLOW, R.TIMES_R, R.TIMES_Q]] = 1.0
 _FRESH[R.RECENT] = -1.0
-
-
-def _patience(nominal_interval: float) -> float:
-    """Return `OUTLIERS_SPAN` in nominal steps, minus a margin for the rounding of Unix time."""
-    return (OUTLIERS_SPAN - 1e-6) / nominal_interval
 
 
 def _starts_of(initial: tuple[InitialState, ...], model: str, std: Array) -> Starts:

@@ -13,7 +13,7 @@ from sigmaswarm.filters.compiled.layout import N_STATE, P0, R, state_rows
 from sigmaswarm.filters.fix_error import FILTERS, own_name
 from sigmaswarm.filters.models import THETA
 
-_FIRST_SHOWN, _LAST_SHOWN = R.SQ_POSITION, R.LOG_DET  # rows of `kernel_array.Sums`, in its order
+_FIRST_SHOWN, _LAST_SHOWN = R.SQ_POSITION, R.LOG_DET  # rows of `kernel_array.Sums`
 SHOWN = slice(_FIRST_SHOWN, _LAST_SHOWN + 1)
 
 

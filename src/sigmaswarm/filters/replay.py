@@ -50,8 +50,8 @@ class Targets:
 
     @property
     def columns(self) -> run.TargetColumns:
-        weight, x, y, theta = (run.kept(column) for column in (self.weight, self.x, self.y, self.theta))
-        return weight, x, y, theta, self.counts, run.kept(self.noise)
+        weight, x, y, theta = (run.readonly(column) for column in (self.weight, self.x, self.y, self.theta))
+        return weight, x, y, theta, self.counts, run.readonly(self.noise)
 
     def compared(self, line: Timeline) -> NDArray[np.intp]:
         """Return the steps that end at an IMU sample with a target in the interval before or after it."""
@@ -154,8 +154,7 @@ def require_readable(replay: Replay, array: KernelArray) -> None:
     replay.readable.add(array.reads)
 
 
-def joined(parts: Sequence[Sums], axis: int) -> Sums:
-    """Join sums of more replays (axis 0) or more sets (axis 1)."""
-    if len(parts) == 1:
-        return parts[0]
-    return Sums(**{name: np.concatenate([getattr(s, name) for s in parts], axis) for name in vars(parts[0])})
+def joined(parts: Sequence[Sums]) -> Sums:
+    """Join sums of the same replays and of different sets."""
+    numbers, failed = zip(*((part.numbers, part.failed) for part in parts), strict=True)
+    return Sums(np.concatenate(numbers, axis=-1), np.concatenate(failed, axis=-1))

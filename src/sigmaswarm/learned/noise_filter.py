@@ -58,9 +58,9 @@ def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Arr
     flags = flags_of(line, measured_by(parameters))
     fixes = line.fixes if len(line.fixes) else np.zeros((1, 6))
     fix = fixes[np.maximum(np.cumsum(line.updates | line.hides) - 1, 0)]
-    happens = [(flags & bit > 0).astype(np.float64) for bit in (FIX, IMU, LATERAL, STANDSTILL)]
+    events = [(flags & bit > 0).astype(np.float64) for bit in (FIX, IMU, LATERAL, STANDSTILL)]
     moved = [line.dt, line.q_scale, line.gap, line.ax, line.ay, line.gz]
-    return np.column_stack([*moved, *happens, fix[:, :2], fix[:, 4:6]]), line.end
+    return np.column_stack([*moved, *events, fix[:, :2], fix[:, 4:6]]), line.end
 
 
 @dataclass(frozen=True, eq=False)

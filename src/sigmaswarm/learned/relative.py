@@ -80,7 +80,7 @@ class Displacements:
             self._model,
         )
         rows[state_rows(self._model)] = packed[state_rows(self._model)]
-        rows[R.FACED] = 0.0
+        rows[R.SIN_COS_VALID] = 0.0
         if FILTERS[self._model].tilts:
             rows[R.HEADING] = mean[THETA]
         return True
@@ -95,7 +95,7 @@ class Displacements:
         moved = np.array([x0, *(self._plus(x0, e) for e in np.diag(step))])
         moved = np.vstack([moved, np.broadcast_to(x0, (LANES - n - 1, n))])
         rows = np.repeat(begin.rows[:, :1], LANES, axis=1)
-        rows[R.FACED] = 0.0
+        rows[R.SIN_COS_VALID] = 0.0
         rows[:N_STATE] = pack_states(moved, np.broadcast_to(p0, (LANES, n, n)), self._model)
         run_steps(self._replay, self._array, rows, begin.place.copy(), stop)
         means, _ = unpack_states(rows[state_rows(self._model)], self._model)

@@ -231,19 +231,19 @@ def _scores_in(name: str, divisors: Array, sums: Sums) -> dict[str, Array]:
     """Compute the scores of a pass, shape (n_drives, n_sets)."""
     moments, positions, headings, fixes, hidden = divisors
     if name == "outages":
-        return {"outage_drift": np.sqrt(sums.squared_position / positions)}
+        return {"outage_drift": np.sqrt(sums["SQ_POSITION"] / positions)}
     if name == "forecasts":
         return {
-            "forecast_rmse": np.sqrt(sums.squared_forecast / hidden),
-            "forecast_t": sums.forecast_t / hidden + LOG_2PI,
+            "forecast_rmse": np.sqrt(sums["SQ_FORECAST"] / hidden),
+            "forecast_t": sums["FORECAST_T"] / hidden + LOG_2PI,
         }
-    tails = sums.log_determinant + (INNOVATION_DOF + 2) * sums.log_tail
+    tails = sums["LOG_DET"] + (INNOVATION_DOF + 2) * sums["LOG_TAIL"]
     return {
-        "position_rmse": np.sqrt(sums.squared_position / positions),
-        "heading_rmse": np.sqrt(sums.squared_heading / headings),
-        "fix_rmse": np.sqrt(sums.squared_fix / fixes),
-        "innovation_nll": (sums.nis + sums.log_determinant) / fixes / 2 + LOG_2PI,
+        "position_rmse": np.sqrt(sums["SQ_POSITION"] / positions),
+        "heading_rmse": np.sqrt(sums["SQ_HEADING"] / headings),
+        "fix_rmse": np.sqrt(sums["SQ_FIX"] / fixes),
+        "innovation_nll": (sums["NIS"] + sums["LOG_DET"]) / fixes / 2 + LOG_2PI,
         "innovation_t": tails / fixes / 2 + LOG_2PI,
-        "mean_nis": sums.nis / fixes,
-        "mean_nees": sums.nees / moments,
+        "mean_nis": sums["NIS"] / fixes,
+        "mean_nees": sums["NEES"] / moments,
     }

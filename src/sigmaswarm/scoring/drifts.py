@@ -84,7 +84,7 @@ class Outages:
         outages = outage_replay(self._ready, length=self._length, seed=seed)
         ends = self._ends[self.seeds.index(seed)]
         if monitored:
-            sums = joined([self._recorded(m, outages, p, ends).sums for m, p in filters.items()], axis=1)
+            sums = joined([self._recorded(m, outages, p, ends).sums for m, p in filters.items()])
         else:
             sums = run_replays([outages], [*filters.values()])
         scores = scores_of({"outages": [outages]}, {"outages": sums})

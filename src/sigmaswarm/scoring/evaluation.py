@@ -435,7 +435,7 @@ def _tracked(
     further[FIXES] = partial(FixesAlone, noise=options.fixes_alone or fit_noise(replay))
     recorded = {m: tracker.record(m, replay, p, recover=True) for m, p in filters.items()}
     restarts = {m: tuple(recording.restarts) for m, recording in recorded.items()}
-    sums = joined([recording.sums for recording in recorded.values()], axis=1)
+    sums = joined([recording.sums for recording in recorded.values()])
     whole = scores_of({"tracking": [replay]}, {"tracking": sums})
     scores = {
         m: replace(whole[i, 0], position_median=score.position_median, position_95=score.position_95)

@@ -13,7 +13,10 @@ from sigmaswarm.filters.compiled.layout import C1, C2, LANES, MOVE, R, at
 
 
 def carry(w, u, *, n, biases):
-    """Multiply the columns of b by F of a planar model's step; ``biases``: True for planar8."""
+    """Propagate the covariance of the fix error through a step.
+
+    Its columns are multiplied by F of a planar model. ``biases``: True for planar8.
+    """
     dt = u[DT]
     h = 0.5 * dt
     for l in range(LANES):
@@ -31,7 +34,7 @@ def carry(w, u, *, n, biases):
 
 
 def age_fix_error(w, z, since):
-    """Compute phi and the variance that b gains in the ``since`` nominal steps since the last fix."""
+    """Compute phi and the variance that the fix error gains since the last fix, from the number of nominal steps."""
     var_x, var_y = z[FIX_VAR_X], z[FIX_VAR_Y]
     for l in range(LANES):
         phi = math.exp(-since * w[R.FIX_ERROR_RATE, l])
@@ -42,7 +45,10 @@ def age_fix_error(w, z, since):
 
 
 def move_fix_error(w, *, n, noted):
-    """Propagate b from the last fix to this one; ``noted``: index of phi in a row of `step_log`, or 0."""
+    """Propagate the fix error from the last fix to this one.
+
+    ``noted``: index of phi in a row of `step_log`, or 0.
+    """
     for l in range(LANES):
         phi = w[R.PHI, l]
         for j in range(n - 2, n):
@@ -58,7 +64,7 @@ def move_fix_error(w, *, n, noted):
 
 
 def see_fix_error(w, *, n):
-    """Add phi b and its added variance to nu, H P H^T and C of a fix."""
+    """Add phi times the fix error, and the gained variance, to nu, H P H^T and C of a fix."""
     for l in range(LANES):
         phi = w[R.PHI, l]
         w[R.N1, l] -= phi * w[n - 2, l]

@@ -117,7 +117,10 @@ def sincos(x):
 
 
 def spread_of(quarter_gamma, variance):
-    """Return d/4, sin(d) / d and sin(d/2)^2 / 4 for the offset d = gamma sigma of an angle: see `planar5`."""
+    """Return d/4, sin(d) / d and sin(d/2)^2 / 4 for the offset d = gamma sigma of an angle.
+
+    See `planar5`.
+    """
     quarter = quarter_gamma * math.sqrt(variance) + TINY
     sin, cos = _near(quarter, np.floor(quarter * (2 / math.pi) + 0.5))
     half = sin * cos

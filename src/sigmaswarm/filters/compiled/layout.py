@@ -58,17 +58,23 @@ CONSTANTS = (
     "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal interval / tau; variance of a fix that states none
 )  # fmt: skip
 SUMS = (
-    "SQ_POSITION", "SQ_HEADING", "NEES", "SQ_FIX", "SQ_FORECAST", "NIS", "LOG_TAIL", "FORECAST_T", "LOG_DET",
+    "SQ_POSITION", "SQ_HEADING",  # of errors over the targets, weighted, m2; over the targets with a heading, rad2
+    "NEES",  # e^T P^-1 e of the position over the targets; P includes the reference's variance
+    "SQ_FIX", "SQ_FORECAST",  # m2, of residuals of the fixes after their update; of innovations of the hidden fixes
+    "NIS", "LOG_TAIL",  # nu^T S^-1 nu; ln(1 + NIS / c), with c of `innovation-t`; over all fixes, also the hidden ones
+    "FORECAST_T",  # ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over the hidden fixes, with v and c of `forecast-t`
+    "LOG_DET",  # ln det S over all fixes
     "DET", "TAIL", "OK", "REJECTED", "RECENT",
     "OUTLIERS", "SPAN",  # number of consecutive outliers, and the nominal steps from the first to the last
     "QUICK", "SLOW", "TIMES_R", "TIMES_Q",  # a fuzzy filter's averages, and its current factors
     "HEADING",  # of models with tilts, whose mean has no row for it
-    # COS and SIN of planar5's heading, valid if FACED is 1. Kernels that change the heading also set FACED_ALL to 0.
-    "FACED", "COS", "SIN",
+    # COS and SIN of planar5's heading, valid if SIN_COS_VALID is 1. Kernels that change the heading also set
+    # SIN_COS_VALID_ALL to 0.
+    "SIN_COS_VALID", "COS", "SIN",
 )  # fmt: skip
-"""Sums and memory of a run. The first nine are the sums of `kernel_array.Sums`, in the same order."""
+"""Sums and memory of a run. Those up to LOG_DET are in `kernel_array.Sums`."""
 SCRATCH = (
-    "FACED_ALL",  # equal in all lanes; 1: FACED is 1 in all lanes; 0: unknown
+    "SIN_COS_VALID_ALL",  # equal in all lanes; 1: SIN_COS_VALID is 1 in all lanes; 0: unknown
     "BEFORE_X", "BEFORE_Y", "BEFORE_T",  # the last estimate
     *(f"C1_{a}" for a in _STATES), *(f"C2_{a}" for a in _STATES),  # Cov(state, z) for the two components of z
     "S11", "S12", "S22",  # H P H^T

@@ -115,13 +115,13 @@ _plain = njit(**OPTIONS)  # operations are not reordered: time slots must equal 
 
 
 @_plain
-def _step_to(step, v, to, u, happens, z, wheels):
+def _step_to(step, v, to, u, events, z, wheels):
     """Compute the step to a time; ``u`` (N_STEP,) contains axes and gap, and its other numbers are set here."""
     dt = to - v[TIME]
     scale = dt / v[NOMINAL]
     v[SINCE] += scale
     u[DT], u[Q_SCALE] = dt, scale
-    take_step(step, v, u, happens, z, wheels, v[LEVER], v[SINCE])
+    take_step(step, v, u, events, z, wheels, v[LEVER], v[SINCE])
     v[TIME] = to
 
 
@@ -186,29 +186,29 @@ def _process_sample(step, v, counts, fixes, speeds, t, u, calm, means, number):
         z = fixes[f]
         if z[KIND] >= STALE:
             continue
-        happens = FIX | VELOCITY if z[HAS_VELOCITY] > 0.0 else FIX
+        events = FIX | VELOCITY if z[HAS_VELOCITY] > 0.0 else FIX
         if z[FIX_VAR_THETA] < math.inf:
-            happens |= HEADING
-        _step_to(step, v, z[FIX_TIME], u, happens, z[FIX_ROW], wheels)
+            events |= HEADING
+        _step_to(step, v, z[FIX_TIME], u, events, z[FIX_ROW], wheels)
         v[SINCE] = 0.0
-    happens = 0
+    events = 0
     if v[LATERAL_INTERVAL] > 0.0 and abs(u[AY]) <= CORNERING:
         slot = slot_of(t, v[START], v[LATERAL_INTERVAL])
         if slot != v[LATERAL_SLOT]:
-            happens |= LATERAL
+            events |= LATERAL
             v[LATERAL_SLOT] = slot
     if speeds.shape[0] > 0:
         slot = slot_of(t, v[START], INTERVAL)
         if slot != v[ODOMETER_SLOT] and mean_reading(speeds, came, t, before, v[ODOMETER_TIME], wheels):
-            happens |= ODOMETER
+            events |= ODOMETER
             v[ODOMETER_SLOT], v[ODOMETER_TIME] = slot, t
     if calm and _is_standstill(v, fixes, end, t, means) and not wheels_turn(speeds, came, t):
         slot = slot_of(t, v[START], v[STANDSTILL_INTERVAL])
         if slot != v[STANDSTILL_SLOT]:
-            happens |= STANDSTILL
+            events |= STANDSTILL
             v[STANDSTILL_SLOT] = slot
-    if t > v[TIME] or happens:
-        _step_to(step, v, t, u, happens, no_fix, wheels)
+    if t > v[TIME] or events:
+        _step_to(step, v, t, u, events, no_fix, wheels)
     if first < end or number % CHECK_EVERY == 0:
         _check(v)
 

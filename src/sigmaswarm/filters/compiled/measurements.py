@@ -88,17 +88,17 @@ def update_fix(w, z, lever, since, *, stores_innovation, gated, adaptive, fix_er
         see_fix_error(w)
     if stores_innovation:
         for l in range(LANES):
-            nis = _look(w, l)
+            nis = _add_likelihood(w, l)
             if gated:
                 inside = (nis <= w[R.GATE, l]) | (w[R.REJECTED, l] >= MOST_REJECTED)
                 w[R.USE, l] = 1.0 if inside else 0.0
                 w[R.REJECTED, l] = 0.0 if inside else w[R.REJECTED, l] + 1.0
     if adaptive and fading > 0:
-        _fade(w)
+        _strong_tracking(w)
     if adaptive and fuzzy > 0:
-        _reason(w)
+        _apply_fuzzy_rules(w)
     if robust > 0:
-        _weigh(w, since)
+        _student_t_weight(w, since)
     if note_prior:  # P may have been inflated
         note_prior(w)
     for l in range(LANES):
@@ -128,14 +128,14 @@ def forecast_fix(w, z, lever, since, *, n, fix_error):
         age_fix_error(w, z, since)
         see_fix_error(w)
     for l in range(LANES):
-        nis = _look(w, l)
+        nis = _add_likelihood(w, l)
         w[R.SQ_FORECAST, l] += w[R.N1, l] * w[R.N1, l] + w[R.N2, l] * w[R.N2, l]
         det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]
         tail = math.log(1.0 + nis * (1.0 / FORECAST_SCALE))
         w[R.FORECAST_T, l] += 0.5 * math.log(det) + 0.5 * (FORECAST_DOF + 2.0) * tail
 
 
-def _look(w, l):
+def _add_likelihood(w, l):
     """Add the NIS and the likelihood of a fix to the sums, before the update; return the NIS."""
     s11, s12, s22 = w[R.S11, l] + w[R.R1, l], w[R.S12, l], w[R.S22, l] + w[R.R2, l]
     det = s11 * s22 - s12 * s12
@@ -195,7 +195,7 @@ def _turn_lever(w, lever_x, lever_y):
 
 
 def _keep_digits(w, *, n, tilted, unscented, fix_error):
-    """Recompute the position's rows of P from P+ H^T = C S^-1 R, without differences of large numbers.
+    """Recompute the position's variances and covariances from P+ H^T = C S^-1 R, without differences of large numbers.
 
     P - C S^-1 C^T loses all digits of a variance that a fix reduces by a factor of a billion. H is 1 at the position
     and at the correlated fix error, -latency at the velocity and k J R(theta) lever at the heading. R is S - H P H^T.
@@ -207,6 +207,7 @@ def _keep_digits(w, *, n, tilted, unscented, fix_error):
         else:
             tau, je, jn = w[R.LATENCY, l], w[SLOPE, l], w[SLOPE + 1, l]
         r1, r12, r2 = w[R.GEE, l], w[R.GEN, l], w[R.GNN, l]
+        # The position comes last, since its rows need the other states' covariances.
         for j in (*range(2, n), 0, 1):
             gain_1 = w[C1 + j, l] * w[R.G11, l] + w[C2 + j, l] * w[R.G12, l]
             gain_2 = w[C1 + j, l] * w[R.G12, l] + w[C2 + j, l] * w[R.G22, l]
@@ -229,13 +230,13 @@ def _keep_digits(w, *, n, tilted, unscented, fix_error):
             w[at(j, R.Y), l] = y if used else w[at(j, R.Y), l]
 
 
-def _fade(w, *, n):
-    """Strong tracking: inflate P until the trace of S is at least the recent mean of nu^T nu (FADING < 0: off).
+def _strong_tracking(w, *, n):
+    """Strong tracking: inflate P until the trace of S is at least the recent mean of nu^T nu.
 
-    The single fading factor, from traces, of D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996, with two changes.
-    The weights of the averaged innovations are rho and 1 - rho, since the paper's weights, rho / (1 + rho) and
-    1 / (1 + rho), forget too fast. Only the part of P that the fix observes is inflated, P + (factor - 1) C
-    (H P H^T)^-1 C^T, since the rest would grow without limit.
+    FADING < 0: off. The single fading factor, from traces, of D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996,
+    with two changes. The weights of the averaged innovations are rho and 1 - rho, since the paper's weights, rho / (1 +
+    rho) and 1 / (1 + rho), forget too fast. Only the part of P that the fix observes is inflated, P + (factor - 1) C (H
+    P H^T)^-1 C^T, since the rest would grow without limit.
     """
     for l in range(LANES):
         rho = w[R.FADING, l]
@@ -249,11 +250,14 @@ def _fade(w, *, n):
             w[R.S22, l] - w[R.GNN, l],
         )  # H P H^T
         wanted = (recent - w[R.R1, l] - w[R.R2, l]) / (s11 + s22)
-        _stretch(w, l, s11, s12, s22, wanted if used & (wanted > 1.0) else 1.0)
+        _inflate_observed(w, l, s11, s12, s22, wanted if used & (wanted > 1.0) else 1.0)
 
 
-def _reason(w, *, n):
-    """Scale R and Q by fuzzy rules on a fix's NIS (FUZZY < 0: off): see `filters.fuzzy`."""
+def _apply_fuzzy_rules(w, *, n):
+    """Scale R and Q by fuzzy rules on a fix's NIS.
+
+    FUZZY < 0: off. See `filters.fuzzy`.
+    """
     for l in range(LANES):
         memory = w[R.FUZZY, l]
         used = (memory >= 0.0) & (w[R.USE, l] > 0.0)  # False for a rejected fix
@@ -283,8 +287,8 @@ def _reason(w, *, n):
         w[R.TIMES_Q, l] *= more_q
 
 
-def _stretch(w, l, s11, s12, s22, factor, *, n):
-    """Compute P + (factor - 1) C (H P H^T)^-1 C^T in one lane, and update S and C; a factor of 1 changes nothing.
+def _inflate_observed(w, l, s11, s12, s22, factor, *, n):
+    """Compute P + (factor - 1) C (H P H^T)^-1 C^T, and update S and C; a factor of 1 changes nothing.
 
     ``s11``, ``s12`` and ``s22`` are H P H^T.
     """
@@ -302,13 +306,13 @@ def _stretch(w, l, s11, s12, s22, factor, *, n):
         w[C2 + i, l] *= factor
 
 
-def _weigh(w, since):
-    """Compute the Student's t weight w of a fix, and divide its R by w (DOF = 0: off).
+def _student_t_weight(w, since):
+    """Compute the Student's t weight w of a fix, and divide its R by w.
 
-    R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
-    the multivariate Student-t distribution, MLSP 2012. With S = H P H^T + R / w and e = S^-1 nu, the residual after the
-    update is r = R / w e. Its covariance is A = R / w - R / w S^-1 R / w. Three iterations from w = 1 compute
-    w = (dof + 2) / (dof + r^T R^-1 r + tr R^-1 A).
+    DOF = 0: off. R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear
+    systems using the multivariate Student-t distribution, MLSP 2012. With S = H P H^T + R / w and e = S^-1 nu, the
+    residual after the update is r = R / w e. Its covariance is A = R / w - R / w S^-1 R / w. Three iterations from
+    w = 1 compute w = (dof + 2) / (dof + r^T R^-1 r + tr R^-1 A).
 
     A filter with a wrong state would treat all fixes as outliers. So the fix that ends a long run of outliers gets
     weight 1, and the part of P that it observes is inflated until it explains the innovation.
@@ -341,7 +345,7 @@ def _weigh(w, since):
     if recovering > 0:
         for l in range(LANES):
             s11, s12, s22 = w[R.S11, l] - w[R.GEE, l], w[R.S12, l] - w[R.GEN, l], w[R.S22, l] - w[R.GNN, l]
-            _stretch(w, l, s11, s12, s22, w[R.FACTOR, l])
+            _inflate_observed(w, l, s11, s12, s22, w[R.FACTOR, l])
 
 
 def _adapt(w, since, *, n):
@@ -397,7 +401,10 @@ def update_standstill(w, u, *, n, gyro_biases, tilted):
 
 
 def _take_velocity(w, zu, zv, *, n):
-    """Update with a velocity of variance R1; recompute its rows of P as in `_keep_digits`."""
+    """Update with a velocity of variance R1; compute its covariances without differences of large numbers.
+
+    Compare `_keep_digits`.
+    """
     for l in range(LANES):
         w[R.N1, l], w[R.N2, l] = zu - w[R.U, l], zv - w[R.V, l]
         s11, s12, s22 = w[R.UU, l] + w[R.R1, l], w[R.UV, l], w[R.VV, l] + w[R.R1, l]
@@ -414,7 +421,7 @@ def _take_velocity(w, zu, zv, *, n):
 
 
 def _measure_along(w, u, wheels, *, n, bias, lateral):
-    """Compute nu, S and C of the velocity R(theta)^T v to the left (``lateral``) or forward.
+    """Compute nu, S and C of the velocity R(theta)^T v to the left or forward.
 
     To the left: 0 = left - arm (yaw rate - w), with `models.lateral_arm`. Forward: speed / scale = forward - delay
     (ax - b), with the wheels' speed. R(theta)^T v has the closed form of planar8.py, rotated back into the body frame,
@@ -471,7 +478,10 @@ def _measure_along(w, u, wheels, *, n, bias, lateral):
 
 
 def update_lateral(w, u, *, tilted, measure_lateral):
-    """Update with the lateral constraint at the rear axle, with tire slip: see `models.lateral_arm`."""
+    """Update with the lateral constraint at the rear axle, with tire slip.
+
+    See `models.lateral_arm`.
+    """
     for l in range(LANES):
         speed2 = w[R.U, l] * w[R.U, l] + w[R.V, l] * w[R.V, l]
         w[R.ARM, l] = w[R.REAR_AXLE, l] - w[R.TIRE_SLIP, l] * speed2
@@ -482,7 +492,10 @@ def update_lateral(w, u, *, tilted, measure_lateral):
 
 
 def update_odometer(w, u, wheels, *, tilted, measure_odometer):
-    """Update with the wheels' speed, unless the NIS shows slip; ``wheels`` is a row of `drives.odometer.Wheels`."""
+    """Update with the wheels' speed, unless the NIS shows slip.
+
+    ``wheels`` is a row of `drives.odometer.Wheels`.
+    """
     measure_odometer(w, u, wheels)
     for l in range(LANES):
         used = w[R.N1, l] * w[R.N1, l] <= SLIP_GATE * w[R.S11, l]
@@ -502,7 +515,10 @@ def _measure_heading(w, *, n):
 
 
 def update_heading(w, u, z, *, tilted, measure_heading):
-    """Update with the heading ``latency`` ago; the variance of an outlier is increased: see `schedule.HEADING_GATE`."""
+    """Update with the heading ``latency`` ago; increase the variance of an outlier.
+
+    See `schedule.HEADING_GATE`.
+    """
     shown, theta, stated = u[GZ], z[FIX_THETA], z[FIX_VAR_THETA]
     measure_heading(w)
     for l in range(LANES):
@@ -516,9 +532,9 @@ def update_heading(w, u, z, *, tilted, measure_heading):
 
 
 def _update_one(w, *, n):
-    """Update with a scalar z: x += C nu / S, P -= C C^T / S, with S, nu and C in rows S11, N1 and C1."""
+    """Update with a scalar z: x += C nu / S, P -= C C^T / S, with S, nu and C in S11, N1 and C1."""
     for l in range(LANES):
-        w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0
+        w[R.SIN_COS_VALID, l], w[R.SIN_COS_VALID_ALL, l] = 0.0, 0.0
         g = 1.0 / w[R.S11, l]
         for j in range(n):
             gain = g * w[C1 + j, l]
@@ -531,7 +547,7 @@ def _update_two(w, *, n, tilted):
     """Update with a z of two components: x += C G nu, P -= C G C^T, with G = S^-1 (0: rejected) in G11, G12, G22."""
     for l in range(LANES):
         g11, g12, g22 = w[R.G11, l], w[R.G12, l], w[R.G22, l]
-        w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0
+        w[R.SIN_COS_VALID, l], w[R.SIN_COS_VALID_ALL, l] = 0.0, 0.0
         for j in range(n):
             gain_1, gain_2 = w[C1 + j, l] * g11 + w[C2 + j, l] * g12, w[C1 + j, l] * g12 + w[C2 + j, l] * g22
             w[j, l] += gain_1 * w[R.N1, l] + gain_2 * w[R.N2, l]
@@ -561,8 +577,8 @@ def measurement_kernels(name: str, note_prior=None, noted=0):
         "fix_error": int(model.fix_error),
         "noted": noted,
     }
-    parts = (_update_one, _update_two, _keep_digits, _take_velocity, _weigh)
-    parts += (_fade, _reason, _adapt) if ready["adaptive"] else ()
+    parts = (_update_one, _update_two, _keep_digits, _take_velocity, _student_t_weight)
+    parts += (_strong_tracking, _apply_fuzzy_rules, _adapt) if ready["adaptive"] else ()
     parts += (age_fix_error, move_fix_error, see_fix_error) if model.fix_error else ()
     parts += () if ready["tilted"] else (_measure_fix,)
     ready["measure_heading"] = kernel(_measure_heading, n=ready["n"])
@@ -584,7 +600,7 @@ def measurement_kernels(name: str, note_prior=None, noted=0):
         for name, bias in (("lateral", model.gyro_bias), ("odometer", model.accel_bias)):
             known = {"n": ready["n"], "bias": -1 if bias is None else bias, "lateral": int(name == "lateral")}
             ready[f"measure_{name}"] = kernel(_measure_along, **known)
-    ready["_stretch"] = unrolled(_stretch, **ready)
+    ready["_inflate_observed"] = unrolled(_inflate_observed, **ready)
     for function in parts:
         ready[function.__name__] = kernel(function, **ready)
     public = (

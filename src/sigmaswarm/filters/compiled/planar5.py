@@ -16,7 +16,7 @@ The rest is the covariance of sums: Cov(., u') = Cov(., u) + dt Cov(., g), and s
 
 The extended Kalman filter is the case without second-order terms: gamma = 0, so e = 0 and k = 1. In a step, the heading
 turns by the same angle in all lanes, so rows COS and SIN are rotated. After any other change of the heading (by a fix
-or a start), FACED and FACED_ALL are 0, and the next step computes COS and SIN from the heading.
+or a start), SIN_COS_VALID and SIN_COS_VALID_ALL are 0, and the next step computes COS and SIN from the heading.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -27,21 +27,24 @@ from sigmaswarm.filters.compiled.layout import LANES, R
 
 
 @kernel
-def _face(w):
-    """Compute cosine and sine of the heading in lanes in which a fix or a start changed it."""
+def _refresh_sin_cos(w):
+    """Compute cosine and sine of the heading after a fix or a start changed it."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
-        faced = w[R.FACED, l] > 0.0
-        w[R.COS, l] = w[R.COS, l] if faced else cos_t
-        w[R.SIN, l] = w[R.SIN, l] if faced else sin_t
-        w[R.FACED, l], w[R.FACED_ALL, l] = 1.0, 1.0
+        valid = w[R.SIN_COS_VALID, l] > 0.0
+        w[R.COS, l] = w[R.COS, l] if valid else cos_t
+        w[R.SIN, l] = w[R.SIN, l] if valid else sin_t
+        w[R.SIN_COS_VALID, l], w[R.SIN_COS_VALID_ALL, l] = 1.0, 1.0
 
 
 @kernel
-def _look_away(w):
-    """Mark COS and SIN as invalid, after a turn too large for `sinc_cos`."""
+def _invalidate_sin_cos(w):
+    """Mark cosine and sine of the heading as invalid after a large turn.
+
+    It is too large for `sinc_cos`.
+    """
     for l in range(LANES):
-        w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0
+        w[R.SIN_COS_VALID, l], w[R.SIN_COS_VALID_ALL, l] = 0.0, 0.0
 
 
 @kernel
@@ -62,17 +65,18 @@ def _turn(w, ax, ay, turn):
 
 @kernel
 def predict_planar5(w, u):
-    """Compute a step of the process model in two loops; one loop would be too long for out-of-order execution.
+    """Compute a step of the process model; a number at the end of a name counts the changes of an element of P.
 
     The position moves for half a step with the velocity before the step, and for half a step with the velocity after.
+    There are two loops, since one would be too long for out-of-order execution.
     """
     dt, ax, ay, gz, q_scale = u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE]
-    if w[R.FACED_ALL, 0] == 0.0:
-        _face(w)
+    if w[R.SIN_COS_VALID_ALL, 0] == 0.0:
+        _refresh_sin_cos(w)
     turn = dt * gz
     _turn(w, dt * ax, dt * ay, turn)
     if not turn * turn < FAR:
-        _look_away(w)
+        _invalidate_sin_cos(w)
     h = 0.5 * dt
     for l in range(LANES):
         u, v, tt = w[R.U, l], w[R.V, l], w[R.TT, l]

@@ -27,7 +27,7 @@ from sigmaswarm.drives.timeline import (
 )
 from sigmaswarm.filters.compiled.lanes import kernel, sincos
 from sigmaswarm.filters.compiled.layout import LANES, Q0, R, at
-from sigmaswarm.filters.compiled.measurements import _look
+from sigmaswarm.filters.compiled.measurements import _add_likelihood
 from sigmaswarm.filters.schedule import FIX, HEADING, HIDDEN, IMU, LATERAL, ODOMETER, STANDSTILL
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
 
@@ -141,7 +141,7 @@ def _measure_fix(w, x, y, var_x, var_y, forward, left):
 def _look_at_fix(w):
     """Add the likelihood of a fix to the sums; reject the fix if its NIS exceeds the squared threshold."""
     for l in range(LANES):
-        nis = _look(w, l)
+        nis = _add_likelihood(w, l)
         det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]
         w[R.OK, l] = w[R.OK, l] if (det > 0.0) & (w[R.V11, l] > 0.0) else 0.0
         w[R.USE, l] = 1.0 if nis < w[R.GATE, l] else 0.0
@@ -186,7 +186,7 @@ def _add_residual(w):
 @kernel
 def _add_forecast(w):
     for l in range(LANES):
-        nis = _look(w, l)
+        nis = _add_likelihood(w, l)
         det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]
         w[R.SQ_FORECAST, l] += w[R.N1, l] * w[R.N1, l] + w[R.N2, l] * w[R.N2, l]
         tail = math.log(1.0 + nis * (1.0 / FORECAST_SCALE))
@@ -201,29 +201,29 @@ def _update_heading(w, theta, stated):
 
 
 @kernel
-def step(w, u, happens, z, wheels, lever, since):
+def step(w, u, events, z, wheels, lever, since):
     """Predict to the end of a step; update with the IMU sample, then with the fix."""
     d, gz, ax, ay = u[DT], u[GZ], u[AX], u[AY]
     if d > 0.0:
         _predict(w, d, u[Q_SCALE])
-    if happens & IMU:
+    if events & IMU:
         _update_gz(w, gz)
         _update_ax(w, ax)
-        if happens & USES_AY:
+        if events & USES_AY:
             _update_ay(w, ay)
-        if happens & USES_VY:
+        if events & USES_VY:
             _update_vy(w, 0.0)
-    if happens & ODOMETER:
+    if events & ODOMETER:
         _update_vx(w, wheels[SPEED])
-    if happens & (FIX | HIDDEN):
+    if events & (FIX | HIDDEN):
         x, y, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
         _measure_fix(w, x, y, var_x, var_y, lever[0], lever[1])
-        if happens & FIX:
+        if events & FIX:
             _look_at_fix(w)
             _update_x(w)
             _update_y(w)
             _add_residual(w)
-            if happens & HEADING:
+            if events & HEADING:
                 _update_heading(w, z[FIX_THETA], z[FIX_VAR_THETA])
         else:
             _add_forecast(w)

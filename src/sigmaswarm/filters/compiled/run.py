@@ -33,7 +33,7 @@ NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE, NEXT_SPEED = range(5)
 NO_RECORD, NO_INNOVATIONS = np.empty((0, 0, 0)), np.empty((0, 5))
 
 
-def kept(column: Array) -> Array:
+def readonly(column: Array) -> Array:
     """Return a contiguous read-only array, the type of input for which kernels are compiled."""
     view = np.ascontiguousarray(column).view()
     view.flags.writeable = False
@@ -41,7 +41,7 @@ def kept(column: Array) -> Array:
 
 
 TargetColumns = tuple[Array, Array, Array, Array, NDArray[np.bool_], Array]  # see `replay.Targets.columns`
-_NOTHING, NO_DEVIATIONS = kept(np.empty(0)), kept(np.empty((0, 4)))
+_NOTHING, NO_DEVIATIONS = readonly(np.empty(0)), readonly(np.empty((0, 4)))
 NO_TARGETS: TargetColumns = _NOTHING, _NOTHING, _NOTHING, _NOTHING, np.empty(0, dtype=np.bool_), NO_DEVIATIONS
 
 
@@ -145,28 +145,28 @@ def _run(
                 steps[s, 0], steps[s, 1], steps[s, 2], driving[m, 0], driving[m, 1], driving[m, 2],
                 driving[m, 3], driving[m, 4], driving[m, 5],
             )  # fmt: skip
-        happens = int(flags[s])
+        events = int(flags[s])
         since += u[Q_SCALE]
-        if happens & (FIX | HIDDEN):
+        if events & (FIX | HIDDEN):
             f = n_fixes
             z = (
                 fixes[f, 0], fixes[f, 1], fixes[f, 2], fixes[f, 3],
                 fixes[f, 4], fixes[f, 5], fixes[f, 6], fixes[f, 7],
             )  # fmt: skip
-        if happens & ODOMETER:
+        if events & ODOMETER:
             wheels = (speeds[n_speeds, 0], speeds[n_speeds, 1], speeds[n_speeds, 2])
             n_speeds += 1
-        step(w, u, happens, z, wheels, arm, since)
-        if happens & FIX:
+        step(w, u, events, z, wheels, arm, since)
+        if events & FIX:
             since = 0.0
-        if happens & (FIX | HIDDEN):
+        if events & (FIX | HIDDEN):
             if innovations.shape[0] > 0:
                 for r in range(5):
                     innovations[n_fixes, r] = w[(R.NU1, R.NU2, R.V11, R.V12, R.V22)[r], 0]
             n_fixes += 1
             if n_fixes % _DETERMINANTS_PER_LOG == 0:
                 _take_logarithm(w)
-        interval_starts = (happens & IMU) != 0
+        interval_starts = (events & IMU) != 0
         while n_targets < target_end[s]:
             t = n_targets
             if deviations.shape[0] == 0:

@@ -27,7 +27,7 @@ SIGNATURE = types.void(_NUMBERS, _NUMBERS, int64, _NUMBERS, _NUMBERS, _NUMBERS, 
 
 
 def _one_step(sources, *, step, kept, step_log, logged):
-    def one_step(v, u, happens, z, wheels, lever, since):
+    def one_step(v, u, events, z, wheels, lever, since):
         if sources == "":  # never; so the name is closed over
             return
         control = exchange_control(-1)
@@ -36,9 +36,9 @@ def _one_step(sources, *, step, kept, step_log, logged):
             for lane in range(w.shape[1]):
                 w[r, lane] = v[r]
         for lane in range(w.shape[1]):
-            w[R.FACED_ALL, lane] = v[R.FACED]  # all lanes are equal
+            w[R.SIN_COS_VALID_ALL, lane] = v[R.SIN_COS_VALID]  # all lanes are equal
         step(
-            w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,
+            w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), events,
             (z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]), (wheels[0], wheels[1], wheels[2]),
             (lever[0], lever[1], lever[2]), since,
         )  # fmt: skip
@@ -88,7 +88,7 @@ def single_step(model, step_log=-1):
 
 
 @intrinsic
-def _call(typing_context, step, v, u, happens, z, wheels, lever, since):
+def _call(typing_context, step, v, u, events, z, wheels, lever, since):
     def generate(context, builder, signature, arguments):
         for kind in (v, u, z, wheels, lever):
             if not (isinstance(kind, types.Array) and kind.dtype == types.float64 and kind.layout == "C"):
@@ -104,17 +104,17 @@ def _call(typing_context, step, v, u, happens, z, wheels, lever, since):
     return types.void(int64, v, u, int64, z, wheels, lever, float64), generate
 
 
-def _called(step, v, u, happens, z, wheels, lever, since):
-    step(v, u, happens, z, wheels, lever, since)
+def _called(step, v, u, events, z, wheels, lever, since):
+    step(v, u, events, z, wheels, lever, since)
 
 
 take_step = _called if config.DISABLE_JIT else _call
-"""``(step, v, u, happens, z, wheels, lever, since)``, for compiled code: one step of one filter.
+"""``(step, v, u, events, z, wheels, lever, since)``, for compiled code: one step of one filter.
 
 - ``step``: the address of the result of `single_step`
 - ``v``: (N_KEPT or more,) the filter before and after
 - ``u``: (9,) a step's numbers, DT ... GY of `drives.timeline`
-- ``happens``: the step's bits of `schedule`
+- ``events``: the step's bits of `schedule`
 - ``z``: (8,) a row of `Timeline.fixes`
 - ``wheels``: (3,) a row of `odometer.Wheels.rows`
 - ``lever``: (3,) lever arm of the time line, m

@@ -31,7 +31,10 @@ from sigmaswarm.filters.tilted import N
 
 
 def _grow(w, dt, gap, *, tilted):
-    """Add the covariance of the unobserved motion in an IMU gap: `schedule.gap_covariance`."""
+    """Add the covariance of the unobserved motion in an IMU gap.
+
+    See `schedule.gap_covariance`.
+    """
     turn = GAP_TURN_STD * GAP_TURN_STD * gap * dt
     g = GAP_ACCELERATION_STD * GAP_ACCELERATION_STD * gap * dt
     for l in range(LANES):
@@ -48,7 +51,7 @@ def _grow(w, dt, gap, *, tilted):
 
 
 def _step(
-    w, u, happens, z, wheels, lever, since,
+    w, u, events, z, wheels, lever, since,
     *, predict, carry, grow, settle, note_move, note_prior,
     update_fix, forecast_fix, update_velocity, update_lateral, update_odometer, update_standstill,
     update_heading,
@@ -56,7 +59,7 @@ def _step(
     """Predict, and update with the measurements.
 
     ``u`` (DT ... GY of a step), ``z`` (a row of `Timeline.fixes`) and ``wheels`` (a row of `Wheels.rows`) are tuples.
-    ``happens`` contains the bits of `schedule`, ``lever`` is the lever arm of the time line, m, and ``since`` is the
+    ``events`` contains the bits of `schedule`, ``lever`` is the lever arm of the time line, m, and ``since`` is the
     scale of Q since the last fix.
     """
     dt, gap = u[DT], u[GAP]
@@ -69,22 +72,22 @@ def _step(
     if note_prior:
         note_move(w, dt)
         note_prior(w)
-    if happens & FIX:
+    if events & FIX:
         update_fix(w, z, lever, since)
-        if happens & VELOCITY:
+        if events & VELOCITY:
             update_velocity(w, z)
-        if happens & HEADING:
+        if events & HEADING:
             update_heading(w, u, z)
-    if happens & HIDDEN:
+    if events & HIDDEN:
         forecast_fix(w, z, lever, since)
-    if happens & LATERAL:
+    if events & LATERAL:
         update_lateral(w, u)
-    if happens & ODOMETER:
+    if events & ODOMETER:
         update_odometer(w, u, wheels)
-    if happens & STANDSTILL:
+    if events & STANDSTILL:
         update_standstill(w, u)
     if settle:  # noqa: SIM102 (``settle`` is known at compilation)
-        if happens & COMPARED:
+        if events & COMPARED:
             settle(w)
 
 

@@ -153,23 +153,23 @@ def _check_lanes(v, w):
 
 
 def _swarm_step(sources, *, step, kept):
-    def swarm_step(v, u, happens, z, wheels, lever, since):
+    def swarm_step(v, u, events, z, wheels, lever, since):
         if sources == "":  # never; so the name is closed over
             return
         control = exchange_control(-1)
         w = _rows_of(v)
         for lane in range(LANES):
-            w[R.FACED_ALL, lane] = 0.0  # some lanes may have been replaced
+            w[R.SIN_COS_VALID_ALL, lane] = 0.0  # some lanes may have been replaced
         if v[R.OK] == 0.0:  # set by the live filter's check
             w[R.OK, 0] = 0.0
         step(
-            w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,
+            w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), events,
             (z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]), (wheels[0], wheels[1], wheels[2]),
             (lever[0], lever[1], lever[2]), since,
         )  # fmt: skip
         exchange_control(control)
         now = v[TIME] + u[DT]
-        if happens & FIX:
+        if events & FIX:
             _check_lanes(v, w)
             _note_fix(v, w, now)
             weigh(v)
@@ -179,7 +179,7 @@ def _swarm_step(sources, *, step, kept):
         v[BEHIND + LOGGED] += 1.0
         for c in range(9):
             v[row + c] = u[c]
-        v[row + 9] = happens
+        v[row + 9] = events
         for c in range(8):
             v[row + 10 + c] = z[c]
         for c in range(3):

@@ -57,7 +57,10 @@ def fp(i, j):
 
 @kernel
 def _turn_far(w):
-    """Compute the quaternions of `_half_turn` for any angle, in lanes with a large angle."""
+    """Compute the quaternion of half the step's rotation for any angle.
+
+    It replaces the result of `_half_turn` in lanes with a large angle.
+    """
     for l in range(LANES):
         x, y, z = w[R.HALF_X, l], w[R.HALF_Y, l], w[R.HALF_Z, l]
         angle = math.sqrt(x * x + y * y + z * z) + TINY
@@ -195,7 +198,10 @@ def settle(w):
 
 
 def measure_fix_tilted(w, z, lever, *, n):
-    """Compute nu, H P H^T, C and R of z = p + (R lever) - latency v; H is in `tilted.Antenna`."""
+    """Compute nu, H P H^T, C and R of z = p + (R lever) - latency v.
+
+    H is in `tilted.Antenna`.
+    """
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
     for l in range(LANES):
@@ -229,7 +235,10 @@ def measure_fix_tilted(w, z, lever, *, n):
 
 
 def measure_heading_tilted(w, *, n):
-    """Compute the prediction, C and H P H^T of z = yaw of the attitude; H is in `tilted.Heading`."""
+    """Compute the prediction, C and H P H^T of z = yaw of the attitude.
+
+    H is in `tilted.Heading`.
+    """
     for l in range(LANES):
         q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
         east, north = 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3)
@@ -242,7 +251,10 @@ def measure_heading_tilted(w, *, n):
 
 
 def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
-    """Compute nu, C and S of the velocity to the left at the rear axle, or forward: `tilted.RearAxle`, `Wheels`."""
+    """Compute nu, C and S of the velocity to the left at the rear axle, or forward.
+
+    See `tilted.RearAxle` and `tilted.Wheels`.
+    """
     if lateral:
         shown = u[GZ]
     else:
