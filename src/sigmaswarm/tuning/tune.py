@@ -248,10 +248,7 @@ def tune_problem(
         point, cost, factor = inflated(problem, point, cost, config.inflation, executor)
     validation = None
     if held_back:
-        own, other = (
-            problem.cost_without_prior(point, executor),
-            held_back.cost_without_prior(point, executor),
-        )
+        own, other = (each.cost_without_prior(point, executor) for each in (problem, held_back))
         names = tuple(entry["name"] for entry in held_back.data)
         validation = Validation(other, float(problem.rise(other, own)), names)
     evaluations = sum(trial.evaluations for trial in trials)
