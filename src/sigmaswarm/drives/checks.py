@@ -23,8 +23,8 @@ GPS_GAP = (5.0, 2.0)
 UNSHARED = 10.0
 """Shortest reported time without the other sensor at the start or end, s."""
 UNSHARED_IMU = 0.1
-"""The same limit as a share of the IMU's time, since many logs begin before the first fix."""
-GRAVITY = 9.80665  # m/s2, standard gravity
+"""The same as a share of the IMU's time; many logs begin before the receiver has its first fix."""
+GRAVITY = 9.80665  # m/s2, standard gravity; filters and their exported C have 9.81: see `filters.tilted`
 IMPOSSIBLE_RATE = 3.0  # rad/s; no car makes half a turn in a second
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units per second
 _SLOWEST = (2.0, 60.0)  # s between samples and between fixes; longer intervals suggest another unit
