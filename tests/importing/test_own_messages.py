@@ -86,7 +86,7 @@ def test_numbers_are_known_by_their_names(tmp_path: Path, kind: str, pair: tuple
 
 def test_an_axis_that_points_down_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(globals(), "IMU", turned(IMU, np.diag([1.0, -1.0, -1.0])))
-    notes = imported(write_ros(tmp_path / "bag", of_kinds(ROS2, *PAIRS[0]))).notes
+    notes = imported(write_ros(tmp_path / "bag", of_kinds(ROS2, *PAIRS[0]))).assumed
     assert any("accel_m_s2[2] is negative, so the z axis points down" in note for note in notes)
 
 
