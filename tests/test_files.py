@@ -286,7 +286,7 @@ def test_a_result_replaces_its_own_files_alone(tmp_path: Path):
         "mine": "mine",
     }
     for kind, text in (("evaluation", r"out: is not empty and contains no evaluation; choose another --out"),
-                       ("export", r"mine: is not part of the earlier export; move it")):  # fmt: skip
+                       ("export", r"mine: is not part of an earlier export; move it")):  # fmt: skip
         with pytest.raises(InputError, match=text):
             write(kind, a="3", mine="3")
         assert {f.name: f.read_text() for f in out.iterdir() if f.name != RESULT_FILE} == {
@@ -295,8 +295,12 @@ def test_a_result_replaces_its_own_files_alone(tmp_path: Path):
         }
     (out / RESULT_FILE).unlink()
     with pytest.raises(InputError, match="is not empty and contains no export"):
-        write("export", a="3")
+        earlier_result(out, "export")
     assert earlier_result(out, "tuning", "mine") is None  # of a version without lists of files
+    with pytest.raises(InputError, match="a: is not part of an earlier export; move it"):
+        write("export", a="3")
+    write("export", b="3")  # next to files of the user
+    assert (out / "b").read_text() == "3" and (out / "a").read_text() == "2"
 
 
 def test_a_list_of_files_can_not_name_files_outside_of_its_folder(tmp_path: Path):

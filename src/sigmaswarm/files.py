@@ -138,15 +138,16 @@ def whole_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
             raise
 
 
-def earlier_result(folder: Path, kind: str, mark: str = "") -> frozenset[str] | None:
+def earlier_result(folder: Path, kind: str, mark: str = "", *, alone: bool = True) -> frozenset[str] | None:
     """Return the files of an earlier result of the same kind in a folder; none if it is missing or empty.
 
-    None: the result has the file ``mark`` but no list of files, as in version 0.3.0.
+    None: the result has the file ``mark`` but no list of files, as in version 0.3.0. If ``alone`` is False, the folder
+    may contain files of the user, for example the program that uses an exported filter.
 
     Raises
     ------
     InputError
-        The folder contains anything else: only our own results are replaced.
+        The folder contains another result, or files of the user.
     """
     if folder.is_dir():
         _sweep(folder.resolve())  # a killed run may have left its list in place of the older one
@@ -155,6 +156,8 @@ def earlier_result(folder: Path, kind: str, mark: str = "") -> frozenset[str] | 
     if mark and (folder / mark).is_file() and not (folder / RESULT_FILE).exists():
         return None
     found = _result_in(folder)
+    if not (found or alone):
+        return frozenset()
     if found.get("kind") != kind:
         raise InputError(f"{folder}: is not empty and contains no {kind}; choose another --out")
     inside = folder.resolve()
@@ -185,10 +188,10 @@ def staged_files(folder: Path, kind: str = "", mark: str = "") -> Generator[Path
     """Yield a hidden folder for files; when the block ends, all or none of them are moved into ``folder``.
 
     The next run that writes into the folder restores the old files if this one is killed between two replacements.
-    With ``kind`` the files are a whole result: it replaces an earlier one as in `earlier_result`, whose other files are
-    removed, and no file of anyone else.
+    With ``kind`` the files are a whole result. It replaces the files of an earlier result (see `earlier_result`),
+    removes those that the new result lacks, and replaces no other file.
     """
-    before = earlier_result(folder, kind, mark) if kind else None
+    before = earlier_result(folder, kind, mark, alone=False) if kind else None
     make_folder(folder)
     with _staging(folder / "results", folder) as hidden:
         new = hidden / "new"
@@ -203,7 +206,7 @@ def staged_files(folder: Path, kind: str = "", mark: str = "") -> Generator[Path
             for name in sorted(names - before):
                 if (folder / name).exists():
                     raise InputError(
-                        f"{folder / name}: is not part of the earlier {kind}; move it, or choose another --out"
+                        f"{folder / name}: is not part of an earlier {kind}; move it, or choose another --out"
                     )
         if kind:
             (new / RESULT_FILE).write_text(json.dumps({"kind": kind, "files": sorted(names)}) + "\n")

@@ -21,7 +21,7 @@ STALE: speed below `NO_REST`; STALE_MOVING: above it, so that the repeat is not 
 BEFORE = 3.0  # s; an equal fix is searched over this time; the previous fix is always compared
 SPEED_WINDOW = 2.5
 """Length of the window of fixes (at least two) for the speed, s; three fixes at 1 Hz still show braking."""
-REST = 0.8  # m/s, largest speed at rest; equal to `standstill.FIX_SPEED`
+REST = 0.8  # m/s, largest speed at rest, the same as at a standstill
 NO_REST = 2.0
 """Speed above which the first repeat is not evidence of a standstill, m/s."""
 BRAKING = 4.0  # m/s2, largest deceleration of a car; more is noise
