@@ -56,7 +56,7 @@ class Limits:
             )
 
     def first_columns(self, names: Iterator[str], path: Path) -> tuple[str, ...]:
-        """Return the names that are not empty; empty names count for the limit, since reading them takes time."""
+        """Return the names that are not empty; empty names count toward the limit, since reading them takes time."""
         found = list(islice(names, self.columns + 1))
         if len(found) > self.columns:
             raise InputError(

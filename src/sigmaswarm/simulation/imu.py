@@ -78,7 +78,7 @@ IMU_GRADES = {
             "mpu-6050",
             _accel(0.24, 0.0, turn_on=0.050 * _G, reach=4 * _G, resolution=_G / 8192, **_MPU),
             _gyro(0.3, 0.0, turn_on=20 * _DEG, reach=500 * _DEG, resolution=_DEG / 65.5, **_MPU),
-            source="InvenSense PS-MPU-6000A: uncalibrated, as from the factory, +-4 g and +-500 deg/s",
+            source="InvenSense PS-MPU-6000A: uncalibrated, as shipped from the factory, +-4 g and +-500 deg/s",
         ),
         ImuGrade(
             "icm-20602",  # reach and resolution [R]

@@ -1,4 +1,4 @@
-"""The result of a tuning, and its file."""
+"""The result of a tuning run, and its file."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -33,9 +33,9 @@ from sigmaswarm.wording import counted, in_order, to_do
 P = TypeVar("P", default=FilterParameters)
 SHOWN_REMARKS = 5  # number of remarks in the printed text
 INFLATED = (
-    "{} times as large as at the lowest cost (process-noise inflation): the costs of the two filters hardly differ, "
-    "and on roads and IMUs that the tuning did not use, the filter with more process noise is more accurate. On "
-    "the same roads this filter drifts slightly more in outages; --inflation 0 turns the inflation off"
+    "{} times as large as at the lowest cost (process-noise inflation): the costs with and without inflation "
+    "hardly differ; on other roads and with other IMUs the inflated filter is more accurate. On the roads used for "
+    "tuning, it drifts slightly more in outages; --inflation 0 turns the inflation off"
 )
 OF_THESE_SENSORS = (
     "a filter tuned with truth is valid only for the receiver and the IMU of these drives: with other sensors it "
@@ -259,7 +259,7 @@ class Tuning(Generic[P]):
         Raises
         ------
         InputError
-            If the file can't be read, or is not the result of a tuning.
+            If the file can't be read, or is not the result of a tuning run.
         """
         file = tuning_file(Path(path))
         record = load_record(TuningRecord, file)

@@ -202,7 +202,7 @@ class CheckPage(Page):
 
         with card():
             text("h2", "Cut")
-            text("p", "Drag over a part, or enter its ends.", "soft")
+            text("p", "Drag over a part, or enter its start and end.", "soft")
             with ui.element("div").classes("grid"):
                 with ui.element("div"):
                     with line():

@@ -12,7 +12,7 @@ from sigmaswarm.doctor.findings import Finding
 from sigmaswarm.drives.alignment import NoStart, find_start
 from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, stated_spread, suggest_filter
 
-MORE = "use a drive with turns, starts and stops to check these faults"
+MORE = "use a drive with turns, starts and stops to check for these faults"
 ABOVE_NOISE = 3.0
 """RMS change of the course within windows, in standard deviations, above which the car turns."""
 LEAST_TURN = np.radians(5.0)  # rad, RMS change of the course within windows; swaying causes less

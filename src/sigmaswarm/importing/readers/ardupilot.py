@@ -92,7 +92,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     parts = [part for part in PARTS if part[1] != "GPA" or "GPS" in frames]
     guess = Guess(
         roles_of(parts, {name: _COLUMNS[name] for name in frames}),
-        ("ArduPilot's axes are rotated from forward, right, down",),
+        ("ArduPilot's axes are converted from forward, right, down to forward, left, up",),
     )
     return of_frames(path, frames, "dataflash message", lambda _: guess)
 

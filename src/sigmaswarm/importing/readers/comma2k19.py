@@ -38,7 +38,10 @@ PARTS: tuple[tuple[Role, str, dict[str, str]], ...] = (
     ("truth", "pose", {name: name for name in ("t", "lat", "lon", "alt", "vx", "vy", "theta")}),
     ("odometer", "speed", {"t": "t", "speed": "speed"}),
 )
-_NOTE = "the IMU's axes are rotated from forward, right, down; the truth is the position of the camera"
+_NOTE = (
+    "the IMU's axes are converted from forward, right, down to forward, left, up; the truth is the position of "
+    "the camera"
+)
 
 
 def recognizes(path: Path) -> bool:

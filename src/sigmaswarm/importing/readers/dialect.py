@@ -19,7 +19,7 @@ from sigmaswarm.wording import names_shown
 HEAD = 4_000_000
 """Number of bytes in which a header is searched."""
 SAMPLE, MOST_LINES = 200_000, 300
-"""Number of characters and lines of rows that are examined."""
+"""Largest number of characters, and of lines, that are examined below the header."""
 SEPARATORS = (";", "\t", "|", ",")
 """Separators in order of preference if two fit equally well; commas may be decimal."""
 BLANKS = " "

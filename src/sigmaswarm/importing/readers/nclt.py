@@ -39,7 +39,10 @@ FILES: dict[Role, tuple[str, str, dict[str, str]]] = {
     ),
 }
 """File, columns, and a drive's expressions of each role."""
-_NOTE = "the axes of the MS25 are rotated from x forward, y right, z down; course and speed of gps.csv are not used"
+_NOTE = (
+    "the axes of the MS25 are converted from forward, right, down to forward, left, up; course and speed of gps.csv "
+    "are not used"
+)
 
 
 def recognizes(path: Path) -> bool:

@@ -27,7 +27,7 @@ from sigmaswarm.importing.source import (
 )
 
 MAGIC = b"ULog\x01\x12\x35"
-TURNED = "PX4's axes are rotated from forward, right, down"
+TURNED = "PX4's axes are converted from forward, right, down to forward, left, up"
 _T = {"t": "timestamp*1e-6"}
 _IMU = _T | {
     **{"ax": "accelerometer_m_s2[0]", "ay": "-accelerometer_m_s2[1]", "az": "-accelerometer_m_s2[2]"},
