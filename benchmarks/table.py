@@ -25,14 +25,14 @@ FILTERS = {
     "test_filterpy_predict": "FilterPy, one predict",
     "test_filterpy_update": "FilterPy, one update",
     "test_filterpy": "FilterPy, predicts and updates of the drive",
-    "test_textbook": "sigmaswarm's textbook filter, the same",
-    "test_numba": "Numba, the textbook's form in loops, one filter at a time, the same",
+    "test_textbook": "sigmaswarm's textbook filter, predicts and updates of the drive",
+    "test_numba": "Numba, the textbook filter in loops, predicts and updates of the drive",
     "test_gtsam": "GTSAM's iSAM2 with attitude, 30 s of the drive (a smoother: its graph grows)",
-    "test_batch": "**sigmaswarm's compiled batch of 32, the same, scored**",
+    "test_batch": "**sigmaswarm's compiled batch of 32, predicts, updates and scores of the drive**",
 }
 CROWDED = {
     "test_kalman_py": "kalman-py on JAX, a fix at every IMU sample",
-    "test_batch_crowded": "**sigmaswarm's compiled batch of 32, the same, scored**",
+    "test_batch_crowded": "**sigmaswarm's compiled batch of 32, a fix at every IMU sample, with scores**",
 }
 TUNINGS = {
     "test_tuning_pyswarms_filterpy": "PySwarms + FilterPy",
@@ -124,8 +124,8 @@ def spread(records: list[dict], ours: list[dict]) -> str:
 
 def tunings(measured: dict) -> Iterator[str]:
     yield (
-        "| one tuning: 30 particles, 50 generations, 10 minutes at 100 Hz | measured | whole tuning "
-        "| times ours; lowest turn |"
+        "| one tuning run: 30 particles, 50 generations, 10 minutes at 100 Hz | measured | whole run "
+        "| times sigmaswarm's; lowest turn |"
     )
     yield "|---|---:|---:|---:|"
     ours = measured["test_tuning_sigmaswarm"]
@@ -155,7 +155,7 @@ def cores(measured: dict) -> Iterator[str]:
 def live(measured: dict) -> Iterator[str]:
     yield (
         "| one call at a time, us: median; 99.9% | predict | update | a sample with its fix "
-        "| times faster than FilterPy's same filter | than FilterPy's planar5 ukf |"
+        "| times faster than this filter in FilterPy | than FilterPy's planar5 ukf |"
     )
     yield "|---|---:|---:|---:|---:|---:|"
     ours, theirs = "test_live ", "test_filterpy_calls "
@@ -163,7 +163,9 @@ def live(measured: dict) -> Iterator[str]:
     rows = {name: "FilterPy, " + name.removeprefix(theirs) for name in measured if name.startswith(theirs)}
     rows |= {name: name.removeprefix(ours) for name in measured if name.startswith(ours)}
     rows["test_live_late"] = "planar5 ukf, fixes 50 ms late"
-    rows["test_swarm planar8 ukf, lateral and standstill"] = "LiveFilterBank, sixteen of the one above"
+    rows["test_swarm planar8 ukf, lateral and standstill"] = (
+        "LiveFilterBank of planar8 ukf, lateral and standstill"
+    )
     for name, label in rows.items():
         cells = [
             "{:.2f}; {:.1f}".format(*(middle(measured[name], f"{c}_{k}") / 1e3 for k in ("median", "tail")))
