@@ -169,7 +169,7 @@ _HOMES = {
     "tuning.store": "saved_history saved_options",
     "tuning.tune": "tune",
 }
-"""Modules and their names that can be imported from the package; only those in ``__all__`` are public."""
+"""For each module, the names that the package exports from it; only names in ``__all__`` are public."""
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 _RENAMED = {"LiveSwarm": "LiveFilterBank", "run_swarm": "run_bank", "datasheet": "baseline"}
 """Deprecated names of version 0.3.0."""

@@ -20,7 +20,7 @@ class AlignmentError(DriveError):
 
 
 class TuningStopped(SigmaswarmError):
-    """The progress callback stopped a tuning; with a folder it can be resumed."""
+    """The progress callback stopped a tuning run; with a folder it can be resumed."""
 
 
 class SigmaswarmWarning(UserWarning):

@@ -61,7 +61,7 @@ def compare(
     validation
         Drives that the search does not use; the tuned filters are also evaluated on them.
     workers
-        Threads, or with --cluster simultaneous tunings; one per core by default. The result does not depend on it.
+        Threads, or with --cluster simultaneous tuning runs; one per core by default. The result does not depend on it.
     resume
         Continue an interrupted comparison. The result is the same, except for the times.
     """

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 NOISE = "noise of an IMU"
-"""Kind of the result in its folder."""
+"""Type of the result, as its folder and messages state it."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.wording import counted
 
 JITTER = 0.002
-"""Standard deviation of sample times with --jitter, s."""
+"""Standard deviation of the random errors of the sample times with --jitter, s."""
 
 
 @dataclass(frozen=True, kw_only=True)

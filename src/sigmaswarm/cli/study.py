@@ -24,7 +24,7 @@ class StudyOptions:
     out
         Folder for study.toml, results.json, scores.csv, tables, figures and the tunings of all trials.
     config
-        A study.toml that the other options change; by default the paper's study.
+        A study.toml whose values the other options override; by default the paper's study.
     quick
         Run a small study: 50 drives and 3 trials, in about half a minute.
     drives
@@ -51,7 +51,7 @@ class StudyOptions:
         With --rivals: drives with truth from other sensors or another car. Without --drives and --elsewhere
         they are simulated.
     workers
-        Processes (on Linux) or threads, one per core by default; with --cluster, simultaneous tunings.
+        Processes (on Linux) or threads, one per core by default; with --cluster, simultaneous tuning runs.
     cluster
         Dask cluster: tcp://host:8786, a scheduler file, or local:4 (four processes).
     resume

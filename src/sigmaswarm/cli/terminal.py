@@ -77,7 +77,7 @@ def mute() -> None:
 
 @contextmanager
 def tuning_progress(title: str) -> "Generator[Callable[[TuningProgress], None]]":
-    """Show the progress of a tuning on stderr, and yield the callback for `tune`."""
+    """Show the progress of a tuning run on stderr, and yield the callback for `tune`."""
     counted = "generations, best cost {task.fields[cost]}, remaining"
     with progress_bar(title, counted, "preparing", cost="-") as show:
         yield lambda progress: show(progress.done, progress.total, cost=f"{progress.best_cost:.3f}")

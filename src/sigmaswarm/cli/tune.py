@@ -198,7 +198,7 @@ def _evaluate(out: Path, drive: Path | None = None) -> str:
 
 
 def _next(out: Path, given: str, name: str, *, part: bool) -> list[str]:
-    """Suggest the next commands after a tuning on one drive: evaluate, or split the drive and tune again."""
+    """Suggest the next commands after tuning on one drive: evaluate, or split the drive and tune again."""
     from sigmaswarm.drives.reader import drive_folders
     from sigmaswarm.drives.urls import is_url
 

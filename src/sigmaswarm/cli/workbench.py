@@ -20,7 +20,7 @@ def workbench(
     """Import, check, tune, evaluate and export in the browser.
 
     Only this machine can open the page; its address contains a secret token. The other commands can read the drives,
-    tunings and evaluations in OUT. An interrupted tuning in OUT can be resumed.
+    tunings and evaluations in OUT. An interrupted tuning run in OUT can be resumed.
 
     For example:
 

@@ -26,7 +26,7 @@ AS_RECORDED = Yaw(known=True)
 """Another column, sign or unit is accepted only if no offset explains the data."""
 FEWEST = 20  # smallest number of fixes for the checks that need motion
 KEPT = 256
-"""Number of drives with a cached scatter, which a tuning needs in each repetition."""
+"""Number of drives with a cached scatter, which tuning needs in each repetition."""
 _scatters: dict[str, float] = {}
 
 

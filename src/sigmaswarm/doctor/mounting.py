@@ -270,7 +270,10 @@ def _mean(*estimates: tuple[float, float]) -> tuple[float, float]:
 
 
 def _misfits(fit: AccelerationFit, side: float) -> Array:
-    """Return chi-square of M against k R(angle) for each of `ANGLES`, k within `SCALE` of 1; ``side`` -1: mirrored."""
+    """Return the chi-square of the fitted matrix M against k R(angle), for each of `ANGLES`.
+
+    The scale factor k has a mean of 1 and a standard deviation of `SCALE`. If ``side`` is -1, R is mirrored.
+    """
     found, covariance = fit.matrix.ravel(), fit.covariance[:4, :4] + ALIKE**2 * np.eye(4)
     c, s = np.cos(ANGLES), np.sin(ANGLES)
     expected = np.stack([c, -side * s, s, side * c], axis=-1)

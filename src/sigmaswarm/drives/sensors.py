@@ -29,7 +29,7 @@ SHOWN = 0.25 * UNSTATED_GPS_STD
 The fixes of such a receiver show their error. The error of a receiver with less noise is unknown.
 """
 FIXES_FOR_FIX_ERROR = 250
-"""Smallest number of fixes, over all logs, for states of correlated errors in a tuning without truth.
+"""Smallest number of fixes, over all logs, for states of correlated errors when tuning without truth.
 
 On eight simulated M8 logs of 142 s at 1 Hz, these states increased the drift over 30 s in six, and one filter diverged
 (1319 m). With 300 and 600 fixes, the mean drift did not change, and the position error was 3 to 6% smaller.

@@ -26,7 +26,7 @@ from sigmaswarm.drives.standstill import standing
 from sigmaswarm.drives.tables import headings_of
 
 DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
-"""Numbers of a step: length, scale of Q, gap, and the IMU's axes; the last three only for an IMU with six axes."""
+"""Numbers of a step: length, scale of Q, gap, and the IMU's axes; az, gx and gy only for an IMU with six axes."""
 N_STEP, FIRST_AXIS = 9, AX
 AXES = ("ax", "ay", "gz", "az", "gx", "gy")
 """Axes of the IMU in the order of a step; every IMU has the first three."""

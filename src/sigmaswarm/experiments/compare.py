@@ -93,7 +93,7 @@ def compare(
         Continue the comparison in ``out``; except for the times, the result is the same as without interruption.
     cluster : distributed.Client, optional
         Dask cluster whose workers read the drives (also given as paths or URLs) and run the filters; ``workers`` is
-        then the number of simultaneous tunings. The result does not depend on the cluster.
+        then the number of simultaneous tuning runs. The result does not depend on the cluster.
     progress : callable, optional
         Called with the numbers of finished runs and of all runs.
     optimizers : sequence of str

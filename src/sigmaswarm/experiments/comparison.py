@@ -38,7 +38,7 @@ class Contender:
 
     @property
     def budget(self) -> int:
-        """Largest number of evaluations of a tuning."""
+        """Largest number of evaluations of a tuning run."""
         return self.config.particles * self.config.generations * self.config.trials
 
     @property

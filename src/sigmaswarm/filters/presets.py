@@ -1,4 +1,4 @@
-"""Filters without tuning: the baseline, with which a tuning is compared, and three presets of a planar5 UKF.
+"""Filters without tuning: the baseline, with which a tuned filter is compared, and three presets of a planar5 UKF.
 
 The paper mentions "default parameters" but does not state their values.
 

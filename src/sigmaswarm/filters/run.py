@@ -122,7 +122,7 @@ def run_filter(
     initial : InitialState, optional
         State at which the filter starts; by default `initial_state(drive)`.
     recover : bool
-        Reset the filter if it diverges: see `divergence`. A tuning does not reset filters.
+        Reset the filter if it diverges: see `divergence`. Filters are not reset during tuning.
     as_recorded : bool
         Run without preprocessing: use stale fixes, and treat gaps in the IMU as ordinary steps. A `PreparedDrive` has
         its own setting.

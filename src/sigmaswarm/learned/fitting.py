@@ -41,7 +41,7 @@ class Examples:
 
 @dataclass(frozen=True, eq=False)
 class Lesson:
-    """Loss, initial weights and examples of a training; ``fixed``: weights that are not trained."""
+    """Loss, initial weights and examples of a training run; ``fixed``: weights that are not trained."""
 
     loss: Loss
     weights: Mapping[str, Array]
@@ -52,7 +52,7 @@ class Lesson:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Options of a training.
+    """Options of a training run.
 
     ``batch`` is the number of examples per step, ``patience`` the largest number of epochs without improvement.
     """

@@ -1,4 +1,4 @@
-"""The folder of a training; none of its files is a pickle.
+"""The folder of a training run; none of its files is a pickle.
 
 tuning.toml, seen.npz   the filter's files, from its tuning
 learned.toml            type of network, settings, and training data

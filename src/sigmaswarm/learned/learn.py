@@ -114,7 +114,7 @@ def learn(
     ----------
     config : LearnConfig
     out : Path
-        Folder of the results; `sigmaswarm run` and `evaluate` read it like the folder of a tuning.
+        Folder of the results; `sigmaswarm run` and `evaluate` read it like a folder of `tune`.
     tuning : Path, optional
         The tuning.toml of the parameters, which is copied.
     resume : bool
@@ -175,14 +175,14 @@ def _save(learned: Learned, config: LearnConfig, tuning: Path | None, out: Path)
 
 
 class FinishedRecord(BaseModel, extra="forbid"):
-    """result.json of a training."""
+    """result.json of a training run."""
 
     cost: float | None
     settings: dict[str, float]
 
 
 class FinishedHistoryRecord(BaseModel):
-    """history.npz of a training: losses after each epoch (e, 2), and the weights."""
+    """history.npz of a training run: losses after each epoch (e, 2), and the weights."""
 
     model_config = ARRAYS | ConfigDict(extra="allow")
     losses: np.ndarray[Any, np.dtype[np.float64]]

@@ -22,7 +22,7 @@ GUARDS = ("prior", "inflation")
 def tune_command(
     config: Mapping[str, Any], drives: Sequence[str], validation: Sequence[str]
 ) -> tuple[str, str]:
-    """Return the command of a tuning and a note. For a custom model the command is empty."""
+    """Return the command of a tuning run and a note. For a custom model the command is empty."""
     if isinstance(config.get("model"), dict):
         return "", "The tuning has a custom model: repeat it in Python with sigmaswarm.tune."
     config = {RENAMED.get(name, name): value for name, value in config.items()}

@@ -38,8 +38,9 @@ VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unkn
 BANK = (
     "A filter bank has sixteen filters with different parameters. The weight of a filter in the estimate depends on "
     "how well it predicted the fixes of the last minute. Every 10 s while the vehicle moves, a search over the last "
-    "minute replaces the filters with the lowest weights. If the parameters move far from the tuning, the vehicle, its "
-    "sensors or its surroundings differ from those of the tuning. One decade is a factor of ten in a variance."
+    "minute replaces the filters with the lowest weights. If the parameters move far from the tuned values, the "
+    "vehicle, its sensors or its surroundings differ from those used for tuning. One decade "
+    "is a factor of ten in a variance."
 )
 
 

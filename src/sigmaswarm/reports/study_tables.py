@@ -48,7 +48,7 @@ INTERVALS = (
     "optimizer vary much."
 )
 EFFORT = (
-    "Labelled: driving time with truth, for the tuning. Learned: driving time without truth, for the training of a "
+    "Labelled: driving time with truth, for tuning. Learned: driving time without truth, for training a "
     "network. Numbers: number of free parameters of tuning and training. Drifts: one outage per drive, with the 95% "
     "interval for new drives (bootstrap over drives and trials); -: no drive is long enough."
 )

@@ -140,7 +140,7 @@ class Evaluated:
         )
 
     def seen_in(self, overlap: Overlap) -> "Evaluated":
-        """Return a copy that records the part of the drive that was used in the tuning."""
+        """Return a copy that records the part of the drive that was used for tuning."""
         part = {"seen_s": overlap.seconds, "seen_in": list(overlap.of)}
         return replace(self, record=self.record.model_copy(update=part))
 

@@ -87,7 +87,8 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
     imu_rate, gps_rate : float
         Sampling rates, Hz, at most 1000; 100 and 5 by default.
     jitter : float
-        Standard deviation of the sample times, s, clipped at 0.4 of the interval; 0 by default.
+        Standard deviation of the random errors of the sample times, s; 0 by default. Each error is limited to 0.4 of
+        the interval.
     duration : float, optional
         Duration of "urban", s; 180 by default.
     warm_up : bool

@@ -1,4 +1,4 @@
-"""Options of a tuning, for the command line, `tune`, tuning.toml and the reference manual."""
+"""Options of a tuning run, for the command line, `tune`, tuning.toml and the reference manual."""
 
 from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
@@ -222,7 +222,7 @@ def suggested(name: str, known: Iterable[str]) -> str | None:
 
 
 def validated_config(kind: type[C], options: Mapping[str, Any]) -> C:
-    """Check the options of a tuning; raise `InputError` for the first invalid one."""
+    """Check the options of a tuning run; raise `InputError` for the first invalid one."""
     try:
         config = kind(**options)
     except ValidationError as error:

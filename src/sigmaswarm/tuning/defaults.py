@@ -1,4 +1,4 @@
-"""Defaults of a tuning that depend on the drives."""
+"""Defaults of a tuning run that depend on the drives."""
 
 import warnings
 from collections.abc import Sequence

@@ -33,7 +33,10 @@ FAR = 1.5
 FEW = 2
 """Number of outage placements checked first."""
 NEAR = 1.2
-"""Ratio of the drifts over these placements, accurate to 10%, above which all placements are measured."""
+"""Ratio of the filter's drift to the baseline's, over `FEW` placements, above which all placements are measured.
+
+For few placements the ratio is accurate to 10%.
+"""
 LOOK = 600.0  # s in the middle of a drive that are checked for drift
 REMEDY = "DO NOT USE IT; check the drive with `sigmaswarm doctor`, or tune with more trials or on more drives"
 CORRELATED = 0.3

@@ -1,4 +1,4 @@
-"""Types of the options of a tuning, for type checkers; a test compares them with `tuning.config`.
+"""Types of the options of a tuning run, for type checkers; a test compares them with `tuning.config`.
 
 PEP 692 requires a TypedDict for the types of ``**options``.
 """

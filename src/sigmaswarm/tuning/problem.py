@@ -1,4 +1,4 @@
-"""The optimization problem of a tuning."""
+"""The optimization problem of a tuning run."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -50,7 +50,7 @@ P = TypeVar("P", covariant=True)
 
 @dataclass(frozen=True, eq=False)
 class Problem(ABC, Generic[P]):
-    """Filter, data and objective of a tuning; points are in search coordinates.
+    """Filter, data and objective of a tuning run; points are in search coordinates.
 
     Q refers to the IMU interval of the drives for which ``space`` was made. ``data`` identifies the drives or logs.
     """

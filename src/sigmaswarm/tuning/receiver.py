@@ -28,7 +28,7 @@ DECADES_ABOVE = 0.25
 FAR_BELOW = 3.0
 """Ratio of the receiver's standard deviation to that of R above which a warning is given."""
 NO_PART = 0.05
-"""Share of the stated variances in R below which these have no effect."""
+"""Share of R from stated variances below which the stated variances have no effect."""
 LOOK = 600.0  # s of a drive in which the scatter of the fixes is measured; a longer part does not change the result
 PRIOR_DECIDED = 0.02
 """Cost of the prior, nats per fix, above which a remark is made."""

@@ -1,4 +1,4 @@
-"""The trials of a tuning: generations and checkpoints."""
+"""The trials of a tuning run: generations and checkpoints."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -33,7 +33,7 @@ HISTORY: dict[str, type] = {"best": np.float64, "median": np.float64, "steps": n
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a tuning, passed to the callback after every generation.
+    """Progress of a tuning run, passed to the callback after every generation.
 
     ``done`` and ``total`` count the generations of all trials. ``parameters`` are the best of this trial so far; None
     if no cost was finite.

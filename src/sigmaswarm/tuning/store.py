@@ -1,4 +1,4 @@
-"""The folder of a tuning. Files are written atomically, and the same result gives identical files.
+"""The folder of a tuning run. Files are written atomically, and the same result gives identical files.
 
 The folder contains
 
@@ -28,7 +28,7 @@ LONGEST = 120  # characters of a value in a message
 
 
 class ConfigRecord(BaseModel, extra="allow"):
-    """config.json of a tuning."""
+    """config.json of a tuning run."""
 
     versions: dict[str, str] = Field(default_factory=dict)
 
@@ -146,7 +146,7 @@ def _short(key: str, value: Any) -> str:
 
 
 class ResultFolder:
-    """The folder of a tuning, created if missing.
+    """The folder of a tuning run, created if missing.
 
     With ``resume`` it may contain an unfinished run with the same configuration. Raises `InputError` if it contains
     another tuning, or any tuning without ``resume``.

@@ -209,7 +209,7 @@ def start_point(space: SearchSpace, given: FilterParameters) -> Array:
 def tuning_folder(
     path: Path, problem: Problem[Any], config: SearchConfig, *, resume: bool, start: Array | None = None
 ) -> ResultFolder:
-    """Open or create the folder of a tuning."""
+    """Open or create the folder of a tuning run."""
     wanted = {**config.model_dump(mode="json"), "data": problem.data, "versions": versions()}
     if start is not None:
         wanted["start"] = dict(zip(problem.space.names, start.tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""Tunings in threads of the server. A killed tuning can be resumed from its folder."""
+"""Tuning runs in threads of the server. A killed run can be resumed from its folder."""
 
 import threading
 import time
@@ -92,7 +92,7 @@ class Runs:
         self._threads[-1].start()
 
     def resume(self, name: str) -> None:
-        """Resume a stopped or killed tuning, also a tuning of the command line."""
+        """Resume a stopped or killed tuning run, also one of the command line."""
         options, data = saved_options(self.bench.path("tunings", name))
         known = self.bench.choices.get("tunings", {}).get(name, {})
         drives = [self.bench.read(one) for one in known.get("drives", [one["name"] for one in data])]
@@ -100,7 +100,7 @@ class Runs:
         self.begin(name, drives, held, {**options, "resume": True})
 
     def stop_all(self) -> None:
-        """Stop all tunings after the current generation and wait for their end."""
+        """Stop all tuning runs after the current generation and wait for their end."""
         for run in self.runs.values():
             run.stop()
         for thread in self._threads:

@@ -102,7 +102,7 @@ class Workbench:
 
     @property
     def unfinished(self) -> list[str]:
-        """Tunings that were stopped or killed."""
+        """Tuning runs that were stopped or killed."""
         return [
             n for n in self.names("tunings", "config.json") if not (self.path("tunings", n) / TUNING).exists()
         ]

@@ -35,7 +35,7 @@ class TunePage(Page):
         self.why: list[str] = []
 
     def content(self) -> None:
-        """Show the step. A timer in each tab checks the running tunings."""
+        """Show the step. A timer in each tab checks the tuning runs."""
         if self.plan and not self.why and not self.waiting:
             self._explain()
         self._setup()
@@ -158,7 +158,7 @@ class TunePage(Page):
         return drives, held
 
     def _cards(self) -> dict[str, Update]:
-        """Show running, failed and interrupted tunings. Return functions that update the cards."""
+        """Show running, failed and interrupted tuning runs. Return functions that update the cards."""
         updates = {r.name: self._run_card(r) for r in self.runs.runs.values() if not r.ended or r.error}
         for name in self.bench.unfinished:
             if name not in updates:
@@ -174,7 +174,7 @@ class TunePage(Page):
         self.refresh()
 
     def _run_card(self, run: Run) -> Update:
-        """Show a tuning. Return a function that updates the card."""
+        """Show a tuning run. Return a function that updates the card."""
         with card("warning" if run.error else ""):
             with line("between"):
                 with ui.element("h2"):

@@ -267,7 +267,7 @@ def _tune_all(
         return trial
 
     def effort(task: Task) -> float:
-        """Estimate the duration of a tuning relative to others on the same number of drives."""
+        """Estimate the duration of a tuning run relative to others on the same number of drives."""
         config = configs[task.variant]
         step = len(MODELS[config.model].states) ** 1.5 * (0.2 if config.racing else 1.0)  # time per step
         return (1 + outages[task.variant]) * step * config.particles * config.generations

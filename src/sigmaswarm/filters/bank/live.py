@@ -112,7 +112,7 @@ class LiveFilterBank(LiveFilter):
     The likelihood of the fixes is the evidence of each filter (lane) and gives its weight; evidence fades within a
     minute. Lane 0 is the tuning and gives the results of a `LiveFilter`. Some lanes represent other receivers. Every 10
     s of driving, the worst lanes are replaced: one by the result of a search over the last minute, the others by
-    changed copies of good lanes. So the bank adapts to other sensors or other reception. On the vehicle of the tuning
+    changed copies of good lanes. So the bank adapts to other sensors or other reception. On the vehicle used for tuning
     it is not more accurate than the single filter. If the mixture diverges, lanes 1 to 15 are reset; most lanes then
     keep their biases.
 

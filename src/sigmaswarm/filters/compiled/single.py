@@ -73,8 +73,8 @@ class SingleStep:
 def single_step(model, step_log=-1):
     """Return the compiled step of a model.
 
-    ``step_log``: index, in the filter's numbers, of the number of logged steps; the `logged_rows` of each step follow.
-    Negative: no log.
+    ``step_log``: index in ``v`` of the number of logged steps; the values of `logged_rows` for each logged step follow
+    this number. Negative: no log.
     """
     noted = step_log >= 0
     kept = np.array([*state_rows(model), *range(CONSTANT_ROWS.start, N_KEPT)])

@@ -17,7 +17,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 
 SCALING_NAMES = ("alpha", "beta", "kappa")
-"""Scaling of the sigma points; a tuning of an unscented filter searches it together with the model's parameters."""
+"""Scaling of the sigma points; tuning an unscented filter searches it together with the model's parameters."""
 
 
 @dataclass(frozen=True)
