@@ -20,7 +20,7 @@ FINDINGS = {
         *("imu-gap", "imu-rate", "imu-repeats", "imu-outside", "gps-gap", "gps-rate", "gps-outside"),
         *("clock-jump", "logger", "time"),
     ),
-    "turning": ("gyro", "clock", "unseen-clock", "unseen-yaw", "reverse"),
+    "turning": ("gyro", "clock", "unseen-clock", "unseen-yaw", "reverse", "mirrored"),
     "gravity": ("gravity", "mounting", "accelerometer-up", "accelerometer-unit", "gyro-tilt"),
     "forward": ("accelerometer", "unseen-ax"),
     "sideways": ("unseen-ay", "unseen-tilt"),

@@ -4,7 +4,7 @@ from sigmaswarm.doctor.checks.accelerometer import check_accelerometer
 from sigmaswarm.doctor.checks.gyro import check_gyro, check_tilt
 from sigmaswarm.doctor.checks.heading import check_heading
 from sigmaswarm.doctor.checks.limits import check_observability, check_use
-from sigmaswarm.doctor.checks.mounting import check_mounting, check_reverse
+from sigmaswarm.doctor.checks.mounting import check_mirrored, check_mounting, check_reverse
 from sigmaswarm.doctor.checks.noise import check_noise
 from sigmaswarm.doctor.checks.odometer import check_odometer
 from sigmaswarm.doctor.checks.timing import check_clock, check_sampling
@@ -17,6 +17,7 @@ from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.errors import DriveError
 
 CHECKS = (
+    check_mirrored,
     check_reverse,
     check_mounting,
     check_gyro,

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from sigmaswarm.doctor.acceleration_fit import LATENESS, AccelerationFit, fit_acceleration
 from sigmaswarm.doctor.clock_search import LEAST_TURN, WIDEST, search_offset
-from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps
+from sigmaswarm.doctor.fixes import Course, Mask, course_of, exchanged, jumps
 from sigmaswarm.doctor.mounting import Mounting, mounting_of, turned
+from sigmaswarm.doctor.verdicts import LEAST_TURN as LEAST_TURNS
 from sigmaswarm.doctor.verdicts import MOUNTED, ClockOffset, Mount, Yaw, clock_of, mount_of, yaw_of
 from sigmaswarm.doctor.windows import Complex
 from sigmaswarm.doctor.yaw_fit import EXPLAINED, YawFit, fit_yaw
@@ -24,6 +25,10 @@ USUAL = 1.0
 """Largest usual delay of a receiver, s. A larger delay is accepted only if the search finds no other offset."""
 AS_RECORDED = Yaw(known=True)
 """Another column, sign or unit is accepted only if no offset explains the data."""
+UPRIGHT = 0.7
+"""Smallest cosine of the angle between az and gravity, and between ax and forward, of an IMU as recorded that
+distinguishes mirrored fixes from an IMU with other axes."""
+CLEAR_SCALE = 4.0  # standard deviations of the scale of ax and ay if they agree with the exchanged fixes
 FEWEST = 20  # smallest number of fixes for the checks that need motion
 KEPT = 256
 """Number of drives with a cached scatter, which tuning needs in each repetition."""
@@ -46,6 +51,7 @@ class Evidence:
     scatter: float  # m per axis, scatter of the fixes about the path over ten seconds
     mounting: Mounting | None  # mounting of the IMU in the vehicle, for a log with six axes
     moved: float = 0.0  # s, subtracted from the fixes' times if the clocks are far apart
+    mirrored: bool = False  # x and y of the fixes are exchanged; other fields are those after a correction
 
     @property
     def mounted(self) -> bool:
@@ -66,9 +72,11 @@ class Evidence:
 def gather(drive: Drive) -> Evidence:
     """Fit the gyro to the course and the accelerometers to the path, and interpret the fits.
 
-    If the gyro as recorded does not follow the course within a second, first search for a clock offset up to 40 s.
+    If the gyro as recorded does not follow the course within a second, first search for a clock offset up to 40 s. If
+    the IMU as recorded agrees only with a mirror image of the fixes, all evidence is that of the mirror image.
     """
     evidence = _read(drive)
+    evidence = _mirrored(evidence, drive) or evidence
     for old in list(_scatters)[: len(_scatters) + 1 - KEPT]:
         _scatters.pop(old, None)
     _scatters[fingerprint(drive)] = evidence.scatter
@@ -105,6 +113,34 @@ def _read(drive: Drive) -> Evidence:
     return replace(
         evidence, clock=ClockOffset(late, max(evidence.clock.std, 0.05), WIDEST), moved=late - rest
     )
+
+
+def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
+    """Return the evidence after an exchange of x and y of the fixes; None unless it explains the IMU as recorded.
+
+    With gravity upright on az, gz and ay cannot both be reversed while ax agrees with the motion: this is no rotation.
+    For an IMU on its side or upside down, reversed accelerometers look the same.
+    """
+    imu, yaw, fit = drive.imu, found.yaw, found.yaw_fit
+    if imu.az is None or fit is None or fit.course_change < LEAST_TURNS:
+        return None
+    force = np.array([np.median(v) for v in (imu.ax, imu.ay, imu.az)])
+    if force[2] < max(UPRIGHT * float(np.linalg.norm(force)), 0.5):  # also without gravity, or in other units
+        return None
+    turned_over = found.mounting is not None and found.mounting.repair[2, 2] < 0
+    if yaw.known and yaw.factor > 0 and not turned_over:
+        return None
+    other = exchanged(drive)
+    if other is None:
+        return None
+    new = _read(other)
+    mount, upright = new.mount, np.diag(new.mounting.repair) if new.mounting else np.ones(3)
+    if not new.yaw.known or new.yaw.factor < 0 or new.yaw.column != "gz" or np.min(upright) < UPRIGHT:
+        return None
+    if mount is None or not np.array_equal(mount.axes, np.eye(2)):
+        return None
+    clear = all(scale > CLEAR_SCALE * std for scale, std in mount.scale)
+    return replace(new, mirrored=True) if clear else None
 
 
 def _gather(drive: Drive) -> Evidence:

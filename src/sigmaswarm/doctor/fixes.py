@@ -1,13 +1,14 @@
-"""Course and speed from the fixes alone, and jumps of the fixes."""
+"""Course and speed from the fixes alone, jumps of the fixes, and fixes with exchanged coordinates."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.doctor.windows import Complex
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import white_noise
+from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
 
 Mask = NDArray[np.bool_]
 
@@ -33,6 +34,18 @@ class Course:
     moving: Mask  # (n,), True if the car is fast enough for a course
     slowest: float  # m/s, lowest speed with a course
     span: float  # s
+
+
+def exchanged(drive: Drive) -> Drive | None:
+    """Exchange x and y of the fixes, or latitude and longitude; None if the longitudes cannot be latitudes."""
+    gps, x, y = drive.gps, drive.gps.y, drive.gps.x
+    if drive.frame == "wgs84" and drive.origin:
+        lat, lon, alt = drive.origin
+        if abs(lon) > 89:
+            return None
+        lats, lons, alts = enu_to_geodetic(np.stack([gps.x, gps.y, np.zeros(len(gps))], -1), drive.origin).T
+        x, y, _ = geodetic_to_enu(lons, lats, alts, (lon, lat, alt)).T
+    return replace(drive, gps=replace(gps, x=x, y=y, std_x=gps.std_y, std_y=gps.std_x))
 
 
 def jumps(time: Array, position: Complex) -> Mask:

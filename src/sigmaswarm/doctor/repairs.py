@@ -12,6 +12,7 @@ from sigmaswarm.doctor.checks.heading import HEADINGS
 from sigmaswarm.doctor.checks.odometer import without
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.findings import Diagnosis, Repair
+from sigmaswarm.doctor.fixes import exchanged
 from sigmaswarm.doctor.mounting import turned
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.mounting import with_rotation
@@ -75,6 +76,10 @@ def _unit_rows(*rows: Array | None) -> Array:
 def _with(sensor: str, drive: Drive, **columns: Any) -> Drive:
     table = getattr(drive, sensor)
     return replace(drive, **{sensor: table and replace(table, **columns)})
+
+
+def _exchange_fixes(drive: Drive) -> Drive:
+    return exchanged(drive) or drive
 
 
 def _shift(sensor: str, drive: Drive, seconds: float) -> Drive:
@@ -178,6 +183,7 @@ def _close_jump(drive: Drive, moment: float, jump: float) -> Drive:
 AXES = {"rotate", "gyro", "tilt-rates", "accelerometer", "turn"}
 """Actions that change the axes of the IMU."""
 ACTIONS: dict[str, Callable[..., Drive]] = {
+    "exchange-fixes": _exchange_fixes,
     "shift-clock": partial(_shift, "gps"),
     "drop-samples": partial(_drop, "imu"),
     "drop-fixes": partial(_drop, "gps"),

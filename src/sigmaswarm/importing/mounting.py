@@ -19,7 +19,12 @@ _AXES = "xyz"
 
 def find_mount(drive: Drive) -> tuple[Drive, str, str]:
     """Rotate the IMU by the mounting that the log shows; return the drive, the mounting as text, and a note."""
-    mounting = gather(drive).mounting
+    evidence = gather(drive)
+    mounting = evidence.mounting
+    if evidence.mirrored:
+        raise InputError(
+            "mount auto: the fixes are a mirror image of the motion; exchange x and y, or lat and lon, by --map"
+        )
     if mounting is None or mounting.confidence == "no":
         reason = mounting.reason if mounting else "required: ax, ay, az, gx, gy, gz and a moving vehicle"
         raise InputError(

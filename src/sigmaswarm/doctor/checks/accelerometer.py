@@ -55,10 +55,12 @@ def _axes(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
             )
         elif not all(mount.known):
             what = f"{what} (the drive shows only {'forward' if mount.known[0] else 'sideways'} acceleration)"
+        remedy = f"read ax as {forward} and ay as {left}" + (" and change the sign of az" if opposite else "")
+        if (opposite and evidence.mounted) or (evidence.yaw.factor < 0 and np.linalg.det(axes) < 0):
+            remedy += "; fixes with exchanged x and y (lat and lon) look the same: check these first"
         yield Finding(
             "accelerometer-axes" if axes[0, 0] == 0 else "accelerometer-sign", "serious", what, WHERE, span, confidence,
-            f"read ax as {forward} and ay as {left}" + (" and change the sign of az" if opposite else ""),
-            Repair("accelerometer", (*axes.ravel().tolist(), -1.0 if opposite else 1.0)),
+            remedy, Repair("accelerometer", (*axes.ravel().tolist(), -1.0 if opposite else 1.0)),
         )  # fmt: skip
     if mount.unit != 1:
         size = mount.unit * mount.scale[0][0]

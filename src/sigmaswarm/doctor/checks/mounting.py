@@ -1,4 +1,4 @@
-"""Check the mounting of an IMU with six axes, its changes, and logs that begin in reverse."""
+"""Check the mounting of an IMU with six axes, its changes, mirrored fixes, and logs that begin in reverse."""
 
 import math
 from collections.abc import Iterator
@@ -30,6 +30,26 @@ STEP = 2.0  # s, for changes of speed and the integral of ax
 CLEAR, LEAST = 3.0, 0.4
 """Smallest slope, in standard deviations and absolute, with which a regression of speed changes on the integral of ax
 determines the direction."""
+
+
+def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
+    """Report exchanged coordinates of the fixes. The other checks refer to the fixes after the exchange."""
+    if not evidence.mirrored:
+        return
+    drive, places = evidence.drive, "lat and lon" if evidence.drive.frame == "wgs84" else "x and y"
+    one, other = places.split(" and ")
+    what = (
+        f"the fixes are a mirror image of the motion: their {places} are exchanged (gz and ay are reversed relative to "
+        "the fixes, while ax agrees and az points up)"
+    )
+    remedy = (
+        f"if gz and ay have the correct signs, exchange {places}: "
+        f'import with --map "gps.{one}=COLUMN" "gps.{other}=COLUMN"'
+    )
+    # A truth may be mirrored too, and degrees have another scale after the exchange.
+    repair = Repair("exchange-fixes", ()) if drive.frame == "enu" and drive.truth is None else None
+    where = f"gps.csv, {one}, {other}"
+    yield Finding("mirrored-fixes", "serious", what, where, evidence.span, 0.99, remedy, repair)
 
 
 def check_mounting(evidence: Evidence) -> Iterator[Finding]:

@@ -1,0 +1,126 @@
+"""Fixes with exchanged coordinates: one finding that names the fixes, and no change of the IMU."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import sigmaswarm
+from doctor.faults import flipped_yaw, reversed_force, right_and_down
+from sigmaswarm import Diagnosis, Drive
+from sigmaswarm.doctor.fixes import course_of
+from sigmaswarm.doctor.mounting import turned
+from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu, rotation_of
+
+LOOKS_THE_SAME = "exchanged x and y"
+
+
+@cache
+def simulated() -> Drive:
+    return sigmaswarm.simulate("urban", gps="white-1m", duration=60, imu_rate=50)
+
+
+@cache
+def good(axes: int) -> Drive:
+    drive = replace(simulated(), truth=None)
+    missing = dict.fromkeys({6: (), 4: ("gx", "gy"), 3: ("az", "gx", "gy")}[axes])
+    return replace(drive, imu=replace(drive.imu, **missing))
+
+
+def mirrored(drive: Drive) -> Drive:
+    return replace(drive, gps=replace(drive.gps, x=drive.gps.y, y=drive.gps.x))
+
+
+def in_degrees(drive: Drive) -> Drive:
+    """Fixes at 60 deg north, where degrees of longitude are half as long, with exchanged columns."""
+    lat, lon, alt = enu_to_geodetic(
+        np.stack([drive.gps.x, drive.gps.y, 0 * drive.gps.x], -1), (60.0, 10.0, 0.0)
+    ).T
+    x, y, _ = geodetic_to_enu(lon, lat, alt, (10.0, 60.0, 0.0)).T
+    return replace(drive, gps=replace(drive.gps, x=x, y=y), frame="wgs84", origin=(10.0, 60.0, 0.0))
+
+
+def with_truth(drive: Drive) -> Drive:
+    return replace(mirrored(drive), truth=simulated().truth)
+
+
+def sideways(drive: Drive) -> Drive:
+    return replace(drive, imu=turned(drive.imu, rotation_of(0, 0, 90)))
+
+
+def serious(found: Diagnosis) -> set[str]:
+    return {finding.code for finding in found.findings if finding.severity == "serious"}
+
+
+@pytest.mark.parametrize("axes", [6, 4])
+def test_exchanged_coordinates_are_reported_and_repaired(axes: int):
+    drive = good(axes)
+    wrong = mirrored(drive)
+    found = sigmaswarm.diagnose(wrong)
+    assert serious(found) == {"mirrored-fixes"}
+    mended = sigmaswarm.repair(wrong, found)
+    np.testing.assert_array_equal(mended.gps.x, drive.gps.x)
+    np.testing.assert_array_equal(mended.gps.y, drive.gps.y)
+    np.testing.assert_array_equal(mended.imu.ay, drive.imu.ay)
+    assert not sigmaswarm.diagnose(mended).serious
+
+
+def test_a_course_and_a_clock_are_checked_after_the_exchange():
+    """A correct course of the receiver would seem to be clockwise from north."""
+    drive, gps = good(4), good(4).gps
+    velocity = course_of(gps.time, gps.x + 1j * gps.y).velocity
+    late = replace(gps, speed=np.abs(velocity), course=np.angle(velocity), time=gps.time + 1.5)
+    found = sigmaswarm.diagnose(mirrored(replace(drive, gps=late)))
+    assert serious(found) == {"mirrored-fixes", "clock-offset"}
+
+
+@pytest.mark.parametrize("change", [in_degrees, with_truth])
+def test_degrees_and_a_drive_with_truth_are_not_repaired(change: Callable[[Drive], Drive]):
+    found = sigmaswarm.diagnose(change(good(6)))
+    assert serious(found) == {"mirrored-fixes"}
+    assert not any(finding.repair for finding in found.findings)
+
+
+def without_lateral(drive: Drive) -> Drive:
+    noise = np.random.default_rng(1).normal(0, 0.1, len(drive.imu))
+    return flipped_yaw(replace(drive, imu=replace(drive.imu, ay=noise)))
+
+
+@pytest.mark.parametrize(
+    ("axes", "change"),
+    [
+        (6, flipped_yaw),
+        (4, without_lateral),
+        (4, right_and_down),
+        (6, sideways),
+    ],
+)
+def test_faults_of_the_imu_are_not_faults_of_the_fixes(axes: int, change: Callable[[Drive], Drive]):
+    found = sigmaswarm.diagnose(change(good(axes)))
+    assert found.serious
+    assert "mirrored-fixes" not in found.codes
+
+
+@pytest.mark.parametrize("case", ["no az", "sideways"])
+def test_an_ambiguous_log_keeps_its_findings_and_names_the_fixes(case: str):
+    drive = good(3) if case == "no az" else sideways(good(6))
+    found = sigmaswarm.diagnose(mirrored(drive))
+    assert "mirrored-fixes" not in found.codes
+    assert any(
+        LOOKS_THE_SAME in finding.remedy for finding in found.findings if finding.severity == "serious"
+    )
+
+
+@pytest.mark.parametrize("fault", [flipped_yaw, reversed_force])
+def test_a_fault_of_one_sensor_does_not_name_the_fixes(fault: Callable[[Drive], Drive]):
+    found = sigmaswarm.diagnose(fault(good(4)))
+    assert found.serious
+    assert not any(LOOKS_THE_SAME in finding.remedy for finding in found.findings)
+
+
+def test_no_mounting_is_found_by_mirrored_fixes():
+    with pytest.raises(InputError, match="mirror image"):
+        sigmaswarm.find_mount(mirrored(good(6)))
