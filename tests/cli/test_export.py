@@ -213,7 +213,6 @@ def test_results_replace_no_files_of_anyone_else(sigmaswarm: Command, tuned: Pat
     search = "--particles", 2, "--generations", 1
     for command in (
         ("export", tuned, "--to", "filterpy", "--out", "c"),
-        ("export", tuned, "--to", "c99", "--out", "mine"),
         ("evaluate", tuned, drive, "--out", "mine"),
         ("evaluate", tuned, drive, "--out", tuned),
         ("noise", drive, "--out", "mine"),
@@ -227,6 +226,12 @@ def test_results_replace_no_files_of_anyone_else(sigmaswarm: Command, tuned: Pat
         assert (ended.code, ended.err.count("\n")) == (2, 1), (command, ended.err)
         assert "choose another --out" in ended.err, ended.err
     assert [file.name for file in (here / "mine").iterdir()] == ["page.html"]
+    (here / "mine/ins_gps.h").write_text("mine")  # an export may be next to other files, but replaces none
+    ended = sigmaswarm("export", tuned, "--to", "c99", "--out", "mine")
+    assert ended.code == 2 and "ins_gps.h: is not part of an earlier export" in ended.err
+    (here / "mine/ins_gps.h").unlink()
+    assert sigmaswarm("export", tuned, "--to", "c99", "--out", "mine").code == 0
+    assert (here / "mine/page.html").read_text() == "mine"
 
 
 def test_an_evaluation_replaces_the_page_of_the_last_and_not_its_own_tuning(

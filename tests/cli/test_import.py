@@ -247,7 +247,7 @@ def test_no_drive_is_written_that_can_not_be_read(sigmaswarm: Command, here: Pat
     assert sigmaswarm("import", "log.csv", "--out", "drive").code == 0
     before = {path.name: path.read_bytes() for path in (here / "drive").iterdir()}
     for arguments, said in (
-        (("--map", "gps.x=x*1e9"), "column x"),
+        (("--map", "gps.x=x*1e9"), "x and y are not in m"),
         (("--name", "a/b"), "name = 'a/b'"),
     ):
         ended = sigmaswarm("import", "log.csv", "--out", "drive", "--overwrite", *arguments)

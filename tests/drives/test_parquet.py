@@ -69,7 +69,7 @@ BROKEN = {
         edited("imu.parquet", lambda f: f.with_columns(t=pl.lit(datetime.datetime(2026, 1, 1)))),
         "imu.parquet, column t: contains Datetime",
     ),
-    "no parquet": (lambda folder: (folder / "gps.parquet").write_text("t,x,y\n"), "gps.parquet is no Parquet file"),
+    "no parquet": (lambda folder: (folder / "gps.parquet").write_text("t,x,y\n"), "gps.parquet is not a readable"),
     "both": (lambda folder: (folder / "imu.csv").write_text("t\n"), "contains both imu.csv and imu.parquet"),
     "missing": (lambda folder: (folder / "gps.parquet").unlink(), "gps.csv is missing"),
 }  # fmt: skip

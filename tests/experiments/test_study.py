@@ -127,7 +127,7 @@ def test_a_trial_is_what_tune_finds(whole: Study, design: Design):
     train = [design.drives[i] for i in design.split(0)[0]]
     asked = {
         "pso-planar8": design.tune_config("pso-planar8", "honest").model_dump() | {"trials": 1},
-        BY_DEFAULT: {"particles": 4, "generations": 3, "as_recorded": True},
+        BY_DEFAULT: {"particles": 4, "generations": 3, "as_recorded": True, "inflation": 0.0},
     }
     for method, options in asked.items():
         tuning = tune(train, **options)

@@ -144,7 +144,7 @@ def test_a_start_is_a_point_of_the_search_and_the_result_no_worse(tmp_path: Path
     assert again.config.model == NAME
     assert again.start_cost == pytest.approx(good.cost, rel=1e-9)
     assert again.cost == again.start_cost  # four random filters are not better
-    assert any("started from" in remark for remark in again.remarks)
+    assert any("the search started" in remark for remark in again.remarks)
     assert type(again).load(tmp_path / "out").start_cost == again.start_cost
     with pytest.raises(InputError, match="start"):  # another start is another tuning
         tune([DRIVE], start=P, particles=4, generations=1, out=tmp_path / "out", resume=True)

@@ -331,7 +331,7 @@ def test_an_imu_of_three_axes_is_refused():
 
 def test_a_live_sample_of_three_axes_is_refused():
     live = LiveFilter(parameters(), initial_state(town()), nominal_interval=0.01)
-    with pytest.raises(InputError, match="3 numbers: tilted12 reads ax, ay, az, gx, gy, gz"):
+    with pytest.raises(InputError, match="3 numbers, but tilted12 reads ax, ay, az, gx, gy, gz"):
         live.predict(100.0, (0.0, 0.0, 0.0))
 
 

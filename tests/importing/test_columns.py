@@ -199,11 +199,12 @@ def test_an_axis_that_points_down_is_told_unless_the_mounting_is(tmp_path: Path)
     gps.with_columns(lat=pl.col("la") * 1e-7, lon=pl.col("lo")).drop("la", "lo").rename(
         {"when": "time"}
     ).write_csv(tmp_path / "gps.csv")
-    assert any("acc_z is negative" in note for note in imported(tmp_path).notes)
+    assert any("acc_z is negative" in note for note in imported(tmp_path).assumed)
     turned = imported(tmp_path, recipe=Recipe(mount="x=x,y=-y"))
-    assert not any("is negative" in note for note in turned.notes)
+    assert not any("is negative" in note for note in (*turned.notes, *turned.assumed))
     foreign_imu(acc_z=DRIVE.imu.az / G).write_csv(tmp_path / "imu.csv")
-    assert not any("is negative" in note for note in imported(tmp_path).notes)
+    plain = imported(tmp_path)
+    assert not any("is negative" in note for note in (*plain.notes, *plain.assumed))
 
 
 def test_one_table_for_all_with_fixes_repeated(tmp_path: Path):
@@ -249,7 +250,7 @@ def test_rows_out_of_order_twice_or_without_values_are_told(tmp_path: Path):
     got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=MAPS)
     assert_close(got.drive.imu, DRIVE.imu, "time ax gz", 1e-12)
     said = " ".join(got.notes)
-    assert "out of order" in said and "time of the row before" in said
+    assert "out of order" in said and "time of the previous row" in said
 
 
 @pytest.mark.parametrize(

@@ -202,7 +202,7 @@ def test_what_comes_of_an_empty_cell_is_empty(text: str, wanted: list[object]):
     "text", ["1" + "0" * 400, "acc_y*" + "9" * 400, "0x" + "f" * 900, "acc_y < 1" + "0" * 400]
 )
 def test_a_number_beyond_floats_is_told(text: str):
-    with pytest.raises(InputError, match=r"a number beyond 1\.8e308") as caught:
+    with pytest.raises(InputError, match=r"a number above 1\.8e308") as caught:
         compile_expression(text, FRAME.columns)
     assert len(str(caught.value)) < 300
 

@@ -256,7 +256,9 @@ def test_digits_within_a_minute_are_mapped_where_the_others_cross_one(tmp_path: 
 def test_other_clocks_apart_get_the_remedy_of_an_offset(tmp_path: Path, begin: float):
     """Seconds that are no digits, and digits that would not overlap with the others either."""
     write(tmp_path, "t", lambda t: repr(t + 7000), gps_cells=lambda t: repr(t + begin))
-    with pytest.raises(InputError, match=r"put both on one clock: .*--gps-offset \S+ if both began together"):
+    with pytest.raises(
+        InputError, match=r"convert both to one clock: .*--gps-offset \S+ if both began together"
+    ):
         imported(tmp_path)
 
 
@@ -290,7 +292,9 @@ def test_units_that_fit_are_not_refused(tmp_path: Path, case: str):
 
 def test_two_clocks_that_began_apart_get_the_remedy_of_an_offset(tmp_path: Path):
     write(tmp_path, "t", lambda t: f"{t * 1e3 + 5e7:.3f}", gps_cells=lambda t: repr(t))
-    with pytest.raises(InputError, match=r"put both on one clock: .*--gps-offset \S+ if both began together"):
+    with pytest.raises(
+        InputError, match=r"convert both to one clock: .*--gps-offset \S+ if both began together"
+    ):
         imported(tmp_path)
 
 

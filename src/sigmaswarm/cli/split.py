@@ -59,13 +59,13 @@ def split(
     if json:
         print_json({"drives": [train, test]})
         return
-    following = f"next: sigmaswarm tune {train} --out tuned", f"then: sigmaswarm evaluate tuned {test}"
-    if any(isinstance(find_start(part), NoStart) or sigmaswarm.diagnose(part).serious for part in parts):
-        following = (
+    following = [f"next: sigmaswarm tune {train} --out tuned", f"then: sigmaswarm evaluate tuned {test}"]
+    if any(isinstance(find_start(part), NoStart) for part in parts):
+        following = [f"next: sigmaswarm doctor {train} {test}"]
+    elif any(sigmaswarm.diagnose(part).serious for part in parts):
+        mended = Path("mended") / parts[0].name
+        following = [
             f"next: sigmaswarm doctor {train} {test} --fix mended",
-            f"then: sigmaswarm tune {Path('mended') / parts[0].name} --out tuned",
-        )
-    say(
-        *(f"wrote {out / part.name} ({part.duration:.0f} s)" for part in parts),
-        *following,
-    )
+            f"then: sigmaswarm tune {mended} --out tuned",
+        ]
+    say(*(f"wrote {out / part.name} ({part.duration:.0f} s)" for part in parts), *following)

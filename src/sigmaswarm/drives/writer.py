@@ -69,7 +69,8 @@ def require_replaceable(
 
     A folder inside of a drive is refused, since the drive could no longer be replaced or copied as one drive.
     """
-    if around := next((parent for parent in folder.parents if has_table(parent, "imu")), None):
+    around = (parent for parent in folder.parents if (parent / "drive.toml").is_file())
+    if around := next((parent for parent in around if has_table(parent, "imu")), None):
         raise DriveError(f"{folder} is inside of the drive {around}; name a folder outside of it")
     if not folder.exists():
         return
