@@ -300,7 +300,13 @@ def test_a_result_replaces_its_own_files_alone(tmp_path: Path):
     with pytest.raises(InputError, match="a: is not part of an earlier export; move it"):
         write("export", a="3")
     write("export", b="3")  # next to files of the user
-    assert (out / "b").read_text() == "3" and (out / "a").read_text() == "2"
+    (out / "b.c").write_text("/* Tuned and written by sigmaswarm 0.3.0. */")  # an export that listed no files
+    (out / "c.c").write_text("int mine;")
+    with staged_files(out, "export") as new:
+        write_whole(new / "b.c", "new")
+    with pytest.raises(InputError, match=r"c\.c: is not part"), staged_files(out, "export") as new:
+        write_whole(new / "c.c", "new")
+    assert ((out / "b.c").read_text(), (out / "c.c").read_text()) == ("new", "int mine;")
 
 
 def test_a_list_of_files_can_not_name_files_outside_of_its_folder(tmp_path: Path):
@@ -313,3 +319,8 @@ def test_a_list_of_files_can_not_name_files_outside_of_its_folder(tmp_path: Path
     with staged_files(out, "export") as new:
         write_whole(new / "b", "1")
     assert (tmp_path / "outside").read_text() == "mine" and not (out / "a").exists()
+
+
+def test_a_folder_with_a_file_of_the_system_alone_is_empty(tmp_path: Path):
+    (tmp_path / ".DS_Store").touch()
+    assert earlier_result(tmp_path, "evaluation") == frozenset()

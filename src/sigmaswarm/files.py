@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 RESULT_FILE = ".sigmaswarm-result.json"
 """Kind and files of a result in its folder."""
-_HIDDEN = re.compile(r"\.sigmaswarm\.lock|\..+\.sigmaswarm-[0-9a-f]{12}(\.lock)?")
+_HIDDEN = re.compile(
+    r"\.DS_Store|Thumbs\.db|desktop\.ini|\.sigmaswarm\.lock|\..+\.sigmaswarm-[0-9a-f]{12}(\.lock)?"
+)
 _LOCK = re.compile(r"\..+\.sigmaswarm-[0-9a-f]{12}\.lock")
 
 
@@ -151,7 +153,7 @@ def earlier_result(folder: Path, kind: str, mark: str = "", *, alone: bool = Tru
     """
     if folder.is_dir():
         _sweep(folder.resolve())  # a killed run may have left its list in place of the older one
-    if not folder.is_dir() or not any(not _HIDDEN.fullmatch(entry.name) for entry in folder.iterdir()):
+    if not folder.is_dir() or all(_HIDDEN.fullmatch(entry.name) for entry in folder.iterdir()):
         return frozenset()
     if mark and (folder / mark).is_file() and not (folder / RESULT_FILE).exists():
         return None
@@ -204,7 +206,7 @@ def staged_files(folder: Path, kind: str = "", mark: str = "") -> Generator[Path
         names = {file.relative_to(new).as_posix() for file in new.rglob("*") if file.is_file()}
         if before is not None:
             for name in sorted(names - before):
-                if (folder / name).exists():
+                if (folder / name).exists() and not _is_code_of_ours(folder / name):
                     raise InputError(
                         f"{folder / name}: is not part of an earlier {kind}; move it, or choose another --out"
                     )
@@ -212,6 +214,14 @@ def staged_files(folder: Path, kind: str = "", mark: str = "") -> Generator[Path
             (new / RESULT_FILE).write_text(json.dumps({"kind": kind, "files": sorted(names)}) + "\n")
         _flush(new)
         _exchange(hidden, folder, (before or frozenset()) - names)
+
+
+def _is_code_of_ours(file: Path) -> bool:
+    """Return True for code that an export of an earlier version wrote, which listed no files."""
+    if file.suffix not in (".c", ".h", ".py", ".yaml"):
+        return False
+    with file.open("rb") as opened:
+        return b"sigmaswarm" in opened.read(1000)
 
 
 def _exchange(hidden: Path, folder: Path, stale: Set[str]) -> None:

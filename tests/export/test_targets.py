@@ -8,7 +8,7 @@ import pytest
 
 from exported import tuned
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.names import Target
+from sigmaswarm.exports.names import Target, next_command
 from sigmaswarm.exports.targets import TARGETS, export_filter
 from support import make_drive
 
@@ -72,3 +72,11 @@ def test_what_was_asked_for_wrongly_is_said(tmp_path: Path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=r"file: can't be created as a folder .*; choose another --out"):
         export_filter(P, "c99", tmp_path / "file")
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_the_next_command_runs_the_node_of_the_file(tmp_path: Path, kind: str):
+    files = export_filter(tuned("planar5", kind, 0.01, everything=False), "robot_localization", tmp_path)
+    texts = {file.name: file.read_text() for file in files}
+    assert f"\n{kind}_filter_node:" in texts["robot_localization.yaml"]
+    assert f"robot_localization {kind}_node --ros-args" in next_command("robot_localization", "x", texts)

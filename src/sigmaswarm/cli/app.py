@@ -203,6 +203,8 @@ def _too_many(error: Exception) -> str | None:
         return f"{said} too many: `sigmaswarm {name}` takes options only"
     files = {"SOURCE", "LOG"} & {*places}
     remedy = "for several files give their folder" if files else "repeat the command for each"
+    if "SOURCE" in files:
+        remedy += ", or name the others with --gps, --truth or --odometer"
     return f"{said} too many: `sigmaswarm {name}` takes one {' and one '.join(places)}; {remedy}"
 
 

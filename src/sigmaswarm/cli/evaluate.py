@@ -130,7 +130,8 @@ def evaluate(
         else "repeat this command with --out evaluation to get figures and a page"
     )
     if remedies:
-        page = f"{remedies[0]}    (then use the repaired copy)"
+        then = "use the repaired copy" if " --fix " in remedies[0] else "correct the log"
+        page = f"{remedies[0]}    (then {then})"
     say(f"next: {page}")
 
 

@@ -108,7 +108,7 @@ def export(
             "ins_gps_turn_imu() rotates samples with the imported axes by the mounting of the training drives "
             f"({angles} deg)"
         )
-    if mountings_differ(tuning):
+    if to != "filterpy" and mountings_differ(tuning):
         say(
             "note: the IMU's mountings of the training drives differ, so the export contains no rotation: turn raw "
             "samples to x forward, y left, z up before the filter, or tune on drives of one mounting"

@@ -70,7 +70,7 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[str
     commands: list[str] = []
     for diagnosis, folder in zip(drives.map(diagnose), places, strict=True):
         if diagnosis.serious:
-            commands.append(mending(diagnosis, folder)[0])
+            commands.append(cutting(diagnosis, folder) or mending(diagnosis, folder)[0])
             codes = ", ".join(f.code for f in diagnosis.findings if f.severity == "serious")
             message = (
                 f"{folder}: the doctor finds SERIOUS faults, which distort the result ({codes}); "
@@ -101,10 +101,10 @@ def repairable(diagnosis: "Diagnosis") -> bool:
 def mending(diagnosis: "Diagnosis", folder: "Location") -> tuple[str, Path | None]:
     """Return the command that repairs a drive, and the folder of the repaired copy.
 
-    If the doctor can repair nothing, return the command that shows the faults, and None.
+    If the doctor can repair nothing, or not every serious fault, return the command that shows the faults, and None.
     """
     command = f"sigmaswarm doctor {shlex.quote(str(folder))}"
-    if not repairable(diagnosis):
+    if not repairable(diagnosis) or any(f.severity == "serious" and not f.repair for f in diagnosis.findings):
         return command, None
     folders = (Path("mended" if i == 1 else f"mended-{i}") for i in count(1))
     out = next(out for out in folders if not (out / diagnosis.drive).exists())

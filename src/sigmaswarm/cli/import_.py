@@ -254,7 +254,7 @@ def _next_steps(diagnosis: "Diagnosis", out: Path) -> Iterator[str]:
         return
     if diagnosis.serious or repairable(diagnosis):
         command, mended = mending(diagnosis, out)
-        go_on = f"continue with {mended}, not with {out}" if mended else "correct the other faults in the log"
+        go_on = f"continue with {mended}, not with {out}" if mended else "correct the faults in the log"
         following, ready = f"{command}    (then {go_on})", mended or out
     yield f"next: {following}"
     yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned"

@@ -1,5 +1,7 @@
 """`sigmaswarm split`."""
 
+import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -41,8 +43,6 @@ def split(
     overwrite
         Replace existing drives.
     """
-    from sigmaswarm.drives.alignment import NoStart, find_start
-
     if at is not None and train_fraction is not None:
         raise sigmaswarm.InputError("specify --at or --train-fraction, not both")
     if at is not None and len(at) > 2:
@@ -55,17 +55,23 @@ def split(
     require_writable([out / part.name for part in parts], [drive], overwrite=overwrite)
     for part in parts:
         sigmaswarm.write_drive(part, out / part.name, overwrite=overwrite)
-    train, test = (str(out / part.name) for part in parts)
     if json:
-        print_json({"drives": [train, test]})
+        print_json({"drives": [str(out / part.name) for part in parts]})
         return
-    following = [f"next: sigmaswarm tune {train} --out tuned", f"then: sigmaswarm evaluate tuned {test}"]
-    if any(isinstance(find_start(part), NoStart) for part in parts):
-        following = [f"next: sigmaswarm doctor {train} {test}"]
-    elif any(sigmaswarm.diagnose(part).serious for part in parts):
-        mended = Path("mended") / parts[0].name
-        following = [
+    say(*(f"wrote {out / part.name} ({part.duration:.0f} s)" for part in parts), *_next_steps(parts, out))
+
+
+def _next_steps(parts: Sequence[sigmaswarm.Drive], out: Path) -> list[str]:
+    from sigmaswarm.drives.alignment import NoStart, find_start
+
+    train, test = (shlex.quote(str(out / part.name)) for part in parts)
+    serious = [f for part in parts for f in sigmaswarm.diagnose(part).findings if f.severity == "serious"]
+    if any(isinstance(find_start(part), NoStart) for part in parts) or not all(f.repair for f in serious):
+        return [f"next: sigmaswarm doctor {train} {test}"]
+    if serious:
+        mended = shlex.quote(str(Path("mended") / parts[0].name))
+        return [
             f"next: sigmaswarm doctor {train} {test} --fix mended",
             f"then: sigmaswarm tune {mended} --out tuned",
         ]
-    say(*(f"wrote {out / part.name} ({part.duration:.0f} s)" for part in parts), *following)
+    return [f"next: sigmaswarm tune {train} --out tuned", f"then: sigmaswarm evaluate tuned {test}"]

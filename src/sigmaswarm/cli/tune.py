@@ -88,10 +88,8 @@ def tune(
     from sigmaswarm.reports.tuning import save_tuning_figures  # late, since it takes memory
 
     if remedies:
-        after = [
-            f"next:     {remedies[0]}",
-            "          then tune on the repaired copy: this filter is tuned to the faults",
-        ]
+        copy = "tune on the repaired copy" if " --fix " in remedies[0] else "correct the log, and tune again"
+        after = [f"next:     {remedies[0]}", f"          then {copy}: this filter is tuned to the faults"]
     pictures = save_tuning_figures(tuning, look.picture, out)
     if json:
         print_json(tuning.to_dict())

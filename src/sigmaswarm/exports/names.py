@@ -1,6 +1,6 @@
 """Names and descriptions of export targets, without kernels, so that help and workbench are fast."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
@@ -56,7 +56,7 @@ DESCRIPTIONS: dict[Target, Description] = {
         commands={
             "ekf.launch.py": "ros2 launch {}/ekf.launch.py",
             "robot_localization.yaml": (
-                "ros2 run robot_localization ekf_node --ros-args --params-file {}/robot_localization.yaml"
+                "ros2 run robot_localization {node} --ros-args --params-file {}/robot_localization.yaml"
             ),
         },
         lacks=("fix-error",),
@@ -68,7 +68,9 @@ def target_named(target: AnyTarget) -> Target:
     return "robot_localization" if target == "robot-localization" else target
 
 
-def next_command(target: AnyTarget, folder: str | Path, files: Iterable[str]) -> str:
-    """Return the shell command that uses the exported files in a folder."""
+def next_command(target: AnyTarget, folder: str | Path, texts: Mapping[str, str]) -> str:
+    """Return the shell command that uses the exported files, by name, in a folder."""
     commands = DESCRIPTIONS[target_named(target)].commands
-    return "".join(commands[file] for file in commands if file in {*files}).format(quote(str(folder)))
+    node = "ukf_node" if "\nukf_filter_node:" in texts.get("robot_localization.yaml", "") else "ekf_node"
+    used = "".join(command for file, command in commands.items() if file in texts)
+    return used.format(quote(str(folder)), node=node)

@@ -22,11 +22,11 @@ MOVING = 1.0
 
 
 def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:
-    """Mark rows (n,) with a position: not the same number twice, within the range of degrees, not far from others."""
+    """Mark rows (n,) with a position: no placeholder, within the range of degrees, and not far from others."""
     if "lat" not in values or "lon" not in values:
         return np.ones(len(time), bool)
     lat, lon = values["lat"], values["lon"]
-    zero = lat == lon  # the same number in both is a placeholder
+    zero = (lat == lon) & (lat == np.round(lat))  # the same whole number in both is a placeholder
     if zero.any() and not zero.all():
         placed = f"latitude {lat[zero][0]:g}, longitude {lon[zero][0]:g}"
         say(f"{role}: {int(zero.sum())} rows at {placed} are left out, since such rows are no fixes")

@@ -213,7 +213,7 @@ def test_sensors_are_merged_by_their_times():
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        ({}, "sensors is empty; pass at least one"),
+        ({}, "sensors must be a mapping of names to"),
         ({"gps": np.zeros(3)}, "sensors['gps'] is not a pair; pass (times, values)"),
         ({"gps": ([0.0, 0.0], [1, 2])}, "times of sensors['gps'][1] = 0 s does not come after 0 s; sort the rows"),
         ({"gps": ([0.0, 0.1], [1])}, "values of sensors['gps'] has shape (1,), but times of sensors['gps'] has 2"),

@@ -44,7 +44,7 @@ def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
     )
     remedy = (
         f"if gz and ay have the correct signs, exchange {places}: "
-        f'import with --map "gps.{one}=COLUMN" "gps.{other}=COLUMN"'
+        f'import with --map "gps.{one}=COLUMN_OF_{other.upper()}" "gps.{other}=COLUMN_OF_{one.upper()}"'
     )
     # A truth may be mirrored too, and degrees have another scale after the exchange.
     repair = Repair("exchange-fixes", ()) if drive.frame == "enu" and drive.truth is None else None

@@ -82,8 +82,10 @@ class Log:
             If a shape or a value cannot be used, or a sensor has no value within ``time``.
         """
         clock, columns = _clock(name, "time", time), list[tuple[Array, Array]]()
-        if not sensors:
-            raise _wrong(name, "sensors is empty; pass at least one")
+        if not isinstance(sensors, Mapping) or not sensors:
+            raise _wrong(
+                name, "sensors must be a mapping of names to (times, values), with at least one sensor"
+            )
         for sensor, pair in sensors.items():
             role = f"sensors[{sensor!r}]"
             try:
