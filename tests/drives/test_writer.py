@@ -1,6 +1,5 @@
 """Writing: the same bits come back, the same bytes go out, and nothing is ever half written or lost."""
 
-import time
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -137,14 +136,6 @@ def test_refuses_what_the_files_cannot_hold(tmp_path: Path, change: dict, messag
     with pytest.raises(DriveError, match=message):
         write_drive(replace(make_drive(duration=10.0), **change), tmp_path / "d")
     assert not (tmp_path / "d").exists()
-
-
-def test_is_fast_enough_for_hundreds_of_drives(tmp_path: Path):
-    drive = make_drive(duration=30.0)
-    begin = time.process_time()
-    for i in range(20):
-        write_drive(drive, tmp_path / f"{i}")
-    assert (time.process_time() - begin) / 20 < 0.05  # s; about 0.005 on an idle machine
 
 
 @needs_shared
