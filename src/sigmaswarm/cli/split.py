@@ -61,7 +61,7 @@ def split(
     say(*(f"wrote {out / part.name} ({part.duration:.0f} s)" for part in parts), *_next_steps(parts, out))
 
 
-def _next_steps(parts: Sequence[sigmaswarm.Drive], out: Path) -> list[str]:
+def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path) -> list[str]:
     from sigmaswarm.drives.alignment import NoStart, find_start
 
     train, test = (shlex.quote(str(out / part.name)) for part in parts)

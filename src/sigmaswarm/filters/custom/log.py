@@ -82,7 +82,8 @@ class Log:
             If a shape or a value cannot be used, or a sensor has no value within ``time``.
         """
         clock, columns = _clock(name, "time", time), list[tuple[Array, Array]]()
-        if not isinstance(sensors, Mapping) or not sensors:
+        given: Any = sensors
+        if not isinstance(given, Mapping) or not given:
             raise _wrong(
                 name, "sensors must be a mapping of names to (times, values), with at least one sensor"
             )
