@@ -32,7 +32,7 @@ AT_REST = """document.addEventListener("DOMContentLoaded", () => {
   style.textContent = "*, ::before, ::after { animation: none !important; transition: none !important; }";
   document.head.append(style);
 });"""
-"""Without spinners that turn: a browser without a graphics card draws the page anew for each of their frames."""
+"""Without spinners that turn: a browser without a graphics card draws the whole page for each of their frames."""
 
 
 class Served:

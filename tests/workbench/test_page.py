@@ -64,7 +64,7 @@ def test_repair_and_back(tmp_path: Path, serve: Any, tab: Any):
 
 @pytest.mark.long
 def test_cuts(tmp_path: Path, serve: Any, tab: Any):
-    """Cuts keep a part or leave it out, also beside a repair, which another tab sees."""
+    """Cuts keep a part or leave it out, also after a repair, and another tab shows this."""
     original = wrong_sign(tmp_path / "bench")
     served = serve(tmp_path / "bench")
     page, other = tab(served.url + "check"), tab(served.url + "check")

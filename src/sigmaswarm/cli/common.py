@@ -83,12 +83,12 @@ def cluster_at(address: str | None) -> "Generator[Client | None]":
 def read_datasets(
     *groups: "Sequence[Location]",
     cluster: "Client | None" = None,
-    remedies: list[str] | None = None,
+    remedies: list[tuple[str, Path | None]] | None = None,
     gaps: bool = False,
 ) -> "list[Dataset]":
     """Read groups of drives in this process or on the workers of a cluster.
 
-    With ``remedies`` the doctor checks the drives; the commands against serious faults are added to the list.
+    With ``remedies`` the doctor checks the drives; the remedies of serious faults are added to the list.
     ``gaps`` selects whether warnings about gaps are printed.
     """
     from sigmaswarm.cli.findings import warn_of_serious

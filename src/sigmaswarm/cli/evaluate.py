@@ -19,6 +19,7 @@ from sigmaswarm.cli.common import (
     require_result_folder,
     say,
 )
+from sigmaswarm.cli.findings import Remedy
 from sigmaswarm.cli.options import FIELDS, Cluster, Json, Places, Seed, TrustLog
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 
@@ -112,7 +113,7 @@ def evaluate(
     record = load_record(TuningRecord, tuning_file(tuning))
     if out:
         require_result_folder(out, [tuning, options.against], EVALUATION, ASKED_FILE)
-    remedies: list[str] = []
+    remedies: list[Remedy] = []
     result = _evaluated(tuning, parameters, drives, options, learned, record, remedies)
     _warn_of_training_drives(result)
     written = save_evaluation(result, out, tuning, learned) if out else []
@@ -130,8 +131,8 @@ def evaluate(
         else "repeat this command with --out evaluation to get figures and a page"
     )
     if remedies:
-        then = "use the repaired copy" if " --fix " in remedies[0] else "correct the log"
-        page = f"{remedies[0]}    (then {then})"
+        command, mended = remedies[0]
+        page = f"{command}    (then {'use the repaired copy' if mended else 'correct the log'})"
     say(f"next: {page}")
 
 
@@ -142,9 +143,9 @@ def _evaluated(
     options: EvaluateOptions,
     learned: "Learned | None",
     record: "TuningRecord",
-    remedies: list[str],
+    remedies: list[Remedy],
 ) -> "Evaluation":
-    """Evaluate; the commands against serious faults of the drives are added to ``remedies``."""
+    """Evaluate; the remedies of serious faults of the drives are added to ``remedies``."""
     from sigmaswarm.learned.folder import seen_in
     from sigmaswarm.scoring.evaluation import evaluate as evaluate_drives
     from sigmaswarm.tuning.record import seen_by, tuned_as_recorded, tuning_file

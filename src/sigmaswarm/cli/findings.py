@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from sigmaswarm.doctor.findings import Diagnosis, Finding
     from sigmaswarm.drives.reader import Location
 
-OF_AXES = frozenset({"rotate", "turn", "accelerometer", "gyro", "tilt-rates"})
-"""Repairs that change axes or signs of the IMU."""
+Remedy = tuple[str, Path | None]
+"""Command that repairs or shows the faults of a drive, and the folder of the repaired copy, if it makes one."""
 _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
 
@@ -62,22 +62,23 @@ def _said(finding: "Finding") -> str:
     )
 
 
-def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[str]:
-    """Print one line about the serious faults of each drive; return the commands that repair or show the faults."""
+def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Remedy]:
+    """Print one line about the serious faults of each drive; return the remedies."""
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.errors import SigmaswarmWarning
 
-    commands: list[str] = []
+    remedies: list[Remedy] = []
     for diagnosis, folder in zip(drives.map(diagnose), places, strict=True):
         if diagnosis.serious:
-            commands.append(cutting(diagnosis, folder) or mending(diagnosis, folder)[0])
+            cut = cutting(diagnosis, folder)
+            remedies.append((cut, None) if cut else mending(diagnosis, folder))
             codes = ", ".join(f.code for f in diagnosis.findings if f.severity == "serious")
             message = (
                 f"{folder}: the doctor finds SERIOUS faults, which distort the result ({codes}); "
-                f"run {commands[-1]}, or suppress this warning with --trust-log"
+                f"run {remedies[-1][0]}, or suppress this warning with --trust-log"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
-    return commands
+    return remedies
 
 
 def cutting(diagnosis: "Diagnosis", folder: "Location") -> str:
@@ -89,8 +90,10 @@ def cutting(diagnosis: "Diagnosis", folder: "Location") -> str:
 
 def turns(diagnosis: "Diagnosis") -> bool:
     """Return True if a finding about the axes or signs of the IMU is serious or a warning."""
+    from sigmaswarm.doctor.repairs import AXES
+
     found = [finding for finding in diagnosis.findings if finding.severity != "note"]
-    return any(f.code == "mounting-changed" or (f.repair and f.repair.action in OF_AXES) for f in found)
+    return any(f.code == "mounting-changed" or (f.repair and f.repair.action in AXES) for f in found)
 
 
 def repairable(diagnosis: "Diagnosis") -> bool:
@@ -98,13 +101,18 @@ def repairable(diagnosis: "Diagnosis") -> bool:
     return any(finding.repair and finding.severity != "note" for finding in diagnosis.findings)
 
 
-def mending(diagnosis: "Diagnosis", folder: "Location") -> tuple[str, Path | None]:
+def unrepairable(diagnosis: "Diagnosis") -> bool:
+    """Return True if the doctor cannot repair a serious finding."""
+    return any(finding.severity == "serious" and not finding.repair for finding in diagnosis.findings)
+
+
+def mending(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
     """Return the command that repairs a drive, and the folder of the repaired copy.
 
     If the doctor can repair nothing, or not every serious fault, return the command that shows the faults, and None.
     """
     command = f"sigmaswarm doctor {shlex.quote(str(folder))}"
-    if not repairable(diagnosis) or any(f.severity == "serious" and not f.repair for f in diagnosis.findings):
+    if not repairable(diagnosis) or unrepairable(diagnosis):
         return command, None
     folders = (Path("mended" if i == 1 else f"mended-{i}") for i in count(1))
     out = next(out for out in folders if not (out / diagnosis.drive).exists())

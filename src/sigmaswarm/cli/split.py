@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 import sigmaswarm
 from sigmaswarm.cli.common import print_json, read_known, require_writable, say
+from sigmaswarm.cli.findings import unrepairable
 from sigmaswarm.cli.options import Json
 
 
@@ -65,10 +66,10 @@ def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path) -> list[str]:
     from sigmaswarm.drives.alignment import NoStart, find_start
 
     train, test = (shlex.quote(str(out / part.name)) for part in parts)
-    serious = [f for part in parts for f in sigmaswarm.diagnose(part).findings if f.severity == "serious"]
-    if any(isinstance(find_start(part), NoStart) for part in parts) or not all(f.repair for f in serious):
+    found = [sigmaswarm.diagnose(part) for part in parts]
+    if any(isinstance(find_start(part), NoStart) for part in parts) or any(map(unrepairable, found)):
         return [f"next: sigmaswarm doctor {train} {test}"]
-    if serious:
+    if any(diagnosis.serious for diagnosis in found):
         mended = shlex.quote(str(Path("mended") / parts[0].name))
         return [
             f"next: sigmaswarm doctor {train} {test} --fix mended",

@@ -17,6 +17,7 @@ from sigmaswarm.cli.common import (
     require_result_folder,
     say,
 )
+from sigmaswarm.cli.findings import Remedy
 from sigmaswarm.cli.options import MORE, Cluster, Json, Places, TrustLog, Workers, options_of
 from sigmaswarm.cli.terminal import tuning_progress
 from sigmaswarm.errors import InputError
@@ -81,15 +82,16 @@ def tune(
     """
     require_result_folder(out, [start], "tuning", "config.json")
     asked = {"out": out, "resume": resume, "paper": paper, "start": start}
-    remedies = None if trust_log else list[str]()
+    remedies = None if trust_log else list[Remedy]()
     with cluster_at(cluster) as client:
         groups = read_datasets(drives, validation or [], cluster=client, remedies=remedies, gaps=True)
         tuning, look, before, after = _tune(groups, drives[0], asked, options, workers)
     from sigmaswarm.reports.tuning import save_tuning_figures  # late, since it takes memory
 
     if remedies:
-        copy = "tune on the repaired copy" if " --fix " in remedies[0] else "correct the log, and tune again"
-        after = [f"next:     {remedies[0]}", f"          then {copy}: this filter is tuned to the faults"]
+        command, mended = remedies[0]
+        then = "tune on the repaired copy" if mended else "correct the log, and tune again"
+        after = [f"next:     {command}", f"          then {then}: this filter is tuned to the faults"]
     pictures = save_tuning_figures(tuning, look.picture, out)
     if json:
         print_json(tuning.to_dict())
