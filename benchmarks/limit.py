@@ -21,8 +21,8 @@ import llvmlite.binding as llvm
 import numpy as np
 
 from sigmaswarm import baseline, simulate
+from sigmaswarm.drives import events
 from sigmaswarm.drives.prepared import prepared
-from sigmaswarm.filters import schedule
 from sigmaswarm.filters.compiled import lanes, layout, measurements, planar5, run
 from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.kernel_array import KernelArray
@@ -111,7 +111,7 @@ def kernel_call(fixes: bool = True):
         run.run_lanes(
             "planar5",
             *(steps, sample, driving),
-            flags if fixes else flags & (255 - schedule.FIX),
+            flags if fixes else flags & (255 - events.FIX),
             *others,
             ends if fixes else np.zeros_like(ends),
             rows.copy(),

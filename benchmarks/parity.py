@@ -31,11 +31,11 @@ from oracles.extended_filters import ExtendedCar
 from oracles.filterpy_car import FilterPyCar
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.events import FIX, IMU
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import FIX, IMU
 from stepwise import (
     EPS,
     Stepwise,

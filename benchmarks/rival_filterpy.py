@@ -10,6 +10,8 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from rival_pyswarms import position, process
+from sigmaswarm.drives.events import CORNERING
+from sigmaswarm.drives.odometer import INTERVAL
 from sigmaswarm.drives.standstill import (
     FIX_WINDOW,
     MEANS,
@@ -18,10 +20,7 @@ from sigmaswarm.drives.standstill import (
     is_calm,
     new_memory,
 )
-from sigmaswarm.drives.timeline import CORNERING
 from sigmaswarm.filters.schedule import (
-    LATERAL_INTERVAL,
-    STANDSTILL_INTERVAL,
     STANDSTILL_RATE_NOISE,
     start_of,
 )
@@ -80,12 +79,12 @@ class Ukf:
         """What a car on its wheels can't do; FilterPy draws sigma points in predict only, so draw them again."""
         p = self.p
         if p.lateral_noise is not None and abs(u[1]) <= CORNERING:
-            now = slot(t, self.start, LATERAL_INTERVAL)
+            now = slot(t, self.start, INTERVAL)
             if now != self.slots[0]:
                 self.slots[0] = now
                 self._absorb(np.zeros(1), p.lateral_noise * np.eye(1), lambda s: self._sideways(s, u[2]))
         if p.standstill_noise is not None and self._stands(t, u):
-            now = slot(t, self.start, STANDSTILL_INTERVAL)
+            now = slot(t, self.start, INTERVAL)
             if now != self.slots[1]:
                 self.slots[1] = now
                 self._absorb(np.zeros(2), p.standstill_noise * np.eye(2), velocity)

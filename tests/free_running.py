@@ -6,9 +6,9 @@ import numpy as np
 
 from oracles.extended import THETA, covariance_error, mean_error
 from oracles.filterpy_car import FilterPyCar
+from sigmaswarm.drives import events
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters import schedule
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.replay import Replay, Targets
@@ -68,7 +68,7 @@ def filterpy_run(
     theirs.restart(initial.mean, initial.covariance)
     states = []
     for i, fix in steps_with_fixes(timeline, n_steps):
-        theirs.step(i, schedule.IMU if fix is None else schedule.FIX, fix)
+        theirs.step(i, events.IMU if fix is None else events.FIX, fix)
         if timeline.sampled[i]:
             states.append((theirs.mean, theirs.covariance))
     mean, covariance = map(np.array, zip(*states, strict=True))

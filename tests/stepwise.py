@@ -17,6 +17,7 @@ import numpy as np
 from oracles.extended import THETA, covariance_error, diagonal, mean_error
 from oracles.extended_filters import ExtendedCar
 from oracles.filterpy_car import FilterPyCar
+from sigmaswarm.drives import events
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Odometer
 from sigmaswarm.drives.reader import read_drive
@@ -54,16 +55,16 @@ def steps_with_fixes(
 def wheels_at(timeline: Timeline) -> np.ndarray:
     """What the odometer says at each step's end, (k, 3); zeros where nothing."""
     said = np.zeros((len(timeline.dt), 3))
-    if timeline.wheels is not None:
-        said[timeline.wheels.updates] = timeline.wheels.rows
+    found = events.events_of(timeline, {"odometer"})
+    said[found.flags & events.ODOMETER > 0] = found.wheels
     return said
 
 
 def some_steps(timeline: Timeline, sets: Sequence[FilterParameters], n: int) -> set[int]:
     """Of each kind of step n, spread over the drive; and the longest one with all that follows for a second."""
-    flags = schedule.flags_of(timeline, schedule.measured_by(sets[0]))
-    bits = (schedule.FIX, schedule.LATERAL, schedule.STANDSTILL, schedule.ODOMETER)
-    kinds = [flags == schedule.IMU, *(flags & bit != 0 for bit in bits)]
+    flags = events.events_of(timeline, schedule.measured_by(sets[0])).flags
+    bits = (events.FIX, events.LATERAL, events.STANDSTILL, events.ODOMETER)
+    kinds = [flags == events.IMU, *(flags & bit != 0 for bit in bits)]
     chosen: set[int] = set()
     for kind in kinds:
         steps = np.flatnonzero(kind)
@@ -213,7 +214,7 @@ def compiled_against_extended(
 ) -> Stepwise:
     """The compiled filter runs over the drive; the oracle takes some of its steps (all by default) beside it."""
     compiled, oracle = CompiledCars(timeline, initial, sets), ExtendedCar(timeline, sets)
-    flags = schedule.flags_of(timeline, schedule.measured_by(sets[0]))
+    flags = events.events_of(timeline, schedule.measured_by(sets[0])).flags
     found: dict[str, list[np.ndarray]] = {field.name: [] for field in fields(Stepwise)}
     since = 0.0
     for i, fix in steps_with_fixes(timeline, until):
@@ -291,7 +292,7 @@ def textbook_against_filterpy(
     until: int | None = None,
 ) -> Stepwise:
     """FilterPy runs over the drive; the textbook's filter takes some of its steps (all by default) beside it."""
-    flags, per_set = schedule.flags_of(timeline, schedule.measured_by(sets[0])), []
+    flags, per_set = events.events_of(timeline, schedule.measured_by(sets[0])).flags, []
     for p in sets:
         theirs = FilterPyCar(timeline, p, theta_first=theta_first, redraw=redraw)
         theirs.restart(*schedule.start_of(initial, p))

@@ -10,6 +10,7 @@ import pytest
 from filter_cases import parameters, rough, straying
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.events import FIX, LATERAL, STANDSTILL, events_of
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.check import check_export
@@ -22,7 +23,7 @@ from sigmaswarm.filters.models import MODELS, planar8
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Targets, run_steps, start_replays
 from sigmaswarm.filters.run import run_filter, run_innovations, run_textbook
-from sigmaswarm.filters.schedule import FIX, LATERAL, STANDSTILL, flags_of, start_of
+from sigmaswarm.filters.schedule import start_of
 from sigmaswarm.filters.smoothing import smooth, smooth_textbook
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.ekf import complex_step
@@ -67,7 +68,7 @@ def test_textbook_takes_the_steps_of_an_ekf_with_ten_states_written_down():
         P[8 + i, 8 + i] += start_variance
         P[i, i] += start_variance
         P[i, 8 + i] = P[8 + i, i] = -start_variance
-    flags, at_fix, fixes = flags_of(line, {"lateral", "standstill"}), line.start, iter(line.fixes)
+    flags, at_fix, fixes = events_of(line, {"lateral", "standstill"}).flags, line.start, iter(line.fixes)
     for k in range(1200):
         car.step(k)
         dt, imu = line.dt[k], line.imu(("ax", "ay", "gz"))[k]

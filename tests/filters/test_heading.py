@@ -12,6 +12,7 @@ from exported import needs_gcc
 from filter_cases import OPTIONS, equipped, parameters, straying
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
+from sigmaswarm.drives.events import FIX, HEADING, events_of
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.check import check_export
@@ -23,7 +24,6 @@ from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.run import run_filter, run_textbook
-from sigmaswarm.filters.schedule import FIX, HEADING, flags_of
 from sigmaswarm.filters.smoothing import smooth, smooth_textbook
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.geodesy import wrap_angle
@@ -203,7 +203,7 @@ def test_c_lanes_give_the_estimates_of_a_bank(tmp_path: Path):
 def test_headings_count_where_they_were_found():
     drive, p = driven(), filter_of()
     line = prepared(drive).timeline()
-    flags = flags_of(line, {"heading"})
+    flags = events_of(line, {"heading"}).flags
     used = drive.gps.std_heading[drive.gps.time > line.start] < np.pi
     assert np.array_equal(flags[flags & FIX > 0] & HEADING > 0, used)
     absent = replace(drive, gps=replace(drive.gps, heading=None, std_heading=None))

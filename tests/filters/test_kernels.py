@@ -20,8 +20,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oracles.box import box_table
+from sigmaswarm.drives import events
 from sigmaswarm.drives.prepared import prepared
-from sigmaswarm.filters import schedule
 from sigmaswarm.filters.compiled import lanes, layout, run
 from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.compiled.rows import CACHE_LINE, new_rows
@@ -123,7 +123,7 @@ def velocity_after(driving: list[list[float]], headings: np.ndarray) -> np.ndarr
         np.tile([1.0, 1.0, 0.0], (n, 1)),  # dt, Q's scale, gap
         np.arange(n, dtype=np.int32),
         np.array(driving),
-        np.full(n, schedule.IMU, dtype=np.uint16),
+        np.full(n, events.IMU, dtype=np.uint16),
         np.empty((0, 8)),
         np.empty((0, 3)),
         np.zeros(3),

@@ -12,13 +12,13 @@ from oracles.box import box_sets
 from oracles.box import wheeled as with_odometer
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Odometer
-from sigmaswarm.drives.odometer import INTERVAL, SLOW, measurements_of
+from sigmaswarm.drives.events import ODOMETER, STANDSTILL, events_of
+from sigmaswarm.drives.odometer import INTERVAL, SLOW
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.run import run_filter, run_textbook
-from sigmaswarm.filters.schedule import ODOMETER, STANDSTILL, flags_of
 from stepwise import compiled_against_extended, on_time_line, some_steps, urban, wheeled
 from support import quickly, sparse
 
@@ -47,7 +47,7 @@ def test_compiled_takes_the_oracles_steps(model: str, kind: str):
     timeline, initial = town()
     sets = with_odometer(box_sets(model, kind, 32))
     steps = some_steps(timeline, sets, 20)
-    flags = flags_of(timeline, {"velocity", "lateral", "standstill", "odometer"})
+    flags = events_of(timeline, {"velocity", "lateral", "standstill", "odometer"}).flags
     assert sum(bool(flags[i] & ODOMETER) for i in steps) > 30
     errors = compiled_against_extended(timeline, initial, sets, steps)
     known = errors.known
@@ -140,10 +140,10 @@ def test_readings_are_put_together_as_said(interval: float, imu_rate: float):
     )
     odometer = Odometer(time, np.where(time > 7, 0.2, 5.0 + rng.standard_normal(len(time))))
     line = build_timeline(replace(drive, odometer=odometer), 3.0)
-    wheels, wanted = measurements_of(odometer, line.start, line.end, line.sampled), naive(odometer, line)
+    found, wanted = events_of(line, {"odometer"}), naive(odometer, line)
     assert len(wanted) >= 5
-    np.testing.assert_array_equal(line.end[wheels.updates], [row[0] for row in wanted])
-    np.testing.assert_array_equal(wheels.rows, [row[1:] for row in wanted])
+    np.testing.assert_array_equal(line.end[found.flags & ODOMETER > 0], [row[0] for row in wanted])
+    np.testing.assert_array_equal(found.wheels, [row[1:] for row in wanted])
 
 
 def clip_to(drive: Drive, end: float, keep: slice) -> Drive:
@@ -166,15 +166,15 @@ def test_wheels_that_slip_are_turned_away():
 
 def test_wheels_that_turn_are_no_standstill():
     timeline, _ = town()
-    rests = flags_of(timeline, {"standstill"}) & STANDSTILL > 0
+    rests = events_of(timeline, {"standstill"}).flags & STANDSTILL > 0
     assert rests.sum() > 30
     odometer = timeline.drive.odometer
     assert odometer is not None
     turning = replace(odometer, speed=np.full(len(odometer), 3.0))
     moving = build_timeline(replace(timeline.drive, odometer=turning), timeline.start)
-    assert not (flags_of(moving, {"standstill", "odometer"}) & STANDSTILL).any()
-    assert (flags_of(moving, {"standstill"}) & STANDSTILL > 0).sum() == rests.sum()
-    told = flags_of(timeline, {"standstill", "odometer"}) & STANDSTILL > 0
+    assert not (events_of(moving, {"standstill", "odometer"}).flags & STANDSTILL).any()
+    assert (events_of(moving, {"standstill"}).flags & STANDSTILL > 0).sum() == rests.sum()
+    told = events_of(timeline, {"standstill", "odometer"}).flags & STANDSTILL > 0
     assert told.sum() > 0.8 * rests.sum()
 
 

@@ -19,13 +19,14 @@ from free_running import compiled_run, free_run
 from oracles.box import LOWER, UPPER, as_parameters, box_sets, box_table, weighed
 from oracles.extended import THETA, covariance_error, mean_error
 from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.events import FIX, LATERAL, STANDSTILL, VELOCITY, events_of
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.models import gps_position, planar5
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Targets, run_replays
 from sigmaswarm.filters.run import run_filter, run_textbook
-from sigmaswarm.filters.schedule import FIX, LATERAL, STANDSTILL, VELOCITY, flags_of, measured_by
+from sigmaswarm.filters.schedule import measured_by
 from sigmaswarm.filters.textbook import SigmaPoints, UnscentedKalmanFilter
 from sigmaswarm.geodesy import wrap_angle
 from stepwise import (
@@ -79,7 +80,7 @@ def ordinary(n: int, seed: int = 1) -> np.ndarray:
 
 def happens_at(timeline: Timeline, p: FilterParameters, bit: int, n_steps: int | None = None) -> int:
     """How many steps have this at their end."""
-    return int(np.sum(flags_of(timeline, measured_by(p))[:n_steps] & bit != 0))
+    return int(np.sum(events_of(timeline, measured_by(p)).flags[:n_steps] & bit != 0))
 
 
 # --- Compiled against the oracle, step by step -------------------------------------------------------------
@@ -266,7 +267,7 @@ def test_a_run_adds_up_its_steps(kind: str, model: str):
     timeline, initial = on_time_line(equipped(simulated()))
     n = 600
     sets = [replace(p, gate=None) for p in box_sets(model, kind, LANES)]
-    compiled, flags = CompiledCars(timeline, initial, sets), flags_of(timeline, measured_by(sets[0]))
+    compiled, flags = CompiledCars(timeline, initial, sets), events_of(timeline, measured_by(sets[0])).flags
     means, total = [], np.zeros((3, LANES))
     for i, fix in steps_with_fixes(timeline, n):
         compiled.step(i, int(flags[i]), fix, since=0.0)
@@ -296,7 +297,6 @@ def first_steps(timeline: Timeline, n: int) -> Timeline:
             "updates",
             "hides",
             "sampled",
-            "cornering",
             "sample",
         )
     }

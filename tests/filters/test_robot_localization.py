@@ -14,6 +14,7 @@ from filter_cases import equipped
 from sigmaswarm import evaluate, export, tune
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Array, Odometer
+from sigmaswarm.drives.events import FIX, HEADING, IMU, LATERAL, ODOMETER, events_of
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.bank.live import LiveFilterBank
@@ -28,7 +29,7 @@ from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.replay import run_steps, start_replays
 from sigmaswarm.filters.robot_localization import NAME, TextbookRobotLocalization
 from sigmaswarm.filters.run import replay_of, run_filter, run_textbook
-from sigmaswarm.filters.schedule import FIX, HEADING, IMU, LATERAL, ODOMETER, flags_of, measured_by
+from sigmaswarm.filters.schedule import measured_by
 from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.targets import tracking_replay
@@ -243,13 +244,8 @@ def test_a_run_over_a_drive_agrees_with_the_textbook(imu_noise: tuple[float, ...
         array.start([replay.initial], [line.nominal_interval])[0][state_rows(NAME)], NAME
     )
     filter = TextbookRobotLocalization(p, mean[0], covariance[0])
-    flags = flags_of(line, measured_by(p))
-    fixes, wheels, means, used = (
-        iter(line.fixes),
-        iter(line.wheels.rows if line.wheels else ()),
-        list[Array](),
-        0,
-    )
+    flags, rows = events_of(line, measured_by(p))
+    fixes, wheels, means, used = iter(line.fixes), iter(rows), list[Array](), 0
     for k, (dt, happens) in enumerate(zip(line.dt, flags, strict=True)):
         ax, ay, gz = line.imu(("ax", "ay", "gz"))[k]
         if dt > 0:

@@ -14,9 +14,9 @@ import numpy as np
 from oracles import extended_car
 from oracles.extended import Extended, cholesky, diagonal, transposed, whiten
 from oracles.extended_car import Measurement, coasted, newton, newton_jacobian
+from sigmaswarm.drives.events import FIX, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import FIX, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 
 GYRO_AT_REST = (
     Extended("0.5") * Extended("3.14159265358979323846264338327950288") / 180

@@ -14,9 +14,9 @@ from scipy.linalg import cholesky
 
 from oracles.extended import Extended
 from oracles.extended_car import Measurement, fix, lateral, linear, newton_jacobian
+from sigmaswarm.drives.events import FIX, LATERAL, STANDSTILL, VELOCITY
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import FIX, LATERAL, STANDSTILL, VELOCITY
 
 Function = Callable[[np.ndarray], np.ndarray]
 

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.alignment import Alignments
 from sigmaswarm.drives.drive import Array, Drive, Gps
 from sigmaswarm.drives.gaps import gaps_before
-from sigmaswarm.drives.odometer import Wheels, measurements_of
 from sigmaswarm.drives.stale_fixes import STALE, classify_fixes
 from sigmaswarm.drives.standstill import standing
 from sigmaswarm.drives.tables import headings_of
@@ -31,9 +30,6 @@ N_STEP, FIRST_AXIS = 9, AX
 AXES = ("ax", "ay", "gz", "az", "gx", "gy")
 """Axes of the IMU in the order of a step; every IMU has the first three."""
 FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA = range(8)  # columns of a fix
-
-CORNERING = 4.0
-"""Lateral acceleration above which tires slip too much for a constraint on the lateral velocity, m/s2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +54,6 @@ class Timeline:
     has_velocity : bool
     states_accuracy : bool, True if the receiver states the accuracy of each fix
     lever : (3,) m forward, left and up from the IMU to the antenna
-    cornering : (k,) bool, True if the tires slip due to high lateral acceleration
     drive : Drive without the hidden fixes
     kinds : (g,) kind of each fix of that drive: see `drives.stale_fixes`; all `NEW` with ``as_recorded``
     imu_time : (n,) s, times of the IMU samples after the start
@@ -78,7 +73,6 @@ class Timeline:
     has_velocity: bool
     states_accuracy: bool
     lever: Array
-    cornering: NDArray[np.bool_]
     drive: Drive
     kinds: Array
     imu_time: Array
@@ -124,11 +118,6 @@ class Timeline:
         return standing(self.drive, self.kinds)[self.sample]
 
     @cached_property
-    def wheels(self) -> Wheels | None:
-        odometer = self.drive.odometer
-        return None if odometer is None else measurements_of(odometer, self.start, self.end, self.sampled)
-
-    @cached_property
     def alignments(self) -> Alignments:
         return Alignments(self.drive, usable=self.kinds < STALE)
 
@@ -158,7 +147,6 @@ class Timeline:
             updates=updates[keeps],
             hides=np.zeros(len(end), dtype=np.bool_),
             sampled=of_imu[moment[keeps]] & _is_last(end),
-            cornering=self.cornering[keeps],
             **seen,
             **_fixes_of(seen["drive"].gps.select(_usable(seen["drive"], self.start, seen["kinds"]))),
         )
@@ -202,7 +190,6 @@ def build_timeline(
         hides=np.zeros(len(ends), dtype=np.bool_),
         sampled=_among(ends, imu_time) & _is_last(ends),
         lever=np.array([*drive.lever_arm, drive.antenna_height]),
-        cornering=np.abs(driving[:, AY - FIRST_AXIS])[sample] > CORNERING,
         drive=drive,
         kinds=kinds,
         imu_time=imu_time,

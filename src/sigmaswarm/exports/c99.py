@@ -5,7 +5,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from sigmaswarm.drives import standstill
+from sigmaswarm.drives import events, odometer, standstill
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.drives.mounting import Angles
@@ -92,7 +92,7 @@ def c99(
     if mounting is not None:
         values["MOUNTING"] = "{:g}, {:g} and {:g}".format(*mounting)
         values["ROTATION"] = ", ".join(f"{{{listed(row, 'R({})')}}}" for row in rotation_of(*mounting))
-    values["RULES"] = rules_of(features)
+    values |= rules_of(features, events.bits_of(schedule.measured_by(parameters)))
     texts = {name: fill(f"{name}.in", features, values) for name in FILES}
     numbers = {name: f"R({value})" for name, value in values.items()} | lanes.numbers(parameters)
     texts["ins_gps.c"] = defined(texts["ins_gps.c"], numbers, "#define {} {} /* {} */")
@@ -241,7 +241,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "PATIENCE": (OUTLIERS_SPAN - 1e-6) / interval,
         "LOST_AFTER": divergence.DIVERGED_AFTER,
         "FEWEST_LOOKS": divergence.FEWEST_CHECKS,
-        "SLOTS": round(1.0 / schedule.LATERAL_INTERVAL),  # same slots for standstill and odometer
+        "SLOTS": round(1.0 / odometer.INTERVAL),
         "BLOCKS": round(1.0 / standstill.BLOCK),
         "HISTORY": max(1, math.ceil(1.0 / interval)),  # default of LiveFilter
         "FIXES": 64,  # 6 s at 10 Hz

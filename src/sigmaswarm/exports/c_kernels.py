@@ -6,8 +6,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from sigmaswarm.drives import events
 from sigmaswarm.exports.c_emitter import FIX_ERROR, PARAMETERS, STATES, Emitter
-from sigmaswarm.filters import schedule
 from sigmaswarm.filters.compiled import fix_error, lanes, measurements, planar5, planar8, step, tilted12
 from sigmaswarm.filters.compiled.layout import MEAN, SUMS
 from sigmaswarm.filters.fix_error import FILTERS
@@ -15,7 +15,7 @@ from sigmaswarm.filters.models import MEASURED, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
 EVENTS = ("FIX", *map(str.upper, MEASURED))
-"""Bits of `schedule` in C. A filter has the bits of its features."""
+"""Bits of `drives.events` in C. A filter has the bits of its features."""
 
 
 def kernels_of(
@@ -66,9 +66,9 @@ def kernels_of(
     _add_step(emitter, p, features)
     kernels, stepping = emitter.texts[:-1], emitter.texts[-1]
     emitter.texts = kernels
-    events = [f"#define EVENT_{name} {getattr(schedule, name)}u\n" for name in _events(features)]
+    bits = [f"#define EVENT_{name} {getattr(events, name)}u\n" for name in _events(features)]
     wheels = "&wheels" if features["USE_ODOMETER"] else "NULL"
-    parts = {"STEP": "".join(events) + "\n" + stepping, "CALL_STEP": emitter.call("_step"), "WHEELS": wheels}
+    parts = {"EVENTS": "".join(bits), "STEP": stepping, "CALL_STEP": emitter.call("_step"), "WHEELS": wheels}
     return {"KERNELS": emitter.text(), **parts}
 
 

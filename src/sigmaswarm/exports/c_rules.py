@@ -9,11 +9,12 @@ difference of two times; ``SECONDS`` converts seconds that are added to a time.
 import ast
 import inspect
 import re
+import textwrap
 from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from sigmaswarm.drives import gaps, odometer, stale_fixes, standstill
+from sigmaswarm.drives import events, gaps, odometer, stale_fixes, standstill
 from sigmaswarm.exports.c_emitter import Emitter, _Function
 
 ALWAYS = gaps.gap_of, gaps.usual_after, stale_fixes._speed_at, stale_fixes.kind_of
@@ -23,28 +24,54 @@ STANDSTILL = (
 )
 POINTERS = {
     **{"fixes": "const InsGpsFix *", "readings": "const InsGpsReading *", "wheels": "Wheels *"},
-    **{"memory": "InsGpsBlock *", "means": "const real *", "until": "ins_gps_time *"},
+    **{
+        "memory": "InsGpsBlock *",
+        "means": "const real *",
+        "until": "ins_gps_time *",
+        "done": "InsGpsEstimate *",
+    },
 }
 """C types of arrays; by default ``real *``. The array ``kinds`` is a field of the fixes."""
-FIELDS = {"fixes": ("time", "x", "y"), "readings": ("time", "speed"), "wheels": ("speed", "age", "more")}
+FIELDS = {
+    **{"fixes": ("time", "x", "y"), "readings": ("time", "speed"), "wheels": ("speed", "age", "more")},
+    "done": ("lateral_slot", "standstill_slot", "odometer_slot", "odometer_time"),
+}
 TIMES = ("now", "before", "taken")
-ENUMERATORS = {"NEW": "NEW", "HELD": "AT_REST", "STALE": "STALE", "STALE_MOVING": "STALE_MOVING"}
+ENUMERATORS = {
+    **{"NEW": "INS_GPS_NEW", "HELD": "INS_GPS_AT_REST", "STALE": "INS_GPS_STALE"},
+    **{"STALE_MOVING": "INS_GPS_STALE_MOVING", "LATERAL": "EVENT_LATERAL", "STANDSTILL": "EVENT_STANDSTILL"},
+    "ODOMETER": "EVENT_ODOMETER",
+}
+SAMPLE = {
+    **{"slot": "slot_of(f, sample->time)", "now": "sample->time", "before": "before", "ay": "sample->ay"},
+    **{"stands": "stands", "readings": "f->readings"},
+    **{"come": "readings_until(f, sample->time)", "done": "b", "wheels": "&wheels"},
+}
+"""C arguments of `drives.events.sample_events`."""
 _TIME, _KIND = "ins_gps_time", "InsGpsFixKind"
 _TYPES = {float: "real", int: "int", bool: "bool", None: "void"}
 _CALLS = {"min": "SMALLER", "max": "LARGER", "math.hypot": "HYPOT"}
 _CASTS = {"int": "(int)", "float": "(real)"}
 
 
-def rules_of(features: Mapping[str, bool]) -> str:
+def rules_of(features: Mapping[str, bool], used: int) -> dict[str, str]:
+    """Return values of the template: the rules, and the call of `sample_events`; ``used``: see `events.bits_of`."""
     stands, wheels = features["USE_STANDSTILL"], features["USE_ODOMETER"]
     functions = [*ALWAYS, *(STANDSTILL if stands else ()), *([odometer.mean_reading] if wheels else [])]
     functions += [odometer.wheels_turn] if stands and wheels else []
+    functions += [events.sample_events] if used else []
     emitter, constants, texts = Emitter({}), dict[str, str](), list[str]()
     for function in functions:
-        rule = _Rule(emitter, function)
+        rule = _Rule(emitter, function, used)
         texts.append(rule.text())
         constants |= rule.used
-    return "\n".join(["".join(constants.values()), *texts])
+    values = {"RULES": "\n".join(["".join(constants.values()), *texts])}
+    if used:
+        name, signature = emitter.signatures["sample_events"]
+        arguments = [SAMPLE[p.split()[-1].lstrip("*")] for each in signature for p in each]
+        call = f"{name}({', '.join(arguments)})"
+        values["SAMPLE_EVENTS"] = textwrap.fill(call, 100, subsequent_indent=" " * 8)
+    return values
 
 
 @cache
@@ -57,13 +84,15 @@ def _described(module: Any) -> dict[str, str]:
 class _Rule(_Function):
     """Translation of a rule to C. The first value of a local variable determines its type."""
 
-    def __init__(self, emitter: Emitter, compiled: Any) -> None:
+    def __init__(self, emitter: Emitter, compiled: Any, used: int) -> None:
         function = getattr(compiled, "py_func", compiled)
-        super().__init__(emitter, function, function.__name__.lstrip("_"), {})
+        super().__init__(emitter, function, function.__name__.lstrip("_"), {"used": used})
         self.types = {name: _TYPES.get(kind, "real *") for name, kind in function.__annotations__.items()}
         self.types |= {name: kind for name, kind in POINTERS.items() if name in self.types}
         self.types |= {name: _TIME for name in self.types if name in TIMES}
-        self.returns = {"kind_of": _KIND}.get(self.name, self.types["return"])
+        self.types |= {"slot": "uint32_t", "events": "unsigned"}
+        returns = {"kind_of": _KIND, "sample_events": "unsigned"}
+        self.returns = returns.get(self.name, self.types["return"])
         self.described = _described(inspect.getmodule(function) or function)
         self.used: dict[str, str] = {}  # definitions of constants
 
@@ -90,6 +119,8 @@ class _Rule(_Function):
                 case ast.Assign([ast.Name(name)], ast.Tuple(elts=values)):
                     self.types[name] = "real *"
                     self.put(f"const real {name}[] = {{{', '.join(map(self.c, values))}}};", depth)
+                case ast.AugAssign(target, ast.BitOr(), value):
+                    self.put(f"{self.c(target)} |= {self.c(value)};", depth)
                 case ast.Return(ast.expr() as value):
                     self.put(f"return {self.c(value)};", depth)
                 case _:
@@ -165,7 +196,7 @@ class _Rule(_Function):
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
         if node.id in ENUMERATORS:
-            return ast.Name(f"INS_GPS_{ENUMERATORS[node.id]}")
+            return ast.Name(ENUMERATORS[node.id])
         if not isinstance(self.names.get(node.id), int | float):
             return super().visit_Name(node)
         name = self.constant(node.id)
@@ -183,10 +214,14 @@ class _Rule(_Function):
             return ast.Name(f"fixes[{self.c(indices[0])}].kind")
         if name in FIELDS:
             field = FIELDS[name][self.value(indices[-1])]
-            return ast.Name(
-                f"{name}->{field}" if name == "wheels" else f"{name}[{self.c(indices[0])}].{field}"
-            )
+            place = f"{name}->" if len(indices) == 1 else f"{name}[{self.c(indices[0])}]."
+            return ast.Name(place + field)
         return ast.Name(name + "".join(f"[{self.c(index)}]" for index in indices))
+
+    def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
+        known = [self.value(each) for each in node.values]  # events that the filter uses
+        left = [self.visit(each) for each, value in zip(node.values, known, strict=True) if value is None]
+        return left[0] if len(left) == 1 else ast.BoolOp(node.op, left)
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
         kinds = [self.type_of(node.left), self.type_of(node.right)]

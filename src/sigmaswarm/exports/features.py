@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from types import ModuleType
 
-from sigmaswarm.drives import alignment, gyro_seen, standstill, timeline
+from sigmaswarm.drives import alignment, events, gyro_seen, standstill
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters import divergence, fuzzy, schedule, student, tilted
 from sigmaswarm.filters.compiled import live
@@ -89,9 +89,8 @@ NUMBERS = {
     **{noise.upper(): MEASURED[name] for name, noise in NOISE_OF.items()},
     "REAR_AXLE": "m from the rear axle forward to the IMU",
     "TIRE_SLIP": "s2/m: slip angle of the rear tires per lateral acceleration",
-    "LATERAL_INTERVAL": "s between two lateral updates",
     "CORNERING": "m/s2, lateral acceleration above which tires slip too much",
-    "STANDSTILL_INTERVAL": "s between two standstill updates",
+    "INTERVAL": "s in which each constraint is used at most once",
     "STANDSTILL_RATE_NOISE": "rad2/s2, of the gyro about its bias",
     "PER_ODOMETER_SCALE": "true speed / reading",
     "ODOMETER_LATENCY": "s: age of a reading at its time stamp",
@@ -116,11 +115,11 @@ CONSTANTS: Mapping[ModuleType, str] = {
     fuzzy: "LARGEST_RATIO SLOWER",
     gyro_seen: "CONTRADICTS STRANGE STRANGE_STD YAW_STD TURN_SHARE LEAN_STD MOST_BIAS",
     live: "LEAP AGREES",
-    schedule: "LATERAL_INTERVAL STANDSTILL_INTERVAL STANDSTILL_RATE_NOISE SLIP_GATE MOST_REJECTED",
+    events: "CORNERING INTERVAL",
+    schedule: "STANDSTILL_RATE_NOISE SLIP_GATE MOST_REJECTED",
     standstill: "BLOCK N_MEMORY",
     student: "ITERATIONS OUTLIERS OUTLYING OUTLIERS_SPAN",
     tilted: "GRAVITY",
-    timeline: "CORNERING",
 }
 
 

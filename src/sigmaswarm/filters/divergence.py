@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import Alignments, InitialState
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu
-from sigmaswarm.drives.odometer import slot_of
+from sigmaswarm.drives.events import slot_of
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.live import LEAP
 from sigmaswarm.filters.compiled.monitor import CHECK_INTERVAL, LATEST_CHECK

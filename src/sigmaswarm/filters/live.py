@@ -9,6 +9,7 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.events import bits_of
 from sigmaswarm.drives.stale_fixes import STALE
 from sigmaswarm.drives.standstill import FIX_WINDOW, new_memory
 from sigmaswarm.drives.table_files import LARGEST
@@ -27,7 +28,7 @@ from sigmaswarm.filters.lagged import FixedLag
 from sigmaswarm.filters.models import MODELS, THETA, require_driven_by_imu
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import LATERAL_INTERVAL, STANDSTILL_INTERVAL
+from sigmaswarm.filters.schedule import measured_by
 from sigmaswarm.geodesy import wrap_angle
 
 MOST_RESTARTS = 1000  # largest number of resets in the record of reset times
@@ -433,12 +434,10 @@ def _initial_filter_state(
     v = np.zeros(live.N_ALL)
     v[:N_KEPT] = KernelArray((p,)).start([initial], [nominal_interval])[0, :, 0]
     v[live.TIME] = v[live.START] = initial.time
-    v[live.LATERAL_SLOT] = v[live.STANDSTILL_SLOT] = v[live.ODOMETER_SLOT] = -1.0
-    v[live.ODOMETER_TIME] = initial.time
+    v[live.DONE] = -1.0, -1.0, -1.0, initial.time
     v[live.NOMINAL] = nominal_interval
     v[live.LEVER][: len(lever_arm)] = lever_arm
-    v[live.LATERAL_INTERVAL] = 0.0 if p.lateral_noise is None else LATERAL_INTERVAL
-    v[live.STANDSTILL_INTERVAL] = 0.0 if p.standstill_noise is None else STANDSTILL_INTERVAL
+    v[live.USED] = bits_of(measured_by(p))
     v[live.LAST_SAMPLE] = v[live.SEEN_FIX] = -np.inf
     v[live.LAST_CHECK] = -1.0
     given = MODELS[p.model].imu

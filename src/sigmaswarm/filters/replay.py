@@ -10,21 +10,18 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.events import COMPARED, events_of
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled import run
 from sigmaswarm.filters.kernel_array import KernelArray, Sums
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import (
-    COMPARED,
-    flags_of,
     require_accuracy,
     require_axes,
     require_odometer,
 )
 from sigmaswarm.filters.table import tables_of
-
-NO_SPEEDS = np.empty((0, 3))  # for a filter without an odometer
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,10 +88,9 @@ class Replay:
         """Return the drive as kernel arrays; the flags depend on the measurements that the filter uses."""
         if used not in self._arrays:
             line, targets = self.timeline, self.targets
-            flags = flags_of(line, used)
+            flags, wheels = events_of(line, used)
             flags[targets.compared(line)] |= COMPARED
-            speeds = line.wheels.rows if "odometer" in used and line.wheels else NO_SPEEDS
-            read = line.steps, line.sample, line.driving, flags, line.fixes, speeds, line.lever
+            read = line.steps, line.sample, line.driving, flags, line.fixes, wheels, line.lever
             self._arrays[used] = *read, targets.columns, targets.end
         return self._arrays[used]
 
@@ -103,7 +99,7 @@ DriveArrays = tuple[
     *tuple[Array, NDArray[np.int32], Array, NDArray[np.uint16]],
     *tuple[Array, Array, Array, run.TargetColumns, NDArray[np.int32]],
 ]
-"""steps, samples, driving, flags, fixes, speeds, lever, targets and their ends: see `compiled.run.run_lanes`."""
+"""steps, samples, driving, flags, fixes, wheels, lever, targets and their ends: see `compiled.run.run_lanes`."""
 
 
 def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParameters]) -> Sums:

@@ -1,35 +1,20 @@
-"""Initial state, and measurements at the end of each step, shared by all forms of a filter."""
+"""Initial state, constants of the measurements, and required data, shared by all forms of a filter."""
 
-from collections.abc import Collection, Sequence, Set
+from collections.abc import Collection, Sequence
 from dataclasses import fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.gyro_seen import GyroSeen, together
-from sigmaswarm.drives.odometer import slot_of
-from sigmaswarm.drives.timeline import FIX_VAR_THETA, Timeline
+from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.fix_error import FILTERS, add_start, known_states
 from sigmaswarm.filters.models import MODELS, NOISE_OF, SENSORS, THETA, CarModel
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 
-# Events at the end of a step, as bits.
-FIX = 1  # update with a fix
-IMU = 2  # time of an IMU sample: estimates are recorded and scored
-VELOCITY = 4  # the fix has a velocity
-LATERAL = 8  # the car's lateral velocity is constrained
-STANDSTILL = 16  # the car stands
-HIDDEN = 32  # a fix that is hidden from the filter: its prediction is scored
-ODOMETER = 64  # update with the wheels' speed
-COMPARED = 128  # the heading is compared with truth in the interval that ends or begins here
-HEADING = 256  # the fix has a heading
-
-LATERAL_INTERVAL = 0.1  # s; the error of the constraint is not white, so more updates add no information
-STANDSTILL_INTERVAL = 0.1  # s
 STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2  # rad2/s2, variance of the gyro's reading around its bias
 SLIP_GATE = 9.0
 """Largest accepted NIS of a wheel speed: three sigmas. Readings of slipping or locked wheels have equal errors for
@@ -103,45 +88,6 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
         added[p, v] = added[v, p] = g * dt / 2.0
     added[THETA, THETA] = GAP_TURN_STD**2 * gap * dt
     return added
-
-
-def flags_of(line: Timeline, used: Set[str]) -> NDArray[np.uint16]:
-    """Return the events at the end of each step, bits FIX ... HEADING, (k,), for a filter that uses ``used``.
-
-    With an odometer, there is no standstill while the wheels turn. With "ay", the bit STANDSTILL marks samples whose
-    lateral acceleration robot-localization fuses; that model has no standstills.
-    """
-    wheels = line.wheels if "odometer" in used else None
-    flags = np.zeros(len(line.updates), dtype=np.uint16)
-    flags[line.updates] |= FIX
-    flags[line.hides] |= HIDDEN
-    flags[line.sampled] |= IMU
-    if "velocity" in used and line.has_velocity:
-        flags[line.updates] |= VELOCITY
-    if "heading" in used:
-        found = np.zeros(len(flags), dtype=np.bool_)
-        found[line.updates | line.hides] = line.fixes[:, FIX_VAR_THETA] < np.inf
-        flags[found & line.updates] |= HEADING
-    if "lateral" in used:
-        flags[_every(line, ~line.cornering & line.sampled, LATERAL_INTERVAL)] |= LATERAL
-    if "standstill" in used:
-        stands = line.stands if wheels is None else line.stands & ~wheels.turn
-        flags[_every(line, stands & line.sampled, STANDSTILL_INTERVAL)] |= STANDSTILL
-    if "ay" in used:
-        flags[line.sampled] |= STANDSTILL
-    if wheels is not None:
-        flags[wheels.updates] |= ODOMETER
-    return flags
-
-
-def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArray[np.bool_]:
-    """Select the first wanted step in each time interval."""
-    slots = slot_of(line.end[wanted], line.start, interval)
-    first = np.ones(len(slots), dtype=np.bool_)
-    np.not_equal(slots[1:], slots[:-1], out=first[1:])
-    chosen = wanted.copy()
-    chosen[wanted] = first
-    return chosen
 
 
 def start_of(initial: InitialState, p: FilterParameters) -> tuple[Array, Array]:

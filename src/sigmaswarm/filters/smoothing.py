@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.events import IMU
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.compiled.run import NEXT_STEP, NO_INNOVATIONS, logging_kernel
 from sigmaswarm.filters.compiled.smoothing import smooth_back
@@ -29,7 +30,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import SAMPLES, Piece, Recording, failure_at
 from sigmaswarm.filters.replay import Replay, require_readable
 from sigmaswarm.filters.run import Estimate, estimate_of, replay_of
-from sigmaswarm.filters.schedule import IMU, measured_by
+from sigmaswarm.filters.schedule import measured_by
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.loop import smooth_steps
 from sigmaswarm.geodesy import wrap_angle

@@ -10,22 +10,18 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.events import FIX, IMU, LATERAL, STANDSTILL, events_of
 from sigmaswarm.drives.timeline import AX, AY, DT, GAP, GZ, Q_SCALE
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import GYRO_BIAS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.schedule import (
-    FIX,
     GAP_ACCELERATION_STD,
     GAP_TURN_STD,
-    IMU,
-    LATERAL,
     MOST_REJECTED,
-    STANDSTILL,
     STANDSTILL_RATE_NOISE,
     converted,
-    flags_of,
     measured_by,
 )
 from sigmaswarm.filters.student import INNOVATION_DOF, INNOVATION_SCALE, ITERATIONS
@@ -55,7 +51,7 @@ def require_supported(p: FilterParameters) -> None:
 def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array]:
     """Return the steps of a replay for `run`, (k, N_COLUMNS), and their end times, (k,) s."""
     line = replay.timeline
-    flags = flags_of(line, measured_by(parameters))
+    flags = events_of(line, measured_by(parameters)).flags
     fixes = line.fixes if len(line.fixes) else np.zeros((1, 6))
     fix = fixes[np.maximum(np.cumsum(line.updates | line.hides) - 1, 0)]
     events = [(flags & bit > 0).astype(np.float64) for bit in (FIX, IMU, LATERAL, STANDSTILL)]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.events import FIX, ODOMETER
 from sigmaswarm.drives.timeline import FIRST_AXIS, Q_SCALE
 from sigmaswarm.filters.bank.spread import Spread
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, SUM_ROWS, WIDEST, R
@@ -27,7 +28,6 @@ from sigmaswarm.filters.compiled.swarm import (
     T_WHEELS,
 )
 from sigmaswarm.filters.kernel_array import KernelArray
-from sigmaswarm.filters.schedule import FIX, ODOMETER
 from sigmaswarm.filters.student import INNOVATION_DOF
 
 GENERATIONS = 8

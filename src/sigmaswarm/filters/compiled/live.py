@@ -27,11 +27,12 @@ from numba import float64, int64, njit
 from numba.core.dispatcher import Dispatcher
 
 from sigmaswarm.compilation import once
+from sigmaswarm.drives.events import FIX, HEADING, STANDSTILL, VELOCITY, sample_events, slot_of
 from sigmaswarm.drives.gaps import gap_of, usual_after
-from sigmaswarm.drives.odometer import INTERVAL, LARGEST_AGE, mean_reading, slot_of, wheels_turn
+from sigmaswarm.drives.odometer import INTERVAL, LARGEST_AGE
 from sigmaswarm.drives.stale_fixes import STALE, kind_of
 from sigmaswarm.drives.standstill import FIX_WINDOW, MEANS, fixes_stand, is_as_it_was, is_calm
-from sigmaswarm.drives.timeline import AX, AXES, AY, CORNERING, DT, GAP, N_STEP, Q_SCALE
+from sigmaswarm.drives.timeline import AX, AXES, AY, DT, GAP, N_STEP, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 from sigmaswarm.filters.compiled.layout import COVARIANCE, N_KEPT, P0, R
 from sigmaswarm.filters.compiled.memory import memory_at
@@ -44,24 +45,21 @@ from sigmaswarm.filters.compiled.monitor import (
 )
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.single import take_step
-from sigmaswarm.filters.schedule import FIX, HEADING, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 
-# The state: rows, constants and sums as in `layout`; its time; scale of Q since the last fix; the time slots of the
-# last updates with the constraints and the odometer; the time of the last odometer update.
+# The state: rows, constants and sums as in `layout`; its time; scale of Q since the last fix; slots of the last events.
 N_FILTER = N_KEPT
 OK = R.OK
-TIME, SINCE, LATERAL_SLOT, STANDSTILL_SLOT, ODOMETER_SLOT, ODOMETER_TIME = range(N_FILTER, N_FILTER + 6)
-STOP_TIME = N_FILTER + 6  # last time at which IMU and fixes showed a stop; then ax, ay of the stop
+TIME, SINCE = range(N_FILTER, N_FILTER + 2)
+DONE = slice(N_FILTER + 2, N_FILTER + 6)  # see `drives.events`
+STOP_TIME = DONE.stop  # last time at which IMU and fixes showed a stop; then ax, ay of the stop
 STOP = slice(STOP_TIME + 1, STOP_TIME + 3)
 N_FILTER_STATE = STOP.stop
-# Settings. An interval of 0: the filter does not use that constraint.
+# Settings. USED: bits of the constraints and the odometer, if the filter uses them.
 N_SAMPLE = 1 + len(AXES)
-NOMINAL, START, LATERAL_INTERVAL, STANDSTILL_INTERVAL, AS_RECORDED, USUAL_INTERVAL, TRUSTS_TIMES = range(
-    N_FILTER_STATE, N_FILTER_STATE + 7
-)
+NOMINAL, START, USED, AS_RECORDED, USUAL_INTERVAL, TRUSTS_TIMES = range(N_FILTER_STATE, N_FILTER_STATE + 6)
 # Divergence monitor: largest delay of fixes, s; the time of the last fix seen; the time slot of the last check.
-LATE_BY, SEEN_FIX, LAST_CHECK = range(N_FILTER_STATE + 7, N_FILTER_STATE + 10)
-LEVER = slice(N_FILTER_STATE + 10, N_FILTER_STATE + 13)
+LATE_BY, SEEN_FIX, LAST_CHECK = range(N_FILTER_STATE + 6, N_FILTER_STATE + 9)
+LEVER = slice(N_FILTER_STATE + 9, N_FILTER_STATE + 12)
 SAMPLE = slice(LEVER.stop, LEVER.stop + N_SAMPLE)  # the last sample
 LAST_SAMPLE = SAMPLE.start  # its time
 (
@@ -111,7 +109,7 @@ TAKEN, IGNORED, LEFT_OUT = 1, 0, -1  # used; a repeat, before the start or waiti
 DUE = 2  # result of a sample: used, and the divergence monitor is due
 
 
-_plain = njit(**OPTIONS)  # operations are not reordered: time slots must equal those of `schedule`
+_plain = njit(**OPTIONS)  # operations are not reordered: time slots must equal those of `drives.events`
 
 
 @_plain
@@ -191,22 +189,9 @@ def _process_sample(step, v, counts, fixes, speeds, t, u, calm, means, number):
             events |= HEADING
         _step_to(step, v, z[FIX_TIME], u, events, z[FIX_ROW], wheels)
         v[SINCE] = 0.0
-    events = 0
-    if v[LATERAL_INTERVAL] > 0.0 and abs(u[AY]) <= CORNERING:
-        slot = slot_of(t, v[START], v[LATERAL_INTERVAL])
-        if slot != v[LATERAL_SLOT]:
-            events |= LATERAL
-            v[LATERAL_SLOT] = slot
-    if speeds.shape[0] > 0:
-        slot = slot_of(t, v[START], INTERVAL)
-        if slot != v[ODOMETER_SLOT] and mean_reading(speeds, came, t, before, v[ODOMETER_TIME], wheels):
-            events |= ODOMETER
-            v[ODOMETER_SLOT], v[ODOMETER_TIME] = slot, t
-    if calm and _is_standstill(v, fixes, end, t, means) and not wheels_turn(speeds, came, t):
-        slot = slot_of(t, v[START], v[STANDSTILL_INTERVAL])
-        if slot != v[STANDSTILL_SLOT]:
-            events |= STANDSTILL
-            v[STANDSTILL_SLOT] = slot
+    slot = slot_of(t, v[START], INTERVAL)
+    stands = calm and _is_standstill(v, fixes, end, t, means)
+    events = sample_events(int(v[USED]), slot, t, before, u[AY], stands, speeds, came, v[DONE], wheels)
     if t > v[TIME] or events:
         _step_to(step, v, t, u, events, no_fix, wheels)
     if first < end or number % CHECK_EVERY == 0:
@@ -315,7 +300,7 @@ def _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoin
             gap = gap_of(interval, v[USUAL_INTERVAL])
         v[USUAL_INTERVAL] = usual_after(interval, v[USUAL_INTERVAL])
     calm, means = False, np.zeros(4)
-    if v[STANDSTILL_INTERVAL] > 0.0:
+    if int(v[USED]) & STANDSTILL:
         calm = is_calm(memory, t, sample[1], sample[2], sample[3])
         _copy(memory[MEANS], means, 4)
     if t <= v[START]:

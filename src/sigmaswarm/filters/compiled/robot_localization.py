@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from sigmaswarm.drives.events import FIX, HEADING, HIDDEN, IMU, LATERAL, ODOMETER, STANDSTILL
 from sigmaswarm.drives.odometer import SPEED
 from sigmaswarm.drives.timeline import (
     AX,
@@ -28,7 +29,6 @@ from sigmaswarm.drives.timeline import (
 from sigmaswarm.filters.compiled.lanes import kernel, sincos
 from sigmaswarm.filters.compiled.layout import LANES, Q0, R, at
 from sigmaswarm.filters.compiled.measurements import _add_likelihood
-from sigmaswarm.filters.schedule import FIX, HEADING, HIDDEN, IMU, LATERAL, ODOMETER, STANDSTILL
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
 
 USES_VY, USES_AY = LATERAL, STANDSTILL

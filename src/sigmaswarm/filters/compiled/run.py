@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.compilation import Recipe, cached, once
 from sigmaswarm.drives import alignment, gaps, odometer, stale_fixes, standstill, timeline
+from sigmaswarm.drives.events import FIX, HIDDEN, IMU, ODOMETER
 from sigmaswarm.drives.timeline import Q_SCALE
 from sigmaswarm.filters import fix_error, fuzzy, models, schedule, student, tilted
 from sigmaswarm.filters.compiled.lanes import OPTIONS, exchange_control, kernel
@@ -24,7 +25,6 @@ from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.compiled.step_log import logged_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.fix_error import FILTERS
-from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU, ODOMETER
 
 Array = NDArray[np.float64]
 

@@ -4,6 +4,7 @@
 
 from functools import cache
 
+from sigmaswarm.drives.events import COMPARED, FIX, HEADING, HIDDEN, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 from sigmaswarm.drives.timeline import DT, GAP
 from sigmaswarm.filters.compiled import fix_error, robot_localization, step_log
 from sigmaswarm.filters.compiled.lanes import kernel
@@ -14,19 +15,7 @@ from sigmaswarm.filters.compiled.planar8 import predict_planar8
 from sigmaswarm.filters.compiled.tilted12 import COLUMNS, predict_tilted12, settle
 from sigmaswarm.filters.compiled.tilted12_unscented import predict_unscented
 from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED, own_name
-from sigmaswarm.filters.schedule import (
-    COMPARED,
-    FIX,
-    GAP_ACCELERATION_STD,
-    GAP_TILT_STD,
-    GAP_TURN_STD,
-    HEADING,
-    HIDDEN,
-    LATERAL,
-    ODOMETER,
-    STANDSTILL,
-    VELOCITY,
-)
+from sigmaswarm.filters.schedule import GAP_ACCELERATION_STD, GAP_TILT_STD, GAP_TURN_STD
 from sigmaswarm.filters.tilted import N
 
 

@@ -22,6 +22,7 @@ from numba.core import cgutils, config
 from numba.extending import intrinsic
 
 from sigmaswarm.compilation import address_of, once
+from sigmaswarm.drives.events import FIX
 from sigmaswarm.drives.timeline import DT
 from sigmaswarm.filters.compiled.lanes import OPTIONS, exchange_control
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, N_ROWS, P0, R, state_rows
@@ -29,7 +30,6 @@ from sigmaswarm.filters.compiled.live import BEHIND, DIMENSION, FACTOR, TIME, is
 from sigmaswarm.filters.compiled.run import named_by_sources
 from sigmaswarm.filters.compiled.single import SIGNATURE, SingleStep
 from sigmaswarm.filters.compiled.step import step_of
-from sigmaswarm.filters.schedule import FIX
 
 EVIDENCE_LASTS = 60.0  # s in which the evidence decays to 1/e
 LARGEST_NIS = 200.0

@@ -5,25 +5,19 @@ from dataclasses import replace
 import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.events import FIX, HEADING, LATERAL, ODOMETER, STANDSTILL, VELOCITY, events_of
 from sigmaswarm.drives.timeline import FIX_THETA, FIX_VAR_THETA, Timeline
 from sigmaswarm.filters import fix_error
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.models import THETA, CarModel, lateral_arm, require_driven_by_imu
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import (
-    FIX,
     GAP_TILT_STD,
-    HEADING,
     HEADING_GATE,
-    LATERAL,
     MOST_REJECTED,
-    ODOMETER,
     SLIP_GATE,
-    STANDSTILL,
     STANDSTILL_RATE_NOISE,
-    VELOCITY,
     converted,
-    flags_of,
     gap_covariance,
     measured_by,
     require_accuracy,
@@ -89,7 +83,7 @@ class TextbookCar:
         if p.odometer_noise is not None:
             require_odometer(timeline.drive)
         self._imu = timeline.imu(self.model.imu)
-        self.flags = flags_of(timeline, measured_by(p))
+        self.flags, self._wheels = events_of(timeline, measured_by(p))
         self._wheels_of_step = np.cumsum(self.flags & ODOMETER != 0) - 1
         self._fix_of_step = np.cumsum(timeline.updates | timeline.hides) - 1
         self._rejected = 0
@@ -116,8 +110,8 @@ class TextbookCar:
             arm = lateral_arm(self.filter.mean, p.rear_axle, p.tire_slip)
             lateral = model.lateral(float(line.gz[i]), arm)
             self.filter.update(np.zeros(1), np.array([[p.lateral_noise]]), lateral)
-        if self.flags[i] & ODOMETER and p.odometer_noise is not None and line.wheels is not None:
-            speed, age, more = line.wheels.rows[self._wheels_of_step[i]]
+        if self.flags[i] & ODOMETER and p.odometer_noise is not None:
+            speed, age, more = self._wheels[self._wheels_of_step[i]]
             wheels = model.odometer(float(line.ax[i]), p.odometer_latency + age)
             noise = np.array([[p.odometer_noise + more]])
             innovation = self.filter.measure(np.array([speed / p.odometer_scale]), noise, wheels)
