@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from sigmaswarm.exports.trajectory import write_estimate as write_estimate
     from sigmaswarm.filters.bank.live import LiveFilterBank
     from sigmaswarm.filters.bank.run import run_bank as run_bank
+    from sigmaswarm.filters.custom.live import LiveModel as LiveModel
     from sigmaswarm.filters.custom.log import Log as Log
     from sigmaswarm.filters.custom.model import Model
     from sigmaswarm.filters.custom.model import Tunable as Tunable
@@ -136,6 +137,7 @@ _HOMES = {
     "exports.trajectory": "time_origin_of write_estimate",
     "filters.bank.live": "LiveFilterBank",
     "filters.bank.run": "run_bank",
+    "filters.custom.live": "LiveModel",
     "filters.custom.log": "Log",
     "filters.custom.model": "Model Tunable",
     "filters.custom.run": "ModelEstimate run_model smooth_model",

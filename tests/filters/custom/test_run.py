@@ -19,7 +19,7 @@ from sigmaswarm import (
 )
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters.custom import run as module
-from sigmaswarm.filters.custom.run import Runner, _run
+from sigmaswarm.filters.custom.run import Runner, run_kernel
 from sigmaswarm.filters.models import planar5
 from sigmaswarm.filters.parameters import FilterParameters
 from support import make_drive
@@ -62,7 +62,8 @@ def both(model: Model, log: Log, parameters: dict, **options):
     runner = Runner(model, [log])
     assert runner.kernel is not None
     return [
-        _run(model, kernel, runner.steps[0], parameters, covariances=True) for kernel in (runner.kernel, None)
+        run_kernel(model, kernel, runner.steps[0], parameters, covariances=True)
+        for kernel in (runner.kernel, None)
     ]
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from sigmaswarm import InputError, Log, Model, SigmaswarmWarning, Tunable, run_model, smooth_model, tune
 from sigmaswarm.filters.compiled.custom import _leave_out
-from sigmaswarm.filters.custom.run import Runner, _run
+from sigmaswarm.filters.custom.run import Runner, run_kernel
 
 RNG = np.random.default_rng(5)
 MIXED = np.array([[1.0, 0.3, 0.1, 0.0], [0.3, 1.0, 0.2, 0.1], [0.1, 0.2, 1.0, 0.3], [0.0, 0.1, 0.3, 1.0]])
@@ -147,7 +147,7 @@ def test_absent_elements_are_deleted_rows(case: str):
     runner = Runner(model, [LOG])
     assert (runner.kernel is None) == (kind == "ekf")
     kernel = runner.kernel if case == "compiled" else None
-    run = _run(model, kernel, runner.steps[0], parameters, covariances=True)
+    run = run_kernel(model, kernel, runner.steps[0], parameters, covariances=True)
     names = ("mean", "covariance", "nis", "nll")
     for name, expected in zip(names, deleting(LOG, kind), strict=True):
         np.testing.assert_allclose(getattr(run, name), expected, rtol=1e-10, atol=1e-10, err_msg=name)
@@ -171,7 +171,7 @@ def test_a_sensor_without_values_is_a_model_without_this_sensor(compiled: bool):
         runner, parameters = Runner(model, [log]), SCALING | P | {"elements": elements}
         assert runner.kernel is not None
         kernel = runner.kernel if compiled else None
-        runs.append(_run(model, kernel, runner.steps[0], parameters, covariances=True))
+        runs.append(run_kernel(model, kernel, runner.steps[0], parameters, covariances=True))
     for name in ("mean", "covariance", "nis", "nll"):
         a, b = (getattr(run, name) for run in runs)
         a, b = a[: len(b)][:-1], b[:-1]

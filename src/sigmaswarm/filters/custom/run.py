@@ -153,10 +153,10 @@ class Runner:
         self.kernel = kernel_of(model, self.steps[0], absent=absent)
 
     def run(self, i: int, parameters: Mapping[str, float], *, covariances: bool = False) -> Filtered:
-        return _run(self.model, self.kernel, self.steps[i], parameters, covariances=covariances)
+        return run_kernel(self.model, self.kernel, self.steps[i], parameters, covariances=covariances)
 
 
-def _run(
+def run_kernel(
     model: Model, kernel: Any, steps: Steps, parameters: Mapping[str, float], *, covariances: bool
 ) -> Filtered:
     p = model.values(parameters)
@@ -234,11 +234,11 @@ def _compiled(model: Model, steps: Steps, *, absent: bool) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Numba's, on slow constructs in a user's function
             kernel = _BUILT.get(key) or build_kernel(*functions, diagonal=diagonal, absent=absent)
-            compiled = _run(model, kernel, few, trial, covariances=True)
+            compiled = run_kernel(model, kernel, few, trial, covariances=True)
     except (NumbaError, TypeError, NotImplementedError) as error:  # Numba also raises other errors
         why = _reason(error)
     else:
-        textbook = _run(model, None, few, trial, covariances=True)
+        textbook = run_kernel(model, None, few, trial, covariances=True)
         if _same(compiled, textbook):
             _BUILT[key] = kernel
             return kernel

@@ -1,0 +1,194 @@
+"""`LiveModel`: a filter of a user's model that processes one sample at a time."""
+
+from bisect import insort
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from operator import itemgetter
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.custom.log import Log, Steps, build_steps
+from sigmaswarm.filters.custom.model import Model, as_covariance
+from sigmaswarm.filters.custom.run import check, kernel_of, run_kernel
+from sigmaswarm.filters.live import LiveState
+from sigmaswarm.geodesy import wrap_angle
+
+Timed = tuple[float, Array]  # a measurement (m,) and its time, s
+
+
+@dataclass(eq=False)
+class _Sample:
+    """A sample of the inputs, the state before it, and the measurements between this state and the sample."""
+
+    before: float  # s
+    mean: Array
+    covariance: Array
+    time: float  # s
+    inputs: Array
+    measurements: list[Timed]
+
+
+class LiveModel:
+    """A Kalman filter of a user's model that processes one sample at a time.
+
+    As in a `Log`, the inputs at t_k drive the step from t_(k-1) to t_k, so a measurement waits for the next inputs.
+    After a measurement that is at most ``history`` seconds late, the filter returns to its time and processes the later
+    samples again. So the state equals the result of `run_model` for the same data in time order.
+
+    Parameters
+    ----------
+    model : Model
+    parameters : mapping of str to float
+        As `run_model`.
+    time : float
+        Start, s.
+    mean, covariance : array_like, shapes (n,), (n, n)
+        State estimate at the start.
+    n_inputs : int
+        Number of inputs of f.
+    history : float
+        Largest delay of a measurement, s.
+
+    Attributes
+    ----------
+    too_late : int
+        Number of ignored measurements that were later than ``history`` or before the start.
+
+    Raises
+    ------
+    InputError
+        If model, parameters and start do not fit together.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        parameters: Mapping[str, float],
+        *,
+        time: float,
+        mean: ArrayLike,
+        covariance: ArrayLike,
+        n_inputs: int = 0,
+        history: float = 1.0,
+    ) -> None:
+        if not 0 <= history < np.inf:
+            raise InputError(f"history = {history} s: pass a number of seconds, 0 or more")
+        m = len(as_covariance(model.measurement_noise(model.values(parameters))))
+        start = Log(
+            name="live",
+            time=np.array([time, time + 1.0]),
+            measurement_time=np.array([time]),
+            measurements=np.zeros((1, m)),
+            mean=np.asarray(mean),
+            covariance=np.asarray(covariance),
+            inputs=np.zeros((2, n_inputs)),
+        )
+        check(model, start)
+        self.model, self.parameters, self.history, self.too_late = model, dict(parameters), history, 0
+        self._kernel = kernel_of(model, build_steps(start), absent=True)
+        self._time, self._mean, self._covariance = float(time), start.mean.copy(), start.covariance.copy()
+        self._m, self._n_inputs = m, n_inputs
+        self._start, self._waiting = self._time, list[Timed]()
+        self._samples = deque[_Sample]()
+
+    def predict(self, t: float, inputs: ArrayLike = ()) -> None:
+        """Process the inputs of the step to time t, s; ignore them if t is not after the last time.
+
+        Raises
+        ------
+        InputError
+            If the number of inputs is wrong, or one is not finite.
+        """
+        u = _numbers("inputs", inputs, self._n_inputs)
+        if not self._time < t < np.inf:
+            return
+        now = [each for each in self._waiting if each[0] <= t]
+        self._waiting = self._waiting[len(now) :]
+        sample = _Sample(self._time, self._mean, self._covariance, float(t), u, now)
+        self._samples.append(sample)
+        while self._samples[0].time < t - self.history:
+            self._samples.popleft()
+        self._process(sample)
+
+    def update(self, t: float, measurement: ArrayLike) -> bool:
+        """Process a measurement, shape (m,), as `Model.h` returns it; NaN: this element has no value.
+
+        Measurements of several sensors at one time may come one after the other.
+
+        Returns
+        -------
+        bool
+            False if the measurement was ignored: too late, before the start, or a repeat.
+
+        Raises
+        ------
+        InputError
+            If the number of elements is wrong, or an element is infinite.
+        """
+        z = _numbers("measurement", measurement, self._m, absent=True)
+        if t > self._time or (t == self._time and not self._samples):
+            return _store(self._waiting, t, z)
+        late = [sample for sample in self._samples if t <= sample.time]
+        if not late or not (t > late[0].before or t == late[0].before == self._start):
+            self.too_late += 1
+            return False
+        if not _store(late[0].measurements, t, z):
+            return False
+        self._time, self._mean, self._covariance = late[0].before, late[0].mean, late[0].covariance
+        for sample in late:
+            sample.mean, sample.covariance = self._mean, self._covariance
+            self._process(sample)
+        return True
+
+    def _process(self, sample: _Sample) -> None:
+        seen, now = sample.measurements, sample.time
+        ends = np.array([*(t for t, _ in seen), now])
+        steps = Steps(
+            dt=np.diff(ends, prepend=self._time),
+            source=np.zeros(len(ends), dtype=np.int64),
+            updates=np.where(np.arange(len(ends)) < len(seen), np.arange(len(ends)), -1),
+            records=np.where(ends == now, 0, -1),
+            inputs=sample.inputs[np.newaxis],
+            measurements=np.array([z for _, z in seen]).reshape(-1, self._m),
+            measurement_time=ends[: len(seen)],
+            mean=self._mean,
+            covariance=self._covariance,
+        )
+        run = run_kernel(self.model, self._kernel, steps, self.parameters, covariances=True)
+        self._time, self._mean, self._covariance = now, run.mean[0], run.covariance[0]
+
+    @property
+    def state(self) -> LiveState:
+        """State estimate after the last inputs and all measurements up to their time; NaN after a failure."""
+        mean, angles = self._mean.copy(), self.model.places(self.model.angles)
+        mean[angles] = wrap_angle(mean[angles])
+        return LiveState(self._time, mean, self._covariance.copy(), bool(np.isnan(mean).any()))
+
+
+def _numbers(name: str, values: ArrayLike, size: int, *, absent: bool = False) -> Array:
+    try:
+        found = np.array(values, dtype=np.float64).ravel()
+    except (TypeError, ValueError):
+        raise InputError(f"{name} contains values that are not numbers; pass floats") from None
+    if len(found) != size:
+        raise InputError(f"{name} has {len(found)} numbers; pass {size}")
+    if (np.isinf(found) if absent else ~np.isfinite(found)).any():
+        raise InputError(f"{name} contains a value that is not finite; leave the sample out")
+    return found
+
+
+def _store(stored: list[Timed], t: float, z: Array) -> bool:
+    """Insert a measurement by time, or into one of the same time; return False if it has no new element."""
+    for k, (time, known) in enumerate(stored):
+        if time == t:
+            both = np.where(np.isnan(known), z, known)
+            stored[k] = t, both
+            return bool((~np.isnan(both)).sum() > (~np.isnan(known)).sum())
+    if np.isnan(z).all() or not np.isfinite(t):
+        return False
+    insort(stored, (float(t), z), key=itemgetter(0))
+    return True
