@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from sigmaswarm.compilation import cached
+from sigmaswarm.filters.student import OUTLIERS, OUTLIERS_SPAN
 
 _TWO_PI = 2 * math.pi
 
@@ -82,9 +83,9 @@ def build_kernel(
 
     def run(
         dt, source, updates, records, inputs, measurements, mean0, covariance0, angles, measured_angles,
-        scaling, noise, p, means, covariances, nis, nll,
+        scaling, noise, limits, runs, p, means, covariances, nis, nll,
     ):  # fmt: skip
-        """Run all steps and fill the last four arrays; return the step of a failure, or -1."""
+        """Run all steps and fill the last four arrays; return the step of a failure, or -1. ``runs`` is updated."""
         m = measurements.shape[1]
         n, weights = mean0.size, _weights(mean0.size, scaling)
         mean, covariance, root, state = mean0.copy(), covariance0.copy(), np.zeros((n, n)), np.empty(n)
@@ -93,6 +94,8 @@ def build_kernel(
         s, root_s = np.empty((m, m)), np.zeros((m, m))
         for step in range(dt.size):
             row, at = updates[step], records[step]
+            for i in range(m):
+                runs[i, 1] += dt[step]
             if dt[step] > 0 and not predict(
                 mean, covariance, root, drawn, moved, state, weights, dt[step], inputs[source[step]], p, angles
             ):  # fmt: skip
@@ -104,8 +107,13 @@ def build_kernel(
                 ):  # fmt: skip
                     return step
                 present = leave_out(measurements[row], nu, s, cross)
-                nis[row], log_det = _update(mean, covariance, nu, s, cross, root_s)
-                nll[row] = 0.5 * (nis[row] + log_det + present * math.log(_TWO_PI))
+                limit = limits[present - 1]
+                nis[row], log_det = _whiten(nu, s, cross, root_s)
+                if np.isnan(log_det):
+                    return step
+                share = limited_share(measurements[row], nis[row], limit, runs)
+                _update(mean, covariance, nu, cross, share)
+                nll[row] = 0.5 * (limited(nis[row], limit) + log_det + present * math.log(_TWO_PI))
             if not _finite(mean, covariance):
                 return step
             if at >= 0:
@@ -213,14 +221,10 @@ def _leave_in(z, nu, s, cross):
 
 
 @_kernel
-def _update(mean, covariance, nu, s, cross, root):
-    """Compute x + K nu and P - K S K^T; return NIS and log det S. All are NaN if S has no root.
-
-    With S = L L^T, y = L^-1 nu and W = C L^-T: K nu = W y, K S K^T = W W^T, and the NIS is y^T y.
-    """
+def _whiten(nu, s, cross, root):
+    """Replace nu by y = L^-1 nu and C by W = C L^-T, with S = L L^T; return NIS and log det S, NaN if S has no root."""
     n, m = cross.shape
     if not _root(s, root):
-        covariance[0, 0] = np.nan
         return np.nan, np.nan
     nis, log_det = 0.0, 0.0
     for j in range(m):
@@ -233,12 +237,50 @@ def _update(mean, covariance, nu, s, cross, root):
         log_det += 2 * math.log(root[j, j])
         for i in range(n):
             cross[i, j] /= root[j, j]
-            mean[i] += cross[i, j] * nu[j]
+    return nis, log_det
+
+
+@_kernel
+def _update(mean, covariance, y, w, share):
+    """Compute x + K nu and P - K S K^T, where K nu = W y and K S K^T = W W^T; ``share`` multiplies both."""
+    n, m = w.shape
+    for j in range(m):
+        for i in range(n):
+            mean[i] += share * w[i, j] * y[j]
     for i in range(n):
         for j in range(n):
             for k in range(m):
-                covariance[i, j] -= cross[i, k] * cross[j, k]
-    return nis, log_det
+                covariance[i, j] -= share * w[i, k] * w[j, k]
+
+
+@cached(error_model="numpy")  # the textbook form calls it too
+def limited_share(z, nis, limit, runs):
+    """Return the share of an update, limit / NIS if the NIS is above the limit, else 1: see `Model.robust`.
+
+    ``runs`` (m, 2): for each element of z the number of consecutive measurements above the limit, and the time since
+    the first, s. A filter with a wrong state would treat all measurements as outliers, so a long run has full weight.
+    """
+    lasts = True
+    for i in range(z.size):
+        if np.isnan(z[i]):
+            continue
+        if not nis > limit:
+            runs[i, 0] = 0.0
+            continue
+        if runs[i, 0] == 0.0:
+            runs[i, 1] = 0.0
+        runs[i, 0] += 1.0
+        lasts = lasts and runs[i, 0] >= OUTLIERS and runs[i, 1] >= OUTLIERS_SPAN - 1e-6
+    return limit / nis if nis > limit and not lasts else 1.0
+
+
+@cached(error_model="numpy")  # the textbook form calls it too
+def limited(nis, limit):
+    """Return the term of a measurement in the likelihood: logarithmic above the limit.
+
+    Its derivative by nu is 2 S^-1 nu limit / NIS there, the direction and size of the limited update.
+    """
+    return nis if nis <= limit else limit * (1 + math.log(nis / limit))
 
 
 @_kernel

@@ -17,16 +17,16 @@ from sigmaswarm.filters.custom.run import check, kernel_of, run_kernel
 from sigmaswarm.filters.live import LiveState
 from sigmaswarm.geodesy import wrap_angle
 
+State = tuple[Array, Array, Array]  # mean (n,), covariance (n, n), runs of outliers (m, 2)
 Timed = tuple[float, Array]  # a measurement (m,) and its time, s
 
 
 @dataclass(eq=False)
 class _Sample:
-    """A sample of the inputs, the state before it, and the measurements between this state and the sample."""
+    """A sample of the inputs, the filter before it, and the measurements between this state and the sample."""
 
     before: float  # s
-    mean: Array
-    covariance: Array
+    state: State
     time: float  # s
     inputs: Array
     measurements: list[Timed]
@@ -90,7 +90,7 @@ class LiveModel:
         check(model, start)
         self.model, self.parameters, self.history, self.too_late = model, dict(parameters), history, 0
         self._kernel = kernel_of(model, build_steps(start), absent=True)
-        self._time, self._mean, self._covariance = float(time), start.mean.copy(), start.covariance.copy()
+        self._time, self._state = float(time), (start.mean.copy(), start.covariance.copy(), np.zeros((m, 2)))
         self._m, self._n_inputs = m, n_inputs
         self._start, self._waiting = self._time, list[Timed]()
         self._samples = deque[_Sample]()
@@ -108,7 +108,7 @@ class LiveModel:
             return
         now = [each for each in self._waiting if each[0] <= t]
         self._waiting = self._waiting[len(now) :]
-        sample = _Sample(self._time, self._mean, self._covariance, float(t), u, now)
+        sample = _Sample(self._time, self._state, float(t), u, now)
         self._samples.append(sample)
         while self._samples[0].time < t - self.history:
             self._samples.popleft()
@@ -138,14 +138,14 @@ class LiveModel:
             return False
         if not _store(late[0].measurements, t, z):
             return False
-        self._time, self._mean, self._covariance = late[0].before, late[0].mean, late[0].covariance
+        self._time, self._state = late[0].before, late[0].state
         for sample in late:
-            sample.mean, sample.covariance = self._mean, self._covariance
+            sample.state = self._state
             self._process(sample)
         return True
 
     def _process(self, sample: _Sample) -> None:
-        seen, now = sample.measurements, sample.time
+        seen, now, (mean, covariance, runs) = sample.measurements, sample.time, self._state
         ends = np.array([*(t for t, _ in seen), now])
         steps = Steps(
             dt=np.diff(ends, prepend=self._time),
@@ -155,18 +155,20 @@ class LiveModel:
             inputs=sample.inputs[np.newaxis],
             measurements=np.array([z for _, z in seen]).reshape(-1, self._m),
             measurement_time=ends[: len(seen)],
-            mean=self._mean,
-            covariance=self._covariance,
+            mean=mean,
+            covariance=covariance,
         )
-        run = run_kernel(self.model, self._kernel, steps, self.parameters, covariances=True)
-        self._time, self._mean, self._covariance = now, run.mean[0], run.covariance[0]
+        runs = runs.copy()
+        run = run_kernel(self.model, self._kernel, steps, self.parameters, covariances=True, runs=runs)
+        self._time, self._state = now, (run.mean[0], run.covariance[0], runs)
 
     @property
     def state(self) -> LiveState:
         """State estimate after the last inputs and all measurements up to their time; NaN after a failure."""
-        mean, angles = self._mean.copy(), self.model.places(self.model.angles)
+        (mean, covariance, _), angles = self._state, self.model.places(self.model.angles)
+        mean = mean.copy()
         mean[angles] = wrap_angle(mean[angles])
-        return LiveState(self._time, mean, self._covariance.copy(), bool(np.isnan(mean).any()))
+        return LiveState(self._time, mean, covariance.copy(), bool(np.isnan(mean).any()))
 
 
 def _numbers(name: str, values: ArrayLike, size: int, *, absent: bool = False) -> Array:

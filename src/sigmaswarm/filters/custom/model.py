@@ -12,6 +12,7 @@ from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any, Literal
 
 import numpy as np
+from scipy.special import chdtri
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
@@ -69,6 +70,11 @@ class Model:
         Indices of the elements of a measurement that are angles, rad.
     scored : tuple of str
         States that truth-rmse compares; empty: all states with truth in the log.
+    robust : float, optional
+        Against outliers: a probability, such as 0.99. If the NIS of a measurement is above this quantile of chi-square,
+        S is multiplied by NIS / quantile in the update (G. Chang, Journal of Geodesy 88, 2014), and innovation-nll
+        increases only with the logarithm of the NIS. Three or more such measurements over 5 s show that the filter is
+        wrong, and have full weight. None: all measurements have full weight.
     kind : {"ukf", "ekf"}
         Unscented or extended. The extended filter takes derivatives by complex steps, so f and h must accept complex
         states; it is not compiled.
@@ -90,6 +96,7 @@ class Model:
     measured_angles: tuple[int, ...] = ()
     scored: tuple[str, ...] = ()
     kind: Literal["ukf", "ekf"] = "ukf"
+    robust: float | None = None
 
     def __post_init__(self) -> None:
         for field in ("states", "parameters", "angles", "measured_angles", "scored"):
@@ -103,6 +110,10 @@ class Model:
                 raise self.wrong(f"{role} = {getattr(self, role)!r} is not a function")
         if self.kind not in ("ukf", "ekf"):
             raise self.wrong(f"kind = {self.kind!r}; choose ukf or ekf")
+        if self.robust is not None and not (isinstance(self.robust, Real) and 0.5 <= self.robust < 1):
+            raise self.wrong(
+                f"robust = {self.robust!r} is not a probability from 0.5 to below 1; pass for example 0.99"
+            )
         self._check_names("states", self.states)
         for field in ("angles", "scored"):
             unknown = [name for name in getattr(self, field) if name not in self.states]
@@ -165,6 +176,11 @@ class Model:
                 raise self.wrong(f"parameter {name} = {value!r} is not a finite number")
         return self.record(*(float(parameters[name]) for name in known))
 
+    def limits(self, m: int) -> Array:
+        """Return the limits of the NIS of 1 to m elements, (m,), see ``robust``."""
+        outside = 0.0 if self.robust is None else 1.0 - self.robust
+        return chdtri(np.arange(1, m + 1), outside)
+
     def places(self, names: Sequence[str]) -> list[int]:
         return [self.states.index(name) for name in names]
 
@@ -179,6 +195,7 @@ class Model:
             "scored": list(self.scored),
             "parameters": [dict(vars(t)) for t in self.parameters],
         }
+        plain |= {} if self.robust is None else {"robust": float(self.robust)}
         functions = (self.f, self.h, self.process_noise, self.measurement_noise)
         return plain | {"sha256": fingerprint(repr(plain), *functions)}
 

@@ -103,7 +103,7 @@ def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> Mod
     check(model, log)
     steps = build_steps(log)
     smoothed, failed = _nothing(steps, covariances=True), 0
-    stepper = _textbook(model, steps, parameters)
+    stepper = _textbook(model, steps, parameters, np.zeros((log.measurements.shape[1], 2)))
     if stepper is not None:
         found = smooth_steps(stepper, len(steps.dt))
         failed, smoothed = found.failed, replace(smoothed, nis=stepper.nis, nll=stepper.nll)
@@ -157,11 +157,19 @@ class Runner:
 
 
 def run_kernel(
-    model: Model, kernel: Any, steps: Steps, parameters: Mapping[str, float], *, covariances: bool
+    model: Model,
+    kernel: Any,
+    steps: Steps,
+    parameters: Mapping[str, float],
+    *,
+    covariances: bool,
+    runs: Array | None = None,
 ) -> Filtered:
+    """Run the compiled filter, or without a kernel the textbook filter; ``runs`` (m, 2) of outliers is updated."""
+    runs = np.zeros((steps.measurements.shape[1], 2)) if runs is None else runs
     p = model.values(parameters)
     if kernel is None:
-        return _run_textbook(model, steps, parameters, covariances=covariances)
+        return _run_textbook(model, steps, parameters, runs, covariances=covariances)
     scaling = _scaling(parameters)
     run = _nothing(steps, covariances=covariances)
     line = (steps.dt, steps.source, steps.updates, steps.records, steps.inputs, steps.measurements)
@@ -170,27 +178,31 @@ def run_kernel(
     written = (run.mean, run.covariance, run.nis, run.nll)
     try:
         noise = as_covariance(model.measurement_noise(p))
-        failed = kernel(*line, steps.mean, steps.covariance, angles, measured, scaling, noise, p, *written)
+        limits = model.limits(steps.measurements.shape[1])
+        start = steps.mean, steps.covariance
+        failed = kernel(*line, *start, angles, measured, scaling, noise, limits, runs, p, *written)
     except FAILURES:  # raised by the user's functions, in an unknown step
         return _nothing(steps, covariances=covariances, failed=0)
     return replace(run, failed=int(failed))
 
 
 def _run_textbook(
-    model: Model, steps: Steps, parameters: Mapping[str, float], *, covariances: bool
+    model: Model, steps: Steps, parameters: Mapping[str, float], runs: Array, *, covariances: bool
 ) -> Filtered:
-    stepper = _textbook(model, steps, parameters)
+    stepper = _textbook(model, steps, parameters, runs)
     if stepper is None:
         return _nothing(steps, covariances=covariances, failed=0)
     trajectory = run_steps(stepper, steps.records.tolist(), n_rows=len(steps.inputs), covariances=covariances)
     return Filtered(**vars(trajectory), nis=stepper.nis, nll=stepper.nll)
 
 
-def _textbook(model: Model, steps: Steps, parameters: Mapping[str, float]) -> TextbookModel | None:
+def _textbook(
+    model: Model, steps: Steps, parameters: Mapping[str, float], runs: Array
+) -> TextbookModel | None:
     """Return the textbook filter at the start of a log, or None if the user's functions fail there."""
     try:
         with np.errstate(all="ignore"):  # the result is checked
-            return TextbookModel(model, steps, _scaling(parameters), model.values(parameters))
+            return TextbookModel(model, steps, _scaling(parameters), model.values(parameters), runs)
     except FAILURES:
         return None
 

@@ -1,10 +1,12 @@
 """Textbook filters for a user's model on a log: slow, but f and h can be any Python functions."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters.compiled.custom import limited, limited_share
 from sigmaswarm.filters.custom.log import Steps
 from sigmaswarm.filters.custom.model import Model, as_covariance
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
@@ -16,12 +18,13 @@ class TextbookModel:
 
     ``scaling`` (3,) is alpha, beta, kappa; ``p`` the model's record. ``nis`` and ``nll`` (f,) are the normalized
     innovation squared and the negative log-likelihood of each measurement before its update, NaN for measurements after
-    the current step.
+    the current step. ``runs`` (m, 2): see `limited_share`.
     """
 
-    def __init__(self, model: Model, steps: Steps, scaling: Array, p: Any) -> None:
-        self.model, self.steps, self.p = model, steps, p
+    def __init__(self, model: Model, steps: Steps, scaling: Array, p: Any, runs: Array) -> None:
+        self.model, self.steps, self.p, self.runs = model, steps, p, runs
         self.noise = as_covariance(model.measurement_noise(p))
+        self.limits = model.limits(len(self.noise))
         self.filter = textbook_filter(model, steps, scaling, p)
         self.nis, self.nll = np.full((2, len(steps.measurements)), np.nan)
 
@@ -31,12 +34,15 @@ class TextbookModel:
         if dt > 0:
             q = as_covariance(self.model.process_noise(dt, self.p))
             kalman.predict(dt, steps.inputs[steps.source[i]], q)
+        self.runs[:, 1] += dt
         if row >= 0:
             innovation = kalman.measure(steps.measurements[row], self.noise)
             if (absent := np.isnan(steps.measurements[row])).any():
                 innovation = innovation.of(np.flatnonzero(~absent))
-            self.nis[row], self.nll[row] = innovation.nis, negative_log_likelihood(innovation)
-            kalman.correct(innovation)
+            nis, limit = innovation.nis, self.limits[len(innovation.nu) - 1]
+            self.nis[row], self.nll[row] = nis, negative_log_likelihood(innovation, limit)
+            share = limited_share(steps.measurements[row], nis, limit, self.runs)
+            kalman.correct(replace(innovation, variance=innovation.variance / share))
 
 
 def textbook_filter(model: Model, steps: Steps, scaling: Array, p: Any) -> GaussianFilter:
@@ -61,8 +67,11 @@ def textbook_filter(model: Model, steps: Steps, scaling: Array, p: Any) -> Gauss
     )
 
 
-def negative_log_likelihood(innovation: Innovation) -> float:
-    """Return -log N(nu; 0, S); raise `numpy.linalg.LinAlgError` if S is not a covariance."""
+def negative_log_likelihood(innovation: Innovation, limit: float = np.inf) -> float:
+    """Return -log N(nu; 0, S), which increases more slowly for an NIS above the limit, see `Model.robust`.
+
+    Raises `numpy.linalg.LinAlgError` if S is not a covariance.
+    """
     root = np.linalg.cholesky(innovation.variance)
     log_det = 2 * np.log(np.diag(root)).sum()
-    return float(0.5 * (innovation.nis + log_det + len(innovation.nu) * np.log(2 * np.pi)))
+    return float(0.5 * (limited(innovation.nis, limit) + log_det + len(innovation.nu) * np.log(2 * np.pi)))
