@@ -8,6 +8,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import textwrap
 from collections import defaultdict
 from collections.abc import Iterator
 from importlib.metadata import version
@@ -34,6 +35,17 @@ CROWDED = {
     "test_kalman_py": "kalman-py on JAX, a fix at every IMU sample",
     "test_batch_crowded": "**sigmaswarm's compiled batch of 32, a fix at every IMU sample, with scores**",
 }
+CAPTIONS = (
+    "**Filters.** Processor time on one core per parameter set and IMU sample (first two rows: per call). The ratio to "
+    "the last row is given as median; lowest value over the turns.",
+    "**A fix at every IMU sample**, since kalman-py needs a measurement at every step. Columns as above.",
+    "**Models and filter types** in the compiled batch. The ratio to planar5's UKF is the median [lowest, highest].",
+    "**One tuning run**: 30 particles, 50 generations, ten minutes at 100 Hz. The ratio is the median; lowest value.",
+    "**Two cores.** Wall time in ms to score parameter sets over the drive, in turns that began with idle cores.",
+    "**Live filters.** Time of one call from Python in us: median; 99.9% quantile. A fix is processed with the next "
+    "sample, so the third column contains the time of both calls. The last two columns contain the time of FilterPy "
+    "divided by this time, for a sample without; with a fix: FilterPy with the same filter, and with planar5's UKF.",
+)
 TUNINGS = {
     "test_tuning_pyswarms_filterpy": "PySwarms + FilterPy",
     "test_tuning_sigmaswarm": "**sigmaswarm**",
@@ -89,26 +101,26 @@ def render(measured: dict[str, list[dict]]) -> str:
         cores(measured),
         live(measured),
     )
-    return "\n\n".join([machine(), *("\n".join(table) for table in tables)])
+    parts = [machine()]
+    for caption, table in zip(CAPTIONS, tables, strict=True):
+        parts += [textwrap.fill(caption, 120), "\n".join(table)]
+    return "\n\n".join(parts)
 
 
 def filters(measured: dict, labels: dict[str, str], ours: str) -> Iterator[str]:
-    yield (
-        "| filter | ns per parameter set and IMU sample (or call), median | fastest turn "
-        "| times the batch's; lowest turn |"
-    )
-    yield "|---|---:|---:|---:|"
+    yield "| filter | time, ns | ratio to the last row |"
+    yield "|---|---:|---:|"
     for name, label in labels.items():
         if name not in measured:
-            yield f"| {label} | not installed | | |"
+            yield f"| {label} | not installed | |"
             continue
         times = [per_unit(record) for record in measured[name]]
         compared = "1" if name == ours else ratio(measured[name], measured[ours], per_unit)
-        yield f"| {label} | {number(statistics.median(times))} | {number(min(times))} | {compared} |"
+        yield f"| {label} | {number(statistics.median(times))} | {compared} |"
 
 
 def kinds(measured: dict) -> Iterator[str]:
-    yield "| compiled batch of 32 | ns per parameter set and IMU sample, median | times planar5's UKF |"
+    yield "| filter | time, ns | ratio to planar5's UKF |"
     yield "|---|---:|---:|"
     ours = measured["test_kind planar5 ukf"]
     for name in (name for name in measured if name.startswith("test_kind ")):
@@ -123,10 +135,7 @@ def spread(records: list[dict], ours: list[dict]) -> str:
 
 
 def tunings(measured: dict) -> Iterator[str]:
-    yield (
-        "| one tuning run: 30 particles, 50 generations, 10 minutes at 100 Hz | measured | whole run "
-        "| times sigmaswarm's; lowest turn |"
-    )
+    yield "| program | measured part | time of the whole run | ratio to sigmaswarm |"
     yield "|---|---:|---:|---:|"
     ours = measured["test_tuning_sigmaswarm"]
     for name, label in TUNINGS.items():
@@ -139,24 +148,20 @@ def tunings(measured: dict) -> Iterator[str]:
 
 
 def cores(measured: dict) -> Iterator[str]:
-    """Turns in which other jobs kept a core busy say nothing about two cores: they are left out, and counted."""
-    yield "| parameter sets | one core, ms | two cores, ms | times faster, median [lowest, highest] | calm turns |"
-    yield "|---:|---:|---:|---:|---:|"
+    """Leave out turns in which other jobs kept a core busy: they do not show the effect of two cores."""
+    yield "| parameter sets | one core | two cores | ratio: median [lowest, highest] |"
+    yield "|---:|---:|---:|---:|"
     for name in (name for name in measured if name.startswith("test_cores ")):
         every = [record["extra_info"] for record in measured[name]]
         calm = [turn for turn in every if turn["calm"]] or every
         one, two, ratios = ([turn[key] for turn in calm] for key in ("one", "two", "ratio"))
         cells = f"{statistics.median(one) * 1e3:.1f} | {statistics.median(two) * 1e3:.1f}"
         found = f"{statistics.median(ratios):.2f} [{min(ratios):.2f}, {max(ratios):.2f}]"
-        among = f"{sum(turn['calm'] for turn in every)} of {len(every)}"
-        yield f"| {name.removeprefix('test_cores ')} | {cells} | {found} | {among} |"
+        yield f"| {name.removeprefix('test_cores ')} | {cells} | {found} |"
 
 
 def live(measured: dict) -> Iterator[str]:
-    yield (
-        "| one call at a time, us: median; 99.9% | predict | update | a sample with its fix "
-        "| times faster than this filter in FilterPy | than FilterPy's planar5 ukf |"
-    )
+    yield "| filter | predict | update | sample with fix | ratio: same filter | ratio: planar5's UKF |"
     yield "|---|---:|---:|---:|---:|---:|"
     ours, theirs = "test_live ", "test_filterpy_calls "
     plainest = measured[theirs + "planar5 ukf"]
@@ -179,7 +184,7 @@ def live(measured: dict) -> Iterator[str]:
 
 def faster(rival: list[dict], ours: list[dict]) -> str:
     """How many times faster at a sample, and at one with its fix: medians of the ratios within each turn."""
-    return ", ".join(
+    return "; ".join(
         "{:.1f}".format(
             statistics.median(
                 a["extra_info"][call] / b["extra_info"][call] for a, b in zip(rival, ours, strict=True)
