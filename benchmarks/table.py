@@ -23,8 +23,6 @@ BEGIN, END = "<!-- written by benchmarks/table.py: begin -->", "<!-- end -->"
 PACKAGES = ("sigmaswarm", "numpy", "numba", "scipy", "filterpy", "pyswarms", "kalman-py", "jax", "gtsam")
 
 FILTERS = {
-    "test_filterpy_predict": "FilterPy, one predict",
-    "test_filterpy_update": "FilterPy, one update",
     "test_filterpy": "FilterPy, predicts and updates of the drive",
     "test_textbook": "sigmaswarm's textbook filter, predicts and updates of the drive",
     "test_numba": "Numba, the textbook filter in loops, predicts and updates of the drive",
@@ -36,8 +34,8 @@ CROWDED = {
     "test_batch_crowded": "**sigmaswarm's compiled batch of 32, a fix at every IMU sample, with scores**",
 }
 CAPTIONS = (
-    "**Filters.** Processor time on one core per parameter set and IMU sample (first two rows: per call). The ratio to "
-    "the last row is given as median; lowest value over the turns.",
+    "**Filters.** Processor time on one core per parameter set and IMU sample. The ratio to the last row is given as "
+    "median; lowest value over the turns.",
     "**A fix at every IMU sample**, since kalman-py needs a measurement at every step. Columns as above.",
     "**Models and filter types** in the compiled batch. The ratio to planar5's UKF is the median [lowest, highest].",
     "**One tuning run**: 30 particles, 50 generations, ten minutes at 100 Hz. The ratio is the median; lowest value.",

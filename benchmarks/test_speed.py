@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rival_numba
-from rival_pyswarms import Course, make_filter
+from rival_pyswarms import Course
 from rival_pyswarms import tune as tune_with_pyswarms
 from sigmaswarm import Gps, clip, initial_state, run_filter, run_textbook, tune
 from sigmaswarm.scoring.batch import Replayer
@@ -49,32 +49,6 @@ def replayer(drive, parameter_sets):
     replayer = Replayer([drive], outages=False)
     replayer.scores(parameter_sets)  # compiles, where the cache is empty
     return replayer
-
-
-@pytest.mark.benchmark(group="filter")
-def test_filterpy_predict(measure, part, point):
-    ukf = make_filter(point, part.initial)
-    ukf.Q = np.diag(10.0 ** point[3:8])
-
-    def run():
-        ukf.x, ukf.P = part.initial.mean.copy(), part.initial.covariance.copy()
-        for dt, u in zip(part.dt, part.imu, strict=True):
-            ukf.predict(dt=dt, u=u)
-
-    measure(run, work=len(part.dt), rounds=3)
-
-
-@pytest.mark.benchmark(group="filter")
-def test_filterpy_update(measure, part, point):
-    ukf = make_filter(point, part.initial)
-    ukf.predict(dt=part.dt[0], u=part.imu[0])
-    fix = part.fixes[0, :2]
-
-    def run():
-        for _ in range(200):
-            ukf.update(fix)
-
-    measure(run, work=200, rounds=3)
 
 
 @pytest.mark.benchmark(group="filter")
