@@ -111,7 +111,7 @@ def test_a_broken_parquet_does_not_end_the_process(
     data[at] = value
     log.write_bytes(data)
     with (
-        pytest.raises(InputError, match=r"log\.parquet: is no Parquet file that can be decoded"),
+        pytest.raises(InputError, match=r"log\.parquet: can't be decoded as a Parquet file"),
         open_log(log),
     ):
         pass

@@ -181,7 +181,7 @@ def test_an_encrypted_zip(tmp_path: Path):
 def test_a_zip_of_an_unknown_method(tmp_path: Path):
     log = zipped(phyphox(tmp_path / "export"))
     damaged(log, HEADERS, (8, 10), 97, False)
-    refused("is cut short or no zip", lambda: imported(log))
+    refused("is damaged or not a zip file", lambda: imported(log))
 
 
 @pytest.mark.parametrize("place", [0.1, 0.3, 0.6, 0.9, 0.999])

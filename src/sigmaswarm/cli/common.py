@@ -45,7 +45,7 @@ def read_drives(places: "Sequence[Location]") -> "list[Drive]":
 
 
 def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *, overwrite: bool) -> None:
-    """Refuse, before anything is written, folders for drives that exist; with ``overwrite`` only the sources."""
+    """Raise, before anything is written, if a drive's folder exists; with ``overwrite`` only if it is a source."""
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.writer import require_replaceable
     from sigmaswarm.errors import InputError
@@ -58,7 +58,7 @@ def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *
 
 
 def require_result_folder(out: Path, sources: "Iterable[Location | None]", kind: str, mark: str = "") -> None:
-    """Refuse, before any work, a folder that contains anything but an earlier result of the kind, or what is read."""
+    """Raise, before any work, if a folder contains anything but an earlier result of the kind, or a file to read."""
     from sigmaswarm.errors import InputError
     from sigmaswarm.files import earlier_result
 

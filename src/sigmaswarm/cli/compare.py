@@ -53,15 +53,15 @@ def compare(
     out
         Folder for the tables, the figure and all runs.
     optimizers
-        Names of optimizers; settings follow a colon, as in pso:polish=300. All are compared with the first.
+        Names of optimizers. Settings follow a colon, as in pso:polish=300. Each optimizer is compared with the first.
     scales
         Scales of the search space; log10 by default.
     seeds
-        Runs of each optimizer.
+        Number of runs of each optimizer, each with another seed.
     validation
         Drives that the search does not use; the tuned filters are also evaluated on them.
     workers
-        Threads, or with --cluster simultaneous tuning runs; one per core by default. The result does not depend on it.
+        Number of threads, or with --cluster of simultaneous tuning runs; one per core by default.
     resume
         Continue an interrupted comparison. The result is the same, except for the times.
     """

@@ -47,7 +47,7 @@ class ImportOptions:
     odometer
         Log of the wheel speed, if separate.
     map
-        column=expression for columns of the drive, such as "ax=-acc_y*9.80665", "gps.t=stamp"; "az=" omits a column.
+        Columns of the drive as column=expression: "ax=-acc_y*9.80665", "gps.t=stamp"; "az=" leaves a column out.
     time
         Expression for the time in s of the tables of SOURCE, such as "stamp*1e-9" or "utc(date)".
     recipe
@@ -65,7 +65,7 @@ class ImportOptions:
     odometer_topic
         Topic or table of the wheel speed, m/s forward.
     mag_topic
-        Topic or table of a magnetometer with the IMU's axes, for headings; or use --map with mag.mx and mag.my.
+        Topic or table of a magnetometer with the IMU's axes; adds headings to the fixes. In --map: mag.mx, mag.my.
     declination
         Magnetic declination, deg, east positive. By default it is estimated from the course, together with the sensor's
         rotation.
@@ -88,7 +88,7 @@ class ImportOptions:
     lever_arm
         Vector from the IMU to the antenna: forward,left,up in m.
     heading_from_north
-        Heading at the first IMU sample, deg clockwise from north, for vehicles too slow for a start from fixes.
+        Heading at the first IMU sample, deg clockwise from north, for a vehicle that is too slow to start from fixes.
     gps_from_truth
         Simulate fixes from the truth: rate in Hz and white noise in m, for example 5,1.
     max_rows

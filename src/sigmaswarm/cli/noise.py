@@ -27,13 +27,13 @@ class NoiseOptions:
     tuned
         Show the Q of this tuning instead of the noise of a log.
     to
-        Packages: print the noise in their formats and units, or write it with --out.
+        Packages in whose formats and units the noise is printed or, with --out, written.
     out
         Folder for the files of the packages and, with a LOG, noise.png, noise.svg and noise.json.
     recipe
         Recipe file that `sigmaswarm import --save-recipe` wrote.
     map
-        column=expression for columns of the IMU, as in `sigmaswarm import`: "ax=acc_x*9.80665".
+        Columns of the IMU as column=expression, as in `sigmaswarm import`: "ax=acc_x*9.80665".
     time
         Expression for the time in s, as in `sigmaswarm import`.
     imu_topic

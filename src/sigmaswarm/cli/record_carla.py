@@ -32,7 +32,7 @@ class RecordCarlaOptions:
     seed
         Seed of the routes, the driver and the noise.
     map
-        Town to load, such as Town06; by default the town that is loaded.
+        Town to load, such as Town06; by default the town that the server has loaded.
     accel_noise
         Standard deviation of each acceleration sample, m/s2.
     gyro_noise
@@ -44,7 +44,7 @@ class RecordCarlaOptions:
     timeout
         Longest time to wait for an answer of the server, s.
     patience
-        Longest time to wait for a server that no longer answers, s.
+        Longest time to wait until a server that stopped answering answers again, s.
     brake_sweep
         First measure the friction for several values of CARLA's tire_friction, and use the result.
     resume

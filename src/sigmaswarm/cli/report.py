@@ -30,7 +30,7 @@ def report(
     folder
         A folder that `sigmaswarm tune`, `evaluate` or `study` wrote.
     out
-        NAME.html; by default page.html in FOLDER.
+        File to write, NAME.html; by default page.html in FOLDER.
     """
     from sigmaswarm.reports.folders import save_page
 

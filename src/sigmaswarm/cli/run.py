@@ -24,7 +24,7 @@ class RunOptions:
     Attributes
     ----------
     out
-        NAME.csv, .mat, .tum, .kitti, .geojson, .gpx, .kml or .ros2.
+        File to write: NAME.csv, .mat, .tum, .kitti, .geojson, .gpx, .kml or .ros2.
     origin
         LAT,LON of x = y = 0 in degrees, for a map of a drive without an origin.
     truth

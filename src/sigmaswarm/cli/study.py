@@ -42,16 +42,16 @@ class StudyOptions:
     per_condition
         Tune one filter for each condition instead of one filter for all.
     racing
-        Evaluate worse candidates on few drives, which takes a fifth of the time. The paper does not (--no-racing).
+        Evaluate worse candidates on few drives, which takes a fifth of the time; --no-racing: on all, as in the paper.
     rivals
-        Also compare fuzzy rules, Bayesian optimization and two networks, also for other sensors and another car.
+        Also compare a fuzzy filter, Bayesian optimization and networks, and test with other sensors and another car.
     learn_minutes
         With --rivals: minutes of training data for each network; 20 by default.
     elsewhere
         With --rivals: drives with truth from other sensors or another car. Without --drives and --elsewhere
         they are simulated.
     workers
-        Processes (on Linux) or threads, one per core by default; with --cluster, simultaneous tuning runs.
+        Number of processes (Linux) or threads, one per core by default; with --cluster, of simultaneous tuning runs.
     cluster
         Dask cluster: tcp://host:8786, a scheduler file, or local:4 (four processes).
     resume

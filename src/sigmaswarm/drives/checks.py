@@ -119,7 +119,7 @@ def _time_unit(imu: Array, gps: Array) -> Remark | None:
     unit = next((u for u, f in TIME_UNITS.items() if abs(abs(powers) - np.log10(f)) <= 0.2), None)
     if unit:
         file = "imu.csv" if powers > 0 else "gps.csv"
-        both = f"the IMU's samples last {lasts[0]:.4g} s and the fixes {lasts[1]:.4g} s"
+        both = f"the IMU's samples cover {lasts[0]:.4g} s and the fixes {lasts[1]:.4g} s"
         what = f"{both}, as if t were in {unit}"
     elif come[0] > _SLOWEST[0] or come[1] > _SLOWEST[1]:
         fits = (u for u, f in TIME_UNITS.items() if come[0] <= _USUAL[0] * f and come[1] <= _USUAL[1] * f)

@@ -52,7 +52,7 @@ DESCRIPTIONS: dict[Target, Description] = {
     ),
     "robot_localization": Description(
         title="ROS robot_localization",
-        needs="Needs ROS 2 and robot_localization. The values of a planar filter are only a start.",
+        needs="Needs ROS 2 and robot_localization. The values of a planar filter are only a starting point.",
         commands={
             "ekf.launch.py": "ros2 launch {}/ekf.launch.py",
             "robot_localization.yaml": (

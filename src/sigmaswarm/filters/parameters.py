@@ -326,7 +326,7 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         **{noise: MEASURED[name] for name, noise in NOISE_OF.items()},
         "rear_axle": "m",
         "tire_slip": "s2/m",
-        "odometer_scale": "reading over true speed",
+        "odometer_scale": "reading divided by true speed",
         "odometer_latency": "s",
         "gate": "NIS, dimensionless",
         "imu_gate": ["NIS, dimensionless"] * 2,

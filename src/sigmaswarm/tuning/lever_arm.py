@@ -98,7 +98,8 @@ class LeverArmEstimate:
             times = (1.96 * max(self.std) / self.within) ** 2
             said.append(
                 f"the turns of this log do not determine {' and '.join(unknown)} to {self.within:g} m, which needs "
-                f"{times:.1f} times as many" + ("; drive.toml keeps its value" if any(self.stated) else "")
+                f"{times:.1f} times as many turns"
+                + ("; drive.toml keeps its value" if any(self.stated) else "")
             )
         return "; ".join(said)
 

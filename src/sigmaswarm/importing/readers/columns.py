@@ -122,7 +122,7 @@ def _require_decodable(file: Path, shown_as: Path, limits: Limits) -> None:
     words = [sys.executable, "-c", _DECODE, str(file), str(limits.rows)]
     ended = subprocess.run(words, capture_output=True, check=False)
     if ended.returncode:
-        raise InputError(f"{shown_as}: is no Parquet file that can be decoded; export it again")
+        raise InputError(f"{shown_as}: can't be decoded as a Parquet file; export it again")
 
 
 def _check_names(names: Sequence[str], shown_as: Path, limits: Limits) -> None:

@@ -37,7 +37,7 @@ def phone_files(path: Path, names: Collection[str], limits: Limits, stack: ExitS
     """Open the named tables of a folder, or of a zip, which is unpacked to a temporary folder."""
     folder = path if path.is_dir() else Path(stack.enter_context(tempfile.TemporaryDirectory()))
     if not path.is_dir():
-        with whole(path, "is cut short or no zip", "export it again"), zipfile.ZipFile(path) as archive:
+        with whole(path, "is damaged or not a zip file", "export it again"), zipfile.ZipFile(path) as archive:
             for name, member in _wanted(archive, path, names, limits).items():
                 with archive.open(member) as packed, (folder / name).open("wb") as file:
                     shutil.copyfileobj(packed, file)
