@@ -175,7 +175,7 @@ HEADERS = (b"PK\x03\x04", b"PK\x01\x02")
 def test_an_encrypted_zip(tmp_path: Path):
     log = zipped(phyphox(tmp_path / "export"))
     damaged(log, HEADERS, (6, 8), 1, True)
-    refused(".csv in it is encrypted; unpack it", lambda: imported(log))
+    refused(".csv, which is encrypted; unpack it", lambda: imported(log))
 
 
 def test_a_zip_of_an_unknown_method(tmp_path: Path):

@@ -164,9 +164,9 @@ def meaning_of_plain(plain: str) -> str | None:
 def read_names(columns: Sequence[str]) -> list[Name]:
     """Read the names of a table's columns, without a prefix that all share: "Car.ax", "vehicle/imu/ax".
 
-    Positions and speeds with a shared prefix need that of a receiver, accelerations and rates that of another device.
-    In a table of a vehicle or logger with both IMU and degrees, both are read, since an estimate has no accelerations.
-    Positions in meters and speeds are not read there: those of a vehicle may have another origin.
+    Positions and speeds are read only if the prefix names a receiver, accelerations and rates only if it names another
+    device. If the prefix names a vehicle or a logger and the table has an IMU and positions in degrees, both are read:
+    a table of estimates would have no accelerations. Its positions in meters and speeds are not read.
     """
     pairs = zip(min(columns, default=""), max(columns, default=""), strict=False)
     shared = "".join(a for a, _ in takewhile(lambda pair: pair[0] == pair[1], pairs))

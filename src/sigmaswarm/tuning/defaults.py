@@ -117,7 +117,7 @@ def _allows_forecasts(cars: Sequence[Sensors]) -> bool:
 
 
 def settled(config: C, data: Sequence[Sensors | Log]) -> C:
-    """Set the objective, the prior on R and the process-noise inflation, if the user did not."""
+    """Set the objective, the prior on R and the process-noise inflation that the user did not set."""
     car = isinstance(config, TuneConfig)
     model, use = (config.model, config.use) if car else (PLAIN, ())
     objective = objective_for(data, config.objective, model, use)

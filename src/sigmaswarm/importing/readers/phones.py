@@ -61,5 +61,5 @@ def _wanted(
     limits.check_unpacked(sum(m.file_size for m in wanted.values()), path)
     for name, member in wanted.items():
         if member.flag_bits & 1:
-            raise InputError(f"{path}: {name} in it is encrypted; unpack it, and name the folder")
+            raise InputError(f"{path}: contains {name}, which is encrypted; unpack it, and name the folder")
     return wanted
