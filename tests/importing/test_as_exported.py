@@ -69,6 +69,12 @@ CLOCKS: dict[str, tuple[Callable[[np.ndarray], object], str]] = {
     "date": (lambda t: 45406.5 + np.round(t / 86400, 10), "Date"),
     "a signed counter": (lambda t: (np.round((t - 20) * 1e6).astype(int) + 2**32) % 2**32 - 2**31, "micros"),
     "a counter of 31 bits": (lambda t: np.round((t - 20) * 1e6).astype(int) % 2**31, "micros"),
+    "a counter of 24 bits": (lambda t: np.round((t + 5) * 1e6).astype(int) % 2**24, "micros"),
+    "24 bits of ms": (lambda t: np.round((t - 20) * 1e3).astype(int) % 2**24, "millis"),
+    "16 bits of ms": (lambda t: np.round((t + 50) * 1e3).astype(int) % 2**16, "t"),
+    "seconds of the minute": (lambda t: np.round(t + 30, 3) % 60, "sec"),
+    "ms of the minute": (lambda t: np.round((t + 30) * 1e3).astype(int) % 60_000, "ms"),
+    "half a day": (lambda t: np.round(t - 20, 3) % 43_200, "time"),
 }
 
 
@@ -77,6 +83,33 @@ def test_clocks(tmp_path: Path, name: str):
     clock, head = CLOCKS[name]
     write(tmp_path, clock=clock, head=head)
     require_right(tmp_path)
+
+
+RESTARTED: Columns = {
+    "t": np.round(T + 50, 3) % 60,
+    "millis": np.round((T + 53) * 1e3).astype(int) % 2**16,
+    "micros": np.round((T + 5) * 1e6).astype(int) % 2**24,
+}
+
+
+@pytest.mark.parametrize("first", [70, 110, 150])
+@pytest.mark.parametrize("head", RESTARTED)
+def test_a_clock_that_restarts_before_the_first_fix(tmp_path: Path, head: str, first: int):
+    """The fixes begin 14 to 30 s after the IMU; the clocks restart after 10 to 13 s, and micros every 17 s."""
+    imu = pl.DataFrame({head: RESTARTED[head], **IMU})
+    gps = pl.DataFrame({head: RESTARTED[head][::EVERY], **FIXES})[first:]
+    imu.join(gps, on=head, how="left", maintain_order="left").write_csv(tmp_path / "log.csv")
+    require_right(tmp_path / "log.csv", N // EVERY - first)
+    (tmp_path / "log.csv").unlink()
+    imu.write_csv(tmp_path / "imu.csv")
+    gps.write_csv(tmp_path / "gps.csv")
+    require_right(tmp_path, N // EVERY - first)
+
+
+def test_recordings_of_a_minute_are_no_seconds_of_the_minute(tmp_path: Path):
+    write(tmp_path, clock=lambda t: 3 * t % 60)
+    with pytest.raises(InputError, match=r"2 recordings .*; import each by itself: --part 1 to --part 2"):
+        imported(tmp_path)
 
 
 def test_the_unit_of_a_time_of_week_follows_from_its_size(tmp_path: Path):

@@ -56,7 +56,7 @@ def assemble(
     values: dict[Role, Values] = {}
     for role, parts in gathered.items():
         times[role], values[role] = join(parts, role, REQUIRED.get(role, ()), say, recording)
-    seconds, zero = _seconds(times, recipe)
+    seconds, zero = _seconds(_in_one_turn(times, gathered, say), recipe)
     imu = _imu(seconds["imu"], values["imu"], recipe)
     origin = recipe.origin
     gps: Values = {}
@@ -118,6 +118,32 @@ def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[G
             mapped = f"{t} % 100 + ({t} % 10000 - {t} % 100)*0.6 + ({t} - {t} % 10000)*0.36"
             return f'; if the times of {role}.csv are digits hhmmss, write --map "{role}.t={mapped}"'
     return ""
+
+
+def _in_one_turn(
+    times: Mapping[Role, Nanoseconds], gathered: Mapping[Role, Sequence[Gathered]], say: Say
+) -> dict[Role, Nanoseconds]:
+    """Move times by whole periods to those of the IMU, if their clock restarts: a table may begin after a restart.
+
+    Of several moves with which a table lies within the IMU's times, the tables then end together.
+    """
+    moved, imu = dict(times), times["imu"]
+    clocks = {role: (parts[0].part.columns["t"], parts[0].period) for role, parts in gathered.items()}
+    for role, time in times.items():
+        period = max(clocks["imu"][1], clocks[role][1])
+        if role == "imu" or not period or clocks[role][0] != clocks["imu"][0]:
+            continue
+        first, last = (int(edge) // period for edge in (imu[0] - time[-1], imu[-1] - time[0]))
+        moves = np.arange(first, last + 2) * period
+        inside = np.array([np.sum((time + m >= imu[0]) & (time + m <= imu[-1])) for m in moves])
+        best = moves[inside == inside.max()]
+        best = best[np.argsort(np.abs(time[-1] + best - imu[-1]))]
+        moved[role] = time + best[0]
+        if len(best) > 1 and role in ("gps", "truth", "odometer"):
+            other = (best[1] - best[0]) / SECOND
+            said = f"the clock restarts every {period / SECOND:.6g} s, and the table is taken to end with the IMU's"
+            say(f"{role}: {said}; otherwise write --{role}-offset {other:.10g}")
+    return moved
 
 
 def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, str]]:

@@ -32,6 +32,7 @@ class Gathered:
     rows : list of chunks
     seen, unkept, timeless : numbers of rows: all, those with a false ``keep``, those without a time
     placeholders : by column of the table, the marker of missing values and its count
+    period : time after which the clock restarts, ns, once the times are unwrapped; 0 if it does not
     """
 
     part: Part
@@ -41,6 +42,7 @@ class Gathered:
     unkept: int = 0
     timeless: int = 0
     placeholders: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
+    period: int = 0
 
     def add(self, frame: pl.DataFrame, log: Log) -> None:
         frame = frame.with_columns(pl.col(pl.String).str.strip_chars())

@@ -13,7 +13,7 @@ from sigmaswarm.importing.dates import SECOND, Nanoseconds
 from sigmaswarm.importing.gather import Gathered
 from sigmaswarm.importing.places import Say, Values, good_places, with_longitudes
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.timeline import in_order, require_likely
+from sigmaswarm.importing.timeline import from_digits, in_order, require_likely, unwrap
 from sigmaswarm.wording import shown
 
 LEAST_STD = 1e-6
@@ -98,6 +98,7 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
         raise InputError(f"{role}: {table} contains {why}")
     for name, (value, count) in part.placeholders.items():
         say(f"{where}: {count} values of {shown(name)} are {value:g}, a placeholder, and are left out")
+    time, part.period, note = unwrap(time)  # by all rows: a counter may restart before the first fix
     filled = _finite(values, len(time)).any(axis=0)
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
         say(f"{role}: {empty} rows are left out, since they have an empty cell")
@@ -106,6 +107,12 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
         filled &= ~np.append(False, np.all(same, axis=0))
     if filled.any():
         time, values = time[filled], _rows(values, filled)
+    if not note:  # rows without values may have other times
+        time, digits = from_digits(time)
+        time, part.period, note = unwrap(time)
+        note = "; ".join(filter(None, (digits, note)))
+    if note:
+        say(f"{where}: {note}")
     time, rows = in_order(time, role, where, number, say)
     require_likely(time, role, where, part.part.columns["t"])
     values = _rows(values, rows)

@@ -12,16 +12,21 @@ from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.times import LONGEST_STEP, SHORTEST_STEP, UNITS
 from sigmaswarm.wording import names_shown
 
+MINUTE = 60 * SECOND
 WRAPS: tuple[tuple[int, str], ...] = (
     (2**32 * 1000, "a counter of microseconds, 2^32"),
     (2**32 * 1_000_000, "a counter of milliseconds, 2^32"),
     (2**31 * 1000, "a counter of microseconds, 2^31"),
     (2**31 * 1_000_000, "a counter of milliseconds, 2^31"),
+    (2**24 * 1000, "a counter of microseconds, 2^24"),
+    (2**24 * 1_000_000, "a counter of milliseconds, 2^24"),
     (2**16 * 1_000_000, "a counter of milliseconds, 2^16"),
     (2**32, "a counter of nanoseconds, 2^32"),
     (WEEK * SECOND, "the time of week"),
     (86_400 * SECOND, "the time of day"),
+    (43_200 * SECOND, "the time of half a day"),
     (3600 * SECOND, "minutes and seconds"),
+    (MINUTE, "the seconds of the minute"),
 )
 """Periods after which counters restart, ns."""
 FEWEST_ROWS = 20
@@ -51,27 +56,33 @@ def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
     return fine, "its times are hours, minutes and seconds (hhmmss) and are converted"
 
 
-def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
-    """Unwrap a counter that restarted; return the times, and a sentence or ""."""
+def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, int, str]:
+    """Unwrap a counter that restarted; return the times, its period, ns, and a sentence; 0 and "" if it did not."""
     steps = np.diff(time)
     ahead = steps[steps > 0]
     if not len(ahead) or not (steps < 0).any():
-        return time, ""
+        return time, 0, ""
     usual = float(np.median(ahead))
+    fitting: list[tuple[float, int, str]] = []
     for period, name in WRAPS:
         wraps = steps < -0.5 * period
         # Two exchanged rows of a short log are no wrap; after a wrap, the times continue by about a usual step.
-        near = np.abs(steps + period) <= min(max(50 * usual, 2 * SECOND), 5 * usual + 1e-3 * period)
+        lost = 5 if period >= 3600 * SECOND else 2.5  # the end of a recording may be near a short period
+        near = np.abs(steps + period) <= min(max(50 * usual, 2 * SECOND), lost * usual + 1e-3 * period)
         low = -period // 2 if int(time.min()) < 0 else 0  # a number with a sign
         inside = low <= int(time.min()) and int(time.max()) <= low + 1.001 * period
         # The times may have the date of the first row and the time of day of each row.
         if period == 86_400 * SECOND and wraps.any():
             edge = np.abs((np.r_[time[1:][wraps], time[:-1][wraps]] + period // 2) % period - period // 2)
             inside |= int(np.ptp(time)) <= period and int(edge.max()) <= 60 * SECOND
-        if wraps.any() and np.array_equal(wraps, wraps & near) and inside:
-            turns = np.concatenate([[0], np.cumsum(wraps)])
-            return time + turns * period, f"{name}, wraps {int(wraps.sum())} time(s) and is unwrapped"
-    return time, ""
+        begun = period == MINUTE and int(time[0]) < 0.1 * SECOND  # recordings of a minute each
+        if wraps.any() and np.array_equal(wraps, wraps & near) and inside and not begun:
+            fitting.append((float(np.median(np.abs(steps[wraps] + period - usual))), period, name))
+    if not fitting:
+        return time, 0, ""
+    _, period, name = min(fitting)
+    turns = np.concatenate([[0], np.cumsum(steps < -0.5 * period)])
+    return time + turns * period, period, f"{name}, wraps {turns[-1]} time(s) and is unwrapped"
 
 
 def recordings(time: Nanoseconds) -> list[slice]:
@@ -149,14 +160,8 @@ def in_order(
     time: Nanoseconds, role: Role, where: str, part: int | None, say: Say
 ) -> tuple[Nanoseconds, NDArray[np.int64]]:
     """Return a table's times (n,), strictly increasing, and the indices of their rows."""
-    time, digits = from_digits(time)
-    if digits:
-        say(f"{where}: {digits}")
-    time, note = unwrap(time)
     taken, chosen = choose_part(time, part, where)
     rows, time = np.arange(len(time))[taken], time[taken]
-    if note:
-        say(f"{where}: {note}")
     if chosen:
         say(chosen)
     if backwards := int(np.count_nonzero(np.diff(time) < 0)):
