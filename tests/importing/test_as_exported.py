@@ -147,20 +147,44 @@ def test_offsets_between_clocks_are_proposed(tmp_path: Path, name: str):
     assert drive.gps.time[0] - drive.imu.time[0] == pytest.approx(3.0, abs=1e-3)
 
 
-def spoiled(bad: object, good: object) -> tuple[list[object], Columns]:
-    """Flags, and fixes of which the flagged ones are 200 m off."""
-    wrong = np.arange(N // EVERY) % 10 == 3
-    return [bad if w else good for w in wrong], FIXES | {"lat": FIXES["lat"] + 2e-3 * wrong}
+FLAGS = [
+    *(("fix_type", 1, 3), ("status", "V", "A"), ("valid", "False", "True"), ("fix_status", -1, 0)),
+    *(
+        ("fix", "NO FIX", "3D"),
+        ("mode", "No Fix", "GPS Fix"),
+        ("pos_type", "NONE", "SINGLE"),
+        ("fix", "", "2D"),
+    ),
+    *(("gps_fix_type", "NO_FIX", "RTK_FIXED"), ("sol_status", "INSUFFICIENT_OBS", "SOL_COMPUTED")),
+]
 
 
-@pytest.mark.parametrize(
-    ("name", "bad", "good"),
-    [("fix_type", 1, 3), ("status", "V", "A"), ("valid", "False", "True"), ("fix_status", -1, 0)],
-)
-def test_flags(tmp_path: Path, name: str, bad: object, good: object):
-    flags, fixes = spoiled(bad, good)
-    write(tmp_path, gps=fixes | {name: np.array(flags)})
-    require_right(tmp_path, N // EVERY * 9 // 10)
+@pytest.mark.parametrize(("name", "bad", "good"), FLAGS)
+@pytest.mark.parametrize("tenths", [1, 4, 6])
+@pytest.mark.parametrize("noise", [0.0, 2e-3])
+def test_flags(tmp_path: Path, name: str, bad: object, good: object, tenths: int, noise: float):
+    """Fixes without a fix are 200 m off, or scatter; more than a fifth of them are left out as well."""
+    wrong = np.arange(N // EVERY) // 2 % 10 < tenths
+    off = np.random.default_rng(1).normal(2e-3 * (not noise), noise, N // EVERY)
+    fixes = FIXES | {"lat": FIXES["lat"] + wrong * off}
+    write(tmp_path, gps=fixes | {name: np.array([bad if w else good for w in wrong])})
+    require_right(tmp_path, N // EVERY * (10 - tenths) // 10)
+
+
+@pytest.mark.parametrize(("name", "other", "best"), [("fix", 0, 1), ("fix", "none", "RTK"), ("status", "V", "A"),
+                                                     ("gps_status", "invalid", "valid")])  # fmt: skip
+def test_flags_that_the_positions_contradict(tmp_path: Path, name: str, other: object, best: object):
+    flags = np.array([other if k // 20 % 2 else best for k in range(N // EVERY)])
+    write(tmp_path, gps=FIXES | {name: flags})
+    require_right(tmp_path)
+    (said,) = [note for note in imported(tmp_path).notes if "100 of 200 fixes for which" in note]
+    assert len(imported(tmp_path, maps=options_in(said)[0]).drive.gps) == N // EVERY // 2
+
+
+@pytest.mark.parametrize("flags", [("3D", "DR"), ("MANUAL", "AUTO"), ("12", "LOST")])
+def test_words_of_other_columns_are_no_flags(tmp_path: Path, flags: tuple[str, str]):
+    write(tmp_path, gps=FIXES | {"mode": np.array([flags[k // 10 % 20 == 3] for k in range(N // EVERY)])})
+    require_right(tmp_path)
 
 
 @pytest.mark.parametrize("text", ["INVALID", "*****", "-1"])

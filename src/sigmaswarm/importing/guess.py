@@ -8,7 +8,7 @@ import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.expressions import compile_expression
-from sigmaswarm.importing.names import read_names
+from sigmaswarm.importing.names import plain_words, read_names
 from sigmaswarm.importing.quantities import PLACEHOLDERS, Columns, degrees_as_meters, heading, place, quantity
 from sigmaswarm.importing.source import Fault, Guess, Part, Role
 from sigmaswarm.importing.times import Found, find_time, median_of, numbers_of, written
@@ -37,10 +37,23 @@ _ESTIMATE = re.compile(
 """Names of tables with positions that are no measurements."""
 _FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok|status)?|(?:(?:gps|gnss)_?)?valid|(?:gps|gnss)_?quality"
 """Names of columns that state whether a row has a fix: 0 means none, or -1 where 0 means a fix, as in ROS."""
+_STATUS = (
+    rf"{_FIXED}|(?:(?:gps|gnss|nav|pos|position|sol|solution)_?)?(?:status|state|mode|type|solution|quality)"
+)
+"""Names of columns that state it in words."""
+_NO_FIX = (
+    r"(?:no|not|un|in)_?(?:\w+_)?(?:valid|fix|fixed|solution|gps|gnss|signal|available)|no|none|false|void|bad|lost|"
+    r"searching|acquiring|insufficient.*|cold_start"
+)
+_FIX = r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|gps|gnss|valid|active|ok|good|true|yes|int|computed|auto|alone|psr).*"
+"""Words, in lower case and joined by "_", for rows without and with a fix."""
+MOST_WORDS = 20
+"""Largest number of different words in a column of flags."""
 _DIMENSIONS = ".*(?:type|mode)"
 """Names of columns in which 3 means a fix in three dimensions: 1 then means none."""
-MOST_DROPPED = 0.2
-"""Largest share of likely fixes that a flag may exclude."""
+MOST_DROPPED, JUMP = 0.2, 5.0
+"""Largest share of likely fixes that a flag may exclude unless the positions jump there; smallest ratio of such a jump
+to the 90% quantile of the other steps."""
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
     "gps": (
@@ -198,24 +211,46 @@ def _with_fix(columns: Columns) -> Found | None:
     unset = [pl.col(n).cast(pl.Float64, strict=False).is_in([0.0, *PLACEHOLDERS]) for n in names]
     held = [pl.col(n) == pl.col(n).shift() for n in names]
     fixes = rows.filter(~(pl.all_horizontal(unset) | pl.all_horizontal(held)).fill_null(value=False))
-    kept = fixes.filter(compile_expression(text, fixes.columns).truth)
-    if not len(kept):
+    kept = fixes.select(compile_expression(text, fixes.columns).truth.fill_null(value=False)).to_series()
+    if not kept.any():
         return None
-    if len(kept) >= (1 - MOST_DROPPED) * len(fixes):
+    if kept.sum() >= (1 - MOST_DROPPED) * len(fixes) or _jump(fixes.select(names), kept):
         return Found(text)
-    seen = f"{len(fixes) - len(kept)} of {len(fixes)} fixes for which {text} is not true are used"
+    seen = f"{(~kept).sum()} of {len(fixes)} fixes for which {text} is not true are used"
     return Found("", note=f'{seen}; to leave these fixes out, write --map "gps.keep={text}"')
 
 
+def _jump(places: pl.DataFrame, kept: pl.Series) -> bool:
+    """Return True if positions jump to or between the rows that a flag excludes."""
+
+    def squares(rows: pl.DataFrame) -> pl.Series:
+        east, north = (column.cast(pl.Float64, strict=False).diff().pow(2) for column in rows)
+        return east + north
+
+    usual, before, steps = squares(places.filter(kept)).quantile(0.9), kept.shift(), squares(places)
+    jump = max(median_of(steps.filter(kept != before)), median_of(steps.filter(~kept & ~before)))
+    return usual is not None and jump > JUMP**2 * usual
+
+
 def _fix_stated(frame: pl.DataFrame) -> str:
-    """Return the condition that a row has a fix, by a column of flags, else ""."""
-    flag = next((n for n in read_names(frame.columns) if n.is_one(_FIXED)), None)
-    for column in frame.columns:
-        texts = {*frame[column].drop_nulls().unique()} if frame.schema[column] == pl.String else set[str]()
-        if texts == {"A", "V"}:  # as in RMC: active, void
-            return f"{written(column)} == 'A'"
-        if flag and flag.column == column and texts == {"True", "False"}:
-            return f"{written(column)} == 'True'"
+    """Return the condition that a row has a fix, by a column of flags in words or numbers, else ""."""
+    names = read_names(frame.columns)
+    for name in names:
+        cells, column = frame[name.column], written(name.column)
+        if cells.dtype != pl.String or cells.n_unique() > MOST_WORDS:
+            continue
+        texts: list[str] = [text for text in cells.unique(maintain_order=True) if text and "'" not in text]
+        words = {text: "_".join(plain_words(text)) for text in texts}
+        none = [text for text, word in words.items() if re.fullmatch(_NO_FIX, word)]
+        if {*texts} == {"A", "V"}:  # as in RMC: active, void
+            none = ["V"]
+        elif not name.is_one(_STATUS) or not any(
+            re.fullmatch(_FIX, words[t]) for t in texts if t not in none
+        ):
+            continue
+        if none or (name.is_one(_FIXED) and cells.fill_null("").eq("").any()):
+            return " and ".join(f"{column} != '{text}'" for text in none or [""])
+    flag = next((n for n in names if n.is_one(_FIXED)), None)
     kinds = sorted({*numbers_of(frame[flag.column])}) if flag else []
     if flag is None or not kinds:
         return ""
