@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -18,11 +19,11 @@ T = np.arange(N) / HZ
 ORIGIN = (48.0, 11.0, 500.0)
 EPOCH = 1_714_000_000
 Columns = dict[str, np.ndarray]
+TURNING = 0.4 * np.sin(T / 3)
 
 
-def road(v: float = 8.0) -> tuple[Columns, Columns, Columns]:
+def road(v: Any = 8.0, gz: np.ndarray = TURNING) -> tuple[Columns, Columns, Columns]:
     """Columns of IMU and fixes, and the path in m."""
-    gz = 0.4 * np.sin(T / 3)
     course = 0.5 + np.cumsum(gz) / HZ
     east, north = (np.cumsum(v * f(course)) / HZ for f in (np.cos, np.sin))
     imu = {"ax": 0.1 * np.sin(T), "ay": v * gz, "az": 9.81 + 0 * T, "gx": 0 * T, "gy": 0 * T, "gz": gz}
@@ -240,6 +241,68 @@ def test_measured_positions_go_before_estimates(tmp_path: Path):
     (tmp_path / "gps.csv").rename(tmp_path / "raw_gps.csv")
     pl.DataFrame({"t": T, "lat": 48 + 1e-5 * T, "lon": 11 + 0 * T}).write_csv(tmp_path / "gps_filtered.csv")
     require_right(tmp_path)
+
+
+RATES = {
+    **{"mrad/s": 1e-3, "rpm": np.pi / 30, "rev/s": 2 * np.pi, "deg/h": np.pi / 648e3, "mdps": np.pi / 180e3},
+    **{"deg/min": np.pi / 10800, "0.1 deg/s": np.pi / 1800, "counts, 16.4 per deg/s": np.pi / 180 / 16.4},
+    **{f"counts, {per} per deg/s": np.pi / 180 / per for per in (131, 65.5, 32.8)},
+}
+
+
+@pytest.mark.parametrize("unit", RATES)
+@pytest.mark.parametrize("form", ["three", "yaw_rate", "tilted", "unknown"])
+def test_the_turns_of_the_fixes_show_the_unit_of_rates(tmp_path: Path, unit: str, form: str):
+    rates = {n: IMU[n] / RATES[unit] for n in ("gx", "gy", "gz")}
+    if form == "tilted":
+        rates = {"gx": -0.8 * rates["gz"], "gy": rates["gy"], "gz": 0.6 * rates["gz"]}
+    rates = {n: np.round(c) if "counts" in unit else c for n, c in rates.items()}
+    names = {"yaw_rate": {"gz": "yaw_rate"}, "unknown": {n: f"{n} [U/min]" for n in rates}}
+    columns = {name: rates[n] for n, name in names.get(form, {n: n for n in rates}).items()}
+    write(tmp_path, {n: IMU[n] for n in ("ax", "ay", "az")} | columns)
+    with pytest.raises(InputError, match=r"the turns of the fixes show .* in ") as caught:
+        imported(tmp_path)
+    assert unit in str(caught.value)
+    right = 0.6 * IMU["gz"] if form == "tilted" else IMU["gz"]
+    found = [imported(tmp_path, maps=maps).drive.imu.gz for maps in options_in(str(caught.value))]
+    assert any(np.allclose(gz, right, atol=0.6 * RATES[unit] if "counts" in unit else 1e-6) for gz in found)
+
+
+SLOW = 0.06 * np.sin(T / 6)
+SPINS = np.where(np.abs(T % 20 - 10) < 2, 6.0, 0.4 * np.sin(T))
+
+
+@pytest.mark.parametrize(
+    ("v", "gz", "scale"), [(8.0, SLOW, 180 / np.pi), (np.where(SPINS > 1, 0, 1.5), SPINS, 1.0)]
+)
+def test_slow_rates_in_degrees_and_fast_ones_in_radians(tmp_path: Path, v: Any, gz: np.ndarray, scale: float):
+    """Without fixes, rates above 5 are deg/s. A robot that spins on the spot shows no course."""
+    imu, fixes, _ = road(v, gz)
+    write(tmp_path, imu | {"gz": gz * scale}, fixes)
+    with pytest.raises(InputError, match="the turns of the fixes show gx, gy, gz in") as caught:
+        imported(tmp_path)
+    (maps,) = options_in(str(caught.value))
+    np.testing.assert_allclose(imported(tmp_path, maps=maps).drive.imu.gz, gz, atol=1e-9)
+
+
+def test_turns_of_the_fixes_do_not_refuse_stated_units(tmp_path: Path):
+    """A mapping of the user, a unit in the name, and a gyro that measures 1.3 times too much stay as they are."""
+    for name, scale, maps in (("gz", 20.0, ["imu.gz=gz*0.5"]), ("gz [rad/s]", 57.3, []), ("gz", 1.3, [])):
+        write(tmp_path, {n: c for n, c in IMU.items() if n[0] == "a"} | {name: scale * IMU["gz"]})
+        imported(tmp_path, maps=maps)
+
+
+@pytest.mark.parametrize(("per_g", "per_degree"), [(16384, 131), (8192, 65.5), (2048, 16.4), (4096, 32.8)])
+def test_raw_counts_of_both_sensors_are_one_message(tmp_path: Path, per_g: float, per_degree: float):
+    scales = {"a": per_g / 9.80665, "g": per_degree * 180 / np.pi}
+    write(tmp_path, {n: np.round(c * scales[n[0]]).astype(int) for n, c in IMU.items()})
+    with pytest.raises(InputError, match=r"raw counts.*16-bit sensors.*raw counts") as caught:
+        imported(tmp_path)
+    accelerations, *rates = options_in(str(caught.value))
+    (maps,) = (maps for maps in rates if f"/{per_degree:g})" in maps[0])
+    got = imported(tmp_path, maps=[*accelerations, *maps]).drive.imu
+    for name, values in IMU.items():
+        np.testing.assert_allclose(getattr(got, name), values, atol=1 / scales[name[0]])
 
 
 @pytest.mark.parametrize(("scale", "option"), [(1e3, 0), (1e2, 1)])

@@ -16,6 +16,7 @@ from sigmaswarm.importing.gather import Gathered, complete_parts, gather
 from sigmaswarm.importing.magnetometer import part_of, with_magnetometer
 from sigmaswarm.importing.mounting import AUTO, find_mount
 from sigmaswarm.importing.names import read_names
+from sigmaswarm.importing.rates import unit_of_rates
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, mapped_roles, with_maps
 from sigmaswarm.importing.source import ROLES, Choice, Guess, Limits, Log, Part, Progress, Role
 from sigmaswarm.wording import names_shown
@@ -65,6 +66,8 @@ class Imported:
 
 
 Guesses = Mapping[Path, Guess]
+MOST_FAULTS = 3
+"""Largest number of faults in one message."""
 
 
 def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
@@ -98,12 +101,14 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
         If a log is damaged or incomplete, or a column cannot be computed; the message states the remedy.
     """
     require_name(name, "the drive")
-    recipe, gathered, notes, assumed, metadata = _read(request, ROLES, progress)
+    recipe, gathered, notes, assumed, metadata, unitless = _read(request, ROLES, progress)
     progress(1.0)
     try:
         plain = replace(recipe, mount="") if recipe.mount == AUTO else recipe
         field = gathered.pop("mag", ())
         drive = assemble(name, gathered, plain, notes.append, request.part)
+        if unit := unit_of_rates(drive, recipe.roles["imu"], unitless):
+            raise InputError(unit)
         if recipe.mount == AUTO:
             drive, mount, note = find_mount(drive)
             recipe = replace(recipe, mount=mount)
@@ -131,19 +136,23 @@ def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
 
 def _read(
     request: Request, roles: Sequence[Role], progress: Progress
-) -> tuple[Recipe, dict[Role, list[Gathered]], list[str], tuple[str, ...], dict[str, Any]]:
-    """Return the recipe, columns, notes, assumptions on the mounting, and metadata that the logs state."""
+) -> tuple[Recipe, dict[Role, list[Gathered]], list[str], tuple[str, ...], dict[str, Any], dict[str, str]]:
+    """Return recipe, columns, notes, assumptions on the mounting, metadata of the logs, and columns without a unit."""
     with opened(request) as (logs, guesses):
         recipe = complete_recipe(request, guesses)
         wanted = {role: parts for role, parts in recipe.roles.items() if role in roles}
         recipe = replace(recipe, roles=wanted)
-        for fault in faults_left(request, recipe, guesses):
-            raise InputError(fault)
+        unitless = guesses[request.source].unitless
+        if faults := faults_left(request, recipe, guesses):
+            faults = _with_unit_of_rates(faults, request, logs, recipe, unitless)
+            raise InputError("; and ".join(faults[:MOST_FAULTS]))
         _require_sensors(recipe, request, logs, guesses, roles)
         gathered = _gather_all(request, logs, recipe, progress)
         metadata = {key: value for guess in guesses.values() for key, value in guess.metadata.items()}
         notes, assumed = notes_of(logs, guesses, recipe), assumed_mounting(guesses, recipe)
-        return recipe, gathered, notes, assumed, metadata
+        mapped = {entry.partition("=")[0].strip().removeprefix("imu.") for entry in request.maps}
+        guessed = {name: text for name, text in unitless.items() if name not in mapped}
+        return recipe, gathered, notes, assumed, metadata, guessed
 
 
 @contextmanager
@@ -211,6 +220,25 @@ def faults_left(request: Request, recipe: Recipe, guesses: Guesses) -> list[str]
                 where = path if path.name == fault.table else path / fault.table
                 left.append(f"{where}, {fault.sentence}")
     return list(dict.fromkeys(left))
+
+
+def _with_unit_of_rates(
+    faults: list[str], request: Request, logs: Mapping[Path, Log], recipe: Recipe, unitless: Mapping[str, str]
+) -> list[str]:
+    """Replace the remedy of rates with an unknown unit by the unit that the turns of the fixes show."""
+    if not any('"imu.g' in fault for fault in faults):
+        return faults
+    known = {name for part in recipe.roles["imu"] for name in part.columns}
+    maps = [f"imu.{name}={text}" for name, text in unitless.items() if name not in known]
+    plain = replace(recipe, roles=with_maps(recipe.roles, maps, {}), mount="")
+    try:
+        gathered = _gather_all(request, logs, plain, lambda done: None)
+        gathered.pop("mag", None)
+        drive = assemble("log", gathered, plain, lambda note: None, request.part)
+        said = unit_of_rates(drive, plain.roles["imu"], unitless)
+    except InputError:  # other faults remain
+        return faults
+    return [f"{f.partition('; specify')[0]}; {said}" if said and '"imu.g' in f else f for f in faults]
 
 
 def notes_of(logs: Mapping[Path, Log], guesses: Guesses, recipe: Recipe) -> list[str]:

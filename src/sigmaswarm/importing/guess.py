@@ -111,7 +111,12 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
                 expressions |= {what: one.expression} if one.expression else {}
             roles[role] = (*roles.get(role, ()), Part(table, expressions))
     downward = _downward(found[roles["imu"][0].table]) if "imu" in roles else ""
-    return Guess(roles, tuple(dict.fromkeys(notes)), downward=downward, faults=tuple(faults))
+    tables = [found[part.table] for part in roles.get("imu", ())]
+    unitless = {
+        w: c.text(w) for c in reversed(tables) for w in _WANTED["imu"] if w in c and not c.has_unit(w)
+    }
+    notes = [*dict.fromkeys(notes)]
+    return Guess(roles, tuple(notes), downward=downward, faults=tuple(faults), unitless=unitless)
 
 
 def spread_rows(rows: pl.LazyFrame) -> pl.DataFrame:

@@ -62,14 +62,14 @@ def with_longitudes(values: Values, role: str, say: Say) -> Values:
     return {**values, "lon": np.mod(values["lon"] + 180, 360) - 180}
 
 
-def course_of(time: Array, x: Array, y: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Return the course (m,), rad, between positions some meters apart, and the rows (m,) between them."""
+def course_of(time: Array, x: Array, y: Array, chord: float = 6.0) -> tuple[Array, NDArray[np.int64]]:
+    """Return the course (m,), rad, between positions about ``chord`` meters apart, and the rows (m,) between them."""
     if len(time) < 10:
         return np.zeros(0), np.zeros(0, np.int64)
     step = float(np.median(np.hypot(np.diff(x), np.diff(y))))
-    apart = int(np.clip(np.ceil(6.0 / max(step, 1e-3)), 1, len(time) // 4))
+    apart = int(np.clip(np.ceil(chord / max(step, 1e-3)), 1, len(time) // 4))
     dx, dy, dt = x[apart:] - x[:-apart], y[apart:] - y[:-apart], time[apart:] - time[:-apart]
-    moving = np.hypot(dx, dy) > np.maximum(MOVING * dt, 3.0)
+    moving = np.hypot(dx, dy) > np.maximum(MOVING * dt * min(chord / 6.0, 1.0), chord / 2)
     return np.arctan2(dy, dx)[moving], (np.arange(len(dx)) + apart // 2)[moving]
 
 

@@ -33,6 +33,8 @@ FASTEST = 250.0
 """Largest angular rate of a car, deg/s."""
 HIGHEST = 9000.0
 """Largest altitude, m; another unit would stretch the track by 0.15% or more."""
+_PER_G = (16384, 8192, 4096, 2048, 1024, 256, 1000, 100, 1e6, 9806.65, 980.665, 9.80665 / 0.3048)
+"""Scales of common sensors per g; mg, cg, ug, mm/s2, cm/s2, ft/s2."""
 _ACCELEROMETERS = "common 16-bit sensors: 16384 counts per g at +-2 g, 8192 at 4, 4096 at 8, 2048 at 16"
 _GYROS = (
     "common 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at 500, 32.8 at 1000, 16.4 at 2000; mrad/s: each "
@@ -69,6 +71,10 @@ class Columns:
         squares = [s.set(s.is_in(PLACEHOLDERS), None).pow(2) for s in known]
         sizes = sum(squares[1:], squares[0]).sqrt()
         return sizes.filter(sizes > 0)
+
+    def has_unit(self, what: str) -> bool:
+        unit = self.names[what].unit
+        return unit is not None and unit.dimension == DIMENSIONS[what]
 
     def text(self, what: str) -> str:
         return written(self.names[what].column)
@@ -108,7 +114,8 @@ def _without_unit(columns: Columns, what: str, role: Role) -> Found:
             return Found(f"{text}*9.80665", "accelerations are read as g, since gravity appears as about 1")
         if 930 < size < 1050 and largest < 8000:
             note = "accelerations are read as mg, since gravity appears as about 1000"
-            return Found(f"{text}*0.00980665", note)
+            other = _maps(columns, role, axes, "{}*1e-2")
+            return Found(f"{text}*0.00980665", f"{note}; if they are in cm/s2, write {other}")
         raw = max(usual[a] for a in axes) > 30 or largest > MOST_FORCE
         return Found("", fault=_raw_counts(columns, what, role)) if raw else Found(text)
     whole = all((columns.numbers(a) == columns.numbers(a).round()).all() for a in axes)
@@ -126,8 +133,8 @@ def _raw_counts(columns: Columns, what: str, role: Role) -> str:
     axes = [a for a in (f"{what[0]}{i}" for i in "xyz") if a in columns]
     if what[0] == "a":
         gravity = median_of(columns.norms(axes))
-        known = next((k for k in (16384, 8192, 4096, 2048, 1000) if abs(gravity / k - 1) < 0.12), 0)
-        per = known or (f"{gravity:.4g}" if gravity else 16384)
+        known = min(_PER_G, key=lambda k: abs(gravity / k - 1))
+        per = f"{known:g}" if not gravity or abs(gravity / known - 1) < 0.04 else f"{gravity:.4g}"
         form, about = f"{{}}*9.80665/{per}", _ACCELEROMETERS
         seen = "they exceed the range of an accelerometer"
         seen = f"gravity appears as about {gravity:.5g}" if gravity else seen

@@ -138,6 +138,7 @@ class Guess:
     fixed : expression over the fixes' first table, true where carrier phases are fixed; empty if the log lacks it
     faults : reasons not to use columns unchanged, unless the user maps them
     placed : mounting and lever arm that the log states
+    unitless : the IMU's columns without a known unit, as text in expressions, by column of the drive
     """
 
     roles: Mapping[Role, tuple[Part, ...]]
@@ -149,6 +150,7 @@ class Guess:
     fixed: str = ""
     faults: tuple[Fault, ...] = ()
     placed: Placement | None = None
+    unitless: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,109 @@
+"""The unit of angular rates without one, from the turns of the fixes."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.importing.places import course_of
+from sigmaswarm.importing.source import Part
+from sigmaswarm.importing.units import in_si, parse_unit
+
+_DEGREE = math.pi / 180
+ASSUMED = {"{}": ("rad/s", 1.0), "radians({})": ("deg/s", _DEGREE)}
+"""Expressions of rates without a unit, with the assumed unit and its factor to rad/s; {} is the column."""
+_NAMED = map(parse_unit, ("rad/s", "deg/s", "mrad/s", "mdps", "cdps", "rpm", "rev/s", "deg/h", "deg/min"))
+COUNTS = {
+    f"counts, {per:g} per deg/s": (_DEGREE / per, f"radians({{}}/{per:g})")
+    for per in (131, 65.5, 32.8, 16.4, 114.3, 28.6, 14.3)
+}
+"""Scales of common 16-bit sensors, in whole numbers: factors to rad/s, and expressions."""
+UNITS = {
+    **{unit.text: (unit.factor, in_si(unit, "{}")) for unit in _NAMED if unit is not None},
+    "0.1 deg/s": (_DEGREE / 10, "radians({}/10)"),
+    **COUNTS,
+}
+WITHIN, OTHER = 0.08, 1.4
+"""Largest relative difference from the factor of a unit; smallest ratio to the assumed one that contradicts it."""
+APART, GAP = (1.5, 6.0, 24.0), 1.4
+"""Times, s, over which changes of course are compared; largest ratio of an actual to such a time."""
+DELAYS = np.arange(-1.0, 2.01, 0.25)
+"""Tried delays of the fixes, s."""
+EXPLAINED, LEAST_TURN, FEWEST = 0.9, 0.1, 20
+"""Smallest share of the changes of course that the rates must explain; their least standard deviation, rad, and number.
+"""
+OUTLYING = 3.0
+"""Standard deviations from which a change of course is an outlier: a robot that spins on the spot shows no course."""
+SMALL = 0.2
+"""Directions in the space of the axes with less than this share of the largest turn are not used."""
+
+
+def unit_of_rates(drive: Drive, parts: Sequence[Part], unitless: Mapping[str, str]) -> str:
+    """Describe the unit of rates whose turns contradict those of the fixes, with the remedy.
+
+    Parameters
+    ----------
+    parts : parts of the IMU; rates with other expressions than those of `ASSUMED` are not judged
+    unitless : columns without a unit, as text in expressions, by column of the drive
+
+    Returns
+    -------
+    "" if the turns agree, no unit explains them, or the log does not show them
+    """
+    rates = unitless.keys() & {"gx", "gy", "gz"}
+    used = {n: text for part in parts for n, text in part.columns.items() if n in rates}
+    forms = {text.replace(unitless[n], "{}") for n, text in used.items()}
+    if len(forms) != 1 or not forms <= ASSUMED.keys() or (ratio := _ratio(drive)) is None:
+        return ""
+    unit, assumed = ASSUMED[forms.pop()]
+    raw = [getattr(drive.imu, n) / assumed for n in used]
+    whole = all(np.allclose(values, np.round(values), rtol=0, atol=1e-6) for values in raw)
+    known = UNITS if whole else UNITS.keys() - COUNTS
+    apart = {name: abs(math.log(ratio * assumed / UNITS[name][0])) for name in known}
+    likely = sorted((name for name in apart if apart[name] < WITHIN), key=lambda name: apart[name])
+    if 1 / OTHER < ratio < OTHER or not likely:
+        return ""
+    maps = [
+        "--map " + " ".join(f'"imu.{n}={UNITS[name][1].format(unitless[n])}"' for n in used)
+        for name in likely
+    ]
+    columns, names = ", ".join(unitless[n] for n in used), " or ".join(likely)
+    return f"the turns of the fixes show {columns} in {names}, not {unit}; write {' or '.join(maps)}"
+
+
+def _ratio(drive: Drive) -> float | None:
+    """Return the ratio of the turns of the fixes to those of the IMU about any axis; None if the log shows none."""
+    time, x, y, imu = drive.gps.time, drive.gps.x, drive.gps.y, drive.imu
+    axes = np.array([v for v in (imu.gx, imu.gy, imu.gz) if v is not None])
+    steps = 0.5 * (axes[:, 1:] + axes[:, :-1]) * np.diff(imu.time)
+    angles = np.pad(np.cumsum(steps, axis=1), ((0, 0), (1, 0)))
+    noise = float(np.median(np.hypot(np.diff(x, 2), np.diff(y, 2)))) / 2.9 if len(time) > 2 else 0.0
+    course, rows = course_of(time, x, y, chord=float(np.clip(20 * noise, 0.5, 20.0)))
+    at, best = time[rows], (EXPLAINED, 0.0)
+    for apart in APART:
+        later = np.searchsorted(at, at + apart)
+        first = np.flatnonzero(later < len(at))
+        first = first[at[later[first]] - at[first] < GAP * apart]
+        later = later[first]
+        turns = np.asarray(wrap_angle(course[later] - course[first]))
+        for delay in DELAYS:
+            ends = [[np.interp(at[k] - delay, imu.time, angle) for angle in angles] for k in (first, later)]
+            best = max(best, _fitted(np.subtract(ends[1], ends[0]).T, turns))
+    return best[1] or None
+
+
+def _fitted(measured: Array, turns: Array) -> tuple[float, float]:
+    """Return the share of the turns (n,) that the measured angles (n, axes) explain, and the ratio; else zeros."""
+    share, ratio = 0.0, 0.0
+    for _ in range(4):
+        if len(turns) < FEWEST or np.std(turns) < LEAST_TURN:
+            return 0.0, 0.0
+        measured, turns = measured - np.mean(measured, axis=0), turns - np.mean(turns)
+        factors = np.asarray(np.linalg.lstsq(measured, turns, rcond=SMALL)[0], np.float64)
+        left = turns - measured @ factors
+        share, ratio = 1.0 - float(left @ left / (turns @ turns)), float(np.linalg.norm(factors))
+        kept = np.abs(left) <= OUTLYING * float(np.median(np.abs(left))) / 0.6745
+        measured, turns = measured[kept], turns[kept]
+    return share, ratio
