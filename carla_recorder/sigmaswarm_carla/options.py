@@ -86,26 +86,29 @@ def _option(default: Any, text: str) -> Any:
 class Options:
     """Options of a recording, which are the options of the command line."""
 
-    out: Path = field(metadata={"help": "folder for the drive folders"})
-    host: str = _option("127.0.0.1", "host of the CARLA server")
-    port: int = _option(2000, "port of the CARLA server")
-    maneuvers: tuple[str, ...] = _option(MANEUVERS, ", ".join(MANEUVERS))
-    environments: tuple[str, ...] = _option(tuple(ENVIRONMENTS), ", ".join(ENVIRONMENTS))
-    runs: int = _option(20, "number of drives of each maneuver in each environment")
-    seed: int = _option(0, "seed of routes, driver and noise")
-    map: str = _option("", "town to load; by default the town that is loaded")
-    accel_noise: float = _option(0.001, "standard deviation of each acceleration sample, m/s2")
-    gyro_noise: float = _option(0.001, "standard deviation of each gyro sample, rad/s")
+    out: Path = field(metadata={"help": "Folder for the drive folders."})
+    host: str = _option("127.0.0.1", "Host of the CARLA server.")
+    port: int = _option(2000, "Port of the CARLA server.")
+    maneuvers: tuple[str, ...] = _option(MANEUVERS, f"{', '.join(MANEUVERS)}; all by default.")
+    environments: tuple[str, ...] = _option(
+        tuple(ENVIRONMENTS),
+        f"{', '.join(ENVIRONMENTS)}; all by default. Clear, night and fog have the same physics.",
+    )
+    runs: int = _option(20, "Number of drives of each maneuver in each environment.")
+    seed: int = _option(0, "Seed of the routes, the driver and the noise.")
+    map: str = _option("", "Town to load, such as Town06; by default the town that is loaded.")
+    accel_noise: float = _option(0.001, "Standard deviation of each acceleration sample, m/s2.")
+    gyro_noise: float = _option(0.001, "Standard deviation of each gyro sample, rad/s.")
     gyro_bias: float = _option(
-        0.001, "largest gyro bias, rad/s; each drive has a constant bias within +- this bound"
+        0.001, "Largest gyro bias, rad/s; each drive has a constant bias within +- this value."
     )
-    gps_noise: float = _option(0.56, "standard deviation of each fix, m per axis")
-    timeout: float = _option(20.0, "longest time to wait for an answer of the server, s")
-    patience: float = _option(120.0, "longest time to wait for a server that no longer answers, s")
-    resume: bool = _option(False, "keep existing drives and record the missing ones")
+    gps_noise: float = _option(0.56, "Standard deviation of each fix, m per axis.")
+    timeout: float = _option(20.0, "Longest time to wait for an answer of the server, s.")
+    patience: float = _option(120.0, "Longest time to wait for a server that no longer answers, s.")
     brake_sweep: bool = _option(
-        False, "first measure the friction for several values of tire_friction, and use the result"
+        False, "First measure the friction for several values of CARLA's tire_friction, and use the result."
     )
+    resume: bool = _option(False, "Keep existing drives and record the missing drives.")
 
     def figures(self) -> dict[str, Any]:
         """Return the options that all drives in one folder must share."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import sigmaswarm
-from sigmaswarm.cli.record_carla import RecordCarlaOptions, record_carla
+from sigmaswarm.cli.record_carla import RECORDER, record_carla
 from sigmaswarm_carla.options import Options, options_of
 from standin.process import python_with, stand_in
 
@@ -99,13 +99,13 @@ def test_every_option_reaches_the_recorder(monkeypatch: pytest.MonkeyPatch, tmp_
     given = {"host": "carla.lan", "port": 3000, "maneuver": ["turns", "brake"], "environment": ["fog"], "runs": 3,
              "seed": 5, "map": "Town04", "accel_noise": 0.1, "gyro_noise": 0.2, "gyro_bias": 0.3, "gps_noise": 0.4,
              "timeout": 7.0, "patience": 8.0, "brake_sweep": True, "resume": True}  # fmt: skip
-    assert set(given) == {field.name for field in dataclasses.fields(RecordCarlaOptions)} - {"out"}
+    assert set(given) == {*RECORDER} - {"out"}
     with pytest.raises(SystemExit):
-        record_carla(options=RecordCarlaOptions(out=tmp_path, **given))
+        record_carla(out=tmp_path, **given)
     took = dataclasses.asdict(options_of(handed[0][3:]))
     renamed = {"maneuver": "maneuvers", "environment": "environments"}
     wanted = {renamed.get(k, k): tuple(v) if isinstance(v, list) else v for k, v in given.items()}
     assert took == {"out": tmp_path, **wanted}
     with pytest.raises(SystemExit):
-        record_carla(options=RecordCarlaOptions(out=tmp_path))
+        record_carla(out=tmp_path)
     assert options_of(handed[1][3:]) == Options(tmp_path)

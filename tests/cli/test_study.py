@@ -60,7 +60,7 @@ def test_mistakes_about_rivals_take_one_line(sigmaswarm: Command, here: Path):
     for arguments, said in (
         (("--learn-minutes", "5"), "set rivals"),
         (("--elsewhere", "x"), "set rivals"),
-        (("--rivals", "--learn-minutes", "1"), "learn-minutes"),
+        (("--rivals", "--learn-minutes", "1"), "learn_minutes"),
         (("--rivals", "--per-condition"), "leave per_condition out"),
         (("--rivals", "--cluster", "local:1"), "leave the cluster out"),
         (("--rivals", "--runs", "2", "--elsewhere", "none"), "none"),

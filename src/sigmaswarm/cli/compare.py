@@ -20,7 +20,7 @@ APART = ("seed", "optimizer", "scale", "prior", "inflation")
 SHOWN = ("objective", "particles", "generations", "model")
 
 
-@options_of(TuneConfig, shown=SHOWN, apart=APART, by_data=DECIDED_LATER)
+@options_of(TuneConfig.model_fields, shown=SHOWN, apart=APART, by_data=DECIDED_LATER)
 def compare(
     drives: Places,
     /,

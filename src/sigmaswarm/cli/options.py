@@ -1,4 +1,4 @@
-"""Options of several commands, options made from a pydantic model, and the short help."""
+"""Options of several commands, options made from fields of pydantic, and the short help."""
 
 import inspect
 import sys
@@ -9,7 +9,6 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
 from cyclopts import Group, Parameter, validators
-from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 HELP_ALL = "--help-all"
@@ -63,22 +62,22 @@ Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
 
 
 def options_of(
-    model: type[BaseModel],
+    fields: Mapping[str, FieldInfo],
     *,
-    shown: Collection[str],
+    shown: Collection[str] | None = None,
     apart: Collection[str] = (),
     by_data: Collection[str] = (),
     renamed: Mapping[str, str] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Add the fields of a model as options to a command. Its ``**options`` contain the options that the user gave.
+    """Add fields as options to a command. Its ``**options`` contain the options that the user gave.
 
-    ``shown``: fields in the short help. ``apart``: fields that are not options. ``by_data``: fields with a default that
-    depends on the data. ``renamed``: deprecated names and the current names.
+    ``shown``: fields in the short help, by default all. ``apart``: fields that are not options. ``by_data``: fields
+    with a default that depends on the data. ``renamed``: deprecated names and the current names.
     """
     old = {new: name for name, new in (renamed or {}).items()}
     added = {
-        name: _annotation(name, field, old.get(name), name in shown, name not in by_data)
-        for name, field in model.model_fields.items()
+        name: _annotation(name, field, old.get(name), shown is None or name in shown, name not in by_data)
+        for name, field in fields.items()
         if name not in apart
     }
 
@@ -111,10 +110,11 @@ def _annotation(name: str, field: FieldInfo, old: str | None, shown: bool, const
     if get_origin(kind) in (Union, UnionType):
         kind = next(member for member in get_args(kind) if member is not NoneType)
     look: dict[str, Any] = {"help": " ".join((field.description or "").split()), "show_default": False}
-    if get_origin(kind) is tuple:
+    if several := get_origin(kind) is tuple:
         kind = list[get_args(kind)[0]]
-        look["negative"] = f"{option}-nothing"
-    elif kind is not bool and constant and field.default is not None:
+    if not constant and (several or kind is bool):
+        look["negative"] = f"{option}-nothing" if several else f"--no-{name}"
+    elif not several and kind is not bool and constant and field.default not in (None, ""):
         look["show_default"] = lambda _: str(field.default)  # pyright: ignore[reportUnknownLambdaType]
     if old:
         look["alias"] = f"--{old.replace('_', '-')}"

@@ -2,74 +2,27 @@
 
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
-from sigmaswarm.cli.options import FIELDS
+from pydantic.fields import FieldInfo
+
+from sigmaswarm.cli.options import options_of
 from sigmaswarm.errors import SigmaswarmError
 from sigmaswarm_carla.options import Options
 
-
-@dataclass(frozen=True, kw_only=True)
-class RecordCarlaOptions:
-    """Options of `sigmaswarm record-carla`, the same as the recorder's.
-
-    Attributes
-    ----------
-    out
-        Folder for the drive folders. It must not contain drives, except with --resume.
-    host
-        Host of the CARLA server.
-    port
-        Port of the CARLA server.
-    maneuver
-        cruise, turns, accelerate, brake, outages; all by default.
-    environment
-        clear, night, rain, fog, slippery; all by default. Clear, night and fog have the same physics.
-    runs
-        Number of drives of each maneuver in each environment.
-    seed
-        Seed of the routes, the driver and the noise.
-    map
-        Town to load, such as Town06; by default the town that the server has loaded.
-    accel_noise
-        Standard deviation of each acceleration sample, m/s2.
-    gyro_noise
-        Standard deviation of each gyro sample, rad/s.
-    gyro_bias
-        Largest gyro bias, rad/s; each drive has a constant bias within +- this value.
-    gps_noise
-        Standard deviation of each fix, m per axis.
-    timeout
-        Longest time to wait for an answer of the server, s.
-    patience
-        Longest time to wait until a server that stopped answering answers again, s.
-    brake_sweep
-        First measure the friction for several values of CARLA's tire_friction, and use the result.
-    resume
-        Keep existing drives and record the missing drives.
-    """
-
-    out: Path
-    host: str = Options.host
-    port: int = Options.port
-    maneuver: list[str] | None = None
-    environment: list[str] | None = None
-    runs: int = Options.runs
-    seed: int = Options.seed
-    map: str = Options.map
-    accel_noise: float = Options.accel_noise
-    gyro_noise: float = Options.gyro_noise
-    gyro_bias: float = Options.gyro_bias
-    gps_noise: float = Options.gps_noise
-    timeout: float = Options.timeout
-    patience: float = Options.patience
-    brake_sweep: bool = False
-    resume: bool = False
+RECORDER: dict[str, FieldInfo] = {}
+"""Options of the recorder. A list has the name of one entry."""
+for one in fields(Options):
+    kind, name = (
+        (tuple[str, ...], one.name[:-1]) if isinstance(one.default, tuple) else (type(one.default), one.name)
+    )
+    RECORDER[name] = FieldInfo(annotation=kind, default=one.default, description=one.metadata["help"])
 
 
-def record_carla(*, options: Annotated[RecordCarlaOptions, FIELDS]) -> None:
+@options_of(RECORDER, apart=("out",))
+def record_carla(*, out: Path, **options: Any) -> None:
     """Record drives with known truth from a CARLA server.
 
     The command records the maneuvers and weathers of the paper with a Tesla Model 3, by default 20 runs of each of the
@@ -83,14 +36,19 @@ def record_carla(*, options: Annotated[RecordCarlaOptions, FIELDS]) -> None:
 
         sigmaswarm record-carla --out drives --maneuver brake --environment clear --runs 1
         sigmaswarm record-carla --out drives --host 192.168.0.7 --map Town06 --brake-sweep
+
+    Parameters
+    ----------
+    out
+        Folder for the drive folders. It must not contain drives, except with --resume.
     """
-    arguments: list[str] = []
-    for name, value in vars(options).items():
+    arguments = [f"--out={out}"]
+    for name, value in options.items():
         option = f"--{name.replace('_', '-')}"
         if isinstance(value, list):
             arguments += [option, *value]
-        elif isinstance(value, bool) or value is None:
-            arguments += [option] if value else []
+        elif isinstance(value, bool):
+            arguments += [option] * value
         else:
             arguments.append(f"{option}={value}")
     # In a separate process, since the client may end its process; this process reports that.
@@ -103,7 +61,7 @@ def record_carla(*, options: Annotated[RecordCarlaOptions, FIELDS]) -> None:
             continue  # the recorder also gets the signal; it first restores the server
     if code < 0:
         raise SigmaswarmError(
-            f"the CARLA client was killed by signal {-code}; complete drives are in {options.out}; continue "
+            f"the CARLA client was killed by signal {-code}; complete drives are in {out}; continue "
             "with --resume"
         )
     sys.exit(code)

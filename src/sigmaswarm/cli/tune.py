@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 SHOWN = ("objective", "model", "use", "particles", "generations", "trials", "seed")
 
 
-@options_of(TuneConfig, shown=SHOWN, by_data=DECIDED_LATER, renamed=RENAMED)
+@options_of(TuneConfig.model_fields, shown=SHOWN, by_data=DECIDED_LATER, renamed=RENAMED)
 def tune(
     drives: Places,
     /,

@@ -17,12 +17,8 @@ from pydantic import (
 )
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.names import NetworkName
-from sigmaswarm.filters.parameters import FilterKind, ModelName
-from sigmaswarm.records import read_content
-from sigmaswarm.simulation.conditions import PAPER_MANEUVERS
-from sigmaswarm.simulation.environments import ENVIRONMENTS
-from sigmaswarm.tuning.space import Scale
+from sigmaswarm.filters.names import FilterKind, ModelName, NetworkName
+from sigmaswarm.tuning.options import Scale
 from sigmaswarm.wording import first_mistake
 
 ALL = "all"
@@ -134,13 +130,20 @@ PAPER_RESULTS: dict[str, Any] = {
 Optimization for Inertial-GPS Sensor Fusion Systems", Tables I to III and Figure 2."""
 
 
+def _conditions() -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the paper's maneuvers and environments."""
+    from sigmaswarm.simulation import ENVIRONMENTS, PAPER_MANEUVERS  # slow, and not needed for the help
+
+    return PAPER_MANEUVERS, tuple(ENVIRONMENTS)
+
+
 class StudyConfig(BaseModel):
     """Configuration of a study. Defaults are the paper's values, if it states them."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
-    maneuvers: tuple[str, ...] = Field(default=PAPER_MANEUVERS, min_length=1)
-    environments: tuple[str, ...] = Field(default=tuple(ENVIRONMENTS), min_length=1)
+    maneuvers: tuple[str, ...] = Field(default_factory=lambda: _conditions()[0], min_length=1)
+    environments: tuple[str, ...] = Field(default_factory=lambda: _conditions()[1], min_length=1)
     runs: int = Field(default=20, ge=1)
     """Number of simulated drives of each maneuver in each environment."""
     imu: str = "icm-20602"
@@ -150,26 +153,29 @@ class StudyConfig(BaseModel):
     """Vibration of the IMU by road and engine, relative to real cars; a network may infer the speed from it."""
     terrain: str = "flat"
     drives: tuple[str, ...] = ()
-    """Folders of drives; simulated drives by default."""
+    """Folders or URLs of your own drives with truth, instead of simulated ones."""
     train_fraction: float = Field(default=0.7, gt=0, lt=1)
     """Share of the drives of each condition that are training drives; drawn again in each trial."""
     trials: int = Field(default=20, ge=2)
+    """Number of repetitions, each with another split and swarm."""
     particles: int = Field(default=30, ge=2)
+    """Size of the swarm."""
     generations: int = Field(default=50, ge=1)
-    """Number of generations, including the initial one: 30 x 50 are 1500 evaluations."""
+    """Generations of the swarm, including the initial one."""
     seed: int = Field(default=0, ge=0)
     """Seed of drives, splits and swarms."""
     per_condition: bool = False
-    """Tune a filter for each condition instead of one for all of them."""
+    """Tune one filter for each condition instead of one filter for all."""
     racing: bool | None = None
-    """Drop the worse candidates of a generation early. By default on if every tuning has many training drives
-    (`tuning.racing.MANY`)."""
+    """Evaluate worse candidates on few drives, which takes a fifth of the time. The paper does not (--no-racing). On
+    by default with many training drives."""
     rivals: bool = False
-    """Also tune a fuzzy filter, tune with Bayesian optimization, and train networks."""
+    """Also compare fuzzy rules, Bayesian optimization and two networks, also for other sensors and another car."""
     learn_minutes: float = Field(default=20.0, ge=2)
-    """Minutes of driving after the filters' start on which a network is trained, drawn from the training drives."""
+    """With --rivals: minutes of training data for each network, after the filters' start."""
     elsewhere: tuple[str, ...] = ()
-    """Folders of test drives with other sensors or of another car; simulated by default."""
+    """With --rivals: drives with truth from other sensors or another car. Without --drives and --elsewhere
+    they are simulated."""
 
     @property
     def simulated(self) -> dict[str, Any]:
@@ -224,6 +230,8 @@ def read_config(path: Path | None, **changes: Any) -> StudyConfig:
     """Read study.toml or use the defaults, and apply changes to the options."""
     options: dict[str, Any] = {}
     if path is not None:
+        from sigmaswarm.records import read_content  # slow, and not needed for the command line's help
+
         missing = "leave --config out for the paper's study"
         options = read_content(path, "name a readable TOML file", missing=missing)
     try:
