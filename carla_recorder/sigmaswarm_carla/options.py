@@ -96,7 +96,7 @@ class Options:
     )
     runs: int = _option(20, "Number of drives of each maneuver in each environment.")
     seed: int = _option(0, "Seed of the routes, the driver and the noise.")
-    map: str = _option("", "Town to load, such as Town06; by default the town that is loaded.")
+    map: str = _option("", "Town to load, such as Town06; by default the town that the server has loaded.")
     accel_noise: float = _option(0.001, "Standard deviation of each acceleration sample, m/s2.")
     gyro_noise: float = _option(0.001, "Standard deviation of each gyro sample, rad/s.")
     gyro_bias: float = _option(
@@ -104,7 +104,7 @@ class Options:
     )
     gps_noise: float = _option(0.56, "Standard deviation of each fix, m per axis.")
     timeout: float = _option(20.0, "Longest time to wait for an answer of the server, s.")
-    patience: float = _option(120.0, "Longest time to wait for a server that no longer answers, s.")
+    patience: float = _option(120.0, "Longest time to wait until a server that stopped answering answers again, s.")
     brake_sweep: bool = _option(
         False, "First measure the friction for several values of CARLA's tire_friction, and use the result."
     )

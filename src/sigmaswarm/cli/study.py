@@ -65,7 +65,7 @@ def study(
     quick
         Run a small study: 50 drives and 3 trials, in about half a minute.
     workers
-        Processes (on Linux) or threads, one per core by default; with --cluster, simultaneous tuning runs.
+        Number of processes (Linux) or threads, one per core by default; with --cluster, of simultaneous tuning runs.
     resume
         Continue an interrupted study. The result is the same.
     """

@@ -4,9 +4,9 @@ import math
 import re
 import warnings
 from collections.abc import Collection
-from dataclasses import fields, replace
+from dataclasses import field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import tomli_w
@@ -33,10 +33,29 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Limit = Annotated[float, Field(gt=0)]
 Gain = Annotated[float, Field(ge=1, allow_inf_nan=False)]
 Variances = Annotated[tuple[Real, ...], BeforeValidator(_as_tuple)]
+NIS, OF_STATED = "NIS, dimensionless", "of the stated variance, dimensionless"  # units
 
 
-def _option(default: Any) -> Any:
-    return Field(default=default, kw_only=True)
+class Search(NamedTuple):
+    """Search of a parameter: option of ``tune --use`` and bounds; ``spread``: the bounds span powers of ten."""
+
+    option: str
+    lowest: float
+    highest: float
+    spread: bool
+
+
+def _option(
+    default: Any,
+    unit: str = "",
+    use: str = "",
+    bounds: tuple[float, float] = (math.nan, math.nan),
+    *,
+    spread: bool = True,
+) -> Any:
+    """Describe an optional parameter; ``use`` and ``bounds`` are those of `Search`."""
+    about = {"unit": unit, "search": Search(use, *bounds, spread) if use else None}
+    return field(default=default, kw_only=True, metadata=about)
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
@@ -125,30 +144,32 @@ class FilterParameters:
     process_noise: Variances
     measurement_noise: Variances
     model: ModelName = "planar5"
-    nominal_interval: Positive | None = _option(None)
+    nominal_interval: Positive | None = _option(None, "s")
     kind: FilterKind = _option("ukf")
     forgetting: Annotated[float, Field(gt=0, lt=1)] = _option(0.98)
-    fuzzy_widths: tuple[Positive, Positive] = _option((0.3, 0.3))
-    fuzzy_gains: tuple[Gain, Gain] = _option((3.0, 3.0))
+    fuzzy_widths: tuple[Positive, Positive] = _option(
+        (0.3, 0.3), "in units of ratio and trend, which lie between -1 and 1"
+    )
+    fuzzy_gains: tuple[Gain, Gain] = _option((3.0, 3.0), "largest factors of R and Q")
     bias_std: tuple[Positive, Positive] = _option((0.3, 0.01))
     imu_noise: tuple[Positive, Positive] | tuple[Positive, Positive, Positive] = _option(IMU_NOISE)
-    imu_gate: tuple[Limit, Limit] = _option((math.inf, math.inf))
-    velocity_noise: Positive | None = _option(None)
-    lateral_noise: Positive | None = _option(None)
-    rear_axle: Real = _option(0.0)
-    tire_slip: Real = _option(0.0)
-    standstill_noise: Positive | None = _option(None)
-    odometer_noise: Positive | None = _option(None)
-    odometer_scale: Positive = _option(1.0)
-    odometer_latency: Real = _option(0.0)
-    heading_noise: Positive | None = _option(None)
-    gate: Positive | None = _option(None)
-    latency: Real = _option(0.0)
-    accuracy_scale: Positive | None = _option(None)
-    robust_dof: Positive | None = _option(None)
-    fix_error: Positive | None = _option(None)
-    fix_error_time: Positive = _option(5.0)
-    fix_std: Positive = _option(UNSTATED_GPS_STD)
+    imu_gate: tuple[Limit, Limit] = _option((math.inf, math.inf), NIS, "imu-gate", (4.0, 100.0))
+    velocity_noise: Positive | None = _option(None, MEASURED["velocity"], "velocity", (1e-4, 10.0))
+    lateral_noise: Positive | None = _option(None, MEASURED["lateral"], "lateral", (1e-4, 10.0))
+    rear_axle: Real = _option(0.0, "m", "lateral", (-1.0, 4.0), spread=False)
+    tire_slip: Real = _option(0.0, "s2/m", "slip", (0.0, 0.02), spread=False)
+    standstill_noise: Positive | None = _option(None, MEASURED["standstill"], "standstill", (1e-6, 1.0))
+    odometer_noise: Positive | None = _option(None, MEASURED["odometer"], "odometer", (1e-4, 10.0))
+    odometer_scale: Positive = _option(1.0, "reading divided by true speed", "odometer", (0.9, 1.1), spread=False)
+    odometer_latency: Real = _option(0.0, "s", "odometer", (0.0, 0.3), spread=False)
+    heading_noise: Positive | None = _option(None, MEASURED["heading"], "heading", (1e-7, 0.1))
+    gate: Positive | None = _option(None, NIS, "gate", (4.0, 100.0))
+    latency: Real = _option(0.0, "s", "latency", (0.0, 0.5), spread=False)
+    accuracy_scale: Positive | None = _option(None, OF_STATED, "accuracy", (1e-3, 10.0))
+    robust_dof: Positive | None = _option(None, "dimensionless", "robust", (1.0, 30.0))
+    fix_error: Positive | None = _option(None, OF_STATED, "fix-error", (1e-3, 4.0))
+    fix_error_time: Positive = _option(5.0, "s", "fix-error", (0.5, 300.0))
+    fix_std: Positive = _option(UNSTATED_GPS_STD, "m")
 
     def __post_init__(self) -> None:
         n = self.n_states
@@ -160,14 +181,13 @@ class FilterParameters:
             raise ValueError(f"measurement_noise needs 2 variances, got {len(self.measurement_noise)}")
         if n + self.kappa <= 0:
             raise ValueError(f"kappa must be greater than {-n} for {n} states, got {self.kappa}")
-        used = [option for option, name in _EXCLUSIVE.items() if getattr(self, name) is not None]
+        used = [option for option, name in _ACTIVATES.items() if getattr(self, name) is not None]
         if reason := clash(self.kind, used):
             raise ValueError(reason)
         known = MODELS[self.model].options
-        absent = "velocity_noise", "standstill_noise", "robust_dof", "fix_error"
-        for field in () if known is None else absent:
-            if getattr(self, field) is not None:
-                raise ValueError(f"{self.model} has no {field}; leave it out")
+        for option in used:
+            if known is not None and option not in known:
+                raise ValueError(f"{self.model} has no {_ACTIVATES[option]}; leave it out")
         if self.kernel not in FILTERS:
             raise ValueError(
                 f"fix_error can't be combined with {self.model} as {self.kind}; use ekf, or leave fix_error out"
@@ -281,10 +301,12 @@ class FilterParameters:
         return parameters
 
 
-_EXCLUSIVE = {"gate": "gate", "accuracy": "accuracy_scale", "robust": "robust_dof", "fix-error": "fix_error"}
-"""Options that exclude other options, and the fields that activate them."""
+SEARCHED: dict[str, Search] = {f.name: s for f in fields(FilterParameters) if (s := f.metadata.get("search"))}
+_ACTIVATES = {s.option: n for n, s in SEARCHED.items() if getattr(FilterParameters, n) is None}
+"""Options of ``tune --use``, and the fields that activate them."""
 _SCALED = (*NOISE_OF.values(), "accuracy_scale", "fix_error")
-"""Fields with variances or factors of variances, in addition to Q and R."""
+NOISES = ("process_noise", "measurement_noise", "imu_noise", *_SCALED)
+"""Fields with noise variances or factors of them; a common factor on all scales the covariance."""
 RULES_SINCE = (0, 3)  # version that introduced the present treatment of stale fixes, gaps and standstills
 
 
@@ -315,30 +337,16 @@ _ALWAYS_STATED = ("alpha", "beta", "kappa", "process_noise", "measurement_noise"
 
 def units(parameters: FilterParameters) -> dict[str, Any]:
     states = MODELS[parameters.model].states
-    known: dict[str, Any] = {
+    known: dict[str, Any] = {f.name: f.metadata.get("unit") for f in fields(parameters)}
+    known |= {
         "process_noise": [f"{state.variance_unit} per nominal IMU step" for state in states],
         "measurement_noise": ["m2", "m2"],
-        "nominal_interval": "s",
-        "fuzzy_widths": "in units of ratio and trend, which lie between -1 and 1",
-        "fuzzy_gains": "largest factors of R and Q",
         "bias_std": [sensor.unit for sensor in SENSORS.values()],
         "imu_noise": ["rad2/s2", "m2/s4", "m2/s4"][: len(parameters.imu_noise)],
-        **{noise: MEASURED[name] for name, noise in NOISE_OF.items()},
-        "rear_axle": "m",
-        "tire_slip": "s2/m",
-        "odometer_scale": "reading divided by true speed",
-        "odometer_latency": "s",
-        "gate": "NIS, dimensionless",
-        "imu_gate": ["NIS, dimensionless"] * 2,
-        "latency": "s",
-        "accuracy_scale": "of the stated variance, dimensionless",
-        "robust_dof": "dimensionless",
-        "fix_error": "of the stated variance, dimensionless",
-        "fix_error_time": "s",
-        "fix_std": "m",
+        "imu_gate": [NIS] * 2,
     }
     stated = parameters.to_dict()
-    return {k: v for k, v in known.items() if k in stated} | {"states": [s.name for s in states]}
+    return {k: v for k, v in known.items() if v and k in stated} | {"states": [s.name for s in states]}
 
 
 def densities(parameters: FilterParameters) -> dict[str, str]:

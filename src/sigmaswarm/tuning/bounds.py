@@ -10,15 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.filters.models import NOISE_OF
+from sigmaswarm.filters.parameters import NOISES
 from sigmaswarm.tuning.options import Scale
 
 BoundSide = Literal["lower", "upper"]
-NOISES = (
-    *("process_noise", "measurement_noise", "imu_noise", "accuracy_scale", "fix_error"),
-    *NOISE_OF.values(),
-)
-"""Fields of `FilterParameters` that are noise variances; a common factor on all scales the covariance."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
-from sigmaswarm.filters.parameters import FilterParameters, clash
+from sigmaswarm.filters.parameters import SEARCHED, FilterParameters, clash
 from sigmaswarm.filters.table import ParameterTable
 from sigmaswarm.tuning.bounds import Bounds, Dimension
 from sigmaswarm.tuning.options import Option, Scale
@@ -29,33 +29,6 @@ SCALING = (
     Dimension("kappa", "kappa", 0, 0.0, 5.0, spread=False),
 )
 """Scaling of the sigma points, with the paper's bounds."""
-OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
-    "velocity": (Dimension("velocity_noise", "velocity_noise", 0, 1e-4, 10.0),),
-    "lateral": (
-        Dimension("lateral_noise", "lateral_noise", 0, 1e-4, 10.0),
-        Dimension("rear_axle", "rear_axle", 0, -1.0, 4.0, spread=False),
-    ),
-    "slip": (Dimension("tire_slip", "tire_slip", 0, 0.0, 0.02, spread=False),),
-    "standstill": (Dimension("standstill_noise", "standstill_noise", 0, 1e-6, 1.0),),
-    "odometer": (
-        Dimension("odometer_noise", "odometer_noise", 0, 1e-4, 10.0),
-        Dimension("odometer_scale", "odometer_scale", 0, 0.9, 1.1, spread=False),
-        Dimension("odometer_latency", "odometer_latency", 0, 0.0, 0.3, spread=False),
-    ),
-    "heading": (Dimension("heading_noise", "heading_noise", 0, 1e-7, 0.1),),
-    "gate": (Dimension("gate", "gate", 0, 4.0, 100.0),),
-    "imu-gate": (
-        Dimension("gate_gyro", "imu_gate", 1, 4.0, 100.0),
-        Dimension("gate_accel", "imu_gate", 1, 4.0, 100.0),
-    ),
-    "latency": (Dimension("latency", "latency", 0, 0.0, 0.5, spread=False),),
-    "accuracy": (Dimension("accuracy_scale", "accuracy_scale", 0, 1e-3, 10.0),),
-    "robust": (Dimension("robust_dof", "robust_dof", 0, 1.0, 30.0),),
-    "fix-error": (
-        Dimension("fix_error", "fix_error", 0, 1e-3, 4.0),
-        Dimension("fix_error_time", "fix_error_time", 0, 0.5, 300.0),
-    ),
-}
 TIME = "fix_error_time"
 """Parameter that is searched only with truth, since the likelihood hardly depends on it."""
 LEAST_WHITE = 0.04
@@ -78,6 +51,8 @@ IMU_DIMENSIONS = (
     Dimension("r_accel", "imu_noise", 1, 1e-6, 1e2),
 )
 """Variances that the IMU's messages state, for robot-localization."""
+ENTRIES = {"imu_gate": ("gate_gyro", "gate_accel")}
+"""Names of the entries of a tuple."""
 ONE_NOISE = ("lateral", "odometer")
 """Options with only a noise parameter in robot-localization, whose twists are in m/s, at the IMU, without delay."""
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
@@ -232,7 +207,9 @@ def _dimensions(
         least = LEAST[name] if described.tilts else -math.inf
         yield Dimension(name, "bias_std", 1, *box, least=least)
     yield from KIND_DIMENSIONS.get(kind, ())
-    for option in OPTIONS:
-        if option in use:
-            wanted = OPTION_DIMENSIONS[option]
-            yield from wanted[:1] if described.measures_imu and option in ONE_NOISE else wanted
+    for option in (option for option in OPTIONS if option in use):
+        wanted = [name for name, search in SEARCHED.items() if search.option == option]
+        for field in wanted[:1] if described.measures_imu and option in ONE_NOISE else wanted:
+            _, *box, spread = SEARCHED[field]
+            for name in ENTRIES.get(field, (field,)):
+                yield Dimension(name, field, int(field in ENTRIES), *box, spread=spread)
