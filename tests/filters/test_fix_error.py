@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from filter_cases import parameters, rough, straying
+from oracles.smoother import smooth_textbook
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.events import FIX, LATERAL, STANDSTILL, events_of
@@ -24,7 +25,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Targets, run_steps, start_replays
 from sigmaswarm.filters.run import run_filter, run_innovations, run_textbook
 from sigmaswarm.filters.schedule import start_of
-from sigmaswarm.filters.smoothing import smooth, smooth_textbook
+from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.ekf import complex_step
 from support import quickly, sparse

@@ -10,6 +10,7 @@ import pytest
 
 from exported import needs_gcc
 from filter_cases import OPTIONS, equipped, parameters, straying
+from oracles.smoother import smooth_textbook
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.drives.events import FIX, HEADING, events_of
@@ -24,7 +25,7 @@ from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.run import run_filter, run_textbook
-from sigmaswarm.filters.smoothing import smooth, smooth_textbook
+from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.simulation.gps import GPS_GRADES

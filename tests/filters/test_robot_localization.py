@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from filter_cases import equipped
+from oracles.robot_localization import NAME, TextbookRobotLocalization
 from sigmaswarm import evaluate, export, tune
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Array, Odometer
@@ -27,7 +28,6 @@ from sigmaswarm.filters.packing import pack_states, state_estimate, unpack_state
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.replay import run_steps, start_replays
-from sigmaswarm.filters.robot_localization import NAME, TextbookRobotLocalization
 from sigmaswarm.filters.run import replay_of, run_filter, run_textbook
 from sigmaswarm.filters.schedule import measured_by
 from sigmaswarm.filters.smoothing import smooth

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
+from oracles.robot_localization import NAME
 from sigmaswarm import evaluate, tune
 from sigmaswarm.datasets.dataset import LocalDataset
 from sigmaswarm.drives.drive import Odometer
@@ -16,7 +17,6 @@ from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.exports.robot_localization import robot_localization
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import filter_for
-from sigmaswarm.filters.robot_localization import NAME
 from sigmaswarm.filters.robot_yaml import NOT_FUSED
 from sigmaswarm.tuning.space import search_space
 from support import make_drive

@@ -22,6 +22,7 @@ from filter_cases import (
 )
 from filters.test_consistency import band, draw, model_parameters, runs_needed, start, time_line
 from oracles.filterpy_car import upper_root_theta_first
+from oracles.smoother import smooth_textbook
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.split import clip
@@ -33,7 +34,7 @@ from sigmaswarm.filters.models import MODELS, planar5
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.filters.run import Estimate, estimates_of, replay_of, run_filter
-from sigmaswarm.filters.smoothing import Smoothing, smooth, smooth_textbook
+from sigmaswarm.filters.smoothing import Smoothing, smooth
 from sigmaswarm.geodesy import wrap_angle
 from support import quickly, sparse
 

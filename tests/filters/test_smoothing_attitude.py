@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from filter_cases import equipped, parameters
+from oracles.smoother import smooth_textbook
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.schedule import converted, start_of
-from sigmaswarm.filters.smoothing import smooth_textbook
 
 
 def thinned():

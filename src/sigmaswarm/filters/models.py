@@ -61,7 +61,19 @@ def planar8(state: Array, dt: float, imu: Array) -> Array:
 
 
 def robot_localization(state: Array, dt: float, imu: Array) -> Array:
-    """Propagate like robot_localization in ``two_d_mode``, without the IMU: see `filters.robot_localization`."""
+    """Propagate like the extended Kalman filter of ROS's robot_localization in ``two_d_mode``.
+
+    State: x, y (m), vx, vy (m/s, body), yaw (rad), ax, ay (m/s2, body), yaw rate (rad/s). From the previous state, with
+    A = vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2, a step of d seconds computes
+
+        x += cos(yaw) A - sin(yaw) B        y += sin(yaw) A + cos(yaw) B        yaw += d yaw rate
+        vx += d ax                          vy += d ay                          P = J P J' + d Q
+
+    The velocity does not rotate with the body, so in a turn a fused ay becomes lateral speed. Each measurement is of
+    single states: gz, ax and ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix, and yaw of two
+    antennas. A fix, gz or ax with nu' S^-1 nu >= threshold^2 is rejected. Source:
+    https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
+    """
     x, y, vx, vy, theta, ax, ay, yaw_rate = state
     a, b = vx * dt + ax * dt**2 / 2, vy * dt + ay * dt**2 / 2
     c, s = np.cos(theta), np.sin(theta)

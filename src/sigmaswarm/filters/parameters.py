@@ -75,7 +75,7 @@ class FilterParameters:
         planar5: x, y (m), vx, vy (m/s), theta (rad); the IMU is the input. planar8: also the biases of the
         accelerometer, forward and left (m/s2), and of the gyro (rad/s), as random walks. tilted12: also roll and pitch
         (rad), and the other two biases of the gyro; for an IMU with six axes.
-        robot-localization: the EKF of this ROS package in ``two_d_mode``, see `filters.robot_localization`.
+        robot-localization: the EKF of this ROS package in ``two_d_mode``, see `models.robot_localization`.
     nominal_interval : float or None
         IMU interval of ``process_noise``, s. None: the median interval of each drive. A tuning stores this interval, so
         that the filter adds the same variance per second with an IMU of another rate.

@@ -27,12 +27,10 @@ from sigmaswarm.filters.divergence import DivergenceMonitor
 from sigmaswarm.filters.models import THETA, require_driven_by_imu
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import SAMPLES, Piece, Recording, failure_at
+from sigmaswarm.filters.recording import SAMPLES, Piece, Recording
 from sigmaswarm.filters.replay import Replay, require_readable
 from sigmaswarm.filters.run import Estimate, estimate_of, replay_of
 from sigmaswarm.filters.schedule import measured_by
-from sigmaswarm.filters.textbook.car import TextbookCar
-from sigmaswarm.filters.textbook.loop import smooth_steps
 from sigmaswarm.geodesy import wrap_angle
 
 
@@ -228,27 +226,3 @@ class Smoothing:
         mean, covariance = state_estimate(states.T, self._kernel)
         mean[:, THETA] = wrap_angle(mean[:, THETA])
         return mean, covariance
-
-
-def smooth_textbook(
-    drive: Drive | PreparedDrive,
-    parameters: FilterParameters,
-    *,
-    initial: InitialState | None = None,
-    heading_first: bool = True,
-) -> Estimate:
-    """Smooth the textbook filter; parameters as in `run_textbook`. The estimate ends if the filter fails."""
-    replay = replay_of(drive, initial)
-    line = replay.timeline
-    car = TextbookCar(line, parameters, replay.initial, heading_first=heading_first)
-    tilts = car.model.tilts
-    retraction = {"plus": tilts.plus, "minus": tilts.minus} if tilts else {}
-    found = smooth_steps(car, len(line.dt), **retraction)
-    sampled = np.flatnonzero(line.sampled[: len(found.mean) - 1]) + 1
-    mean, covariance = found.mean[sampled], found.covariance[sampled]
-    mean[:, THETA] = wrap_angle(mean[:, THETA])
-    failure = failure_at(line, line.end[found.failed]) if found.failed >= 0 else None
-    covariance = tilts.as_angles(mean, covariance) if tilts else covariance
-    n = parameters.n_states
-    start = InitialState(found.mean[0, :n], found.covariance[0, :n, :n], replay.initial.time)
-    return Estimate(line.imu_time[: len(sampled)], mean[:, :n], covariance[:, :n, :n], start, failure)

@@ -1,6 +1,6 @@
 """The extended filter of robot_localization in ``two_d_mode``, for many parameter sets at once.
 
-`filters.robot_localization` contains the equations and the textbook form. The eight states are in planar8's rows: x, y,
+`models.robot_localization` contains the equations. The eight states are in planar8's rows: x, y,
 vx, vy (body), yaw, ax, ay (body), yaw rate. F is a product of elementary matrices, one for each row that differs from
 the identity. R is diagonal, so sequential updates with single states equal the joint update.
 """

@@ -1,16 +1,4 @@
-"""Extended Kalman filter of ROS's robot_localization in ``two_d_mode``, with the eight planar states.
-
-State: x, y (m), vx, vy (m/s, body), yaw (rad), ax, ay (m/s2, body), yaw rate (rad/s). From the previous state, with A =
-vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2, a step of d seconds computes
-
-    x += cos(yaw) A - sin(yaw) B        y += sin(yaw) A + cos(yaw) B        yaw += d yaw rate
-    vx += d ax                          vy += d ay                          P = J P J' + d Q
-
-The velocity does not rotate with the body, so in a turn a fused ay becomes lateral speed. Each measurement is of single
-states: gz, ax and ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix, and yaw of two antennas. A fix,
-gz or ax with nu' S^-1 nu >= threshold^2 is rejected. Source: https://github.com/cra-ros-pkg/robot_localization, branch
-rolling-devel.
-"""
+"""The filter of `models.robot_localization` in NumPy, one measurement at a time."""
 
 import numpy as np
 
@@ -26,10 +14,9 @@ X, Y, VX, VY, YAW, AX, AY, VYAW = range(8)
 
 
 class TextbookRobotLocalization:
-    """The filter in NumPy, one measurement at a time.
+    """An extended Kalman filter; ``mean`` (8,) and ``covariance`` (8, 8) are in the order of the model's states.
 
-    ``process_noise`` refers to ``nominal_interval``, 1 s by default. ``mean`` (8,) and ``covariance`` (8, 8) are in the
-    order of the module's docstring.
+    ``process_noise`` refers to ``nominal_interval``, 1 s by default.
     """
 
     def __init__(self, parameters: FilterParameters, mean: Array, covariance: Array) -> None:

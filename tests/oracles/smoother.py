@@ -1,0 +1,38 @@
+"""The smoother of a car's filter in textbook form."""
+
+import numpy as np
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recording import failure_at
+from sigmaswarm.filters.run import Estimate, replay_of
+from sigmaswarm.filters.textbook.car import TextbookCar
+from sigmaswarm.filters.textbook.loop import smooth_steps
+from sigmaswarm.geodesy import wrap_angle
+
+
+def smooth_textbook(
+    drive: Drive | PreparedDrive,
+    parameters: FilterParameters,
+    *,
+    initial: InitialState | None = None,
+    heading_first: bool = True,
+) -> Estimate:
+    """Smooth the textbook filter; parameters as in `run_textbook`. The estimate ends if the filter fails."""
+    replay = replay_of(drive, initial)
+    line = replay.timeline
+    car = TextbookCar(line, parameters, replay.initial, heading_first=heading_first)
+    tilts = car.model.tilts
+    retraction = {"plus": tilts.plus, "minus": tilts.minus} if tilts else {}
+    found = smooth_steps(car, len(line.dt), **retraction)
+    sampled = np.flatnonzero(line.sampled[: len(found.mean) - 1]) + 1
+    mean, covariance = found.mean[sampled], found.covariance[sampled]
+    mean[:, THETA] = wrap_angle(mean[:, THETA])
+    failure = failure_at(line, line.end[found.failed]) if found.failed >= 0 else None
+    covariance = tilts.as_angles(mean, covariance) if tilts else covariance
+    n = parameters.n_states
+    start = InitialState(found.mean[0, :n], found.covariance[0, :n, :n], replay.initial.time)
+    return Estimate(line.imu_time[: len(sampled)], mean[:, :n], covariance[:, :n, :n], start, failure)
