@@ -28,7 +28,7 @@ from sigmaswarm.reports.evaluation import save_evaluation
 from sigmaswarm.reports.folders import read_report
 from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.tracks import load_tracks
-from sigmaswarm.tuning.record import History, TuningRecord
+from sigmaswarm.tuning.record import TuningRecord, history_of, load_history
 from sigmaswarm.tuning.store import ResultFolder, finished_trial
 from support import make_drive, no_pictures
 
@@ -54,7 +54,7 @@ RECORDS: dict[str, Callable[[Path], object]] = {
     "result.json": lambda path: finished_trial(path.parent.parent, 0),
     "history.npz": lambda path: finished_trial(path.parent.parent, 0),
     "tracks.npz": load_tracks,
-    "convergence.csv": History.load,
+    "convergence.csv": load_history,
 }
 
 
@@ -318,12 +318,11 @@ def test_a_damaged_filter_is_one_line(how: str, tmp_path: Path):
 def test_report_refuses_the_history_of_another_tuning(how: str, tmp_path: Path):
     drive, options = make_drive(duration=20.0, imu_rate=50.0), {"particles": 3, "generations": 2, "trials": 2}
     file = tmp_path / "a" / "convergence.csv"
-    History.of(tune(drive, out=tmp_path / "a", **options).trials).save(file)
+    file.write_text(history_of(tune(drive, out=tmp_path / "a", **options).trials).write_csv())
     read_report(tmp_path / "a")
     lines = file.read_text().splitlines()
     if how == "another tuning":
-        other = History.of(tune(drive, seed=1, **options).trials)
-        lines = other.save(tmp_path / "other.csv").read_text().splitlines()
+        lines = history_of(tune(drive, seed=1, **options).trials).write_csv().splitlines()
     elif how == "fewer trials":
         lines = [line for line in lines if not line.startswith("1,")]
     elif how == "more trials":

@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
 from sigmaswarm.errors import InputError
+from sigmaswarm.files import write_whole
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.records import load_record
 from sigmaswarm.reports.commands import tune_command
@@ -23,7 +25,7 @@ from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tables import Cell, Column, Table
 from sigmaswarm.tuning.config import SWARM
 from sigmaswarm.tuning.diagnostics import said_of_forecasts
-from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, History, TuningRecord
+from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, TuningRecord, history_of, load_history
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
 from sigmaswarm.wording import counted
@@ -52,39 +54,37 @@ def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Pa
 
 
 def save_history(tuning: Tuning, folder: Path) -> None:
-    History.of(tuning.trials).save(folder / HISTORY_FILE)
+    write_whole(folder / HISTORY_FILE, history_of(tuning.trials).write_csv())
 
 
 def convergence(tuning: Tuning) -> Figure:
-    chart = _convergence_chart(History.of(tuning.trials), tuning.best_trial, tuning.config.objective)
+    chart = _convergence_chart(history_of(tuning.trials), tuning.best_trial, tuning.config.objective)
     return figure_of(chart, size=(6.4, 4.0))
 
 
-def _convergence_chart(history: History, best_trial: int, objective: str) -> Chart:
+def _convergence_chart(history: pl.DataFrame, best_trial: int, objective: str) -> Chart:
     """Draw the best cost so far and the median cost of each generation, the best trial bold.
 
     The scale is logarithmic if all costs are positive. The cost of a likelihood may be negative.
     """
 
     def draw(ax: Axes) -> None:
-        for trial in history.trials:
-            best = trial.trial == best_trial
+        for (number,), rows in history.group_by("trial", maintain_order=True):
+            best = number == best_trial
             for costs, name, look in (
-                (trial.best, "best so far", Look(BLUE, 2.0 if best else 1.0)),
-                (trial.median, "median of the generation", Look(ORANGE, 1.0, "--")),
+                ("best_cost", "best so far", Look(BLUE, 2.0 if best else 1.0)),
+                ("median_cost", "median of the generation", Look(ORANGE, 1.0, "--")),
             ):
                 shown = look if best else replace(look, opacity=0.35)
-                curve(ax, trial.generation, costs, shown, name if best else "")
-        costs = np.concatenate(
-            [np.asarray(c, np.float64) for t in history.trials for c in (t.best, t.median)]
-        )
+                curve(ax, rows["generation"], rows[costs], shown, name if best else "")
+        costs = history["best_cost", "median_cost"].to_numpy()
         if np.all(costs[np.isfinite(costs)] > 0):
             logarithmic(ax.yaxis)
         ax.yaxis.set_major_formatter("{x:g}")
         ax.yaxis.set_minor_formatter("{x:g}")
         ax.set(xlabel="generation", ylabel=f"cost: {objective}")
 
-    n = len(history.trials)
+    n = history["trial"].n_unique()
     return Chart(f"Convergence, {n} trials (the best one bold)" if n > 1 else "Convergence", draw)
 
 
@@ -205,8 +205,9 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
     if not path.exists() or file.result is None:
         return ()
     best, costs = file.result.best_trial, file.result.trial_costs
-    history = History.load(path)
-    if not np.array_equal([trial.best[-1] for trial in history.trials], costs):
+    history = load_history(path)
+    last = history.group_by("trial", maintain_order=True).last()
+    if not np.array_equal(last["best_cost"], costs):
         raise InputError(
             f"{path}: does not belong to the {FILE} in this folder; repeat the command, or restore the original file"
         )

@@ -1,7 +1,7 @@
 """The optimization problem of a tuning run."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -60,8 +60,8 @@ class Problem(ABC, Generic[P]):
     data: list[dict[str, Any]]
 
     @property
-    def seen(self) -> Sequence[Landmarks]:
-        """Landmarks that identify each drive; empty for logs of a custom model."""
+    def seen(self) -> Iterable[Landmarks]:
+        """Landmarks that identify each drive; none for logs of a custom model."""
         return ()
 
     @property
@@ -130,15 +130,15 @@ class CarProblem(Problem[FilterParameters]):
     def _receiver_std(self) -> Array:  # m, shape (m, 2)
         return np.array([one.receiver_std for one in self.sensors])
 
-    @property
-    def seen(self) -> Sequence[Landmarks]:
-        """Landmarks of each drive; those of a remote dataset are fetched on access, to save memory."""
-        dataset = self.replays.dataset
-        return self._landmarks if isinstance(dataset, LocalDataset) else LandmarksOf(dataset)
-
     @cached_property
-    def _landmarks(self) -> tuple[Landmarks, ...]:
-        return tuple(self.replays.dataset.map(landmarks))
+    def _landmarks(self) -> list[Landmarks]:
+        return self.replays.dataset.map(landmarks)
+
+    @property
+    def seen(self) -> Iterable[Landmarks]:
+        """Landmarks of each drive; those of a remote dataset are computed one by one, to save memory."""
+        dataset = self.replays.dataset
+        return self._landmarks if isinstance(dataset, LocalDataset) else dataset.imap(landmarks)
 
     @property
     def steps(self) -> NDArray[np.int64]:
@@ -192,24 +192,6 @@ class CarProblem(Problem[FilterParameters]):
                 correlations = replays.of_each_prepared(partial(correlation_of, parameters=parameters))
                 found += correlation_warnings(parameters, correlations, self.config.use)
         return found
-
-
-@dataclass(frozen=True, eq=False)
-class LandmarksOf(Sequence[Landmarks]):
-    """Landmarks of a remote dataset, computed on access."""
-
-    dataset: Dataset
-
-    def __len__(self) -> int:
-        return len(self.dataset)
-
-    def __getitem__(self, k: Any) -> Any:
-        places = range(len(self))[k]
-        found = self.dataset.subset([places] if isinstance(places, int) else places).map(landmarks)
-        return found[0] if isinstance(places, int) else found
-
-    def __iter__(self) -> Iterator[Landmarks]:
-        return self.dataset.imap(landmarks)
 
 
 def costs_of_each(objective: str, scores: Scores) -> Array:

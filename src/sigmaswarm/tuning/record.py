@@ -1,20 +1,17 @@
 """The files tuning.toml and convergence.csv."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 import polars as pl
 from pydantic import AliasChoices, BaseModel, BeforeValidator, Field
 
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.drives.mounting import Angles, common_mounting
 from sigmaswarm.drives.overlap import SEEN_FILE, Landmarks, load_landmarks, whole_drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import write_whole
 from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.filters.robot_yaml import YAML
 from sigmaswarm.limits import require_text
@@ -32,6 +29,11 @@ NOT_VALIDATED = (
 """Remark that is omitted after an evaluation. It is recognized in files by its text, so do not change it."""
 FILE = "tuning.toml"
 HISTORY_FILE = "convergence.csv"
+CONVERGENCE = {
+    **dict.fromkeys(("trial", "generation"), pl.Int64()),
+    **dict.fromkeys(("best_cost", "median_cost"), pl.Float64()),
+}
+"""Columns of convergence.csv."""
 
 
 class ResultRecord(BaseModel):
@@ -52,10 +54,10 @@ class ResultRecord(BaseModel):
     )
     unidentified: list[str] = Field(default_factory=list)
     remarks: list[str] = Field(default_factory=list)
-    warnings: list[str] = Field(default_factory=list, validation_alias=AliasChoices("warnings", "doubts"))
+    warnings: tuple[str, ...] = Field(default=(), validation_alias=AliasChoices("warnings", "doubts"))
     """Remarks that depend on the training data."""
     best_trial: int = 0
-    trial_costs: list[float] = Field(default_factory=list)
+    trial_costs: tuple[float, ...] = ()
     evaluations: int = 0
     failures: int = 0
     filter_steps: int = 0
@@ -128,46 +130,22 @@ def seen_by(file: Path) -> list[Landmarks]:
     return [whole_drive(d.name, d.sha256, d.duration_s or 0.0) for d in data if d.sha256]
 
 
-@dataclass(frozen=True, eq=False)
-class TrialHistory:
-    """Lowest cost so far and median of each generation, shape (g,)."""
+def history_of(trials: Sequence[Trial]) -> pl.DataFrame:
+    """Return the table of convergence.csv: lowest cost so far and median cost of each generation."""
+    rows = [
+        (number, generation, *costs)
+        for number, trial in enumerate(trials)
+        for generation, costs in enumerate(zip(trial.best.tolist(), trial.median.tolist(), strict=True), 1)
+    ]
+    return pl.DataFrame(rows, CONVERGENCE, orient="row")
 
-    trial: int
-    generation: Array
-    best: Array
-    median: Array
 
-
-@dataclass(frozen=True, eq=False)
-class History:
-    trials: tuple[TrialHistory, ...]
-
-    @classmethod
-    def of(cls, trials: Sequence[Trial]) -> "History":
-        each = enumerate(trials)
-        return cls(tuple(TrialHistory(i, np.arange(1.0, len(t.best) + 1), t.best, t.median) for i, t in each))
-
-    def save(self, path: Path) -> Path:
-        lines = ["trial,generation,best_cost,median_cost"]
-        for one in self.trials:
-            rows = zip(one.best.tolist(), one.median.tolist(), strict=True)
-            lines += [f"{one.trial},{g},{best!r},{median!r}" for g, (best, median) in enumerate(rows, 1)]
-        write_whole(path, "\n".join(lines) + "\n")
-        return path
-
-    @classmethod
-    def load(cls, path: Path) -> "History":
-        whole, real = pl.Int64(), pl.Float64()
-        numbers = {"trial": whole, "generation": whole, "best_cost": real, "median_cost": real}
-        try:
-            require_text(path)
-            table = pl.read_csv(path, glob=False, schema_overrides=numbers).select(list(numbers))
-            if table.is_empty() or table.select("trial", "generation").null_count().sum_horizontal().item():
-                raise InputError("a row without a trial")
-        except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError):
-            raise InputError(f"{path}: not readable; repeat `sigmaswarm tune`") from None
-        trials = [
-            (rows["trial"][0], rows.select(pl.exclude("trial").cast(real).fill_null(np.nan)).to_numpy().T)
-            for _, rows in table.group_by("trial", maintain_order=True)
-        ]
-        return cls(tuple(TrialHistory(int(number), *columns) for number, columns in trials))
+def load_history(path: Path) -> pl.DataFrame:
+    try:
+        require_text(path)
+        table = pl.read_csv(path, glob=False, schema_overrides=CONVERGENCE).select(list(CONVERGENCE))
+        if table.is_empty() or table.select("trial", "generation").null_count().sum_horizontal().item():
+            raise InputError("a row without a trial")
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError):
+        raise InputError(f"{path}: not readable; repeat `sigmaswarm tune`") from None
+    return table.with_columns(pl.col("best_cost", "median_cost").fill_null(math.nan))

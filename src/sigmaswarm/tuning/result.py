@@ -42,6 +42,11 @@ OF_THESE_SENSORS = (
     "may be far less accurate than the fixes. For other sensors tune without truth (--objective innovation-t)"
 )
 MORE_DRIVES = "tune on more drives, or on drives that resemble the validation drives"
+STORED = (
+    *("cost", "start_cost", "inflation_factor", "touched_bounds", "warnings"),
+    *("best_trial", "trial_costs", "evaluations", "failures"),
+)
+"""Attributes of `Tuning` with the same name in the file."""
 LARGE_GAP = 0.2  # relative increase of the errors on validation drives
 
 
@@ -145,38 +150,25 @@ class Tuning(Generic[P]):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of tuning.toml as plain types."""
+        v = self.validation
         result: dict[str, Any] = {
-            "cost": self.cost,
+            **{name: getattr(self, name) for name in STORED},
             "objective": self.config.objective,
             "objective_meaning": self._meaning(),
-        }
-        if self.validation:
-            result |= {
-                "validation_cost": self.validation.cost,
-                "validation_gap": self.validation.gap,
-                "validation_drives": list(self.validation.drives),
-            }
-        if self.inflation_factor != 1.0:
-            result["inflation_factor"] = self.inflation_factor
-        if self.start_cost is not None:
-            result["start_cost"] = self.start_cost
-        result |= {
+            "validation_cost": v and v.cost,
+            "validation_gap": v and v.gap,
+            "validation_drives": v and v.drives,
+            "inflation_factor": None if self.inflation_factor == 1.0 else self.inflation_factor,
             "touched_bounds": [str(touched) for touched in self.touched_bounds],
             "unidentified": self.unidentified,
             "remarks": self.remarks,
-            "warnings": list(self.warnings),
-            "best_trial": self.best_trial,
-            "trial_costs": list(self.trial_costs),
-            "evaluations": self.evaluations,
-            "failures": self.failures,
             "filter_steps": self.steps,
             "filter_steps_without_racing": self.full_steps,
+            "lower_cost_at": {s.name: s.lowest_rise for s in self.sensitivities if s.lowest_rise < 0} or None,
         }
-        if lower := {s.name: s.lowest_rise for s in self.sensitivities if s.lowest_rise < 0}:
-            result["lower_cost_at"] = lower
         return {
             **self._filter(),
-            "result": result,
+            "result": {k: [*x] if isinstance(x, tuple) else x for k, x in result.items() if x is not None},
             "within_1_percent_of_the_cost": {
                 s.name: ["-" if end is None else end for end in (s.lowest, s.highest)]
                 for s in self.sensitivities
@@ -287,27 +279,20 @@ class Tuning(Generic[P]):
         )
         validation = None
         if result.validation_cost is not None and result.validation_gap is not None:
-            names = tuple(result.validation_drives)
-            validation = Validation(result.validation_cost, result.validation_gap, names)
+            validation = Validation(
+                result.validation_cost, result.validation_gap, tuple(result.validation_drives)
+            )
         return Tuning(
+            **{name: getattr(result, name) for name in STORED},
             parameters=parameters,
-            cost=result.cost,
-            touched_bounds=result.touched_bounds,
-            trial_costs=tuple(result.trial_costs),
-            best_trial=result.best_trial,
             config=config,
             trials=saved_trials(file.parent, len(result.trial_costs)),
-            evaluations=result.evaluations,
-            failures=result.failures,
             steps=result.filter_steps,
             full_steps=result.filter_steps_without_racing,
             data=[drive.model_dump(exclude_unset=True) for drive in record.data],
             seen=tuple(seen_by(file)),
-            warnings=tuple(result.warnings),
             sensitivities=sensitivities,
             validation=validation,
-            inflation_factor=result.inflation_factor,
-            start_cost=result.start_cost,
             fixes_alone=record.fixes_alone,
             forecasts=tuple(record.forecasts),
         )

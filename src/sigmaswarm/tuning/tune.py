@@ -147,11 +147,12 @@ def tune(
 
 def _landmarks_of(problem: Problem[Any], folder: ResultFolder | None) -> Sequence[Landmarks]:
     """Save and return the landmarks of the drives, since a cluster may stop before they are needed."""
-    if folder is None or not problem.seen:
-        return tuple(problem.seen)
+    seen = problem.seen
+    if folder is None or not seen:
+        return tuple(seen)
     file, names = folder.path / SEEN_FILE, tuple((entry["name"], entry["sha256"]) for entry in problem.data)
-    save_landmarks(problem.seen, file, names)
-    return problem.seen if isinstance(problem.seen, tuple) else SavedLandmarks(file, names)
+    save_landmarks(seen, file, names)
+    return seen if isinstance(seen, Sequence) else SavedLandmarks(file, names)
 
 
 def _problem_of(
@@ -267,7 +268,6 @@ def tune_problem(
         steps=sum(int(trial.steps[-1]) for trial in trials),
         full_steps=int(problem.steps.sum()) * evaluations,
         data=problem.data,
-        seen=problem.seen,
         warnings=tuple(problem.warnings(point)) if diagnose else (),
         fixes_alone=noise,
         forecasts=tuple(problem.forecasts(point, noise)) if noise else (),
@@ -286,7 +286,7 @@ def check_apart(problem: Problem[Any], held_back: Problem[Any]) -> None:
     both = [entry["name"] for entry in held_back.data if entry["sha256"] in seen]
     if both:
         raise InputError(f"{both[0]} is also a training drive; use other drives for validation")
-    known = tuple(problem.seen) if len(held_back.seen) else ()
+    known = tuple(problem.seen)
     for drive in held_back.seen:
         if found := overlap_of(drive, known):
             raise InputError(
