@@ -22,8 +22,8 @@ from sigmaswarm.learned.cells import new_weights
 from sigmaswarm.learned.fitting import Lesson, Schedule, exact, fit
 from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.learned.learn import LEARNERS, LearnConfig, learn
-from sigmaswarm.learned.noise_filter import Settings, columns_of, require_supported, run
 from sigmaswarm.learned.noise_gru import FEATURES, NoiseRun
+from sigmaswarm.learned.noise_training import require_supported
 from support import make_drive, quickly, require, sparse
 
 require("optax", "JAX and Optax are not installed (extra learned)")
@@ -40,6 +40,8 @@ ONE_STEP = Schedule(0.01, epochs=1, batch=1, patience=5, seed=0)
 def test_the_filter_that_is_trained_through_is_the_compiled_one(model: str, option: dict[str, float]):
     """With scales of one and with those of a network, over a whole drive."""
     import jax
+
+    from sigmaswarm.learned.noise_filter import Settings, columns_of, run
 
     p, replay = parameters(model, kind="ekf", **option), replay_of(sparse(equipped()))
     weights = new_weights(np.random.default_rng(0), 3, FEATURES, 5, 2)

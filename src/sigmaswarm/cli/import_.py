@@ -179,43 +179,28 @@ def import_(
 
 
 def _request(source: Path, options: ImportOptions) -> "Request":
-    from sigmaswarm.importing.convert import Request
-    from sigmaswarm.importing.recipe import Recipe
-    from sigmaswarm.importing.source import Choice, Limits
+    from sigmaswarm.importing.convert import request_of
+    from sigmaswarm.importing.source import ROLES, Choice, Limits
 
-    topics = {
-        name: getattr(options, f"{name}_topic")
-        for name in ("imu", "gps", "velocity", "truth", "odometer", "mag")
-    }
-    settings: dict[str, Any] = {
-        "mount": options.mount,
-        "gps_offset_s": options.gps_offset,
-        "truth_offset_s": options.truth_offset,
-        "odometer_offset_s": options.odometer_offset,
+    topics = {name: getattr(options, f"{name}_topic", None) for name in (*ROLES, "velocity")}
+    limits = {name: getattr(options, f"max_{name}") for name in ("rows", "columns", "unpacked_mb")}
+    for name, value in limits.items():
+        if value is not None and value < 1:
+            raise InputError(f"--max-{name.replace('_', '-')} {value}: must be above 0")
+    same = ("format", "gps", "truth", "odometer", "recipe", "time", "part", "mount")
+    settings = {
+        **{name: getattr(options, name) for name in same},
+        **{f"{name}_offset_s": getattr(options, f"{name}_offset") for name in ("gps", "truth", "odometer")},
+        "maps": options.map,
+        "definitions": options.msg,
+        "choice": Choice({k: v for k, v in topics.items() if v}, options.receive_times),
+        "limits": Limits(**{name: value for name, value in limits.items() if value is not None}),
         "declination_deg": options.declination,
         "origin": numbers_of(options.origin, 3, "--origin", "50.1,8.7,120"),
         "gps_lever_arm_m": numbers_of(options.lever_arm, 3, "--lever-arm", "1.2,0,0.5"),
         "gps_from_truth": numbers_of(options.gps_from_truth, 2, "--gps-from-truth", "5,1"),
     }
-    recipe = Recipe.load(options.recipe) if options.recipe else Recipe()
-    limits = {name: getattr(options, f"max_{name}") for name in ("rows", "columns", "unpacked_mb")}
-    for name, value in limits.items():
-        if value is not None and value < 1:
-            raise InputError(f"--max-{name.replace('_', '-')} {value}: must be above 0")
-    return Request(
-        source=source,
-        gps=options.gps,
-        truth=options.truth,
-        odometer=options.odometer,
-        form=options.format,
-        recipe=replace(recipe, **{key: value for key, value in settings.items() if value is not None}),
-        maps=options.map or (),
-        time=options.time,
-        choice=Choice({k: v for k, v in topics.items() if v}, options.receive_times),
-        limits=Limits(**{name: value for name, value in limits.items() if value is not None}),
-        part=options.part,
-        definitions=options.msg or (),
-    )
+    return request_of(source, {key: value for key, value in settings.items() if value is not None})
 
 
 def _import(request: "Request", out: Path, options: ImportOptions) -> None:

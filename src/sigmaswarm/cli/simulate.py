@@ -1,7 +1,7 @@
 """`sigmaswarm simulate`."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -78,20 +78,6 @@ class SimulateOptions:
     json: Json = False
 
 
-OF_A_DRIVE = (
-    "seed",
-    "imu",
-    "gps",
-    "vehicle",
-    "duration",
-    "gnss_degradation",
-    "terrain",
-    "odometer",
-    "heading",
-)
-"""Options with the same name in `sigmaswarm.simulate`."""
-
-
 def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
     """Simulate drives with known truth.
 
@@ -107,12 +93,13 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
     """
     from sigmaswarm.simulation import ENVIRONMENTS, PAPER_MANEUVERS
     from sigmaswarm.simulation.conditions import simulated_on
-    from sigmaswarm.simulation.scenarios import drive_name
+    from sigmaswarm.simulation.scenarios import Scenario, drive_name
 
     out, runs = options.out, options.runs
     maneuvers = list(dict.fromkeys(options.maneuver or PAPER_MANEUVERS))
     environments = list(dict.fromkeys(options.environment or ENVIRONMENTS))
-    made_with: dict[str, Any] = {name: getattr(options, name) for name in OF_A_DRIVE}
+    shared = {field.name for field in fields(Scenario)} - {"maneuver", "environment"}
+    made_with = {name: value for name, value in vars(options).items() if name in shared}
     made_with |= {"jitter": JITTER * options.jitter, "vibration": float(options.vibration)}
     names = [drive_name(m, e, run) for m in maneuvers for e in environments for run in range(runs)]
     kept = made_with["leave_out"] = _kept(out, names, options.resume, made_with)

@@ -1,18 +1,19 @@
 """The extended Kalman filter of planar5 and planar8 in JAX, to train `noise-gru` with gradients.
 
 It is the textbook form with the steps of `schedule`, but does not use receiver's velocity or odometer, or reset the
-filter after a divergence.
+filter after a divergence. This module needs JAX, the extra ``learned``.
 """
 
 from dataclasses import dataclass
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.events import FIX, IMU, LATERAL, STANDSTILL, events_of
 from sigmaswarm.drives.timeline import AX, AY, DT, GAP, GZ, Q_SCALE
-from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import GYRO_BIAS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay
@@ -34,18 +35,6 @@ N_COLUMNS = 14
 dt, q_scale, gap, ax, ay, gz; flags of a fix, a sample, a lateral update and a standstill; x, y of the fix, m, and its
 stated variances, m2.
 """
-
-
-def require_supported(p: FilterParameters) -> None:
-    if p.model not in ("planar5", "planar8"):
-        raise InputError(f"noise-gru does not support {p.model}; tune planar8, and train noise-gru for it")
-    if p.kind not in ("ukf", "ekf"):
-        raise InputError(
-            f"{p.kind} adapts its noise, so noise-gru does not support this kind; tune a ukf or an ekf"
-        )
-    for name in ("velocity_noise", "odometer_noise", "heading_noise", "fix_error"):
-        if getattr(p, name) is not None:
-            raise InputError(f"noise-gru does not support {name}; tune a filter without it")
 
 
 def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array]:
@@ -74,8 +63,6 @@ class Settings:
 
 
 def _inverse(s: Any) -> Any:
-    import jax.numpy as jnp
-
     det = s[0, 0] * s[1, 1] - s[0, 1] * s[1, 0]
     return jnp.array([[s[1, 1], -s[0, 1]], [-s[1, 0], s[0, 0]]]) / det
 
@@ -90,8 +77,6 @@ def _update(m: Any, c: Any, h: Any, nu: Any, noise: Any, use: Any) -> tuple[Any,
 
 def _predict(q: Array, m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
     """Return mean and covariance after a step, with ``scale`` times Q."""
-    import jax.numpy as jnp
-
     n = len(m)
     dt, gap = u[DT], u[GAP]
     cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
@@ -121,8 +106,6 @@ def _predict(q: Array, m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
 
 def _weight(dof: float, seen: Any, noise: Any, nu: Any) -> Any:
     """Weight a fix by Student's t: see `measurements._weigh`."""
-    import jax.numpy as jnp
-
     weight = 1.0
     for _ in range(ITERATIONS):
         a = noise / weight
@@ -138,8 +121,6 @@ def _take_fix(settings: Settings, state: tuple[Any, ...], u: Any, scale: Any) ->
 
     Also return nu, m, and xx, xy, yy of S, m2, before the update.
     """
-    import jax.numpy as jnp
-
     (m, c, rejected), p = state, settings.parameters
     cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
     lx, ly = settings.lever
@@ -160,8 +141,6 @@ def _take_fix(settings: Settings, state: tuple[Any, ...], u: Any, scale: Any) ->
 
 
 def _take_lateral(p: FilterParameters, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
-    import jax.numpy as jnp
-
     n, cos, sin = len(m), jnp.cos(m[THETA]), jnp.sin(m[THETA])
     forward, left = cos * m[2] + sin * m[3], cos * m[3] - sin * m[2]
     row = jnp.zeros((1, n)).at[0, 2].set(-sin).at[0, 3].set(cos).at[0, THETA].set(-forward)
@@ -173,8 +152,6 @@ def _take_lateral(p: FilterParameters, m: Any, c: Any, u: Any) -> tuple[Any, Any
 
 def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
     """Update with a velocity of zero, and with the gyro's reading at rest as its bias."""
-    import jax.numpy as jnp
-
     n = len(m)
     still = jnp.zeros((2, n)).at[0, 2].set(1.0).at[1, 3].set(1.0)
     m, c = _update(m, c, still, -m[2:4], noise * jnp.eye(2), u[9])
@@ -190,9 +167,6 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
 
     Return (k, 6): nu, m, xx, xy, yy of S, m2, before the update, and 1 for a fix, else 0; and the means (k, n).
     """
-    import jax
-    import jax.numpy as jnp
-
     p, nothing = settings.parameters, jnp.array([0.0, 0.0, 1.0, 0.0, 1.0, -1.0])
 
     def step(state: Any, u: Any) -> Any:
@@ -225,8 +199,6 @@ def innovation_loss(settings: Settings, innovations: Any) -> tuple[Any, Any]:
 
     The likelihood is Student's t for a robust filter (see `student`), else Gaussian.
     """
-    import jax.numpy as jnp
-
     fixed = innovations[..., 5]
     nis, det = nis_of(innovations[..., :2], innovations[..., 2:5])
     tail = 0.5 * nis

@@ -16,8 +16,19 @@ from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.learned.cells import new_weights
 from sigmaswarm.learned.fitting import HELD_BACK, Examples, Lesson
-from sigmaswarm.learned.noise_filter import Settings, columns_of, innovation_loss, require_supported, run
 from sigmaswarm.learned.noise_gru import FEATURES
+
+
+def require_supported(p: FilterParameters) -> None:
+    if p.model not in ("planar5", "planar8"):
+        raise InputError(f"noise-gru does not support {p.model}; tune planar8, and train noise-gru for it")
+    if p.kind not in ("ukf", "ekf"):
+        raise InputError(
+            f"{p.kind} adapts its noise, so noise-gru does not support this kind; tune a ukf or an ekf"
+        )
+    for name in ("velocity_noise", "odometer_noise", "heading_noise", "fix_error"):
+        if getattr(p, name) is not None:
+            raise InputError(f"noise-gru does not support {name}; tune a filter without it")
 
 
 def segments_of(
@@ -27,6 +38,8 @@ def segments_of(
 
     The arrays are means (s, n) and covariances (s, n, n), steps (s, k, N_COLUMNS), Q (s, n) and lever arms (s, 2).
     """
+    from sigmaswarm.learned.noise_filter import Settings, columns_of
+
     require_supported(parameters)
     twin = replace(parameters, kind="ekf")
     parts, held = list[tuple[Array, ...]](), list[bool]()
@@ -61,6 +74,8 @@ def loss(parameters: FilterParameters) -> Callable[[Any, tuple[Any, ...]], Any]:
     """Return the loss of a batch of segments: the mean negative log-likelihood of a fix, nats."""
     import jax
     import jax.numpy as jnp
+
+    from sigmaswarm.learned.noise_filter import Settings, innovation_loss, run
 
     twin = replace(parameters, kind="ekf")
 
