@@ -1,8 +1,7 @@
 """`sigmaswarm compare`."""
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import sigmaswarm
 from sigmaswarm.cli.common import cluster_at, print_json, read_datasets, require_result_folder, say
@@ -10,10 +9,6 @@ from sigmaswarm.cli.options import MORE, Cluster, Json, Places, Workers, options
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.tuning.config import DECIDED_LATER, TuneConfig
 from sigmaswarm.tuning.options import SEEDS, Scale
-
-if TYPE_CHECKING:
-    from sigmaswarm.datasets.dataset import Dataset
-    from sigmaswarm.experiments.comparison import Comparison
 
 APART = ("seed", "optimizer", "scale", "prior", "inflation")
 """Options of `tune` that `compare` does not have."""
@@ -65,29 +60,21 @@ def compare(
     resume
         Continue an interrupted comparison. The result is the same, except for the times.
     """
+    from sigmaswarm.drives.sensors import sensors_of
     from sigmaswarm.reports.compare import comparison_table, save_comparison
+    from sigmaswarm.tuning.defaults import with_filter
 
     require_result_folder(out, [], "comparison", "config.json")
     asked: dict[str, Any] = {"seeds": seeds, "out": out, "resume": resume, "workers": workers}
     asked |= {name: value for name, value in (("optimizers", optimizers), ("scales", scales)) if value}
     with cluster_at(cluster) as client:
-        found, model = _compare(read_datasets(drives, validation or [], cluster=client), asked, options)
+        read, held_out = read_datasets(drives, validation or [], cluster=client)
+        chosen = with_filter(options, [*read.map(sensors_of), *held_out.map(sensors_of)])[1]
+        with progress_bar("comparing", "tunings, remaining") as show:
+            found = sigmaswarm.compare(read, validation=held_out, progress=show, **asked, **options)
     written = save_comparison(found, out)
     if json:
         print_json({"comparison": found.frame.to_dicts(), "written": [str(path) for path in written]})
     else:
+        model = [f"model: {chosen}"] if chosen else []
         say(*model, comparison_table(found).to_markdown(), *(f"wrote {path}" for path in written))
-
-
-def _compare(
-    groups: "Sequence[Dataset]", asked: Mapping[str, Any], options: dict[str, Any]
-) -> "tuple[Comparison, list[str]]":
-    """Compare optimizers. Return the result, and a line about the model if the options do not name it."""
-    from sigmaswarm.drives.sensors import sensors_of
-    from sigmaswarm.tuning.defaults import with_filter
-
-    read, held_out = groups
-    chosen = with_filter(options, [*read.map(sensors_of), *held_out.map(sensors_of)])[1]
-    with progress_bar("comparing", "tunings, remaining") as show:
-        found = sigmaswarm.compare(read, validation=held_out, progress=show, **asked, **options)
-    return found, [f"model: {chosen}"] if chosen else []

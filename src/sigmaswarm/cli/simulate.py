@@ -152,17 +152,13 @@ def _require_made_with(file: Path, options: Mapping[str, Any]) -> None:
         about = read_content(file)
         scenario = about["scenario"]
         made = {
-            "seed": scenario["seed"],
-            "imu": about["imu_noise"]["grade"],
-            "gps": about["gps_noise"]["grade"],
+            **{name: scenario[name] for name in ("seed", "vibration", "gnss_degradation")},
+            **{name: about[f"{name}_noise"]["grade"] for name in ("imu", "gps")},
             "vehicle": about["vehicle"],
             "duration": about["target"].get("duration_s"),
             "jitter": scenario["jitter_s"],
-            "vibration": scenario["vibration"],
-            "gnss_degradation": scenario["gnss_degradation"],
             "terrain": scenario.get("terrain", "flat"),
-            "odometer": about.get("odometer", {}).get("grade"),
-            "heading": about.get("heading", {}).get("grade"),
+            **{name: about.get(name, {}).get("grade") for name in ("odometer", "heading")},
         }
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(

@@ -63,8 +63,7 @@ def trial_interval(values: Array) -> Interval:
     """Return mean +- 1.96 SD / sqrt(n), as in the paper; it contains the mean over new drives in half of the cases."""
     if not len(values):
         return math.nan, math.nan
-    half = 1.96 * spread(values) / math.sqrt(len(values))
-    return float(np.mean(values) - half), float(np.mean(values) + half)
+    return _around_mean(values, 1.96 * spread(values) / math.sqrt(len(values)))
 
 
 def corrected_interval(values: Array, test_per_train: float) -> Interval:
@@ -73,7 +72,10 @@ def corrected_interval(values: Array, test_per_train: float) -> Interval:
     if n < 2:
         return math.nan, math.nan
     error = spread(values) * math.sqrt(1 / n + test_per_train)
-    half = float(stats.t.ppf((1 + LEVEL) / 2, n - 1)) * error
+    return _around_mean(values, float(stats.t.ppf((1 + LEVEL) / 2, n - 1)) * error)
+
+
+def _around_mean(values: Array, half: float) -> Interval:
     return float(np.mean(values) - half), float(np.mean(values) + half)
 
 

@@ -104,13 +104,7 @@ class Noise:
 
     def table(self) -> Table:
         """Return the table of all axes, in the units of data sheets."""
-        columns = (
-            Column("axis"),
-            Column("noise"),
-            Column("value"),
-            Column("95%", joined=True),
-            Column("unit"),
-        )
+        columns = *map(Column, ("axis", "noise", "value")), Column("95%", joined=True), Column("unit")
         rows = [
             (
                 axis.axis,

@@ -313,24 +313,12 @@ def evaluate(
     cluster: "Client | None" = None,
     **options: Any,
 ) -> Evaluation:
-    """Compare a tuned filter with the baseline, raw GPS, fixes alone and IMU only.
+    """Compare a tuned filter with the baseline, raw GPS, fixes alone and IMU only: see `sigmaswarm.evaluate`.
 
-    Parameters
-    ----------
-    drives : Drive or sequence of Drive
-        Preferably drives that the tuning did not use. Without truth, the only error is the outage drift, relative to
-        the hidden fixes.
-    parameters : FilterParameters
-        Parameters of the tuned filter.
-    seen : sequence of Landmarks, optional
-        Landmarks of the training drives: ``tuning.seen``, or the result of `tuning.record.seen_by`. With them, the
-        evaluation reports the part of each drive that was used for training, even if the drive was renamed, cut or
-        repaired. Without seen.npz, only complete drives are recognized.
-    cluster : distributed.Client, optional
-        Dask cluster whose workers read the drives (also given as paths or URLs) and run the filters. The result does
-        not depend on the cluster.
-    **options
-        Attributes of `Options`: against, outage_length, outage_seed, as_recorded, smooth, swarm, more, fixes_alone.
+    With ``seen``, landmarks of the training drives, the evaluation reports the part of each drive that was used for
+    training, even if the drive was renamed, cut or repaired. They are ``tuning.seen``, or the result of
+    `tuning.record.seen_by`; without seen.npz, only complete drives are recognized. With ``cluster``, its workers read
+    the drives (also given as paths or URLs) and run the filters. ``options`` are attributes of `Options`.
     """
     if isinstance(drives, FilterParameters):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")

@@ -174,10 +174,25 @@ def _drive(s: Scenario) -> Drive:
             "vehicle": vehicle,
             **_noise_figures(imu, gps),
             **about,
-            "scenario": _scenario_figures(s, where)
-            | slopes
-            | {"outages": [list(w) for w in journey.outages]},
-            "imu_place": _place_figures(s.imu_place, car),
+            "scenario": {
+                "maneuver": s.maneuver,
+                "environment": where.name,
+                "physics": where.physics,
+                "friction": where.friction,
+                **{name: getattr(s, name) for name in ("seed", "run", "warm_up", "vibration")},
+                "imu_rate_hz": s.imu_rate,
+                "gps_rate_hz": s.gps_rate,
+                "jitter_s": s.jitter,
+                "gnss_degradation": s.gnss_degradation,
+                **slopes,
+                "outages": [list(w) for w in journey.outages],
+            },
+            "imu_place": {
+                "ahead_of_center_m": s.imu_place[0],
+                "ahead_of_rear_axle_m": round(car.rear + s.imu_place[0], 6),
+                "left_m": s.imu_place[1],
+                "above_center_m": s.imu_place[2],
+            },
             "target": journey.maneuver.target,
             "achieved": achieved_figures(s.maneuver, journey, fixes.time),
         },
@@ -210,23 +225,6 @@ def _times(end: float, rate: float, jitter: float = 0.0, rng: np.random.Generato
     return np.clip(times + late, 0.0, end)
 
 
-def _scenario_figures(s: Scenario, where: Environment) -> dict[str, Any]:
-    return {
-        "maneuver": s.maneuver,
-        "environment": where.name,
-        "physics": where.physics,
-        "friction": where.friction,
-        "seed": s.seed,
-        "run": s.run,
-        "warm_up": s.warm_up,
-        "imu_rate_hz": s.imu_rate,
-        "gps_rate_hz": s.gps_rate,
-        "jitter_s": s.jitter,
-        "vibration": s.vibration,
-        "gnss_degradation": s.gnss_degradation,
-    }
-
-
 def _slope_figures(record: Array) -> dict[str, float]:
     grade, bank = (np.tan(record[:, i]) for i in (ROAD_PITCH, ROAD_ROLL))
     figures = {
@@ -236,16 +234,6 @@ def _slope_figures(record: Array) -> dict[str, float]:
         "climb_m": np.ptp(record[:, HEIGHT]),
     }
     return {name: round(float(value), 2) for name, value in figures.items()}
-
-
-def _place_figures(place: LeverArm, car: Vehicle) -> dict[str, float]:
-    forward, left, up = place
-    return {
-        "ahead_of_center_m": forward,
-        "ahead_of_rear_axle_m": round(car.rear + forward, 6),
-        "left_m": left,
-        "above_center_m": up,
-    }
 
 
 def _noise_figures(imu: ImuGrade, gps: GpsGrade) -> dict[str, Any]:

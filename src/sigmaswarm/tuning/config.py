@@ -120,20 +120,15 @@ class TuneConfig(SearchConfig):
 
     @model_validator(mode="before")
     @classmethod
-    def _read_old_names(cls, options: Any) -> Any:
-        if not isinstance(options, Mapping):
-            return options
-        return {RENAMED.get(name, name): value for name, value in options.items()}
-
-    @model_validator(mode="before")
-    @classmethod
-    def _default_kind(cls, options: Any) -> Any:
+    def _complete(cls, options: Any) -> Any:
+        """Read old names of options, and add the default filter type of the model."""
         from sigmaswarm.filters.models import MODELS  # slow, and not needed for the command line's help
 
         if not isinstance(options, Mapping):
             return options
         model = MODELS.get(options.get("model", "planar5"))
-        return {"kind": model.kinds[0], **options} if model else options
+        kind = {"kind": model.kinds[0]} if model else {}
+        return kind | {RENAMED.get(name, name): value for name, value in options.items()}
 
     @model_validator(mode="after")
     def _inflation_needs_logarithms(self) -> Self:

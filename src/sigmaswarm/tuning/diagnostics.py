@@ -19,6 +19,7 @@ from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.scoring.drifts import BASELINE, FIXES, Outages
 from sigmaswarm.scoring.remote import Replays
@@ -106,7 +107,8 @@ def loss_warnings(parameters: FilterParameters, replays: Replays, *, outages: bo
     if found or not outages:
         return found
     some = replays.subset(range(min(len(replays.dataset), NAMED)))
-    if not may_drift_far(some.of_each_prepared(partial(drifts_of, parameters=parameters, most=FEW))):
+    few = some.of_each_prepared(partial(drifts_of, parameters=parameters, most=FEW))
+    if not drift_warnings(few, NEAR):
         return []
     return drift_warnings(some.of_each_prepared(partial(drifts_of, parameters=parameters)))
 
@@ -120,14 +122,9 @@ def divergence_warnings(found: Iterable[tuple[str, list[float]]]) -> list[str]:
     return [to_do(REMEDY, why)]
 
 
-def may_drift_far(found: Iterable[tuple[float, ...]]) -> bool:
+def drift_warnings(found: Iterable[tuple[float, ...]], most: float = FAR) -> list[str]:
     tuned, other = _together(found)[:2]
-    return tuned > NEAR * other
-
-
-def drift_warnings(found: Iterable[tuple[float, ...]]) -> list[str]:
-    tuned, other = _together(found)[:2]
-    if tuned <= FAR * other:
+    if tuned <= most * other:
         return []
     why = (
         f"over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m on its training drives, "
@@ -138,16 +135,12 @@ def drift_warnings(found: Iterable[tuple[float, ...]]) -> list[str]:
 
 def restarts_of(ready: PreparedDrive, parameters: FilterParameters) -> tuple[str, list[float]]:
     """Return a drive's name and the times, s, at which a monitored filter was reset in its first hour."""
-    start = float(ready.drive.imu.time[0])
-    replay = replay_of(_part(ready, start, start + MONITORED))
-    return ready.drive.name, Recording(replay, parameters, recover=True).finished().restarts
+    return ready.drive.name, Recording(_first_hour(ready), parameters, recover=True).finished().restarts
 
 
 def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
     """Return the lag-1 autocorrelation of innovations in the first hour, averaged over both axes."""
-    start = float(ready.drive.imu.time[0])
-    replay = replay_of(_part(ready, start, start + MONITORED))
-    found = Recording(replay, parameters).finished().innovations
+    found = Recording(_first_hour(ready), parameters).finished().innovations
     with np.errstate(all="ignore"):  # a failed filter gives NaN and infinity
         nu = found.innovation / np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
         return float(np.mean(np.mean(nu[1:] * nu[:-1], axis=0) / np.mean(nu**2, axis=0)))
@@ -170,6 +163,11 @@ def correlation_warnings(
         "and the stated covariance is too small"
     )
     return [to_do(f"tune with --use {' '.join([*use, 'fix-error'])}", why)]
+
+
+def _first_hour(ready: PreparedDrive) -> Replay:
+    start = float(ready.drive.imu.time[0])
+    return replay_of(_part(ready, start, start + MONITORED))
 
 
 def _part(ready: PreparedDrive, start: float, end: float) -> PreparedDrive:
