@@ -181,7 +181,7 @@ class Bowls:
         rng = np.random.default_rng(7)
         self.bottoms = rng.normal(0.3, 0.1, (n_drives, 3))
         self.hard, self.steps = rng.uniform(1, 5, n_drives), np.full(n_drives, 100)
-        self.space = Box3()
+        self.space, self.config = Box3(), TuneConfig()
         self.asked = 0
 
     def each(self, points: np.ndarray, drives, executor) -> np.ndarray:
@@ -205,8 +205,8 @@ class Box3:
 
 
 def searched(problem: Bowls, folder: ResultFolder | None = None, progress=None, **options):
-    config = TuneConfig(particles=20, generations=30, racing=True, optimizer="pso", **options)
-    return Search(config, problem, None, folder, progress).trial(0)
+    problem.config = TuneConfig(particles=20, generations=30, racing=True, optimizer="pso", **options)
+    return Search(problem, None, folder, progress).trial(0)
 
 
 def test_among_many_drives_it_begins_with_some():

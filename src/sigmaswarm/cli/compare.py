@@ -76,5 +76,5 @@ def compare(
     if json:
         print_json({"comparison": found.frame.to_dicts(), "written": [str(path) for path in written]})
     else:
-        model = [f"model: {chosen}"] if chosen else []
-        say(*model, comparison_table(found).to_markdown(), *(f"wrote {path}" for path in written))
+        say(*([f"model: {chosen}"] if chosen else []), comparison_table(found).to_markdown())
+        say(*(f"wrote {path}" for path in written))

@@ -175,12 +175,10 @@ class _Grid:
             folder = out / "runs" / f"{rival.folder}-{seed:03d}"
             if not (folder / "run.json").exists():
                 fresh, start = not folder.exists(), time.thread_time()
-                problem = replace(self.problem, config=rival.config, space=spaces[rival.scale])
                 config = rival.config.model_copy(update={"seed": seed})
-                opened = tuning_folder(folder, problem, config, resume=True)
-                tuning = tune_problem(
-                    problem, config, folder=opened, progress=lambda _: report(0), diagnose=False
-                )
+                problem = replace(self.problem, config=config, space=spaces[rival.scale])
+                opened = tuning_folder(folder, problem, resume=True)
+                tuning = tune_problem(problem, folder=opened, progress=lambda _: report(0), diagnose=False)
                 outcome = _outcome(tuning, self.test)
                 if fresh:  # the time of an interrupted run is unknown
                     line = f'"{rival.name}",{rival.scale},{seed},{time.thread_time() - start:.3f}\n'

@@ -174,25 +174,7 @@ def _drive(s: Scenario) -> Drive:
             "vehicle": vehicle,
             **_noise_figures(imu, gps),
             **about,
-            "scenario": {
-                "maneuver": s.maneuver,
-                "environment": where.name,
-                "physics": where.physics,
-                "friction": where.friction,
-                **{name: getattr(s, name) for name in ("seed", "run", "warm_up", "vibration")},
-                "imu_rate_hz": s.imu_rate,
-                "gps_rate_hz": s.gps_rate,
-                "jitter_s": s.jitter,
-                "gnss_degradation": s.gnss_degradation,
-                **slopes,
-                "outages": [list(w) for w in journey.outages],
-            },
-            "imu_place": {
-                "ahead_of_center_m": s.imu_place[0],
-                "ahead_of_rear_axle_m": round(car.rear + s.imu_place[0], 6),
-                "left_m": s.imu_place[1],
-                "above_center_m": s.imu_place[2],
-            },
+            **_setup_figures(s, where, car, slopes | {"outages": [list(w) for w in journey.outages]}),
             "target": journey.maneuver.target,
             "achieved": achieved_figures(s.maneuver, journey, fixes.time),
         },
@@ -223,6 +205,31 @@ def _times(end: float, rate: float, jitter: float = 0.0, rng: np.random.Generato
         return times
     late = np.clip(jitter * rng.standard_normal(len(times)), -0.4 / rate, 0.4 / rate)
     return np.clip(times + late, 0.0, end)
+
+
+def _setup_figures(s: Scenario, where: Environment, car: Vehicle, more: dict[str, Any]) -> dict[str, Any]:
+    forward, left, up = s.imu_place
+    return {
+        "scenario": {
+            "maneuver": s.maneuver,
+            "environment": where.name,
+            "physics": where.physics,
+            "friction": where.friction,
+            **{
+                name: getattr(s, name) for name in ("seed", "run", "warm_up", "vibration", "gnss_degradation")
+            },
+            "imu_rate_hz": s.imu_rate,
+            "gps_rate_hz": s.gps_rate,
+            "jitter_s": s.jitter,
+            **more,
+        },
+        "imu_place": {
+            "ahead_of_center_m": forward,
+            "ahead_of_rear_axle_m": round(car.rear + forward, 6),
+            "left_m": left,
+            "above_center_m": up,
+        },
+    }
 
 
 def _slope_figures(record: Array) -> dict[str, float]:

@@ -201,7 +201,7 @@ def _tuned(drives: Sequence[Drive], options: Mapping[str, Any]) -> FilterParamet
     config = settled(validated_config(TuneConfig, chosen), [sensors_of(drive) for drive in drives])
     problem = car_problem(drives, config)
     with ThreadPoolExecutor(cores()) as pool:
-        return problem.parameters(Search(config, problem, pool, None, None).trial(0).point)
+        return problem.parameters(Search(problem, pool).trial(0).point)
 
 
 def _maximum(

@@ -90,12 +90,15 @@ def _trial(result: dict[str, Any], history: dict[str, Any]) -> Trial:
 class Search:
     """Settings that the trials of one tuning share; the first generation includes ``start``, shape (d,)."""
 
-    config: SearchConfig
     problem: Problem[Any]
     executor: Executor | None
-    folder: ResultFolder | None
-    progress: Callable[[Progress], object] | None
+    folder: ResultFolder | None = None
+    progress: Callable[[Progress], object] | None = None
     start: Array | None = None
+
+    @property
+    def config(self) -> SearchConfig:
+        return self.problem.config
 
     def trial(self, number: int) -> Trial:
         """Return a trial: read it from the folder, resume it, or run it."""

@@ -24,7 +24,6 @@ from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.config import (
     INSTEAD,
     ModelTuneConfig,
-    SearchConfig,
     TuneConfig,
     current_options,
     paper_options,
@@ -138,11 +137,11 @@ def tune(
         folder = None
         if out is not None:  # created only after all checks of the input
             place = stack.enter_context(held_folder(Path(out)))
-            folder = tuning_folder(place, problem, problem.config, resume=bool(resume), start=first)
+            folder = tuning_folder(place, problem, resume=bool(resume), start=first)
         seen = _landmarks_of(problem, folder)
         pool = executor or stack.enter_context(ThreadPoolExecutor(cores()))
         options = {"held_back": held_back, "folder": folder, "progress": progress, "start": first}
-        return replace(tune_problem(problem, problem.config, pool, **options), seen=seen)
+        return replace(tune_problem(problem, pool, **options), seen=seen)
 
 
 def _landmarks_of(problem: Problem[Any], folder: ResultFolder | None) -> Sequence[Landmarks]:
@@ -208,10 +207,10 @@ def start_point(space: SearchSpace, given: FilterParameters) -> Array:
 
 
 def tuning_folder(
-    path: Path, problem: Problem[Any], config: SearchConfig, *, resume: bool, start: Array | None = None
+    path: Path, problem: Problem[Any], *, resume: bool, start: Array | None = None
 ) -> ResultFolder:
     """Open or create the folder of a tuning run."""
-    wanted = {**config.model_dump(mode="json"), "data": problem.data, "versions": versions()}
+    wanted = {**problem.config.model_dump(mode="json"), "data": problem.data, "versions": versions()}
     if start is not None:
         wanted["start"] = dict(zip(problem.space.names, start.tolist(), strict=True))
     return ResultFolder(path, wanted, resume=resume)
@@ -219,7 +218,6 @@ def tuning_folder(
 
 def tune_problem(
     problem: Problem[P],
-    config: SearchConfig,
     executor: Executor | None = None,
     *,
     held_back: Problem[P] | None = None,
@@ -233,7 +231,7 @@ def tune_problem(
     The result is ``start`` if its cost is lower than that of every trial. ``diagnose`` checks for faults that the
     objective does not show.
     """
-    search = Search(config, problem, executor, folder, progress, start)
+    config, search = problem.config, Search(problem, executor, folder, progress, start)
     trials = tuple(search.trial(i) for i in range(config.trials))
     best = int(np.argmin([trial.cost for trial in trials]))
     point, cost, factor = trials[best].point, trials[best].cost, 1.0

@@ -254,7 +254,7 @@ def _tune_all(
         train = [i for i in design.members(task.group) if i in splits[task.trial]]
         folder, config, problem = folders[task.folder], configs[task.variant], problems[task.variant]
         own = CarProblem(config, problem.space, [], problem.replays.subset(train))
-        search = Search(config, own, None, folder, lambda now: report(now.generation))
+        search = Search(own, None, folder, lambda now: report(now.generation))
         timed = design.config.rivals and folder.finished(task.trial) is None
         file = folder.path / f"trial-{task.trial:03d}" / "timings.json"
         with kept_time(file) if timed else nullcontext():
