@@ -7,14 +7,14 @@ from cyclopts import Parameter
 
 import sigmaswarm
 from sigmaswarm.cli.common import print_json, read_known, require_writable, say
-from sigmaswarm.cli.options import Json
+from sigmaswarm.cli.options import Json, Overwrite
 from sigmaswarm.errors import InputError
 
 
 def convert(
     *drives: Annotated[str, Parameter(name="DRIVE... OUT")],
     to: Literal["parquet", "csv"] = "parquet",
-    overwrite: bool = False,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Convert drives between Parquet and CSV.
@@ -34,8 +34,6 @@ def convert(
         Drive folders or URLs, or folders of drive folders. The last argument is the folder for the converted drives.
     to
         Format of the converted drives.
-    overwrite
-        Replace existing drives.
     """
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.table_files import TABLES

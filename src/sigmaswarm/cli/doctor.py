@@ -9,7 +9,7 @@ from cyclopts import Parameter
 import sigmaswarm
 from sigmaswarm.cli.common import print_json, read_drives, require_writable, say
 from sigmaswarm.cli.findings import print_diagnosis
-from sigmaswarm.cli.options import Json
+from sigmaswarm.cli.options import Json, Overwrite
 from sigmaswarm.errors import AlignmentError, DriveWarning, InputError, SigmaswarmWarning
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def doctor(
     *,
     fix: Path | None = None,
     lever_arm_within: float | None = None,
-    overwrite: bool = False,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Check drives for wrong signs, units, axes, clocks, noise and gaps.
@@ -47,8 +47,6 @@ def doctor(
         Folder for a repaired copy of each drive. The drives themselves are not changed.
     lever_arm_within
         Estimate one lever arm from all drives. --fix writes the axes whose 95% interval is at most +- this many meters.
-    overwrite
-        Replace existing copies.
     """
     read = _read(drives)
     if fix is not None:

@@ -20,7 +20,7 @@ from sigmaswarm.cli.common import (
     say,
 )
 from sigmaswarm.cli.findings import Remedy
-from sigmaswarm.cli.options import FIELDS, Cluster, Json, Places, Seed, TrustLog
+from sigmaswarm.cli.options import FIELDS, AsRecorded, Cluster, Json, Places, Seed, TrustLog
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 
 if TYPE_CHECKING:
@@ -43,8 +43,6 @@ class EvaluateOptions:
         Length of the outages, s. The drift is the error at the end of an outage.
     outage_seed
         Seed of the outage windows.
-    as_recorded
-        Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     smooth
         Also evaluate the smoothed estimates of the tuned filter.
     swarm
@@ -57,7 +55,7 @@ class EvaluateOptions:
     out: Path | None = None
     outage_length: float = 5.0
     outage_seed: Seed = 0
-    as_recorded: bool = False
+    as_recorded: AsRecorded = False
     trust_log: TrustLog = False
     smooth: bool = False
     swarm: bool = False

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from sigmaswarm.cli.common import numbers_of, print_json, say, stdout
 from sigmaswarm.cli.findings import cutting, mending, print_diagnosis, repairable, turns
-from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json
+from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json, Overwrite
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.errors import InputError
 from sigmaswarm.wording import shown
@@ -99,8 +99,6 @@ class ImportOptions:
         Maximum unpacked size of a chunk or of the files of a zip, MB; 500 by default.
     name
         Name of the drive; by default the name of the folder.
-    overwrite
-        Replace an existing drive.
     """
 
     out: Path | None = None
@@ -139,7 +137,7 @@ class ImportOptions:
     max_columns: Annotated[int | None, MORE] = None
     max_unpacked_mb: Annotated[int | None, MORE] = None
     name: Annotated[str | None, MORE] = None
-    overwrite: bool = False
+    overwrite: Overwrite = False
     json: Annotated[Json, MORE] = False
 
 

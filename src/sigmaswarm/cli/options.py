@@ -58,6 +58,13 @@ Cluster = Annotated[
     ),
 ]
 TrustLog = Annotated[bool, Parameter(help="Skip the check of the drives for serious faults.")]
+Overwrite = Annotated[bool, Parameter(help="Replace existing drives.")]
+AsRecorded = Annotated[
+    bool,
+    Parameter(
+        help="Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps."
+    ),
+]
 Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
 
 

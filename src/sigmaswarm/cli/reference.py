@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import sigmaswarm
 from sigmaswarm.cli.common import numbers_of, print_json, read_known, say, stdout
-from sigmaswarm.cli.options import FIELDS, Hyphened, Json
+from sigmaswarm.cli.options import FIELDS, Hyphened, Json, Overwrite
 from sigmaswarm.cli.terminal import tuning_progress
 
 
@@ -33,8 +33,6 @@ class ReferenceOptions:
         Minimum standard deviation of a fix per axis, m; also used for fixes without a standard deviation.
     seed
         Seed of the tuning for the good receiver and of the choice of hidden fixes.
-    overwrite
-        Replace an existing drive.
     """
 
     fixes: Path
@@ -44,7 +42,7 @@ class ReferenceOptions:
     accuracy: float = 0.1
     fix_std: float | None = None
     seed: int = 0
-    overwrite: bool = False
+    overwrite: Overwrite = False
     json: Json = False
 
 

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import sigmaswarm
 from sigmaswarm.cli.common import print_json, read_known, say
-from sigmaswarm.cli.options import FIELDS
+from sigmaswarm.cli.options import FIELDS, AsRecorded
 from sigmaswarm.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,8 +33,6 @@ class RunOptions:
         With --out NAME.ros2: also copy the messages of this ROS 2 bag. --beside is the deprecated name.
     before
         Also write the fixes before the start of the filter: NAME.csv, .geojson, .gpx or .kml.
-    as_recorded
-        Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     smooth
         Write smoothed estimates, which also use later fixes.
     bank
@@ -48,7 +46,7 @@ class RunOptions:
     truth: Path | None = None
     merge: Annotated[Path | None, Parameter(name=["--merge", "--beside"])] = None
     before: Path | None = None
-    as_recorded: bool = False
+    as_recorded: AsRecorded = False
     smooth: bool = False
     bank: Annotated[bool, Parameter(name=["--bank", "--swarm"])] = False
     json: bool = False

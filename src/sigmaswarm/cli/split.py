@@ -10,7 +10,7 @@ from cyclopts import Parameter
 import sigmaswarm
 from sigmaswarm.cli.common import print_json, read_known, require_writable, say
 from sigmaswarm.cli.findings import unrepairable
-from sigmaswarm.cli.options import Json
+from sigmaswarm.cli.options import Json, Overwrite
 
 
 def split(
@@ -20,7 +20,7 @@ def split(
     out: Path,
     train_fraction: float | None = None,
     at: Annotated[list[float] | None, Parameter(consume_multiple=True)] = None,
-    overwrite: bool = False,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Split a drive in time into a part to tune on and a part to test on.
@@ -41,8 +41,6 @@ def split(
         Share of the drive's duration in the first part; 0.7 by default.
     at
         Time of the split on the clock of the drive, s. With two times, the part between is left out.
-    overwrite
-        Replace existing drives.
     """
     if at is not None and train_fraction is not None:
         raise sigmaswarm.InputError("specify --at or --train-fraction, not both")
