@@ -104,7 +104,9 @@ class Options:
     )
     gps_noise: float = _option(0.56, "Standard deviation of each fix, m per axis.")
     timeout: float = _option(20.0, "Longest time to wait for an answer of the server, s.")
-    patience: float = _option(120.0, "Longest time to wait until a server that stopped answering answers again, s.")
+    patience: float = _option(
+        120.0, "Longest time to wait until a server that stopped answering answers again, s."
+    )
     brake_sweep: bool = _option(
         False, "First measure the friction for several values of CARLA's tire_friction, and use the result."
     )

@@ -160,7 +160,9 @@ class FilterParameters:
     tire_slip: Real = _option(0.0, "s2/m", "slip", (0.0, 0.02), spread=False)
     standstill_noise: Positive | None = _option(None, MEASURED["standstill"], "standstill", (1e-6, 1.0))
     odometer_noise: Positive | None = _option(None, MEASURED["odometer"], "odometer", (1e-4, 10.0))
-    odometer_scale: Positive = _option(1.0, "reading divided by true speed", "odometer", (0.9, 1.1), spread=False)
+    odometer_scale: Positive = _option(
+        1.0, "reading divided by true speed", "odometer", (0.9, 1.1), spread=False
+    )
     odometer_latency: Real = _option(0.0, "s", "odometer", (0.0, 0.3), spread=False)
     heading_noise: Positive | None = _option(None, MEASURED["heading"], "heading", (1e-7, 0.1))
     gate: Positive | None = _option(None, NIS, "gate", (4.0, 100.0))
