@@ -8,7 +8,18 @@ from typing import Any
 
 from sigmaswarm.drives import events
 from sigmaswarm.exports.c_emitter import FIX_ERROR, PARAMETERS, STATES, Emitter
-from sigmaswarm.filters.compiled import fix_error, lanes, measurements, planar5, planar8, step, tilted12
+from sigmaswarm.filters.compiled import (
+    adaptive,
+    fix_error,
+    lanes,
+    measurements,
+    planar5,
+    planar8,
+    step,
+    tilted12,
+    updates,
+    vehicle,
+)
 from sigmaswarm.filters.compiled.layout import MEAN, SUMS
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.models import MEASURED, NOISE_OF
@@ -30,7 +41,7 @@ def kernels_of(
     emitter.add(lanes._near, "sine_cosine_near")
     emitter.add(lanes.sincos, "sine_cosine")
     if features["USE_SCALAR"]:
-        emitter.add(measurements._update_one, n=n)
+        emitter.add(updates.update_scalar, n=n)
     if tilted:
         _add_tilted(emitter, features, n)
     else:
@@ -39,30 +50,30 @@ def kernels_of(
         _add_planar(emitter, p.model, features, n)
     both = {"n": n, "tilted": tilted}
     if features["USE_HEADING"]:
-        measure = tilted12.measure_heading_tilted if tilted else measurements._measure_heading
+        measure = tilted12.measure_heading_tilted if tilted else vehicle.measure_heading_planar
         emitter.add(measure, "measure_heading", n=n)
-        emitter.add(measurements.update_heading, tilted=tilted, measure_heading=measure)
+        emitter.add(vehicle.update_heading, tilted=tilted, measure_heading=measure)
     if model.fix_error:
         _add_fix_error(emitter, n, features)
-    emitter.add(measurements._update_two, **both, fold=tilted12.fold)
+    emitter.add(updates.update_pair, **both, fold=tilted12.fold)
     if features["USE_VELOCITY_OR_STANDSTILL"]:
-        emitter.add(measurements._take_velocity, n=n, _update_two=measurements._update_two)
+        emitter.add(vehicle.take_velocity, n=n, update_pair=updates.update_pair)
     if features["USE_VELOCITY"]:
-        emitter.add(measurements.update_velocity)
+        emitter.add(vehicle.update_velocity)
     if features["USE_STANDSTILL"]:
         gyro = tuple(model.gyro_axes.values())
-        emitter.add(measurements.update_standstill, **both, gyro_biases=gyro)
+        emitter.add(vehicle.update_standstill, **both, gyro_biases=gyro)
     emitter.add(measurements._keep_digits, **both, unscented=0, fix_error=int(model.fix_error))
     if features["USE_STRETCH"]:
-        emitter.add(measurements._inflate_observed, n=n)
+        emitter.add(adaptive.inflate_observed, n=n)
     if features["USE_STRONG_TRACKING"]:
-        emitter.add(measurements._strong_tracking, n=n)
+        emitter.add(adaptive.strong_tracking, n=n)
     if features["USE_ROBUST"]:
-        emitter.add(measurements._student_t_weight)
+        emitter.add(adaptive.student_t_weight)
     if features["USE_ADAPTIVE"]:
-        emitter.add(measurements._adapt, n=n)
+        emitter.add(adaptive.adapt, n=n)
     if features["USE_FUZZY"]:
-        emitter.add(measurements._apply_fuzzy_rules, n=n)
+        emitter.add(adaptive.apply_fuzzy_rules, n=n)
     _add_step(emitter, p, features)
     kernels, stepping = emitter.texts[:-1], emitter.texts[-1]
     emitter.texts = kernels
@@ -104,7 +115,7 @@ def _add_step(emitter: Emitter, p: FilterParameters, features: Mapping[str, bool
         predict=step._PREDICTIONS[p.model][0],
         carry=fix_error.carry if features["USE_PLANAR_FIX_ERROR"] else 0,
         grow=step._grow,
-        **{name: getattr(measurements, name) for name in vars(measurements) if name.startswith("update_")},
+        **{function.__name__: function for function in measurements.UPDATES},
         **{"settle": 0, "note_prior": 0},
         **absent,
     )
@@ -123,13 +134,13 @@ def _add_planar(emitter: Emitter, model: str, features: Mapping[str, bool], n: i
     emitter.add(measurements._turn_lever)
     emitter.add(measurements._measure_fix, n=n)
     has_biases = features["USE_BIASES"]
-    along = measurements._measure_along
+    along = vehicle.measure_along_planar
     if features["USE_LATERAL"]:
         emitter.add(along, "measure_lateral", n=n, lateral=1, bias=MEAN.index("W") if has_biases else -1)
-        emitter.add(measurements.update_lateral, tilted=0, measure_lateral=along)
+        emitter.add(vehicle.update_lateral, tilted=0, measure_lateral=along)
     if features["USE_ODOMETER"]:
         emitter.add(along, "measure_odometer", n=n, lateral=0, bias=MEAN.index("A") if has_biases else -1)
-        emitter.add(measurements.update_odometer, tilted=0, measure_odometer=along)
+        emitter.add(vehicle.update_odometer, tilted=0, measure_odometer=along)
 
 
 def _add_fix_error(emitter: Emitter, n: int, features: Mapping[str, bool]) -> None:
@@ -147,10 +158,10 @@ def _add_tilted(emitter: Emitter, features: Mapping[str, bool], n: int) -> None:
     along = tilted12.measure_along_tilted
     if features["USE_LATERAL"]:
         emitter.add(along, "measure_lateral", n=n, **tilted12.ALONG["lateral"])
-        emitter.add(measurements.update_lateral, tilted=1, measure_lateral=along)
+        emitter.add(vehicle.update_lateral, tilted=1, measure_lateral=along)
     if features["USE_ODOMETER"]:
         emitter.add(along, "measure_odometer", n=n, **tilted12.ALONG["odometer"])
-        emitter.add(measurements.update_odometer, tilted=1, measure_odometer=along)
+        emitter.add(vehicle.update_odometer, tilted=1, measure_odometer=along)
 
 
 def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> dict[str, str | float | None]:

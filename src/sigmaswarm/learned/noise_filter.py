@@ -105,7 +105,7 @@ def _predict(q: Array, m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
 
 
 def _weight(dof: float, seen: Any, noise: Any, nu: Any) -> Any:
-    """Weight a fix by Student's t: see `measurements._weigh`."""
+    """Weight a fix by Student's t: see `compiled.adaptive.student_t_weight`."""
     weight = 1.0
     for _ in range(ITERATIONS):
         a = noise / weight

@@ -90,7 +90,7 @@ class FuzzyNoise:
 class StrongTracking:
     """Inflate P before a fix until the trace of S is at least the recent mean of nu^T nu.
 
-    D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996, with the two changes of `compiled.measurements._fade`.
+    D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996, changed as in `compiled.adaptive.strong_tracking`.
     ``forgetting`` is rho, ``recent`` the weighted mean of nu^T nu.
     """
 
