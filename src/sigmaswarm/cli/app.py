@@ -191,7 +191,7 @@ def _other_name(error: Exception) -> str | None:
 
 
 def _too_many(error: Exception) -> str | None:
-    """Return the message for arguments that the command does not take, such as the files of a pattern."""
+    """Return the message for surplus arguments, such as the files that match a shell pattern."""
     if not isinstance(error, UnusedCliTokensError) or not error.unused_tokens:
         return None
     first, *more = error.unused_tokens
@@ -209,7 +209,7 @@ def _too_many(error: Exception) -> str | None:
 
 
 def _hidden_option(said: str) -> str:
-    """Return where a message's option is described if the short help of the command lacks it, else nothing."""
+    """If the short help of the command lacks the option that a message names, return where it is described."""
     command = sys.argv[1] if len(sys.argv) > 1 else ""
     if command not in app:
         return ""

@@ -33,9 +33,9 @@ class ExportOptions:
     replay
         c99: also write this drive as the input of the replay program.
     check
-        c99: compare C and `sigmaswarm run` on these drives. Model robot-localization: write the errors into README.md.
+        c99: compare C with `sigmaswarm run` on these drives. robot_localization: write the errors into README.md.
     against
-        Model robot-localization, with --check: a second tuning for the table in README.md.
+        With --check, for the model robot-localization: a second tuning for the table in README.md.
     lanes
         c99: number of filters of the exported filter bank, 1 to 16. The C code does not search parameters.
     seed

@@ -173,7 +173,7 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
 
 
 def _leaning(imu: Imu) -> Array:
-    """Return the leaning of the body outward in turns, and backward at gains of speed, (2,), each from -1 to 1.
+    """Return how the body leans outward in turns, and backward when it gains speed, (2,), each from -1 to 1.
 
     On springs both are positive. A reversed axis makes one negative, although turns and accelerations agree with the
     fixes.

@@ -72,8 +72,8 @@ def c99(
     """
     if interval < SHORTEST_INTERVAL:
         raise InputError(
-            f"nominal_interval = {interval:g} s: the C library keeps one second of samples, at "
-            f"{1 / SHORTEST_INTERVAL:g} Hz at most; correct it in [filter] of the file of the filter"
+            f"nominal_interval = {interval:g} s: the C library supports at most {1 / SHORTEST_INTERVAL:g} Hz; correct "
+            "the interval in [filter] of the file of the filter"
         )
     model = MODELS[parameters.model]
     kinds = ("ekf",) if model.tilts else model.kinds

@@ -181,7 +181,7 @@ def in_order(
 
 
 def require_likely(time: Nanoseconds, role: Role, where: str, text: str) -> None:
-    """Refuse time steps that are impossible for a car's sensor, so the unit is not seconds."""
+    """Refuse times whose steps are impossible for a car's sensor: their unit cannot be seconds."""
     step = float(np.median(np.diff(time))) / SECOND if len(time) > 2 else SHORTEST_STEP * 2
     if SHORTEST_STEP / 2 < step < 4 * LONGEST_STEP[role]:
         return
