@@ -112,7 +112,7 @@ def test_yaml_holds_numbers(tmp_path: Path, change: dict[str, Any]):
         (
             "c99",
             {"nominal_interval": 5e-324},
-            "nominal_interval = .* at 10000 Hz at most; correct it",
+            "nominal_interval = .* at most 10000 Hz; correct the interval",
         ),
         ("robot_localization", {"nominal_interval": 1e-320}, "nominal_interval is not a finite number"),
         ("robot_localization", {"process_noise": (1e307,) * 5}, "process_noise / nominal_interval is not a"),
