@@ -39,7 +39,7 @@ CAPTIONS = (
     "**A fix at every IMU sample**, since kalman-py needs a measurement at every step. Columns as above.",
     "**Models and filter types** in the compiled batch. The ratio to planar5's UKF is the median [lowest, highest].",
     "**One tuning run**: 30 particles, 50 generations, ten minutes at 100 Hz. The ratio is the median; lowest value.",
-    "**Two cores.** Wall time in ms to score parameter sets over the drive, in turns that began with idle cores.",
+    "**Two cores.** Wall time in ms to score parameter sets over the drive, if both cores were idle before.",
     "**Live filters.** Time of one call from Python in us: median; 99.9% quantile. A fix is processed with the next "
     "sample, so the third column contains the time of both calls. The last two columns contain the time of FilterPy "
     "divided by this time, for a sample without; with a fix: FilterPy with the same filter, and with planar5's UKF.",

@@ -88,7 +88,7 @@ class ImportOptions:
     lever_arm
         Vector from the IMU to the antenna: forward,left,up in m.
     heading_from_north
-        Heading at the first IMU sample, deg clockwise from north, for a vehicle that is too slow to start from fixes.
+        Heading at the first IMU sample, deg clockwise from north, if the vehicle is too slow for a start.
     gps_from_truth
         Simulate fixes from the truth: rate in Hz and white noise in m, for example 5,1.
     max_rows
