@@ -49,7 +49,7 @@ Places = Annotated[
 Workers = Annotated[
     int | None,
     AT_LEAST_1,
-    Parameter(help="Number of threads; by default one per core. The result does not depend on it."),
+    Parameter(help="Number of threads; by default one per core. The result is the same with any number."),
 ]
 Cluster = Annotated[
     str | None,

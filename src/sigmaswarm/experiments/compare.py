@@ -105,7 +105,7 @@ def compare(
     seeds : int
         Number of runs of each optimizer, with seeds 0, 1, ...; 20 by default.
     workers : int, optional
-        Number of threads; by default the number of cores. The result does not depend on it.
+        Number of threads; by default the number of cores. The result is the same with any number.
     **options
         Options of every tuning, see `CompareOptions`: objective, model, particles, generations, ...
 

@@ -71,7 +71,7 @@ def run_batch(
     as_recorded : bool
         Run without preprocessing: use stale fixes, and treat IMU gaps as ordinary steps.
     executor : concurrent.futures.Executor, optional
-        Runs the filters; by default threads on all cores. The result does not depend on it.
+        Executor that runs the filters; by default threads on all cores. The result is the same with every executor.
 
     Raises
     ------

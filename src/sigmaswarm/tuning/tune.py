@@ -101,9 +101,9 @@ def tune(
     out : path, optional
         Folder for results. Every generation is saved in it, so that a stopped run can be resumed.
     executor : concurrent.futures.Executor, optional
-        Runs the filters; by default threads on all cores. The result does not depend on it.
+        Executor that runs the filters; by default threads on all cores. The result is the same with every executor.
     cluster : distributed.Client, optional
-        Dask cluster whose workers read the drives and run the filters. The result does not depend on it.
+        Dask cluster whose workers read the drives and run the filters. The result is the same without a cluster.
     progress : callable, optional
         Called with a `Progress` after every generation. If it returns False, the tuning stops.
     **options

@@ -125,9 +125,9 @@ def run_study(
     executor : concurrent.futures.Executor, optional
         Runs the tunings; by default forked processes on Linux, else threads.
     workers : int, optional
-        Number of processes or threads; by default the number of cores. The result does not depend on it.
+        Number of processes or threads; by default the number of cores. The result is the same with any number.
     cluster : distributed.Client, optional
-        Dask cluster whose workers simulate or read the drives and run the filters. The result does not depend on it.
+        Dask cluster whose workers simulate or read the drives and run the filters. The result is the same without one.
         Not available with rivals, since networks are trained locally.
     progress : callable, optional
         Called with a `StudyProgress` as tunings and trainings advance.

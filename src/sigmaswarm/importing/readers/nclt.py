@@ -38,7 +38,7 @@ FILES: dict[Role, tuple[str, str, dict[str, str]]] = {
         _T | {"x": "y", "y": "x", "theta": "pi/2 - heading"},
     ),
 }
-"""File, columns, and a drive's expressions of each role."""
+"""For each sensor: the file, its columns, and the expressions for the columns of the drive."""
 _NOTE = (
     "the axes of the MS25 are converted from forward, right, down to forward, left, up; course and speed of gps.csv "
     "are not used"
