@@ -32,8 +32,8 @@ ENOUGH_DRIVES = 3
 REFERENCE_DURATION = 100.0
 """Driving time, s, for which the whole cost increase is allowed; twice the time allows half of it.
 
-Shorter drives do not allow a larger increase: after tuning on 60 s of a highway, 0.086 instead of 0.05 increased the 5 s
-drift on other roads by 20%.
+Shorter drives do not allow a larger increase: after tuning on 60 s of a highway, 0.086 instead of 0.05 increased the
+5 s drift on other roads by 20%.
 """
 DECADES = 4.0  # decades; the largest factor is 10^4
 STEP = 0.1  # decades between two factors
