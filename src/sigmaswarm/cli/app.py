@@ -209,7 +209,7 @@ def _too_many(error: Exception) -> str | None:
 
 
 def _hidden_option(said: str) -> str:
-    """If the short help of the command lacks the option that a message names, return where it is described."""
+    """Refer to the long help if a message names an option that the short help of the command omits; else return ""."""
     command = sys.argv[1] if len(sys.argv) > 1 else ""
     if command not in app:
         return ""

@@ -327,7 +327,7 @@ def _command(seen: "Look", options: ImportOptions) -> str:
 
 
 def _columns(glance: "Glance") -> Iterator[str]:
-    """Yield a line per column that is not 0: lowest, median and highest value, or an example."""
+    """Yield a line for each column with a value other than 0: lowest, median and highest value, or an example."""
     varying = [r for r in glance.ranges if r.low or r.high or r.low is None]
     width = max((len(shown(r.column)) for r in varying), default=0)
     for r in varying:

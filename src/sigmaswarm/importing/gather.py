@@ -151,7 +151,7 @@ def _complete(part: Part, log: Log, role: Role) -> Part:
 
 
 def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
-    """Find the tables of a part that names none; a part that names a file of another log gets the only table."""
+    """Find the tables of a part. If a log has one table, a part without a name, or with a file's name, uses it."""
     if part.table in log.tables:
         return [part]
     if len(log.tables) == 1:

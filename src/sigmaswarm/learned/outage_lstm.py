@@ -54,7 +54,7 @@ class OutageLstm:
     """A trained network; ``axes`` of the IMU over ``window``, s, are inputs.
 
     - ``weights``: those of `cells`; ``center`` and ``spread`` (f,) of the features; ``usual`` and ``scale`` (2,) of the
-      outputs, m; ``kept`` (2,) and ``lasts`` (2,), s, of the errors' autocorrelation kept exp(-t / lasts).
+      outputs, m; ``kept`` (2,) and ``lasts`` (2,), s, of the errors' autocorrelation, kept x exp(-t / lasts).
     - ``inflation``: factor of the variances; infinite: no update.
     - ``unsure``: factor of the velocity's Q in outages.
     """

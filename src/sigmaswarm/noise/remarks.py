@@ -102,8 +102,8 @@ def on_misfit(axes: Sequence[AxisNoise], duration: float) -> list[str]:
     if not found:
         return []
     return [
-        f"the Allan deviation is not that of the model ({', '.join(found)}), as with vibration or a filter in the "
-        "sensor: the model describes the slow noise, which a navigation filter integrates"
+        f"the Allan deviation is not that of the model ({', '.join(found)}). Vibration, or a filter in the sensor, can "
+        "be the cause. The model then describes only the slow noise, the part that a navigation filter integrates"
     ]
 
 
