@@ -26,7 +26,7 @@ from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.problem import Problem
 
 INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
-"""Default relative cost increases: without truth planar models driven by the IMU and others; with truth and tilts."""
+"""Default relative cost increases: planar models without truth, other models without truth, tilted12 with truth."""
 ENOUGH_DRIVES = 3
 """Number of drives with truth that determine the deviations of the initial biases."""
 REFERENCE_DURATION = 100.0
