@@ -1,5 +1,6 @@
 """Logs as people export them: read right, or refused with an option that reads them."""
 
+import datetime
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -63,6 +64,19 @@ def options_in(said: str) -> list[list[str]]:
     return [re.findall(r'"([^"]+)"', part) for part in said.split("--map ")[1:]]
 
 
+GERMAN = str.maketrans(",.", ".,")
+
+
+def clock(t: float) -> str:
+    return f"{int(t // 60) % 60:02d}:{t % 60:06.3f}"
+
+
+def dates(t: np.ndarray, form: str) -> list[str]:
+    return [
+        datetime.datetime.fromtimestamp(EPOCH + round(s, 3), datetime.UTC).strftime(form) for s in t.tolist()
+    ]
+
+
 CLOCKS: dict[str, tuple[Callable[[np.ndarray], object], str]] = {
     "mm:ss.0 of a spreadsheet": (lambda t: [f"{int(s) // 60:02d}:{s % 60:06.3f}" for s in t + 50], "t"),
     "over the hour": (lambda t: [f"{int(s) // 60 % 60:02d}:{s % 60:06.3f}" for s in t + 3590], "t"),
@@ -75,6 +89,22 @@ CLOCKS: dict[str, tuple[Callable[[np.ndarray], object], str]] = {
     "16 bits of ms": (lambda t: np.round((t + 50) * 1e3).astype(int) % 2**16, "t"),
     "seconds of the minute": (lambda t: np.round(t + 30, 3) % 60, "sec"),
     "ms of the minute": (lambda t: np.round((t + 30) * 1e3).astype(int) % 60_000, "ms"),
+    "durations in s": (lambda t: [f"{s:g} sec" for s in t + 1], "t"),
+    "durations in ms": (lambda t: [f"{s * 1e3:.0f} ms" for s in t], "Time"),
+    "durations in min": (lambda t: [f"{s / 60:.6f} min" for s in t], "Time"),
+    "over 24 hours": (lambda t: [f"{h}:{clock(s)}" for s in t - 20 for h in [24 - (s < 0)]], "Time"),
+    "days and a clock": (lambda t: [f"1 day, 00:{clock(s)}" for s in t], "time"),
+    "days, hours": (lambda t: [f"2:07:{clock(s)}" for s in t], "time"),
+    "thousands of ms": (lambda t: [f"{s * 1e3:,.1f}" for s in t + 980], "time (ms)"),
+    "millions of us": (lambda t: [f"{round(s * 1e6):,}" for s in t + 3], "time_us"),
+    "thousands between blanks": (lambda t: [f"{s:,.3f}".replace(",", " ") for s in t + 980], "t"),
+    "thousands, Swiss": (lambda t: [f"{s:,.3f}".replace(",", "'") for s in t + 980], "t"),
+    "thousands, German": (lambda t: [f"{s * 1e3:,.1f}".translate(GERMAN) for s in t + 980], "Zeit (ms)"),
+    "Europe": (lambda t: dates(t, "%Y-%m-%d %H:%M:%S.%f CEST"), "Zeitstempel"),
+    "Berlin": (lambda t: dates(t, "%Y-%m-%dT%H:%M:%S.%f+02:00[Europe/Berlin]"), "time"),
+    "a zone of hours": (lambda t: dates(t, "%Y-%m-%dT%H:%M:%S.%f+02"), "time"),
+    "ctime": (lambda t: dates(t, "%a %b %d %H:%M:%S.%f %Y"), "time"),
+    "a comma after the date": (lambda t: dates(t, "%d %b %Y, %H:%M:%S.%f GMT"), "horodatage"),
     "half a day": (lambda t: np.round(t - 20, 3) % 43_200, "time"),
 }
 
@@ -111,6 +141,77 @@ def test_recordings_of_a_minute_are_no_seconds_of_the_minute(tmp_path: Path):
     write(tmp_path, clock=lambda t: 3 * t % 60)
     with pytest.raises(InputError, match=r"2 recordings .*; import each by itself: --part 1 to --part 2"):
         imported(tmp_path)
+
+
+def test_names_of_zones_are_hours(tmp_path: Path):
+    for zone, ahead in (("GMT", 0), ("CEST", 2), ("EDT", -4), ("JST", 9), ("+0530", 5.5), ("-03", -3)):
+        write(
+            tmp_path,
+            clock=lambda t, by=ahead, zone=zone: dates(t + by * 3600, f"%Y-%m-%d %H:%M:%S.%f {zone}"),
+        )
+        require_right(tmp_path)
+        assert imported(tmp_path).drive.metadata["time_origin_s"] == EPOCH
+
+
+def test_numbers_with_separators_of_thousands_and_decimal_commas(tmp_path: Path):
+    cells = {"Zeit": T + 980, **IMU}
+    rows = zip(*([f"{v:,.4f}".translate(GERMAN) for v in c.tolist()] for c in cells.values()), strict=True)
+    (tmp_path / "imu.csv").write_text("\n".join([";".join(cells), *map(";".join, rows)]) + "\n")
+    cells = {"Zeit": T[::EVERY] + 980, **FIXES, "alt": 1000 + 0 * T[::EVERY]}
+    rows = zip(*([f"{v:,.9f}".translate(GERMAN) for v in c.tolist()] for c in cells.values()), strict=True)
+    (tmp_path / "gps.csv").write_text("\n".join([";".join(cells), *map(";".join, rows)]) + "\n")
+    require_right(tmp_path)
+    np.testing.assert_allclose(imported(tmp_path).drive.gps.alt, 1000)
+
+
+LANGUAGES = {
+    "German": (
+        "Zeitstempel",
+        "Beschleunigung {} (m/s²)",
+        "Drehgeschwindigkeit {} (rad/s)",
+        "Breite (°)",
+        "Länge (°)",
+    ),
+    "French": (
+        "horodatage",
+        "Accélération {} (m/s²)",
+        "Vitesse angulaire {} (rad/s)",
+        "Latitude",
+        "Longitude",
+    ),
+    "Spanish": ("tiempo", "aceleración_{}", "velocidad_angular_{}", "latitud", "longitud"),
+    "Italian": ("tempo", "accelerazione_{}", "velocità_angolare_{}", "latitudine", "longitudine"),
+    "Portuguese": ("tempo", "aceleração_{}", "velocidade_angular_{}", "latitude", "longitude"),
+    "OxTS": ("Time (s)", "Accel {} (m/s²)", "Ang rate {} (rad/s)", "Pos lat (deg)", "Pos lon (deg)"),
+    "GoPro": (
+        "cts",
+        "Accelerometer ({}) [m/s2]",
+        "Gyroscope ({}) [rad/s]",
+        "GPS (Lat.) [deg]",
+        "GPS (Long.) [deg]",
+    ),
+}
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_names_of_other_languages_and_vendors(tmp_path: Path, language: str):
+    time, acceleration, rate, lat, lon = LANGUAGES[language]
+    names = [*map(acceleration.format, "xyz"), *map(rate.format, "xyz")]
+    write(
+        tmp_path,
+        dict(zip(names, IMU.values(), strict=True)),
+        {lat: FIXES["lat"], lon: FIXES["lon"]},
+        head=time,
+    )
+    require_right(tmp_path)
+    np.testing.assert_allclose(imported(tmp_path).drive.imu.ax, IMU["ax"])
+
+
+def test_day_and_time_of_day_in_german(tmp_path: Path):
+    for name, columns, time in (("imu", IMU, T), ("gps", FIXES, T[::EVERY])):
+        days = {"Datum": dates(time, "%d.%m.%Y"), "Uhrzeit": dates(time, "%H:%M:%S.%f")}
+        pl.DataFrame(days | columns).write_csv(tmp_path / f"{name}.csv")
+    require_right(tmp_path)
 
 
 def test_the_unit_of_a_time_of_week_follows_from_its_size(tmp_path: Path):
@@ -226,7 +327,8 @@ def test_a_row_of_sources_below_the_header(tmp_path: Path):
     require_right(tmp_path / "log.csv")
 
 
-@pytest.mark.parametrize("axes", ["gyro_rad[0] gyro_rad[1] gyro_rad[2]", "AsX(rad/s) AsY(rad/s) AsZ(rad/s)",
+@pytest.mark.parametrize("axes", ["roll_rate PitchRate yaw_rate",
+                                  "gyro_rad[0] gyro_rad[1] gyro_rad[2]", "AsX(rad/s) AsY(rad/s) AsZ(rad/s)",
                                   "roll_rate_radps pitch_rate_radps yaw_rate_radps"])  # fmt: skip
 def test_names_of_rates(tmp_path: Path, axes: str):
     rates = dict(zip(axes.split(), (IMU["gx"] + 0.5, IMU["gy"] + 0.25, IMU["gz"]), strict=True))

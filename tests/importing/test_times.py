@@ -374,7 +374,7 @@ def test_times_in_two_formats_are_refused(tmp_path: Path, cells: Cells, first: s
     [
         (lambda t: str(round(t * 2e4)), "steps of 200 have no likely unit", None),
         (lambda t: repr(t / 60), "steps of 0.00017 are too short for seconds", "t*60"),
-        (lambda t: f"{t:.2f} sec", "'0.00 sec' is not a known date", None),
+        (lambda t: f"{t:.2f} beats", "'0.00 beats' is not a known date", None),
         (lambda t: at(t, "%d=%m=%Y %H:%M:%S.%f"), "is not a known date", "utc(t, '%d=%m=%Y %H:%M:%S%.f')"),
     ],
 )

@@ -6,6 +6,8 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from sigmaswarm.importing.units import BASES
+
 Nanoseconds = NDArray[np.int64]
 SECOND = 1_000_000_000
 LONG_AGO = 1_000_000 * SECOND
@@ -22,6 +24,12 @@ LEAP_DAYS = (
 )
 """Days that follow a leap second (IERS Bulletin C); none has been announced since."""
 LEAP_SECONDS = np.array(LEAP_DAYS, dtype="datetime64[s]").astype(np.int64)
+_HOURS = {
+    **{0: "Z UTC GMT WET", 1: "CET BST WEST", 2: "CEST EET", 3: "EEST", 9: "JST", 10: "AEST", 11: "AEDT"},
+    **{-4: "EDT", -5: "EST CDT", -6: "MDT", -7: "MST PDT", -8: "PST"},
+}
+ZONES = {name: float(hours) for hours, names in _HOURS.items() for name in names.split()}
+"""Hours ahead of UTC by the name of a zone."""
 _STEPS = LEAP_SECONDS + np.arange(1, len(LEAP_SECONDS) + 1)
 """GPS time after each leap second, s since 1970."""
 
@@ -51,14 +59,35 @@ def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
     plain = (
         text.str.replace("T(\\d)", " ${1}")
         .str.replace(r"(\d),(\d+)", "${1}.${2}")
-        .str.replace(r"(Z| ?UTC)$", "")
+        .str.replace(", ", " ", literal=True)
+        .str.replace(r" ?\[.*\]$", "")
     )
-    zone = plain.str.extract_groups(r" .*([+-])(\d\d):?(\d\d)$")
-    ahead = zone.struct[1].cast(pl.Float64) * 3600 + zone.struct[2].cast(pl.Float64) * 60
-    ahead = pl.when(zone.struct[0] == "-").then(-ahead).otherwise(ahead).fill_null(0.0)
-    plain = plain.str.replace(r"(\d\d:.*?) ?[+-]\d\d:?\d\d$", "${1}")
+    named = plain.str.extract(r"\d ?([A-Z]{1,4})$").replace_strict(
+        ZONES, default=None, return_dtype=pl.Float64
+    )
+    plain = pl.when(named.is_null()).then(plain).otherwise(plain.str.replace(r" ?[A-Z]+$", ""))
+    zone = plain.str.extract_groups(r" .*:.*([+-])(\d\d)(?::?(\d\d))?$")
+    ahead = zone.struct[1].cast(pl.Float64) + zone.struct[2].cast(pl.Float64).fill_null(0.0) / 60
+    ahead = 3600 * pl.coalesce(named, pl.when(zone.struct[0] == "-").then(-ahead).otherwise(ahead), 0.0)
+    plain = plain.str.replace(r"(\d\d:.*?) ?[+-]\d\d(?::?\d\d)?$", "${1}")
     if form.startswith("%M"):  # as spreadsheets show times; without a fraction it may be hours and minutes
         plain, form = pl.when(plain.str.contains(r"\.")).then("0:" + plain), f"%H:{form}"
     if form and "%d" not in form and "%j" not in form:
         return plain.str.to_time(form, strict=False).cast(pl.Int64) / 1e9
     return plain.str.to_datetime(form or None, time_unit="ns", strict=False).dt.timestamp("ns") / 1e9 - ahead
+
+
+def parse_durations(text: pl.Expr) -> pl.Expr:
+    """Convert durations in text to seconds: "1.23 sec", "12 ms", "27:00:01.5", "1 day 02:00:00"; others become null."""
+    plain = text.str.to_lowercase().str.replace(r"(\d),(\d+)", "${1}.${2}")
+    counted = plain.str.extract_groups(r"^([+-]?\d+\.?\d*(?:e[+-]?\d+)?) ?([a-zµμ]+)$")
+    factors = {word: factor for word, (kind, factor) in BASES.items() if kind == "T"}
+    unit = (
+        counted.struct[1]
+        .str.replace("[µμ]", "u")
+        .replace_strict(factors, default=None, return_dtype=pl.Float64)
+    )
+    clock = plain.str.extract_groups(r"^(?:(\d+)(?: ?d(?:ays?)?,? |:))?(\d+):([0-5]\d):([0-5]\d(?:\.\d+)?)$")
+    day, hour, minute, second = (clock.struct[k].cast(pl.Float64) for k in range(4))
+    whole = day.fill_null(0.0) * 86400 + hour * 3600 + minute * 60 + second
+    return pl.coalesce(counted.struct[0].cast(pl.Float64) * unit, whole)

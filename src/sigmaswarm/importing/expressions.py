@@ -19,7 +19,7 @@ from typing import Any
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.dates import SECOND, as_text, gps_time, parse_dates
+from sigmaswarm.importing.dates import SECOND, as_text, gps_time, parse_dates, parse_durations
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LONGEST = 1000
@@ -87,6 +87,8 @@ def _most(a: pl.Expr, b: pl.Expr) -> pl.Expr:
     return -_least(-a, -b)
 
 
+_OF_TEXT = {"dms": _dms, "duration": parse_durations}
+"""Functions of a column of text."""
 _CONSTANTS = {"pi": math.pi, "g": 9.80665}
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
@@ -207,8 +209,10 @@ class _Compiler:
                 return pl.all_horizontal(truths) if isinstance(op, ast.And) else pl.any_horizontal(truths)
             case ast.Call(func=ast.Name(id="utc"), args=[_, *_] as args, keywords=[]):
                 return self._utc(args)
-            case ast.Call(func=ast.Name(id="dms"), args=[arg], keywords=[]) if name := _column_name(arg):
-                return _dms(self._use(name).cast(pl.String))
+            case ast.Call(func=ast.Name(id=f), args=[arg], keywords=[]) if f in _OF_TEXT and (
+                name := _column_name(arg)
+            ):
+                return _OF_TEXT[f](self._use(name).cast(pl.String))
             case ast.Call(func=ast.Name(id=f), args=args, keywords=[]) if f in _FUNCTIONS:
                 uses, function = _FUNCTIONS[f]
                 if len(args) != len(uses):
@@ -220,7 +224,7 @@ class _Compiler:
             case _:
                 raise InputError(
                     f"{quoted(ast.unparse(node))} in {quoted(self.text)} is not allowed; use columns, numbers, "
-                    f"+ - * / ** %, comparisons, and {', '.join((*_FUNCTIONS, 'utc', 'dms'))}"
+                    f"+ - * / ** %, comparisons, and {', '.join((*_FUNCTIONS, *_OF_TEXT, 'utc'))}"
                 )
 
     def _argument(self, node: ast.expr, uses: int) -> pl.Expr:

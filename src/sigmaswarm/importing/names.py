@@ -16,7 +16,7 @@ TIME = (
     "(?:time|secs?|seconds|millis(?:econds)?|micros(?:econds)?)_since_\\w{1,20}|since_start|loggingtime|logging_time"
 )
 CLOCK = (
-    "received|boot|date|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|gps|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
+    "received|boot|date|cts|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|gps|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
     "(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
 )
 """Names of times, for tables without a more usual name."""
@@ -34,14 +34,15 @@ _ACCELERATION = (
 )
 _RATE = (
     "g|w|gyr|gyro|gyroscope|gyro_rotation|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate|"
-    "w_?b|w_rs_s|angular"
+    "w_?b|w_rs_s|angular|(?:velocidade?|velocita|vitesse)_ang[uo]lai?re?"
 )
 _STD = "(?:std|stdev|std_?dev|sigma|sd)"  # in survey-grade receivers these are in m, also for degrees
+TURNS = {"roll": "gx", "pitch": "gy", "yaw": "gz"}
 NAMES: tuple[tuple[str, str], ...] = (
     ("t", TIME),
     *((f"a{i}", f"(?:{_ACCELERATION})_?{i}") for i in "xyz"),
     *((f"g{i}", f"(?:{_RATE})_?{i}") for i in "xyz"),
-    ("gz", "yaw_?rate"),
+    *((axis, f"{turn}_?rate") for turn, axis in TURNS.items()),
     ("lat", "lat|latitude|gps_coord_x"),
     ("lon", "lon|lng|long|longitude|gps_coord_y"),
     ("ns", "n_s|ns_indicator|(?:lat|latitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ns|n_s)|north_south"),
@@ -71,18 +72,18 @@ _TOTAL = {"gfx", "gfy", "gfz"}
 """Accelerations in g of Physics Toolbox."""
 _MPU = {f"{s}{i}": f"{name}_{i}" for s, name in (("ac", "acc"), ("gy", "gyro")) for i in "xyz"}
 """Names in common Arduino sketches for an MPU-6050."""
-TURNS = {"roll": "gx", "pitch": "gy", "yaw": "gz"}
 _STATED: tuple[tuple[Dimension, str, str], ...] = (
     ("time", "t", "temps"),
     *(("acceleration", f"a{i}", f"{i}_?acc(?:el(?:eration)?)?|accsmooth_{i}") for i in "xyz"),
     *(("rate", f"g{i}", f"{i}_?gyro|{i}_rate_of_rotation|gyroadc_{i}|as_?{i}") for i in "xyz"),
-    ("rate", "gx", "roll_?rate"),
-    ("rate", "gy", "pitch_?rate"),
+    ("angle", "lat", "breite"),
+    ("angle", "lon", "lange|laenge"),
+    ("angle", "bearing", "kurs|cap|rumbo|rotta|koers"),
     ("speed", "speed", "geschwindigkeit|vitesse|velocidade?|velocita|snelheid"),
 )
 """Names that have a meaning only with a unit of this dimension: "x_acc" may also be an accuracy."""
 _SHORT = r"(?:field|data|msg|imu\d?)_(?=[agw][xyz](?:_|$))"
-_PREFIXES = re.compile(rf"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix|location|pos_lla)_(?=...)|{_SHORT}")
+_PREFIXES = re.compile(rf"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix|location|pos_lla|pos)_(?=...)|{_SHORT}")
 """Prefixes of message tables and of loggers."""
 _FIXES = r"gps\d?|gnss\d?|fix|position|location"
 _CONTAINERS = rf"car|vehicle|imu\d?|data|fields?|msg|sensors?|log|logger|\d{{1,3}}|{_FIXES}"
@@ -97,14 +98,16 @@ _MAVLINK = {
 _TRANSLATED = {
     word: name
     for name, words in {
-        "time": "zeit tiempo tijd czas",
+        "time": "zeit uhrzeit heure tiempo hora tempo ora tijd czas",
+        "timestamp": "zeitstempel horodatage",
+        "date": "datum fecha",
         "acceleration": "beschleunigung aceleracion aceleracao accelerazione versnelling przyspieszenie",
         "accelerometer": "beschleunigungssensor accelerometre acelerometro accelerometro akcelerometr",
         "gyroscope": "gyroskop giroscopio gyroscoop zyroskop",
-        "rate": "drehrate winkelgeschwindigkeit",
+        "rate": "drehrate winkelgeschwindigkeit drehgeschwindigkeit",
         "latitude": "breitengrad latitud latitudine breedtegraad",
         "longitude": "langengrad laengengrad longitud longitudine lengtegraad",
-        "height": "hohe hoehe hauteur altura altezza hoogte",
+        "height": "hohe hoehe hauteur altura altezza quota hoogte",
     }.items()
     for word in words.split()
 }
@@ -198,6 +201,12 @@ def _one_sensor(names: list[Name]) -> list[Name]:
         names = [Name(n.column, f"acc_{n.plain[-1]}", n.unit or g) if n.plain in _TOTAL else n for n in kept]
     if plains >= _MPU.keys() and not any(n.meaning in _AXES for n in names):
         names = [n if n.plain not in _MPU else replace(n, plain=_MPU[n.plain]) for n in names]
+    turns = {
+        n.meaning for n in names if not n.is_one("(?:roll|pitch)_?rate")
+    }  # a rate of attitude may be another one
+    names = [
+        replace(n, plain="") if n.is_one("(?:roll|pitch)_?rate") and n.meaning in turns else n for n in names
+    ]
     for axes in (_AXES[:3], _AXES[3:]):
         families = [_family(n) if n.meaning in axes else None for n in names]
         first = min((f for f in families if f is not None), key=bool, default=None)

@@ -6,7 +6,14 @@ from dataclasses import dataclass
 
 import polars as pl
 
-from sigmaswarm.importing.dates import EXCEL_EPOCH, JULIAN_EPOCH, MATLAB_EPOCH, as_text, parse_dates
+from sigmaswarm.importing.dates import (
+    EXCEL_EPOCH,
+    JULIAN_EPOCH,
+    MATLAB_EPOCH,
+    as_text,
+    parse_dates,
+    parse_durations,
+)
 from sigmaswarm.importing.names import (
     CLOCK,
     STAMP,
@@ -32,6 +39,7 @@ DATE_FORMATS = (
     "",
     "%d-%b-%Y %H:%M:%S%.f",
     "%d %b %Y %H:%M:%S%.f",
+    "%a %b %d %H:%M:%S%.f %Y",
     "%Y/%m/%d %H:%M:%S%.f",
     "%d.%m.%Y %H:%M:%S%.f",
     "%m/%d/%Y %H:%M:%S%.f",
@@ -279,6 +287,10 @@ def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
         form for form in sorted(read, key=lambda f: -read[f]) if read[form] >= LEAST_FITTING * most > 0
     ]
     called = ", ".join(map(written, columns))
+    if len(columns) == 1 and most < LEAST_FITTING * len(texts):
+        durations = texts.to_frame("date").select(parse_durations(pl.col("date"))).to_series().count()
+        if durations >= LEAST_FITTING * len(texts):
+            return Found(f"duration({called})", "times are read as durations")
     if not fitting:
         said = f"{quoted(texts[0])} is not a known date" if len(texts) else "has no dates"
         option = (

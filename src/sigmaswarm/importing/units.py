@@ -34,14 +34,14 @@ _BASE_WORDS = {
     },
 }
 """Words for units of length, time and angle, by factor to m, s and rad."""
-_BASES = {
+BASES = {
     word: (kind, factor)
     for kind, words in _BASE_WORDS.items()
     for factor, text in words.items()
     for word in text.split()
 }
 SECONDS = frozenset(_BASE_WORDS["T"][1.0].split())
-PARTS_OF_SECONDS = {w: f for w, (kind, f) in _BASES.items() if kind == "T" and f < 1}
+PARTS_OF_SECONDS = {w: f for w, (kind, f) in BASES.items() if kind == "T" and f < 1}
 _DIMENSIONS: dict[tuple[int, int, int], Dimension] = {
     (1, 0, 0): "length",
     (0, 1, 0): "time",
@@ -117,13 +117,13 @@ def parse_unit(text: str) -> Unit | None:
     powers, factor, sign, at = {"L": 0, "T": 0, "A": 0}, 1.0, 1, 0
     while at < len(plain):
         token = _TOKEN.match(plain, at)
-        if token is None or (token[2] and token[2] not in _BASES):
+        if token is None or (token[2] and token[2] not in BASES):
             return Unit(text, None, 0.0)
         at = token.end()
         if token[1]:
             sign = -1
         elif token[2]:
-            kind, base = _BASES[token[2]]
+            kind, base = BASES[token[2]]
             power = sign * int(re.sub(r"[^\d-]", "", token[3] or "1"))
             powers[kind] += power
             factor *= base**power

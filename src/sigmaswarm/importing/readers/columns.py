@@ -167,9 +167,33 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
         except BROKEN:
             raise broken_table(shown_as, shown_as.name, error) from None
     missing = [pl.lit(None, pl.Float64).alias(c) for c in columns if c not in there]
-    commas = [columns[k] for k in dialect.comma_columns if there.get(columns[k]) == pl.String]
-    dotted = [pl.col(c).str.strip_chars().str.replace(",", ".", literal=True) for c in commas]
-    return frame.with_columns(*missing, *dotted).select(columns[: len(dialect.names)])
+    texts = [columns[k] for k in dialect.numeric if there.get(columns[k]) == pl.String]
+    grouped = _grouped(frame, texts, shown_as)
+    commas = {columns[k] for k in dialect.comma_columns if columns[k] in texts}
+    commas = commas - grouped.keys() | {c for c, group in grouped.items() if group != ","}
+    plain = {c: pl.col(c).str.strip_chars() for c in (*commas, *grouped)}
+    plain |= {c: plain[c].str.replace_all(group, "", literal=True) for c, group in grouped.items()}
+    plain |= {c: plain[c].str.replace(",", ".", literal=True) for c in commas}
+    return frame.with_columns(*missing, *plain.values()).select(columns[: len(dialect.names)])
+
+
+def _grouped(frame: pl.LazyFrame, columns: Sequence[str], shown_as: Path) -> dict[str, str]:
+    """Return the separator of thousands of each column with numbers that cannot be read otherwise: 1.234,5."""
+    forms = {
+        **{
+            group: rf"^[+-]?\d{{1,3}}(?:\{group}\d{{3}})+\{mark}\d+$"
+            for group, mark in ((".", ","), (",", "."))
+        },
+        **{group: rf"^[+-]?\d{{1,3}}(?:{group}\d{{3}})+(?:[.,]\d+)?$" for group in "'’ \u00a0\u202f"},
+    }
+    two = {group: rf"|^[+-]?\d{{1,3}}(?:\{group}\d{{3}}){{2,}}$" for group in ".,"}
+    found = frame.select(
+        pl.col(c).str.strip_chars().str.contains(form + two.get(group, "")).any().alias(f"{c}{group}")
+        for c in columns
+        for group, form in forms.items()
+    )
+    seen = collect(found, shown_as, shown_as.name).row(0, named=True) if columns else {}
+    return {c: group for c in columns for group in forms if seen[f"{c}{group}"]}
 
 
 def _separated(file: Path, dialect: Dialect, columns: Sequence[str] | None, **options: Any) -> pl.LazyFrame:

@@ -26,6 +26,7 @@ BLANKS = " "
 """A separator of any number of blanks."""
 COMMENTS = "#%!"
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
+_GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’ \u00a0\u202f])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
 _DIGITS = re.compile(r"\d{8} ?\d{4,6}[\d.]{0,10}")
 """A date and a time of day without separators."""
 _EMPTY = (*NO_VALUE, "inf", "-inf")
@@ -51,6 +52,7 @@ class Dialect:
     ----------
     names : names of the columns, with the unit of a units row in brackets
     skip : number of lines above the first row of values
+    numeric : indices of the columns with numbers or dates
     comma_columns : indices of the columns with decimal commas
     surplus : number of empty cells at the end of each row, for which the header has no names
     remarks : sentences for the user
@@ -60,6 +62,7 @@ class Dialect:
     names: tuple[str, ...]
     skip: int
     encoding: str = "utf8"
+    numeric: tuple[int, ...] = ()
     comma_columns: tuple[int, ...] = ()
     surplus: int = 0
     remarks: tuple[str, ...] = ()
@@ -111,7 +114,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     commas = tuple(k for k in numeric if _has_decimal_commas([row[k] for row in data if k < len(row)]))
     if commas:
         remarks.append(f"{shown_as.name}: numbers have decimal commas")
-    return Dialect(separator, tuple(names), first, encoding, commas, surplus, tuple(remarks))
+    return Dialect(separator, tuple(names), first, encoding, tuple(numeric), commas, surplus, tuple(remarks))
 
 
 def _of_message(row: Sequence[str]) -> list[str]:
@@ -153,7 +156,7 @@ def is_table(file: Path) -> bool:
 def _has_decimal_commas(cells: Sequence[str]) -> bool:
     """Return True for numbers with commas, unless many other texts (such as dates) have commas."""
     filled = [cell.strip() for cell in cells if cell.strip().lower() not in _EMPTY][:100]
-    numbers = sum(_NUMBER.fullmatch(cell) is not None for cell in filled)
+    numbers = sum(any(form.fullmatch(cell) for form in (_NUMBER, _GROUPED)) for cell in filled)
     return any("," in cell for cell in cells) and numbers >= 0.9 * len(filled)
 
 
@@ -198,7 +201,7 @@ def is_value(cell: str) -> bool:
     if len(cell) > 40 or not cell or not {*cell}.isdisjoint({*SEPARATORS} - {","}):
         return False
     dated = cell[0].isdigit() and any(mark in cell for mark in ":-/") and not re.search(r": *[A-Za-z]", cell)
-    return dated or _NUMBER.fullmatch(cell) is not None or _DIGITS.fullmatch(cell) is not None
+    return dated or any(form.fullmatch(cell) for form in (_NUMBER, _DIGITS, _GROUPED))
 
 
 def _separator(lines: Sequence[str]) -> str:
