@@ -225,12 +225,12 @@ def export(
         If the target is unknown or does not support the model.
     """
     from sigmaswarm.exports.targets import export_texts, kind_of, write_texts
-    from sigmaswarm.tuning.record import tuned_as_recorded, tuned_mounting
+    from sigmaswarm.tuning.record import TuningRecord
 
     known = filter_of(parameters)
     if isinstance(parameters, str | Path):
-        path = Path(parameters)
-        options = {"mounting": tuned_mounting(path), "as_recorded": tuned_as_recorded(path)} | options
+        record = TuningRecord.read(Path(parameters))
+        options = {"mounting": record.mounting, "as_recorded": record.as_recorded} | options
     elif isinstance(parameters, Tuning):
         recorded = parameters.config.model_dump()["as_recorded"]
         options = {"mounting": parameters.mounting, "as_recorded": recorded} | options

@@ -23,7 +23,7 @@ from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.importing.mounting import parse_mount
-from sigmaswarm.tuning.record import tuned_mounting
+from sigmaswarm.tuning.record import TuningRecord
 
 FEW = {"particles": 4, "generations": 2, "trials": 1, "seed": 1}
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
@@ -141,7 +141,7 @@ def test_an_imu_of_three_axes_that_the_doctor_turns(tmp_path: Path):
 
 def test_a_tuning_keeps_the_mounting_on_which_its_drives_agree(imported: Drive, tuning: Path, tmp_path: Path):
     found = sigmaswarm.Tuning.load(tuning)
-    assert found.mounting == tuned_mounting(tuning) == pytest.approx(ANGLES, abs=1e-9)
+    assert found.mounting == TuningRecord.read(tuning).mounting == pytest.approx(ANGLES, abs=1e-9)
     assert found.data[0]["imu_mounting_deg"] == pytest.approx(imported.mounting)
     texts = sigmaswarm.export(found, "c99")
     assert texts == sigmaswarm.export(tuning, "c99")
@@ -159,7 +159,7 @@ def test_a_tuning_keeps_the_mounting_on_which_its_drives_agree(imported: Drive, 
         assert differing.mounting is None
         assert sum("mountings of the training drives differ" in remark for remark in differing.remarks) == 1
     sigmaswarm.FilterParameters.load(tuning).save(tmp_path / "filter.toml")
-    assert tuned_mounting(tmp_path / "filter.toml") is None
+    assert TuningRecord.read(tmp_path / "filter.toml").mounting is None
 
 
 @pytest.mark.parametrize("model", ["planar5", "robot-localization"])

@@ -96,10 +96,9 @@ def evaluate(
     """
     from sigmaswarm.filters.robot_yaml import YAML
     from sigmaswarm.learned.folder import load_learned
-    from sigmaswarm.records import load_record
     from sigmaswarm.reports.evaluation import save_evaluation
     from sigmaswarm.scoring.records import ASKED_FILE, EVALUATION
-    from sigmaswarm.tuning.record import TuningRecord, tuning_file
+    from sigmaswarm.tuning.record import TuningRecord
 
     if tuning.suffix in YAML:
         raise InputError(
@@ -108,7 +107,7 @@ def evaluate(
         )
     learned, out = load_learned(tuning), options.out
     parameters = sigmaswarm.FilterParameters.load(tuning)
-    record = load_record(TuningRecord, tuning_file(tuning))
+    record = TuningRecord.read(tuning)
     if out:
         require_result_folder(out, [tuning, options.against], EVALUATION, ASKED_FILE)
     remedies: list[Remedy] = []
@@ -146,7 +145,7 @@ def _evaluated(
     """Evaluate; the remedies of serious faults of the drives are added to ``remedies``."""
     from sigmaswarm.learned.folder import seen_in
     from sigmaswarm.scoring.evaluation import evaluate as evaluate_drives
-    from sigmaswarm.tuning.record import seen_by, tuned_as_recorded, tuning_file
+    from sigmaswarm.tuning.record import seen_by
 
     if not 0 < options.outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {options.outage_length:g})")
@@ -159,8 +158,8 @@ def _evaluated(
             against=options.against,
             outage_length=options.outage_length,
             outage_seed=options.outage_seed,
-            as_recorded=options.as_recorded or tuned_as_recorded(tuning),
-            seen=[*seen_by(tuning_file(tuning)), *seen_in(tuning)] or None,
+            as_recorded=options.as_recorded or record.as_recorded,
+            seen=[*seen_by(tuning), *seen_in(tuning)] or None,
             smooth=options.smooth,
             swarm=options.swarm,
             more={learned.kind: run} if learned and run else {},

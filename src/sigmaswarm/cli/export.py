@@ -73,7 +73,7 @@ def export(
     from sigmaswarm.exports.check import check_export
     from sigmaswarm.exports.targets import export_texts, kind_of, write_texts
     from sigmaswarm.filters.models import MODELS
-    from sigmaswarm.tuning.record import mountings_differ, tuned_as_recorded, tuned_mounting
+    from sigmaswarm.tuning.record import TuningRecord
 
     to, out, lanes, seed = options.to, options.out, options.lanes, options.seed
     parameters = sigmaswarm.FilterParameters.load(tuning)
@@ -88,8 +88,9 @@ def export(
         )
     drive = read_known(options.replay) if options.replay else None
     drives = read_drives(options.check or [])
-    recorded, mounting = tuned_as_recorded(tuning), tuned_mounting(tuning)
-    settings: dict[str, Any] = {"as_recorded": recorded, "lanes": lanes, "seed": seed}
+    record = TuningRecord.read(tuning)
+    mounting = record.mounting
+    settings: dict[str, Any] = {"as_recorded": record.as_recorded, "lanes": lanes, "seed": seed}
     texts = export_texts(parameters, to, replay=drive, mounting=mounting, **settings)
     if drives and ros:
         texts["README.md"] += _accuracy(parameters, drives, tuning, options.against)
@@ -108,7 +109,7 @@ def export(
             "ins_gps_turn_imu() rotates samples with the imported axes by the mounting of the training drives "
             f"({angles} deg)"
         )
-    if to != "filterpy" and mountings_differ(tuning):
+    if to != "filterpy" and record.mountings_differ:
         say(
             "note: the IMU's mountings of the training drives differ, so the export contains no rotation: turn raw "
             "samples to x forward, y left, z up before the filter, or tune on drives of one mounting"
@@ -121,9 +122,9 @@ def _accuracy(
 ) -> str:
     from sigmaswarm.exports.robot_localization import accuracy_section
     from sigmaswarm.scoring.evaluation import evaluate
-    from sigmaswarm.tuning.record import seen_by, tuning_file
+    from sigmaswarm.tuning.record import seen_by
 
-    seen = seen_by(tuning_file(tuning)) or None
+    seen = seen_by(tuning) or None
     return accuracy_section(evaluate(drives, parameters, against=against, seen=seen))
 
 

@@ -112,7 +112,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     from sigmaswarm.filters.run import estimates_of, replay_of
     from sigmaswarm.filters.smoothing import Smoothing
     from sigmaswarm.learned.folder import load_learned
-    from sigmaswarm.tuning.record import tuned_as_recorded
+    from sigmaswarm.tuning.record import TuningRecord
 
     out, smooth, before, truth = options.out, options.smooth, options.before, options.truth
     for file in filter(None, (out, before, truth)):
@@ -135,7 +135,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
         check_target(truth, target["origin"])
     if before:
         check_fixes_target(before, target["origin"])
-    as_recorded = options.as_recorded or tuned_as_recorded(tuning)
+    as_recorded = options.as_recorded or TuningRecord.read(tuning).as_recorded
     replay = replay_of(read, as_recorded=as_recorded)
     found: Run
     if options.bank:

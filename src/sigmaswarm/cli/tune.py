@@ -173,7 +173,6 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
 
 def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
     """Suggest a comparison with the newest tuning of the same drives in a sibling folder."""
-    from sigmaswarm.records import load_record
     from sigmaswarm.scoring.records import SCORES_FILE
     from sigmaswarm.tuning.record import FILE, TuningRecord
 
@@ -181,7 +180,7 @@ def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
     others = [f for f in files if not f.parent.samefile(out) and not (f.parent / SCORES_FILE).exists()]
     for file in sorted(others, key=lambda file: file.stat().st_mtime, reverse=True)[:20]:
         try:
-            data = load_record(TuningRecord, file).data
+            data = TuningRecord.read(file).data
         except InputError:
             continue
         if [one.sha256 for one in data] == [*tuned_on]:

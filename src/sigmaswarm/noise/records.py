@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,19 @@ DEG_PER_SQRT_HOUR = math.degrees(1) * 60  # factor from rad/s/sqrt(Hz)
 DEG_PER_HOUR = math.degrees(1) * HOUR  # factor from rad/s
 MPS_PER_SQRT_HOUR = 60.0  # factor from m/s2/sqrt(Hz)
 MGAL = 1e5  # factor from m/s2
+UNITS = {
+    "a": (
+        ("velocity random walk", MPS_PER_SQRT_HOUR, "m/s/sqrt(h)"),
+        ("bias instability", MGAL, "mGal"),
+        ("rate random walk", MGAL * 60, "mGal/sqrt(h)"),
+    ),
+    "g": (
+        ("angle random walk", DEG_PER_SQRT_HOUR, "deg/sqrt(h)"),
+        ("bias instability", DEG_PER_HOUR, "deg/h"),
+        ("rate random walk", DEG_PER_HOUR * 60, "deg/h/sqrt(h)"),
+    ),
+}
+"""Names, factors and units of data sheets for the terms of an accelerometer's and a gyro's axis."""
 SENSORS = {"accel": ("ax ay az", "m/s2"), "gyro": ("gx gy gz", "rad/s")}
 
 
@@ -49,6 +62,10 @@ class AxisNoise:
     drift: float
     tau: Array
     deviation: Array
+
+    @property
+    def terms(self) -> dict[str, Interval]:
+        return {"white": self.white, "instability": self.instability, "walk": self.walk}
 
     def bias(self, longest: float) -> tuple[float, float]:
         """Return standard deviation (unit) and correlation time (s) of the bias as a Gauss-Markov process.
@@ -114,7 +131,7 @@ class Noise:
                 unit,
             )
             for axis in self.axes
-            for name, i, scale, unit in _in_units(axis)
+            for i, (name, scale, unit) in zip(axis.terms.values(), UNITS[axis.axis[0]], strict=True)
             if i.high > 0  # a filter has no flicker noise, and some have no bias
         ]
         return Table(f"Noise of the IMU, {self.name}", columns, tuple(rows))
@@ -130,22 +147,7 @@ class Noise:
         }
 
 
-def _in_units(axis: AxisNoise) -> list[tuple[str, Interval, float, str]]:
-    if axis.axis[0] == "g":
-        return [
-            ("angle random walk", axis.white, DEG_PER_SQRT_HOUR, "deg/sqrt(h)"),
-            ("bias instability", axis.instability, DEG_PER_HOUR, "deg/h"),
-            ("rate random walk", axis.walk, DEG_PER_HOUR * 60, "deg/h/sqrt(h)"),
-        ]
-    return [
-        ("velocity random walk", axis.white, MPS_PER_SQRT_HOUR, "m/s/sqrt(h)"),
-        ("bias instability", axis.instability, MGAL, "mGal"),
-        ("rate random walk", axis.walk, MGAL * 60, "mGal/sqrt(h)"),
-    ]
-
-
 def _content(axis: AxisNoise) -> dict[str, Any]:
-    names = {"white": axis.white, "instability": axis.instability, "walk": axis.walk}
-    content: dict[str, Any] = {k: {"value": i.value, "low": i.low, "high": i.high} for k, i in names.items()}
+    content: dict[str, Any] = {name: asdict(interval) for name, interval in axis.terms.items()}
     content |= {"correlation_time_s": axis.correlation_time, "drift": axis.drift}
     return content | {"tau_s": axis.tau.tolist(), "allan_deviation": axis.deviation.tolist()}

@@ -27,7 +27,7 @@ from sigmaswarm.scoring.view import (
     explained_scores,
     with_training,
 )
-from sigmaswarm.tuning.record import FILE, NOT_VALIDATED, TuningRecord
+from sigmaswarm.tuning.record import NOT_VALIDATED, TuningRecord
 from sigmaswarm.wording import in_order
 
 LINES = ("truth", *ALSO, "tuned", OWN, BASELINE, FIXES, "imu_only", "raw_gps")
@@ -45,7 +45,7 @@ BANK = (
 
 
 def evaluation_report(folder: Path) -> Report:
-    file = load_record(TuningRecord, folder / FILE)
+    file = TuningRecord.read(folder)
     view = read_view(folder, file)
     scores, setup, nees = view.scores, view.setup, not view.blind
     drives = load_tracks(folder / TRACKS_FILE)

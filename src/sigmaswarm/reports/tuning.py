@@ -14,7 +14,6 @@ from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.models import MODELS
-from sigmaswarm.records import load_record
 from sigmaswarm.reports.commands import tune_command
 from sigmaswarm.reports.evaluation import tracks
 from sigmaswarm.reports.figures import Chart, curve, figure_of, logarithmic, save
@@ -43,7 +42,7 @@ SIGMA_POINTS = {"alpha", "beta", "kappa"}
 def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Path]:
     """Write convergence.csv and the figures of a tuning into its folder. Return the paths of the pictures.
 
-    ``track`` is a track on a training drive (`scoring.tracks.picture_of`).
+    ``track`` is a track on a training drive (`scoring.tracks.first_look`).
     """
     save_history(tuning, folder)
     labels = LABELS | method_names(tuning.parameters.kind, tuning.parameters.model)
@@ -89,7 +88,7 @@ def _convergence_chart(history: pl.DataFrame, best_trial: int, objective: str) -
 
 
 def tuning_report(folder: Path) -> Report:
-    file = load_record(TuningRecord, folder / FILE)
+    file = TuningRecord.read(folder)
     result = file.result
     if result is None:
         raise InputError(

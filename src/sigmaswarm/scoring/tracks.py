@@ -11,7 +11,7 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.prepared import PreparedDrive, prepared
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import read_arrays, whole_file
 from sigmaswarm.filters.bank.run import BankRun
@@ -194,14 +194,6 @@ class Tracker:
         if truth is not None:
             columns["position_error"] = distance_from(truth, gps.time, gps.x, gps.y)
         self._keep("raw_gps", [columns], len(gps))
-
-
-def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParameters], name: str) -> Picture:
-    ready = prepared(drive)
-    tracker = Tracker(ready, picture=True)
-    for series, parameters in filters.items():
-        tracker.record(series, replay_of(ready), parameters)
-    return tracker.picture(name)
 
 
 @dataclass(frozen=True, eq=False)

@@ -170,6 +170,7 @@ OBJECTIVES = {
     )
 }
 
+FLAGS = ("needs_truth", "needs_outages", "needs_forecasts", "likelihood")
 _TERM = re.compile(r"\s*(?:(?P<weight>[0-9.]+(?:e[+-]?[0-9]+)?)\s*\*?\s*)?(?P<name>[a-z][a-z-]*)\s*")
 
 
@@ -185,10 +186,7 @@ def objective_named(name: str) -> Objective:
         name=" + ".join(o.name if w == 1.0 else f"{w:g} {o.name}" for w, o in terms),
         summary=" + ".join(f"{w:g} x {o.summary}" for w, o in terms),
         per_drive=lambda scores: np.sum([w * o.per_drive(scores) for w, o in terms], axis=0),
-        needs_truth=any(o.needs_truth for _, o in terms),
-        needs_outages=any(o.needs_outages for _, o in terms),
-        needs_forecasts=any(o.needs_forecasts for _, o in terms),
-        likelihood=any(o.likelihood for _, o in terms),
+        **{flag: any(getattr(o, flag) for _, o in terms) for flag in FLAGS},
         nats=sum(w * o.nats for w, o in terms) if in_nats else 0.0,
         warning=warnings[0] if warnings else None,
     )

@@ -66,19 +66,7 @@ class ResultRecord(BaseModel):
     """Relative change of the cost if only this parameter changes."""
 
 
-class TuningConfigRecord(BaseModel):
-    """``[config]`` of tuning.toml."""
-
-    config: dict[str, Any] = Field(default_factory=dict)
-
-
-class TuningDataRecord(BaseModel):
-    """``[[data]]`` of tuning.toml."""
-
-    data: list[DriveRecord] = Field(default_factory=list[DriveRecord])
-
-
-class TuningRecord(TuningConfigRecord, TuningDataRecord):
+class TuningRecord(BaseModel):
     """tuning.toml; a file of `FilterParameters` has only the tables ``filter`` and ``units``."""
 
     filter: dict[str, float | str | list[float]]
@@ -86,45 +74,44 @@ class TuningRecord(TuningConfigRecord, TuningDataRecord):
     densities: dict[str, str] = Field(default_factory=dict)
     result: ResultRecord | None = None
     within_1_percent_of_the_cost: dict[str, tuple[End, End]] = Field(default_factory=dict)
+    config: dict[str, Any] = Field(default_factory=dict)
     fixes_alone: MotionNoise | None = None
     forecasts: list[Forecast] = Field(default_factory=list[Forecast])
     versions: dict[str, str] = Field(default_factory=dict)
+    data: list[DriveRecord] = Field(default_factory=list[DriveRecord])
+
+    @classmethod
+    def read(cls, path: Path) -> "TuningRecord":
+        """Read a tuning.toml or the folder of a tuning; an ekf.yaml has no record of a tuning."""
+        return cls(filter={}) if path.suffix in YAML else load_record(cls, tuning_file(path))
+
+    @property
+    def as_recorded(self) -> bool:
+        """True if the filter was tuned without preprocessing."""
+        return self.config.get("as_recorded", False) is True
+
+    @property
+    def mounting(self) -> Angles | None:
+        """The mounting on which the training drives agree; None for parameters without a tuning."""
+        return common_mounting(drive.imu_mounting_deg for drive in self.data)
+
+    @property
+    def mountings_differ(self) -> bool:
+        """True if the training drives state mountings that do not agree."""
+        return self.mounting is None and any(drive.imu_mounting_deg for drive in self.data)
 
 
 def tuning_file(path: Path) -> Path:
     return path / FILE if path.is_dir() else path
 
 
-def tuned_as_recorded(path: Path) -> bool:
-    """Return True if a tuning was made without preprocessing; an ekf.yaml is no tuning."""
-    if path.suffix in YAML:
-        return False
-    return load_record(TuningConfigRecord, tuning_file(path)).config.get("as_recorded", False) is True
-
-
-def tuned_mounting(path: Path) -> Angles | None:
-    """Return the mounting on which the training drives of a tuning agree; None for parameters without a tuning."""
-    return common_mounting(_mountings(path))
-
-
-def mountings_differ(path: Path) -> bool:
-    """Return True if the training drives of a tuning state mountings that do not agree."""
-    return any(_mountings(path)) and tuned_mounting(path) is None
-
-
-def _mountings(path: Path) -> list[Angles | None]:
-    if path.suffix in YAML:
-        return []
-    return [drive.imu_mounting_deg for drive in load_record(TuningDataRecord, tuning_file(path)).data]
-
-
-def seen_by(file: Path) -> list[Landmarks]:
-    """Return the landmarks of the training drives of a tuning.toml, from seen.npz next to it.
+def seen_by(path: Path) -> list[Landmarks]:
+    """Return the landmarks of the training drives of a tuning.toml or its folder, from seen.npz next to it.
 
     If seen.npz is missing or from an earlier version, only whole drives are recognized.
     """
-    data = load_record(TuningRecord, file).data
-    kept = load_landmarks(file.parent / SEEN_FILE)
+    data = TuningRecord.read(path).data
+    kept = load_landmarks(tuning_file(path).parent / SEEN_FILE)
     if kept is not None and [marks.sha256 for marks in kept] == [drive.sha256 for drive in data]:
         return kept
     return [whole_drive(d.name, d.sha256, d.duration_s or 0.0) for d in data if d.sha256]
