@@ -11,8 +11,8 @@ from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.drives.mounting import Angles
 from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.c_emitter import STATES
 from sigmaswarm.exports.c_kernels import kernels_of
+from sigmaswarm.exports.c_names import STATES
 from sigmaswarm.exports.c_rules import rules_of
 from sigmaswarm.exports.features import (
     PARAMETERS,

@@ -1,59 +1,17 @@
 """Translate the kernels of the compiled filter to C99, for one column and without terms that are 0 in a filter."""
 
 import ast
-import inspect
-import io
-import math
 import re
 import textwrap
-import tokenize
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from functools import cache
 from typing import Any
 
-from sigmaswarm.drives import odometer, timeline
+from sigmaswarm.exports.c_names import CALLS, INPUTS, PARAMETERS, RENAMED, STATES
+from sigmaswarm.exports.c_text import in_c, is_truth, name_of, number_of, numeral, parsed, uses, wrapped
 from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, N_KEPT, NAMES, QUATERNION
 from sigmaswarm.filters.compiled.unroll import Kernel
 
-STATES = (
-    *("X", "Y", "VX", "VY", "HEADING", "ACCEL_X", "ACCEL_Y", "GYRO", "ROLL", "PITCH", "GYRO_X", "GYRO_Y"),
-    *("FIX_ERROR_X", "FIX_ERROR_Y"),
-)
-"""Names of the states in C, in the order of the largest model."""
-FIX_ERROR = STATES[-2:]
-PARAMETERS = {
-    "w": ("InsGpsEstimate *b", "Work *work"),
-    "u": ("real dt", "real steps", "const InsGpsSample *sample"),
-    "z": ("const InsGpsFix *fix",),
-    "lever": ("const real *lever",),
-    "wheels": ("const Wheels *wheels",),
-    "events": ("unsigned events",),
-    "since": ("InsGpsEstimate *b",),
-    "l": (),
-}
-"""C parameters that replace a parameter of a kernel. A C function has only the parameters that it uses."""
-_AXES = {"gz": "sample->yaw_rate"}
-INPUTS = {
-    "u": {
-        **{timeline.DT: "dt", timeline.Q_SCALE: "steps", timeline.GAP: "sample->gap"},
-        **{
-            k: _AXES.get(axis, f"sample->{axis}") for k, axis in enumerate(timeline.AXES, timeline.FIRST_AXIS)
-        },
-    },
-    "z": {
-        **{timeline.FIX_X: "(fix->x - b->origin[0])", timeline.FIX_Y: "(fix->y - b->origin[1])"},
-        **{timeline.FIX_U: "fix->vx", timeline.FIX_V: "fix->vy"},
-        **{timeline.FIX_VAR_X: "fix->variance[0]", timeline.FIX_VAR_Y: "fix->variance[1]"},
-        **{timeline.FIX_THETA: "fix->heading", timeline.FIX_VAR_THETA: "fix->heading_variance"},
-    },
-    "wheels": {odometer.SPEED: "wheels->speed", odometer.AGE: "wheels->age", odometer.MORE: "wheels->more"},
-    "lever": {k: f"lever[{k}]" for k in range(3)},
-}
-"""C text of the elements of a step, a fix, a reading and the lever arm."""
-CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS", "angle_of": "ATAN2"}
-RENAMED = {"_": "again", "b": "b0", "since": "b->steps_since_fix", "near": "is_near", "far": "is_far"}
-"""C names of Python names that are reserved or stored elsewhere in C."""
 _SIGNS: dict[type, str] = {
     **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%"},
     **{ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="},
@@ -115,7 +73,7 @@ class _Function(ast.NodeTransformer):
     def __init__(
         self, emitter: Emitter, function: Callable[..., Any], name: str, known: dict[str, Any]
     ) -> None:
-        definition, self.comments = _parsed(function)
+        definition, self.comments = parsed(function)
         self.emitter, self.name, self.definition = emitter, name, definition
         self.known, self.names = known, {**function.__globals__, **known}
         emitter.constants |= {n: v for n, v in self.names.items() if n.isupper() and isinstance(v, float)}
@@ -136,7 +94,7 @@ class _Function(ast.NodeTransformer):
         code, signature = "\n".join(self.lines), list[list[str]]()
         for each in self.definition.args.args:
             ours = self.parameters_of(each.arg)
-            signature.append([p for p in ours if _uses(code, p.split()[-1].lstrip("*"))])
+            signature.append([p for p in ours if uses(code, p.split()[-1].lstrip("*"))])
         self.emitter.signatures[self.definition.name] = self.name, signature
         parameters = dict.fromkeys(p for each in signature for p in each)
         parameters = [*parameters, *(f"real *{out}" for out in self.outs)]
@@ -145,10 +103,10 @@ class _Function(ast.NodeTransformer):
         if "P[" in code:
             self.lines.insert(0, "    real(*P)[N] = b->covariance;")
         documented = (ast.get_docstring(self.definition) or "").split("\n\n")[0].split()
-        doc = textwrap.fill(_in_c(" ".join(documented)), 116, subsequent_indent=" * ")
+        doc = textwrap.fill(in_c(" ".join(documented)), 116, subsequent_indent=" * ")
         comment = f"/* {doc} */\n" if documented else ""
         head = textwrap.fill(head, 118, subsequent_indent="    ").replace("\0", " ")
-        return f"{comment}{head}\n{{\n" + "\n".join(_wrapped(self.lines)) + "\n}\n"
+        return f"{comment}{head}\n{{\n" + "\n".join(wrapped(self.lines)) + "\n}\n"
 
     def parameters_of(self, name: str) -> tuple[str, ...]:
         ours = PARAMETERS.get(name) if self.is_kernel else None
@@ -220,7 +178,7 @@ class _Function(ast.NodeTransformer):
 
     def store_results(self, targets: list[ast.expr], call: ast.Call, depth: int) -> None:
         """Print a call with results, which C returns through pointers."""
-        if ast.unparse(call.func) == "spread_of" and _number(self.fold(call.args[0])) == 0.0:
+        if ast.unparse(call.func) == "spread_of" and number_of(self.fold(call.args[0])) == 0.0:
             # sigma points without spread; d/4 is only a divisor
             self.store_all(targets, [ast.Constant(1.0), ast.Constant(1.0), ast.Constant(0.0)], depth)
             return
@@ -241,13 +199,17 @@ class _Function(ast.NodeTransformer):
         for k, (target, value) in enumerate(zip(targets, folded, strict=True)):
             if isinstance(target, ast.Name) and target.id in self.known:
                 continue
-            if isinstance(target, ast.Name) and target.id not in self.changing and _number(value) is not None:
+            if (
+                isinstance(target, ast.Name)
+                and target.id not in self.changing
+                and number_of(value) is not None
+            ):
                 self.numbers[target.id] = value
                 continue
             place, mirror = self.written(target)
             if place is None or place in written:
                 continue
-            if any(_uses(self.print(v), place) for v in folded[k + 1 :]):
+            if any(uses(self.print(v), place) for v in folded[k + 1 :]):
                 raise TypeError(f"{self.name}: {ast.unparse(target)} is read after it was written")
             if not isinstance(target, ast.Name):
                 written.add(place)
@@ -263,14 +225,14 @@ class _Function(ast.NodeTransformer):
         declared = ""
         if isinstance(target, ast.Name) and place not in self.declared:
             declared = "" if target.id in self.changing else "const "
-            declared += "bool " if _is_truth(value) else "real "
+            declared += "bool " if is_truth(value) else "real "
             self.declared.add(place)
         if place != self.print(value):
             self.put(f"{declared}{place} = {mirror and mirror + ' = '}{self.print(value)};", depth)
 
     def add_to(self, target: ast.expr, sign: str, value: ast.expr, depth: int) -> None:
         place, mirror = self.written(target)
-        if place is None or place in self.known or (_number(value) == 0.0 and sign in "+-"):
+        if place is None or place in self.known or (number_of(value) == 0.0 and sign in "+-"):
             return
         self.put(f"{place} {sign}= {self.print(value)};", depth)
         if mirror:
@@ -397,14 +359,14 @@ class _Function(ast.NodeTransformer):
         return new
 
     def visit_Constant(self, node: ast.Constant) -> ast.expr:
-        return _numeral(node.value) if isinstance(node.value, float) else ast.Name(str(node.value))
+        return numeral(node.value) if isinstance(node.value, float) else ast.Name(str(node.value))
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
         return self.numbers.get(node.id, ast.Name(self.local(node.id)))
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
         value = self.evaluate(node)
-        return ast.Name(self.emitter.states[value]) if isinstance(value, int) else _numeral(value)
+        return ast.Name(self.emitter.states[value]) if isinstance(value, int) else numeral(value)
 
     def visit_Subscript(self, node: ast.Subscript) -> ast.expr:
         match node:
@@ -412,7 +374,7 @@ class _Function(ast.NodeTransformer):
                 row = self.value(index)
                 number = None if row is None else self.emitter.rows.get(NAMES[row])
                 if isinstance(number, float):
-                    return _numeral(number)
+                    return numeral(number)
                 return ast.Name(self.place(node)[0] or _MISSING + ast.unparse(node))
             case ast.Subscript(ast.Name(array), index):
                 return ast.Name(INPUTS[array][self.value(index)])
@@ -424,16 +386,16 @@ class _Function(ast.NodeTransformer):
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.expr:
         operand = self.visit(node.operand)
-        value = _number(operand)
+        value = number_of(operand)
         if value is None or isinstance(node.op, ast.Not):
             return ast.UnaryOp(node.op, operand)
-        return _numeral(-value if value else 0.0)
+        return numeral(-value if value else 0.0)
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
         left, right = self.visit(node.left), self.visit(node.right)
-        if _name(left) == "events":
+        if name_of(left) == "events":
             return ast.Name(f"(events & EVENT_{ast.unparse(node.right)}) != 0u")
-        a, b = _number(left), _number(right)
+        a, b = number_of(left), number_of(right)
         match node.op:
             case ast.Add() if a == 0.0:
                 return right
@@ -442,30 +404,30 @@ class _Function(ast.NodeTransformer):
             case ast.Sub() if a == 0.0:
                 return ast.UnaryOp(ast.USub(), right)
             case ast.Mult() if a == 0.0 or b == 0.0:
-                return _numeral(0.0)
+                return numeral(0.0)
             case ast.Mult() if a == 1.0:
                 return right
             case ast.Mult() | ast.Div() if b == 1.0:
                 return left
             case ast.Div() if a == 0.0:
                 return left
-            case ast.BitAnd() if "true" in (_name(left), _name(right)):
-                return right if _name(left) == "true" else left
+            case ast.BitAnd() if "true" in (name_of(left), name_of(right)):
+                return right if name_of(left) == "true" else left
             case _ if a is not None and b is not None:  # computed in double
-                return _numeral(eval(f"{a!r} {_SIGNS[type(node.op)]} {b!r}"))
+                return numeral(eval(f"{a!r} {_SIGNS[type(node.op)]} {b!r}"))
             case _:
                 return ast.BinOp(left, node.op, right)
 
     def visit_Compare(self, node: ast.Compare) -> ast.expr:
         left, right = self.visit(node.left), self.visit(node.comparators[0])
-        a, b = _number(left), _number(right)
+        a, b = number_of(left), number_of(right)
         if a is None or b is None:
             return ast.Compare(left, node.ops, [right])
         return ast.Name(str(eval(f"{a!r} {_SIGNS[type(node.ops[0])]} {b!r}")).lower())
 
     def visit_IfExp(self, node: ast.IfExp) -> ast.expr:
         test, body, orelse = self.visit(node.test), self.visit(node.body), self.visit(node.orelse)
-        known = {"true": body, "false": orelse}.get(_name(test))
+        known = {"true": body, "false": orelse}.get(name_of(test))
         return ast.IfExp(test, body, orelse) if known is None else known
 
     def call(self, node: ast.Call, outs: list[str] | None = None) -> str:
@@ -510,79 +472,3 @@ class _Function(ast.NodeTransformer):
             case _:
                 raise self.refused(node)
         return f"({text})" if binds < outer else text
-
-
-@cache
-def _parsed(function: Callable[..., Any]) -> tuple[ast.FunctionDef, dict[int, list[str]]]:
-    source = textwrap.dedent(inspect.getsource(function))
-    definition = ast.parse(source).body[0]
-    assert isinstance(definition, ast.FunctionDef)
-    return definition, _comments(source)
-
-
-def _numeral(value: float) -> ast.Name:
-    return ast.Name("INFINITY" if math.isinf(value) else f"R({value!r})")
-
-
-def _name(node: ast.expr) -> str:
-    return node.id if isinstance(node, ast.Name) else ""
-
-
-def _number(node: ast.expr) -> float | None:
-    match = re.fullmatch(r"R\(([-+.\de]+)\)|\d+", node.id) if isinstance(node, ast.Name) else None
-    return float(match[1] or match[0]) if match else None
-
-
-def _is_truth(node: ast.expr) -> bool:
-    binary = isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitAnd | ast.BitOr)
-    return binary or isinstance(node, ast.Compare | ast.BoolOp)
-
-
-def _uses(text: str, name: str) -> bool:
-    found = re.search(rf"\b{re.escape(name)}(?!\w)", text) is not None
-    return found or (name == "b" and "P[" in text)
-
-
-def _wrapped(lines: list[str]) -> list[str]:
-    joined = [""]
-    for line in lines:
-        match = re.match(r"( +(?:const )?(?:real|bool) )(\w+.*;)$", line)
-        last = joined[-1]
-        if match and "(*" not in line and last.startswith(match[1]) and len(last) + len(match[2]) < 118:
-            joined[-1] = f"{last[:-1]}, {match[2]}"
-        else:
-            joined.append(line)
-    wrapped: list[str] = []
-    for line in joined[1:]:
-        if len(line) <= 120:
-            wrapped.append(line)
-            continue
-        indent = " " * (len(line) - len(line.lstrip()))
-        further = indent + "    "
-        wrapped += textwrap.wrap(
-            line.strip(), 120, initial_indent=indent, subsequent_indent=further, break_long_words=False
-        )
-    return wrapped
-
-
-def _in_c(comment: str) -> str:
-    """Return a comment without the marks and values of Python."""
-    return re.sub(r"\b(True|False)\b", lambda match: match[0].lower(), comment.replace("`", ""))
-
-
-def _comments(source: str) -> dict[int, list[str]]:
-    found: dict[int, list[str]] = {}
-    waiting: list[str] = []
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type == tokenize.COMMENT:
-            text = _in_c(token.string.lstrip("# "))
-            if text.startswith(("fmt:", "noqa")):
-                continue
-            if token.line.lstrip().startswith("#"):
-                waiting.append(text)
-            else:
-                found.setdefault(token.start[0], []).append(text)
-        elif token.type == tokenize.NAME and waiting:
-            found.setdefault(token.start[0], []).extend(waiting)
-            waiting = []
-    return found

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from sigmaswarm.drives import events
-from sigmaswarm.exports.c_emitter import FIX_ERROR, PARAMETERS, STATES, Emitter
+from sigmaswarm.exports.c_emitter import Emitter
+from sigmaswarm.exports.c_names import FIX_ERROR, PARAMETERS, STATES
 from sigmaswarm.filters.compiled import (
     adaptive,
     fix_error,

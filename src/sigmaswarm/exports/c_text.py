@@ -1,0 +1,88 @@
+"""Text of C: numbers, names, wrapped lines and comments; and the syntax tree of the Python that is translated."""
+
+import ast
+import inspect
+import io
+import math
+import re
+import textwrap
+import tokenize
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+
+@cache
+def parsed(function: Callable[..., Any]) -> tuple[ast.FunctionDef, dict[int, list[str]]]:
+    source = textwrap.dedent(inspect.getsource(function))
+    definition = ast.parse(source).body[0]
+    assert isinstance(definition, ast.FunctionDef)
+    return definition, _comments(source)
+
+
+def numeral(value: float) -> ast.Name:
+    return ast.Name("INFINITY" if math.isinf(value) else f"R({value!r})")
+
+
+def name_of(node: ast.expr) -> str:
+    return node.id if isinstance(node, ast.Name) else ""
+
+
+def number_of(node: ast.expr) -> float | None:
+    match = re.fullmatch(r"R\(([-+.\de]+)\)|\d+", node.id) if isinstance(node, ast.Name) else None
+    return float(match[1] or match[0]) if match else None
+
+
+def is_truth(node: ast.expr) -> bool:
+    binary = isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitAnd | ast.BitOr)
+    return binary or isinstance(node, ast.Compare | ast.BoolOp)
+
+
+def uses(text: str, name: str) -> bool:
+    found = re.search(rf"\b{re.escape(name)}(?!\w)", text) is not None
+    return found or (name == "b" and "P[" in text)
+
+
+def wrapped(lines: list[str]) -> list[str]:
+    joined = [""]
+    for line in lines:
+        match = re.match(r"( +(?:const )?(?:real|bool) )(\w+.*;)$", line)
+        last = joined[-1]
+        if match and "(*" not in line and last.startswith(match[1]) and len(last) + len(match[2]) < 118:
+            joined[-1] = f"{last[:-1]}, {match[2]}"
+        else:
+            joined.append(line)
+    wrapped: list[str] = []
+    for line in joined[1:]:
+        if len(line) <= 120:
+            wrapped.append(line)
+            continue
+        indent = " " * (len(line) - len(line.lstrip()))
+        further = indent + "    "
+        wrapped += textwrap.wrap(
+            line.strip(), 120, initial_indent=indent, subsequent_indent=further, break_long_words=False
+        )
+    return wrapped
+
+
+def in_c(comment: str) -> str:
+    """Return a comment without the marks and values of Python."""
+    return re.sub(r"\b(True|False)\b", lambda match: match[0].lower(), comment.replace("`", ""))
+
+
+def _comments(source: str) -> dict[int, list[str]]:
+    found: dict[int, list[str]] = {}
+    waiting: list[str] = []
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            text = in_c(token.string.lstrip("# "))
+            if text.startswith(("fmt:", "noqa")):
+                continue
+            if token.line.lstrip().startswith("#"):
+                waiting.append(text)
+            else:
+                found.setdefault(token.start[0], []).append(text)
+        elif token.type == tokenize.NAME and waiting:
+            found.setdefault(token.start[0], []).extend(waiting)
+            waiting = []
+    return found
