@@ -24,7 +24,8 @@ from filter_cases import OPTIONS, WEIGHED, equipped, parameters
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import prepared
-from sigmaswarm.filters.bank.live import LiveFilterBank, Mixture
+from sigmaswarm.filters.bank.live import LiveFilterBank
+from sigmaswarm.filters.bank.mixture import Mixture
 from sigmaswarm.filters.bank.run import BankRun, run_bank
 from sigmaswarm.filters.bank.search import Evidence, Steps, search
 from sigmaswarm.filters.bank.spread import FIXED, START, R, Spread

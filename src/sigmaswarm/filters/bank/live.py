@@ -4,12 +4,8 @@ Lanes are replaced in a past state that no late fix can change; then the later s
 results depend only on samples and fixes.
 """
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +14,9 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.gyro_seen import UP
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.bank.search import SCALED, Evidence, Found, Steps, search
+from sigmaswarm.filters.bank.background import Pending
+from sigmaswarm.filters.bank.mixture import Mixture, is_definite
+from sigmaswarm.filters.bank.search import SCALED, Evidence, Found, Steps
 from sigmaswarm.filters.bank.spread import FIXED, START, Spread
 from sigmaswarm.filters.compiled import live, swarm
 from sigmaswarm.filters.compiled.lagged import again_call
@@ -29,10 +27,8 @@ from sigmaswarm.filters.divergence import DivergenceMonitor
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.live import LiveFilter, LiveState, live_state
-from sigmaswarm.filters.models import GYRO_BIAS, THETA
-from sigmaswarm.filters.packing import state_estimate
+from sigmaswarm.filters.models import GYRO_BIAS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.geodesy import wrap_angle
 
 SEARCH_EVERY = 10.0  # s between the starts of two searches
 SEARCH_TAKES = 1.0  # s of samples until the result of a search is used; a search takes about 15 ms
@@ -40,34 +36,6 @@ REPLAYED = 60.0  # s of samples that a search replays
 FASTER = 2.0  # m/s; no replacement at lower speeds, at which fixes hardly determine headings and biases
 REPLACED = 7  # lanes replaced per search: one by its result, the others by changed copies of good lanes
 JITTER = 0.6  # standard deviation of a copy's random change, in standard deviations of the offset
-
-
-@dataclass(frozen=True, eq=False)
-class Mixture:
-    """Means (k, n) and covariances (k, n, n) of a bank's mixture at k times; headings are mixed on the circle."""
-
-    mean: Array
-    covariance: Array
-
-    @classmethod
-    @np.errstate(all="ignore")  # a failed lane has no weight
-    def of(cls, states: Array, weights: Array, model: str) -> "Mixture":
-        """Mix state rows (k, s, LANES) with weights (k, LANES); NaN where all weights are 0."""
-        mean, covariance = state_estimate(states, model)  # (k, LANES, n), (k, LANES, n, n)
-        sound = np.isfinite(mean.sum(axis=2) + covariance.sum(axis=(2, 3)))
-        weights = np.where(sound, weights, 0.0)
-        total = weights.sum(axis=1, keepdims=True)
-        weights = np.divide(weights, total, out=np.full_like(weights, np.nan), where=total > 0.0)
-        leads = np.argmax(weights, axis=1)
-        from_leader = mean - mean[np.arange(len(mean)), leads][:, np.newaxis]
-        from_leader[:, :, THETA] = wrap_angle(from_leader[:, :, THETA])
-        out = weights == 0.0  # including lanes with NaN
-        from_leader[out], covariance[out] = 0.0, 0.0
-        middle = np.einsum("kl,kln->kn", weights, from_leader)
-        off = from_leader - middle[:, np.newaxis]
-        spread = np.einsum("kl,kln,klm->knm", weights, off, off)
-        together = np.einsum("kl,klnm->knm", weights, covariance) + spread
-        return cls(mean[np.arange(len(mean)), leads] + middle, together)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,30 +48,6 @@ class _Snapshot:
     lanes: Array  # (N_KEPT, LANES)
     evidence: Array
     ancestors: NDArray[np.intp]  # (LANES,): the snapshot's lanes from which the current lanes were copied
-
-
-@dataclass(frozen=True, eq=False)
-class _Pending:
-    """A running search that replays the log up to step ``logged``, from the ancestor of lane ``led``.
-
-    A forked or unpickled copy searches in the calling thread.
-    """
-
-    logged: int
-    led: int
-    arguments: tuple[Any, ...]
-    process: int
-    found: "Future[Found | None]"
-
-    @classmethod
-    def begun(cls, logged: int, led: int, *arguments: Any) -> "_Pending":
-        return cls(logged, led, arguments, os.getpid(), _searcher().submit(search, *arguments))
-
-    def result(self) -> Found | None:
-        return self.found.result() if self.process == os.getpid() else search(*self.arguments)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _Pending.begun, (self.logged, self.led, *self.arguments)
 
 
 class LiveFilterBank(LiveFilter):
@@ -178,7 +122,7 @@ class LiveFilterBank(LiveFilter):
         self._together = DivergenceMonitor() if recover else None
         self._last_sound = self._mixed()
         self._snapshots = [self._snapshot(self._numbers, initial.time)]
-        self._pending: _Pending | None = None
+        self._pending: Pending | None = None
         self._due = initial.time + SEARCH_EVERY
         self._n_begun = 0
         Steps(self._kernel, np.empty((0, N_LOG_ROW)), np.zeros(3)).run(
@@ -271,7 +215,7 @@ class LiveFilterBank(LiveFilter):
             int(numbers[swarm.LOGGED]), time, float(numbers[swarm.FIXED_AT]), rows, evidence, np.arange(LANES)
         )
 
-    def _begin(self) -> _Pending | None:
+    def _begin(self) -> Pending | None:
         checkpoint = self._settled_checkpoint()
         if checkpoint is None:
             return None
@@ -289,7 +233,7 @@ class LiveFilterBank(LiveFilter):
         lever = self._filter_state[live.LEVER].copy()
         steps = Steps(self._kernel, self._logged_steps(begins.logged, here.logged), lever)
         chance = self._seed, self._n_begun
-        return _Pending.begun(
+        return Pending.begun(
             *(here.logged, leads, self.spread, steps, begins.lanes[:, was]),
             *(Evidence(float(begins.evidence[was]), begins.fixed_at), self.offsets[leads].copy()),
             *(self._population, self._interval, chance),
@@ -487,7 +431,7 @@ class LiveFilterBank(LiveFilter):
     def state(self) -> LiveState:
         """State estimate of the mixture after the last IMU sample and all fixes up to its time."""
         mean, covariance = self._mixed()
-        sound = self._plausible and _is_definite(covariance)
+        sound = self._plausible and is_definite(covariance)
         return live_state(float(self._filter_state[live.TIME]), mean, covariance, self.lost, sound)
 
     @property
@@ -510,28 +454,3 @@ class LiveFilterBank(LiveFilter):
         raise InputError(
             "a filter bank has no smoothed state; use a LiveFilter with a lag, for example lag=2.0"
         )
-
-
-def _is_definite(covariance: Array) -> bool:
-    """Return True if a covariance (n, n) is finite and positive semidefinite, up to rounding."""
-    variance = covariance.diagonal()
-    if not (np.isfinite(covariance).all() and variance.min() >= 0.0):
-        return False
-    scale = np.sqrt(variance)
-    scale[scale == 0.0] = 1.0
-    correlations = covariance / scale / scale[:, np.newaxis]
-    try:
-        np.linalg.cholesky(correlations + live.ROUNDING * np.eye(len(scale)))
-    except np.linalg.LinAlgError:
-        return False
-    return True
-
-
-@cache
-def _searcher() -> ThreadPoolExecutor:
-    """Return the executor, with one thread, for the searches of all banks of a process."""
-    return ThreadPoolExecutor(1, thread_name_prefix="swarm")
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_searcher.cache_clear)  # a forked process has no such thread

@@ -13,7 +13,8 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.tables import headings_of
-from sigmaswarm.filters.bank.live import LiveFilterBank, Mixture
+from sigmaswarm.filters.bank.live import LiveFilterBank
+from sigmaswarm.filters.bank.mixture import Mixture
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import THETA

@@ -1,0 +1,43 @@
+"""A search that runs in a thread while the filters of a bank go on."""
+
+import os
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from sigmaswarm.filters.bank.search import Found, search
+
+
+@cache
+def _searcher() -> ThreadPoolExecutor:
+    """Return the executor, with one thread, for the searches of all banks of a process."""
+    return ThreadPoolExecutor(1, thread_name_prefix="swarm")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_searcher.cache_clear)  # a forked process has no such thread
+
+
+@dataclass(frozen=True, eq=False)
+class Pending:
+    """A running search that replays the log up to step ``logged``, from the ancestor of lane ``led``.
+
+    A forked or unpickled copy searches in the calling thread.
+    """
+
+    logged: int
+    led: int
+    arguments: tuple[Any, ...]
+    process: int
+    found: "Future[Found | None]"
+
+    @classmethod
+    def begun(cls, logged: int, led: int, *arguments: Any) -> "Pending":
+        return cls(logged, led, arguments, os.getpid(), _searcher().submit(search, *arguments))
+
+    def result(self) -> Found | None:
+        return self.found.result() if self.process == os.getpid() else search(*self.arguments)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Pending.begun, (self.logged, self.led, *self.arguments)
