@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any
 from sigmaswarm.versions import __version__ as __version__
 
 if TYPE_CHECKING:
-    from sigmaswarm.api import evaluate, export, import_log, inspect_log, plot, report, run, split
+    from sigmaswarm.api import evaluate, export, import_log, inspect_log, plot, report, run
     from sigmaswarm.doctor.agreements import Agreement as Agreement
     from sigmaswarm.doctor.agreements import agreements as agreements
     from sigmaswarm.doctor.agreements import shown_by as shown_by
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from sigmaswarm.drives.drive import Truth as Truth
     from sigmaswarm.drives.reader import read_drive
     from sigmaswarm.drives.split import clip as clip
+    from sigmaswarm.drives.split import split
     from sigmaswarm.drives.split import split_drives as split_drives
     from sigmaswarm.drives.split import split_time as split_time
     from sigmaswarm.drives.writer import write_drive
@@ -120,14 +121,14 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.tune import tune
 
 _HOMES = {
-    "api": "evaluate export import_log inspect_log plot report run split",
+    "api": "evaluate export import_log inspect_log plot report run",
     "doctor.agreements": "Agreement agreements shown_by",
     "doctor.diagnose": "diagnose",
     "doctor.findings": "Diagnosis Finding",
     "drives.alignment": "InitialState initial_state",
     "drives.drive": "Drive Gps Imu Odometer Truth",
     "drives.reader": "read_drive",
-    "drives.split": "clip split_drives split_time",
+    "drives.split": "clip split split_drives split_time",
     "drives.writer": "write_drive",
     "errors": "AlignmentError DriveError DriveWarning InputError SigmaswarmError SigmaswarmWarning TuningStopped",
     "experiments.compare": "compare",

@@ -10,7 +10,6 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.checks import unshared_times
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.drives.split import split_time
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_filter
@@ -90,16 +89,6 @@ def inspect_log(log: str | Path, **settings: Any) -> "Look":
     from sigmaswarm.importing.look import look
 
     return look(request_of(log, settings))
-
-
-def split(
-    drive: Drive, train_fraction: float = 0.7, *, at: float | tuple[float, float] | None = None
-) -> tuple[Drive, Drive]:
-    """Split a drive in time into a part to tune on and a part to test on; parameters as in ``split_time``.
-
-    With two times in ``at``, the part between them is left out.
-    """
-    return split_time(drive, train_fraction, at=at)
 
 
 def run(

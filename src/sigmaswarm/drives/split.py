@@ -95,6 +95,10 @@ def split_time(
     )
 
 
+split = split_time
+"""The name of `split_time` in the short API."""
+
+
 def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | None = None) -> Drive:
     """Return the part of a drive with start <= t < end, s; raise DriveError for fewer than two IMU samples."""
 

@@ -130,11 +130,10 @@ PAPER_RESULTS: dict[str, Any] = {
 Optimization for Inertial-GPS Sensor Fusion Systems", Tables I to III and Figure 2."""
 
 
-def _conditions() -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the paper's maneuvers and environments."""
-    from sigmaswarm.simulation import ENVIRONMENTS, PAPER_MANEUVERS  # slow, and not needed for the help
+def _of_paper(name: str) -> tuple[str, ...]:
+    from sigmaswarm import simulation  # slow, and not needed for the command line's help
 
-    return PAPER_MANEUVERS, tuple(ENVIRONMENTS)
+    return tuple(getattr(simulation, name))
 
 
 class StudyConfig(BaseModel):
@@ -142,8 +141,8 @@ class StudyConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
-    maneuvers: tuple[str, ...] = Field(default_factory=lambda: _conditions()[0], min_length=1)
-    environments: tuple[str, ...] = Field(default_factory=lambda: _conditions()[1], min_length=1)
+    maneuvers: tuple[str, ...] = Field(default_factory=lambda: _of_paper("PAPER_MANEUVERS"), min_length=1)
+    environments: tuple[str, ...] = Field(default_factory=lambda: _of_paper("ENVIRONMENTS"), min_length=1)
     runs: int = Field(default=20, ge=1)
     """Number of simulated drives of each maneuver in each environment."""
     imu: str = "icm-20602"
