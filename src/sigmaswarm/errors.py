@@ -37,3 +37,9 @@ class DriveWarning(SigmaswarmWarning):
 
 def warn_deprecated(old: str, new: str) -> None:
     warnings.warn(f"{old} is deprecated, use {new}", SigmaswarmWarning, stacklevel=4)
+
+
+def not_installed(what: str, package: str, install: str = "") -> InputError:
+    """Return the error of a missing package; ``install`` is the argument of pip, by default the package."""
+    where = install or package.lower()
+    return InputError(f"{what} needs {package}, which is not installed; run: pip install {where}")

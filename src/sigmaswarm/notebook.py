@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import not_installed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -107,5 +107,5 @@ def to_pandas(columns: Mapping[str, Any]) -> "pd.DataFrame":
     try:
         import pandas as pd
     except ImportError:
-        raise InputError("to_pandas needs pandas, which is not installed: pip install pandas") from None
+        raise not_installed("to_pandas", "pandas") from None
     return pd.DataFrame(dict(columns))

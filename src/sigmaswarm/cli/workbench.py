@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import not_installed
 
 
 def workbench(
@@ -40,9 +40,7 @@ def workbench(
         Print the address without opening a browser.
     """
     if find_spec("nicegui") is None:
-        raise InputError(
-            "the workbench needs NiceGUI, which is not installed; run: pip install 'sigmaswarm[workbench]'"
-        )
+        raise not_installed("the workbench", "NiceGUI", "'sigmaswarm[workbench]'")
     from sigmaswarm.workbench.server import serve
 
     serve(out, list(logs or ()), port=port, browse=not no_browser)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from sigmaswarm.errors import InputError, SigmaswarmError
+from sigmaswarm.errors import InputError, SigmaswarmError, not_installed
 from sigmaswarm.limits import MOST_TOML, read_bounded
 from sigmaswarm.versions import versions
 
@@ -104,7 +104,7 @@ def connected(address: str) -> Generator["Client"]:
     try:
         import distributed
     except ImportError:
-        raise InputError(f"--cluster {address} needs Dask; run: pip install 'sigmaswarm[cluster]'") from None
+        raise not_installed(f"--cluster {address}", "Dask", "'sigmaswarm[cluster]'") from None
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # errors are reported here, in one line
     with ExitStack() as stack:

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from sigmaswarm.drives.table_files import TABLES
-from sigmaswarm.errors import DriveError, InputError
+from sigmaswarm.errors import DriveError, InputError, not_installed
 from sigmaswarm.wording import shown
 
 A_DRIVE = "a drive is a folder with imu.csv, gps.csv and drive.toml"
@@ -68,9 +68,7 @@ def _opened(url: str) -> tuple[Any, str]:
     try:
         import fsspec
     except ImportError:
-        raise InputError(
-            f"{without_secrets(url)}: reading URLs needs fsspec; run: pip install fsspec"
-        ) from None
+        raise not_installed(f"{without_secrets(url)}: reading URLs", "fsspec") from None
     system, path = fsspec.core.url_to_fs(url)
     return system, str(path).rstrip("/")
 

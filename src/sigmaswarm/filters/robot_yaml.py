@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
-from sigmaswarm.errors import InputError, SigmaswarmWarning
+from sigmaswarm.errors import InputError, SigmaswarmWarning, not_installed
 from sigmaswarm.limits import read_toml_text
 from sigmaswarm.wording import shown
 
@@ -75,7 +75,7 @@ def _loaded(path: Path) -> Any:
     try:
         import yaml
     except ModuleNotFoundError:
-        raise InputError(f"{path}: a YAML file needs PyYAML; install it with: pip install pyyaml") from None
+        raise not_installed(f"{path}: a YAML file", "PyYAML") from None
     try:
         return yaml.safe_load(read_toml_text(path))
     except OSError as error:

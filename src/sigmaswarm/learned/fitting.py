@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import InputError, not_installed
 from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
 
 Loss = Callable[[Any, tuple[Any, ...]], Any]
@@ -86,9 +86,7 @@ def exact() -> AbstractContextManager[Any]:
 
         import_module("optax")
     except ImportError:
-        raise InputError(
-            "learning needs JAX and Optax; install them with pip install 'sigmaswarm[learned]'"
-        ) from None
+        raise not_installed("learning", "JAX or Optax", "'sigmaswarm[learned]'") from None
     return jax.enable_x64(True)
 
 

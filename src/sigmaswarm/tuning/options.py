@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from typing import Any, Literal, TypedDict
 
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import not_installed
 from sigmaswarm.filters.names import FilterKind, ModelName
 
 Scale = Literal["log10", "linear"]
@@ -77,6 +77,4 @@ class CompareOptions(SharedOptions, FilterOptions, total=False):
 
 def require_packages(optimizer: object) -> None:
     if optimizer == "bo" and find_spec("sklearn") is None:
-        raise InputError(
-            "optimizer = 'bo': needs scikit-learn, which is not installed; run: pip install scikit-learn"
-        )
+        raise not_installed("optimizer = 'bo':", "scikit-learn")
