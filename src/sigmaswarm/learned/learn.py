@@ -146,7 +146,7 @@ def learn(
     training = TrainingRecord(
         seed=config.seed,
         search=config.search,
-        driven_s=float(sum(d.imu.time[-1] - d.imu.time[0] for d in config.drives)),
+        driven_s=float(sum(drive.duration for drive in config.drives)),
         epochs=len(found.losses) - 1,
         loss_before=float(found.losses[0, 1]),
         loss=found.best,

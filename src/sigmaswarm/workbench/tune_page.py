@@ -93,8 +93,9 @@ class TunePage(Page):
                 more = select("Measurements (--use)", names, use, partial(choose, "use"), multiple=True)
                 more.props('hint="none: chosen from the sensors"')
             with line():
-                for key, usual in {"particles": 30, "generations": 50, "trials": 1, "seed": 0}.items():
-                    size = ui.number(key, value=options.get(key, usual), min=0, precision=0).classes("size")
+                for key in ("particles", "generations", "trials", "seed"):
+                    value = options.get(key, TuneConfig.model_fields[key].default)
+                    size = ui.number(key, value=value, min=0, precision=0).classes("size")
                     size.on("change", partial(self._sized, options, key, size))
             self.messages()
             for sentence in self.why:

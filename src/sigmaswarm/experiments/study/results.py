@@ -198,7 +198,7 @@ def _efforts(
     design: Design, trials: Mapping[Task, Trial], networks: Mapping[Task, Trained]
 ) -> Iterator[Effort]:
     """Compute the data and free parameters of each variant; those of a network include those of its filter."""
-    durations = [float(ready.drive.imu.time[-1] - ready.drive.imu.time[0]) for ready in design.prepared]
+    durations = [ready.drive.duration for ready in design.prepared]
     splits = [design.split(trial)[0] for trial in range(design.config.trials)]
     truth = float(np.mean([sum(durations[i] for i in train) for train in splits]))
     numbers: dict[Variant, float] = {task.variant: float(len(trial.point)) for task, trial in trials.items()}
