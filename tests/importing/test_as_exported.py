@@ -2,6 +2,7 @@
 
 import datetime
 import re
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -234,6 +235,8 @@ APART: dict[str, tuple[Callable[[np.ndarray], object], Callable[[np.ndarray], ob
     "zones": (lambda t: t + EPOCH + 7200, lambda t: t + EPOCH),
     "midnight": (lambda t: t + EPOCH, lambda t: t + EPOCH % 86400),
     "week": (lambda t: t + EPOCH, lambda t: t + (EPOCH - 315964800 + 18) % 604800),
+    "GPS time": (lambda t: t + EPOCH, lambda t: t + EPOCH - 315964800 + 18),
+    "IMU with GPS time": (lambda t: t + EPOCH - 315964800 + 18, lambda t: t + EPOCH),
     "IMU with the week": (lambda t: t + (EPOCH - 315964800 + 18) % 604800, lambda t: t + EPOCH),
 }
 
@@ -315,6 +318,74 @@ def test_empty_cells_at_the_end_of_rows(tmp_path: Path, tail: Callable[[int], st
     (tmp_path / "log.csv").write_text("\n".join(["t,ax,ay,az,gx,gy,gz,lat,lon", *lines]) + "\n")
     with pytest.raises(InputError, match="row 602: has 10 cells"):
         imported(tmp_path / "log.csv")
+
+
+LINES: dict[str, Callable[[list[str]], list[str]]] = {
+    "a header again": lambda lines: [*lines[:500], lines[0], *lines[500:]],
+    "a blank line and a header": lambda lines: [*lines[:500], "", lines[0], *lines[500:]],
+    "a footer": lambda lines: [*lines, "End of log", "800 rows"],
+    "a statistic": lambda lines: [*lines, "Mean,0.1,0.2,9.8,0,0,0,48,11", "Max,1,1,1,1,1,1,49,12"],
+    "padding": lambda lines: [*lines, "\0" * 512],
+}
+
+
+@pytest.mark.parametrize("case", LINES)
+def test_lines_that_are_no_rows(tmp_path: Path, case: str):
+    lines = LINES[case](["t,ax,ay,az,gx,gy,gz,lat,lon", *rows()])
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    require_right(tmp_path / "log.csv")
+    assert any("since they have no time" in note for note in imported(tmp_path / "log.csv").notes)
+
+
+@pytest.mark.parametrize("name", ["ax", "lat"])
+def test_a_row_with_a_time_and_no_number_is_refused(tmp_path: Path, name: str):
+    head = ["t", "ax", "ay", "az", "gx", "gy", "gz", "lat", "lon"]
+    lines = [row.split(",") for row in rows()]
+    lines[400][head.index(name)] = "fault"
+    (tmp_path / "log.csv").write_text("\n".join([",".join(line) for line in [head, *lines]]) + "\n")
+    with pytest.raises(InputError, match=f"row 401 of the data, column {name}: 'fault' is not a number"):
+        imported(tmp_path / "log.csv")
+
+
+COPIES: dict[str, Callable[[int], np.ndarray]] = {
+    "each row twice": lambda n: np.repeat(np.arange(n), 2),
+    "some rows twice": lambda n: np.sort(np.r_[np.arange(n), np.arange(0, n, 7)]),
+    "a block twice": lambda n: np.r_[np.arange(n // 2), np.arange(n // 4, n)],
+    "a block at the end": lambda n: np.r_[np.arange(n), np.arange(n // 2, n // 2 + 50)],
+}
+
+
+@pytest.mark.parametrize("case", COPIES)
+def test_copies_of_rows_are_left_out(tmp_path: Path, case: str):
+    write(tmp_path)
+    for file in (tmp_path / "imu.csv", tmp_path / "gps.csv"):
+        table = pl.read_csv(file)
+        table[COPIES[case](len(table))].write_csv(file)
+    require_right(tmp_path)
+    assert any("since they are copies of other rows" in note for note in imported(tmp_path).notes)
+
+
+@pytest.mark.parametrize("names", [("linear_acceleration.{}", "accel_{}"), ("acc_{}", "lin_acc_{}"),
+                                   ("linear_acc_{}", "Acceleration {} (m/s2)")])  # fmt: skip
+def test_acceleration_with_gravity_goes_before_linear_acceleration(tmp_path: Path, names: tuple[str, str]):
+    columns = {
+        name.format(i): IMU[f"a{i}"] - (9.81 if i == "z" and name.startswith("lin") else 0)
+        for name in names
+        for i in "xyz"
+    }
+    write(tmp_path, columns | {n: IMU[n] for n in ("gx", "gy", "gz")})
+    require_right(tmp_path)
+    np.testing.assert_allclose(imported(tmp_path).drive.imu.az, 9.81)
+
+
+@pytest.mark.parametrize("folder", ["", "log/", "a/b/"])
+def test_a_zip_of_tables(tmp_path: Path, folder: str):
+    write(tmp_path)
+    with zipfile.ZipFile(tmp_path / "log.zip", "w") as archive:
+        for name in ("imu.csv", "gps.csv"):
+            archive.write(tmp_path / name, folder + name)
+        archive.writestr("__MACOSX/._imu.csv", "x")
+    require_right(tmp_path / "log.zip")
 
 
 def test_a_row_of_sources_below_the_header(tmp_path: Path):

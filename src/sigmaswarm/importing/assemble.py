@@ -155,6 +155,7 @@ def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, st
         (900, 0.0, "the local times differ by this", short * SECOND > LONG_AGO),
         (86_400, 0.0, "one counts from midnight, UTC", dated and short < 2 * 86_400),
         (WEEK, GPS_EPOCH % WEEK - leap, "one is the GPS time of week", dated and short < WEEK),
+        (1e12, GPS_EPOCH - leap, "one is GPS time", short * SECOND > LONG_AGO),
         (2**32 * 1e-6, 0.0, "a counter of microseconds, 2^32, wrapped", not dated),
     )
     for period, begin, why, fits in reasons:

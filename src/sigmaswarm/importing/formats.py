@@ -26,7 +26,7 @@ READERS: dict[str, tuple[str, str]] = {
     "sensor-logger": ("sensor_logger", "Sensor Logger's export, a folder or .zip"),
     "phyphox": ("phyphox", "phyphox's export as CSV, a folder or .zip"),
     "gnss-logger": ("gnss_logger", "a text file of Android's GnssLogger"),
-    "csv": ("columns", "CSV or Parquet, a file or a folder of files"),
+    "csv": ("columns", "CSV or Parquet: a file, a folder or a zip of files"),
 }
 """By the name for --format: the module in ``readers/``, and a description. The most general format is last.
 
@@ -96,7 +96,7 @@ def open_log(
 def _texts(path: Path, form: str) -> list[Path]:
     """List the text files of a log, if its reader does not limit lines and size itself."""
     if path.is_file():
-        return [path] if form in _TEXTS and first_bytes(path, 4) != b"PAR1" else []
+        return [path] if form in _TEXTS and first_bytes(path, 4) not in (b"PAR1", b"PK\3\4") else []
     inside = (
         path.rglob("*") if form in ("kitti", "comma2k19") else (*path.iterdir(), *_reader("csv").below(path))
     )

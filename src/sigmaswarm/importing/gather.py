@@ -12,13 +12,15 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import Nanoseconds
 from sigmaswarm.importing.expressions import Expression, compile_expression, fits, time_expression
 from sigmaswarm.importing.guess import SAMPLE
-from sigmaswarm.importing.quantities import NO_VALUE, PLACEHOLDERS
+from sigmaswarm.importing.quantities import FEW_ODD, NO_VALUE, PLACEHOLDERS
 from sigmaswarm.importing.source import FILES, Limits, Log, Part, Progress, Role
 from sigmaswarm.importing.times import time_of, wrong_unit
 from sigmaswarm.wording import names_shown, quoted, shown
 
 ROW = "row"
 """Column of row numbers, from 0, in tables without a column of this name."""
+FEW_ROWS = 10
+"""Number of lines in a table without values that may be a header or a footer."""
 FAR = 10
 """Smallest distance of a placeholder from the other values, in units of their range."""
 
@@ -82,9 +84,11 @@ class Gathered:
 
     def _require_numbers(self, frame: pl.DataFrame, log: Log) -> None:
         texts = {c for e in self.expressions.values() for c in e.numbers if frame.schema[c] == pl.String}
+        timeless = self._few_timeless(frame) if texts else None
         for name in sorted(texts, key=log.tables[self.part.table].columns.index):
             said = frame[name]
             wrong = said.cast(pl.Float64, strict=False).is_null() & ~said.str.to_lowercase().is_in(NO_VALUE)
+            wrong = wrong & ~timeless if timeless is not None else wrong
             if wrong.fill_null(False).any():
                 i = int(wrong.fill_null(False).arg_max() or 0)
                 raise InputError(
@@ -92,6 +96,14 @@ class Gathered:
                     f"{quoted(said[i])} is not a number; correct or delete the row, or use utc(...) where the column "
                     "holds dates, dms(...) for degrees and minutes"
                 )
+
+    def _few_timeless(self, frame: pl.DataFrame) -> pl.Series | None:
+        """Mark rows without a time, if they are few: a header in the middle, or lines below the table."""
+        try:
+            times = frame.select(time_expression(self.part.columns["t"], frame)).to_series()
+        except pl.exceptions.PolarsError:
+            return None
+        return times.is_null() if times.null_count() <= max(FEW_ROWS, FEW_ODD * len(frame)) else None
 
     def _without_placeholders(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Set placeholders to null: -999 or 1e10, if far from all other values or in both coordinates."""

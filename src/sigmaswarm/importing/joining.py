@@ -102,6 +102,9 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
     filled = _finite(values, len(time)).any(axis=0)
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
         say(f"{role}: {empty} rows are left out, since they have an empty cell")
+    if (copies := _copies(time, values)) is not None:
+        say(f"{where}: {int(copies.sum())} rows are left out, since they are copies of other rows")
+        filled &= ~copies
     if role == "gps":  # a row that repeats the time and the place of the row before
         same = [np.diff(column) == 0 for column in (time, *(values[n] for n in POSITIONS if n in values))]
         filled &= ~np.append(False, np.all(same, axis=0))
@@ -120,6 +123,16 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
         return time, values
     good = good_places(time, values, role, say)
     return time[good], with_longitudes(_rows(values, good), role, say)
+
+
+def _copies(time: Nanoseconds, values: Values) -> NDArray[np.bool_] | None:
+    """Mark rows that repeat an earlier one; None if any row has the time, but not the values, of another."""
+    times = np.unique(time)
+    if len(times) == len(time):
+        return None
+    cells = np.column_stack([time.view(np.float64), *values.values()])
+    first = np.unique(cells.view(f"V{cells.strides[0]}").ravel(), return_index=True)[1]
+    return ~np.isin(np.arange(len(time)), first) if len(first) == len(times) else None
 
 
 def _rows(values: Values, rows: Any) -> Values:

@@ -219,7 +219,7 @@ def _one_sensor(names: list[Name]) -> list[Name]:
 def _family(name: Name) -> str:
     """Return the name without its axis if other names take precedence, else ""."""
     stated = not name.plain.endswith("rate") and _stated(name.plain, name.unit)
-    weak = re.match(_SHORT, name.plain) or stated
+    weak = re.match(_SHORT, name.plain) or stated or name.plain.startswith("lin")  # may be without gravity
     return re.sub("^[xyz]|[xyz]$", "", name.plain) if weak else ""
 
 

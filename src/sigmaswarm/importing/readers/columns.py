@@ -23,8 +23,16 @@ CHUNK = 100_000
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a table file, by name or first lines, and for a folder of table files or one like EuRoC's."""
-    return bool(_files(path)) or (path.is_file() and is_table(path))
+    """Return True for a table file, by name or first lines, a zip or folder of table files, and one like EuRoC's."""
+    return bool(_files(path) or _packed(path)) or (path.is_file() and is_table(path))
+
+
+def _packed(path: Path) -> list[str]:
+    """Return the names of the text tables in a zip."""
+    from sigmaswarm.importing.readers.phones import names_in
+
+    found = sorted(names_in(path)) if path.is_file() else []
+    return [name for name in found if name.lower().endswith((".csv", ".tsv")) and name[:1] != "."]
 
 
 def _files(path: Path) -> list[Path]:
@@ -42,6 +50,10 @@ def below(folder: Path) -> list[Path]:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
+    if names := _packed(path):
+        from sigmaswarm.importing.readers.phones import phone_files
+
+        return phone_files(path, names, limits, stack, None)
     remarks: list[str] = []
     files = _files(path) if path.is_dir() else [path]
     folder = path if path.is_dir() else path.parent

@@ -17,6 +17,7 @@ FLAT = (
     "--mount auto"
 )
 """A phone's x points right and y to its top edge (Android's SensorEvent): forward is y, left is -x."""
+NOTHING = Guess({})
 RADIUS_68 = 1.515
 """Radius of a circle that contains 68% of normal errors, in standard deviations per axis: sqrt(-2 ln 0.32)."""
 
@@ -33,7 +34,9 @@ def names_in(path: Path) -> set[str]:
     return set()
 
 
-def phone_files(path: Path, names: Collection[str], limits: Limits, stack: ExitStack) -> Log:
+def phone_files(
+    path: Path, names: Collection[str], limits: Limits, stack: ExitStack, guessed: Guess | None = NOTHING
+) -> Log:
     """Open the named tables of a folder, or of a zip, which is unpacked to a temporary folder."""
     folder = path if path.is_dir() else Path(stack.enter_context(tempfile.TemporaryDirectory()))
     if not path.is_dir():
@@ -46,7 +49,7 @@ def phone_files(path: Path, names: Collection[str], limits: Limits, stack: ExitS
     remarks: list[str] = []
     there = [name for name in names if (folder / name).is_file()]
     scans = {name: scan(folder / name, path / name, limits, remarks) for name in there}
-    return of_files(path, scans, "CSV", Guess({}), remarks)
+    return of_files(path, scans, "CSV", guessed, remarks)
 
 
 def _wanted(
