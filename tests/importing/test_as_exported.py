@@ -347,6 +347,60 @@ def test_a_row_with_a_time_and_no_number_is_refused(tmp_path: Path, name: str):
         imported(tmp_path / "log.csv")
 
 
+STRAY: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "the beginning of 1970": lambda t: 0.0 * t,
+    "an hour ago": lambda t: t - 3600,
+    "a day later": lambda t: t + 86400,
+}
+
+
+@pytest.mark.parametrize("case", STRAY)
+@pytest.mark.parametrize("count", [1, 5, 15])
+def test_few_wrong_times_are_no_recording(tmp_path: Path, case: str, count: int):
+    write(tmp_path, clock=lambda t: t + EPOCH)
+    table = pl.read_csv(tmp_path / "gps.csv")
+    time = table["t"].to_numpy().copy()
+    time[100 : 100 + count] = STRAY[case](time[100 : 100 + count])
+    table.with_columns(t=time).write_csv(tmp_path / "gps.csv")
+    require_right(tmp_path, N // EVERY - count)
+    assert any(
+        f"{count} rows are left out, since their times are far from" in n for n in imported(tmp_path).notes
+    )
+
+
+FRACTIONS: dict[str, Callable[[float], str]] = {
+    "ms without zeros": lambda t: f"{int(t) + EPOCH}.{round(t * 1e3) % 1000}",
+    "us without zeros": lambda t: f"{int(t)}.{round(t * 1e6) % 1_000_000}",
+    "of times of day": lambda t: f"10:{clock(int(t))[:5]}.{round(t * 1e3) % 1000}",
+    "alone": lambda t: f"{round(t * 1e6) % 1_000_000}",
+}
+
+
+@pytest.mark.parametrize("case", FRACTIONS)
+def test_rows_are_counted_where_fractions_are_wrong(tmp_path: Path, case: str):
+    pl.DataFrame({"t": [FRACTIONS[case](round(t, 3)) for t in T.tolist()], **IMU}).write_csv(
+        tmp_path / "imu.csv"
+    )
+    pl.DataFrame({"time": T[::EVERY], **FIXES}).write_csv(tmp_path / "gps.csv")
+    with pytest.raises(InputError, match=r"the clock goes back .* count rows: --map") as caught:
+        imported(tmp_path)
+    require_right(tmp_path, maps=options_in(str(caught.value))[0])
+
+
+@pytest.mark.parametrize("names", ["{}", "ecef_{}", "ECEF {}"])
+@pytest.mark.parametrize("south", [1, -1])
+def test_coordinates_from_the_center_of_the_earth(tmp_path: Path, names: str, south: int):
+    lat, lon = np.radians(south * FIXES["lat"]), np.radians(FIXES["lon"] - 100)
+    radius = 6378137 / np.sqrt(1 - 6.69437999014e-3 * np.sin(lat) ** 2) + 400
+    place = [radius * np.cos(lat) * np.cos(lon), radius * np.cos(lat) * np.sin(lon)]
+    place.append((radius - (radius - 400) * 6.69437999014e-3) * np.sin(lat))
+    write(tmp_path, gps=dict(zip(map(names.format, "xyz"), place, strict=True)))
+    got = imported(tmp_path).drive.gps
+    assert got.lat is not None and got.lon is not None
+    np.testing.assert_allclose(got.lat, south * FIXES["lat"], atol=1e-9)
+    np.testing.assert_allclose(got.lon, FIXES["lon"] - 100, atol=1e-9)
+
+
 COPIES: dict[str, Callable[[int], np.ndarray]] = {
     "each row twice": lambda n: np.repeat(np.arange(n), 2),
     "some rows twice": lambda n: np.sort(np.r_[np.arange(n), np.arange(0, n, 7)]),
@@ -456,6 +510,15 @@ def test_slow_rates_in_degrees_and_fast_ones_in_radians(tmp_path: Path, v: Any, 
         imported(tmp_path)
     (maps,) = options_in(str(caught.value))
     np.testing.assert_allclose(imported(tmp_path, maps=maps).drive.imu.gz, gz, atol=1e-9)
+
+
+@pytest.mark.parametrize(("ticks", "head"), [(1e5, "ticks"), (1e5, "t"), (1e5, "timestamp")])
+def test_the_turns_of_the_fixes_show_the_unit_of_the_times(tmp_path: Path, ticks: float, head: str):
+    """Ticks of 10 us look like us of an IMU at 200 Hz."""
+    write(tmp_path, clock=lambda t: np.round((t + 3) * ticks).astype(int), head=head)
+    with pytest.raises(InputError, match="the unit of the times is likely 10 times the assumed") as caught:
+        imported(tmp_path)
+    require_right(tmp_path, maps=options_in(str(caught.value))[0])
 
 
 def test_turns_of_the_fixes_do_not_refuse_stated_units(tmp_path: Path):

@@ -107,7 +107,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
         plain = replace(recipe, mount="") if recipe.mount == AUTO else recipe
         field = gathered.pop("mag", ())
         drive = assemble(name, gathered, plain, notes.append, request.part)
-        if unit := unit_of_rates(drive, recipe.roles["imu"], unitless):
+        if unit := unit_of_rates(drive, recipe.roles, unitless):
             raise InputError(unit)
         if recipe.mount == AUTO:
             drive, mount, note = find_mount(drive)
@@ -235,7 +235,7 @@ def _with_unit_of_rates(
         gathered = _gather_all(request, logs, plain, lambda done: None)
         gathered.pop("mag", None)
         drive = assemble("log", gathered, plain, lambda note: None, request.part)
-        said = unit_of_rates(drive, plain.roles["imu"], unitless)
+        said = unit_of_rates(drive, plain.roles, unitless)
     except InputError:  # other faults remain
         return faults
     return [f"{f.partition('; specify')[0]}; {said}" if said and '"imu.g' in f else f for f in faults]

@@ -9,7 +9,15 @@ import polars as pl
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.expressions import compile_expression
 from sigmaswarm.importing.names import plain_words, read_names
-from sigmaswarm.importing.quantities import PLACEHOLDERS, Columns, degrees_as_meters, heading, place, quantity
+from sigmaswarm.importing.quantities import (
+    PLACEHOLDERS,
+    Columns,
+    degrees_as_meters,
+    heading,
+    of_earth_center,
+    place,
+    quantity,
+)
 from sigmaswarm.importing.source import Fault, Guess, Part, Role
 from sigmaswarm.importing.times import Found, find_time, median_of, numbers_of, written
 from sigmaswarm.wording import names_shown
@@ -177,6 +185,9 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
     located = columns.has("lat", "lon")
     if located and role in ("gps", "truth"):
         yield from place(columns, role).items()
+    elif role in ("gps", "truth") and (found := of_earth_center(columns)):
+        yield from found.items()
+        located = True
     elif role in ("gps", "truth") and columns.has("x", "y") and (fault := degrees_as_meters(columns, role)):
         yield "lat", Found("", fault=fault)
         located = True

@@ -259,6 +259,20 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
     )
 
 
+def of_earth_center(columns: Columns) -> dict[str, Found]:
+    """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees, by Bowring's formula; {} for others."""
+    if not columns.has("x", "y", "z") or any(columns.names[n].unit for n in "xyz"):
+        return {}
+    low, high = (float(columns.norms(["x", "y", "z"]).quantile(q) or 0.0) for q in (0.1, 0.9))
+    if not 6.34e6 < low <= high < 6.4e6:
+        return {}
+    x, y, z = map(columns.text, "xyz")
+    angle = f"atan2({z}*1.00336409, hypot({x}, {y}))"
+    lat = f"degrees(atan2({z} + 42841.3115*sin({angle})**3, hypot({x}, {y}) - 42697.6727*cos({angle})**3))"
+    note = f"{x}, {y} and {z} are read as coordinates from the center of the earth (ECEF)"
+    return {"lat": Found(lat, note), "lon": Found(f"degrees(atan2({y}, {x}))")}
+
+
 def _place_form(columns: Columns, role: Role) -> Found:
     """Guess the unit of latitude and longitude from their magnitude; {} in the expression is the column."""
     both = ("lat", "lon")

@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.places import course_of
-from sigmaswarm.importing.source import Part
+from sigmaswarm.importing.source import Part, Role
 from sigmaswarm.importing.units import in_si, parse_unit
 
 _DEGREE = math.pi / 180
@@ -29,7 +30,7 @@ WITHIN, OTHER = 0.08, 1.4
 """Largest relative difference from the factor of a unit; smallest ratio to the assumed one that contradicts it."""
 APART, GAP = (1.5, 6.0, 24.0), 1.4
 """Times, s, over which changes of course are compared; largest ratio of an actual to such a time."""
-DELAYS = np.arange(-1.0, 2.01, 0.25)
+DELAYS = (-1.0, -0.5, -0.25, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
 """Tried delays of the fixes, s."""
 EXPLAINED, LEAST_TURN, FEWEST = 0.9, 0.1, 20
 """Smallest share of the changes of course that the rates must explain; their least standard deviation, rad, and number.
@@ -40,12 +41,12 @@ SMALL = 0.2
 """Directions in the space of the axes with less than this share of the largest turn are not used."""
 
 
-def unit_of_rates(drive: Drive, parts: Sequence[Part], unitless: Mapping[str, str]) -> str:
+def unit_of_rates(drive: Drive, roles: Mapping[Role, Sequence[Part]], unitless: Mapping[str, str]) -> str:
     """Describe the unit of rates whose turns contradict those of the fixes, with the remedy.
 
     Parameters
     ----------
-    parts : parts of the IMU; rates with other expressions than those of `ASSUMED` are not judged
+    roles : parts of the log; rates with other expressions than those of `ASSUMED` are not judged
     unitless : columns without a unit, as text in expressions, by column of the drive
 
     Returns
@@ -53,7 +54,8 @@ def unit_of_rates(drive: Drive, parts: Sequence[Part], unitless: Mapping[str, st
     "" if the turns agree, no unit explains them, or the log does not show them
     """
     rates = unitless.keys() & {"gx", "gy", "gz"}
-    used = {n: text for part in parts for n, text in part.columns.items() if n in rates}
+    times = {role: parts[0].columns.get("t", "") for role, parts in roles.items() if parts}
+    used = {n: text for part in roles["imu"] for n, text in part.columns.items() if n in rates}
     forms = {text.replace(unitless[n], "{}") for n, text in used.items()}
     if len(forms) != 1 or not forms <= ASSUMED.keys() or (ratio := _ratio(drive)) is None:
         return ""
@@ -63,14 +65,33 @@ def unit_of_rates(drive: Drive, parts: Sequence[Part], unitless: Mapping[str, st
     known = UNITS if whole else UNITS.keys() - COUNTS
     apart = {name: abs(math.log(ratio * assumed / UNITS[name][0])) for name in known}
     likely = sorted((name for name in apart if apart[name] < WITHIN), key=lambda name: apart[name])
-    if 1 / OTHER < ratio < OTHER or not likely:
+    columns = ", ".join(unitless[n] for n in used)
+    if 1 / OTHER < ratio < OTHER:
         return ""
+    if not likely:
+        return _wrong_clock(ratio, columns, times)
     maps = [
         "--map " + " ".join(f'"imu.{n}={UNITS[name][1].format(unitless[n])}"' for n in used)
         for name in likely
     ]
-    columns, names = ", ".join(unitless[n] for n in used), " or ".join(likely)
+    names = " or ".join(likely)
     return f"the turns of the fixes show {columns} in {names}, not {unit}; write {' or '.join(maps)}"
+
+
+def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
+    """Describe times with another power of ten as the unit; "" for other ratios, or times with a date."""
+    power = round(math.log10(ratio))
+    if (
+        abs(math.log(ratio / 10.0**power)) > WITHIN
+        or not all(times.values())
+        or "(" in "".join(times.values())
+    ):
+        return ""
+    maps = " ".join(f'"{role}.t={text}*1e{power}"' for role, text in times.items())
+    said = f"the fixes turn {ratio:.3g} times as far as {columns}"
+    return (
+        f"{said}: the unit of the times is likely {10.0**power:g} times the assumed one; write --map {maps}"
+    )
 
 
 def _ratio(drive: Drive) -> float | None:

@@ -31,6 +31,10 @@ WRAPS: tuple[tuple[int, str], ...] = (
 """Periods after which counters restart, ns."""
 FEWEST_ROWS = 20
 """Smallest number of rows of a separate recording; shorter runs of rows out of order are sorted."""
+FAR, MOST_FALLS = 10.0, 100
+"""Least distance, s, of a wrong time from those of the rows around it; most steps back that are checked."""
+MOST_SECONDS = 5
+"""Largest number of recordings of a second each."""
 LEAST_FALL, STEPS = 0.2, 2
 """Smallest step back of a clock between recordings, in s and in median steps."""
 REPEATED = 0.02
@@ -102,11 +106,43 @@ def recordings(time: Nanoseconds) -> list[slice]:
     return whole if all(-least < gap < least for gap in gaps) else parts  # one recording, in another order
 
 
-def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice, str]:
+def _rate_by_rows(time: Nanoseconds, parts: list[slice]) -> float:
+    """Return the rows per second of a clock whose fractions are wrong; 0 if the recordings are no seconds."""
+    inner = parts[1:-1]
+    first = np.array([int(time[p].min()) for p in inner])
+    rows = float(np.median([p.stop - p.start for p in inner]))
+    apart = float(np.median(np.diff(first))) or float(np.median([np.ptp(time[p]) for p in inner])) * rows / (
+        rows - 1
+    )
+    return rows if abs(apart / SECOND - 1) < 0.1 else 0.0
+
+
+def _stray(time: Nanoseconds) -> NDArray[np.bool_]:
+    """Mark rows with wrong times: a few, far from those of the rows around them."""
+    stray = np.zeros(len(time), bool)
+    falls = np.flatnonzero(np.diff(time) < 0) + 1
+    far = max(FAR * SECOND, 100 * float(np.median(np.abs(np.diff(time))))) if len(time) > 1 else 0.0
+    near = (
+        (falls[:, None] + np.arange(-FEWEST_ROWS, FEWEST_ROWS)).ravel()
+        if len(falls) <= MOST_FALLS
+        else falls[:0]
+    )
+    for k in near[(near >= 0) & (near < len(time))].tolist():
+        around = time[max(k - FEWEST_ROWS, 0) : k + FEWEST_ROWS + 1]
+        stray[k] = abs(int(time[k]) - int(np.partition(around, len(around) // 2)[len(around) // 2])) > far
+    return stray
+
+
+def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> tuple[slice, str]:
     """Return the rows of the chosen recording, and a sentence or ""; refuse several recordings without a choice."""
     parts = recordings(time)
     if len(parts) == 1:
         return parts[0], f"{where}: its clock does not restart; all its rows are used" if part else ""
+    if part is None and len(parts) > MOST_SECONDS and (rate := _rate_by_rows(time, parts)):
+        raise InputError(
+            f"{where}: the clock goes back {len(parts) - 1} times, about once per second; if fractions of seconds are "
+            f'written without zeros or whole seconds, count rows: --map "{role}.t=row/{rate:.4g}"'
+        )
     lengths = [f"{(int(time[p].max()) - int(time[p].min())) / SECOND:.1f} s" for p in parts]
     said = f"{where}: the clock restarts at row {parts[1].start + 1}: {len(parts)} recordings ({names_shown(lengths)})"
     if part is None:
@@ -160,8 +196,14 @@ def in_order(
     time: Nanoseconds, role: Role, where: str, part: int | None, say: Say
 ) -> tuple[Nanoseconds, NDArray[np.int64]]:
     """Return a table's times (n,), strictly increasing, and the indices of their rows."""
-    taken, chosen = choose_part(time, part, where)
-    rows, time = np.arange(len(time))[taken], time[taken]
+    rows = np.flatnonzero(~_stray(time))
+    if len(rows) < len(time):
+        say(
+            f"{where}: {len(time) - len(rows)} rows are left out, since their times are far from those around them"
+        )
+    taken, chosen = choose_part(time[rows], part, role, where)
+    rows = rows[taken]
+    time = time[rows]
     if chosen:
         say(chosen)
     if backwards := int(np.count_nonzero(np.diff(time) < 0)):
