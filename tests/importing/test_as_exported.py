@@ -260,7 +260,11 @@ FLAGS = [
         ("pos_type", "NONE", "SINGLE"),
         ("fix", "", "2D"),
     ),
-    *(("gps_fix_type", "NO_FIX", "RTK_FIXED"), ("sol_status", "INSUFFICIENT_OBS", "SOL_COMPUTED")),
+    *(
+        ("gps_status", "UNAVAILABLE", "AVAILABLE"),
+        ("gps_fix_type", "NO_FIX", "RTK_FIXED"),
+        ("sol_status", "INSUFFICIENT_OBS", "SOL_COMPUTED"),
+    ),
 ]
 
 
