@@ -57,7 +57,7 @@ def read_arrays(path: Path) -> "dict[str, NDArray[Any]]":
 
 
 def finite(content: Any) -> Any:
-    """Replace NaN and inf, which JSON does not know, by None."""
+    """Replace NaN and inf, which JSON does not have, by None."""
     if isinstance(content, dict):
         return {str(key): finite(value) for key, value in cast("dict[Any, Any]", content).items()}
     if isinstance(content, list | tuple):

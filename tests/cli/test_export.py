@@ -241,7 +241,7 @@ def test_an_evaluation_replaces_the_page_of_the_last_and_not_its_own_tuning(
     assert sigmaswarm("evaluate", tuned, drive, "--out", "e").code == 0
     assert sigmaswarm("report", "e").code == 0 and (here / "e/page.html").exists()
     ended = sigmaswarm("evaluate", "e", drive, "--out", "e")
-    assert ended.code == 2 and "e: contains e, which is read; choose another --out" in ended.err
+    assert ended.code == 2 and "e: contains e, which this command reads; choose another --out" in ended.err
     assert (here / "e/page.html").exists()
     assert sigmaswarm("evaluate", tuned, drive, "--out", "e").code == 0
     assert not (here / "e/page.html").exists()

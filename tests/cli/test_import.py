@@ -328,7 +328,7 @@ def test_fixes_that_nobody_uses_are_said_once(sigmaswarm: Command, here: Path):
     Path("log/imu.csv").write_text("\n".join(rows[: len(rows) // 2]) + "\n")
     ended = sigmaswarm("import", "log/imu.csv", "--gps", "log/gps.csv", "--out", "drive")
     assert ended.code == 0, ended.err
-    assert ended.out.count("fixes lie outside of the IMU's time, up to 30 s after its last sample") == 1
+    assert ended.out.count("fixes lie outside of the IMU's time span, up to 30 s after its last sample") == 1
     found = json.loads(sigmaswarm("doctor", "drive", "--json").out)["drives"][0]["findings"]
     assert [f["severity"] for f in found if f["code"] == "gps-outside"] == ["note"]
 

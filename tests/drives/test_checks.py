@@ -163,8 +163,8 @@ def test_fixes_outside_of_the_imus_time_are_counted(begin: float, end: float, en
     gps, imu = whole.gps.time, drive.imu.time
     count, n = np.count_nonzero((gps < imu[0]) | (gps > imu[-1])), len(gps)
     assert only(drive) == (
-        f"gps.csv: {count} of {n} fixes lie outside of the IMU's time, {ends}, and are not used; no action is needed "
-        "if the receiver recorded for longer; otherwise convert both to one clock"
+        f"gps.csv: {count} of {n} fixes lie outside of the IMU's time span, {ends}, and are not used; no action is "
+        "needed if the receiver recorded for longer; otherwise convert both to one clock"
     )
 
 

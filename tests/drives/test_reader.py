@@ -194,7 +194,7 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
     ),
     "no-overlap": (shift_gps(500.0), ["imu.csv", "gps.csv", "0 to 20 s", "500.", "do not overlap", "clock"]),
     "few-fixes": (keep_rows("gps.csv", 9), ["gps.csv", "9 fixes", "too few", "at least 10"]),
-    "few-fixes-shared": (shift_gps(18.5), ["gps.csv", "7 fixes within the IMU's time", "at least 10"]),
+    "few-fixes-shared": (shift_gps(18.5), ["gps.csv", "7 fixes within the IMU's time span", "at least 10"]),
     "few-samples": (keep_rows("imu.csv", 99), ["imu.csv", "99 samples", "too few", "at least 100"]),
     "no-positions": (
         line("gps.csv", 1, "t,east,north"),

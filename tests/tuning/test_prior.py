@@ -94,7 +94,7 @@ def test_a_receiver_that_smooths_its_fixes_is_not_copied():
     )
     assert max(copied.parameters.measurement_noise) < 0.1**2
     assert min(held.parameters.measurement_noise) > 0.5**2
-    assert [r for r in held.remarks if "contains no accuracy of its fixes, so R was kept near" in r]
+    assert [r for r in held.remarks if "does not state the accuracy of its fixes, so R was kept near" in r]
     assert not [r for r in copied.remarks if "R was held" in r]
     other = simulate("urban", duration=60.0, gps="white-1m", seed=3, imu_rate=50.0)
     follows, knows = run_batch([other], [copied.parameters, held.parameters]).costs

@@ -114,7 +114,7 @@ def main() -> NoReturn:
     code = _run()
     for said, count in _warned.items():
         if count > 1:
-            print(f"warning: given {count} times: {shown(said, 80)}", file=sys.stderr)
+            print(f"warning: occurred {count} times: {shown(said, 80)}", file=sys.stderr)
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
@@ -140,7 +140,7 @@ def _run() -> int:
         resumable = sys.argv[1:2] in (["tune"], ["compare"], ["simulate"], ["study"])
         print(file=sys.stderr)
         return _fail(130, "interrupted" + "; repeat the command with --resume to continue" * resumable)
-    except BrokenPipeError:  # `sigmaswarm ... | head` is no mistake
+    except BrokenPipeError:  # `sigmaswarm ... | head` is not a mistake
         terminal.mute()
     except OSError as error:  # no permission, a network drive that is gone
         if not error.filename:  # the output itself

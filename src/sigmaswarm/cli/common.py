@@ -45,7 +45,7 @@ def read_drives(places: "Sequence[Location]") -> "list[Drive]":
 
 
 def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *, overwrite: bool) -> None:
-    """Raise, before anything is written, if a drive's folder exists; with ``overwrite`` only if it is a source."""
+    """Raise, before anything is written, if a folder exists; with ``overwrite``, only if it is in ``sources``."""
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.writer import require_replaceable
     from sigmaswarm.errors import InputError
@@ -58,13 +58,13 @@ def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *
 
 
 def require_result_folder(out: Path, sources: "Iterable[Location | None]", kind: str, mark: str = "") -> None:
-    """Raise, before any work, if a folder contains anything but an earlier result of the kind, or a file to read."""
+    """Raise, before any work, if a folder has other files than a result of this kind, or is the folder of a source."""
     from sigmaswarm.errors import InputError
     from sigmaswarm.files import earlier_result
 
     for source in filter(None, sources):
         if out.resolve() in (Path(source).resolve(), Path(source).resolve().parent):
-            raise InputError(f"{out}: contains {source}, which is read; choose another --out")
+            raise InputError(f"{out}: contains {source}, which this command reads; choose another --out")
     earlier_result(out, kind, mark)
 
 

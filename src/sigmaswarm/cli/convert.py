@@ -20,7 +20,7 @@ def convert(
     """Convert drives between Parquet and CSV.
 
     Every command reads both formats. Parquet files are smaller and much faster to read, with the same numbers. Columns
-    that sigmaswarm does not know are dropped with a warning.
+    that sigmaswarm does not use are dropped with a warning.
 
     For example:
 

@@ -46,7 +46,7 @@ def doctor(
     fix
         Folder for a repaired copy of each drive. The drives themselves are not changed.
     lever_arm_within
-        Estimate one lever arm from all drives. --fix writes axes with a 95% interval of at most +- M meters.
+        Estimate one lever arm from all drives. --fix writes an axis if its 95% interval is at most +- M meters.
     """
     read = _read(drives)
     if fix is not None:
@@ -86,7 +86,7 @@ def doctor(
 
 
 def _read(paths: list[Path]) -> "list[Drive]":
-    """Read the drives without warnings, since the diagnosis checks more."""
+    """Read the drives without warnings, since the diagnosis repeats these checks in more detail."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DriveWarning)
         return read_drives(paths)

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from sigmaswarm.drives.reader import Location
 
 Remedy = tuple[str, Path | None]
-"""Command that repairs or shows the faults of a drive, and the folder of the repaired copy, if it makes one."""
+"""Command that repairs or shows the faults of a drive; folder of the repaired copy, if the command writes one."""
 _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
 
 def print_diagnosis(diagnosis: "Diagnosis", seen: set[str] | None = None) -> None:
-    """Print the findings about a drive; of notes in ``seen``, only the number. New notes are added to ``seen``."""
+    """Print the findings about a drive, but only count the notes in ``seen``. Add new notes to ``seen``."""
     from rich.table import Table
     from rich.text import Text
 

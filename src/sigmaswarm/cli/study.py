@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 APART = ("maneuvers", "environments", "imu", "gps", "vibration", "terrain", "train_fraction")
-"""Fields of the configuration that are no options."""
+"""Fields of the configuration that are not options."""
 
 
 @options_of(StudyConfig.model_fields, apart=APART, by_data=("racing",))

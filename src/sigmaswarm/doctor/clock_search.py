@@ -15,7 +15,7 @@ SPAN = 5.0  # s, interval over which turns are compared
 LEAST, CLEARLY = 0.8, 0.15
 """Share of the turns that an offset must explain, and its smallest lead over any other offset."""
 FEWER = 4.0
-"""An alternative to the lead: any other offset leaves this many times as large a share of the turns unexplained.
+"""Alternative to the lead: the share of turns that any other offset leaves unexplained is larger by this factor.
 
 If turns repeat, other offsets may also explain a large share.
 """

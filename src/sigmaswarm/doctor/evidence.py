@@ -118,8 +118,8 @@ def _read(drive: Drive) -> Evidence:
 def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
     """Return the evidence after an exchange of x and y of the fixes; None unless it explains the IMU as recorded.
 
-    With gravity upright on az, gz and ay cannot both be reversed while ax agrees with the motion: this is no rotation.
-    For an IMU on its side or upside down, reversed accelerometers look the same.
+    With gravity upright on az, gz and ay cannot both be reversed while ax agrees with the motion: no rotation does
+    this. For an IMU on its side or upside down, reversed accelerometers look the same.
     """
     imu, yaw, fit = drive.imu, found.yaw, found.yaw_fit
     if imu.az is None or fit is None or fit.course_change < LEAST_TURNS:

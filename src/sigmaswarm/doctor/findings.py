@@ -108,7 +108,7 @@ class Diagnosis:
 
 
 _HIGHEST_CONFIDENCE = 0.999
-"""Below 1, since a log may have faults that no check considers."""
+"""Highest confidence: below 1, since a log may have faults that no check considers."""
 
 
 def confidence_of(deviations: float) -> float:

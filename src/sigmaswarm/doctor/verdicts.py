@@ -16,18 +16,19 @@ DEGREE = math.pi / 180
 FAMILIAR = 1.35
 """A factor within this ratio of a known factor (1, -1, deg/s), in either direction, is taken as that factor."""
 LEAST_SHARE = 0.2
-"""Share of the course's changes that a column must explain, unless the gain is CERTAIN."""
+"""Share of the course's changes that a column must explain, unless the gain exceeds `CERTAIN` standard deviations."""
 LEAST_TURN = 0.05
 """RMS change of the course within 20 s above which the course determines the mounting, rad.
 
-Below it, the course is mostly noise. A yaw rate other than as recorded must then be CERTAIN or have LARGE_SHARE.
+Below it, the course is mostly noise. Another column, sign or unit than the recorded one must then exceed `CERTAIN` or
+`LARGE_SHARE`.
 """
 LARGE_SHARE = 0.5
 CERTAIN = 12.0
-"""Ratio of the gain to its standard deviation above which a small share of the course's changes suffices, since in a
-city errors of the fixes cause most changes."""
+"""Ratio of the gain to its standard deviation above which a column may explain a small share of the course's changes.
+In a city, most of these changes are errors of the fixes."""
 CLEARLY = 16.0
-"""Lead in chi-square of another interpretation over the log as recorded, and largest chi-square of a log in g.
+"""Decrease in chi-square for which another interpretation replaces the recorded one; largest chi-square of a log in g.
 
 In steady circles, the forces hardly exceed the noise and do not determine the unit. Logs in g have a chi-square of 4.
 """

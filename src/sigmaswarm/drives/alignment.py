@@ -117,7 +117,7 @@ def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoS
     gps, imu = drive.gps, drive.imu
     fixes = np.flatnonzero(usable & np.isfinite(gps.x + gps.y))
     if not len(fixes):
-        return NoStart("no filter can start: no fix lies within the IMU's time", "use a longer drive")
+        return NoStart("no filter can start: no fix lies within the IMU's time span", "use a longer drive")
     first, time = fixes[0], float(gps.time[fixes[0]])
     std = STATED_HEADING_STD
     if drive.heading is not None:
@@ -137,7 +137,7 @@ class Alignments:
     """The alignments that end at each fix, computed on first use.
 
     ``usable`` (number of fixes,) marks the fixes to use, by default all. ``time`` (m,), s, are the times of those
-    within the IMU's time. ``longest``: longest duration, s, above `MAX_DURATION` for slow vehicles.
+    within the IMU's time span. ``longest``: longest duration, s, above `MAX_DURATION` for slow vehicles.
     """
 
     def __init__(
@@ -162,7 +162,7 @@ class Alignments:
     def at(self, k: int) -> InitialState | None:
         """Return the alignment that ends at fix k, in some ms; None without enough travel, or if the fixes jump."""
         if k not in self._found:
-            with np.errstate(all="ignore"):  # a fit that overflows is no alignment
+            with np.errstate(all="ignore"):  # a fit that overflows is not an alignment
                 fitted = self._fitted_slow if self._slowly else self._fitted
                 self._found[k] = fitted(k) if self._worth[k] else None
         return self._found[k]

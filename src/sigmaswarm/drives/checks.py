@@ -23,7 +23,7 @@ GPS_GAP = (5.0, 2.0)
 UNSHARED = 10.0
 """Shortest reported time without the other sensor at the start or end, s."""
 UNSHARED_IMU = 0.1
-"""The same as a share of the IMU's time; many logs begin before the receiver has its first fix."""
+"""The same as a share of the IMU's time span; many logs begin before the receiver has its first fix."""
 GRAVITY = 9.80665  # m/s2, standard gravity; filters and their exported C have 9.81: see `filters.tilted`
 IMPOSSIBLE_RATE = 3.0  # rad/s; no car makes half a turn in a second
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units per second
@@ -81,7 +81,7 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
     shared = int(np.count_nonzero((gps.time >= first) & (gps.time <= last)))
     if shared < FEWEST_SHARED_FIXES:
         return (
-            f"gps.csv: {shared} fixes within the IMU's time, t = {first:g} to {last:g} s, are too few; "
+            f"gps.csv: {shared} fixes within the IMU's time span, t = {first:g} to {last:g} s, are too few; "
             f"record at least {FEWEST_SHARED_FIXES}"
         )
     return None
@@ -213,7 +213,7 @@ def unshared_times(imu: Array, gps: Array) -> Remark | None:
         count = np.count_nonzero((gps < imu[0]) | (gps > imu[-1]))
         ends = [(early, "before its first sample"), (late, "after its last sample")]
         up_to = " and ".join(f"up to {length:.0f} s {where}" for length, where in ends if length >= 0.5)
-        what = f"{count} of {len(gps)} fixes lie outside of the IMU's time, {up_to}, and are not used"
+        what = f"{count} of {len(gps)} fixes lie outside of the IMU's time span, {up_to}, and are not used"
         remedy = (
             "no action is needed if the receiver recorded for longer; otherwise convert both to one clock"
         )

@@ -33,7 +33,7 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
 CUT, OF_A_CUT = "cut_from", frozenset({"drive", "sha256", "start_s", "end_s"})
 """Table in the drive.toml of a part of a drive, and its keys."""
 ALIKE = 0.8
-"""Similarity of an unknown key to a known one, 0 to 1, from which it counts as misspelled."""
+"""Similarity of an unknown key to a known one, 0 to 1, above which it counts as misspelled."""
 _ANGLES = {
     "heading_deg": "degrees counter-clockwise from east",
     "imu_mounting_deg": "roll, pitch and yaw in degrees",

@@ -137,8 +137,8 @@ def sample_events(
 
     ``used``: bits of the events that the filter uses. ``slot``: see `slot_of`; ``now`` and ``before``: times of this
     sample and of the one before, s. ``ay``: m/s2. ``stands``: IMU and fixes show a standstill. The first ``come`` rows
-    of ``readings``, time and speed, are up to now. ``done`` (4,), see LATERAL_SLOT, is updated. ``wheels`` (3,) becomes
-    the odometer's measurement if there is one.
+    of ``readings`` (time and speed) are those up to now. ``done`` (4,), see LATERAL_SLOT, is updated. ``wheels`` (3,)
+    becomes the odometer's measurement if there is one.
     """
     events = 0
     if used & LATERAL and done[LATERAL_SLOT] != slot and abs(ay) <= CORNERING:

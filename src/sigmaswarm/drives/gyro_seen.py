@@ -16,7 +16,7 @@ UP = 2  # axis of the rate about the vertical
 CONTRADICTS = 5.0
 """Number of standard deviations above which an alignment subtracts a bias about the vertical axis."""
 STRANGE = 1e-5
-"""Prior probability that the gyro is far worse than that of the tuning; a bias of five sigmas confirms it.
+"""Prior probability that the gyro is far worse than that used for tuning; a bias of five sigmas confirms it.
 
 A probability of 1e-3 would increase the standard deviation of a good gyro's bias by 0.07 deg/s.
 """

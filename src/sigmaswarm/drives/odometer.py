@@ -21,7 +21,7 @@ SPEED, AGE, MORE = range(3)
 def wheels_turn(readings: Array, end: int, now: float) -> bool:
     """Return True if the wheels turn.
 
-    The first ``end`` rows of ``readings``, time and speed, are up to now.
+    The first ``end`` rows of ``readings`` (time and speed) are those up to now.
     """
     return end > 0 and readings[end - 1, 0] > now - LARGEST_AGE and abs(readings[end - 1, 1]) >= SLOW
 

@@ -156,8 +156,8 @@ def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
 def _offset(a: Array, b: Array, tolerance: float) -> float | None:
     """Return the offset, s, between the clocks of landmarks (time in us, values ...) with the most equal pairs.
 
-    Since some pairs agree by chance, half of the landmarks in the common time must agree. The drive with fewer of them
-    counts, since a copy may be decimated. Values must differ, since a standing car repeats one value.
+    Since some pairs agree by chance, half of the landmarks in the common time must agree: half of those of the drive
+    with fewer, since a copy may be decimated. Values must differ, since a standing car repeats one value.
     """
     if min(len(a), len(b)) < FEWEST:
         return None

@@ -19,8 +19,8 @@ NEAR_GRAVITY = 0.3
 WHITE = 0.4
 """Smallest share of white noise in the error of fixes for `has_white_errors`.
 
-The share is 1 for KITTI and colorado, 0.25 for a u-blox M8, and at most 0.02 for receivers in cars that smooth
-(kingston-1, comma2k19, dresden).
+The share is 1 for KITTI and colorado, 0.25 for a u-blox M8, and at most 0.02 for car receivers, which smooth their
+fixes (kingston-1, comma2k19, dresden).
 """
 UNSTATED_GPS_STD = 2.1  # m per axis, assumed if a receiver states no accuracy: u-blox M8, 2.5 m CEP
 SHOWN = 0.25 * UNSTATED_GPS_STD
@@ -114,7 +114,7 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
     - **lateral** and **standstill** always. They determine the heading, which position fixes do not.
     - **odometer** if every log has one.
     - **accuracy** if every receiver states standard deviations, and these vary.
-    - **robust** always. It hardly changes results without outliers, and is needed with some.
+    - **robust** always. It hardly changes results without outliers, and is needed with outliers.
 
     The gate is not used, since a gate tuned on one receiver rejects good fixes of another. The receiver's velocity and
     heading are not used, since no log with truth had them. Latency is not estimated. Scores do not choose the model:

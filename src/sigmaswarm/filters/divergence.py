@@ -161,7 +161,7 @@ class DivergenceMonitor:
 
         ``check_at`` returns the check at the k-th time. If the filter is ``lost``, only the first check is made.
         """
-        with np.errstate(all="ignore"):  # non-finite values are no contradiction
+        with np.errstate(all="ignore"):  # non-finite values are not a contradiction
             first = 0 if self.lost else self._first_diverged(times, check_at)
             if first is None:
                 return None, None

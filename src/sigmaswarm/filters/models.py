@@ -185,7 +185,7 @@ class State:
     shared: str  # search parameter, common to east and north if their noise is the same
     bias_of: str | None = None  # the sensor in SENSORS with this bias, which starts at 0
     per_second: bool = False  # the bounds are per second
-    start_std: float = 0.0  # initial standard deviation of a state that is no bias and that alignments lack
+    start_std: float = 0.0  # initial standard deviation of a state that alignments lack, other than a bias
 
     @property
     def variance_unit(self) -> str:

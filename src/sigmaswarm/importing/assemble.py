@@ -125,7 +125,7 @@ def _in_one_turn(
 ) -> dict[Role, Nanoseconds]:
     """Move times by whole periods to those of the IMU, if their clock restarts: a table may begin after a restart.
 
-    Of several moves with which a table lies within the IMU's times, the tables then end together.
+    If several moves place a table within the IMU's times, use the one with which both tables end together.
     """
     moved, imu = dict(times), times["imu"]
     clocks = {role: (parts[0].part.columns["t"], parts[0].period) for role, parts in gathered.items()}
@@ -261,7 +261,7 @@ def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Value
 
 
 def _require_meters(time: Array, gps: Values, parts: Sequence[Gathered]) -> None:
-    """Refuse x and y that are no meters, since no vehicle moves so fast."""
+    """Refuse x and y that are not in meters: the vehicle would move impossibly fast."""
     apart = int(np.searchsorted(time, time[0] + 2.0)) if len(time) else 0
     if "lat" in gps or len(time) < 10 or not 0 < apart < len(time):
         return

@@ -42,13 +42,13 @@ _NO_PLACES = re.compile(
 _ESTIMATE = re.compile(
     r"filter|estimat|kalman|(?:^|[^a-z])[eu]?kf|fused|fusion|smooth|predict", re.IGNORECASE
 )
-"""Names of tables with positions that are no measurements."""
+"""Names of tables whose positions are estimates, not measurements."""
 _FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok|status)?|(?:(?:gps|gnss)_?)?valid|(?:gps|gnss)_?quality"
 """Names of columns that state whether a row has a fix: 0 means none, or -1 where 0 means a fix, as in ROS."""
 _STATUS = (
     rf"{_FIXED}|(?:(?:gps|gnss|nav|pos|position|sol|solution)_?)?(?:status|state|mode|type|solution|quality)"
 )
-"""Names of columns that state it in words."""
+"""Names of columns that state in words whether a row has a fix."""
 _NO_FIX = (
     r"(?:no|not|un|in)_?(?:\w+_)?(?:valid|fix|fixed|solution|gps|gnss|signal|available)|no|none|false|void|bad|lost|"
     r"searching|acquiring|insufficient.*|cold_start"

@@ -169,7 +169,7 @@ def read_names(columns: Sequence[str]) -> list[Name]:
 
     Positions and speeds are read only if the prefix names a receiver, accelerations and rates only if it names another
     device. If the prefix names a vehicle or a logger and the table has an IMU and positions in degrees, both are read:
-    a table of estimates would have no accelerations. Its positions in meters and speeds are not read.
+    a table of estimates would have no accelerations. Positions in meters and speeds of such a table are not read.
     """
     pairs = zip(min(columns, default=""), max(columns, default=""), strict=False)
     shared = "".join(a for a, _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
@@ -232,7 +232,7 @@ def read_name(column: str) -> Name:
     if name.meaning is not None or split == column.strip():
         return name
     again = _read(column, split)
-    stated = again.unit is None or split[-1] in ")]"  # the end of a word is no unit: LatG, LatD
+    stated = again.unit is None or split[-1] in ")]"  # the end of a word is not a unit: LatG, LatD
     return again if again.meaning is not None and stated else name
 
 

@@ -22,14 +22,14 @@ MOVING = 1.0
 
 
 def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:
-    """Mark rows (n,) with a position: no placeholder, within the range of degrees, and not far from others."""
+    """Mark rows (n,) with a position: not a placeholder, within the range of degrees, and not far from others."""
     if "lat" not in values or "lon" not in values:
         return np.ones(len(time), bool)
     lat, lon = values["lat"], values["lon"]
     zero = (lat == lon) & (lat == np.round(lat))  # the same whole number in both is a placeholder
     if zero.any() and not zero.all():
         placed = f"latitude {lat[zero][0]:g}, longitude {lon[zero][0]:g}"
-        say(f"{role}: {int(zero.sum())} rows at {placed} are left out, since such rows are no fixes")
+        say(f"{role}: {int(zero.sum())} rows at {placed} are left out, since such rows are not fixes")
     good = ~zero if not zero.all() else np.ones(len(time), bool)
     outside = good & ((np.abs(lat) > 90) | (np.abs(lon) > 360))
     if outside.any() and outside.sum() < 0.5 * good.sum():

@@ -33,10 +33,11 @@ APART, GAP = (1.5, 6.0, 24.0), 1.4
 DELAYS = (-1.0, -0.5, -0.25, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
 """Tried delays of the fixes, s."""
 EXPLAINED, LEAST_TURN, FEWEST = 0.9, 0.1, 20
-"""Smallest share of the changes of course that the rates must explain; their least standard deviation, rad, and number.
+"""Smallest share of the changes of course that the rates must explain; smallest standard deviation, rad, and number of
+these changes.
 """
 OUTLYING = 3.0
-"""Standard deviations from which a change of course is an outlier: a robot that spins on the spot shows no course."""
+"""Number of standard deviations above which a change of course is an outlier, as when a robot spins on the spot."""
 SMALL = 0.2
 """Directions in the space of the axes with less than this share of the largest turn are not used."""
 

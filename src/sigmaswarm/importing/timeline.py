@@ -70,7 +70,7 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, int, str]:
     fitting: list[tuple[float, int, str]] = []
     for period, name in WRAPS:
         wraps = steps < -0.5 * period
-        # Two exchanged rows of a short log are no wrap; after a wrap, the times continue by about a usual step.
+        # Two exchanged rows of a short log are not a wrap; after a wrap, the times continue by about a usual step.
         lost = 5 if period >= 3600 * SECOND else 2.5  # the end of a recording may be near a short period
         near = np.abs(steps + period) <= min(max(50 * usual, 2 * SECOND), lost * usual + 1e-3 * period)
         low = -period // 2 if int(time.min()) < 0 else 0  # a number with a sign

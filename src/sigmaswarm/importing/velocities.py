@@ -44,7 +44,7 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
         speed, course = np.hypot(values["vx"], values["vy"]), np.arctan2(values["vy"], values["vx"])
     if speed is not None and course is not None:
         course = np.where(speed < 0, course + np.pi, course)  # a vehicle in reverse
-    if speed is not None:  # slow wander of the positions is no motion: the speed must show motion as well
+    if speed is not None:  # slow wander of the positions is not motion: the speed must show motion as well
         moves = np.concatenate([[0], np.cumsum(np.abs(speed) > SLOWEST)])
         both = moves[end + 1] - moves[begin] > 0.5 * (end + 1 - begin)
         enough = np.sum((end - begin)[both]) >= MOVED * moves[-1]
@@ -95,7 +95,7 @@ def _stretches(
     """Return the first and the last rows of stretches in which the position certainly and steadily moves.
 
     A stretch is longer than ten times the noise between rows and has at least five positions. No single step makes up
-    most of it: a jump of the fixes of a parked vehicle is no motion.
+    most of it: a jump of the fixes of a parked vehicle is not motion.
     """
     rows = np.flatnonzero(
         np.append(True, (np.diff(x) != 0) | (np.diff(y) != 0))

@@ -81,7 +81,7 @@ def evaluation_report(folder: Path) -> Report:
             parameters_section(file),
             *convergence_section(file, folder),
             data_section("Drives of the evaluation", setup.data),
-            *((data_section("Drives of the tuning", file.data),) if file.data else ()),
+            *((data_section("Training drives", file.data),) if file.data else ()),
         ),
         config=shown_config(file.config)
         | {"outage_length_s": setup.outage_length_s, "evaluation_outage_seed": setup.outage_seed},

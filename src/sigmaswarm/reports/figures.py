@@ -35,7 +35,7 @@ from sigmaswarm.wording import visible
 class Chart:
     """A plot: ``draw`` draws marks and labels on matplotlib's axes.
 
-    ``rows``, the number of names at the vertical axis, determines the height on a page. A page shows at most two
+    ``rows``, the number of names along the vertical axis, determines the height on a page. A page shows at most two
     ``broad`` charts in a row.
     """
 

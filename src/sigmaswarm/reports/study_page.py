@@ -1,4 +1,4 @@
-"""Page of a study: tables of the paper and ours, and all methods under both protocols."""
+"""Page of a study: the paper's tables with the study's results, and all methods under both protocols."""
 
 from collections.abc import Iterable
 from math import inf
@@ -224,8 +224,8 @@ def _conditions(results: Results) -> tuple[Section, ...]:
 def _convergence(results: Results) -> Section:
     theirs = results.paper["figure_2"]["stable_generation"]
     text = (
-        "Median over trials and range of the middle 80% of the trials. The diamond marks the generation from which on "
-        f"the median is within 1% of its last value. In the paper's figure 2 this is generation {theirs}."
+        "Median over trials and range of the middle 80% of the trials. The diamond marks the generation from which "
+        f"the median stays within 1% of its last value. In the paper's figure 2 this is generation {theirs}."
     )
     charts = _known(convergence_chart(results, protocol) for protocol in results.protocols)
     return Section("Convergence", (text,), (tables.convergence_table(results),), charts)

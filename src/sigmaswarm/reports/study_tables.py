@@ -1,4 +1,4 @@
-"""Tables of a study: results of the paper and ours, comparisons, conditions, search results and rivals."""
+"""Tables of a study: the paper's results and its own, comparisons, conditions, search results and rivals."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -53,7 +53,7 @@ EFFORT = (
     "interval for new drives (bootstrap over drives and trials); -: no drive is long enough."
 )
 TIMES = (
-    "Training: processor time of a trial; for a network without the tuning of its filter. A sample: processor time "
+    "Training: processor time of a trial (for a network, excluding the tuning of its filter). A sample: processor time "
     "per IMU sample of a run over a whole drive from Python."
 )
 Row = tuple[Cell, ...]

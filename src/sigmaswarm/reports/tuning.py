@@ -62,7 +62,7 @@ def convergence(tuning: Tuning) -> Figure:
 
 
 def _convergence_chart(history: pl.DataFrame, best_trial: int, objective: str) -> Chart:
-    """Draw the best cost so far and the median cost of each generation, the best trial bold.
+    """Draw the best cost so far and the median cost of each generation, the best trial in bold.
 
     The scale is logarithmic if all costs are positive. The cost of a likelihood may be negative.
     """
@@ -84,7 +84,7 @@ def _convergence_chart(history: pl.DataFrame, best_trial: int, objective: str) -
         ax.set(xlabel="generation", ylabel=f"cost: {objective}")
 
     n = history["trial"].n_unique()
-    return Chart(f"Convergence, {n} trials (the best one bold)" if n > 1 else "Convergence", draw)
+    return Chart(f"Convergence, {n} trials (the best one in bold)" if n > 1 else "Convergence", draw)
 
 
 def tuning_report(folder: Path) -> Report:
@@ -216,7 +216,9 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
         return (Section("Convergence", charts=charts),)
     rows = tuple((float(i), cost) for i, cost in enumerate(costs))
     table = Table("Cost of each trial", (Column("trial"), Column("cost")), rows, frozenset({best}))
-    return (Section("Convergence", (f"The best of {len(costs)} trials is drawn bold.",), (table,), charts),)
+    return (
+        Section("Convergence", (f"The best of {len(costs)} trials is drawn in bold.",), (table,), charts),
+    )
 
 
 def data_section(title: str, data: Sequence[DriveRecord]) -> Section:

@@ -3,10 +3,10 @@
 Successive halving (K. Jamieson and A. Talwalkar, AISTATS 2016) with drives as the resource. Unlike F-race (M. Birattari
 et al., GECCO 2002) it drops a fixed share, so the number of steps is known in advance.
 
-One filter takes as long as the eight of a vector, so the last candidate of a race is expensive. With many drives, a
-batch therefore also races against the best candidate so far, the leader. The leader's costs are a control variate for
-the costs of dropped candidates. A race that starts with 1/32 of the drives is faster, but then these costs mislead the
-search.
+A single filter takes as long as eight filters in one vector, so the last candidate of a race is expensive. With many
+drives, a batch therefore also races against the best candidate so far, the leader. The leader's costs are a control
+variate for the costs of dropped candidates. A race that starts with 1/32 of the drives is faster, but then these costs
+mislead the search.
 """
 
 from collections.abc import Sequence

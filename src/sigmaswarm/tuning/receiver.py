@@ -138,7 +138,7 @@ def prior_warnings(
             return [f"{name}: R was kept near the {std:.2g} m per axis that the receiver states{more}"]
         if std == UNSTATED_GPS_STD:
             why = (
-                f"{name} contains no accuracy of its fixes, so R was kept near that of a usual receiver, "
+                f"{name} does not state the accuracy of its fixes, so R was kept near that of a typical receiver, "
                 f"{std:.2g} m per axis. NIS will be low if the receiver smooths its fixes"
             )
             return [

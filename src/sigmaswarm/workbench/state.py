@@ -45,7 +45,7 @@ class Workbench:
         write_json(self._file, self.choices)
 
     def path(self, kind: str, name: str) -> Path:
-        """Return the folder of a drive, tuning, ... by name. Raise for names that lead to other places."""
+        """Return the folder of a drive, tuning, ... by name. Raise `InputError` for names that lead to other places."""
         path = self.folder / kind / name
         if kind not in KINDS or not NAME.fullmatch(name) or path.is_symlink():
             raise InputError(f"{name!r} is not a valid name; use letters, digits, - and _")

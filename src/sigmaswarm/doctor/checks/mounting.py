@@ -19,7 +19,7 @@ MOVED, STANDS_OUT = math.radians(18.0), 4.0
 In fault-free drives with 20 s of hard maneuvers at one end, the change was up to 16 degrees.
 """
 SCATTER = 0.5
-"""Largest usual distance of a direction from the median, rad, that shows gravity: accelerations without it scatter."""
+"""Largest typical deviation of directions from their median, rad, that shows gravity; without gravity they scatter."""
 LEAST_DIFFERENCE = math.radians(
     0.5
 )  # smallest difference from the mounting of drive.toml that a note reports

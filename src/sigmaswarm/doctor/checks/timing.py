@@ -39,7 +39,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             "clock-offset", "serious", what, where, span, 0.999, f"{move} the fixes' times{leap}", repair
         )
     elif abs(late) >= evidence.clock.least:
-        # Changes of speed alone, as on a motorway, are no evidence for a repair.
+        # Changes of speed alone, as on a motorway, are not evidence for a repair.
         turns = fit is not None and fit.course_change > LEAST_TURN and fit.share > LEAST_SHARE
         clear = turns and abs(late) > CLEAR_OFFSET[1] * std
         grave = abs(late) > max(GRAVE, CLEAR_OFFSET[2] * std)

@@ -71,7 +71,7 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
 
 
 def agrees(evidence: Evidence) -> bool:
-    """Return True if the receiver's speed and course agree with the positions best without a delay."""
+    """Return True if the receiver's speed and course agree best with the positions at a delay of zero."""
     gps = evidence.drive.gps
     if gps.speed is None or gps.course is None or evidence.course is None or any(check_velocity(evidence)):
         return False

@@ -323,7 +323,7 @@ class LiveFilterBank(LiveFilter):
         return [i for i, state in enumerate(FILTERS[self._kernel].states) if state.bias_of]
 
     def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return mean (n,) and covariance (n, n); while lost, replace the biases by the last sound ones."""
+        """Return mean (n,) and covariance (n, n); if ``lost``, with the last valid biases."""
         if not lost:
             self._last_sound = mean, covariance
             return mean, covariance

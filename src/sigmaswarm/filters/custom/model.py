@@ -112,7 +112,7 @@ class Model:
             raise self.wrong(f"kind = {self.kind!r}; choose ukf or ekf")
         if self.robust is not None and not (isinstance(self.robust, Real) and 0.5 <= self.robust < 1):
             raise self.wrong(
-                f"robust = {self.robust!r} is not a probability from 0.5 to below 1; pass for example 0.99"
+                f"robust = {self.robust!r} is not a probability of at least 0.5 and below 1; pass for example 0.99"
             )
         self._check_names("states", self.states)
         for field in ("angles", "scored"):

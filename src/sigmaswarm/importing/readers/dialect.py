@@ -289,7 +289,7 @@ def _titles(line: str, separator: str) -> list[str]:
 
 
 def _are_units(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
-    """Return True if the cells of a line are units, and at most as many are names as in the line above."""
+    """Return True if the cells of a line are units, with no more known names than the line above."""
     units = [parse_unit(c.strip("[]() ")) for c in cells if c.strip()]
     known = any(u is not None and (u.known or u.text.lower() in COUNTS) for u in units)
     return known and _meanings(cells) <= _meanings(above)

@@ -35,7 +35,7 @@ from sigmaswarm.importing.source import (
 from sigmaswarm.importing.times import time_of
 
 LATE = 0.1
-"""Median difference between receive times and header stamps from which it is reported, s."""
+"""Median difference between receive times and header stamps above which it is reported, s."""
 Message = tuple[str, int, Any]
 """Topic, receive time in ns, and message with its fields as attributes or keys."""
 Stream = Callable[[Collection[str]], Iterator[Message]]
