@@ -23,11 +23,11 @@ BEGIN, END = "<!-- written by benchmarks/table.py: begin -->", "<!-- end -->"
 PACKAGES = ("sigmaswarm", "numpy", "numba", "scipy", "filterpy", "pyswarms", "kalman-py", "jax", "gtsam")
 
 FILTERS = {
-    "test_filterpy": "FilterPy, predicts and updates of the drive",
-    "test_textbook": "sigmaswarm's textbook filter, predicts and updates of the drive",
-    "test_numba": "Numba, the textbook filter in loops, predicts and updates of the drive",
+    "test_filterpy": "FilterPy, predictions and updates of the drive",
+    "test_textbook": "sigmaswarm's textbook filter, predictions and updates of the drive",
+    "test_numba": "Numba, the textbook filter in loops, predictions and updates of the drive",
     "test_gtsam": "GTSAM's iSAM2 with attitude, 30 s of the drive (a smoother: its graph grows)",
-    "test_batch": "**sigmaswarm's compiled batch of 32, predicts, updates and scores of the drive**",
+    "test_batch": "**sigmaswarm's compiled batch of 32, predictions, updates and scores of the drive**",
 }
 CROWDED = {
     "test_kalman_py": "kalman-py on JAX, a fix at every IMU sample",

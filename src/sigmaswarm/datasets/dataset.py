@@ -55,7 +55,7 @@ def datasets_of(
     executor: Executor | None = None,
     takes: str = "Drives are needed",
 ) -> list[Dataset]:
-    """Make a dataset of each group of drives; on a cluster all workers read their drives at the same time.
+    """Make a dataset from each group of drives; on a cluster all workers read their drives at the same time.
 
     Parameters
     ----------

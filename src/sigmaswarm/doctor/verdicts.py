@@ -41,7 +41,8 @@ SHOWN = 0.25
 LEAST_OFFSET = 0.1
 """Smallest reported offset, s; the receiver's noise hides smaller offsets."""
 CLEAR_OFFSET = (2.5, 3.3, 4.5)
-"""Ratios of an offset to its standard deviation for a note, a warning with a repair, and a serious finding."""
+"""Ratios of an offset to its standard deviation above which there is a note, a warning with a repair, or a serious
+finding."""
 MOUNTED = math.radians(40)  # rad, rotation above which axes are exchanged
 ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
 

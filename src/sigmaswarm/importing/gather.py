@@ -151,7 +151,7 @@ def _complete(part: Part, log: Log, role: Role) -> Part:
             raise InputError(f"{log.path}: {unit}")
     if "t" not in part.columns:
         raise InputError(
-            f"{log.path}: which column of {shown(part.table)} is the time of the {role} was not found; "
+            f"{log.path}: no time of the {role} was recognized in {shown(part.table)}; "
             f'specify it with --time, or count rows if the rate is known: --map "{role}.t=row/100" for 100 Hz'
         )
     for text in part.columns.values():

@@ -216,7 +216,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
 def _with_fix(columns: Columns) -> Found | None:
     """Select rows with a fix by a column of flags, unless it would exclude many rows that look like fixes.
 
-    In some codes 0 is a fix without fixed ambiguities, and flags may be in other rows than positions.
+    In some codes 0 is a fix without fixed ambiguities, and flags and positions may be in different rows.
     """
     both = ("lat", "lon") if columns.has("lat", "lon") else ("x", "y")
     text = _fix_stated(columns.frame) if columns.has(*both) else ""

@@ -47,7 +47,7 @@ def unit_of_rates(drive: Drive, roles: Mapping[Role, Sequence[Part]], unitless: 
 
     Parameters
     ----------
-    roles : parts of the log; rates with other expressions than those of `ASSUMED` are not judged
+    roles : parts of the log; only rates with an expression of `ASSUMED` are checked
     unitless : columns without a unit, as text in expressions, by column of the drive
 
     Returns

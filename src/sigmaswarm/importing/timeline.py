@@ -24,7 +24,7 @@ WRAPS: tuple[tuple[int, str], ...] = (
     (2**32, "a counter of nanoseconds, 2^32"),
     (WEEK * SECOND, "the time of week"),
     (86_400 * SECOND, "the time of day"),
-    (43_200 * SECOND, "the time of half a day"),
+    (43_200 * SECOND, "a clock of 12 hours"),
     (3600 * SECOND, "minutes and seconds"),
     (MINUTE, "the seconds of the minute"),
 )

@@ -150,7 +150,7 @@ INSTEAD = {
     "prior": "narrow the bounds of the parameters of measurement_noise",
     "start": "narrow the bounds of the parameters",
 }
-"""Remedies for options of built-in models that are given for a custom one; for the others, to leave them out."""
+"""Remedies if options of built-in models are given for a custom model; other options must be left out."""
 
 
 PAPER: dict[str, Any] = {

@@ -13,7 +13,7 @@ since they do not depend on roads.
 A factor has no effect on a noise near zero. A filter with roll and pitch therefore has lower limits (`space.LEAST`),
 also if it is tuned with truth: with the limits, the error of a filter tuned on one drive is 0.8 instead of 1.7 m on
 another car's drive. On drives of the same car the limits change the error by -5 to +2%. Three drives with truth
-determine the deviations of the initial biases, which then have no limit: it would raise the heading error by 10%.
+determine the deviations of the initial biases, which then have no limit: a limit would raise the heading error by 10%.
 """
 
 from concurrent.futures import Executor

@@ -54,7 +54,7 @@ IMU_DIMENSIONS = (
 ENTRIES = {"imu_gate": ("gate_gyro", "gate_accel")}
 """Names of the entries of a tuple."""
 ONE_NOISE = ("lateral", "odometer")
-"""Options with only a noise parameter in robot-localization, whose twists are in m/s, at the IMU, without delay."""
+"""Options that have only a noise parameter in robot-localization: its twists are in m/s, at the IMU, without delay."""
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     **dict.fromkeys(
         ("adaptive-ukf", "strong-tracking-ukf"),

@@ -16,16 +16,16 @@ from sigmaswarm.drives.drive import Array, Imu
 
 MOUNTING = (math.radians(5), math.radians(10))  # rad about z, for a warning and for a serious finding
 TILT = (0.5, 1.2)
-"""Residuals of ax, ay for a warning and for a serious finding, m/s2. Roads and the biases of cheap sensors cause
-residuals below the second limit.
+"""Residuals of ax, ay above which there is a warning or a serious finding, m/s2. Roads and the biases of cheap sensors
+cause residuals below the second limit.
 """
 SIZE = (0.3, 1.0)
-"""Errors of the median specific force for a note and for a warning, m/s2.
+"""Errors of the median specific force above which there is a note or a warning, m/s2.
 
 Errors of cheap sensors reach 0.8 m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
 """
 LIKELY, CLEAR = 2.5, 3.5
-"""Ratios of a rotation to its standard deviation for a note and for a repair."""
+"""Ratios of a rotation to its standard deviation above which it is reported, or repaired."""
 WRONG_SCALE = 0.4
 LEAST_PUSH = 0.4  # m/s2, smallest spread of the acceleration that determines its scale
 WHERE = "imu.csv, ax, ay"

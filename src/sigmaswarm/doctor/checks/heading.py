@@ -24,7 +24,7 @@ HEADINGS: dict[str, Callable[[Array], Array]] = {
 ALIKE = math.radians(15)  # rad, largest median difference from the course, apart from a constant
 TURNED = math.radians(2), math.radians(10)  # rad from the course, for a warning and for a serious finding
 LATE, WORSE = 0.15, 0.8
-"""Delay for a warning, s, and largest ratio of the misfits with and without this delay."""
+"""Delay above which there is a warning, s, and largest ratio of the misfits with and without this delay."""
 WINDOW = 5.0  # s, over which turns of the heading and of the gyro are compared
 FEWEST = 30
 WHERE = "gps.csv, heading"

@@ -165,7 +165,7 @@ class LiveFilterBank(LiveFilter):
         return KernelArray(sets).start([start], [self._interval])[0]
 
     def count_only(self, lanes: int) -> None:
-        """Give weight only to the first lanes, like an export with this number of lanes. Use it without searches."""
+        """Give weight only to the first lanes, like an export with this number of lanes. Searches must be off."""
         self._counted = lanes
         self._numbers[swarm.PENALTY][lanes:] = np.inf
         swarm.weigh(self._filter_state)
