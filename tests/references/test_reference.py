@@ -111,7 +111,7 @@ def wrong(cheap: Drive, rtk: Gps, tmp_path: Path) -> dict[str, tuple[Drive, obje
         "no accuracy": (cheap, replace(rtk, std_x=None, std_y=None), {}, "contains no standard deviations of its"),
         "no place": (replace(cheap, origin=None), pos, {}, "has no origin; write origin"),
         "no clock": (replace(cheap, metadata={}), pos, {}, "on the drive's clock"),
-        "all worse": (cheap, rtk, {"accuracy": 0.005}, "0 of these have a stated standard deviation of at most 0.005 m"),
+        "all worse": (cheap, rtk, {"accuracy": 0.005}, "0 of these have a stated standard deviation of at most 0.005"),
         "nonsense": (cheap, rtk, {"accuracy": -1.0}, "accuracy = -1"),
     }  # fmt: skip
 

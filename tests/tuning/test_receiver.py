@@ -49,7 +49,7 @@ def with_r(std: float):
             FixNoise(1.8, 0.1),
             "states 1.8 m per axis and its fixes scatter by 0.1 m: their errors are correlated",
         ),
-        (0.1, FixNoise(NONE, 0.1), "scatter by 0.1 m per axis and their receiver states no deviation"),
+        (0.1, FixNoise(NONE, 0.1), "scatter by 0.1 m per axis and their receiver states no accuracy"),
         (0.9, FixNoise(1.0, 1.0), ""),
         (0.9, FixNoise(NONE, 1.0), ""),
         (0.9, FixNoise(NONE, NONE), ""),

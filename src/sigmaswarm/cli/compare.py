@@ -56,7 +56,7 @@ def compare(
     validation
         Drives that the search does not use; the tuned filters are also evaluated on them.
     workers
-        Number of threads, or with --cluster of simultaneous tuning runs; one per core by default.
+        Number of threads or, with --cluster, of simultaneous tuning runs; one per core by default.
     resume
         Continue an interrupted comparison. The result is the same, except for the times.
     """

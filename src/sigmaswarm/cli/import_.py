@@ -65,8 +65,8 @@ class ImportOptions:
     odometer_topic
         Topic or table of the wheel speed, m/s forward.
     mag_topic
-        Topic or table of a magnetometer with the IMU's axes; adds headings to the fixes. In --map: mag.mx, mag.my.
-    declination
+        Topic or table of a magnetometer with the IMU's axes; adds headings to the fixes. To map its columns: mag.mx,
+    mag.my. declination
         Magnetic declination, deg, east positive. By default it is estimated from the course, together with the sensor's
         rotation.
     receive_times
@@ -88,7 +88,7 @@ class ImportOptions:
     lever_arm
         Vector from the IMU to the antenna: forward,left,up in m.
     heading_from_north
-        Heading at the first IMU sample, deg clockwise from north, if the vehicle is too slow for a start.
+        Heading at the first IMU sample, deg clockwise from north, if the vehicle is too slow to determine it.
     gps_from_truth
         Simulate fixes from the truth: rate in Hz and white noise in m, for example 5,1.
     max_rows

@@ -13,7 +13,7 @@ from sigmaswarm.errors import SigmaswarmError
 from sigmaswarm_carla.options import Options
 
 RECORDER: dict[str, FieldInfo] = {}
-"""Options of the recorder. A list has the name of one entry."""
+"""Options of the recorder by name; an option that can be repeated has a singular name."""
 for one in fields(Options):
     kind, name = (
         (tuple[str, ...], one.name[:-1]) if isinstance(one.default, tuple) else (type(one.default), one.name)

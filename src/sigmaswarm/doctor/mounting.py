@@ -1,7 +1,8 @@
 """Estimate the mounting of the IMU as one rotation, from gravity, turns and the direction of travel.
 
 Roll and pitch follow from gravity and the axis of turning, yaw from the regression of the path on the levelled
-accelerations. The direction of travel refines yaw and pitch. Rounds rotate the axes until the rotation is zero.
+accelerations. The direction of travel refines yaw and pitch. This is repeated with the rotated axes until the remaining
+rotation is zero.
 """
 
 import math
@@ -24,7 +25,7 @@ from sigmaswarm.drives.mounting import NOT_TURNED
 from sigmaswarm.geodesy import rotation_of
 
 ROUNDS = 16
-"""With six rounds, a few logs keep an error of up to a degree; each round leaves up to 0.7 of it."""
+"""Each round leaves up to 0.7 of the error; after six rounds, it is still up to a degree in a few logs."""
 SURE, LIKELY = math.radians(3.0), math.radians(8.0)
 """Largest total standard deviation, rad, with confidence "sure", and with "likely"."""
 LEAST_SHARE = 0.5

@@ -57,7 +57,7 @@ class Yaw:
 
 
 def yaw_of(fit: YawFit | None) -> Yaw:
-    """Find column, sign and unit of the gyro by the course; without evidence, return those of the format."""
+    """Find column, sign and unit of the gyro by the course; without evidence, return those that drives should have."""
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < LEAST_SHARE and size < CERTAIN):
         return Yaw()

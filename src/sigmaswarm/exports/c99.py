@@ -73,7 +73,7 @@ def c99(
     if interval < SHORTEST_INTERVAL:
         raise InputError(
             f"nominal_interval = {interval:g} s: the C library supports at most {1 / SHORTEST_INTERVAL:g} Hz; correct "
-            "the interval in [filter] of the file of the filter"
+            "the interval in [filter] of the filter's file"
         )
     model = MODELS[parameters.model]
     kinds = ("ekf",) if model.tilts else model.kinds

@@ -271,7 +271,7 @@ def _require_meters(time: Array, gps: Values, parts: Sequence[Gathered]) -> None
         maps = (" ".join(f'"gps.{n}=({text})*1e-{k}"' for n, text in texts.items()) for k in (3, 2))
         raise InputError(
             f"the fixes move at {speed:.4g} m/s (median): x and y are not in m, or the times not in s; write "
-            "--map {} if they are in mm, --map {} if in cm".format(*maps)
+            "--map {} if x and y are in mm, --map {} if in cm".format(*maps)
         )
 
 

@@ -231,8 +231,8 @@ def _said(calibration: Calibration, stated: float | None) -> str:
     fitted = f"mag: hard iron {x:.4g}, {y:.4g}, soft iron {calibration.soft_iron:.1%}"
     if calibration.mirrored:
         return (
-            f"{fitted}; mx and my rotate in the wrong direction for x forward and y left, which is corrected "
-            "from the course"
+            f"{fitted}; mx and my rotate in the wrong direction for x forward and y left; the course shows "
+            "this, and the import corrects it"
         )
     total = (
         f"{np.degrees(calibration.declination):+.1f} deg for declination plus the sensor's rotation about z"

@@ -139,7 +139,7 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm | Array) -> Mot
 
 
 def vibrate(motion: Motion, rate: float, strength: float, rng: np.random.Generator) -> Motion:
-    """Add vibration to specific force and angular rate sampled at ``rate`` Hz; 1 is the strength in real cars."""
+    """Add vibration to specific force and angular rate sampled at ``rate`` Hz; real cars have a strength of 1."""
     speed = np.linalg.norm(motion.velocity, axis=1, keepdims=True)
     level = strength * np.sqrt(rate) * np.minimum(speed / FULL_SPEED, 1.0)
     shaking = rng.standard_normal((2, *motion.specific_force.shape)) * level

@@ -93,7 +93,7 @@ def noise_warnings(
     r = float(np.mean(parameters.measurement_noise)) ** 0.5
     stated, scatter = (_median([getattr(one, what) for one in drives]) for what in ("stated", "scatter"))
     if parameters.fix_error is not None:
-        why = f"the receiver states no deviation; its errors are modeled as correlated, {UNSTATED_GPS_STD:g} m per axis"
+        why = f"the receiver states no accuracy; its errors are modeled as correlated, {UNSTATED_GPS_STD:g} m per axis"
         return [to_do(STATE, why)] if np.isnan(stated) and scatter < SMOOTH else []
     lasting = stated > LASTS * scatter
     remedy = STATE if np.isnan(stated) else f"tune with --use {' '.join([*use, 'accuracy'])}"
@@ -106,7 +106,7 @@ def noise_warnings(
         why = f"the receiver states {stated:.2g} m per axis and its fixes scatter by {scatter:.2g} m"
         return [to_do(remedy, f"{why}: their errors are correlated, and {UNKNOWN}")]
     elif np.isnan(stated) and scatter < SMOOTH:
-        why = f"the fixes scatter by {scatter:.2g} m per axis and their receiver states no deviation"
+        why = f"the fixes scatter by {scatter:.2g} m per axis and their receiver states no accuracy"
         return [
             to_do(
                 remedy,
