@@ -109,7 +109,7 @@ def unrepairable(diagnosis: "Diagnosis") -> bool:
 def mending(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
     """Return the command that repairs a drive, and the folder of the repaired copy.
 
-    If there is no repair, or a serious fault has none, return the command that shows the faults, and None.
+    If no fault can be repaired, or a serious one cannot, return the command that shows the faults, and None.
     """
     command = f"sigmaswarm doctor {shlex.quote(str(folder))}"
     if not repairable(diagnosis) or unrepairable(diagnosis):

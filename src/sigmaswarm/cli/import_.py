@@ -65,10 +65,9 @@ class ImportOptions:
     odometer_topic
         Topic or table of the wheel speed, m/s forward.
     mag_topic
-        Topic or table of a magnetometer with the IMU's axes; adds headings to the fixes. To map its columns: mag.mx,
-    mag.my. declination
-        Magnetic declination, deg, east positive. By default it is estimated from the course, together with the sensor's
-        rotation.
+        Topic or table of a magnetometer with the IMU's axes; adds headings to the fixes. For --map: mag.mx, mag.my.
+        declination Magnetic declination, deg, east positive. By default it is estimated from the course, together with
+        the sensor's rotation.
     receive_times
         Use the receive times of messages instead of the stamps in their headers.
     part

@@ -1,6 +1,6 @@
 """Regression of the path on the forward and lateral accelerations: mounting, scale, tilt, and delay of the fixes.
 
-In windows of some seconds, the IMU determines the path, integrated from an unknown start:
+In windows of several seconds, the IMU determines the path, integrated from an unknown start:
 
     p(t) = p0 + v0 t + e^(i theta) (double integral of M u + b),   u = (ax, ay) as recorded
 
@@ -26,7 +26,7 @@ BIAS_SPREAD = (0.1, 0.5)
 """Bounds of the spread of tilt, slope and bias between windows, m/s2."""
 FEW = 8.0
 """Number of windows at which the covariance is doubled; the factor is 1 + FEW / number."""
-LEAST_NOISE = 0.03  # m, smallest assumed noise of the IMU's path over some seconds
+LEAST_NOISE = 0.03  # m, smallest assumed noise of the IMU's path over several seconds
 
 LATENESS = np.arange(-0.8, 0.81, 0.1)  # s, delays of the fixes to try
 DRIFT_SPAN = 6.0
@@ -52,7 +52,7 @@ def _off_course(time: Array, course: Course, rate: Array, late: float) -> tuple[
 
 
 def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
-    """Return the heading (n,), rad, at the IMU's times: the integrated gyro, aligned with the course over some seconds.
+    """Return the heading (n,), rad, at the IMU's times: the integrated gyro, aligned with the course over seconds.
 
     ``rate`` (n,): yaw rate, rad/s, with correct sign and unit; ``late``: delay of the fixes, s.
     """

@@ -1,9 +1,9 @@
 """Find the start of a filter: an initial state from earlier samples of the drive, without truth.
 
-A car's heading is not observable at standstill; after some meters of driving, the course over ground shows it. A fit to
-the fixes of the last seconds (`alignment_fit`) corrects the course for turns by the gyro, and for changes of speed by
-the accelerometer. The gyro's bias is subtracted, and the fit repeated, only if the fixes contradict a gyro without bias
-(`gyro_seen`).
+A car's heading is not observable at standstill; after several meters of driving, the course over ground shows it. A fit
+to the fixes of the last few seconds (`alignment_fit`) corrects the course for turns by the gyro, and for changes of
+speed by the accelerometer. The gyro's bias is subtracted, and the fit repeated, only if the fixes contradict a gyro
+without bias (`gyro_seen`).
 """
 
 from dataclasses import dataclass
@@ -160,7 +160,7 @@ class Alignments:
         self._found: dict[int, InitialState | None] = {}
 
     def at(self, k: int) -> InitialState | None:
-        """Return the alignment that ends at fix k, in some ms; None without enough travel, or if the fixes jump."""
+        """Return the alignment that ends at fix k (a few ms); None without enough travel, or if the fixes jump."""
         if k not in self._found:
             with np.errstate(all="ignore"):  # a fit that overflows is not an alignment
                 fitted = self._fitted_slow if self._slowly else self._fitted
@@ -256,8 +256,8 @@ class Alignments:
     def course(self) -> Array:
         """Rough heading at each fix, rad, shape (m,); NaN without an alignment.
 
-        It is the direction of the chord of the last seconds, corrected for turns. Changes of speed in a turn cause
-        errors of some degrees.
+        It is the direction of the chord of the last few seconds, corrected for turns. Changes of speed in a turn cause
+        errors of a few degrees.
         """
         imu, turned = self._drive.imu, self._integrals[0]
         direction = np.exp(1j * turned)

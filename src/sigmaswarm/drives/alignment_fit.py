@@ -52,7 +52,7 @@ class InitialState:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fit of the last seconds of fixes; unknowns east, north, theta, v, b at ``time``.
+    """A fit to the fixes of the last few seconds; unknowns east, north, theta, v, b at ``time``.
 
     ``taken`` is the subtracted gyro bias, rad/s. ``yaw_bias`` and ``yaw_std`` are the estimated bias and its standard
     deviation; ``bias_std`` is that from the fit alone. ``turns`` is the change of the unknowns per rad/s of bias.

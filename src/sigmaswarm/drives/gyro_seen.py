@@ -1,4 +1,4 @@
-"""Gyro bias from the last seconds before a start, and its use by filters.
+"""Gyro bias from the last few seconds before a start, and its use by filters.
 
 A cheap gyro may start with a bias of 20 deg/s. Then the curvature of its path differs from that of the fixes, and the
 integrated roll drifts. Both determine the bias to about 1 deg/s. This is far more accurate than the prior of a cheap
@@ -27,7 +27,7 @@ YAW_STD = np.radians(1.0)
 TURN_SHARE = 0.3
 """Share of the mean rate of a turn that may look like a bias, since fixes lag and the car slips."""
 LEAN_STD = np.radians(8.0)
-"""Standard deviation of changes of roll and pitch within some seconds, rad, as at the beginning of a climb."""
+"""Standard deviation of changes of roll and pitch within a few seconds, rad, as at the beginning of a climb."""
 MOST_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that suggest more have jumped
 
 

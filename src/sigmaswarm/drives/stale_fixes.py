@@ -53,8 +53,8 @@ def _classify_all(fixes: Array, kinds: Array) -> None:
 def kind_of(fixes: Array, kinds: Array, k: int) -> int:
     """Classify fix ``k`` by the earlier fixes.
 
-    All fixes of the last seconds are compared, so each of two receivers is compared with itself. The first fix of a run
-    of repeats determines the kind of the whole run.
+    All fixes of the last few seconds are compared, so each of two receivers is compared with itself. The first fix of a
+    run of repeats determines the kind of the whole run.
     """
     now = fixes[k, 0]
     last = k - 1

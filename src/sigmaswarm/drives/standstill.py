@@ -233,7 +233,7 @@ def is_as_it_was(stop: Array, passed: float, means: Array) -> bool:
 
 @cached
 def fixes_stand(fixes: Array, kinds: Array, n: int, now: float, until: Array) -> bool:
-    """Return True if a straight-line fit to the fixes of the last seconds has a low speed.
+    """Return True if a straight-line fit to the fixes of the last few seconds has a low speed.
 
     Rows of ``fixes`` begin with t, x, y. Of the first ``n`` rows, those up to ``now`` are read, except stale fixes of a
     driving car (``kinds``, see `stale_fixes`). The result is valid until ``until[0]`` if no fix is added. After an

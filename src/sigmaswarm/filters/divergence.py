@@ -1,8 +1,8 @@
 """Detection of a diverged filter, and its reset.
 
-The fixes of the last seconds determine position, speed and heading without a filter (`drives.alignment`). A filter has
-diverged if it contradicts this alignment for long and by far more than its covariance allows. It is then reset to the
-alignment.
+The fixes of the last few seconds determine position, speed and heading without a filter (`drives.alignment`). A filter
+has diverged if it contradicts this alignment for long and by far more than its covariance allows. It is then reset to
+the alignment.
 
 The thresholds were chosen on nine recordings. For filters that had not diverged, the heading differed by more than 20
 deg from the alignments for at most 8 s. The position differed by more than 20 m and 5 sigma from the fixes for at most
@@ -241,7 +241,7 @@ _ABSURD = 1e12  # m, m/s2 or rad/s; with larger numbers a fit fails, and LAPACK 
 
 
 def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
-    """Align with the last seconds of a stream.
+    """Align with the last few seconds of a stream.
 
     ``samples`` (k, 4 or 6): time, ax, ay, gz, gx, gy; ``fixes`` (m, 3), s and m; ``gyro_bias``: known bias about up,
     rad/s.

@@ -209,7 +209,7 @@ class FilterParameters:
     def scaled(self, factor: float) -> "FilterParameters":
         """Return the parameters with all variances multiplied by a factor, which hardly changes the estimates.
 
-        The initial standard deviations of the biases are multiplied by the root of the factor. The other initial
+        The initial standard deviations of the biases are multiplied by the root of the factor. The rest of the initial
         covariance and the covariance of IMU gaps do not change. With a gate or ``robust_dof``, which depend on the
         covariance, the estimates change.
 

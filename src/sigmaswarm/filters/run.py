@@ -217,7 +217,7 @@ def run_textbook(
     heading_first: bool = True,
     redraw_sigma_points: bool = True,
 ) -> Estimate:
-    """Run the textbook filter over a drive, some ten thousand times slower than `run_filter`.
+    """Run the textbook filter over a drive, about ten thousand times slower than `run_filter`.
 
     Parameters
     ----------

@@ -126,7 +126,7 @@ class Gathered:
 
 
 def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
-    """Mark values that are far from the unmarked values, relative to the range of these."""
+    """Mark values whose distance from the unmarked values is large relative to their range."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
         return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)

@@ -146,7 +146,7 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
     lengths = [f"{(int(time[p].max()) - int(time[p].min())) / SECOND:.1f} s" for p in parts]
     said = f"{where}: the clock restarts at row {parts[1].start + 1}: {len(parts)} recordings ({names_shown(lengths)})"
     if part is None:
-        raise InputError(f"{said}; import each by itself: --part 1 to --part {len(parts)}")
+        raise InputError(f"{said}; import each one separately: --part 1 to --part {len(parts)}")
     if not 1 <= part <= len(parts):
         raise InputError(f"{said}; there is no recording {part}; choose --part 1 to --part {len(parts)}")
     return parts[part - 1], f"{said}; recording {part} is used"

@@ -25,7 +25,7 @@ from sigmaswarm.filters.replay import Replay, run_steps
 _SMALL = 1e-3
 """Step of the finite differences, in standard deviations."""
 GATE = 13.8
-"""Largest NIS of a displacement, which rejects one in a thousand (chi-square, two degrees of freedom)."""
+"""Largest NIS of a displacement; this limit rejects one in a thousand (chi-square, two degrees of freedom)."""
 
 
 class Begin(NamedTuple):

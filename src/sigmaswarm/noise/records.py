@@ -35,7 +35,7 @@ SENSORS = {"accel": ("ax ay az", "m/s2"), "gyro": ("gx gy gz", "rad/s")}
 
 @dataclass(frozen=True, eq=False)
 class AxisNoise:
-    """The noise of one axis in SI units, with intervals of 95%.
+    """The noise of one axis in SI units, with 95% intervals.
 
     Attributes
     ----------
@@ -43,8 +43,8 @@ class AxisNoise:
     white : Interval
         Velocity or angle random walk: density of the white noise, unit/sqrt(Hz).
     instability : Interval
-        Bias instability: coefficient of the flicker noise, unit. The floor of the Allan deviation is 0.664 of it.
-    walk : Interval
+        Bias instability: coefficient of the flicker noise, unit. The floor of the Allan deviation is 0.664 times this
+    value. walk : Interval
         Rate random walk: growth of the bias, unit/sqrt(s).
     correlation_time : float
         Correlation time of a Gauss-Markov bias, s; inf if the log does not show that the bias returns to its mean.

@@ -1,6 +1,6 @@
 """Compute truth with standard deviations: the fixes of a good receiver, smoothed with the drive's IMU.
 
-The smoother's standard deviations are multiplied until they agree with fixes that are hidden for some seconds. The
+The smoother's standard deviations are multiplied until they agree with fixes that are hidden for several seconds. The
 standard deviation of a fix is added: errors are correlated, so many fixes are no more accurate than one.
 """
 

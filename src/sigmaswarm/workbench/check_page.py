@@ -88,7 +88,7 @@ class CheckPage(Page):
             plan = self.bench.choices.setdefault("plan", {})
             plan |= dict.fromkeys((whole, whole + CHECKED), LEFT_OUT)
             self._open(names[0])
-            self.done = f"wrote drives/{names[0]} and {names[1]}; check both. Tunings leave out {whole}"
+            self.done = f"wrote drives/{names[0]} and {names[1]}; check both. Tunings will not use {whole}"
         self.refresh()
 
     def _taken(self, checked: Checked | None) -> None:

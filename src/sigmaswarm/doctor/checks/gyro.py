@@ -19,7 +19,7 @@ from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
 from sigmaswarm.drives.drive import Array
 
 WRONG = 0.1  # smallest reported difference of a gain from 1
-LEAST_TURN = np.radians(1.0)  # rad; smaller changes of course within some seconds are due to swaying
+LEAST_TURN = np.radians(1.0)  # rad; smaller changes of course within a few seconds are due to swaying
 BIAS = (np.radians(0.1), np.radians(1.0))  # rad/s, for a note and for a warning
 
 SMOOTHED, LAG = 0.3, 0.5

@@ -219,7 +219,7 @@ def _nothing(steps: Steps, *, covariances: bool, failed: int = -1) -> Filtered:
 
 _KERNELS: "WeakKeyDictionary[Model, dict[bool, Any]]" = WeakKeyDictionary()
 _BUILT: "WeakValueDictionary[str, Any]" = WeakValueDictionary()
-"""Kernels of these models by their functions: a model with other bounds or another R needs no compilation."""
+"""Kernels by the functions of their models: a model with other bounds or another R needs no compilation."""
 
 
 def kernel_of(model: Model, steps: Steps, *, absent: bool = False) -> Any:
