@@ -217,7 +217,7 @@ def staged_files(folder: Path, kind: str = "", mark: str = "") -> Generator[Path
 
 
 def _is_code_of_ours(file: Path) -> bool:
-    """Return True for code that an export of an earlier version wrote, which listed no files."""
+    """Return True for exported code of an earlier version, whose exports listed no files."""
     if file.suffix not in (".c", ".h", ".py", ".yaml"):
         return False
     with file.open("rb") as opened:

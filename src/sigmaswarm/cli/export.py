@@ -112,7 +112,7 @@ def export(
     if to != "filterpy" and record.mountings_differ:
         say(
             "note: the IMU's mountings of the training drives differ, so the export contains no rotation: turn raw "
-            "samples to x forward, y left, z up before the filter, or tune on drives of one mounting"
+            "samples to x forward, y left, z up before the filter, or tune on drives with one mounting"
         )
     say(f"next: {next_command(to, out, texts)}")
 

@@ -43,7 +43,7 @@ SHORTEST = 10.0  # s; noise with a shorter correlation time looks like a sensor'
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Averaged periodogram: frequencies (n,), Hz, densities, unit^2/Hz, and independent values in each."""
+    """Averaged periodogram: frequencies (n,), Hz, densities, unit^2/Hz, and number of independent values in each."""
 
     frequency: Array
     density: Array
