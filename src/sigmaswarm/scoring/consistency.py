@@ -161,7 +161,7 @@ VERDICTS: dict[Kind, str] = {
     ),
     "consistent": "is consistent: its innovations agree with their covariances",
     "optimistic_position": (
-        "is overconfident about its position: the sigmas are {nees_size}. The fixes have the same errors, so "
+        "is overconfident about its position: the sigmas are {nees_size}. The fixes share these errors, so "
         "NIS does not show them"
     ),
     "unknown": "failed or had too few fixes to judge its consistency",
