@@ -1,4 +1,4 @@
-"""Connect to a Dask cluster, check the versions of its workers, and convert its errors to messages of one line."""
+"""Connect to a Dask cluster, check the versions of its workers, and convert its errors to one-line messages."""
 
 import asyncio
 import json

@@ -275,7 +275,7 @@ def first_bytes(path: Path, count: int = 4096) -> bytes:
 
 @contextmanager
 def whole(path: Path, what: str = "", remedy: str = "record or copy it again") -> Generator[None]:
-    """Convert any exception of a library on damaged bytes to an error of one line."""
+    """Convert any exception of a library on damaged bytes to a one-line error."""
     try:
         yield
     except InputError:

@@ -277,7 +277,7 @@ def collect(
     table: str,
     read: Callable[[pl.LazyFrame], pl.DataFrame] = pl.LazyFrame.collect,
 ) -> pl.DataFrame:
-    """Return the rows that ``read`` takes, by default all; errors of polars become errors of one line."""
+    """Return the rows that ``read`` takes, by default all; errors of polars become one-line errors."""
     try:
         return read(rows)
     except BROKEN as error:
