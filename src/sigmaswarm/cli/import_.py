@@ -154,8 +154,8 @@ def import_(
 ) -> None:
     """Import a log as a drive.
 
-    The log can be a ROS bag, MCAP, CSV, Parquet, a data set, or the log of a receiver, a flight controller or a phone.
-    The format is detected. Begin with --show, which writes nothing.
+    The log can be a ROS bag, an MCAP, CSV or Parquet file, a data set, or from a receiver, a flight controller or a
+    phone. The format is detected. Begin with --show, which writes nothing.
 
     For example:
 

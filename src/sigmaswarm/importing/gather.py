@@ -126,7 +126,7 @@ class Gathered:
 
 
 def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
-    """Mark values whose distance from the unmarked values is large relative to their range."""
+    """Mark values that are far from the unmarked values, compared with the range of the unmarked values."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
         return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)

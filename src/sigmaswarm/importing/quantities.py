@@ -201,10 +201,10 @@ def _are_dms(lat: pl.Series, lon: pl.Series) -> bool:
 
 
 def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
-    """Return the conditions of the southern and western hemispheres, and faults in their letters.
+    """Return the conditions for the southern and western hemispheres, and faults in their letters.
 
-    The letters are in columns of these names, or in the columns that follow the coordinates. The latter must contain
-    only letters of both axes, and coordinates without signs.
+    The letters are in columns of these names, or in the columns that follow the coordinates. In the latter case, both
+    columns must contain only these letters, and the coordinates no signs.
     """
     frame, found, sure = columns.frame, dict[str, tuple[str, str]](), list[bool]()
     for what, name, words in (("lat", "ns", "north|south"), ("lon", "ew", "east|west")):
