@@ -36,6 +36,10 @@ def smoothed(p: FilterParameters) -> None:
     smooth(equipped(), p)
 
 
+def drive(maneuver: str) -> None:
+    simulate(maneuver)
+
+
 def many(p: FilterParameters) -> None:
     LiveFilterBank(p, initial_state(equipped()), nominal_interval=0.01)
 
@@ -59,13 +63,13 @@ FILTERS = [
 
 
 def main() -> None:
-    collection = subprocess.Popen(COLLECT, stdout=subprocess.DEVNULL)
-    simulate("turns")
-    lagged(parameters("planar5"))  # with all that live filters share
     with ProcessPoolExecutor() as pool:
-        for job in [pool.submit(way, p) for p, ways in FILTERS for way in ways]:
+        first = pool.submit(lagged, parameters("planar5"))  # with all that live filters share
+        jobs = [pool.submit(drive, "turns"), pool.submit(subprocess.call, COLLECT, stdout=subprocess.DEVNULL)]
+        first.result()
+        jobs += [pool.submit(way, p) for p, ways in FILTERS for way in ways]
+        for job in jobs:
             job.result()
-    collection.wait()
 
 
 if __name__ == "__main__":
