@@ -21,7 +21,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # A busy machine is no failure, and the same commit gets the same verdict; ``HYPOTHESIS_PROFILE=long``, as in
 # `make test-long`, and ``search`` look farther.
 patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("sigmaswarm", patient, derandomize=True, max_examples=25)
+settings.register_profile("sigmaswarm", patient, derandomize=True, max_examples=12)
 settings.register_profile("long", patient, derandomize=True, max_examples=200)
 settings.register_profile("search", patient, max_examples=1000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "sigmaswarm"))
@@ -29,8 +29,8 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "sigmaswarm"))
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """One more than there are processors: tests of servers and of killed processes mostly wait."""
-    return (os.cpu_count() or 1) + 1
+    """As many as processors; by itself xdist takes those cores that are physical."""
+    return os.cpu_count() or 1
 
 
 @pytest.hookimpl(wrapper=True)
@@ -40,8 +40,11 @@ def pytest_collect_file(file_path: Path) -> Generator[None, list[pytest.Collecto
     return [file for file in found if type(file).__name__ != "MarkdownDocstringCodeModule"]
 
 
-LONG_PAGES = ("docs/reference/evaluation.md", "docs/reference/experiments.md")
-"""Pages whose examples take seconds: README.md evaluates, too, and `tests/experiments` compares."""
+LONG_PAGES = (
+    *("docs/models.md", "docs/objectives.md", "docs/reference/doctor.md", "docs/reference/evaluation.md"),
+    *("docs/reference/experiments.md", "docs/reference/own_models.md"),
+)
+"""Pages whose examples take seconds. Tests call the same functions, and README.md tunes and evaluates."""
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -71,6 +74,16 @@ def unpainted() -> Iterator[None]:
     from support import no_pictures
 
     with no_pictures():
+        yield
+
+
+@pytest.fixture(scope="module")
+def undiagnosed() -> Iterator[None]:
+    """Tunings look for no faults that the objective does not show, which takes 70% of a small one."""
+    from sigmaswarm.tuning.tune import tune_problem
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(tune_problem.__kwdefaults__, "diagnose", False)
         yield
 
 

@@ -20,6 +20,13 @@ def quickly(cases: Iterable[tuple[Any, ...]], here: Callable[..., bool]) -> list
     return [pytest.param(*case, marks=() if here(*case) else pytest.mark.long) for case in cases]
 
 
+def some(cases: Iterable[Any], each: int = 2) -> list[Any]:
+    """Cases of a parametrized test with one parameter, of which the quick tests run every second or ``each``-th."""
+    return [
+        pytest.param(case, marks=() if k % each == 0 else pytest.mark.long) for k, case in enumerate(cases)
+    ]
+
+
 def require(module: str, reason: str) -> None:
     """Skip the tests of a file where a module is missing; unlike `pytest.importorskip` it is not imported."""
     if find_spec(module) is None:

@@ -181,22 +181,6 @@ def test_a_filter_fails_without_a_fix_to_tell_it():
     assert sigmaswarm.run_batch([blind], [bad], objective="truth-rmse").failed.all()
 
 
-def test_the_whole_way_through_files(tmp_path: Path):
-    """What another program does: read, tune, load, run, evaluate."""
-    sigmaswarm.write_drive(DRIVE, tmp_path / "drive")
-    drive = sigmaswarm.read_drive(tmp_path / "drive")
-    asked = {"model": "planar5", "objective": "truth-rmse", "particles": 4, "generations": 3}
-    tuning = sigmaswarm.tune([drive], out=tmp_path / "out", **asked)
-    parameters = sigmaswarm.FilterParameters.load(tmp_path / "out" / "tuning.toml")
-    assert sigmaswarm.run_batch([drive], [parameters]).costs[0] == tuning.cost
-    assert (
-        sigmaswarm.evaluate([drive], parameters).to_dict()["mean"]["tuned"]["position_rmse_m"] == tuning.cost
-    )
-    estimate = sigmaswarm.run_filter(drive, parameters)
-    direct = sigmaswarm.run_filter(DRIVE, tuning.parameters)
-    assert estimate.mean.tobytes() == direct.mean.tobytes()
-
-
 def test_truth_never_reaches_a_filter(tmp_path: Path):
     """Estimates are bit-identical with truth.csv deleted."""
     sigmaswarm.write_drive(DRIVE, tmp_path / "drive")

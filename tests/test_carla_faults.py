@@ -94,6 +94,7 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
@@ -101,10 +102,9 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> Path:
             {"drop_frame": MID_DRIVE},
             r"frame \d+ of brake-clear-01 is missing: the server went from \d+ to \d+",
         ),
-        pytest.param(
+        (
             {"die": MID_DRIVE},
             "stopped answering: .*0 drives of this call are complete in .*--resume",
-            marks=pytest.mark.long,
         ),
     ],
     ids=lambda v: next(iter(v)) if isinstance(v, dict) else "",
@@ -163,6 +163,7 @@ def test_a_late_sensor_is_waited_for(complete: Path, tmp_path: Path):
         assert text(tmp_path / "late", file).count("\n") == text(complete, file).count("\n")
 
 
+@pytest.mark.long
 def test_a_lost_connection_is_taken_up_again(tmp_path: Path):
     out = tmp_path / "d"
     with stand_in(tmp_path, hang_up=MID_DRIVE) as server:
@@ -184,7 +185,9 @@ def test_a_connection_that_is_lost_again_and_again_is_given_up(tmp_path: Path):
     check_world(server.log)
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "how", quickly([(signal.SIGINT,), (signal.SIGTERM,)], lambda how: how == signal.SIGTERM)
+)
 def test_interrupted(how: signal.Signals, tmp_path: Path):
     with stand_in(tmp_path) as server, recording(server.port, tmp_path / "d", *BRAKE) as process:
         assert process.stderr is not None

@@ -103,14 +103,10 @@ def check_achieved(drive: sigmaswarm.Drive) -> None:
         assert took < (5.2 if name == "accelerate" else 2.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("version", "maneuvers"),
-    [
-        ("0.9.16", ("outages", "brake")),
-        pytest.param("0.9.16", ALL, marks=pytest.mark.long),
-        pytest.param("0.9.14", ALL, marks=pytest.mark.long),
-        ("0.9.15", ("turns", "brake")),
-    ],
+    [("0.9.16", ALL), ("0.9.14", ALL), ("0.9.15", ("turns", "brake"))],
 )
 def test_from_the_server_to_a_tuned_filter(version: str, maneuvers: tuple[str, ...], tmp_path: Path):
     out = tmp_path / "drives"

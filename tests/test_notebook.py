@@ -14,7 +14,6 @@ from support import make_drive
 NASTY = "<script>alert(\"1\")</script> & 'x'"
 DRIVE = replace(make_drive(duration=15.0), name=NASTY)
 SET = ss.FilterParameters(0.1, 2.0, 0.0, [1.0] * 5, [1.0] * 2)
-VOID = {"meta", "br", "img"}
 
 
 class Page(HTMLParser):

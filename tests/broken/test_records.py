@@ -32,6 +32,8 @@ from sigmaswarm.tuning.record import TuningRecord, history_of, load_history
 from sigmaswarm.tuning.store import ResultFolder, finished_trial
 from support import make_drive, no_pictures
 
+pytestmark = pytest.mark.usefixtures("undiagnosed")
+
 TEXTS: dict[str, bytes] = {
     "empty": b"",
     "no text": b"\xff\xfe\x00",

@@ -71,7 +71,7 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two simulated drives."""
     folder = tmp_path_factory.mktemp("cli") / "drives"
     for run in range(2):
-        drive = simulate("urban", run=run, duration=40.0, imu_rate=50.0, gps="white-1m")
+        drive = simulate("urban", run=run, duration=30.0, imu_rate=50.0, gps="white-1m")
         write_drive(drive, folder / drive.name)
     return folder
 

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.usefixtures("doctored")
 
 @pytest.fixture(scope="module")
 def good():
-    return library.simulate("urban", duration=60.0, imu_rate=50.0, gps="white-1m")
+    return library.simulate("urban", duration=40.0, imu_rate=50.0, gps="white-1m")
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
     ended = sigmaswarm("doctor", "fine")
     assert (ended.code, ended.err) == (0, "")
     assert ended.out.startswith("urban-clear-00: nothing serious")
-    assert "3000 samples at 50 Hz" in ended.out
+    assert "2000 samples at 50 Hz" in ended.out
 
 
 def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
@@ -89,7 +89,7 @@ def test_for_machines(sigmaswarm, sick: Path):
     first = told["drives"][0]["findings"][0]
     assert (first["code"], first["severity"], first["repairable"]) == ("gyro-sign", "serious", True)
     assert 0.99 < first["confidence"] < 1
-    assert first["span"] == [0.0, 59.98]
+    assert first["span"] == [0.0, 39.98]
 
 
 def test_the_copy_is_mended_and_the_original_is_not(sigmaswarm, good, sick: Path, here: Path):

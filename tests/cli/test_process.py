@@ -46,15 +46,6 @@ for arguments in (["--version"], ["--help"], ["tone"], ["tune", "--help"]):
     assert [arguments for arguments, imported in seen if imported] == []
 
 
-def test_a_mistake_is_one_line_and_exit_code_2():
-    done = sigmaswarm("evaluate", "nowhere", "nowhere")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert (
-        done.stderr
-        == "sigmaswarm: nowhere: no such file; name a tuning.toml or the folder that contains it\n"
-    )
-
-
 @pytest.mark.long
 def test_without_arguments_it_helps():
     done, helped = sigmaswarm(), sigmaswarm("--help")

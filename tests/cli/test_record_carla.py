@@ -37,6 +37,7 @@ def end(*arguments: object, **environment: str) -> tuple[int, str, str]:
     return process.returncode, out, err
 
 
+@pytest.mark.long
 def test_records_a_drive(tmp_path: Path):
     python_with("0.9.16")
     with stand_in(tmp_path) as server:

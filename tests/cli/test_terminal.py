@@ -12,7 +12,7 @@ import pytest
 import tomli_w
 
 from sigmaswarm.cli.terminal import LONGEST_LINE
-from support import quickly
+from support import no_pictures, quickly
 
 PROGRAM = "from sigmaswarm.cli import main; main()"
 EVIL = "a\x1b]0;owned\x9cb\x1b[2J"
@@ -67,7 +67,8 @@ def test_any_name_can_be_drawn_and_told(sigmaswarm, drive, tuned: Path, name: st
     assert sigmaswarm("plot", drive(name), "--out", "p.png").code == 0
     ended = sigmaswarm("doctor", "named")
     assert ended.out.startswith(shown)
-    ended = sigmaswarm("evaluate", tuned, "named", "--out", "e")
+    with no_pictures():
+        ended = sigmaswarm("evaluate", tuned, "named", "--out", "e")
     assert (ended.code, ended.err) == (0, "")
     assert not {c for c in ended.out if not c.isprintable()} - {"\n"}
 

@@ -29,15 +29,6 @@ MEMS = {
 }
 """Simulated drives through a town."""
 REAL = ["kitti-09-30-0033", "kitti-09-26-0101", "kitti-09-26-0022", "colorado-1", "kingston-1", "comma2k19"]
-QUICK = {*zip(MEMS, ["accelerate", "turns", "urban"], strict=True)}
-UNSEEN = {
-    ("colorado-1", "0.2 s late"),  # its own fixes are about 0.1 s early by its truth, which hides half of it
-    (
-        "comma2k19",
-        "stated x 10",
-    ),  # smooth fixes, whose errors last: by its truth even that is stated too small
-}
-"""Planted, but not to be seen."""
 
 
 @cache
@@ -57,11 +48,7 @@ def serious(diagnosis: Diagnosis) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("name", "fault"),
-    quickly(
-        product(MEMS, [*FAULTS, *MORE]),
-        lambda name, fault: (name, fault) in {("icm-20602", "gaps"), ("slow", "g")},
-    ),
+    ("name", "fault"), quickly(product(MEMS, [*FAULTS, *MORE]), lambda *case: case == ("icm-20602", "gaps"))
 )
 def test_a_planted_fault_is_named(name: str, fault: str):
     """Those that can be repaired are named in `test_repairs`, too."""
@@ -75,26 +62,10 @@ def test_a_planted_fault_is_named(name: str, fault: str):
 
 @needs_shared
 @pytest.mark.parametrize(
-    ("name", "fault"),
-    quickly(
-        product(["kitti-09-30-0033", "colorado-1", "comma2k19"], FAULTS),
-        lambda name, fault: name == "colorado-1" and fault == "stated x 10",
-    ),
-)
-def test_a_fault_planted_in_a_recording_is_named(name: str, fault: str):
-    plant, codes = FAULTS[fault][0], codes_of(fault, recorded(name))
-    found = sigmaswarm.diagnose(plant(recorded(name)))
-    if (name, fault) not in UNSEEN:
-        assert codes <= found.codes
-    assert set(serious(found)) <= codes
-
-
-@needs_shared
-@pytest.mark.parametrize(
     "name",
     quickly(
         [(name,) for name in (*REAL, "kitti-09-30-0034", "kitti-09-30-0018", "dresden")],
-        lambda name: name in ("kingston-1", "comma2k19"),
+        lambda name: name == "comma2k19",
     ),
 )
 def test_a_good_recording_raises_no_alarm(name: str):
@@ -108,7 +79,7 @@ def test_a_good_recording_raises_no_alarm(name: str):
     ("sensors", "maneuver"),
     quickly(
         product(MEMS, ["cruise", "turns", "accelerate", "brake", "outages", "urban"]),
-        lambda sensors, maneuver: (sensors, maneuver) in QUICK,
+        lambda *case: case == ("mpu-6050", "turns"),
     ),
 )
 def test_a_good_simulated_drive_raises_no_alarm(maneuver: str, sensors: str):
@@ -147,7 +118,7 @@ def test_the_same_drive_gives_the_same_findings():
 
 
 def test_truth_is_not_looked_at():
-    drive = simulated("mpu-6050")
+    drive = make_drive(duration=20.0, imu_rate=50.0)
     assert diagnosed_anew(replace(drive, truth=None)) == diagnosed_anew(drive)
 
 
@@ -164,7 +135,7 @@ def test_a_car_that_stands_shows_nothing_and_that_is_told():
 
 
 def test_a_straight_road_shows_no_sign_of_yaw_and_that_is_told():
-    found = sigmaswarm.diagnose(sigmaswarm.simulate("cruise", gps="white-1m"))
+    found = sigmaswarm.diagnose(sigmaswarm.simulate("cruise", gps="white-1m", imu_rate=50.0))
     assert {"unseen-yaw", "unseen-ay"} <= found.codes
 
 
@@ -220,7 +191,7 @@ def test_a_gyro_that_does_not_follow_the_course_is_no_straight_road():
 @pytest.mark.parametrize(
     ("maneuver", "runs"),
     quickly(
-        [("turns", 1), ("urban", 1), ("cruise", 1), *product(["turns", "urban", "cruise"], [8])],
+        [("turns", 1), ("cruise", 1), *product(["turns", "urban", "cruise"], [8])],
         lambda _, runs: runs < 8,
     ),
 )
@@ -265,6 +236,7 @@ def test_gravity_on_a_wrong_axis():
     assert "gravity-axis" in sigmaswarm.diagnose(drive).codes
 
 
+@pytest.mark.long
 def test_the_yaw_rate_in_another_column():
     imu = simulated("icm-20602").imu
     drive = replace(simulated("icm-20602"), imu=replace(imu, gz=imu.gx, gx=imu.gz))
@@ -282,8 +254,8 @@ def test_few_fixes_have_no_jumps(count: int):
 @pytest.mark.parametrize(
     ("course", "factor"),
     quickly(
-        [(lambda c: np.degrees(np.pi / 2 - c) % 360, 1.0), (np.degrees, 3.6), (np.degrees, 1000.0)],
-        lambda course, factor: factor != 3.6,
+        [(lambda c: np.degrees(np.pi / 2 - c) % 360, 3.6), (np.degrees, 1.0), (np.degrees, 1000.0)],
+        lambda course, factor: factor == 3.6,
     ),
 )
 def test_a_receiver_with_its_own_convention(course, factor: float):

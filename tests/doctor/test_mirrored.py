@@ -14,6 +14,7 @@ from sigmaswarm.doctor.fixes import course_of
 from sigmaswarm.doctor.mounting import turned
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu, rotation_of
+from support import quickly
 
 LOOKS_THE_SAME = "exchanged x and y"
 
@@ -55,7 +56,7 @@ def serious(found: Diagnosis) -> set[str]:
     return {finding.code for finding in found.findings if finding.severity == "serious"}
 
 
-@pytest.mark.parametrize("axes", [6, 4])
+@pytest.mark.parametrize("axes", quickly([(6,), (4,)], lambda axes: axes == 4))
 def test_exchanged_coordinates_are_reported_and_repaired(axes: int):
     drive = good(axes)
     wrong = mirrored(drive)
@@ -79,7 +80,7 @@ def test_a_course_and_a_clock_are_checked_after_the_exchange():
 
 @pytest.mark.parametrize("change", [in_degrees, with_truth])
 def test_degrees_and_a_drive_with_truth_are_not_repaired(change: Callable[[Drive], Drive]):
-    found = sigmaswarm.diagnose(change(good(6)))
+    found = sigmaswarm.diagnose(change(good(4)))
     assert serious(found) == {"mirrored-fixes"}
     assert not any(finding.repair for finding in found.findings)
 
@@ -91,12 +92,10 @@ def without_lateral(drive: Drive) -> Drive:
 
 @pytest.mark.parametrize(
     ("axes", "change"),
-    [
-        (6, flipped_yaw),
-        (4, without_lateral),
-        (4, right_and_down),
-        (6, sideways),
-    ],
+    quickly(
+        [(6, flipped_yaw), (4, without_lateral), (4, right_and_down), (6, sideways)],
+        lambda axes, _: axes == 4,
+    ),
 )
 def test_faults_of_the_imu_are_not_faults_of_the_fixes(axes: int, change: Callable[[Drive], Drive]):
     found = sigmaswarm.diagnose(change(good(axes)))

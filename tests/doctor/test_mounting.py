@@ -60,7 +60,7 @@ def slowly_converging() -> Drive:
 
 @pytest.mark.parametrize(
     ("name", "seeds"),
-    quickly([("slow", 1), ("mpu-6050", 1), ("slow", 3), ("icm-20602", 3)], lambda _, n: n == 1),
+    quickly([("mpu-6050", 1), ("slow", 3), ("icm-20602", 3)], lambda _, n: n == 1),
 )
 def test_the_estimate_of_a_turned_drive_is_the_turned_estimate(name: str, seeds: int):
     drive = slowly_converging() if name == "slow" else drive_of(name)
@@ -133,9 +133,7 @@ def test_at_constant_speed_the_direction_of_travel_shows_a_large_angle():
     assert np.degrees(np.arctan(slopes[0])) == pytest.approx(-12, abs=3)
 
 
-@pytest.mark.parametrize(
-    "start", quickly([(42.0,), (43.5,), (49.0,), (50.5,)], lambda start: start in (42.0, 50.5))
-)
+@pytest.mark.parametrize("start", quickly([(42.0,), (43.5,), (49.0,), (50.5,)], lambda start: start == 42.0))
 def test_a_window_at_constant_speed_gives_no_serious_finding(start: float):
     first = at_constant_speed().imu.time[0] + start
     assert not sigmaswarm.diagnose(clip(at_constant_speed(), first, first + 60)).serious
@@ -151,7 +149,9 @@ def test_the_direction_of_travel_depends_on_no_hill(terrain: str):
     assert np.degrees(std).max() < 1.0
 
 
-@pytest.mark.parametrize(("sensor", "terrain"), [("a", "flat"), ("g", "hilly")])
+@pytest.mark.parametrize(
+    ("sensor", "terrain"), quickly([("a", "flat"), ("g", "hilly")], lambda sensor, _: sensor == "a")
+)
 def test_a_sensor_that_reports_the_opposite_turns_no_axis(sensor: str, terrain: str):
     drive = drive_of("icm-20602", terrain)
     names = [sensor + axis for axis in "xyz"]
@@ -166,7 +166,7 @@ def test_a_sensor_that_reports_the_opposite_turns_no_axis(sensor: str, terrain: 
     quickly(
         [((n,),) for n in ("ax", "ay", "az")]
         + [(("ax", "gz"),), (("ay", "gz"),), (("ax", "ay", "az", "gx", "gy", "gz"),)],
-        lambda names: names in (("az",), ("ay", "gz")),
+        lambda names: names == ("ay", "gz"),
     ),
 )
 def test_a_mirror_image_is_no_mounting(names: tuple[str, ...]):
@@ -177,35 +177,15 @@ def test_a_mirror_image_is_no_mounting(names: tuple[str, ...]):
     assert found.confidence == "no"
 
 
-@needs_shared
-@pytest.mark.parametrize(
-    "names",
-    quickly([(("az",),), (("ax",),), (("ay",),), (("ax", "gz"),)], lambda names: names == ("ax", "gz")),
-)
-@pytest.mark.filterwarnings("ignore::sigmaswarm.errors.DriveWarning")
-def test_a_phone_with_a_reversed_axis_is_not_turned_around(names: tuple[str, ...]):
-    """Its accelerometers report the opposite of specific force; with one more reversed axis a mounting was sure."""
-    drive = sigmaswarm.read_drive(DRIVES / "dresden-as-recorded")
-    drive = sigmaswarm.clip(drive, drive.imu.time[0], drive.imu.time[0] + 300)
-    mirrored = replace(drive, imu=replace(drive.imu, **{n: -getattr(drive.imu, n) for n in names}))
-    found, _ = estimate(mirrored, np.eye(3))
-    assert found.confidence == "no"
-
-
-@pytest.mark.parametrize("gps", ["ublox-m8", "f9p-rtk"])
+@pytest.mark.parametrize("gps", quickly([("ublox-m8",), ("f9p-rtk",)], lambda gps: gps == "f9p-rtk"))
 def test_a_straight_road_gives_no_yaw(gps: str):
     found, _ = estimate(sigmaswarm.simulate("cruise", gps=gps, imu_rate=50), np.eye(3))
     assert found.confidence == "no"
 
 
+@pytest.mark.long
 @needs_shared
-@pytest.mark.parametrize(
-    "name",
-    quickly(
-        [("colorado-1",), ("dresden",), ("kitti-09-30-0018",), ("kitti-09-30-0033",)],
-        lambda name: name == "colorado-1",
-    ),
-)
+@pytest.mark.parametrize("name", ["colorado-1", "dresden", "kitti-09-30-0018", "kitti-09-30-0033"])
 def test_a_recording_is_found_within_3_degrees(name: str):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", sigmaswarm.SigmaswarmWarning)  # gaps
@@ -215,24 +195,6 @@ def test_a_recording_is_found_within_3_degrees(name: str):
     found, error = estimate(drive, Rotation.random(random_state=1).as_matrix())
     assert found.confidence in ("sure", "likely")
     assert np.degrees(error) < 3
-
-
-@pytest.mark.parametrize(
-    "angles", quickly([((0, -65, 0),), ((10, -20, 5),), ((180, 0, 90),)], lambda angles: angles[0] == 0)
-)
-def test_a_phone_in_a_holder_is_one_finding_whose_repair_is_a_rotation(angles: tuple[float, float, float]):
-    drive = drive_of("icm-20602", "flat")
-    rotation = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
-    sick = replace(drive, imu=turned(drive.imu, rotation))
-    found = sigmaswarm.diagnose(sick)
-    assert [f.code for f in found.findings if f.severity == "serious"] == ["mounting"]
-    mended = sigmaswarm.repair(sick, found)
-    before, after = (np.array([d.imu.ax, d.imu.ay, d.imu.az]) for d in (sick, mended))
-    np.testing.assert_allclose(np.linalg.norm(after, axis=0), np.linalg.norm(before, axis=0), rtol=1e-12)
-    assert not sigmaswarm.diagnose(mended).serious
-    for column in ("ax", "ay", "az"):
-        off = getattr(mended.imu, column) - getattr(drive.imu, column)
-        assert np.sqrt(np.mean(off**2)) < 9.81 * np.sin(np.radians(5))
 
 
 @pytest.mark.parametrize("angle", quickly([(25.0,), (40.0,), (60.0,)], lambda angle: angle == 25.0))
@@ -252,9 +214,8 @@ def test_an_imu_that_was_moved_within_a_log_is_reported_with_its_time(angle: flo
     assert moved(drive) is None
 
 
-@pytest.mark.parametrize("terrain", ["flat", "rolling"])
-def test_accelerations_without_gravity_show_no_moved_imu(terrain: str):
-    drive = drive_of("icm-20602", terrain)
+def test_accelerations_without_gravity_show_no_moved_imu():
+    drive = drive_of("icm-20602", "flat")
     assert drive.imu.az is not None
     assert moved(replace(drive, imu=replace(drive.imu, az=drive.imu.az - 9.81))) is None
 

@@ -46,7 +46,7 @@ def check(name: str, fault: str) -> None:
     ("name", "fault"),
     quickly(
         product(["hilly", "slow"], THIRD_AXES),
-        lambda name, fault: name == "hilly" and fault in ("gy reversed", "az x 1.15"),
+        lambda name, fault: (name, fault) == ("hilly", "gy reversed"),
     ),
 )
 def test_a_planted_fault_is_named_and_mended(name: str, fault: str):

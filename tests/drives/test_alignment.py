@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -133,7 +133,6 @@ def test_the_covariance_is_symmetric_and_positive_definite(seed: int):
     assert np.linalg.eigvalsh(covariance).min() > 0
 
 
-@settings(max_examples=25, deadline=None)
 @given(
     turn=st.floats(-3.1, 3.1), east=st.floats(-1e4, 1e4), north=st.floats(-1e4, 1e4), seed=st.integers(0, 50)
 )

@@ -72,8 +72,8 @@ def real(name: str) -> Drive:
     ("model", "kind", "option"),
     quickly(
         CASES,
-        lambda model, kind, option: (
-            (model, option) == ("planar8", "all") or (model, kind, option) == ("planar5", "ukf", "plain")
+        lambda *case: (
+            case in (("planar8", "ukf", "all"), ("planar8", "ekf", "all"), ("planar5", "ukf", "plain"))
         ),
     ),
 )
@@ -92,10 +92,7 @@ def test_it_is_the_run(tmp_path: Path, model: str, kind: str, option: str):
     ("model", "kind", "option"),
     quickly(
         [(model, *case) for model in ("planar5", "planar8") for case in WEIGHED_CASES],
-        lambda *case: (
-            case in (("planar8", "ukf", "both"), ("planar5", "ekf", "robust"))
-            or (case[0], case[1]) == ("planar8", "fuzzy-ukf")
-        ),
+        lambda *case: case == ("planar8", "ukf", "both") or case[:2] == ("planar8", "fuzzy-ukf"),
     ),
 )
 def test_it_weighs_fixes_as_the_run_does(tmp_path: Path, model: str, kind: str, option: str):
@@ -124,7 +121,7 @@ def test_a_fix_without_the_accuracy_that_the_filter_goes_by_is_named(tmp_path: P
     ("name", "kind"),
     quickly(
         product(REAL, ("ukf", "strong-tracking-ukf")),
-        lambda name, kind: kind == "ukf" and name in ("colorado-1", "kingston-1"),
+        lambda *case: case == ("kingston-1", "ukf"),
     ),
 )
 def test_it_is_the_run_on_real_drives(tmp_path: Path, name: str, kind: str):

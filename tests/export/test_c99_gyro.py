@@ -39,8 +39,9 @@ def filter_of(model: str) -> FilterParameters:
 
 
 @needs_gcc
-@pytest.mark.parametrize("share", [0.1, 1.0])
-@pytest.mark.parametrize("model", quickly([(m,) for m in KINDS], lambda model: model == "tilted12"))
+@pytest.mark.parametrize(
+    ("model", "share"), quickly(product(KINDS, (0.1, 1.0)), lambda *case: case == ("tilted12", 0.1))
+)
 def test_told_of_the_start_it_is_the_run(tmp_path: Path, model: str, share: float):
     drive, p = off(share), filter_of(model)
     ours = run_filter(drive, p, recover=False)

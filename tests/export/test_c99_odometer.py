@@ -45,6 +45,7 @@ def test_it_is_the_run(tmp_path: Path, model: ModelName, kind: str, option: str)
     assert distance(without.mean, ours.mean) > 1e-3
 
 
+@pytest.mark.long
 @needs_gcc
 def test_it_stands_where_the_run_does(tmp_path: Path):
     p, drive = given("planar8", "ukf", standstill_noise=1e-3), wheeled(urban())

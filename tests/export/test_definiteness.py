@@ -69,7 +69,7 @@ def run(
 
 
 @pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT",)], ids=["double", "float"])
-@pytest.mark.parametrize("name", quickly([(n,) for n in CASES], lambda name: name != "planar5"))
+@pytest.mark.parametrize("name", quickly([(n,) for n in CASES], lambda name: name == "tilted12"))
 def test_a_sound_filter_has_not_failed(name: str, flags: tuple[str, ...], tmp_path: Path):
     failed, least = run(tmp_path, name, SOUND, *flags, samples=1000)
     assert not failed
@@ -78,7 +78,9 @@ def test_a_sound_filter_has_not_failed(name: str, flags: tuple[str, ...], tmp_pa
 
 @pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT",)], ids=["double", "float"])
 @pytest.mark.parametrize("fixes", [0, 1])
-@pytest.mark.parametrize(("i", "j", "covariance"), [(0, 2, 1.5), (1, 4, -0.3), (2, 3, 0.9)])
+@pytest.mark.parametrize(
+    ("i", "j", "covariance"), quickly([(0, 2, 1.5), (1, 4, -0.3), (2, 3, 0.9)], lambda i, *_: i == 0)
+)
 def test_an_indefinite_covariance_is_found(
     i: int, j: int, covariance: float, fixes: int, flags: tuple[str, ...], tmp_path: Path
 ):
@@ -99,7 +101,7 @@ def test_an_indefinite_covariance_is_found(
             ({"measurement_noise": (1e250, 1e-250)},),
             ({"process_noise": (1e200, 1e-200, 1e200, 1e-200, 1e100)},),
         ],
-        lambda more: "latency" not in more or "measurement_noise" in more,
+        lambda more: len(more) == 2 or "process_noise" in more,
     ),
     ids=str,
 )

@@ -85,6 +85,7 @@ def test_ape_on_a_real_drive(tmp_path: Path):
     assert theirs == pytest.approx(position_rmse(drive), abs=2e-6)
 
 
+@pytest.mark.long
 @needs_evo
 def test_kitti_poses_are_read(tmp_path: Path):
     drive = make_drive(duration=20.0)

@@ -24,6 +24,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.importing.mounting import parse_mount
 from sigmaswarm.tuning.record import TuningRecord
+from support import quickly
 
 FEW = {"particles": 4, "generations": 2, "trials": 1, "seed": 1}
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
@@ -102,7 +103,9 @@ def test_the_drive_states_the_rotation_of_the_import(imported: Drive):
 
 @needs_gcc
 @pytest.mark.parametrize(
-    ("flags", "off"), [((), 1e-9), (("-DINS_GPS_FLOAT",), 2e-3)], ids=["double", "float"]
+    ("flags", "off"),
+    quickly([((), 1e-9), (("-DINS_GPS_FLOAT",), 2e-3)], lambda flags, _: not flags),
+    ids=["double", "float"],
 )
 def test_c_takes_raw_samples(imported: Drive, tuning: Path, tmp_path: Path, flags: Sequence[str], off: float):
     sigmaswarm.export(tuning, "c99", tmp_path)
@@ -118,6 +121,7 @@ def test_c_takes_raw_samples(imported: Drive, tuning: Path, tmp_path: Path, flag
     np.testing.assert_allclose(matrix, np.kron(np.eye(2), MATRIX), rtol=0, atol=rounding)
 
 
+@pytest.mark.long
 @needs_gcc
 def test_c_takes_raw_samples_with_attitude(imported: Drive, tmp_path: Path):
     parameters = tuned("tilted12", "ekf", 0.01, everything=False)
@@ -126,6 +130,7 @@ def test_c_takes_raw_samples_with_attitude(imported: Drive, tmp_path: Path):
     assert distance(means, expected(imported, parameters)) < 1e-9
 
 
+@pytest.mark.long
 @needs_gcc
 def test_an_imu_of_three_axes_that_the_doctor_turns(tmp_path: Path):
     plane = sigmaswarm.simulate("urban", duration=120, gps="white-1m", run=4)

@@ -129,7 +129,7 @@ def moved(row: str, seconds: float) -> str:
 
 
 @needs_gcc
-@pytest.mark.parametrize("ahead", [10.5, 1e3, 1e9, 1e300])
+@pytest.mark.parametrize("ahead", [10.5, 1e300])
 def test_one_sample_far_ahead_is_dropped_and_counted(program: Path, ahead: float):
     k = at(4.0)
     fed = [*rows()[:k], moved(rows()[k], ahead), *rows()[k:]]
@@ -239,7 +239,7 @@ CALL = st.tuples(
 
 
 @needs_gcc
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(calls=st.lists(CALL, max_size=60))
 def test_python_and_c_agree_on_any_jumps(program: Path, calls: list[tuple[str, float, float, bool]]):
     start = rows()[0]

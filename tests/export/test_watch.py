@@ -93,6 +93,7 @@ def test_it_starts_anew_where_the_library_does(program: Path, plant: str):
         assert rmse(truth, *rows[part, :3].T) <= raw
 
 
+@pytest.mark.long
 @needs_gcc
 def test_while_nothing_can_be_aligned_it_gives_the_last_fix(program: Path):
     drive, start = stops_and_goes()

@@ -183,10 +183,7 @@ EVERY_FILTER = [(model, kind) for model in STATES for kind in MODELS[model].kind
 
 @pytest.mark.parametrize(
     ("model", "kind"),
-    quickly(
-        EVERY_FILTER,
-        lambda *case: case != ("tilted12", "ekf"),
-    ),
+    quickly(EVERY_FILTER, lambda *case: case in (("planar5", "ukf"), ("planar8", "ekf"))),
 )
 def test_errors_are_as_large_as_the_covariance_says(model: str, kind: str):
     found = consistency(model, kind)
@@ -200,7 +197,7 @@ OFF = [("q", 1.25), ("q", 0.8), ("r", 1.25), ("r", 0.8), ("p0", 1.25), ("p0", 0.
     ("model", "kind", "name", "factor"),
     quickly(
         [(*of, *off) for of in (("planar5", "ukf"), ("planar8", "ekf"), ("tilted12", "ekf")) for off in OFF],
-        lambda model, kind, name, factor: [*STATES].index(model) == OFF.index((name, factor)) % 3,
+        lambda model, kind, *off: model == ("planar5" if OFF.index((*off,)) % 2 else "planar8"),
     ),
 )
 def test_a_quarter_too_much_or_too_little_noise_is_seen(model: str, kind: str, name: str, factor: float):

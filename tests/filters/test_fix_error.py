@@ -230,7 +230,7 @@ def test_it_is_consistent_where_errors_last_and_white_noise_is_far_too_sure():
 @pytest.mark.usefixtures("unoptimized")
 @pytest.mark.parametrize(
     ("model", "kind", "option"),
-    quickly([CASES[0], CASES[2], CASES[4], CASES[7]], lambda *case: case in CASES[4:]),
+    quickly([CASES[0], CASES[2], CASES[4], CASES[7]], lambda *case: case == CASES[4]),
 )
 def test_c_library_gives_the_estimates_of_a_run(model: str, kind: str, option: str, tmp_path: Path):
     p = filter_of(model, kind, option, nominal_interval=0.01)

@@ -105,6 +105,7 @@ def test_every_evaluation_has_its_row_also_without_truth(drive: Drive):
     assert blind.value(drive.name, "fixes_alone", "position_rmse_m") is None
 
 
+@pytest.mark.long
 def test_an_evaluation_takes_the_noise_of_the_training_drives(drive: Drive):
     own, tuned = evaluate(drive, baseline(drive)), evaluate(drive, baseline(drive), fixes_alone=NOISE)
     assert own.setup.fixes_alone is None and tuned.setup.fixes_alone == NOISE

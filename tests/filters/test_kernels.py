@@ -16,7 +16,7 @@ import llvmlite.binding as llvm
 import numba
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from oracles.box import box_table
@@ -217,7 +217,6 @@ def test_vectors_are_as_wide_as_the_processor_s(parameters: FilterParameters):
 
 
 @compiled
-@settings(max_examples=25, deadline=None, derandomize=True)
 @given(order=st.lists(st.integers(0, 39), min_size=1, max_size=50))
 def test_a_sets_result_does_not_depend_on_place_or_company(order: list[int]):
     sums = as_bits(run_replays([short_replay()], [many_sets()[i] for i in order]))

@@ -42,10 +42,9 @@ from stepwise import (
     steps_with_fixes,
     textbook_against_filterpy,
 )
-from support import make_drive, needs_shared
+from support import make_drive, needs_shared, quickly
 
 WHOLE_DRIVES = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="takes minutes without the compiler")
-EACH_DRIVE = pytest.mark.parametrize("name", [SIMULATED, pytest.param(REAL, marks=needs_shared)])
 ALSO_LONG = pytest.mark.parametrize(
     "name", [SIMULATED, pytest.param(REAL, marks=[needs_shared, pytest.mark.long])]
 )
@@ -146,7 +145,7 @@ def test_every_compiled_filter_takes_the_oracles_steps_with_all_measurements(
     ("model", "kind", "name"),
     at_stops(
         product((*PLANAR, "tilted12"), ("ukf", "ekf")),
-        lambda model, kind: (model == "tilted12") == (kind == "ekf"),
+        lambda *case: case in (("planar8", "ukf"), ("tilted12", "ekf")),
     ),
 )
 def test_filters_that_weigh_fixes_take_the_oracles_steps(model: str, kind: str, name: str):
@@ -363,7 +362,7 @@ def kalman_filter(timeline: Timeline, initial: InitialState, row: np.ndarray) ->
 
 
 @WHOLE_DRIVES
-@pytest.mark.parametrize("alpha", [1e-3, 0.1, 1.0])
+@pytest.mark.parametrize("alpha", quickly([(1e-3,), (0.1,), (1.0,)], lambda alpha: alpha == 0.1))
 def test_with_a_known_heading_it_is_the_kalman_filter(alpha: float):
     drive = simulated()
     initial = initial_state(drive)

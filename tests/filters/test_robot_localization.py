@@ -192,7 +192,7 @@ def test_the_first_steps_agree_with_its_own_core(drive: str, name: str):
         np.testing.assert_allclose(found[1], covariance, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("uses_ay", [False, True])
+@pytest.mark.parametrize("uses_ay", quickly([(False,), (True,)], bool))
 def test_compiled_agrees_with_the_textbook(uses_ay: bool):
     rng = np.random.default_rng(1)
     rows = list[list[str]]()
@@ -220,10 +220,13 @@ def test_compiled_agrees_with_the_textbook(uses_ay: bool):
 
 @pytest.mark.parametrize(
     ("imu_noise", "changes"),
-    [
-        ((1e-3, 0.5), {}),
-        ((1e-3, 0.5, 0.3), {"odometer_noise": 0.04, "imu_gate": (1e-5, 1e-4), "heading_noise": 1e-4}),
-    ],
+    quickly(
+        [
+            ((1e-3, 0.5), {}),
+            ((1e-3, 0.5, 0.3), {"odometer_noise": 0.04, "imu_gate": (1e-5, 1e-4), "heading_noise": 1e-4}),
+        ],
+        lambda _, changes: bool(changes),
+    ),
     ids=["ax", "all with ay"],
 )
 def test_a_run_over_a_drive_agrees_with_the_textbook(imu_noise: tuple[float, ...], changes: dict[str, Any]):

@@ -21,6 +21,8 @@ from sigmaswarm.filters.robot_yaml import NOT_FUSED
 from sigmaswarm.tuning.space import search_space
 from support import make_drive
 
+pytestmark = pytest.mark.usefixtures("undiagnosed")
+
 P = FilterParameters(
     1.0, 0.0, 0.0, (1e-4, 1e-4, 3e-4, 4e-4, 5e-6, 6e-3, 7e-3, 8e-4), (1.5, 1.5), model=NAME, kind="ekf",
     nominal_interval=0.01, imu_noise=(1e-3, 0.5), lateral_noise=0.2, gate=9.0,

@@ -15,6 +15,7 @@ from importing.logs import imported
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
 from sigmaswarm.importing.recipe import Recipe
+from support import some
 
 N, HZ, EVERY = 800, 20, 4
 T = np.arange(N) / HZ
@@ -110,7 +111,7 @@ CLOCKS: dict[str, tuple[Callable[[np.ndarray], object], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", CLOCKS)
+@pytest.mark.parametrize("name", some(CLOCKS))
 def test_clocks(tmp_path: Path, name: str):
     clock, head = CLOCKS[name]
     write(tmp_path, clock=clock, head=head)
@@ -243,7 +244,7 @@ APART: dict[str, tuple[Callable[[np.ndarray], object], Callable[[np.ndarray], ob
 }
 
 
-@pytest.mark.parametrize("name", APART)
+@pytest.mark.parametrize("name", some(APART))
 def test_offsets_between_clocks_are_proposed(tmp_path: Path, name: str):
     """The fixes begin 3 s after the IMU, which the offset of two beginnings would hide."""
     write(tmp_path, clock=APART[name][0], gps_clock=lambda t: APART[name][1](t + 3))

@@ -10,6 +10,7 @@ import pytest
 from importing.logs import imported
 from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.importing import guess
+from support import quickly, some
 
 HZ, STANDS, DRIVES = 50, 300, 150
 T = np.arange((STANDS + DRIVES) * HZ) / HZ
@@ -70,7 +71,11 @@ CASES: dict[str, Callable[[], Columns]] = {
 
 
 @pytest.mark.parametrize(
-    ("case", "kind"), [*((case, "csv") for case in CASES), ("deg/s", "parquet"), ("letters", "parquet")]
+    ("case", "kind"),
+    quickly(
+        [*((case, "csv") for case in CASES), ("deg/s", "parquet"), ("letters", "parquet")],
+        lambda case, kind: kind == "csv" and [*CASES].index(case) % 2 == 0,
+    ),
 )
 def test_a_log_that_begins_at_standstill_without_fixes(tmp_path: Path, case: str, kind: str):
     table = pl.DataFrame(CASES[case]())
@@ -104,7 +109,7 @@ ALIKE: dict[str, Callable[[], tuple[Columns, str]]] = {
 }
 
 
-@pytest.mark.parametrize("case", ALIKE)
+@pytest.mark.parametrize("case", some(ALIKE))
 def test_rows_of_the_whole_log_change_no_unit(tmp_path: Path, case: str):
     columns, name = ALIKE[case]()
     pl.DataFrame(columns | PLACES).write_csv(tmp_path / "log.csv")
@@ -132,7 +137,7 @@ def test_numbers_without_a_fix_do_not_change_the_form_of_degrees(tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    "case", ["an accelerometer that fails", "empty cells", "a damaged row", "letters of no fix"]
+    "case", some(["an accelerometer that fails", "empty cells", "a damaged row", "letters of no fix"])
 )
 def test_some_odd_rows_do_not_change_how_a_column_is_read(tmp_path: Path, case: str):
     lost, row = FIX & (T > 440) & (T < 444), int(np.flatnonzero(FIX)[-20])

@@ -8,6 +8,7 @@ import polars as pl
 import pytest
 
 from importing.logs import imported
+from support import some
 
 T = np.arange(0, 60, 0.2)
 Columns = dict[str, np.ndarray]
@@ -51,7 +52,7 @@ WRONG: dict[str, tuple[Callable[[Columns], Columns], str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", WRONG)
+@pytest.mark.parametrize("case", some(WRONG))
 def test_a_speed_or_course_that_the_positions_contradict_is_left_out(tmp_path: Path, case: str):
     change, said = WRONG[case]
     columns = change(road())
@@ -183,7 +184,7 @@ RIGHT: dict[str, Callable[[], Columns]] = {
 }
 
 
-@pytest.mark.parametrize("case", RIGHT)
+@pytest.mark.parametrize("case", some(RIGHT))
 def test_a_right_speed_and_course_stay(tmp_path: Path, case: str):
     got = loaded(tmp_path, RIGHT[case]())
     assert got.drive.gps.speed is not None and got.drive.gps.course is not None, got.notes

@@ -326,7 +326,7 @@ def test_drives_that_were_tuned_on_are_not_called_held_out(
 def test_faults_that_the_doctor_finds_and_an_offset_of_truth_are_on_the_page(
     tmp_path: Path, folders: tuple[Path, Path, Evaluation], code: str, columns: str, factor: float
 ):
-    drive = simulate("urban", duration=60.0, gps="white-1m")
+    drive = simulate("urban", duration=40.0, gps="white-1m", imu_rate=50.0)
     imu = replace(drive.imu, **{n: factor * getattr(drive.imu, n) for n in columns.split()})
     truth = replace(drive.truth, x=drive.truth.x + 3.0)
     found = evaluate(replace(drive, imu=imu, truth=truth, name="friday"), FilterParameters.load(folders[0]))

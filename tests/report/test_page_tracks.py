@@ -10,7 +10,7 @@ from sigmaswarm.reports.evaluation import copy_tuning
 from sigmaswarm.reports.folders import read_report
 from sigmaswarm.reports.page import page as html_page
 from sigmaswarm.scoring.evaluation import evaluate
-from support import make_drive
+from support import make_drive, quickly
 
 KNOWN = make_drive(duration=30.0, seed=3, name="known")
 BLIND = make_drive(duration=30.0, seed=4, name="blind", truth=False)
@@ -137,14 +137,17 @@ def test_on_a_phone_a_shadow_says_that_a_table_goes_on(browser, folder: Path, pa
 
 @pytest.mark.parametrize(
     ("field", "typed", "then"),
-    [
-        ("from", "200", ("0.00", "30.00")),  # after the drive
-        ("to", "200", ("0.00", "30.00")),
-        ("to", "-5", ("0.00", "30.00")),
-        ("from", "-5", ("0.00", "30.00")),
-        ("to", "", ("0.00", "30.00")),
-        ("from", "12", ("12.00", "30.00")),
-    ],
+    quickly(
+        [
+            ("from", "200", ("0.00", "30.00")),  # after the drive
+            ("to", "200", ("0.00", "30.00")),
+            ("to", "-5", ("0.00", "30.00")),
+            ("from", "-5", ("0.00", "30.00")),
+            ("to", "", ("0.00", "30.00")),
+            ("from", "12", ("12.00", "30.00")),
+        ],
+        lambda field, typed, then: typed in ("200", "12") and field == "from",
+    ),
 )
 def test_the_fields_of_time_say_what_is_drawn(page: Opened, field: str, typed: str, then: tuple[str, str]):
     ask(page, field, typed)

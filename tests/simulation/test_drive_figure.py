@@ -31,6 +31,7 @@ def test_a_simulated_drive_shows_outages_and_figures():
         assert np.isnan(line.get_ydata()).sum() == 2  # broken at both outages
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("keep", quickly([("no truth",), ("no speed",)], lambda keep: keep == "no speed"))
 def test_a_recorded_drive_without_truth_or_speed_is_drawn_too(keep):
     drive = simulate("brake", gps="white-1m" if keep == "no speed" else "ublox-m8")

@@ -98,6 +98,7 @@ def test_a_car_that_stands_has_no_drift():
     assert np.isnan(drifts_of(PreparedDrive(still), baseline(town()))).all()
 
 
+@pytest.mark.long
 @needs_shared
 def test_a_search_that_ended_too_early_is_noticed():
     first = split_time(read_drive(DRIVES / "dresden"), 0.7)[0]

@@ -15,6 +15,8 @@ from sigmaswarm.tuning.inflation import STEP, inflated
 from sigmaswarm.tuning.space import search_space
 from support import quickly
 
+pytestmark = pytest.mark.usefixtures("undiagnosed")
+
 
 @cache
 def town() -> Drive:

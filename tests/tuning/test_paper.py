@@ -7,6 +7,8 @@ from sigmaswarm.tuning.config import paper_options
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
+pytestmark = pytest.mark.usefixtures("undiagnosed")
+
 
 @pytest.mark.filterwarnings("ignore:gps-rmse compares the filter")
 def test_the_paper_s_setting_is_that_of_the_paper():

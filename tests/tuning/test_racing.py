@@ -20,6 +20,8 @@ from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.tuning.tune import tune as tune_by_default
 from support import make_drive, quickly
 
+pytestmark = pytest.mark.usefixtures("undiagnosed")
+
 DRIVES = [make_drive(duration=15.0 + 2 * s, seed=s, name=f"d{s}", imu_rate=50.0) for s in range(5)]
 SMALL = {"particles": 9, "generations": 4, "seed": 3}
 tune = partial(tune_by_default, model="planar5", objective="truth-rmse")

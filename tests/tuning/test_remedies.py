@@ -39,6 +39,7 @@ def to_dos(tuning: Tuning[Any], about: str) -> list[str]:
     return [r for r in tuning.remarks if r.startswith(TO_DO) and about in r]
 
 
+@pytest.mark.long
 def test_gps_std_m_brings_the_nis_of_a_smooth_receiver_up():
     plain, stated = (tune(smooth(std), model="planar8", use=["lateral"], **FEW) for std in (None, 0.3))
     assert "write gps_std_m at the top of drive.toml" in to_dos(plain, "gps_std_m")[0]
@@ -94,6 +95,7 @@ def test_nees_in_the_objective_sets_the_scale_of_the_covariances(objective: str,
     assert off[1] < off[0]
 
 
+@pytest.mark.long
 def test_the_lateral_constraint_determines_the_heading():
     options = {"model": "planar8", "objective": "innovation-t", **FEW}
     without = tune(town(), use=[], **options)

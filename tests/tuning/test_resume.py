@@ -24,6 +24,8 @@ from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint, saved_hist
 from sigmaswarm.tuning.tune import tune
 from support import make_drive, quickly
 
+pytestmark = pytest.mark.usefixtures("undiagnosed")
+
 DRIVES = [make_drive(duration=20.0, seed=s, name=f"d{s}") for s in range(2)]
 OPTIONS = {
     "model": "planar5",
@@ -34,7 +36,7 @@ OPTIONS = {
     "trials": 2,
     "seed": 3,
 }
-GENERATIONS = 200
+GENERATIONS = 80
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -101,7 +103,7 @@ def test_a_finished_tuning_leaves_these_files(uninterrupted: dict[str, bytes]):
 
 @pytest.mark.parametrize(
     "generation",
-    quickly([(n,) for n in (1, 2, 5, 6, 7, 11, 12)], lambda generation: generation in (1, 6, 7, 12)),
+    quickly([(n,) for n in (1, 2, 5, 6, 7, 11, 12)], lambda generation: generation in (1, 6, 7)),
 )
 def test_a_resumed_tuning_ends_in_the_same_bytes(tmp_path: Path, uninterrupted, generation: int):
     out = tmp_path / "out"
@@ -263,7 +265,10 @@ CORRUPTIONS = {
 }
 
 
-@pytest.mark.parametrize("corruption", CORRUPTIONS)
+@pytest.mark.parametrize(
+    "corruption",
+    quickly([(c,) for c in CORRUPTIONS], lambda corruption: corruption in ("cut-short", "flipped")),
+)
 def test_a_corrupted_checkpoint_is_named(started: Path, corruption: str):
     file = started / "checkpoint-000.npz"
     file.write_bytes(CORRUPTIONS[corruption](file.read_bytes()))

@@ -11,6 +11,8 @@ from sigmaswarm.tuning.sensitivity import NOISE_SCALE, Sensitivity, sensitivitie
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
+pytestmark = pytest.mark.usefixtures("undiagnosed")
+
 POOL = ThreadPoolExecutor(1)
 
 

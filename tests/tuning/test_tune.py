@@ -25,6 +25,8 @@ from sigmaswarm.tuning.space import search_space
 from sigmaswarm.tuning.tune import tune as tune_by_default
 from support import make_drive, quickly
 
+pytestmark = pytest.mark.usefixtures("undiagnosed")
+
 DRIVES = [make_drive(duration=25.0, seed=s, name=f"d{s}", imu_rate=50.0) for s in range(2)]
 SMALL = {"particles": 6, "generations": 5}
 tune = partial(tune_by_default, model="planar5", objective="truth-rmse")
@@ -384,7 +386,7 @@ def test_validation_drives_are_scored_but_choose_nothing():
     "optimizer",
     quickly(
         [(n,) for n in ("ga", "ga-pso", "de", "de-qpso", "cma-es", "nelder-mead", "random", "sobol")],
-        lambda optimizer: optimizer in ("ga-pso", "cma-es", "nelder-mead", "sobol"),
+        lambda optimizer: optimizer in ("ga-pso", "nelder-mead"),
     ),
 )
 def test_every_optimizer_tunes_within_the_same_budget(optimizer: str, tmp_path: Path):

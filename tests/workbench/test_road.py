@@ -187,6 +187,7 @@ def test_road(write: Any, prepare: Any, whole: bool, tmp_path: Path, serve: Any,
         assert again == (served.folder / "drives" / made / f"{table}.csv").read_bytes()
 
 
+@pytest.mark.long
 def test_killed_server_and_two_tabs(tmp_path: Path, serve: Any, tab: Any):
     """Both tabs see one tuning; after a kill it is resumed with the bits of one that was never interrupted."""
     options = {"model": "planar5", "particles": 8, "generations": 40}

@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm.errors import InputError
@@ -65,7 +65,7 @@ def reborn(optimizer: Optimizer, path: Path, **made_with: Any) -> Optimizer:
     ("polish", "between"),
     quickly(
         [(0, "told"), (0, "asked"), (25, "told"), (25, "asked")],
-        lambda polish, between: (polish == 0) == (between == "told"),
+        lambda polish, between: polish and between == "asked",
     ),
 )
 def test_a_restored_optimizer_goes_on_bit_for_bit(name: str, polish: int, between: str, tmp_path: Path):
@@ -119,7 +119,6 @@ def test_asking_twice_is_asking_once(name: str):
 
 
 @everyone
-@settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 2**32),
     population=st.integers(2, 12),

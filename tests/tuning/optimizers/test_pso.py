@@ -4,7 +4,7 @@ import copy
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from oracles.particle_swarm import by_equations
@@ -68,7 +68,6 @@ def test_velocity_is_kept_or_zeroed_where_the_box_stops_a_particle():
         assert stopped > 5
 
 
-@settings(max_examples=40)
 @given(seed=st.integers(0, 1000), data=st.data())
 def test_nan_and_infinity_never_win(seed: int, data):
     swarm = ParticleSwarm(LOW, HIGH, 6, np.random.default_rng(seed))

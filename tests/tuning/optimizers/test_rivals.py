@@ -45,9 +45,7 @@ def theirs(rival, landscape: str, budget: int = BUDGET) -> tuple[float, ...]:
     "landscape",
     quickly([(name,) for name in LANDSCAPES], lambda name: name == QUICK),
 )
-@pytest.mark.parametrize(
-    ("name", "rival"), quickly(PAIRS, lambda name, rival: (name, rival) != ("ga", "pymoo"))
-)
+@pytest.mark.parametrize(("name", "rival"), quickly(PAIRS, lambda _, rival: "pymoo" not in rival))
 def test_no_optimizer_is_worse_than_its_rival(name: str, rival: str, landscape: str):
     budget = BUDGET // 2 if landscape == QUICK else BUDGET
     found = [ours(name, landscape, seed, budget) for seed in range(SEEDS)]
