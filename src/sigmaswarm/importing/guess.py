@@ -53,7 +53,10 @@ _NO_FIX = (
     r"(?:no|not|un|in)_?(?:\w+_)?(?:valid|fix|fixed|solution|gps|gnss|signal|available)|no|none|false|void|bad|lost|"
     r"searching|acquiring|insufficient.*|cold_start"
 )
-_FIX = r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|gps|gnss|valid|active|ok|good|true|yes|int|computed|auto|alone|available|psr).*"
+_FIX = (
+    r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|gps|gnss|valid|active|ok|good|true|yes|int|computed|auto|alone|"
+    r"available|psr).*"
+)
 """Words, in lower case and joined by "_", for rows without and with a fix."""
 MOST_WORDS = 20
 """Largest number of different words in a column of flags."""

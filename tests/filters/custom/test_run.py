@@ -225,7 +225,9 @@ def test_what_can_not_be_compiled_runs_all_the_same():
 
 def test_compiled_functions_may_differ_from_the_textbook_by_rounding_alone():
     model = point_model(kind="ekf")
-    book = run_kernel(model, None, Runner(model, [POINT_LOG]).steps[0], {"q": 0.5, "r": 0.3}, covariances=True)
+    book = run_kernel(
+        model, None, Runner(model, [POINT_LOG]).steps[0], {"q": 0.5, "r": 0.3}, covariances=True
+    )
     std = np.sqrt(np.diagonal(book.covariance, axis1=1, axis2=2))
     for off, same in ((0.0, True), (0.5 * SAME, True), (2.0 * SAME, False), (np.nan, False)):
         moved = np.where(np.arange(len(std))[:, np.newaxis] == 7, off * std, 0.0)
