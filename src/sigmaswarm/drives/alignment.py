@@ -33,7 +33,7 @@ REFITS = 3  # largest number of repeated fits, until the gyro bias has converged
 SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0
 """Longer windows, s, for a vehicle that never travels `MIN_TRAVEL` within `MAX_DURATION`."""
 SLOW_TRAVEL, SLOW_SPEED = 10.0, 0.15
-"""Smallest travel, m, and mean speed, m/s, in these windows; the fixes of a parked receiver drift less."""
+"""Smallest travel (m) and mean speed (m/s) in these windows; the fixes of a parked receiver drift less."""
 SLOW_CHORD = 1.5 * MIN_TRAVEL  # m between two fixes within `MAX_DURATION`; above it, a drive is not slow
 SLOW_HEADING_STD = np.radians(12.0)  # rad, largest in these windows, including the effect of the gyro's bias
 SLOW_FIXES, SLOW_INTERVAL, SLOW_STEP = 8, 1.0, 2.0

@@ -14,7 +14,7 @@ SLOW = 0.5
 LARGEST_AGE = 1.0  # s; an older reading does not show whether the wheels turn
 
 SPEED, AGE, MORE = range(3)
-"""Columns of a measurement: mean of the readings, m/s, their mean age, s, and additional variance in R, m2/s2."""
+"""Columns of a measurement: mean of the readings (m/s), their mean age (s), and additional variance in R (m2/s2)."""
 
 
 @cached

@@ -145,7 +145,7 @@ def replay_events(
 
 
 def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
-    """Return rows of time, s, position, m, and, if logged, velocity, m/s, and standard deviations, m, east and north.
+    """Return rows of time (s), position (m) and, if logged, velocity (m/s) and standard deviations (m), east and north.
 
     With ``heading`` the rows have all these columns (NaN without velocity, 0 without standard deviation), and heading
     and its standard deviation, rad.

@@ -333,7 +333,7 @@ def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, o
 
 
 def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]:
-    """Make fixes from the truth at a rate, Hz, with white noise, m per axis."""
+    """Make fixes from the truth at a rate (Hz), with white noise (m per axis)."""
     given = f"--gps-from-truth {rate:g},{noise:g}"
     if not (0 < rate <= 1000 and 0 <= noise < np.inf):
         raise InputError(

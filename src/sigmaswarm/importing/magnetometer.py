@@ -211,7 +211,7 @@ def _at(
 
 
 def _turn(calibration: Calibration, stated: float | None) -> float:
-    """Return the correction, rad, that adapts headings calibrated by the course to a stated declination, deg."""
+    """Return the correction (rad) that adapts headings calibrated by the course to a stated declination (deg)."""
     if stated is None:
         return 0.0
     if not abs(stated) <= 180:

@@ -98,7 +98,7 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
 
 
 def level(values: Values, altitude: Array | float, origin: tuple[float, float, float], role: str) -> Values:
-    """Add x and y, m, of latitude and longitude, deg, relative to an origin."""
+    """Add x and y (m) of latitude and longitude (deg), relative to an origin."""
     for name, most in (("lat", 90.0), ("lon", 180.0)):
         wrong = values[name][np.abs(values[name]) > most]
         if len(wrong):

@@ -55,7 +55,7 @@ class Outages:
 
     @property
     def stated(self) -> tuple[Array, Array, Array]:
-        """Ends of the outages, s, with position variances, m2 per axis, and errors, m, of the tuned filter."""
+        """Ends of the outages (s), with position variances (m2 per axis) and errors (m) of the tuned filter."""
         return tuple(np.hstack([np.empty((3, 0)), *self._stated]))
 
     def add_estimate(self, method: str, estimate: Estimate) -> None:

@@ -405,7 +405,7 @@ def _evaluated(
 def _radius(
     drive: Drive, parameters: FilterParameters, stated: tuple[Array, Array, Array | None]
 ) -> RadiusRecord | None:
-    """Summarize the radius of the tuned filter from times, s, variances, m2, and errors, m."""
+    """Summarize the radius of the tuned filter from times (s), variances (m2) and errors (m)."""
     time, variance, error = stated
     lasting = lasting_variance(drive, parameters, time)
     return radius_record(variance, lasting, None if drive.truth is None else error)
@@ -414,7 +414,7 @@ def _radius(
 def _tracked(
     ready: PreparedDrive, tracker: Tracker, filters: Mapping[str, FilterParameters], options: Options
 ) -> tuple[Evaluated, Runs]:
-    """Run every method over all fixes; return the results, and the methods other than single filters.
+    """Run every method over all fixes; return the results, and functions for the methods that are not single filters.
 
     This is a separate function, so that its memory is freed before the next pass.
     """

@@ -101,7 +101,7 @@ def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array) ->
 
 
 def radius_record(variance: Array, lasting: Array, error: Array | None) -> RadiusRecord | None:
-    """Summarize variances of the filter and of correlated errors, m2, and position errors, m; None if invalid."""
+    """Summarize variances of the filter and of correlated errors (m2), and position errors (m); None if invalid."""
     total = variance + lasting
     if not len(total) or not np.isfinite(total).all():
         return None

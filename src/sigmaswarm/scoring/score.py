@@ -97,7 +97,7 @@ class PieceErrors:
 
     @property
     def errors(self) -> tuple[Array, Array, Array]:
-        """Truth times so far, s, with the corresponding variances, m2, and position errors, m."""
+        """Truth times so far (s), with the corresponding variances (m2) and position errors (m)."""
         none = np.empty(0)
         variance, off = (np.concatenate([none, *of]) for of in (self._variance, self._off))
         return self._truth.time[self._first : self._next], variance, off

@@ -76,8 +76,8 @@ def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameter
 class Tracker:
     """Recorder of thinned tracks of methods that run over a drive; complete estimates are not stored.
 
-    ``own_sigma``: RMS of each filter's position standard deviation, m. ``stated``: times, s, position variances per
-    axis, m2, and errors, m, of the tuned filter at the times of truth; without truth, times and variances of all
+    ``own_sigma``: RMS of each filter's position standard deviation, m. ``stated``: times (s), position variances per
+    axis (m2) and errors (m) of the tuned filter at the times of truth; without truth, times and variances of all
     estimates. With ``picture``, the data of a static plot are also recorded.
     """
 

@@ -65,7 +65,7 @@ def take_journey(
 
 
 def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
-    """Measure the shortest time, s, between two speeds, m/s; NaN if a speed is never reached.
+    """Measure the shortest time (s) between two speeds (m/s); NaN if a speed is never reached.
 
     The time is from the last sample before the change to the first sample after it.
     """

@@ -118,7 +118,7 @@ TERRAINS = {
 
 @dataclass(frozen=True)
 class Road:
-    """Pitch (positive downhill) and roll (positive left side up) of a road, rad, over distance, m."""
+    """Pitch (positive downhill) and roll (positive left side up) of a road (rad), over distance (m)."""
 
     pitch: CubicSpline
     roll: CubicSpline

@@ -57,7 +57,7 @@ SCALE_NEAR = 0.2
 
 @dataclass(frozen=True)
 class Forecast:
-    """RMS drifts, m, over outages of one length, s, on training drives: tuned filter, fixes alone, baseline."""
+    """RMS drifts (m) over outages of one length (s) on training drives: tuned filter, fixes alone, baseline."""
 
     length_s: float
     tuned_m: float
