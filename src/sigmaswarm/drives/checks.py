@@ -100,7 +100,7 @@ def spoiled_times(imu: Imu, gps: Gps) -> list[Remark]:
     """List faults of the times that make other checks meaningless: another unit, or a clock that jumps."""
     if wrong := _time_unit(imu.time, gps.time):
         return [wrong]
-    remedy = "delete the rows with wrong times; if the logger paused, make one drive of each part"
+    remedy = "delete the rows with wrong times; if the logger paused, make one drive from each part"
     found: list[Remark] = []
     for file, gaps in ("imu.csv", gaps_in(imu.time, IMU_GAP)), ("gps.csv", gaps_in(gps.time, GPS_GAP)):
         if gaps and gaps.length > _JUMP:

@@ -161,7 +161,7 @@ def save_both(figure: Figure, stem: Path) -> list[Path]:
 def svg(chart: Chart) -> str:
     """Return a chart without its title as an SVG element as wide as its container.
 
-    Sizes are in inches. The page enlarges the chart by 1.2 on a phone and by 1.8 on a screen.
+    Sizes are in inches. The page enlarges the chart by a factor of 1.2 on a phone and of 1.8 on a screen.
     """
     with rc_context({"font.size": 8, "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7}):
         figure = figure_of(replace(chart, title=""), size=(3.4, 2.4), legend="none")

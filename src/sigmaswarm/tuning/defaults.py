@@ -63,7 +63,7 @@ def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> t
 
 
 def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> bool:
-    """Check that all logs show correlated fix errors, the filter can model them, and the objective has no truth.
+    """Check that all logs show correlated fix errors, the filter can model them, and the objective needs no truth.
 
     The states for these errors reduce the position RMSE by 25% on kingston-1 and by 13% on comma2k19. With simulated
     receivers and errors that last minutes, only the covariance improves.

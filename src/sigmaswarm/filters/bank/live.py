@@ -61,7 +61,7 @@ class LiveFilterBank(LiveFilter):
     keep their biases.
 
     The interface is that of a `LiveFilter` without the smoothed state. A copy by `pickle` continues with identical
-    results. After a reset, all lanes ignore fixes from before it.
+    results. After a reset, all lanes ignore earlier fixes.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ class DifferentialEvolution(AskTell):
         return self._redrawn(np.where(crossed, mutants, x))
 
     def _others(self) -> list[NDArray[np.intp]]:
-        """Return three different other members for each member; with fewer than four, some repeat."""
+        """Return three distinct other members for each member; with fewer than four members, some repeat."""
         n = len(self.members)
         order = self.rng.random((n, n))
         np.fill_diagonal(order, 2.0)  # the member itself comes last
