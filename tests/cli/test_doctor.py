@@ -34,6 +34,7 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
     assert (ended.code, ended.err) == (0, "")
     assert ended.out.startswith("urban-clear-00: nothing serious")
     assert "2000 samples at 50 Hz" in ended.out
+    assert "\nnext: sigmaswarm plot fine\nthen: sigmaswarm tune fine --out tuned\n" in ended.out
 
 
 def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
@@ -42,6 +43,9 @@ def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
     assert "1 SERIOUS" in ended.out
     assert "[gyro-sign] imu.csv, gz" in ended.out
     assert "-> change the sign of gz (--fix does this)" in ended.out
+    assert f"\nnext: sigmaswarm doctor {sick} --fix mended " in ended.out
+    mended = sigmaswarm("doctor", sick, "--fix", "mended")
+    assert "\nthen: sigmaswarm tune mended/urban-clear-00 --out tuned\n" in mended.out
 
 
 def test_tune_and_evaluate_warn_of_what_is_serious_in_a_line_and_trust_log_silences(
@@ -59,6 +63,21 @@ def test_tune_and_evaluate_warn_of_what_is_serious_in_a_line_and_trust_log_silen
     ended = sigmaswarm("tune", sick, "--out", "u", *quick, "--json", "--trust-log")
     assert ended.code == 0
     assert "SERIOUS" not in ended.err
+
+
+def test_warnings_of_the_doctor_are_named_too(sigmaswarm, good, tuned: Path, here: Path):
+    imu = good.imu
+    write_drive(replace(good, imu=replace(imu, ax=1.6 * imu.ax)), here / "scaled")
+    codes = {
+        f.code for f in library.diagnose(read_drive(here / "scaled")).findings if f.severity == "warning"
+    }
+    assert codes
+    ended = sigmaswarm("evaluate", tuned, "scaled", "--json")
+    (line,) = [said for said in ended.err.splitlines() if "the doctor warns of" in said]
+    assert line.startswith("warning: scaled: the doctor warns of ")
+    assert all(code in line for code in codes)
+    assert line.endswith("; for details run sigmaswarm doctor scaled")
+    assert "the doctor" not in sigmaswarm("evaluate", tuned, "scaled", "--json", "--trust-log").err
 
 
 def test_a_mended_copy_is_offered_where_something_can_be_mended_and_its_folder_is_free(

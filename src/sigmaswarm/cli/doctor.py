@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 import sigmaswarm
 from sigmaswarm.cli.common import print_json, read_drives, require_writable, say
-from sigmaswarm.cli.findings import print_diagnosis
+from sigmaswarm.cli.findings import next_steps, print_diagnosis
 from sigmaswarm.cli.options import Json, Overwrite
 from sigmaswarm.errors import AlignmentError, DriveWarning, InputError, SigmaswarmWarning
 
@@ -77,6 +77,9 @@ def doctor(
                 say(f"wrote {folder}, an unchanged copy: {why}\n")
         result.append(found)
         serious |= diagnosis.serious
+        folder = fix / drive.name if fix else drives[0]
+        if len(read) == 1 and not json and (folder / "drive.toml").exists():
+            say(*next_steps(diagnosis, folder))
     if json:
         print_json({"drives": result, "serious": serious, **({"lever_arm": arm.to_dict()} if arm else {})})
     elif arm:

@@ -3,7 +3,7 @@
 import re
 import shlex
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -63,7 +63,7 @@ def _said(finding: "Finding") -> str:
 
 
 def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Remedy]:
-    """Print one line about the serious faults of each drive; return the remedies."""
+    """Print one line about the serious faults, or the warnings, of each drive; return the remedies of the faults."""
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.errors import SigmaswarmWarning
 
@@ -78,6 +78,10 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Rem
                 f"run {remedies[-1][0]}, or suppress this warning with --trust-log"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
+        elif warned := [f.code for f in diagnosis.findings if f.severity == "warning"]:
+            command = f"sigmaswarm doctor {shlex.quote(str(folder))}"
+            seen = f"the doctor warns of {', '.join(warned)}; for details run {command}"
+            warnings.warn(f"{folder}: {seen}", SigmaswarmWarning, stacklevel=2)
     return remedies
 
 
@@ -117,3 +121,19 @@ def mending(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
     folders = (Path("mended" if i == 1 else f"mended-{i}") for i in count(1))
     out = next(out for out in folders if not (out / diagnosis.drive).exists())
     return f"{command} --fix {out}", out / diagnosis.drive
+
+
+def next_steps(diagnosis: "Diagnosis", out: Path) -> Iterator[str]:
+    """Return the commands that follow the diagnosis of a drive in the folder ``out``."""
+    ready, following = out, f"sigmaswarm plot {shlex.quote(str(out))}"
+    if cut := cutting(diagnosis, out):
+        yield from (f"next: {cut}", "then: sigmaswarm doctor parts --fix mended")
+        return
+    if diagnosis.serious or repairable(diagnosis):
+        command, mended = mending(diagnosis, out)
+        go_on = f"continue with {mended}, not with {out}" if mended else "correct the faults in the log"
+        following, ready = f"{command}    (then {go_on})", mended or out
+    yield f"next: {following}"
+    yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned"
+    part = f"sigmaswarm split {shlex.quote(str(ready))} --out parts"
+    yield f"      (for an evaluation keep another drive, or first split this drive: {part})"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from sigmaswarm.cli.common import numbers_of, print_json, say, stdout
-from sigmaswarm.cli.findings import cutting, mending, print_diagnosis, repairable, turns
+from sigmaswarm.cli.findings import next_steps, print_diagnosis, turns
 from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json, Overwrite
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.errors import InputError
@@ -226,22 +226,7 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
         return
     say(*_report(imported, out, diagnosis))
     print_diagnosis(diagnosis)
-    say(*_next_steps(diagnosis, out))
-
-
-def _next_steps(diagnosis: "Diagnosis", out: Path) -> Iterator[str]:
-    ready, following = out, f"sigmaswarm plot {shlex.quote(str(out))}"
-    if cut := cutting(diagnosis, out):
-        yield from (f"next: {cut}", "then: sigmaswarm doctor parts --fix mended")
-        return
-    if diagnosis.serious or repairable(diagnosis):
-        command, mended = mending(diagnosis, out)
-        go_on = f"continue with {mended}, not with {out}" if mended else "correct the faults in the log"
-        following, ready = f"{command}    (then {go_on})", mended or out
-    yield f"next: {following}"
-    yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned"
-    part = f"sigmaswarm split {shlex.quote(str(ready))} --out parts"
-    yield f"      (for an evaluation keep another drive, or first split this drive: {part})"
+    say(*next_steps(diagnosis, out))
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:

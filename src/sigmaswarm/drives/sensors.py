@@ -62,7 +62,7 @@ class Sensors:
     odometer, accuracy, velocity, heading : True if the log has wheel speed, and the receiver's standard deviations,
         speed and course, and heading
     driven : time from 20 m of distance to the end of the log, s
-    fixes : number of fixes
+    fixes : number of fixes within the IMU's time
     """
 
     name: str
@@ -102,7 +102,7 @@ def sensors_of(drive: Drive | Sensors) -> Sensors:
         receiver_std=receiver_std(drive),
         heading=gps.heading is not None,
         lasting=has_lasting_errors(drive),
-        fixes=len(gps),
+        fixes=int(np.sum((gps.time >= imu.time[0]) & (gps.time <= imu.time[-1]))),
     )
 
 

@@ -143,7 +143,8 @@ def prior_warnings(
             )
             return [
                 to_do(
-                    "if the receiver is more or less accurate, write gps_std_m at the top of drive.toml", why
+                    "if you know the deviation of the fixes (m per axis), write gps_std_m at the top of drive.toml",
+                    why,
                 )
             ]
         return [f"{name}: R was kept near the {std:.2g} m per axis of white noise that the fixes show"]
