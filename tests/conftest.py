@@ -42,7 +42,7 @@ def pytest_collect_file(file_path: Path) -> Generator[None, list[pytest.Collecto
 
 LONG_PAGES = (
     *("docs/models.md", "docs/objectives.md", "docs/reference/doctor.md", "docs/reference/evaluation.md"),
-    *("docs/reference/experiments.md", "docs/reference/own_models.md"),
+    *("docs/reference/drives.md", "docs/reference/experiments.md", "docs/reference/own_models.md"),
 )
 """Pages whose examples take seconds. Tests call the same functions, and README.md tunes and evaluates."""
 

@@ -384,6 +384,7 @@ def test_a_drive_is_not_written_into_a_drive(sigmaswarm: Command, here: Path):
     assert len(list((here / "outer").iterdir())) == 4
 
 
+@pytest.mark.long
 def test_what_is_next_follows_the_findings(sigmaswarm: Command, here: Path, doctored: None):
     """An IMU upside down: neither the assumption of its axes, nor a tuning, is proposed."""
     drive = library.simulate("urban", duration=60.0, imu_rate=50.0, gps="white-1m")

@@ -10,6 +10,7 @@ from cli.conftest import Command
 SMALL = ("--runs", 2, "--trials", 2, "--particles", 2, "--generations", 1, "--workers", 2)
 
 
+@pytest.mark.long
 def test_a_small_study_and_its_tables(sigmaswarm: Command, here: Path):
     (here / "study.toml").write_text('maneuvers = ["turns"]\nenvironments = ["clear"]\n')
     ended = sigmaswarm("study", "--out", "out", "--config", "study.toml", *SMALL)

@@ -152,6 +152,7 @@ def test_a_newcomer_takes_its_share(processes, client, folders):
         processes.kill(name)
 
 
+@pytest.mark.long
 def test_a_study_asks_the_workers_for_what_it_asks_here(client):
     config = StudyConfig(maneuvers=("turns", "brake"), environments=("clear",), runs=2, trials=2)
     here, there = make_design(config), make_design(config, cluster=client)

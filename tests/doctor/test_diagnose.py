@@ -320,6 +320,7 @@ def found_of(drive: Drive, code: str) -> str:
     return next((f.what for f in sigmaswarm.diagnose(drive).findings if f.code == code), "")
 
 
+@pytest.mark.long
 def test_errors_that_last_are_told_from_what_is_stated_against_the_scatter():
     drive = simulated("mpu-6050")  # 1 m of white noise
     n = len(drive.gps)

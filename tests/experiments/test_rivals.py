@@ -70,7 +70,7 @@ def quick(quick_study: None) -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module", params=[pytest.param(None, marks=pytest.mark.long, id="trained")])
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Study:
     found = run_study(TINY, tmp_path_factory.mktemp("rivals") / "whole")
     with pytest.MonkeyPatch.context() as patch:  # only the figure of rivals; test_study has the others

@@ -105,6 +105,7 @@ def test_a_drive_without_truth_shows_its_3_sigma_and_says_so(page: Opened):
     assert "choose a filter" in page.page.inner_text("#errors")
 
 
+@pytest.mark.long
 def test_a_swatch_is_dashed_as_its_line_is(page: Opened):
     for method, name in (
         ("untuned", "baseline"),
@@ -126,6 +127,7 @@ def test_a_swatch_is_dashed_as_its_line_is(page: Opened):
     assert page.run("document.querySelectorAll('#method-raw_gps + svg circle').length") == 3
 
 
+@pytest.mark.long
 def test_on_a_phone_a_shadow_says_that_a_table_goes_on(browser, folder: Path, page: Opened):
     phone = Opened(browser, folder / "page.html", 390)
     for table in phone.page.locator(".wide").all():

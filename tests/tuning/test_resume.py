@@ -36,7 +36,7 @@ OPTIONS = {
     "trials": 2,
     "seed": 3,
 }
-GENERATIONS = 80
+GENERATIONS = 50
 
 
 def contents(folder: Path) -> dict[str, bytes]:
