@@ -66,8 +66,8 @@ class ImportOptions:
         Topic or table of the wheel speed, m/s forward.
     mag_topic
         Topic or table of a magnetometer with the IMU's axes; adds headings to the fixes. For --map: mag.mx, mag.my.
-        declination Magnetic declination, deg, east positive. By default it is estimated from the course, together with
-        the sensor's rotation.
+    declination
+        Magnetic declination, deg, east positive. Default: estimated from the course, with the sensor's rotation.
     receive_times
         Use the receive times of messages instead of the stamps in their headers.
     part

@@ -75,8 +75,9 @@ def tune(
         Filter from which the search starts: a tuning, or an ekf.yaml of robot_localization (select its inputs with
         --use).
     paper
-        Use the paper's settings: pso, 30 particles, 50 generations, linear scale, gps-rmse, planar5, ukf. Options that
-    contradict them are errors. resume
+        Use the paper's settings: pso, 30 particles, 50 generations, linear scale, gps-rmse, planar5, ukf. Contradicting
+        options are errors.
+    resume
         Continue an interrupted tuning; the result is the same as without the interruption.
     """
     require_result_folder(out, [start], "tuning", "config.json")

@@ -115,7 +115,7 @@ class TuneConfig(SearchConfig):
     prior: float | None = Field(default=None, ge=0, le=100)
     """Weight of a prior on R from the receiver's accuracy; 0 disables it. Default: 1 without truth, else 0."""
     inflation: float | None = Field(default=None, ge=0, le=1)
-    """Relative cost increase allowed for inflating process noise; 0 disables it. Default without truth: 0.05, or 0.02
+    """Relative cost increase allowed for inflating process noise; 0 disables it. Without truth: 0.05, or 0.02
     for tilted12 and robot-localization."""
 
     @model_validator(mode="before")

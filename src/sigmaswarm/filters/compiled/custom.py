@@ -111,9 +111,9 @@ def build_kernel(
                 nis[row], log_det = _whiten(nu, s, cross, root_s)
                 if np.isnan(log_det):
                     return step
-                share = limited_share(measurements[row], nis[row], limit, runs)
+                share = _limited_share(measurements[row], nis[row], limit, runs)
                 _update(mean, covariance, nu, cross, share)
-                nll[row] = 0.5 * (limited(nis[row], limit) + log_det + present * math.log(_TWO_PI))
+                nll[row] = 0.5 * (_limited(nis[row], limit) + log_det + present * math.log(_TWO_PI))
             if not _finite(mean, covariance):
                 return step
             if at >= 0:
@@ -253,8 +253,8 @@ def _update(mean, covariance, y, w, share):
                 covariance[i, j] -= share * w[i, k] * w[j, k]
 
 
-@cached(error_model="numpy")  # the textbook form calls it too
-def limited_share(z, nis, limit, runs):
+@_kernel
+def _limited_share(z, nis, limit, runs):
     """Return the share of an update, limit / NIS if the NIS is above the limit, else 1: see `Model.robust`.
 
     ``runs`` (m, 2): for each element of z the number of consecutive measurements above the limit, and the time since
@@ -274,8 +274,8 @@ def limited_share(z, nis, limit, runs):
     return limit / nis if nis > limit and not lasts else 1.0
 
 
-@cached(error_model="numpy")  # the textbook form calls it too
-def limited(nis, limit):
+@_kernel
+def _limited(nis, limit):
     """Return the term of a measurement in the likelihood: logarithmic above the limit.
 
     Its derivative by nu is 2 S^-1 nu limit / NIS there, the direction and size of the limited update.

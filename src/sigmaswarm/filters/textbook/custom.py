@@ -4,11 +4,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.filters.compiled.custom import limited, limited_share
 from sigmaswarm.filters.custom.log import Steps
 from sigmaswarm.filters.custom.model import Model, as_covariance
+from sigmaswarm.filters.student import OUTLIERS, OUTLIERS_SPAN
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
 from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Innovation
 
@@ -18,7 +19,8 @@ class TextbookModel:
 
     ``scaling`` (3,) is alpha, beta, kappa; ``p`` the model's record. ``nis`` and ``nll`` (f,) are the normalized
     innovation squared and the negative log-likelihood of each measurement before its update, NaN for measurements after
-    the current step. ``runs`` (m, 2): see `limited_share`.
+    the current step. ``runs`` (m, 2): for each element the number of consecutive outliers (`Model.robust`), and the time
+    since the first (s).
     """
 
     def __init__(self, model: Model, steps: Steps, scaling: Array, p: Any, runs: Array) -> None:
@@ -37,12 +39,22 @@ class TextbookModel:
         self.runs[:, 1] += dt
         if row >= 0:
             innovation = kalman.measure(steps.measurements[row], self.noise)
-            if (absent := np.isnan(steps.measurements[row])).any():
-                innovation = innovation.of(np.flatnonzero(~absent))
-            nis, limit = innovation.nis, self.limits[len(innovation.nu) - 1]
+            present = np.flatnonzero(~np.isnan(steps.measurements[row]))
+            if len(present) < len(self.noise):
+                innovation = innovation.of(present)
+            nis, limit = innovation.nis, self.limits[len(present) - 1]
             self.nis[row], self.nll[row] = nis, negative_log_likelihood(innovation, limit)
-            share = limited_share(steps.measurements[row], nis, limit, self.runs)
-            kalman.correct(replace(innovation, variance=innovation.variance / share))
+            if self._is_outlier(present, nis > limit):
+                innovation = replace(innovation, variance=innovation.variance * nis / limit)
+            kalman.correct(innovation)
+
+    def _is_outlier(self, present: NDArray[np.int64], above: bool) -> bool:
+        """Return True for an NIS above the limit, unless it ends a long run of these for all present elements."""
+        count, since = self.runs[present, 0], self.runs[present, 1]
+        since[count == 0] = 0.0
+        count = count + 1 if above else np.zeros(len(present))
+        self.runs[present] = np.column_stack([count, since])
+        return above and not ((count >= OUTLIERS) & (since >= OUTLIERS_SPAN - 1e-6)).all()
 
 
 def textbook_filter(model: Model, steps: Steps, scaling: Array, p: Any) -> GaussianFilter:
@@ -73,5 +85,6 @@ def negative_log_likelihood(innovation: Innovation, limit: float = np.inf) -> fl
     Raises `numpy.linalg.LinAlgError` if S is not a covariance.
     """
     root = np.linalg.cholesky(innovation.variance)
-    log_det = 2 * np.log(np.diag(root)).sum()
-    return float(0.5 * (limited(innovation.nis, limit) + log_det + len(innovation.nu) * np.log(2 * np.pi)))
+    log_det, nis = 2 * np.log(np.diag(root)).sum(), innovation.nis
+    tail = nis if nis <= limit else limit * (1 + np.log(nis / limit))
+    return float(0.5 * (tail + log_det + len(innovation.nu) * np.log(2 * np.pi)))
