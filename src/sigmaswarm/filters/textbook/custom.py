@@ -19,8 +19,8 @@ class TextbookModel:
 
     ``scaling`` (3,) is alpha, beta, kappa; ``p`` the model's record. ``nis`` and ``nll`` (f,) are the normalized
     innovation squared and the negative log-likelihood of each measurement before its update, NaN for measurements after
-    the current step. ``runs`` (m, 2): for each element the number of consecutive outliers (`Model.robust`), and the time
-    since the first (s).
+    the current step. ``runs`` (m, 2): for each element the number of consecutive outliers (`Model.robust`), and the
+    time since the first, s.
     """
 
     def __init__(self, model: Model, steps: Steps, scaling: Array, p: Any, runs: Array) -> None:
