@@ -197,6 +197,8 @@ def test_mistakes_are_one_line(
     assert not (here / "out").exists()
     if "full" in arguments:
         assert "importing" not in ended.err  # told before any work
+        first = sigmaswarm("import", *arguments)  # --overwrite would not help
+        assert (first.code, first.err) == (2, ended.err) and "--overwrite" not in first.err
 
 
 @pytest.mark.parametrize(

@@ -77,12 +77,12 @@ def require_replaceable(
     if not folder.is_dir():
         raise DriveError(f"{folder} is a file; name another folder to write the drive to")
     entries = {entry.name for entry in folder.iterdir()}
-    if entries and not overwrite:
-        raise DriveError(f"{folder} exists and is not empty; {remedy}")
     if foreign := entries - FILES:
         raise DriveError(
             f"{folder} contains {min(foreign)!r}, which is not part of a drive; name another folder"
         )
+    if entries and not overwrite:
+        raise DriveError(f"{folder} exists and is not empty; {remedy}")
 
 
 def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:
