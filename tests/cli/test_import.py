@@ -163,6 +163,43 @@ def test_options_reach_the_drive(sigmaswarm: Command, here: Path, bagged: bytes)
     assert "az" in ended.out  # what looks wrong is told: gravity twice as strong
 
 
+@pytest.mark.parametrize("more", [(), ("--format", "csv")])
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [
+        ({}, "log: is an empty folder; name a log file or the folder of a log"),
+        (
+            {"notes.txt": "hello\n"},
+            "log: contains no log that is recognized (looked at notes.txt); name a log",
+        ),
+        (
+            {"a.csv": "", "b.doc": "."},
+            "log: contains no log that is recognized (looked at a.csv, b.doc); name",
+        ),
+    ],
+)
+def test_a_folder_without_a_log(
+    sigmaswarm: Command, here: Path, files: dict[str, str], said: str, more: tuple[str, ...]
+):
+    (here / "log").mkdir()
+    for name, text in files.items():
+        (here / "log" / name).write_text(text)
+    for action in (("--show",), ("--out", "drive")):
+        ended = sigmaswarm("import", "log", *action, *more)
+        lines = [line for line in ended.err.splitlines() if not line.startswith("importing")]
+        assert (ended.code, ended.out, len(lines)) == (2, "", 1) and said in lines[0], ended.err
+
+
+def test_notes_next_to_a_log_are_not_read(sigmaswarm: Command, here: Path):
+    (here / "log").mkdir()
+    rows = [f"{i / 100},0,0,0,{i},0" for i in range(300)]
+    (here / "log" / "log.csv").write_text("t,ax,ay,gz,x,y\n" + "\n".join(rows) + "\n")
+    (here / "log" / "notes.txt").write_text("hello\n")
+    ended = sigmaswarm("import", "log", "--out", "drive")
+    assert ended.code == 0, ended.err
+    assert "note: notes.txt: is not a table, and is not read" in ended.out
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

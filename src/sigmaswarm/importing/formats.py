@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.source import Limits, Log, first_bytes
+from sigmaswarm.importing.source import Limits, Log, first_bytes, no_log
 from sigmaswarm.limits import require_regular, require_text
 
 READERS: dict[str, tuple[str, str]] = {
@@ -82,6 +82,8 @@ def open_log(
         raise InputError(f"{path} does not exist; name a log file or its folder")
     if path.is_file() and not path.stat().st_size:
         raise InputError(f"{path} is empty; copy the log again")
+    if path.is_dir() and not any(path.iterdir()):
+        raise no_log(path)
     require_regular(path)
     form = form or format_of(path)
     limits = limits or Limits()
@@ -118,6 +120,8 @@ def format_of(path: Path) -> str:
             f"{path}: contains no log, but folders with tables ({there}); import one of them, such as {tables[0]}, and "
             "name the others with --gps, --truth and --odometer"
         )
+    if path.is_dir():
+        raise no_log(path)
     raise InputError(f"{path}: has an unknown format; specify the format with --format: {', '.join(READERS)}")
 
 

@@ -13,7 +13,7 @@ import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.expressions import fits
-from sigmaswarm.wording import quoted, shown
+from sigmaswarm.wording import names_shown, quoted, shown
 
 Role = Literal["imu", "gps", "truth", "odometer", "mag"]
 ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer", "mag")
@@ -271,6 +271,16 @@ def first_bytes(path: Path, count: int = 4096) -> bytes:
         return b""
     with path.open("rb") as file:
         return file.read(count)
+
+
+def no_log(folder: Path) -> InputError:
+    """Return the error for a folder without a log; it names the files in the folder."""
+    remedy = "name a log file or the folder of a log"
+    if not (files := sorted(entry.name for entry in folder.iterdir())):
+        return InputError(f"{folder}: is an empty folder; {remedy}")
+    return InputError(
+        f"{folder}: contains no log that is recognized (looked at {names_shown(files)}); {remedy}"
+    )
 
 
 @contextmanager

@@ -15,7 +15,18 @@ from sigmaswarm.drives.table_files import BROKEN, one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import guess_roles, spread_rows
 from sigmaswarm.importing.readers.dialect import BLANKS, Dialect, dialect_of, is_table, uneven_row
-from sigmaswarm.importing.source import FILES, Batch, Choice, Guess, Limits, Log, Table, Wanted, first_bytes
+from sigmaswarm.importing.source import (
+    FILES,
+    Batch,
+    Choice,
+    Guess,
+    Limits,
+    Log,
+    Table,
+    Wanted,
+    first_bytes,
+    no_log,
+)
 from sigmaswarm.wording import names_shown, quoted, shown
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
@@ -55,10 +66,23 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
         return phone_files(path, names, limits, stack, None)
     remarks: list[str] = []
-    files = _files(path) if path.is_dir() else [path]
-    folder = path if path.is_dir() else path.parent
+    files, folder = [path], path.parent
+    if path.is_dir():
+        folder, found = path, _files(path)
+        files = [file for file in found if not _is_prose(file)]
+        remarks += [f"{file.name}: is not a table, and is not read" for file in found if file not in files]
+        if not files:
+            raise no_log(path)
     scans = {f.relative_to(folder).as_posix(): scan(f, f, limits, remarks) for f in files}
     return of_files(path, scans, FILES, None, remarks)
+
+
+def _is_prose(file: Path) -> bool:
+    """Return True for a text without columns of numbers, such as notes next to a log."""
+    if file.suffix.lower() != ".txt" or first_bytes(file, 4) == b"PAR1":
+        return False
+    dialect = dialect_of(file, file)
+    return len(dialect.names) < 2 or not dialect.numeric
 
 
 def of_files(
