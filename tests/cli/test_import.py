@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 
 import sigmaswarm as library
@@ -315,6 +316,44 @@ def test_show_says_what_nobody_reads(sigmaswarm: Command, here: Path):
     said = sigmaswarm("import", "log.csv", "--show").out
     tail = "the proposal uses:\nlog.csv: Engine Temp (C), fix_type\n\nnext: sigmaswarm import log.csv --out drive "
     assert tail in said, said
+
+
+@pytest.mark.parametrize(
+    ("header", "options", "fault"),
+    [
+        ("ax,ay,gz,lat,lon", [], "log.csv: no column is recognized as the time of the imu; specify it with --time"),
+        ("ax,ay,gz,lat,lon", ["--map", "imu.t=row/100"], "is recognized as the time of the gps; specify it with --map"),
+        ("t,ax,ay,q,lat,lon", [], "no IMU samples found in log.csv"),
+        ("t,ax,ay,q,lat,lon", ["--map", "imu.ax=ax", "imu.ay=ay"], "imu: no column contains gz; specify one with"),
+        ("t,ax,ay,gz,lat,q", ["--map", "gps.lat=lat"], "gps: no column contains a position; map lat and lon"),
+        ("t,ax,ay,gz,lat,lon", ["--imu-topic", "log.csv", "--map", "ax=bx"], "'bx'"),
+        ("t,ax,ay,gz,lat,lon", ["--map", "t=t*1000"], "two rows of the imu are 10 s apart"),
+    ],
+)  # fmt: skip
+def test_show_states_the_faults_of_columns_that_import_states(
+    sigmaswarm: Command, here: Path, header: str, options: list[str], fault: str
+):
+    names = header.split(",")
+    rows = [",".join(str(i / 100 if n == "t" else i % 7 / 1000) for n in names) for i in range(300)]
+    (here / "log.csv").write_text(header + "\n" + "\n".join(rows) + "\n")
+    shown = sigmaswarm("import", "log.csv", "--show", *options)
+    assert shown.code == 0 and fault in shown.out and "next: " not in shown.out, shown.out
+    assert "The log cannot be imported yet: repeat --show with the options" in shown.out
+    ended = sigmaswarm("import", "log.csv", "--out", "drive", *options)
+    assert ended.code == 2 and fault in ended.err, ended.err
+
+
+def test_rows_are_counted_as_show_proposes(sigmaswarm: Command, here: Path):
+    drive = simulated()
+    fixes = {n: np.interp(drive.imu.time, drive.gps.time, getattr(drive.gps, n)) for n in ("lat", "lon")}
+    columns = {"ax": drive.imu.ax, "ay": drive.imu.ay, "gz": drive.imu.gz, **fixes}
+    pl.DataFrame(columns).write_csv(here / "log.csv")
+    said = sigmaswarm("import", "log.csv", "--show").out
+    assert "for 100 Hz with --time row/100\n" in said
+    said = sigmaswarm("import", "log.csv", "--show", "--time", "row/50").out
+    assert "next: sigmaswarm import log.csv --time row/50 --out drive\n" in said and "50 Hz" in said, said
+    assert sigmaswarm("import", "log.csv", "--out", "drive", "--time", "row/50").code == 0
+    np.testing.assert_allclose(library.read_drive(here / "drive").imu.time, drive.imu.time, atol=1e-6)
 
 
 def test_show_names_the_mounting_that_its_note_recommends(sigmaswarm: Command, here: Path):

@@ -189,7 +189,7 @@ def test_a_loggers_own_clock_is_the_time_where_there_is_no_other(tmp_path: Path,
     drive = imported(tmp_path).drive
     np.testing.assert_allclose(np.diff(drive.imu.time), np.diff(DRIVE.imu.time), atol=1e-9)
     imu.with_columns(boot_ms=-1.0).write_csv(tmp_path / "imu.csv")  # what does not run is no clock
-    with pytest.raises(InputError, match="no time of the imu was recognized"):
+    with pytest.raises(InputError, match="no column is recognized as the time of the imu"):
         imported(tmp_path)
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from sigmaswarm.importing.look import Glance, Look
 
 ASSUMED = "the IMU's axes are assumed to be x forward, y left, z up; if not, add --mount auto, or state the mounting"
+NOT_READY = "The log cannot be imported yet: repeat --show with the options that are named above"
 MOST_UNREAD = 100
 """Number of unused columns that are named per table."""
 
@@ -297,8 +298,8 @@ def _print_look(seen: "Look", options: ImportOptions) -> None:
     for table, columns in (seen.unread or {}).items():
         more = f" and {len(columns) - MOST_UNREAD} more" if len(columns) > MOST_UNREAD else ""
         say(f"{shown(table)}: {', '.join(map(shown, columns[:MOST_UNREAD]))}{more}")
-    if seen.works:
-        say(f"\nnext: {_command(seen, options)}")
+    ready = f"next: {_command(seen, options)}" if seen.works else NOT_READY
+    say(f"\n{ready}")
 
 
 def _command(seen: "Look", options: ImportOptions) -> str:

@@ -14,7 +14,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu, wrap_angle
 from sigmaswarm.importing.dates import GPS_EPOCH, LONG_AGO, SECOND, WEEK, Nanoseconds, gps_to_unix
 from sigmaswarm.importing.gather import Gathered
-from sigmaswarm.importing.joining import join
+from sigmaswarm.importing.joining import join, without_column
 from sigmaswarm.importing.mounting import parse_mount, rotate
 from sigmaswarm.importing.places import (
     FARTHEST,
@@ -36,6 +36,7 @@ SEED, MOST_FIXES = 0, 10_000_000
 LEAST_INTERVAL = 0.04
 """Shortest usual interval of fixes, s."""
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
+WITHOUT_POSITION = "gps: no column contains a position; map lat and lon (deg), or x and y (m east, north)"
 Origin = tuple[float, float, float]
 """Latitude (deg), longitude (deg), altitude (m)."""
 
@@ -100,6 +101,18 @@ def assemble(
             shortage += remedy or f": {moves}--gps-offset {offset:.3f} if both began together"
         raise InputError(f"{name}: {shortage}")
     return drive
+
+
+def missing_columns(recipe: Recipe) -> Iterator[str]:
+    """Yield a message for each required column that no table of a recipe has."""
+    there = {
+        role: {name.removeprefix("+") for part in parts for name in part.columns}
+        for role, parts in recipe.roles.items()
+    }
+    for role, required in REQUIRED.items():
+        yield from (without_column(role, name) for name in required if name not in there.get(role, required))
+    if "gps" in there and not any(pair <= there["gps"] for pair in ({"lat", "lon"}, {"x", "y"})):
+        yield WITHOUT_POSITION
 
 
 def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[Gathered]]) -> str:
@@ -251,9 +264,7 @@ def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Value
         origin = origin or _first_place(values)
         values = level(values, values.get("alt", origin[2]), origin, "gps")
     elif not {"x", "y"} <= set(values):
-        raise InputError(
-            "gps: no column contains a position; map lat and lon (deg), or x and y (m east, north)"
-        )
+        raise InputError(WITHOUT_POSITION)
     for given, missing in (("std_x", "std_y"), ("std_y", "std_x")):
         if given in values and missing not in values:
             values[missing] = values[given]

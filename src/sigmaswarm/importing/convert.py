@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+import polars as pl
+
 from sigmaswarm.drives.description import require_name
 from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.errors import InputError
@@ -66,6 +68,7 @@ class Imported:
 
 
 Guesses = Mapping[Path, Guess]
+LOOK = " (--show lists the columns, and proposes a mapping if their names suggest one)"
 MOST_FAULTS = 3
 """Largest number of faults in one message."""
 
@@ -146,7 +149,8 @@ def _read(
         if faults := faults_left(request, recipe, guesses):
             faults = _with_unit_of_rates(faults, request, logs, recipe, unitless)
             raise InputError("; and ".join(faults[:MOST_FAULTS]))
-        _require_sensors(recipe, request, logs, guesses, roles)
+        if fault := missing_sensor(recipe, request, logs, guesses, roles):
+            raise InputError(f"{fault}{LOOK}")
         gathered = _gather_all(request, logs, recipe, progress)
         metadata = {key: value for guess in guesses.values() for key, value in guess.metadata.items()}
         notes, assumed = notes_of(logs, guesses, recipe), assumed_mounting(guesses, recipe)
@@ -254,13 +258,14 @@ def assumed_mounting(guesses: Guesses, recipe: Recipe) -> tuple[str, ...]:
     return tuple(dict.fromkeys(note for guess in found for note in (guess.flat, guess.downward) if note))
 
 
-def _require_sensors(
+def missing_sensor(
     recipe: Recipe,
     request: Request,
     logs: Mapping[Path, Log],
     guesses: Guesses,
     roles: Sequence[Role],
-) -> None:
+) -> str:
+    """Describe a sensor without a table, with the remedy; return "" if IMU and fixes have one."""
     wanted: tuple[tuple[Role, str, str], ...] = (
         ("imu", "IMU samples", "name the log that contains them as SOURCE"),
         ("gps", "position fixes", "name a log that contains them with --gps"),
@@ -273,7 +278,7 @@ def _require_sensors(
         said = (*logs[path].remarks, *guesses[path].notes)
         if why := [s for s in said if "has no header" in s or "can't be decoded" in s]:
             there = there or "what can be decoded"
-            raise InputError(f"{path}: no {what} found in {there}; {why[0]}; or {remedy}")
+            return f"{path}: no {what} found in {there}; {why[0]}; or {remedy}"
         columns = [name.meaning for table in logs[path].tables.values() for name in read_names(table.columns)]
         if role == "imu" and "ax" in columns and not {"gx", "gy", "gz"} & {*columns}:
             there += " (the log has accelerations, but no column is recognized as an angular rate)"
@@ -281,26 +286,52 @@ def _require_sensors(
         more = next(
             (f"; {f.name} is not read, since it is {kind}" for f in around if (kind := unread(f))), ""
         )
-        raise InputError(
-            f"{path}: no {what} found in {there}; {remedy}, or name the columns with --map (--show lists the "
-            f"columns, and proposes a mapping if their names suggest one){more}"
+        return (
+            f"{path}: no {what} found in {there or 'the log'}{more}; {remedy}, or name the columns with --map"
         )
+    return ""
+
+
+def complete_all(
+    request: Request,
+    logs: Mapping[Path, Log],
+    recipe: Recipe,
+    first: Mapping[Path, Mapping[str, pl.DataFrame]] | None = None,
+) -> tuple[dict[Path, list[tuple[Role, Part]]], list[str]]:
+    """Complete the parts of each log; return them and the first fault of each table.
+
+    ``first``: first rows of the tables of each log, if they have been read.
+    """
+    completed = {path: list[tuple[Role, Part]]() for path in logs}
+    faults: dict[tuple[Path, str], str] = {}
+    for path, log in logs.items():
+        mine: list[tuple[Role, Part]] = [
+            (role, part)
+            for role in ROLES
+            if request.home(role) == path
+            for part in recipe.roles.get(role, ())
+        ]
+        rows = None if first is None else first[path]
+        for role, part in mine:
+            try:
+                for one in complete_parts(part, log, role, rows):
+                    completed[path].append((role, one))
+            except InputError as error:
+                faults.setdefault((path, part.table), str(error))
+    return completed, [*faults.values()]
 
 
 def _gather_all(
     request: Request, logs: Mapping[Path, Log], recipe: Recipe, progress: Progress
 ) -> dict[Role, list[Gathered]]:
     gathered: dict[Role, list[Gathered]] = {}
+    completed, faults = complete_all(request, logs, recipe)
+    if faults:
+        raise InputError("; and ".join(faults[:MOST_FAULTS]))
     sizes = {path: _size(path) for path in logs}
     total, before = sum(sizes.values()), 0
     for path, log in logs.items():
-        mine: list[tuple[Role, Part]] = [
-            (role, one)
-            for role in ROLES
-            if request.home(role) == path
-            for part in recipe.roles.get(role, ())
-            for one in complete_parts(part, log, role)
-        ]
+        mine = completed[path]
         share = _share(progress, before / total, sizes[path] / total)
         read = gather(log, [part for _, part in mine], share, request.limits)
         for (role, _), columns in zip(mine, read, strict=True):

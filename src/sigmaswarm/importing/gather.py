@@ -1,6 +1,6 @@
 """Evaluate a drive's columns on the batches of a log; unusable rows are left out and counted."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from shlex import quote
 
@@ -134,25 +134,32 @@ def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
     return ((numbers - middle).abs() > FAR * (high - low) + 1e-9).fill_null(False)
 
 
-def complete_parts(part: Part, log: Log, role: Role) -> list[Part]:
-    """Complete a part; a part without a table becomes one part for each table with its columns."""
-    return [_complete(one, log, role) for one in _with_tables(part, log, role)]
+def complete_parts(
+    part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame] | None = None
+) -> list[Part]:
+    """Complete a part; a part without a table becomes one part for each table with its columns.
+
+    ``first``: first rows of the tables, if they have been read.
+    """
+    return [_complete(one, log, role, first) for one in _with_tables(part, log, role)]
 
 
-def _complete(part: Part, log: Log, role: Role) -> Part:
+def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame] | None) -> Part:
     """Add the time to a part, by default the column that is likely a time, and check its columns."""
     columns = log.tables[part.table].columns
-    batches = log.batches({part.table: columns})
+    batches = log.batches({part.table: columns}) if first is None else [("", first[part.table], 0.0)]
     rows = next((rows.head(SAMPLE) for _, rows, _ in batches if len(rows)), None)
     if rows is not None:
         if "t" not in part.columns and (time := time_of(rows)) is not None:
             part = replace(part, columns={"t": time, **part.columns})
         elif unit := wrong_unit(part.columns.get("t", ""), rows, role):
             raise InputError(f"{log.path}: {unit}")
-    if "t" not in part.columns:
+    if "t" not in part.columns and (rows is not None or first is None):
+        where = log.path if log.path.name == part.table else f"{log.path}, {shown(part.table)}"
+        time = "--time {}" if role == "imu" and len(log.tables) == 1 else f'--map "{role}.t={{}}"'
         raise InputError(
-            f"{log.path}: no time of the {role} was recognized in {shown(part.table)}; "
-            f'specify it with --time, or count rows if the rate is known: --map "{role}.t=row/100" for 100 Hz'
+            f"{where}: no column is recognized as the time of the {role}; specify it with {time.format('COLUMN')}, or "
+            f"count rows if the rate is known, for 100 Hz with {time.format('row/100')}"
         )
     for text in part.columns.values():
         try:

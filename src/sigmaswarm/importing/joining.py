@@ -144,13 +144,17 @@ def _finite(values: Values, count: int) -> NDArray[np.bool_]:
     return np.array([np.isfinite(v) for v in values.values()] or [np.ones(count, bool)], bool)
 
 
+def without_column(role: Role, name: str) -> str:
+    return f"{role}: no column contains {name}; specify one with --map {role}.{name}=..."
+
+
 def _complete_rows(
     time: Nanoseconds, values: Values, role: Role, required: Sequence[str], say: Say
 ) -> tuple[Nanoseconds, Values]:
     """Leave out mostly empty columns, then rows with an empty cell."""
     for name in required:
         if name not in values or not np.isfinite(values[name]).any():
-            raise InputError(f"{role}: no column contains {name}; specify one with --map {role}.{name}=...")
+            raise InputError(without_column(role, name))
     values = dict(values)
     for name in values.keys() & {"std_x", "std_y"}:
         values[name] = np.where(values[name] > LEAST_STD, values[name], np.nan)

@@ -12,6 +12,7 @@ import polars as pl
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing import convert
+from sigmaswarm.importing.assemble import missing_columns
 from sigmaswarm.importing.convert import Request, complete_recipe, opened
 from sigmaswarm.importing.dates import SECOND
 from sigmaswarm.importing.expressions import compile_expression, fits, time_expression
@@ -55,9 +56,10 @@ class Look:
     """Content of the logs of a request, the recipe that an import would use, and its assumptions.
 
     ``proposal``: options of `sigmaswarm import` for unrecognized columns, the same as ``settings`` of `import_log`,
-    with their ``evidence``. ``works``: True if the import with these options succeeds; without a proposal, if IMU and
-    fixes were recognized. ``unread``: columns, by table, that neither recipe nor proposal reads. ``faults``: reasons
-    not to read a column unchanged. ``rows``: first rows of each table. ``mount``: mounting that a note recommends.
+    with their ``evidence``. ``works``: True if the import with these options succeeds; without a proposal, if tables
+    and columns have no fault, which a note would state. ``unread``: columns, by table, that neither recipe nor proposal
+    reads. ``faults``: reasons not to read a column unchanged. ``rows``: first rows of each table. ``mount``: mounting
+    that a note recommends.
     """
 
     tables: tuple[Glance, ...]
@@ -89,7 +91,6 @@ def look(request: Request) -> Look:
             notes = convert.faults_left(request, recipe, guesses)
         except InputError as error:
             recipe, notes = request.recipe, [str(error)]
-        works = not notes and "imu" in recipe.roles and ("gps" in recipe.roles or bool(recipe.gps_from_truth))
         times = {
             (request.home(role), part.table): part.columns["t"]
             for role in ROLES
@@ -103,8 +104,11 @@ def look(request: Request) -> Look:
             for name, table in log.tables.items()
             for rows in [first[path][name]]
         ]
-    notes += (*convert.notes_of(logs, guesses, recipe), *convert.assumed_mounting(guesses, recipe))
-    proposal = _proposal(request, recipe, first)
+        proposal = _proposal(request, recipe, first)
+        if not notes and not proposal:
+            notes = _obstacles(request, recipe, logs, guesses, first)
+        works = not notes
+        notes += (*convert.notes_of(logs, guesses, recipe), *convert.assumed_mounting(guesses, recipe))
     evidence = ""
     if proposal:
         proposal, evidence, works = judged(proposal, partial(_imported, request))
@@ -115,6 +119,16 @@ def look(request: Request) -> Look:
     whole = tuple(tables), recipe, tuple(dict.fromkeys(notes))
     down = not recipe.mount and any(guess.downward for guess in guesses.values())
     return Look(*whole, said, evidence, works, unread, faults, rows, settings, Z_DOWN if down else "")
+
+
+def _obstacles(
+    request: Request, recipe: Recipe, logs: Mapping[Path, Log], guesses: convert.Guesses, first: Beginnings
+) -> list[str]:
+    """Return the faults of columns and tables with which an import would stop."""
+    if missing := convert.missing_sensor(recipe, request, logs, guesses, ROLES):
+        return [missing]
+    _, faults = convert.complete_all(request, logs, recipe, first)
+    return faults or [f"{request.source.name}: {said}" for said in missing_columns(recipe)]
 
 
 def _unread(
@@ -188,7 +202,8 @@ def _rate(rows: pl.DataFrame, time: str | None) -> float | None:
     if len(rows) < 2 or (time := time or time_of(rows)) is None:
         return None
     try:
-        steps = rows.select(time_expression(time, rows).alias("t"))["t"].diff().drop_nulls()
+        numbered = rows if ROW in rows.columns else rows.with_row_index(ROW)
+        steps = numbered.select(time_expression(time, numbered).alias("t"))["t"].diff().drop_nulls()
     except pl.exceptions.PolarsError:  # a list, or a text that is not a date
         return None
     step = steps.filter(steps > 0).median()
