@@ -408,6 +408,17 @@ def test_coordinates_from_the_center_of_the_earth(tmp_path: Path, names: str, so
     np.testing.assert_allclose(got.lon, FIXES["lon"] - 100, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    "corner", [(555_000, 6_323_000), (3_500_000, 5_320_000)], ids=["UTM", "Gauss-Krueger"]
+)
+def test_eastings_and_northings_as_far_as_the_center_of_the_earth_are_meters(
+    tmp_path: Path, corner: tuple[float, float]
+):
+    east, north = (PATH[name][::EVERY] + start for name, start in zip("xy", corner, strict=True))
+    write(tmp_path, gps={"x": east, "y": north, "z": 20 + 0 * east})
+    require_right(tmp_path)
+
+
 COPIES: dict[str, Callable[[int], np.ndarray]] = {
     "each row twice": lambda n: np.repeat(np.arange(n), 2),
     "some rows twice": lambda n: np.sort(np.r_[np.arange(n), np.arange(0, n, 7)]),

@@ -260,11 +260,15 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
 
 
 def of_earth_center(columns: Columns) -> dict[str, Found]:
-    """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees, by Bowring's formula; {} for others."""
+    """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees, by Bowring's formula; {} for others.
+
+    Eastings and northings may have the same norm, as UTM at 57 degrees; then z is an altitude.
+    """
     if not columns.has("x", "y", "z") or any(columns.names[n].unit for n in "xyz"):
         return {}
     low, high = (float(columns.norms(["x", "y", "z"]).quantile(q) or 0.0) for q in (0.1, 0.9))
-    if not 6.34e6 < low <= high < 6.4e6:
+    stated = all("ecef" in columns.names[n].plain for n in "xyz")
+    if not 6.34e6 < low <= high < 6.4e6 or not (stated or median_of(columns.numbers("z").abs()) > HIGHEST):
         return {}
     x, y, z = map(columns.text, "xyz")
     angle = f"atan2({z}*1.00336409, hypot({x}, {y}))"
