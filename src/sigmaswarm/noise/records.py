@@ -44,7 +44,8 @@ class AxisNoise:
         Velocity or angle random walk: density of the white noise, unit/sqrt(Hz).
     instability : Interval
         Bias instability: coefficient of the flicker noise, unit. The floor of the Allan deviation is 0.664 times this
-    value. walk : Interval
+        value.
+    walk : Interval
         Rate random walk: growth of the bias, unit/sqrt(s).
     correlation_time : float
         Correlation time of a Gauss-Markov bias, s; inf if the log does not show that the bias returns to its mean.
