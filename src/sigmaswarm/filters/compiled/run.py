@@ -362,7 +362,7 @@ def run_lanes(
     driving : (n, 3 or 6) as `Timeline.driving`, with all axes that the model reads
     flags : (k,) bits of each step: see `schedule`
     fixes : (f, 8) as `Timeline.fixes`, in the order of their updates
-    speeds : (o, 3) as `drives.odometer.Wheels.rows`
+    speeds : (o, 3) as `drives.events.Events.wheels`
     lever : (3,) m forward, left and up from the IMU to the antenna
     targets : columns (m,) as `Targets.columns`
     target_end : (k,) number of targets before the end of each step (constant where flags lack IMU)

@@ -116,7 +116,7 @@ take_step = _called if config.DISABLE_JIT else _call
 - ``u``: (9,) a step's numbers, DT ... GY of `drives.timeline`
 - ``events``: the step's bits of `schedule`
 - ``z``: (8,) a row of `Timeline.fixes`
-- ``wheels``: (3,) a row of `odometer.Wheels.rows`
+- ``wheels``: (3,) a row of `events.Events.wheels`
 - ``lever``: (3,) lever arm of the time line, m
 - ``since``: scale of Q since the last fix
 """

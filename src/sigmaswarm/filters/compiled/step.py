@@ -47,7 +47,7 @@ def _step(
 ):  # fmt: skip
     """Predict, and update with the measurements.
 
-    ``u`` (DT ... GY of a step), ``z`` (a row of `Timeline.fixes`) and ``wheels`` (a row of `Wheels.rows`) are tuples.
+    ``u`` (DT ... GY of a step), ``z`` (a row of `Timeline.fixes`) and ``wheels`` (a row of `Events.wheels`) are tuples.
     ``events`` contains the bits of `schedule`, ``lever`` is the lever arm of the time line, m, and ``since`` is the
     scale of Q since the last fix.
     """

@@ -48,7 +48,7 @@ ROWS = slice(NUMBERS, NUMBERS + N_KEPT * LANES)
 N_CHECKPOINT = ROWS.stop  # values of a checkpoint
 STEP_LOG = NUMBERS + N_ROWS * LANES
 
-# A logged step: its numbers DT ... GY, its flags, its rows of `Timeline.fixes` and `Wheels.rows`, the scale of Q
+# A logged step: its numbers DT ... GY, its flags, its rows of `Timeline.fixes` and `Events.wheels`, the scale of Q
 # since the last fix, and the end time of the step, s.
 T_STEP, T_FLAGS, T_FIX, T_WHEELS, T_SINCE, T_TIME = slice(0, 9), 9, slice(10, 18), slice(18, 21), 21, 22
 N_LOG_ROW = 23

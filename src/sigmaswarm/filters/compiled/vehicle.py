@@ -143,7 +143,7 @@ def update_lateral(w, u, *, tilted, measure_lateral):
 def update_odometer(w, u, wheels, *, tilted, measure_odometer):
     """Update with the wheels' speed, unless the NIS shows slip.
 
-    ``wheels`` is a row of `drives.odometer.Wheels`.
+    ``wheels`` is a row of `drives.events.Events.wheels`.
     """
     measure_odometer(w, u, wheels)
     for l in range(LANES):
