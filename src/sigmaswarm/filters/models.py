@@ -28,8 +28,8 @@ MEASURED = {
 }
 """Measurements other than fixes, and the unit of their variance.
 
-A filter uses the measurement NAME if its parameter NAME_noise is a number. A tuning's option, the event in `schedule`,
-the kernels' row R_NAME, and USE_NAME and NAME_NOISE in C are named after it.
+A filter uses the measurement NAME if its parameter NAME_noise is a number. A tuning's option, the event in
+`drives.events`, the kernels' row R_NAME, and USE_NAME and NAME_NOISE in C are named after it.
 """
 NOISE_OF = {name: f"{name}_noise" for name in MEASURED}
 

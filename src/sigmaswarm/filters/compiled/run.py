@@ -360,7 +360,7 @@ def run_lanes(
     steps : (k, 3) as `Timeline.steps`
     sample : (k,) row of ``driving`` of each step
     driving : (n, 3 or 6) as `Timeline.driving`, with all axes that the model reads
-    flags : (k,) bits of each step: see `schedule`
+    flags : (k,) bits of each step: see `drives.events`
     fixes : (f, 8) as `Timeline.fixes`, in the order of their updates
     speeds : (o, 3) as `drives.events.Events.wheels`
     lever : (3,) m forward, left and up from the IMU to the antenna

@@ -114,7 +114,7 @@ take_step = _called if config.DISABLE_JIT else _call
 - ``step``: the address of the result of `single_step`
 - ``v``: (N_KEPT or more,) the filter before and after
 - ``u``: (9,) a step's numbers, DT ... GY of `drives.timeline`
-- ``events``: the step's bits of `schedule`
+- ``events``: the step's bits of `drives.events`
 - ``z``: (8,) a row of `Timeline.fixes`
 - ``wheels``: (3,) a row of `events.Events.wheels`
 - ``lever``: (3,) lever arm of the time line, m

@@ -48,8 +48,8 @@ def _step(
     """Predict, and update with the measurements.
 
     ``u`` (DT ... GY of a step), ``z`` (a row of `Timeline.fixes`) and ``wheels`` (a row of `Events.wheels`) are tuples.
-    ``events`` contains the bits of `schedule`, ``lever`` is the lever arm of the time line, m, and ``since`` is the
-    scale of Q since the last fix.
+    ``events`` contains the bits of `drives.events`, ``lever`` is the lever arm of the time line, m, and ``since`` is
+    the scale of Q since the last fix.
     """
     dt, gap = u[DT], u[GAP]
     if dt > 0.0:
