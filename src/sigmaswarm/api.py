@@ -200,8 +200,8 @@ def export(
         Folder for the files; by default nothing is written.
     **options
         ``replay`` (a Drive), ``as_recorded``, ``lanes``, ``seed``: see ``sigmaswarm export --help``. ``mounting``:
-        roll, pitch and yaw, deg, of an IMU whose raw samples are to be turned. ``as_recorded`` and ``mounting``
-        are by default those of the tuning.
+        roll, pitch and yaw, deg, of an IMU whose raw samples are to be turned; ``imu_axes``: expressions of its axes.
+        ``as_recorded``, ``mounting`` and ``imu_axes`` are by default those of the tuning.
 
     Returns
     -------
@@ -219,10 +219,12 @@ def export(
     known = filter_of(parameters)
     if isinstance(parameters, str | Path):
         record = TuningRecord.read(Path(parameters))
-        options = {"mounting": record.mounting, "as_recorded": record.as_recorded} | options
+        recorded, known_imu = record.as_recorded, {"mounting": record.mounting, "imu_axes": record.imu_axes}
+        options = {"as_recorded": recorded, **known_imu} | options
     elif isinstance(parameters, Tuning):
         recorded = parameters.config.model_dump()["as_recorded"]
-        options = {"mounting": parameters.mounting, "as_recorded": recorded} | options
+        known_imu = {"mounting": parameters.mounting, "imu_axes": parameters.imu_axes}
+        options = {"as_recorded": recorded, **known_imu} | options
     texts = export_texts(known, to, **options)
     if folder is not None:
         write_texts(texts, folder, kind_of(to))

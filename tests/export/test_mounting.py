@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -23,6 +24,8 @@ from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.importing.mounting import parse_mount
+from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.source import Part
 from sigmaswarm.tuning.record import TuningRecord
 from support import quickly
 
@@ -165,6 +168,44 @@ def test_a_tuning_keeps_the_mounting_on_which_its_drives_agree(imported: Drive, 
         assert sum("mountings of the training drives differ" in remark for remark in differing.remarks) == 1
     sigmaswarm.FilterParameters.load(tuning).save(tmp_path / "filter.toml")
     assert TuningRecord.read(tmp_path / "filter.toml").mounting is None
+
+
+def test_the_readme_of_the_c_states_the_expressions_of_the_import(tmp_path: Path):
+    """Of several tables, with a sum and a rotation, as far as the drives agree; a repair of units removes them."""
+    raw, log = raw_drive(), tmp_path / "log"
+    log.mkdir()
+    imu = pl.DataFrame({"t": raw.imu.time, **{n: getattr(raw.imu, n) for n in AXES}})
+    forces = imu.select("t", "az", fwd=-pl.col("ax"), left=pl.col("ay") / 9.80665)
+    forces.write_csv(log / "acc.csv")
+    imu.select("t", "gx", "gy", "gz").write_csv(log / "gyro.csv")
+    pl.DataFrame({"t": raw.gps.time, "x": raw.gps.x, "y": raw.gps.y}).write_csv(log / "gps.csv")
+    parts = (
+        Part("acc.csv", {"t": "t", "ax": "-fwd", "ay": "left*9.80665", "az": "az"}),
+        Part("gyro.csv", {"t": "t", "gx": "gx", "gy": "gy", "gz": "gz", "+az": "0*gz"}),
+    )
+    drive = sigmaswarm.import_log(log, recipe=Recipe(roles={"imu": parts}, mount=",".join(map(str, ANGLES))))
+    np.testing.assert_allclose(drive.imu.ay, (MATRIX @ [raw.imu.ax, raw.imu.ay, raw.imu.az])[1], atol=1e-9)
+    again = sigmaswarm.read_drive(sigmaswarm.write_drive(drive, tmp_path / "monday"))
+    sigmaswarm.tune(again, model="planar5", kind="ekf", **FEW, out=tmp_path / "tuned")
+    readme = sigmaswarm.export(tmp_path / "tuned", "c99")["README.md"]
+    assert readme == sigmaswarm.export(sigmaswarm.Tuning.load(tmp_path / "tuned"), "c99")["README.md"]
+    block = readme.partition("the columns of the logs, before the rotation:\n\n```text\n")[2].partition(
+        "\n```"
+    )[0]
+    assert block.split("\n") == [
+        "ax = -fwd of acc.csv",
+        "ay = left*9.80665 of acc.csv",
+        "az = az of acc.csv + 0*gz of gyro.csv",
+        *(f"{axis} = {axis} of gyro.csv" for axis in ("gx", "gy", "gz")),
+    ]
+    found = sigmaswarm.Tuning.load(tmp_path / "tuned")
+    differing = replace(found, data=[*found.data, {"imu_axes": {"ax": "x"}}])
+    assert differing.imu_axes == {} and "```text" not in sigmaswarm.export(differing, "c99")["README.md"]
+    degrees = replace(
+        again, imu=replace(again.imu, **{n: np.degrees(getattr(again.imu, n)) for n in AXES[3:]})
+    )
+    mended = sigmaswarm.repair(degrees, sigmaswarm.diagnose(degrees))
+    assert "gyro-unit" in mended.metadata["repaired"] and "imu_axes" not in mended.metadata
 
 
 @pytest.mark.parametrize("model", ["planar5", "robot-localization"])

@@ -91,7 +91,8 @@ def export(
     record = TuningRecord.read(tuning)
     mounting = record.mounting
     settings: dict[str, Any] = {"as_recorded": record.as_recorded, "lanes": lanes, "seed": seed}
-    texts = export_texts(parameters, to, replay=drive, mounting=mounting, **settings)
+    axes = record.imu_axes
+    texts = export_texts(parameters, to, replay=drive, mounting=mounting, imu_axes=axes, **settings)
     if drives and ros:
         texts["README.md"] += _accuracy(parameters, drives, tuning, options.against)
     written = write_texts(texts, out, kind_of(to))

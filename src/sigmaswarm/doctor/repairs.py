@@ -15,7 +15,7 @@ from sigmaswarm.doctor.findings import Diagnosis, Repair
 from sigmaswarm.doctor.fixes import exchanged
 from sigmaswarm.doctor.mounting import turned
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.mounting import with_rotation
+from sigmaswarm.drives.mounting import with_rotation, without_axes
 from sigmaswarm.drives.tables import NO_HEADING, Imu
 from sigmaswarm.geodesy import wrap_angle
 
@@ -41,6 +41,8 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     repairs = [r for _, r in found]
     rotation = _rotation(drive, [r for r in repairs if r.action in AXES])
     drive = _applied(drive, repairs)
+    if {r.action for r in repairs} & AXES - {"rotate", "turn"}:  # no rotation alone: units, or single axes
+        drive = replace(drive, metadata=without_axes(drive.metadata))
     repaired = [*drive.metadata.get("repaired", []), *dict.fromkeys(code for code, _ in found)]
     return replace(drive, metadata=with_rotation(drive.metadata, rotation) | {"repaired": repaired})
 

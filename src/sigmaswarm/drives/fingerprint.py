@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.mounting import KEY
+from sigmaswarm.drives.mounting import AXES_KEY, KEY, axes_of
 
 START_RULE = (
     "the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster), or, on a slower drive, "
@@ -25,6 +25,7 @@ class DriveRecord(BaseModel):
     fixes: int | None = None
     has_truth: bool | None = None
     imu_mounting_deg: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    imu_axes: dict[str, str] = Field(default_factory=dict)
     sha256: str = ""
     truth_share: float | None = None
     """Share of an evaluated drive's scored time in which truth is known."""
@@ -44,6 +45,7 @@ def record_of(drive: Drive) -> dict[str, Any]:
         "fixes": len(drive.gps),
         "has_truth": drive.truth is not None,
         **({KEY: [*drive.mounting]} if drive.mounting else {}),
+        **({AXES_KEY: axes} if (axes := axes_of(drive.metadata)) else {}),
         "sha256": fingerprint(drive),
     }
 

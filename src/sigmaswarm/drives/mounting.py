@@ -1,7 +1,7 @@
-"""The mounting of the IMU in drive.toml: the rotation of its samples into the axes of the vehicle."""
+"""The axes and the mounting of the IMU in drive.toml: how the vehicle's axes are computed from its samples."""
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -9,6 +9,8 @@ from sigmaswarm.drives.tables import Array
 from sigmaswarm.geodesy import roll_pitch_yaw, rotation_of
 
 KEY = "imu_mounting_deg"
+AXES_KEY = "imu_axes"
+"""Table of the expressions of the IMU's axes over a log's columns, before the rotation."""
 Angles = tuple[float, float, float]
 """Roll, pitch and yaw of the IMU in the vehicle, deg, as in ``import --mount``."""
 AGREE = 3.0
@@ -27,9 +29,26 @@ def with_rotation(metadata: Mapping[str, Any], rotation: Array | None) -> dict[s
         return {**metadata}
     kept = {key: value for key, value in metadata.items() if key != KEY}
     if rotation is None:
-        return kept
+        return without_axes(kept)
     angles = roll_pitch_yaw(rotation @ rotation_of(*metadata.get(KEY, NOT_TURNED)), DIGITS)
     return kept | {KEY: [*angles]} if any(angles) else kept
+
+
+def without_axes(metadata: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in metadata.items() if key != AXES_KEY}
+
+
+def axes_of(metadata: Mapping[str, Any]) -> dict[str, str]:
+    """Return the expressions of the IMU's axes that a drive states; empty without them."""
+    stated = metadata.get(AXES_KEY)
+    axes = cast("dict[str, Any]", stated if isinstance(stated, dict) else {})
+    return {axis: str(text) for axis, text in axes.items()}
+
+
+def common_axes(stated: Iterable[Mapping[str, str]]) -> dict[str, str]:
+    """Return the expressions of the IMU's axes if all drives state the same; else empty."""
+    first, *others = [*stated] or [{}]
+    return {**first} if all(other == first for other in others) else {}
 
 
 def common_mounting(stated: Iterable[Angles | None]) -> Angles | None:

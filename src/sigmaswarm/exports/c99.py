@@ -1,6 +1,7 @@
 """Write the filter as a C99 library with a program that replays a drive."""
 
 import math
+from collections.abc import Mapping
 from operator import itemgetter
 
 import numpy as np
@@ -33,6 +34,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.student import OUTLIERS_SPAN
 from sigmaswarm.geodesy import rotation_of
 from sigmaswarm.versions import __version__
+from sigmaswarm.wording import shown
 
 FILES = (
     "ins_gps.h",
@@ -60,10 +62,12 @@ def c99(
     as_recorded: bool = False,
     mounting: Angles | None = None,
     lanes: Lanes = ALONE,
+    imu_axes: Mapping[str, str] | None = None,
 ) -> dict[str, str]:
     """Return the files by name. Q refers to steps of ``interval`` s; ``as_recorded`` is as in `PreparedDrive`.
 
     ``mounting``: roll, pitch and yaw of the IMU, deg; the files then have a function that rotates raw samples.
+    ``imu_axes``: expressions with which the import read the IMU's axes, for the README.
 
     Raises
     ------
@@ -85,6 +89,7 @@ def c99(
         "USE_AS_RECORDED": as_recorded,
         "USE_LANES": several,
         "USE_MOUNTING": mounting is not None,
+        "USE_IMU_AXES": bool(imu_axes),
         "USE_EXP": several or features["USE_FIX_ERROR"],
     }
     values = values_of(parameters, interval) | _only_in_c(parameters, interval) | lanes.values(parameters)
@@ -92,6 +97,10 @@ def c99(
     if mounting is not None:
         values["MOUNTING"] = "{:g}, {:g} and {:g}".format(*mounting)
         values["ROTATION"] = ", ".join(f"{{{listed(row, 'R({})')}}}" for row in rotation_of(*mounting))
+    width = max(map(len, imu_axes or ()), default=0)
+    axes = (f"{shown(axis):{width}} = {shown(text, 1000)}" for axis, text in (imu_axes or {}).items())
+    values["BEFORE_MOUNTING"] = ", before the rotation" if mounting is not None else ""
+    values["IMU_AXES"] = "\n".join(axes)
     values |= rules_of(features, events.bits_of(schedule.measured_by(parameters)))
     texts = {name: fill(f"{name}.in", features, values) for name in FILES}
     numbers = {name: f"R({value})" for name, value in values.items()} | lanes.numbers(parameters)

@@ -31,6 +31,7 @@ def export_texts(
     replay: Drive | None = None,
     as_recorded: bool = False,
     mounting: Angles | None = None,
+    imu_axes: Mapping[str, str] | None = None,
     lanes: int = 1,
     seed: int = 0,
 ) -> dict[str, str]:
@@ -48,6 +49,8 @@ def export_texts(
         filterpy, c99: use stale fixes, and treat IMU gaps as ordinary steps.
     mounting : (float, float, float), optional
         c99, robot_localization: roll, pitch and yaw of the IMU in the vehicle, deg, for raw samples.
+    imu_axes : dict of str to str, optional
+        c99: expressions with which the import read the IMU's axes, for the README.
     lanes : int
         c99: number of filters with different parameters. The estimate is their mixture, as in a `LiveFilterBank`
         without searches.
@@ -69,7 +72,7 @@ def export_texts(
         if lanes > 1:
             raise InputError(f"--lanes is for --to c99 only: {target} runs one filter")
         return TARGETS[target](parameters, interval, as_recorded, mounting)
-    texts = c99(parameters, interval, as_recorded, mounting, side_by_side)
+    texts = c99(parameters, interval, as_recorded, mounting, side_by_side, imu_axes)
     if replay is not None:
         texts["replay.csv"] = replay_rows(
             replay, parameters.model, as_recorded=as_recorded, heading=parameters.heading_noise is not None

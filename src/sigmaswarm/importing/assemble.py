@@ -9,7 +9,7 @@ import numpy as np
 
 from sigmaswarm.drives.checks import shortage_of
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
-from sigmaswarm.drives.mounting import with_rotation
+from sigmaswarm.drives.mounting import AXES_KEY, with_rotation
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu, wrap_angle
 from sigmaswarm.importing.dates import GPS_EPOCH, LONG_AGO, SECOND, WEEK, Nanoseconds, gps_to_unix
@@ -224,6 +224,7 @@ def _imu(time: Array, values: Values, recipe: Recipe) -> Imu:
 def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
     """Return the keys of drive.toml; ``zero``: time origin, s."""
     metadata: dict[str, Any] = {"time_origin_s": zero} if zero else {}
+    metadata[AXES_KEY] = recipe.imu_axes()
     if recipe.gps_from_truth:
         rate, noise = recipe.gps_from_truth
         metadata["gps"] = f"synthetic from truth, {rate:g} Hz, white noise {noise:g} m per axis, seed {SEED}"

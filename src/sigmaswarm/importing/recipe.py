@@ -1,5 +1,6 @@
 """A recipe: the settings with which a log becomes a drive, as a TOML file."""
 
+import os
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -92,6 +93,17 @@ class Recipe:
         for role, parts in self.roles.items():
             content[role] = [{"table": part.table, **part.columns} for part in parts]
         return tomli_w.dumps(content)
+
+    def imu_axes(self) -> dict[str, str]:
+        """Return the expression of each axis of the IMU, with its table if there are several."""
+        axes: dict[str, str] = {}
+        parts = self.roles.get("imu", ())
+        for part in parts:
+            table = os.fsencode(part.table).decode("utf-8", "replace")  # a name may not be valid UTF-8
+            for name, text in part.columns.items():
+                axis, text = name.removeprefix("+"), f"{text} of {table}" if len(parts) > 1 else text
+                axes[axis] = f"{axes[axis]} + {text}" if axis != name and axis in axes else text
+        return {axis: text for axis, text in axes.items() if axis not in ("t", "keep")}
 
     def said(self) -> Iterator[str]:
         """Describe the recipe as arguments of ``--map``, one line per table."""

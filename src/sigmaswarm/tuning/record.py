@@ -9,7 +9,7 @@ import polars as pl
 from pydantic import AliasChoices, BaseModel, BeforeValidator, Field
 
 from sigmaswarm.drives.fingerprint import DriveRecord
-from sigmaswarm.drives.mounting import Angles, common_mounting
+from sigmaswarm.drives.mounting import Angles, common_axes, common_mounting
 from sigmaswarm.drives.overlap import SEEN_FILE, Landmarks, load_landmarks, whole_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.fixes_alone import MotionNoise
@@ -94,6 +94,11 @@ class TuningRecord(BaseModel):
     def mounting(self) -> Angles | None:
         """The mounting on which the training drives agree; None for parameters without a tuning."""
         return common_mounting(drive.imu_mounting_deg for drive in self.data)
+
+    @property
+    def imu_axes(self) -> dict[str, str]:
+        """Expressions of the IMU's axes with which all training drives were imported; empty if unknown."""
+        return common_axes(drive.imu_axes for drive in self.data)
 
     @property
     def mountings_differ(self) -> bool:

@@ -10,7 +10,7 @@ import tomli_w
 from typing_extensions import TypeVar
 
 from sigmaswarm import notebook
-from sigmaswarm.drives.mounting import KEY, Angles, common_mounting
+from sigmaswarm.drives.mounting import KEY, Angles, axes_of, common_axes, common_mounting
 from sigmaswarm.drives.overlap import Landmarks
 from sigmaswarm.errors import InputError, warn_deprecated
 from sigmaswarm.files import write_whole
@@ -142,6 +142,11 @@ class Tuning(Generic[P]):
     def mounting(self) -> Angles | None:
         """Roll, pitch and yaw of the IMU in the vehicle, deg, if the training drives agree on a mounting, else None."""
         return common_mounting(entry.get(KEY) for entry in self.data)
+
+    @property
+    def imu_axes(self) -> dict[str, str]:
+        """Expressions of the IMU's axes with which all training drives were imported; empty if unknown."""
+        return common_axes(map(axes_of, self.data))
 
     @property
     def remarks(self) -> list[str]:
