@@ -209,6 +209,7 @@ def test_notes_next_to_a_log_are_not_read(sigmaswarm: Command, here: Path):
         (("log.mcap", "--out", "out", "--format", "rosbag"), "--format 'rosbag' is unknown; perhaps"),
         (("log.mcap", "--out", "out", "--format", "ros"), "log.mcap"),
         (("notes.md", "--out", "out"), "has an unknown format"),
+        ((".", "--out", "out", "--format", "px4"), ".: is a folder; name the px4 file in it"),
         (("log.mcap", "--out", "out", "--imu-topic", "/imu7"), "no topic '/imu7'"),
         (("log.mcap", "--out", "out", "--mount", "sideways"), "mount 'sideways'"),
         (("log.mcap", "--out", "out", "--origin", "1,2"), "--origin '1,2' is not 3 numbers"),

@@ -33,6 +33,8 @@ READERS: dict[str, tuple[str, str]] = {
 Each module has two functions. ``recognizes(path)`` returns True if the name or the first bytes of a file or folder show
 the format; it needs no library. ``open_log(path, limits, stack)`` returns a `Log`, whose files the stack closes.
 """
+_SINGLE = ("mcap", "rtklib", "ubx", "nmea", "px4", "ardupilot", "matlab", "gnss-logger")
+"""Formats of a single file."""
 _MIXED = ("nmea", "gnss-logger")
 _TEXTS = (*_MIXED, "rtklib", "csv")
 _LINES_OF_ROW, _TITLES = 10, 1000
@@ -86,6 +88,8 @@ def open_log(
         raise no_log(path)
     require_regular(path)
     form = form or format_of(path)
+    if path.is_dir() and form in _SINGLE:
+        raise InputError(f"{path}: is a folder; name the {form} file in it")
     limits = limits or Limits()
     for text in _texts(path, form):
         _, lines = require_text(text)
