@@ -15,6 +15,7 @@ from sigmaswarm.drives.table_files import BROKEN, one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import guess_roles, spread_rows
 from sigmaswarm.importing.readers.dialect import BLANKS, Dialect, dialect_of, is_table, uneven_row
+from sigmaswarm.importing.readers.packed import names_in, unpacked
 from sigmaswarm.importing.source import (
     FILES,
     Batch,
@@ -40,8 +41,6 @@ def recognizes(path: Path) -> bool:
 
 def _packed(path: Path) -> list[str]:
     """Return the names of the text tables in a zip."""
-    from sigmaswarm.importing.readers.phones import names_in
-
     found = sorted(names_in(path)) if path.is_file() else []
     return [name for name in found if name.lower().endswith((".csv", ".tsv")) and name[:1] != "."]
 
@@ -62,9 +61,10 @@ def below(folder: Path) -> list[Path]:
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     if names := _packed(path):
-        from sigmaswarm.importing.readers.phones import phone_files
-
-        return phone_files(path, names, limits, stack, None)
+        folder, remarks = unpacked(path, names, limits, stack), list[str]()
+        there = [name for name in names if (folder / name).is_file()]
+        scans = {name: scan(folder / name, path / name, limits, remarks) for name in there}
+        return of_files(path, scans, "CSV", None, remarks)
     remarks: list[str] = []
     files, folder = [path], path.parent
     if path.is_dir():

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import polars as pl
 
-from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, names_in, phone_files
+from sigmaswarm.importing.readers.packed import names_in
+from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, phone_files
 from sigmaswarm.importing.source import Guess, Limits, Log, Part, Role, first_bytes
 from sigmaswarm.importing.times import median_of
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, names_in, phone_files
+from sigmaswarm.importing.readers.packed import names_in
+from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, phone_files
 from sigmaswarm.importing.source import Guess, Limits, Log, Role, roles_of
 
 FILES = ("TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv", "Gyroscope.csv", "Location.csv")
