@@ -48,6 +48,22 @@ def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
     assert "\nthen: sigmaswarm tune mended/urban-clear-00 --out tuned\n" in mended.out
 
 
+def test_no_tuning_is_proposed_if_no_filter_can_start(sigmaswarm, good, here: Path):
+    parked = replace(good.gps, x=0 * good.gps.x, y=0 * good.gps.y)
+    write_drive(replace(good, gps=parked, truth=None), here / "parked")
+    ended = sigmaswarm("doctor", "parked")
+    assert "[no-start]" in ended.out and "tune" not in ended.out.splitlines()[-1]
+    assert "\nnext: use a longer or a faster drive (" in ended.out
+
+
+def test_a_fault_without_a_repair_is_to_be_corrected_in_the_log(sigmaswarm, good, here: Path):
+    mirrored = replace(good.gps, x=good.gps.y, y=good.gps.x)
+    write_drive(replace(good, gps=mirrored), here / "mirrored")
+    ended = sigmaswarm("doctor", "mirrored")
+    assert "[mirrored-fixes]" in ended.out
+    assert "\nnext: correct the serious faults in the log\n" in ended.out
+
+
 def test_tune_and_evaluate_warn_of_what_is_serious_in_a_line_and_trust_log_silences(
     sigmaswarm, sick: Path, tuned: Path
 ):

@@ -80,7 +80,7 @@ def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     then, held = ended.out.splitlines()[-2:]
     assert held.endswith("or first split this drive: sigmaswarm split drives/monday --out parts)")
     # Its speeds are drawn by chance, which no repair mends.
-    assert "next: sigmaswarm doctor drives/monday    (then correct the other faults in the log)" in ended.out
+    assert "\nnext: correct the serious faults in the log\n" in ended.out
     assert then == "then: sigmaswarm tune drives/monday --out tuned"
     app.parse_args(
         shlex.split(then)[2:], exit_on_error=False, print_error=False

@@ -54,7 +54,7 @@ def doctor(
         require_writable([fix / drive.name for drive in read], drives, overwrite=overwrite)
     arm = None if lever_arm_within is None else _lever_arm(read, lever_arm_within, repaired=fix is not None)
     result: list[dict[str, Any]] = []
-    serious, seen = False, set[str]()
+    serious, seen, following = False, set[str](), list[str]()
     for drive in read:
         diagnosis = sigmaswarm.diagnose(drive)
         found = diagnosis.to_dict()
@@ -78,12 +78,12 @@ def doctor(
         result.append(found)
         serious |= diagnosis.serious
         folder = fix / drive.name if fix else drives[0]
-        if len(read) == 1 and not json and (folder / "drive.toml").exists():
-            say(*next_steps(diagnosis, folder))
+        if len(read) == 1 and (folder / "drive.toml").exists():
+            following = [*next_steps(diagnosis, folder)]
     if json:
         print_json({"drives": result, "serious": serious, **({"lever_arm": arm.to_dict()} if arm else {})})
-    elif arm:
-        say(f"lever arm: {arm}")
+    else:
+        say(*([f"lever arm: {arm}"] if arm else []), *following)
     if serious:
         raise SystemExit(1)
 

@@ -124,15 +124,18 @@ def mending(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
 
 
 def next_steps(diagnosis: "Diagnosis", out: Path) -> Iterator[str]:
-    """Return the commands that follow the diagnosis of a drive in the folder ``out``."""
+    """Yield the next steps after a printed diagnosis of the drive in the folder ``out``."""
     ready, following = out, f"sigmaswarm plot {shlex.quote(str(out))}"
     if cut := cutting(diagnosis, out):
         yield from (f"next: {cut}", "then: sigmaswarm doctor parts --fix mended")
         return
     if diagnosis.serious or repairable(diagnosis):
         command, mended = mending(diagnosis, out)
-        go_on = f"continue with {mended}, not with {out}" if mended else "correct the faults in the log"
-        following, ready = f"{command}    (then {go_on})", mended or out
+        go_on = f"{command}    (then continue with {mended}, not with {out})"
+        following, ready = (go_on, mended) if mended else ("correct the serious faults in the log", out)
+    elif no_start := next((finding for finding in diagnosis.findings if finding.code == "no-start"), None):
+        yield f"next: {no_start.remedy}"
+        return
     yield f"next: {following}"
     yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned"
     part = f"sigmaswarm split {shlex.quote(str(ready))} --out parts"
