@@ -196,7 +196,6 @@ def spoiled(
     }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("how", "suffix"), CASES)
 def test_a_spoiled_file_is_compiled_anew(
     spoiled: dict[tuple[str, str], list[dict[str, object]]], how: str, suffix: str
