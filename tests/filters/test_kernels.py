@@ -10,6 +10,7 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -34,6 +35,7 @@ from sigmaswarm.tuning.batch import run_batch
 from support import make_drive
 
 EPS = np.finfo(float).eps
+FOLDER = Path(run.__file__).parent
 compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled, or it takes minutes")
 
 
@@ -256,3 +258,12 @@ def test_other_kinds_in_the_company_change_no_bit():
 def test_the_rows_start_at_a_cache_line():
     address = numba.njit(lambda: new_rows(16).ctypes.data)
     assert address() % CACHE_LINE == 0
+
+
+@pytest.mark.parametrize("file", sorted(FOLDER.glob("*.py")), ids=lambda file: file.stem)
+def test_the_cache_of_a_kernel_depends_on_every_module_that_it_uses(file: Path):
+    used = set(
+        re.findall(r"^from (sigmaswarm\.(?:drives|filters)\.\w+) import", file.read_text(), re.MULTILINE)
+    )
+    hashed = {module.__name__ for module in run._ELSEWHERE}
+    assert used - {"sigmaswarm.filters.compiled"} <= hashed
