@@ -460,6 +460,18 @@ def test_a_zip_of_tables(tmp_path: Path, folder: str):
     require_right(tmp_path / "log.zip")
 
 
+def test_a_zip_of_two_drives_is_refused_and_a_folder_in_it_is_read(tmp_path: Path):
+    for day in ("monday", "tuesday"):
+        (tmp_path / day).mkdir()
+        write(tmp_path / day)
+    with zipfile.ZipFile(tmp_path / "log.zip", "w") as archive:
+        for file in sorted(tmp_path.glob("*/*.csv")):
+            archive.write(file, file.relative_to(tmp_path).as_posix())
+    with pytest.raises(InputError, match=r"tables in several folders \(monday, tuesday\); unpack it"):
+        imported(tmp_path / "log.zip")
+    require_right(tmp_path / "monday")
+
+
 def test_a_row_of_sources_below_the_header(tmp_path: Path):
     above = [
         "t,x_acc,y_acc,z_acc,gx,gy,gz,lat,lon",

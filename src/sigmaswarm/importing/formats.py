@@ -26,7 +26,7 @@ READERS: dict[str, tuple[str, str]] = {
     "sensor-logger": ("sensor_logger", "Sensor Logger's export, a folder or .zip"),
     "phyphox": ("phyphox", "phyphox's export as CSV, a folder or .zip"),
     "gnss-logger": ("gnss_logger", "a text file of Android's GnssLogger"),
-    "csv": ("columns", "CSV or Parquet: a file, a folder or a zip of files"),
+    "csv": ("columns", "CSV or Parquet: a file or a folder of files; a zip of CSV files"),
 }
 """By the name for --format: the module in ``readers/``, and a description. The most general format is last.
 

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import count
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, cast
 
 import polars as pl
@@ -15,7 +15,7 @@ from sigmaswarm.drives.table_files import BROKEN, one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import guess_roles, spread_rows
 from sigmaswarm.importing.readers.dialect import BLANKS, Dialect, dialect_of, is_table, uneven_row
-from sigmaswarm.importing.readers.packed import names_in, unpacked
+from sigmaswarm.importing.readers.packed import paths_in, unpacked
 from sigmaswarm.importing.source import (
     FILES,
     Batch,
@@ -39,10 +39,10 @@ def recognizes(path: Path) -> bool:
     return bool(_files(path) or _packed(path)) or (path.is_file() and is_table(path))
 
 
-def _packed(path: Path) -> list[str]:
-    """Return the names of the text tables in a zip."""
-    found = sorted(names_in(path)) if path.is_file() else []
-    return [name for name in found if name.lower().endswith((".csv", ".tsv")) and name[:1] != "."]
+def _packed(path: Path) -> list[PurePosixPath]:
+    """Return the paths of the text tables in a zip."""
+    found = sorted(paths_in(path)) if path.is_file() else []
+    return [file for file in found if file.suffix.lower() in (".csv", ".tsv") and file.name[:1] != "."]
 
 
 def _files(path: Path) -> list[Path]:
@@ -60,7 +60,15 @@ def below(folder: Path) -> list[Path]:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    if names := _packed(path):
+    if packed := _packed(path):
+        folders = dict.fromkeys(file.parent for file in packed)
+        outer = [folder for folder in folders if len(folder.parts) == min(len(f.parts) for f in folders)]
+        if len(outer) > 1:
+            raise InputError(
+                f"{path}: contains tables in several folders ({names_shown(map(str, outer))}); unpack it, and import "
+                "one folder, or one file and the others with --gps, --truth and --odometer"
+            )
+        names = [*dict.fromkeys(file.name for file in packed)]
         folder, remarks = unpacked(path, names, limits, stack), list[str]()
         there = [name for name in names if (folder / name).is_file()]
         scans = {name: scan(folder / name, path / name, limits, remarks) for name in there}

@@ -13,15 +13,21 @@ from sigmaswarm.limits import require_text
 
 
 def names_in(path: Path) -> set[str]:
+    """Return the names of the files in a folder, or in a zip; none for other files."""
     if path.is_dir():
         return {file.name for file in path.iterdir() if file.is_file()}
+    return {inside.name for inside in paths_in(path)}
+
+
+def paths_in(path: Path) -> list[PurePosixPath]:
+    """Return the paths inside a zip; none for other files."""
     if path.suffix.lower() == ".zip" and zipfile.is_zipfile(path):
         try:
             with zipfile.ZipFile(path) as archive:
-                return {PurePosixPath(name).name for name in archive.namelist()}
+                return [PurePosixPath(name) for name in archive.namelist()]
         except Exception:  # the zip's directory is damaged
-            return set()
-    return set()
+            return []
+    return []
 
 
 def unpacked(path: Path, names: Collection[str], limits: Limits, stack: ExitStack) -> Path:
