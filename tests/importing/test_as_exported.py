@@ -375,6 +375,18 @@ def test_few_wrong_times_are_no_recording(tmp_path: Path, case: str, count: int)
     )
 
 
+@pytest.mark.parametrize(
+    "rows", [slice(0, 5), slice(-5, None)], ids=["before the clock was set", "at the end"]
+)
+def test_few_times_of_another_year_at_an_end_are_left_out(tmp_path: Path, rows: slice):
+    write(tmp_path, clock=lambda t: t + EPOCH)
+    table = pl.read_csv(tmp_path / "gps.csv")
+    time = table["t"].to_numpy().copy()
+    time[rows] += -EPOCH if rows.start == 0 else EPOCH
+    table.with_columns(t=time).write_csv(tmp_path / "gps.csv")
+    require_right(tmp_path, N // EVERY - 5)
+
+
 FRACTIONS: dict[str, Callable[[float], str]] = {
     "ms without zeros": lambda t: f"{int(t) + EPOCH}.{round(t * 1e3) % 1000}",
     "us without zeros": lambda t: f"{int(t)}.{round(t * 1e6) % 1_000_000}",

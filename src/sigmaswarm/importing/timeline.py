@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.dates import SECOND, WEEK, Nanoseconds
+from sigmaswarm.importing.dates import LONG_AGO, SECOND, WEEK, Nanoseconds
 from sigmaswarm.importing.places import Say
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.times import LONGEST_STEP, SHORTEST_STEP, UNITS
@@ -31,8 +31,8 @@ WRAPS: tuple[tuple[int, str], ...] = (
 """Periods after which counters restart, ns."""
 FEWEST_ROWS = 20
 """Smallest number of rows of a separate recording; shorter runs of rows out of order are sorted."""
-FAR, MOST_FALLS = 10.0, 100
-"""Least distance, s, of a wrong time from those of the rows around it; most steps back that are checked."""
+FAR, MOST_JUMPS = 10.0, 100
+"""Least distance, s, of a wrong time from those of the rows around it; most jumps of the clock that are checked."""
 MOST_SECONDS = 5
 """Largest number of recordings of a second each."""
 LEAST_FALL, STEPS = 0.2, 2
@@ -120,12 +120,13 @@ def _rate_by_rows(time: Nanoseconds, parts: list[slice]) -> float:
 def _stray(time: Nanoseconds) -> NDArray[np.bool_]:
     """Mark rows with wrong times: a few, far from those of the rows around them."""
     stray = np.zeros(len(time), bool)
-    falls = np.flatnonzero(np.diff(time) < 0) + 1
-    far = max(FAR * SECOND, 100 * float(np.median(np.abs(np.diff(time))))) if len(time) > 1 else 0.0
+    steps = np.diff(time)
+    jumps = np.flatnonzero((steps < 0) | (steps > LONG_AGO)) + 1  # forward: the clock was set
+    far = max(FAR * SECOND, 100 * float(np.median(np.abs(steps)))) if len(time) > 1 else 0.0
     near = (
-        (falls[:, None] + np.arange(-FEWEST_ROWS, FEWEST_ROWS)).ravel()
-        if len(falls) <= MOST_FALLS
-        else falls[:0]
+        (jumps[:, None] + np.arange(-FEWEST_ROWS, FEWEST_ROWS)).ravel()
+        if len(jumps) <= MOST_JUMPS
+        else jumps[:0]
     )
     for k in near[(near >= 0) & (near < len(time))].tolist():
         around = time[max(k - FEWEST_ROWS, 0) : k + FEWEST_ROWS + 1]
