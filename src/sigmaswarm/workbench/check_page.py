@@ -101,7 +101,7 @@ class CheckPage(Page):
     def _looked_ahead(self, after: dict[str, tuple[Agreements, str]] | None) -> None:
         self.after = after or {}
         if self.after:
-            self._findings.refresh()
+            self._evidence.refresh()  # without the buttons, of which one may be clicked at this moment
 
     def _checked(self, name: str, steps: list[Step] | None) -> Checked:
         """Apply the steps (by default the saved steps) to a drive, write the result, and check it."""
@@ -134,7 +134,6 @@ class CheckPage(Page):
                 back = button("Undo", lambda rest=rest: self._do("undoing the step", rest), "undo")
                 back.props(f'aria-label="Undo: {said}"').set_enabled(not self.waiting)
 
-    @ui.refreshable_method
     def _findings(self) -> None:
         findings = self.diagnosis.findings if self.diagnosis else ()
         with ui.element("div").classes("section"):
@@ -165,12 +164,16 @@ class CheckPage(Page):
             first, last = finding.span
             confidence = f"confidence {finding.confidence:.0%}"
             text("p", f"{finding.where}, {first:.1f} to {last:.1f} s, {confidence}", "soft")
-            if finding.severity == "note":
-                return
-            after, withheld = self.after.get(finding.code, ({}, ""))
-            message(withheld, "bad")
-            if shown := self.before.get(shown_by(finding.code)):
-                agreement_plot(shown, finding.span, after.get(shown.key))
+            if finding.severity != "note":
+                self._evidence(finding)
+
+    @ui.refreshable_method
+    def _evidence(self, finding: Finding) -> None:
+        """Show the plot of a finding, when known also after a repair, and why a repair is withheld."""
+        after, withheld = self.after.get(finding.code, ({}, ""))
+        message(withheld, "bad")
+        if shown := self.before.get(shown_by(finding.code)):
+            agreement_plot(shown, finding.span, after.get(shown.key))
 
     def _ways(self, finding: Finding) -> None:
         first, last = (float(t) for t in self.stages[-1].imu.time[[0, -1]])

@@ -14,7 +14,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sigmaswarm.compilation import Recipe, cached, once
-from sigmaswarm.drives import alignment, events, gaps, odometer, stale_fixes, standstill, timeline
+from sigmaswarm.drives import alignment, gaps, odometer, stale_fixes, standstill, timeline
+from sigmaswarm.drives import events as drive_events
 from sigmaswarm.drives.events import FIX, HIDDEN, IMU, ODOMETER
 from sigmaswarm.drives.timeline import Q_SCALE
 from sigmaswarm.filters import fix_error, fuzzy, models, schedule, student, tilted
@@ -216,7 +217,7 @@ def _store(w, rows):
 
 _ELSEWHERE = (
     alignment,
-    events,
+    drive_events,
     fix_error,
     stale_fixes,
     fuzzy,
