@@ -9,7 +9,7 @@ import pytest
 
 import sigmaswarm
 from sigmaswarm.drives.drive import Imu
-from support import make_drive, quickly
+from support import make_drive
 from workbench.conftest import SMALL
 from workbench.test_road import DURATION, drop, expect, odd_csv
 
@@ -62,7 +62,6 @@ def test_repair_and_back(tmp_path: Path, serve: Any, tab: Any):
     assert (original / "imu.csv").read_bytes() == before
 
 
-@pytest.mark.long
 def test_cuts(tmp_path: Path, serve: Any, tab: Any):
     """Cuts keep a part or leave it out, also after a repair, and another tab shows this."""
     original = wrong_sign(tmp_path / "bench")
@@ -112,9 +111,8 @@ def test_broken_log_and_faults(tmp_path: Path, serve: Any, tab: Any):
     expect(page.get_by_role("button", name="Make the drive")).to_be_disabled()
 
 
-@pytest.mark.parametrize("whole", quickly([(False,), (True,)], lambda whole: not whole))
-def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any, whole: bool):
-    """Keys alone make a drive, and if ``whole`` do all five steps; the checker objects to nothing on any page."""
+def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
+    """Keys alone do all five steps; the checker objects to nothing on any page."""
     drive = make_drive(duration=DURATION, gps_rate=5.0, seed=3, name="monday")
     log = sigmaswarm.write_drive(drive, tmp_path / "log")
     sigmaswarm.tune(drive, out=tmp_path / "bench" / "tunings" / "monday", **SMALL)
@@ -134,8 +132,6 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any, whole
     page.keyboard.press("Enter")
     page.get_by_role("heading", name="Cut", exact=True).wait_for()
     assert contrast_of(page) == []
-    if not whole:
-        return
     tab_to(page, "to, s")
     page.keyboard.press("Control+A")
     page.keyboard.type("50")

@@ -15,7 +15,7 @@ import sigmaswarm
 from importing.logs import ORIGIN
 from processes import COMMAND, Process
 from sigmaswarm.drives.drive import Drive
-from support import make_drive, quickly
+from support import make_drive
 
 expect = pytest.importorskip("playwright.sync_api").expect
 expect.set_options(timeout=60_000)
@@ -148,20 +148,9 @@ def take_away(page: Any, folder: Path) -> None:
         assert len(pl.read_csv(exported / "estimate.csv")) > 100
 
 
-@pytest.mark.parametrize(
-    ("write", "prepare", "whole"),
-    quickly(
-        [
-            (odd_csv, name_columns, False),
-            (odd_csv, name_columns, True),
-            (phone, None, True),
-            (bag, None, True),
-        ],
-        lambda write, prepare, whole: not whole,
-    ),
-)
-def test_road(write: Any, prepare: Any, whole: bool, tmp_path: Path, serve: Any, tab: Any):
-    """To a drive that the shown command makes, too; ``whole``: and on to a filter in C."""
+@pytest.mark.parametrize(("write", "prepare"), [(odd_csv, name_columns), (phone, None), (bag, None)])
+def test_road(write: Any, prepare: Any, tmp_path: Path, serve: Any, tab: Any):
+    """To a drive that the shown command makes, too, and on to a filter in C."""
     files = write(tmp_path / "log")
     served = serve(tmp_path / "bench")
     page = tab(served.url)
@@ -173,8 +162,7 @@ def test_road(write: Any, prepare: Any, whole: bool, tmp_path: Path, serve: Any,
     page.get_by_role("button", name="Make the drive").click()
     page.get_by_role("link", name="Next: check it").click()
     page.get_by_role("heading", name="No serious finding").wait_for()
-    if whole:
-        take_away(page, served.folder)
+    take_away(page, served.folder)
     (made,) = [
         name for name in sorted(p.name for p in (served.folder / "drives").iterdir()) if "-t" not in name
     ]
@@ -187,7 +175,6 @@ def test_road(write: Any, prepare: Any, whole: bool, tmp_path: Path, serve: Any,
         assert again == (served.folder / "drives" / made / f"{table}.csv").read_bytes()
 
 
-@pytest.mark.long
 def test_killed_server_and_two_tabs(tmp_path: Path, serve: Any, tab: Any):
     """Both tabs see one tuning; after a kill it is resumed with the bits of one that was never interrupted."""
     options = {"model": "planar5", "particles": 8, "generations": 40}
