@@ -3,7 +3,7 @@
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import count
 from pathlib import Path, PurePosixPath
@@ -69,10 +69,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
                 "one folder, or one file and the others with --gps, --truth and --odometer"
             )
         names = [*dict.fromkeys(file.name for file in packed)]
-        folder, remarks = unpacked(path, names, limits, stack), list[str]()
-        there = [name for name in names if (folder / name).is_file()]
-        scans = {name: scan(folder / name, path / name, limits, remarks) for name in there}
-        return of_files(path, scans, "CSV", None, remarks)
+        return of_names(path, names, limits, stack, None)
     remarks: list[str] = []
     files, folder = [path], path.parent
     if path.is_dir():
@@ -83,6 +80,16 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
             raise no_log(path)
     scans = {f.relative_to(folder).as_posix(): scan(f, f, limits, remarks) for f in files}
     return of_files(path, scans, FILES, None, remarks)
+
+
+def of_names(
+    path: Path, names: Collection[str], limits: Limits, stack: ExitStack, guessed: Guess | None
+) -> Log:
+    """Open the named tables of a folder or zip; ``guessed``: see `of_files`."""
+    folder, remarks = unpacked(path, names, limits, stack), list[str]()
+    there = [name for name in names if (folder / name).is_file()]
+    scans = {name: scan(folder / name, path / name, limits, remarks) for name in there}
+    return of_files(path, scans, "CSV", guessed, remarks)
 
 
 def _is_prose(file: Path) -> bool:

@@ -4,8 +4,7 @@ from collections.abc import Collection
 from contextlib import ExitStack
 from pathlib import Path
 
-from sigmaswarm.importing.readers.columns import of_files, scan
-from sigmaswarm.importing.readers.packed import unpacked
+from sigmaswarm.importing.readers.columns import of_names
 from sigmaswarm.importing.source import Guess, Limits, Log
 
 FLAT = (
@@ -20,7 +19,4 @@ RADIUS_68 = 1.515
 
 def phone_files(path: Path, names: Collection[str], limits: Limits, stack: ExitStack) -> Log:
     """Open the named tables of a folder or zip."""
-    folder, remarks = unpacked(path, names, limits, stack), list[str]()
-    there = [name for name in names if (folder / name).is_file()]
-    scans = {name: scan(folder / name, path / name, limits, remarks) for name in there}
-    return of_files(path, scans, "CSV", NOTHING, remarks)
+    return of_names(path, names, limits, stack, NOTHING)
