@@ -13,7 +13,7 @@ from pathlib import Path
 
 from defaults import cases
 from sigmaswarm import SigmaswarmWarning, evaluate, tune
-from sigmaswarm.scoring.remarks import said_of_position
+from sigmaswarm.scoring.remarks import describe_position
 
 
 def main() -> None:
@@ -45,7 +45,7 @@ def words(training, test, seed: int):
     for name, consistency in found.record.consistency.items():
         true = found.value(name, "tuned", "position_rmse_m")
         assert consistency and consistency.own_sigma and true
-        unknown = said_of_position(consistency).startswith("this log can't tell")
+        unknown = describe_position(consistency).startswith("this log can't tell")
         yield consistency.own_sigma, true, consistency.own_sigma / true, unknown
 
 

@@ -15,9 +15,9 @@ from sigmaswarm.drives.odometer import INTERVAL
 from sigmaswarm.drives.standstill import (
     FIX_WINDOW,
     MEANS,
-    fixes_stand,
-    is_as_it_was,
+    fixes_are_still,
     is_calm,
+    matches_stop,
     new_memory,
 )
 from sigmaswarm.filters.schedule import (
@@ -102,10 +102,10 @@ class Ukf:
         if not is_calm(self.memory, t, *u) or not self.fixes:
             return False
         recent = np.array([fix for fix in self.fixes if fix[0] >= t - FIX_WINDOW]).reshape(-1, 3)
-        if not fixes_stand(recent, np.zeros(len(recent)), len(recent), t, np.empty(1)):
+        if not fixes_are_still(recent, np.zeros(len(recent)), len(recent), t, np.empty(1)):
             return False
         passed, self.stop[0] = t - self.stop[0], t
-        return is_as_it_was(self.stop[1:], passed, self.memory[MEANS])
+        return matches_stop(self.stop[1:], passed, self.memory[MEANS])
 
 
 class Ekf:

@@ -38,7 +38,7 @@ class Process:
         self.pid = int(_TEMPLATE.ask(order, [write for _, write in pipes]))
         for _, write in pipes:
             os.close(write)
-        self._said = [os.fdopen(read, encoding="utf-8") for read, _ in pipes]
+        self._in_words = [os.fdopen(read, encoding="utf-8") for read, _ in pipes]
         self._code: int | None = None
 
     def poll(self) -> int | None:
@@ -52,12 +52,12 @@ class Process:
 
     def line(self) -> str:
         """The next line that it said on standard output."""
-        return self._said[0].readline()
+        return self._in_words[0].readline()
 
     def communicate(self) -> tuple[str, str]:
         """What it said on standard output and error, to its end."""
         with ThreadPoolExecutor(2) as pool:
-            out, err = pool.map(lambda file: file.read(), self._said)
+            out, err = pool.map(lambda file: file.read(), self._in_words)
         return out, err
 
     def wait(self, seconds: float = 300.0) -> int:
@@ -66,7 +66,7 @@ class Process:
         while (code := self.poll()) is None:
             assert time.monotonic() < late, "it does not end"
             time.sleep(0.002)
-        for file in self._said:
+        for file in self._in_words:
             file.close()
         return code
 

@@ -14,7 +14,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import (
     RESULT_FILE,
     earlier_result,
-    held_folder,
+    locked_folder,
     make_folder,
     staged_files,
     whole_file,
@@ -242,21 +242,21 @@ with whole_folder(Path("d"), replace=True) as new:
 def test_a_folder_is_held_by_one_run(tmp_path: Path):
     out = tmp_path / "out"
     with (
-        files.held_folder(out),
+        files.locked_folder(out),
         pytest.raises(InputError, match=r"out: another run is writing to it"),
-        files.held_folder(out),
+        files.locked_folder(out),
     ):
         pass
-    with files.held_folder(out):
+    with files.locked_folder(out):
         pass
 
 
 def test_a_killed_run_holds_nothing(tmp_path: Path):
-    dying = "import os, sys; from pathlib import Path; from sigmaswarm.files import held_folder\n"
-    dying += "with held_folder(Path(sys.argv[1])): os.kill(os.getpid(), 9)"
+    dying = "import os, sys; from pathlib import Path; from sigmaswarm.files import locked_folder\n"
+    dying += "with locked_folder(Path(sys.argv[1])): os.kill(os.getpid(), 9)"
     done = subprocess.run([sys.executable, "-c", dying, str(tmp_path)], check=False)
     assert done.returncode == -9
-    with files.held_folder(tmp_path):
+    with files.locked_folder(tmp_path):
         pass
 
 
@@ -264,7 +264,7 @@ def test_a_run_removes_lock_files_of_killed_ones_in_folders_that_it_does_not_wri
     left = tmp_path / "trials" / ".trial-001.sigmaswarm-d50eb2f8a41a.lock"
     left.parent.mkdir()
     left.touch()
-    with held_folder(tmp_path):
+    with locked_folder(tmp_path):
         assert not left.exists()
 
 

@@ -89,9 +89,9 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.textbook import ExtendedKalmanFilter as ExtendedKalmanFilter
     from sigmaswarm.filters.textbook import SigmaPoints as SigmaPoints
     from sigmaswarm.filters.textbook import UnscentedKalmanFilter as UnscentedKalmanFilter
-    from sigmaswarm.importing.look import Glance as Glance
-    from sigmaswarm.importing.look import Look as Look
-    from sigmaswarm.importing.look import Range as Range
+    from sigmaswarm.importing.inspection import Inspection as Inspection
+    from sigmaswarm.importing.inspection import Range as Range
+    from sigmaswarm.importing.inspection import TablePreview as TablePreview
     from sigmaswarm.importing.mounting import find_mount as find_mount
     from sigmaswarm.importing.mounting import parse_mount as parse_mount
     from sigmaswarm.references.reference import reference
@@ -149,7 +149,7 @@ _HOMES = {
     "filters.run": "Estimate Innovations run_filter run_innovations run_textbook",
     "filters.smoothing": "smooth",
     "filters.textbook": "ExtendedKalmanFilter SigmaPoints UnscentedKalmanFilter",
-    "importing.look": "Glance Look Range",
+    "importing.inspection": "TablePreview Inspection Range",
     "importing.mounting": "find_mount parse_mount",
     "references.reference": "reference",
     "reports.compare": "comparison_table",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from sigmaswarm.exports.names import Target
-    from sigmaswarm.importing.look import Look
+    from sigmaswarm.importing.inspection import Inspection
     from sigmaswarm.scoring.evaluation import Evaluation
 
 Filter = FilterParameters | Tuning[Any] | str | Path
@@ -77,7 +77,7 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
     return drive
 
 
-def inspect_log(log: str | Path, **settings: Any) -> "Look":
+def inspect_log(log: str | Path, **settings: Any) -> "Inspection":
     """Return the tables of a log, the recipe that `import_log` would use, and its assumptions.
 
     Parameters
@@ -86,9 +86,9 @@ def inspect_log(log: str | Path, **settings: Any) -> "Look":
         See `import_log`.
     """
     from sigmaswarm.importing.convert import request_of
-    from sigmaswarm.importing.look import look
+    from sigmaswarm.importing.inspection import inspect_request
 
-    return look(request_of(log, settings))
+    return inspect_request(request_of(log, settings))
 
 
 def run(

@@ -75,7 +75,7 @@ def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
 
 
 @contextmanager
-def held_folder(path: Path) -> Generator[Path]:
+def locked_folder(path: Path) -> Generator[Path]:
     """Make a folder if it is missing, and lock it against other runs until the block ends."""
     file = make_folder(path) / ".sigmaswarm.lock"
     try:

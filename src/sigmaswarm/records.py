@@ -65,8 +65,8 @@ def read_content(
         raise
     # A damaged archive can raise any error, a nested text RecursionError, a long number ValueError.
     except Exception as error:
-        said = shown(" ".join(str(error).split()) or type(error).__name__, 160)
-        raise InputError(f"{path}: not readable: {said}; {remedy}") from None
+        reason = shown(" ".join(str(error).split()) or type(error).__name__, 160)
+        raise InputError(f"{path}: not readable: {reason}; {remedy}") from None
     if not isinstance(content, dict):
         raise InputError(f"{path}: the file should be a table of keys; {remedy}")
     return cast("dict[str, Any]", content)

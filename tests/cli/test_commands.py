@@ -20,7 +20,7 @@ from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.experiments.study import config as study_config
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
-from sigmaswarm.tuning.diagnostics import Forecast, said_of_forecasts
+from sigmaswarm.tuning.diagnostics import Forecast, describe_forecasts
 from support import make_drive, no_pictures
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -97,7 +97,7 @@ def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here:
     assert table["config"]["particles"] == 4
     assert [d["name"] for d in table["data"]] == ["urban-clear-00", "urban-clear-01"]
     drifts = [Forecast(**each) for each in table["forecasts"]]
-    assert f"\n{said_of_forecasts(drifts)[0]}\n" in ended.out
+    assert f"\n{describe_forecasts(drifts)[0]}\n" in ended.out
     history = pl.read_csv("t/convergence.csv")
     assert history.columns == ["trial", "generation", "best_cost", "median_cost"]
     assert history["generation"].to_list() == [1, 2, 3] * 2

@@ -10,7 +10,7 @@ import pytest
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.stale_fixes import STALE_MOVING, classify_fixes
-from sigmaswarm.drives.standstill import MEANS, fixes_stand, is_calm, new_memory, standing
+from sigmaswarm.drives.standstill import MEANS, fixes_are_still, is_calm, new_memory, standing
 from sigmaswarm.simulation.scenarios import simulate
 from support import DRIVES, needs_shared, quickly
 
@@ -157,8 +157,8 @@ def test_frozen_fixes_of_a_driving_car_are_no_evidence():
     fixes = np.column_stack([t, np.minimum(t, 5.0) * 9.0, 0 * t])
     kinds = classify_fixes(Gps(t, fixes[:, 1], fixes[:, 2]))
     assert (kinds[t > 5.0] == STALE_MOVING).all()
-    assert not fixes_stand(fixes, kinds, len(t), 11.9, np.empty(1))
-    assert fixes_stand(fixes, 0 * kinds, len(t), 11.9, np.empty(1))
+    assert not fixes_are_still(fixes, kinds, len(t), 11.9, np.empty(1))
+    assert fixes_are_still(fixes, 0 * kinds, len(t), 11.9, np.empty(1))
 
 
 @needs_shared

@@ -13,7 +13,7 @@ import pytest
 from processes import run as run_program
 from sigmaswarm.errors import InputError, SigmaswarmError
 from sigmaswarm.experiments.grid import Report, run_grid
-from sigmaswarm.files import held_folder
+from sigmaswarm.files import locked_folder
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="nothing is forked here")
 
@@ -167,11 +167,11 @@ def test_a_fork_ends_with_its_parent(tmp_path: Path):
 
 def test_a_folder_is_free_when_the_forks_have_ended(tmp_path: Path):
     def look(*_: int) -> None:
-        with pytest.raises(InputError, match="another run is writing to it"), held_folder(tmp_path):
+        with pytest.raises(InputError, match="another run is writing to it"), locked_folder(tmp_path):
             pass
         raise InterruptedError
 
-    with pytest.raises(InterruptedError), held_folder(tmp_path):
+    with pytest.raises(InterruptedError), locked_folder(tmp_path):
         grid(lambda task, report: time.sleep(0.5), progress=look)
-    with held_folder(tmp_path):
+    with locked_folder(tmp_path):
         pass

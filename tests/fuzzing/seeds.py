@@ -20,7 +20,7 @@ from importing.test_receivers import GPS, nmea, ubx
 from sigmaswarm import read_drive, write_drive
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.importing.convert import Request, import_drive
-from sigmaswarm.importing.look import look
+from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.recipe import Recipe
 from support import make_drive
 
@@ -53,7 +53,7 @@ class Seed:
     def look(self, path: Path, imu: Path) -> None:
         """Look at it."""
         if self.form:
-            look(self._request(path, imu))
+            inspect_request(self._request(path, imu))
 
     def _request(self, path: Path, imu: Path) -> Request:
         made = (5.0, 0.0) if self.form == "kitti" else None

@@ -21,7 +21,7 @@ from importing.test_receivers import nmea, ubx
 from sigmaswarm import read_drive, write_drive
 from sigmaswarm.errors import DriveWarning, InputError
 from sigmaswarm.importing.convert import Request
-from sigmaswarm.importing.look import look
+from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.recipe import Recipe
 from support import make_drive, quickly
 
@@ -84,7 +84,7 @@ def test_lists_in_json_may_vary_in_length(tmp_path: Path, first: list[int]):
     )  # whatever the first message has, the column is there
     kept = slice(3, None, 4) if not first else [i for i in range(len(IMU)) if i == 0 or i % 4 in (0, 3)]
     np.testing.assert_allclose(got.drive.imu.ax, IMU.ax[kept])
-    assert any(t.table == "/imu" for t in look(Request(log)).tables)
+    assert any(t.table == "/imu" for t in inspect_request(Request(log)).tables)
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_an_odd_message_in_json_is_left_out(tmp_path: Path, odd: Any):
     left = [i for i in range(len(IMU)) if i != 20]
     np.testing.assert_array_equal(got.drive.imu.ax, IMU.ax[left])
     assert any("left out" in note for note in got.notes), got.notes
-    assert look(Request(log)).tables
+    assert inspect_request(Request(log)).tables
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_data_that_are_no_json_are_one_line(tmp_path: Path, data: bytes):
         else:
             refused("is cut short or broken", lambda log=log: imported(log))
             if place == 0:
-                refused("is cut short or broken", lambda log=log: look(Request(log)))
+                refused("is cut short or broken", lambda log=log: inspect_request(Request(log)))
 
 
 def test_a_definition_that_is_no_text_leaves_its_topic_out(tmp_path: Path):
@@ -136,7 +136,7 @@ def test_a_definition_that_is_no_text_leaves_its_topic_out(tmp_path: Path):
 
 def look_or_line(log: Path) -> bool:
     try:
-        return bool(look(Request(log)).tables)
+        return bool(inspect_request(Request(log)).tables)
     except InputError as error:
         return str(error).isprintable()
 
@@ -318,7 +318,7 @@ def test_times_beyond_64_bits_are_left_out(tmp_path: Path, system: str):
         "2 rows of Gyroscope.csv are left out, since they have no time" in note for note in got.notes
     ), got.notes
     np.testing.assert_allclose(got.drive.imu.ax, IMU.ax, atol=1e-9)
-    assert look(Request(folder)).tables
+    assert inspect_request(Request(folder)).tables
 
 
 def test_times_of_px4_beyond_64_bits_are_left_out(tmp_path: Path):
@@ -334,7 +334,7 @@ def test_times_of_px4_beyond_64_bits_are_left_out(tmp_path: Path):
     got = imported(tmp_path / "f.ulg")
     assert any("since they have no time" in note for note in got.notes)
     np.testing.assert_array_equal(got.drive.imu.ax, np.delete(whole.imu.ax, 50))
-    assert look(Request(tmp_path / "f.ulg")).tables
+    assert inspect_request(Request(tmp_path / "f.ulg")).tables
 
 
 def test_times_in_a_wrong_unit_do_not_wrap_round(tmp_path: Path):
@@ -560,7 +560,7 @@ def test_categories_are_read_by_their_names(tmp_path: Path):
     got = imported(tmp_path / "log.parquet").drive
     np.testing.assert_array_equal(got.imu.az[:4], [3, 7, 3, 7])
     refused("can't be converted to numbers", lambda: imported(tmp_path / "log.parquet", maps=["gx=tags"]))
-    assert look(Request(tmp_path / "log.parquet")).tables
+    assert inspect_request(Request(tmp_path / "log.parquet")).tables
 
 
 # -- drives

@@ -17,7 +17,7 @@ from importing.test_phones import phyphox, zipped
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.convert import Request
 from sigmaswarm.importing.formats import open_log
-from sigmaswarm.importing.look import look
+from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.source import Limits
 from support import quickly
 
@@ -57,7 +57,7 @@ def definition(breadth: int, leaf: str) -> bytes:
 )
 def test_a_definition_of_hundreds_of_millions_of_columns(tmp_path: Path, breadth: int, leaf: str):
     log = write(tmp_path / "log.mcap", [("/imu", bytes(100))] * 10, definition(breadth, leaf), "cdr")
-    for use in (imported, lambda path: look(Request(path))):
+    for use in (imported, lambda path: inspect_request(Request(path))):
         tracemalloc.start()
         with pytest.raises(InputError, match="more than 100000 columns; raise --max-columns"):
             use(log)
@@ -75,10 +75,10 @@ def test_a_definition_that_holds_itself(tmp_path: Path):
 def test_messages_with_more_columns_than_the_limit(tmp_path: Path):
     wide = json.dumps({f"c{i}": i for i in range(300)}).encode()
     log = write(tmp_path / "log.mcap", [("/a", wide), ("/b", wide)])
-    assert len(look(Request(log)).tables) == 2
+    assert len(inspect_request(Request(log)).tables) == 2
     for columns in (299, 500):  # one topic beyond it, and both together
         with pytest.raises(InputError, match="columns; raise --max-columns"):
-            look(Request(log, limits=Limits(columns=columns)))
+            inspect_request(Request(log, limits=Limits(columns=columns)))
 
 
 @pytest.mark.parametrize("compression", ["ZSTD", "LZ4"])
@@ -92,14 +92,14 @@ def test_a_chunk_that_becomes_gigabytes(tmp_path: Path, compression: str):
     with pytest.raises(
         InputError, match=r"would unpack at least 4 MB at once, more than 3; .* --max-unpacked-mb"
     ):
-        look(Request(log, limits=limits))
+        inspect_request(Request(log, limits=limits))
     data = log.read_bytes()
     size = next(n for n in range(4_000_000, 4_010_000) if struct.pack("<Q", n) in data[:200])
     log.write_bytes(data.replace(struct.pack("<Q", size), struct.pack("<Q", 4096)))
     with pytest.raises(InputError):
-        look(Request(log, limits=limits))
+        inspect_request(Request(log, limits=limits))
     log.write_bytes(data)
-    assert look(Request(log)).tables
+    assert inspect_request(Request(log)).tables
 
 
 def test_an_lz4_chunk_that_does_not_say_its_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -113,9 +113,9 @@ def test_an_lz4_chunk_that_does_not_say_its_size(tmp_path: Path, monkeypatch: py
     size = next(n for n in range(4_000_000, 4_010_000) if struct.pack("<Q", n) in data[:200])
     log.write_bytes(data.replace(struct.pack("<Q", size), struct.pack("<Q", 4096)))
     with pytest.raises(InputError, match="would unpack at least 3 MB at once, more than 3"):
-        look(Request(log, limits=Limits(unpacked_mb=3)))
+        inspect_request(Request(log, limits=Limits(unpacked_mb=3)))
     log.write_bytes(data)
-    assert look(Request(log)).tables
+    assert inspect_request(Request(log)).tables
 
 
 @pytest.mark.parametrize("compression", ["BZ2", "LZ4"])
@@ -162,7 +162,7 @@ def test_a_parquet_of_billions_of_rows_is_refused_by_its_own_words(tmp_path: Pat
         tmp_path / "log.parquet"
     )
     assert (tmp_path / "log.parquet").stat().st_size < 1_000_000
-    for use in (imported, lambda path: look(Request(path))):
+    for use in (imported, lambda path: inspect_request(Request(path))):
         with pytest.raises(InputError, match="more than 10000000 rows"):
             use(tmp_path / "log.parquet")
 

@@ -16,7 +16,7 @@ from importing.logs import EPOCH, a_drive, assert_close, imported
 from sigmaswarm.doctor.mounting import turned
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.convert import Request, import_drive
-from sigmaswarm.importing.look import look
+from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.source import Choice
 from support import quickly, some
 
@@ -109,7 +109,7 @@ def test_definitions_that_the_bag_lacks_are_given(tmp_path: Path, pair: tuple[st
     with pytest.raises(InputError, match=r"no IMU samples.* --msg"):
         imported(tmp_path / "bag")
     names = [kind.rpartition("/")[2] + ".msg" for kind in pair]
-    said = " ".join(look(Request(tmp_path / "bag")).notes)
+    said = " ".join(inspect_request(Request(tmp_path / "bag")).notes)
     assert all(f"--msg {name}" in said for name in names)
     package = tmp_path / pair[0].split("/")[0] / "msg"
     package.mkdir(parents=True)
@@ -155,7 +155,7 @@ def test_what_is_proposed_for_a_topic_reads_it(tmp_path: Path):
         yield from (("/rover", t, make(zero, GPS.lat[i], GPS.lon[i])) for i, t in enumerate(GPS.time))
 
     bag = write_ros(tmp_path / "bag", sent(), "sqlite3")
-    words = shlex.split(look(Request(bag)).proposal)
+    words = shlex.split(inspect_request(Request(bag)).proposal)
     at = words.index("--map")
     choice = Choice({words[k].removeprefix("--").split("-")[0]: words[k + 1] for k in range(0, at, 2)})
     got = import_drive(replace(Request(bag), choice=choice, maps=words[at + 1 :]), "pasted").drive

@@ -12,7 +12,7 @@ from importing.test_datasets import write_nclt
 from importing.test_phones import phyphox
 from sigmaswarm import read_drive, write_drive
 from sigmaswarm.importing.convert import Request
-from sigmaswarm.importing.look import look
+from sigmaswarm.importing.inspection import inspect_request
 from support import make_drive
 
 NAMES = ("run[1]", "run*", "run?", "{run1,run2}", "2024-05 [rain]", "a#b%20c")
@@ -58,7 +58,7 @@ def test_a_folder_of_tables_is_read_from_the_folder_that_is_named(tmp_path: Path
     log = write(tmp_path / "log1" / "x" if write is phyphox else tmp_path / "log1")
     shutil.move(log, tmp_path / "log[1]")
     assert len(imported(tmp_path / "log[1]").drive.imu) == len(a_drive().imu)
-    assert look(Request(tmp_path / "log[1]")).tables
+    assert inspect_request(Request(tmp_path / "log[1]")).tables
 
 
 def test_every_table_is_opened_by_its_name():

@@ -14,7 +14,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.importing.convert import Request, import_drive
-from sigmaswarm.importing.look import look
+from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.proposal import Meaning, Proposal, judged, meaning_of, proposed
 from sigmaswarm.importing.source import Choice
 from sigmaswarm.simulation.scenarios import simulate
@@ -43,7 +43,7 @@ def write_log(folder: Path, drive: Drive = DRIVE, *, clockwise: float = -1.0, ri
 def test_what_is_proposed_makes_the_drive_that_was_logged(tmp_path: Path, together: bool):
     folder = write_log(tmp_path / "log")
     asked = Request(folder) if together else Request(folder / "imu.csv", gps=folder / "fixes.csv")
-    seen = look(asked)
+    seen = inspect_request(asked)
     assert not seen.recipe.roles.get("imu")  # nothing of it is done
     table, entries = seen.proposal.split("--map ")
     assert table == ("--imu-table imu.csv " if together else "")
@@ -75,7 +75,7 @@ def test_an_imu_of_two_tables(tmp_path: Path, rates: str):
     log.select("stamp_us", "acc_fwd_g", "acc_right_g").write_csv(folder / "box_a.csv")
     gyro = log.select("stamp_us", pl.Series(rates, turned.get(rates, log["yaw_rate_dps_cw"])))
     gyro.write_csv(folder / "box_b.csv")
-    seen = look(Request(folder))
+    seen = inspect_request(Request(folder))
     assert seen.works and "signs, axes and units agree" in seen.evidence
     maps = shlex.split(seen.proposal.removeprefix("--map "))
     drive = import_drive(Request(folder, maps=maps), "again").drive
@@ -86,12 +86,12 @@ def test_an_imu_of_two_tables(tmp_path: Path, rates: str):
         pl.read_csv(folder / table).rename({rates: "yaw_rate"}, strict=False).with_columns(
             yaw_rate=pl.lit(0.1)
         ).write_csv(folder / table)
-    assert "box_b.csv" not in look(Request(folder)).proposal
+    assert "box_b.csv" not in inspect_request(Request(folder)).proposal
 
 
 def test_names_that_lie_about_signs_are_corrected_by_how_the_fixes_move(tmp_path: Path):
     folder = write_log(tmp_path / "log", clockwise=1.0, right=1.0)
-    seen = look(Request(folder / "imu.csv", gps=folder / "fixes.csv"))
+    seen = inspect_request(Request(folder / "imu.csv", gps=folder / "fixes.csv"))
     maps = shlex.split(seen.proposal.removeprefix("--map "))
     assert maps[2:4] == ["ay=acc_right_g*9.80665", "gz=radians(yaw_rate_dps_cw)"]
     assert "corrected by the motion of the fixes: signs, axes and units agree" in seen.evidence
@@ -127,7 +127,7 @@ def test_what_is_wrong_with_the_third_axes_is_corrected_too(tmp_path: Path, faul
     log = pl.read_csv(folder / "imu.csv").drop("yaw_rate_dps_cw")
     log.with_columns(**columns).write_csv(folder / "imu.csv")
     asked = Request(folder / "imu.csv", gps=folder / "fixes.csv")
-    seen = look(asked)
+    seen = inspect_request(asked)
     assert "corrected by the motion of the fixes: signs, axes and units agree" in seen.evidence
     got = import_drive(replace(asked, maps=shlex.split(seen.proposal.removeprefix("--map "))), "again").drive
     for name in ("ax", "ay", "az", "gx", "gy", "gz"):
@@ -140,18 +140,18 @@ def test_warnings_that_are_left_are_named(tmp_path: Path):
     folder, imu = write_log(tmp_path / "log", FULL), FULL.imu
     fixes = pl.read_csv(folder / "fixes.csv").with_columns(hacc_m=pl.lit(30.0))
     fixes.write_csv(folder / "fixes.csv")
-    seen = look(Request(folder / "imu.csv", gps=folder / "fixes.csv"))
+    seen = inspect_request(Request(folder / "imu.csv", gps=folder / "fixes.csv"))
     assert seen.evidence.endswith("signs, axes and units agree; the doctor also warns of gps-noise")
     up = pl.Series(imu.az * 0.5)  # neither in g nor in m/s2
     pl.read_csv(folder / "imu.csv").with_columns(acc_up_m_s2=up).write_csv(folder / "imu.csv")
-    seen = look(Request(folder / "imu.csv", gps=folder / "fixes.csv"))
+    seen = inspect_request(Request(folder / "imu.csv", gps=folder / "fixes.csv"))
     assert seen.evidence.endswith("; the doctor still finds accelerometer-up, gps-noise")
 
 
 def test_what_can_not_be_made_is_called_unchecked(tmp_path: Path):
     folder = write_log(tmp_path / "log")
     pl.read_csv(folder / "fixes.csv").with_columns(pl.col("stamp_us") + 10**12).write_csv(folder / "late.csv")
-    seen = look(Request(folder / "imu.csv", gps=folder / "late.csv"))
+    seen = inspect_request(Request(folder / "imu.csv", gps=folder / "late.csv"))
     assert "gz=-radians(yaw_rate_dps_cw)" in seen.proposal
     assert "from the columns' names alone, and not checked: " in seen.evidence
 

@@ -13,7 +13,7 @@ import pytest
 from importing.logs import a_drive, assert_close, imported
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.convert import Request, import_drive
-from sigmaswarm.importing.look import look
+from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.units import parse_unit
 from support import quickly, some
 
@@ -623,7 +623,7 @@ def test_what_is_proposed_works_as_it_is(tmp_path: Path):
     rows = imu_rows({a: 1 / G if a[0] == "a" else 180 / np.pi for a in AXES})
     (tmp_path / "box.csv").write_text(table([",".join(head), *joined(rows)]))
     write_fixes(tmp_path)
-    words = shlex.split(look(Request(tmp_path)).proposal)
+    words = shlex.split(inspect_request(Request(tmp_path)).proposal)
     at = words.index("--map")
     tables = dict(
         zip((w.removeprefix("--").split("-")[0] for w in words[0:at:2]), words[1:at:2], strict=True)

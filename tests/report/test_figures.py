@@ -22,7 +22,7 @@ from sigmaswarm.reports.style import LABELS
 from sigmaswarm.reports.tuning import convergence, save_tuning_figures
 from sigmaswarm.scoring.evaluation import Evaluation, evaluate
 from sigmaswarm.scoring.measures import MEASURES, method_names
-from sigmaswarm.scoring.tracks import Picture, first_look
+from sigmaswarm.scoring.tracks import Picture, first_track
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
@@ -39,7 +39,7 @@ def tuning() -> Tuning:
 
 @cache
 def picture(drive: Drive, tuned: FilterParameters = GOOD) -> Picture:
-    return first_look(drive, tuned, as_recorded=False).picture
+    return first_track(drive, tuned, as_recorded=False).picture
 
 
 @pytest.fixture(scope="module")

@@ -41,7 +41,7 @@ from sigmaswarm.scoring.tracks import (
     Tracker,
     Tracks,
     compared,
-    first_look,
+    first_track,
     load_tracks,
     save_tracks,
 )
@@ -66,7 +66,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Evalu
     tuned, out = root / "tuned", root / "evaluation"
     asked = {"model": "planar5", "objective": "truth-rmse", "particles": 4, "generations": 5, "trials": 2}
     tuning = tune(MONDAY, validation=TUESDAY, out=tuned, **asked)
-    save_tuning_figures(tuning, first_look(MONDAY, tuning.parameters, as_recorded=False).picture, tuned)
+    save_tuning_figures(tuning, first_track(MONDAY, tuning.parameters, as_recorded=False).picture, tuned)
     drives = [NASTY_DRIVE, TUESDAY]
     found = evaluate(drives, tuning.parameters)
     save(found, tuned, out)

@@ -113,13 +113,13 @@ def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(ev
         assert low < evaluation.value(name, method, "outage_drift_m") < high
     first = Replayer([drive], outages=True).scores([GOOD]).outage_drift[0, 0]
     assert told.each["tuned"][0] == pytest.approx(first, rel=1e-12)
-    said = evaluate(drive, GOOD).record.drift_said("outage_drift_m")
+    said = evaluate(drive, GOOD).record.describe_drift("outage_drift_m")
     low, high = told.spread("tuned") or (np.nan, np.nan)
     of = f"{told.outages} outages in 8 placements"
     few = ", all on the same short stretch: the drift on another stretch may be far larger"
     assert said == f"{of}; the drift in a single placement is {low:.3g} to {high:.3g} m{few}"
     many = {name: {"outage_drift_m": told.model_copy(update={"outages": 8 * 5})}}
-    assert few not in evaluation.record.model_copy(update={"drifts": many}).drift_said("outage_drift_m")
+    assert few not in evaluation.record.model_copy(update={"drifts": many}).describe_drift("outage_drift_m")
     long = make_drive(duration=3600.0, imu_rate=10.0, gps_rate=1.0)
     assert len(placements(long, initial_state(long), length=5.0, seed=0)) == 2  # each has 240 outages
 
@@ -138,8 +138,8 @@ def test_where_the_tuned_filter_failed_no_drift_of_it_is_told(
     failed = replace(
         evaluation, drives={**evaluation.drives, "drive-1": replace(good, scores=scores, drifts=drifts)}
     )
-    assert bool(failed.record.drift_said("outage_drift_m")) is not in_an_outage
-    assert failed.record.drift_said("outage_drift_m", "untuned")
+    assert bool(failed.record.describe_drift("outage_drift_m")) is not in_an_outage
+    assert failed.record.describe_drift("outage_drift_m", "untuned")
     print_evaluation(failed)
     assert "The tuned filter failed on drive-1." in capsys.readouterr().out
     print_evaluation(failed, verbose=True)

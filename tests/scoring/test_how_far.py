@@ -9,8 +9,8 @@ import sigmaswarm
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.scoring.consistency import Consistency
 from sigmaswarm.scoring.evaluation import evaluate
-from sigmaswarm.scoring.remarks import how_far, said_of_first_look, said_of_position
-from sigmaswarm.scoring.tracks import first_look
+from sigmaswarm.scoring.remarks import describe_first_track, describe_position, how_far
+from sigmaswarm.scoring.tracks import first_track
 from sigmaswarm.tuning.tune import tune
 
 
@@ -43,12 +43,12 @@ def recorded(nis: float, next_one: float) -> Consistency:
 def test_how_far_off_without_truth_is_the_filters_word_held_against_the_fixes(
     nis: float, next_one: float, said: str
 ):
-    assert said_of_position(recorded(nis, next_one)).startswith(said)
+    assert describe_position(recorded(nis, next_one)).startswith(said)
 
 
 def test_a_log_that_shows_nothing_of_the_error_gets_no_figure():
     """The filter's own sigmas exceed what it expects of the fixes: the difference of the two is no error."""
-    said = said_of_position(recorded(0.2, 0.4).model_copy(update={"own_sigma": 1.6}))
+    said = describe_position(recorded(0.2, 0.4).model_copy(update={"own_sigma": 1.6}))
     assert said.startswith("not known. The filter's own estimate is 1.6 m (RMS), but the fixes")
 
 
@@ -69,5 +69,5 @@ def test_what_a_filter_says_of_itself_is_what_it_is_off_where_the_log_bears_it_o
     assert own == pytest.approx(off, rel=0.34)
     (said,) = how_far(blind.record, blind.setup.data)
     assert f"{own:.2g} m (RMS)" in said
-    look = first_look(drives[2], tuning.parameters, as_recorded=False)
-    assert said_of_first_look(look).startswith(f"{off:.2g} m RMSE on {drives[2].name} (baseline ")
+    track = first_track(drives[2], tuning.parameters, as_recorded=False)
+    assert describe_first_track(track).startswith(f"{off:.2g} m RMSE on {drives[2].name} (baseline ")

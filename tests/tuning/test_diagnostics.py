@@ -14,10 +14,10 @@ from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.diagnostics import (
     NEAR,
     Forecast,
+    describe_forecasts,
     divergence_warnings,
     drift_warnings,
     drifts_of,
-    said_of_forecasts,
 )
 from sigmaswarm.tuning.problem import car_problem
 from support import DRIVES, needs_shared
@@ -128,6 +128,6 @@ def test_a_larger_drift_than_that_of_the_baseline_is_reported_in_one_line(
     tuned: float, baseline: float, worse: bool
 ):
     others = Forecast(1.0, 0.3, 0.2, 0.5), Forecast(30.0, 80.0, 60.0, 90.0)
-    said = said_of_forecasts([others[0], Forecast(5.0, tuned, baseline, 4.0), others[1]])
+    said = describe_forecasts([others[0], Forecast(5.0, tuned, baseline, 4.0), others[1]])
     line = "drift over 5 s without fixes is larger than that of the baseline, on the training drives: 2.1 m, baseline"
     assert said[1:] == ([f"{line} 1.8 m"] if worse else [])

@@ -109,12 +109,12 @@ def main() -> NoReturn:
     warnings.showwarning = _show_warning
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # without a home it reports its cache folder
     terminal.prepare()
-    terminal.tell_of_compiling()
+    terminal.report_compilation()
     _warned.clear()
     code = _run()
-    for said, count in _warned.items():
+    for message, count in _warned.items():
         if count > 1:
-            print(f"warning: occurred {count} times: {shown(said, 80)}", file=sys.stderr)
+            print(f"warning: occurred {count} times: {shown(message, 80)}", file=sys.stderr)
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
@@ -134,8 +134,8 @@ def _run() -> int:
     except (SigmaswarmError, CycloptsError) as error:
         hint = "; see --help" if isinstance(error, CycloptsError) else ""
         ours = _missing_out(error) or _other_name(error) or _too_many(error)
-        said = ours or terminal.one_line(error).removesuffix(".")
-        return _fail(2, f"{said}{hint or _hidden_option(said)}")
+        message = ours or terminal.one_line(error).removesuffix(".")
+        return _fail(2, f"{message}{hint or _hidden_option(message)}")
     except KeyboardInterrupt:
         resumable = sys.argv[1:2] in (["tune"], ["compare"], ["simulate"], ["study"])
         print(file=sys.stderr)
@@ -151,8 +151,8 @@ def _run() -> int:
     return 0
 
 
-def _fail(code: int, said: str) -> int:
-    print(f"sigmaswarm: {terminal.one_line(said)}", file=sys.stderr)
+def _fail(code: int, message: str) -> int:
+    print(f"sigmaswarm: {terminal.one_line(message)}", file=sys.stderr)
     return code
 
 
@@ -195,20 +195,20 @@ def _too_many(error: Exception) -> str | None:
     if not isinstance(error, UnusedCliTokensError) or not error.unused_tokens:
         return None
     first, *more = error.unused_tokens
-    said = f"{first} and {counted(len(more), 'more argument')} are" if more else f"{first} is one argument"
+    message = f"{first} and {counted(len(more), 'more argument')} are" if more else f"{first} is one argument"
     name = " ".join(error.command_chain or ())
     arguments = app[name].assemble_argument_collection() if name else ()
     places = [argument.name for argument in arguments if argument.name[0].isupper()]
     if not places:
-        return f"{said} too many: `sigmaswarm {name}` takes options only"
+        return f"{message} too many: `sigmaswarm {name}` takes options only"
     files = {"SOURCE", "LOG"} & {*places}
     remedy = "for several files give their folder" if files else "repeat the command for each"
     if "SOURCE" in files:
         remedy += ", or name the others with --gps, --truth or --odometer"
-    return f"{said} too many: `sigmaswarm {name}` takes one {' and one '.join(places)}; {remedy}"
+    return f"{message} too many: `sigmaswarm {name}` takes one {' and one '.join(places)}; {remedy}"
 
 
-def _hidden_option(said: str) -> str:
+def _hidden_option(message: str) -> str:
     """Refer to the long help if a message names an option that the short help of the command omits; else return ""."""
     command = sys.argv[1] if len(sys.argv) > 1 else ""
     if command not in app:
@@ -219,7 +219,9 @@ def _hidden_option(said: str) -> str:
         if argument.parameter.group == MORE.group
         for name in argument.names
     }
-    named = [word for word in re.findall(r"--[a-z][a-z-]*", said) if word in hidden and word not in sys.argv]
+    named = [
+        word for word in re.findall(r"--[a-z][a-z-]*", message) if word in hidden and word not in sys.argv
+    ]
     return f" (`sigmaswarm {command} {HELP_ALL}` describes {named[0]})" if named else ""
 
 
@@ -229,9 +231,9 @@ _default_showwarning = warnings.showwarning
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
     if issubclass(category, SigmaswarmWarning):
-        said = terminal.one_line(message)
-        _warned[said] += 1
-        if _warned[said] == 1:
-            print(f"warning: {said}", file=sys.stderr)
+        message = terminal.one_line(message)
+        _warned[message] += 1
+        if _warned[message] == 1:
+            print(f"warning: {message}", file=sys.stderr)
     else:
         _default_showwarning(message, category, *where, **more)

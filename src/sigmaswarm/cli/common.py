@@ -155,7 +155,7 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
     """
     from dataclasses import replace
 
-    from sigmaswarm.scoring.remarks import said_of_drives
+    from sigmaswarm.scoring.remarks import describe_drives
 
     view = evaluation.view
     several = len(view.scores.drives) > 1
@@ -164,7 +164,7 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
     if verbose and several:
         strong = each.strong | {len(each.rows) + i for i in mean.strong}
         table = replace(each, rows=each.rows + mean.rows, strong=strong)
-    title = f"On {said_of_drives(view.setup.data)} (lower is better)"
+    title = f"On {describe_drives(view.setup.data)} (lower is better)"
     say(replace(table, caption=title).to_rich(grouped=True))
     if verbose:
         caption = "Consistency of the tuned filter (NIS and NEES should be 2)"

@@ -145,7 +145,7 @@ def _evaluated(
     """Evaluate; the remedies of serious faults of the drives are added to ``remedies``."""
     from sigmaswarm.learned.folder import seen_in
     from sigmaswarm.scoring.evaluation import evaluate as evaluate_drives
-    from sigmaswarm.tuning.record import seen_by
+    from sigmaswarm.tuning.record import training_data_of
 
     if not 0 < options.outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {options.outage_length:g})")
@@ -159,7 +159,7 @@ def _evaluated(
             outage_length=options.outage_length,
             outage_seed=options.outage_seed,
             as_recorded=options.as_recorded or record.as_recorded,
-            seen=[*seen_by(tuning), *seen_in(tuning)] or None,
+            seen=[*training_data_of(tuning), *seen_in(tuning)] or None,
             smooth=options.smooth,
             swarm=options.swarm,
             more={learned.kind: run} if learned and run else {},
@@ -169,13 +169,13 @@ def _evaluated(
 
 def _warn_of_training_drives(evaluation: "Evaluation") -> None:
     """Warn about drives that the tuning used, since the errors on them are too small."""
-    from sigmaswarm.scoring.remarks import said_of_training
+    from sigmaswarm.scoring.remarks import describe_training_drives
 
     for found in evaluation.drives.values():
         drive = found.record
         if drive.seen_s:
             message = (
-                f"{said_of_training(drive)}: the errors on training data are smaller; evaluate on a drive that the "
-                "tuning did not use"
+                f"{describe_training_drives(drive)}: the errors on training data are smaller; evaluate on a drive that "
+                "the tuning did not use"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)

@@ -123,9 +123,9 @@ def _accuracy(
 ) -> str:
     from sigmaswarm.exports.robot_localization import accuracy_section
     from sigmaswarm.scoring.evaluation import evaluate
-    from sigmaswarm.tuning.record import seen_by
+    from sigmaswarm.tuning.record import training_data_of
 
-    seen = seen_by(tuning) or None
+    seen = training_data_of(tuning) or None
     return accuracy_section(evaluate(drives, parameters, against=against, seen=seen))
 
 

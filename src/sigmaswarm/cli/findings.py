@@ -36,19 +36,19 @@ def print_diagnosis(diagnosis: "Diagnosis", seen: set[str] | None = None) -> Non
     table.add_column(overflow="fold")
     seen, repeated = set() if seen is None else seen, 0
     for finding in diagnosis.findings:
-        said = _said(finding)
-        if finding.severity == "note" and said in seen:
+        message = _in_words(finding)
+        if finding.severity == "note" and message in seen:
             repeated += 1
             continue
-        seen.add(said)
-        table.add_row(Text(f"  {finding.severity}", _STYLES[finding.severity]), Text(said))
+        seen.add(message)
+        table.add_row(Text(f"  {finding.severity}", _STYLES[finding.severity]), Text(message))
     if repeated:
         table.add_row(Text("  note", _STYLES["note"]), Text(f"{counted(repeated, 'note')} as above."))
     out.print(table)
     out.print()
 
 
-def _said(finding: "Finding") -> str:
+def _in_words(finding: "Finding") -> str:
     """Format a finding as three lines (fault, place and confidence, remedy) and a note as one line."""
     what = f"{finding.what[0].upper()}{finding.what[1:]}."
     if finding.severity == "note":

@@ -20,7 +20,7 @@ from sigmaswarm.wording import shown
 if TYPE_CHECKING:
     from sigmaswarm.doctor.findings import Diagnosis
     from sigmaswarm.importing.convert import Imported, Request
-    from sigmaswarm.importing.look import Glance, Look
+    from sigmaswarm.importing.inspection import Inspection, TablePreview
 
 ASSUMED = "the IMU's axes are assumed to be x forward, y left, z up; if not, add --mount auto, or state the mounting"
 NOT_READY = "The log cannot be imported yet: repeat --show with the options that are named above"
@@ -260,9 +260,9 @@ def _report(imported: "Imported", out: Path, diagnosis: "Diagnosis") -> Iterator
 
 
 def _show(request: "Request", options: ImportOptions) -> None:
-    from sigmaswarm.importing.look import look
+    from sigmaswarm.importing.inspection import inspect_request
 
-    seen = look(request)
+    seen = inspect_request(request)
     if options.save_recipe:
         seen.recipe.save(options.save_recipe)
     if options.json:
@@ -270,16 +270,16 @@ def _show(request: "Request", options: ImportOptions) -> None:
         content |= {"proposal": seen.proposal, "evidence": seen.evidence}
         print_json({"tables": [asdict(t) for t in seen.tables], **content})
     else:
-        _print_look(seen, options)
+        _print_inspection(seen, options)
 
 
-def _print_look(seen: "Look", options: ImportOptions) -> None:
+def _print_inspection(seen: "Inspection", options: ImportOptions) -> None:
     console = stdout()
-    for glance in seen.tables:
-        rows = f", {glance.rows} rows" if glance.rows is not None else ""
-        rate = f", {glance.rate:.4g} Hz" if glance.rate else ""
-        console.print(f"{shown(glance.table)}: {shown(glance.kind)}{rows}{rate}", style="bold")
-        say(*_columns(glance))
+    for preview in seen.tables:
+        rows = f", {preview.rows} rows" if preview.rows is not None else ""
+        rate = f", {preview.rate:.4g} Hz" if preview.rate else ""
+        console.print(f"{shown(preview.table)}: {shown(preview.kind)}{rows}{rate}", style="bold")
+        say(*_columns(preview))
     say("(lowest, median and highest value of each column in the first rows)")
     planned = "The recipe that import would use (save it with --save-recipe, change it with --map):"
     console.print(f"\n{planned}", style="bold")
@@ -302,7 +302,7 @@ def _print_look(seen: "Look", options: ImportOptions) -> None:
     say(f"\n{ready}")
 
 
-def _command(seen: "Look", options: ImportOptions) -> str:
+def _command(seen: "Inspection", options: ImportOptions) -> str:
     """Return the command of the user with --out instead of --show, and with the proposed options."""
     typed = [word for word in sys.argv[1:] if word != "--show"]
     out = [] if options.out else ["--out", "drive"]
@@ -311,14 +311,14 @@ def _command(seen: "Look", options: ImportOptions) -> str:
     return f"{shown(shlex.join(['sigmaswarm', *typed, *out]), 4000)} {shown(seen.proposal, 4000)}".rstrip()
 
 
-def _columns(glance: "Glance") -> Iterator[str]:
+def _columns(preview: "TablePreview") -> Iterator[str]:
     """Yield a line for each column with a value other than 0: lowest, median and highest value, or an example."""
-    varying = [r for r in glance.ranges if r.low or r.high or r.low is None]
+    varying = [r for r in preview.ranges if r.low or r.high or r.low is None]
     width = max((len(shown(r.column)) for r in varying), default=0)
     for r in varying:
         ends = f"{_short(r.low):>20} {_short(r.middle):>20} {_short(r.high):>20}" if r.example else "empty"
         yield f"  {shown(r.column):{width}} {shown(r.example) if r.low is None and r.example else ends}"
-    if left := len(glance.ranges) - len(varying):
+    if left := len(preview.ranges) - len(varying):
         yield f"  and {left} columns that are 0"
 
 

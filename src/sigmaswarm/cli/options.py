@@ -116,13 +116,13 @@ def _annotation(name: str, field: FieldInfo, old: str | None, shown: bool, const
     kind, option = field.annotation, f"--{name.replace('_', '-')}"
     if get_origin(kind) in (Union, UnionType):
         kind = next(member for member in get_args(kind) if member is not NoneType)
-    look: dict[str, Any] = {"help": " ".join((field.description or "").split()), "show_default": False}
+    parameter: dict[str, Any] = {"help": " ".join((field.description or "").split()), "show_default": False}
     if several := get_origin(kind) is tuple:
         kind = list[get_args(kind)[0]]
     if not constant and (several or kind is bool):
-        look["negative"] = f"{option}-nothing" if several else f"--no-{name}"
+        parameter["negative"] = f"{option}-nothing" if several else f"--no-{name}"
     elif not several and kind is not bool and constant and field.default not in (None, ""):
-        look["show_default"] = lambda _: str(field.default)  # pyright: ignore[reportUnknownLambdaType]
+        parameter["show_default"] = lambda _: str(field.default)  # pyright: ignore[reportUnknownLambdaType]
     if old:
-        look["alias"] = f"--{old.replace('_', '-')}"
-    return Annotated[kind | None, Parameter(**look), *(() if shown else (MORE,))]
+        parameter["alias"] = f"--{old.replace('_', '-')}"
+    return Annotated[kind | None, Parameter(**parameter), *(() if shown else (MORE,))]

@@ -30,7 +30,7 @@ def prepare() -> None:
         del os.environ["COLUMNS"]
 
 
-def tell_of_compiling() -> None:
+def report_compilation() -> None:
     """Print messages about the compilation of kernels, which delays a first run, if stderr is a terminal."""
     if sys.stderr is not None and sys.stderr.isatty():
         log = logging.getLogger("sigmaswarm.compilation")

@@ -27,7 +27,7 @@ from sigmaswarm.wording import TO_DO, counted
 if TYPE_CHECKING:
     from sigmaswarm import Drive, Tuning
     from sigmaswarm.datasets.dataset import Dataset
-    from sigmaswarm.scoring.tracks import FirstLook
+    from sigmaswarm.scoring.tracks import FirstTrack
 
 SHOWN = ("objective", "model", "use", "particles", "generations", "trials", "seed")
 
@@ -85,19 +85,19 @@ def tune(
     remedies = None if trust_log else list[Remedy]()
     with cluster_at(cluster) as client:
         groups = read_datasets(drives, validation or [], cluster=client, remedies=remedies, gaps=True)
-        tuning, look, before, after = _tune(groups, drives[0], asked, options, workers)
+        tuning, track, before, after = _tune(groups, drives[0], asked, options, workers)
     from sigmaswarm.reports.tuning import save_tuning_figures  # late, since it takes memory
 
     if remedies:
         command, mended = remedies[0]
         then = "tune on the repaired copy" if mended else "correct the log, and tune again"
         after = [f"next:     {command}", f"          then {then}: this filter is tuned to the faults"]
-    pictures = save_tuning_figures(tuning, look.picture, out)
+    pictures = save_tuning_figures(tuning, track.picture, out)
     if json:
         print_json(tuning.to_dict())
     else:  # only now, so that an error stays one line
         files = f"filter:   {out / 'tuning.toml'}", f"pictures: {', '.join(map(str, pictures))}"
-        say(*before, *_costs(tuning), *_remarks(tuning, look), *files, *after)
+        say(*before, *_costs(tuning), *_remarks(tuning, track), *files, *after)
 
 
 def _tune(
@@ -106,14 +106,14 @@ def _tune(
     asked: Mapping[str, Any],
     options: dict[str, Any],
     workers: int | None,
-) -> "tuple[Tuning[Any], FirstLook, list[str], list[str]]":
-    """Tune. Return the result, the first look, and the lines to print before and after the result."""
+) -> "tuple[Tuning[Any], FirstTrack, list[str], list[str]]":
+    """Tune. Return the result, the track on the first drive, and the lines to print before and after the result."""
     from concurrent.futures import ThreadPoolExecutor
 
     from sigmaswarm.drives.sensors import sensors_of
     from sigmaswarm.filters.presets import filter_for
     from sigmaswarm.scoring.jobs import cores
-    from sigmaswarm.scoring.tracks import first_look
+    from sigmaswarm.scoring.tracks import first_track
     from sigmaswarm.tuning.defaults import with_filter
 
     read, held_back = groups
@@ -127,19 +127,19 @@ def _tune(
             read, validation=held_back, executor=pool, progress=progress, **asked, **options
         )
     as_recorded = tuning.config.model_dump()["as_recorded"]
-    shown = partial(first_look, parameters=tuning.parameters, as_recorded=as_recorded)
-    (look,) = read.subset([0]).map(shown)
+    follow = partial(first_track, parameters=tuning.parameters, as_recorded=as_recorded)
+    (track,) = read.subset([0]).map(follow)
     (part,) = read.subset([0]).map(_is_part)
     out, alone = asked["out"], len(read) == 1 and not len(held_back)
     lines = _next(out, first, everywhere[0].name, part=part) if alone else [_evaluate(out)]
     lines += _compare(lines[0], out, [one["sha256"] for one in tuning.data])
-    return tuning, look, [f"model:    {chosen}"] if chosen else [], lines
+    return tuning, track, [f"model:    {chosen}"] if chosen else [], lines
 
 
-def _remarks(tuning: "Tuning[Any]", look: "FirstLook") -> Iterable[str]:
-    from sigmaswarm.scoring.remarks import said_of_first_look
+def _remarks(tuning: "Tuning[Any]", track: "FirstTrack") -> Iterable[str]:
+    from sigmaswarm.scoring.remarks import describe_first_track
 
-    if position := said_of_first_look(look):
+    if position := describe_first_track(track):
         yield f"position: {position}"
     for remark in tuning.remarks[:MOST_SENTENCES]:
         yield remark if remark.startswith(TO_DO) else f"note: {remark}"
@@ -152,7 +152,7 @@ def _is_part(drive: "Drive") -> bool:
 
 
 def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
-    from sigmaswarm.tuning.diagnostics import said_of_forecasts
+    from sigmaswarm.tuning.diagnostics import describe_forecasts
 
     before = tuning.trial_costs[tuning.best_trial]
     inflated = f"; {before:.4f} before process-noise inflation" if tuning.inflation_factor != 1.0 else ""
@@ -165,10 +165,10 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
         yield f"racing: {tuning.steps} filter steps, {share:.0%} of those that a search without racing needs"
     if tuning.validation:
         gap = tuning.validation.gap
-        said = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
+        change = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
         on = counted(len(tuning.validation.drives), "validation drive")
-        yield f"cost {tuning.validation.cost:.4f} on {on}: {said}"
-    yield from said_of_forecasts(tuning.forecasts, [one["duration_s"] for one in tuning.data])
+        yield f"cost {tuning.validation.cost:.4f} on {on}: {change}"
+    yield from describe_forecasts(tuning.forecasts, [one["duration_s"] for one in tuning.data])
 
 
 def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:

@@ -65,8 +65,8 @@ class Cluster:
         own, found = versions(), dict[str, ClusterError]()
         for address, theirs in sorted(answers.items()):
             if not isinstance(theirs, Mapping):
-                said = f"sigmaswarm can't be imported ({type(theirs).__name__}: {theirs}); install it on this worker"
-                found[address] = ClusterError(f"worker {address}: {said}")
+                reason = f"sigmaswarm can't be imported ({type(theirs).__name__}: {theirs}); install it on this worker"
+                found[address] = ClusterError(f"worker {address}: {reason}")
                 continue
             for name in ("sigmaswarm", "numpy", "numba", "scipy"):
                 if theirs.get(name) != own[name] and address not in found:
@@ -115,9 +115,9 @@ def connected(address: str) -> Generator["Client"]:
                 where, timeout=CONNECT_TIMEOUT, set_as_default=False, name="sigmaswarm"
             )
         except Exception as error:  # errors of sockets, addresses, protocols
-            said = " ".join(str(error).split())[:150]
+            reason = " ".join(str(error).split())[:150]
             raise ClusterError(
-                f"--cluster {address}: no scheduler answers at this address ({type(error).__name__}: {said}); "
+                f"--cluster {address}: no scheduler answers at this address ({type(error).__name__}: {reason}); "
                 "start one with `dask scheduler`"
             ) from None
         try:

@@ -117,8 +117,8 @@ def run_task(call: bytes, sources: bytes, address: str) -> Any:
     try:
         (function, arguments), wanted = pickle.loads(call), pickle.loads(sources)
     except Exception as error:  # a module that is missing here
-        said = f"worker {address}: can't run the task ({type(error).__name__}: {error})"
-        return Failure(ClusterError(said))
+        message = f"worker {address}: can't run the task ({type(error).__name__}: {error})"
+        return Failure(ClusterError(message))
     try:
         drives = cache.get(wanted)
         return None if drives is None else function(drives, cache.pool, *arguments)

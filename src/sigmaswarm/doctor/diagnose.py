@@ -11,7 +11,7 @@ from sigmaswarm.doctor.checks.timing import check_clock, check_sampling
 from sigmaswarm.doctor.checks.velocity import check_velocity
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.findings import SEVERITIES, Diagnosis, finding_of
-from sigmaswarm.drives.checks import shortage_of, spoiled_times
+from sigmaswarm.drives.checks import invalid_times, shortage_of
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.errors import DriveError
@@ -68,7 +68,7 @@ def diagnose(drive: Drive) -> Diagnosis:
 
 
 def _diagnosed(drive: Drive) -> Diagnosis:
-    if spoiled := spoiled_times(drive.imu, drive.gps):  # such a log allows no other check
+    if spoiled := invalid_times(drive.imu, drive.gps):  # such a log allows no other check
         ends = float(drive.imu.time[0]), float(drive.imu.time[-1])
         return Diagnosis(drive.name, tuple(finding_of(wrong, "serious", ends, 0.999) for wrong in spoiled))
     evidence = gather(drive)

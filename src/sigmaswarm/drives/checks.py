@@ -89,14 +89,14 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
 
 @np.errstate(all="ignore")  # the doctor reports values outside of the number range
 def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
-    if spoiled := spoiled_times(imu, gps):
+    if spoiled := invalid_times(imu, gps):
         return spoiled
     gravity = gravity_on(imu) or gravity_up(imu)
     single = [one for one in (unshared_times(imu.time, gps.time), gravity) if one]
     return [*_gaps(imu, gps, truth), *_angular_rate(imu, gps), *single, *_acceleration(imu, gps)]
 
 
-def spoiled_times(imu: Imu, gps: Gps) -> list[Remark]:
+def invalid_times(imu: Imu, gps: Gps) -> list[Remark]:
     """List faults of the times that make other checks meaningless: another unit, or a clock that jumps."""
     if wrong := _time_unit(imu.time, gps.time):
         return [wrong]

@@ -25,7 +25,7 @@ from sigmaswarm.geodesy import enu_to_geodetic
 
 Whole = NDArray[np.int64]
 
-SEEN_FILE = "seen.npz"
+TRAINING_DATA_FILE = "seen.npz"
 """File with the landmarks of a tuning."""
 MICRO = 1_000_000
 SAME_TIME = 1000  # us, largest difference between the times of one landmark, after the clock offset
@@ -62,7 +62,7 @@ class Landmarks:
     width: float = WIDTH
 
     @property
-    def tell_parts(self) -> bool:
+    def distinguishes_parts(self) -> bool:
         """True if parts of the drive can be recognized, not only the whole drive."""
         return max(len(self.fixes), len(self.rates)) >= FEWEST
 
@@ -120,7 +120,7 @@ def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
 def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | None:
     """Return `overlap_of`; None if nothing is found and parts of some other drives can't be recognized."""
     found = overlap_of(drive, others)
-    return found if found or all(other.tell_parts for other in others) else None
+    return found if found or all(other.distinguishes_parts for other in others) else None
 
 
 def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:

@@ -95,10 +95,10 @@ def _find_standstills(
             end += 1
         if is_calm(memory, t, samples[k, 1], samples[k, 2], samples[k, 3]):
             if end != seen or t >= until[0]:
-                seen, still = end, fixes_stand(fixes, kinds, end, t, until)
+                seen, still = end, fixes_are_still(fixes, kinds, end, t, until)
             if still:
                 passed, stop[0] = t - stop[0], t
-                stands[k] = is_as_it_was(stop[1:], passed, memory[MEANS])
+                stands[k] = matches_stop(stop[1:], passed, memory[MEANS])
 
 
 @cached
@@ -108,11 +108,11 @@ def is_calm(memory: Array, t: float, ax: float, ay: float, gz: float) -> bool:
         return False
     begun, level[NUMBER] = min(number - level[NUMBER], SECOND + 1.0), number
     dt, level[LAST] = min(t - level[LAST], 1.0), t
-    return calm_after(memory, int(begun), dt, ax, ay, gz)
+    return updated_calm(memory, int(begun), dt, ax, ay, gz)
 
 
 @cached
-def calm_after(memory: Array, begun: int, dt: float, ax: float, ay: float, gz: float) -> bool:
+def updated_calm(memory: Array, begun: int, dt: float, ax: float, ay: float, gz: float) -> bool:
     """Add a sample, dt s after the last one, and update the noise at rest; return True if the last second is calm.
 
     ``begun``: number of blocks since that of the last sample.
@@ -213,7 +213,7 @@ def _clear(block: Array) -> None:
 
 
 @cached
-def is_as_it_was(stop: Array, passed: float, means: Array) -> bool:
+def matches_stop(stop: Array, passed: float, means: Array) -> bool:
     """Return True if the acceleration still agrees with that at the beginning of the stop.
 
     ``stop`` (2,) contains ax, ay of the stop and is changed; ``passed`` (s) is the time since the last call; ``means``
@@ -232,7 +232,7 @@ def is_as_it_was(stop: Array, passed: float, means: Array) -> bool:
 
 
 @cached
-def fixes_stand(fixes: Array, kinds: Array, n: int, now: float, until: Array) -> bool:
+def fixes_are_still(fixes: Array, kinds: Array, n: int, now: float, until: Array) -> bool:
     """Return True if a straight-line fit to the fixes of the last few seconds has a low speed.
 
     Rows of ``fixes`` begin with t, x, y. Of the first ``n`` rows, those up to ``now`` are read, except stale fixes of a

@@ -57,8 +57,8 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
         try:
             read_with_warnings(new)
         except DriveError as error:
-            said = str(error).removeprefix(f"{new}/").replace(str(new), str(folder))
-            raise DriveError(f"{folder}: the drive could not be read back: {said}") from None
+            reason = str(error).removeprefix(f"{new}/").replace(str(new), str(folder))
+            raise DriveError(f"{folder}: the drive could not be read back: {reason}") from None
     return folder
 
 

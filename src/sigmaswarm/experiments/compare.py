@@ -27,7 +27,7 @@ from sigmaswarm.drives.sensors import sensors_of
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.experiments.comparison import Comparison, Contender, Outcome
 from sigmaswarm.experiments.grid import Report, run_grid
-from sigmaswarm.files import held_folder, write_json, write_whole
+from sigmaswarm.files import locked_folder, write_json, write_whole
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise
 from sigmaswarm.filters.run import estimate_of
 from sigmaswarm.scoring.jobs import cores
@@ -118,7 +118,7 @@ def compare(
     grid = _grid(options, *datasets_of(drives, validation, cluster=cluster))
     with (
         TemporaryDirectory() as scratch,
-        held_folder(Path(scratch if out is None else out)) as folder,
+        locked_folder(Path(scratch if out is None else out)) as folder,
         ThreadPoolExecutor(workers) as pool,
     ):
         return grid.run(folder, pool, resume or out is None, progress)

@@ -149,7 +149,7 @@ def _add_fix_error(emitter: Emitter, n: int, features: Mapping[str, bool]) -> No
         emitter.add(fix_error.carry, "carry_fix_error", n=n, biases=int(features["USE_BIASES"]))
     emitter.add(fix_error.age_fix_error)
     emitter.add(fix_error.move_fix_error, n=n, noted=0)
-    emitter.add(fix_error.see_fix_error, n=n)
+    emitter.add(fix_error.observe_fix_error, n=n)
 
 
 def _add_tilted(emitter: Emitter, features: Mapping[str, bool], n: int) -> None:

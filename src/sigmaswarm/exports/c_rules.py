@@ -20,7 +20,7 @@ from sigmaswarm.exports.c_emitter import Emitter, _Function
 ALWAYS = gaps.gap_of, gaps.usual_after, stale_fixes._speed_at, stale_fixes.kind_of
 STANDSTILL = (
     *(standstill._clear, standstill._copy, standstill._merge, standstill._merge_quarter),
-    *(standstill._begin_block, standstill.calm_after, standstill.is_as_it_was, standstill.fixes_stand),
+    *(standstill._begin_block, standstill.updated_calm, standstill.matches_stop, standstill.fixes_are_still),
 )
 POINTERS = {
     **{"fixes": "const InsGpsFix *", "readings": "const InsGpsReading *", "wheels": "Wheels *"},

@@ -117,16 +117,16 @@ def accuracy_section(evaluation: Evaluation) -> str:
         if method in evaluation.names:
             values = [evaluation.mean(method, m) for m in known]
             lines.append(f"| {name} | " + " | ".join("-" if v is None else f"{v:.3g}" for v in values) + " |")
-    said = [
+    sentences = [
         _compared(evaluation, over, names[over], known[0])
         for over in (BASELINE, OWN)
         if over in evaluation.names and known
     ]
     seen = [name for name, found in evaluation.drives.items() if found.record.seen_s]
     if seen:
-        said.append(f"The filter was tuned on {', '.join(seen)}, so these errors are too small.")
+        sentences.append(f"The filter was tuned on {', '.join(seen)}, so these errors are too small.")
     drives = ", ".join(evaluation.drives)
-    return "\n".join([f"\n## Accuracy on {drives}\n", *lines, "", *said, ""])
+    return "\n".join([f"\n## Accuracy on {drives}\n", *lines, "", *sentences, ""])
 
 
 def _compared(evaluation: Evaluation, other: str, name: str, measure: str) -> str:

@@ -179,7 +179,7 @@ class DivergenceMonitor:
         return far if turned is None else turned
 
 
-def said_of_restarts(drive: str, times: Sequence[float]) -> str:
+def describe_restarts(drive: str, times: Sequence[float]) -> str:
     """Return the predicate of a sentence about a filter's resets on a drive."""
     at = ", ".join(f"{t:.1f}" for t in times[:5]) + (" ..." if len(times) > 5 else "")
     often = f"{len(times)} times" if len(times) > 1 else "once"

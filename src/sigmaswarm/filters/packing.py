@@ -84,7 +84,7 @@ def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 def sound_lanes(rows: Array, model: str) -> NDArray[np.bool_]:
     """Return True, (m, lanes), for final rows (m, N_KEPT, lanes) without a failure and with a positive definite P."""
     found = np.empty((len(rows), rows.shape[2]), dtype=np.bool_)
-    _find_sound(rows, P0, len(FILTERS[model].states), R.OK, found)
+    _definite_prefixes(rows, P0, len(FILTERS[model].states), R.OK, found)
     return found
 
 
@@ -97,12 +97,12 @@ def definite(covariance: Array) -> NDArray[np.bool_]:
     n = covariance.shape[-1]
     packed = covariance[(..., *_upper(n))].reshape(-1, n * (n + 1) // 2, 1)
     found = np.empty((len(packed), 1), dtype=np.bool_)
-    _find_sound(packed, 0, n, -1, found)
+    _definite_prefixes(packed, 0, n, -1, found)
     return found.reshape(covariance.shape[:-2])
 
 
 @cached(nogil=True, error_model="numpy")
-def _find_sound(rows: Array, first: int, n: int, ok: int, found: NDArray[np.bool_]) -> None:
+def _definite_prefixes(rows: Array, first: int, n: int, ok: int, found: NDArray[np.bool_]) -> None:
     """Find definite covariances (n, n), packed in rows (m, s, lanes) from row ``first`` on, as in `_upper`.
 
     ``ok``: the row of a run that is 1 if the filter never failed; the state and sums must also be finite. -1: the rows

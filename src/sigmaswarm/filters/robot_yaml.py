@@ -81,8 +81,8 @@ def _loaded(path: Path) -> Any:
     except OSError as error:
         raise InputError(f"{path}: can't be read ({error.strerror}); name an ekf.yaml") from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        said = " ".join(str(error).split())
-        raise InputError(f"{path}: is not valid YAML ({shown(said, 160)}); correct it") from None
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: is not valid YAML ({shown(reason, 160)}); correct it") from None
 
 
 def _chosen(content: Any, path: Path) -> Block:

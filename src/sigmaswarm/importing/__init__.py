@@ -11,5 +11,5 @@ A table of a `Log` becomes part of a drive in these steps:
    compares turns of the IMU and the fixes.
 
 A `Recipe` contains the expressions, and the user can change it with ``--map``. ``convert.py`` runs all steps;
-``look.py`` describes a log without importing it.
+``inspection.py`` describes a log without importing it.
 """

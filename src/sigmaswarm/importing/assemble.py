@@ -154,8 +154,8 @@ def _in_one_turn(
         moved[role] = time + best[0]
         if len(best) > 1 and role in ("gps", "truth", "odometer"):
             other = (best[1] - best[0]) / SECOND
-            said = f"the clock restarts every {period / SECOND:.6g} s, and the table is taken to end with the IMU's"
-            say(f"{role}: {said}; otherwise write --{role}-offset {other:.10g}")
+            message = f"the clock restarts every {period / SECOND:.6g} s, and the table is taken to end with the IMU's"
+            say(f"{role}: {message}; otherwise write --{role}-offset {other:.10g}")
     return moved
 
 
@@ -203,9 +203,9 @@ def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[G
         if FASTEST_IMU < steps[0] < SLOWEST_IMU and LEAST_INTERVAL < steps[1] < LONGEST_STEP["gps"]:
             maps = " ".join(f'"{role}.t={column}*1e-{k}"' for role, (column, _) in columns.items())
             options.append(f"{maps} for {1 / steps[0]:.4g} Hz and {1 / steps[1]:.4g} Hz")
-    said = "; their numbers do, so they have one unit, "
+    message = "; their numbers do, so they have one unit, "
     return (
-        f"{said}not {' and '.join(texts.values())} in s: write --map {', or '.join(options)}"
+        f"{message}not {' and '.join(texts.values())} in s: write --map {', or '.join(options)}"
         if options
         else ""
     )
@@ -314,11 +314,11 @@ def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[V
 
 
 def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, origin: Origin) -> str:
-    said = "truth is in meters: its origin is taken to be the first fix"
+    message = "truth is in meters: its origin is taken to be the first fix"
     time = seconds["gps"]
     inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])
     if np.count_nonzero(inside) < 3:
-        return f"{said}; specify the origin with --origin lat,lon,alt"
+        return f"{message}; specify the origin with --origin lat,lon,alt"
     time = time[inside]
     true = np.column_stack([np.interp(time, seconds["truth"], truth[n]) for n in ("x", "y")])
     height = gps.get("alt", np.full(len(inside), origin[2]))[inside]
@@ -330,8 +330,8 @@ def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, o
     (east, north), spread = np.mean(off, axis=0), np.std(off, axis=0) / np.sqrt(len(time))
     if np.hypot(east, north) > FARTHEST:
         return (
-            f"{said}, {np.hypot(east, north) / 1e3:.0f} km away, as the coordinates of a map (UTM) are: convert it to "
-            "degrees, as with pyproj, and map truth.lat and truth.lon"
+            f"{message}, {np.hypot(east, north) / 1e3:.0f} km away, as the coordinates of a map (UTM) are: convert it "
+            "to degrees, as with pyproj, and map truth.lat and truth.lon"
         )
     best = origin
     for _ in range(3):  # north turns with the place
@@ -340,8 +340,8 @@ def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, o
         best = float(lat), float(lon), origin[2]
     state = f"specify the origin; --origin {best[0]:.8f},{best[1]:.8f},{best[2]:.3f} fits the fixes best"
     if np.all(np.abs([east, north]) < 5 * spread):
-        return f"{said}; {state}"
-    return f"{said}; but the fixes lie {east:.2f} m east and {north:.2f} m north of the truth on average: {state}"
+        return f"{message}; {state}"
+    return f"{message}; but the fixes lie {east:.2f} m east and {north:.2f} m north of the truth on average: {state}"
 
 
 def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.look import Look
+from sigmaswarm.importing.inspection import Inspection
 from sigmaswarm.importing.recipe import COLUMNS
 from sigmaswarm.importing.source import ROLES
 from sigmaswarm.importing.times import written
@@ -59,10 +59,10 @@ Uses = dict[tuple[str, str], list[tuple[str, str]]]
 """By table and column: targets and their expressions."""
 
 
-def uses_of(look: Look) -> Uses:
+def uses_of(inspection: Inspection) -> Uses:
     uses: Uses = {}
-    names = {glance.table: [r.column for r in glance.ranges] for glance in look.tables}
-    for role, parts in look.recipe.roles.items():
+    names = {preview.table: [r.column for r in preview.ranges] for preview in inspection.tables}
+    for role, parts in inspection.recipe.roles.items():
         for part in parts:
             table = part.table or next(iter(names), "")
             for target, expression in part.columns.items():
@@ -96,18 +96,18 @@ def expression_of(target: str, column: str, unit: str = "") -> str:
     return (units[unit] if unit else next(iter(units.values()))).format(written(column))
 
 
-def assign(choices: dict[str, Any], look: Look, table: str, column: str, target: str) -> None:
+def assign(choices: dict[str, Any], inspection: Inspection, table: str, column: str, target: str) -> None:
     """Use a column for another target, in the target's first unit, instead of the previous target."""
     maps: dict[str, str] = choices.setdefault("maps", {})
-    for old, _ in uses_of(look).get((table, column), []):
+    for old, _ in uses_of(inspection).get((table, column), []):
         if old != target and not old.endswith(".t"):
             maps[old] = ""
     if not target:
         return
     role = target.partition(".")[0]
     maps[target] = expression_of(target, column)
-    tables = {part.table for name, parts in look.recipe.roles.items() if name == role for part in parts}
-    if len(look.tables) > 1 and table not in tables:
+    tables = {part.table for name, parts in inspection.recipe.roles.items() if name == role for part in parts}
+    if len(inspection.tables) > 1 and table not in tables:
         choices.setdefault("tables", {})[role] = table
 
 

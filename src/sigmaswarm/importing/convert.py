@@ -213,13 +213,13 @@ def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
 
 def faults_left(request: Request, recipe: Recipe, guesses: Guesses) -> list[str]:
     """Return reasons not to read columns as guessed, except for columns that the user mapped or omitted."""
-    said = {entry.partition("=")[0].strip() for entry in request.maps}
+    stated = {entry.partition("=")[0].strip() for entry in request.maps}
     left: list[str] = []
     for path, guess in guesses.items():
         for fault in guess.faults:
             parts = recipe.roles.get(fault.role, ())
             used = request.home(fault.role) == path and fault.role not in request.recipe.roles
-            mapped = {fault.column, f"{fault.role}.{fault.column}"} & said
+            mapped = {fault.column, f"{fault.role}.{fault.column}"} & stated
             if used and parts and not mapped and not any(fault.column in part.columns for part in parts):
                 where = path if path.name == fault.table else path / fault.table
                 left.append(f"{where}, {fault.sentence}")
@@ -239,10 +239,10 @@ def _with_unit_of_rates(
         gathered = _gather_all(request, logs, plain, lambda done: None)
         gathered.pop("mag", None)
         drive = assemble("log", gathered, plain, lambda note: None, request.part)
-        said = unit_of_rates(drive, plain.roles, unitless)
+        message = unit_of_rates(drive, plain.roles, unitless)
     except InputError:  # other faults remain
         return faults
-    return [f"{f.partition('; specify')[0]}; {said}" if said and '"imu.g' in f else f for f in faults]
+    return [f"{f.partition('; specify')[0]}; {message}" if message and '"imu.g' in f else f for f in faults]
 
 
 def notes_of(logs: Mapping[Path, Log], guesses: Guesses, recipe: Recipe) -> list[str]:
@@ -275,8 +275,8 @@ def missing_sensor(
             continue
         path = request.home(role)
         there = names_shown(logs[path].tables)
-        said = (*logs[path].remarks, *guesses[path].notes)
-        if why := [s for s in said if "has no header" in s or "can't be decoded" in s]:
+        texts = (*logs[path].remarks, *guesses[path].notes)
+        if why := [s for s in texts if "has no header" in s or "can't be decoded" in s]:
             there = there or "what can be decoded"
             return f"{path}: no {what} found in {there}; {why[0]}; or {remedy}"
         columns = [name.meaning for table in logs[path].tables.values() for name in read_names(table.columns)]

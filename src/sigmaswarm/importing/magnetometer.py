@@ -125,7 +125,7 @@ def with_magnetometer(
         raise InputError(_UNLIKE)
     turn = _turn(calibration, recipe.declination_deg)
     heading, known = _at(drive.gps.time - late, time, vector, near_steel)
-    say(_said(calibration, recipe.declination_deg))
+    say(_in_words(calibration, recipe.declination_deg))
     when = f", at the moment of the positions, {late:.2f} s before the fixes" if late else ""
     none = f"{np.count_nonzero(~known)} of {len(known)} fixes have none (steel nearby, or no sample)"
     say(f"mag: heading with a standard deviation of {np.degrees(std):.1f} deg{when}; {none}")
@@ -226,7 +226,7 @@ def _turn(calibration: Calibration, stated: float | None) -> float:
     return calibration.declination - float(np.radians(stated))
 
 
-def _said(calibration: Calibration, stated: float | None) -> str:
+def _in_words(calibration: Calibration, stated: float | None) -> str:
     x, y = calibration.center
     fitted = f"mag: hard iron {x:.4g}, {y:.4g}, soft iron {calibration.soft_iron:.1%}"
     if calibration.mirrored:

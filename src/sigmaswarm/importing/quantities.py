@@ -300,8 +300,8 @@ def _place_form(columns: Columns, role: Role) -> Found:
     if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 180e6):
         return Found("{}*1e-7", "latitude and longitude are read as 1e-7 degrees")
     fitting = [k for k in (7, 6, 5) if low <= 90 * 10**k and high <= 360 * 10**k] or [7]
-    said = f"{' or '.join(_maps(columns, role, both, f'{{}}*1e-{k}') for k in fitting)} (or another factor)"
-    fault = f"latitude and longitude of about {low:.6g} and {high:.6g} are not degrees; write {said}"
+    maps = f"{' or '.join(_maps(columns, role, both, f'{{}}*1e-{k}') for k in fitting)} (or another factor)"
+    fault = f"latitude and longitude of about {low:.6g} and {high:.6g} are not degrees; write {maps}"
     return Found("", fault=fault)
 
 

@@ -89,10 +89,8 @@ def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
     ):
         return ""
     maps = " ".join(f'"{role}.t={text}*1e{power}"' for role, text in times.items())
-    said = f"the fixes turn {ratio:.3g} times as far as {columns}"
-    return (
-        f"{said}: the unit of the times is likely {10.0**power:g} times the assumed one; write --map {maps}"
-    )
+    message = f"the fixes turn {ratio:.3g} times as far as {columns}"
+    return f"{message}: the unit of the times is likely {10.0**power:g} times the assumed one; write --map {maps}"
 
 
 def _ratio(drive: Drive) -> float | None:

@@ -297,6 +297,6 @@ def whole(path: Path, what: str = "", remedy: str = "record or copy it again") -
 def broken(
     path: Path, error: Exception, what: str = "", remedy: str = "record or copy it again"
 ) -> InputError:
-    said = " ".join(str(error).split()) or type(error).__name__
-    said = shown(re.sub(r"^b'(.*)'$", r"\1", said), 160)
-    return InputError(f"{path}: {what or 'is cut short or broken'} ({said}); {remedy}")
+    reason = " ".join(str(error).split()) or type(error).__name__
+    reason = shown(re.sub(r"^b'(.*)'$", r"\1", reason), 160)
+    return InputError(f"{path}: {what or 'is cut short or broken'} ({reason}); {remedy}")

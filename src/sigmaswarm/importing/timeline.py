@@ -145,12 +145,13 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
             f'written without zeros or whole seconds, count rows: --map "{role}.t=row/{rate:.4g}"'
         )
     lengths = [f"{(int(time[p].max()) - int(time[p].min())) / SECOND:.1f} s" for p in parts]
-    said = f"{where}: the clock restarts at row {parts[1].start + 1}: {len(parts)} recordings ({names_shown(lengths)})"
+    many = f"{len(parts)} recordings ({names_shown(lengths)})"
+    message = f"{where}: the clock restarts at row {parts[1].start + 1}: {many}"
     if part is None:
-        raise InputError(f"{said}; import each one separately: --part 1 to --part {len(parts)}")
+        raise InputError(f"{message}; import each one separately: --part 1 to --part {len(parts)}")
     if not 1 <= part <= len(parts):
-        raise InputError(f"{said}; there is no recording {part}; choose --part 1 to --part {len(parts)}")
-    return parts[part - 1], f"{said}; recording {part} is used"
+        raise InputError(f"{message}; there is no recording {part}; choose --part 1 to --part {len(parts)}")
+    return parts[part - 1], f"{message}; recording {part} is used"
 
 
 def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]:

@@ -273,8 +273,10 @@ def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> Found:
 def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
     known = name.unit is not None and name.unit.known
     kind = f"a unit of {name.unit.dimension}, not of {dimension}" if name.unit and known else "not known"
-    said = f"column {quoted(name.column)}: the unit {quoted(name.unit.text if name.unit else '')} is {kind}"
-    return f'{said}; specify the factor to SI units, for example --map "{role}.{column}={written(name.column)}*1.0"'
+    message = (
+        f"column {quoted(name.column)}: the unit {quoted(name.unit.text if name.unit else '')} is {kind}"
+    )
+    return f'{message}; specify the factor to SI units, for example --map "{role}.{column}={written(name.column)}*1.0"'
 
 
 def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
@@ -292,20 +294,20 @@ def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
         if durations >= LEAST_FITTING * len(texts):
             return Found(f"duration({called})", "times are read as durations")
     if not fitting:
-        said = f"{quoted(texts[0])} is not a known date" if len(texts) else "has no dates"
+        message = f"{quoted(texts[0])} is not a known date" if len(texts) else "has no dates"
         option = (
             f"--time \"utc({called}, '%d.%m.%Y %H:%M:%S%.f')\" with its format, or write the times as numbers"
         )
-        return Found("", fault=f"column {quoted(columns[0])}: {said}; write {option}")
+        return Found("", fault=f"column {quoted(columns[0])}: {message}; write {option}")
     form = fitting[0]
     if most < LEAST_FITTING * len(texts):
         left = texts.filter(_read_by(texts, form).is_null())[0]
         whole = f"utc({called}, '{form}')" if form else f"utc({called})"
-        said = (
+        message = (
             f"column {quoted(columns[0])}: {quoted(left)} has a format different from that of {most} of "
             f"{len(texts)} rows"
         )
-        return Found("", fault=f'{said}; correct these rows, or leave them out with --time "{whole}"')
+        return Found("", fault=f'{message}; correct these rows, or leave them out with --time "{whole}"')
     by_day, by_month = (next((f for f in fitting if f.startswith(begin)), "") for begin in ("%d/%m", "%m/%d"))
     if by_day and by_month:
         option = (
@@ -336,15 +338,16 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
     unit = (*dated, *likely, "s")[0]
     if role == "imu" and not dated and unit == "ms" and step < LEAST_COUNT:
         rates = ", ".join(f'"{text}*1e-{k}" for {10**k / step:.4g} Hz' for k in (3, 2))
-        said = f"column {quoted(column)}: steps of {step:g} may be ms, hundredths of a second, or numbers of rows"
+        message = f"column {quoted(column)}: steps of {step:g} may be ms, hundredths of a second, or numbers of rows"
         return Found(
-            "", fault=f'{said}; state the unit with --time: {rates}, or "{text}/100" for 100 rows per s'
+            "", fault=f'{message}; state the unit with --time: {rates}, or "{text}/100" for 100 rows per s'
         )
     if role == "imu" and not dated and unit != "s" and step * COUNTED[unit] > SLOWEST_IMU:
         rates = ", ".join(f'"{_scaled(text, u)}" for {1 / (step * COUNTED[u]):.4g} Hz' for u in ("ms", "us"))
-        said = f"column {quoted(column)}: steps of {step:g} have no likely unit"
+        message = f"column {quoted(column)}: steps of {step:g} have no likely unit"
         return Found(
-            "", fault=f'{said}; specify the unit with --time: {rates}, or "{text}*1e-4" for ticks of 0.1 ms'
+            "",
+            fault=f'{message}; specify the unit with --time: {rates}, or "{text}*1e-4" for ticks of 0.1 ms',
         )
     return Found(_scaled(text, unit), "" if unit == "s" else f"the times in {column} are read as {unit}")
 
@@ -358,8 +361,8 @@ def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role
             return Found(f"({text} - {epoch})*86400", f"{column} is read as days since {whose}")
     if likely and low > 1e-3 and high < 1:
         return Found(f"{text}*86400", f"{column} read as days (fractions of a day)")
-    said = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes, *1 for seconds'
-    fault = f"column {quoted(column)}: steps of {step:.2g} are too short for seconds; state the unit: write {said}"
+    message = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes, *1 for seconds'
+    fault = f"column {quoted(column)}: steps of {step:.2g} are too short for seconds; state the unit: write {message}"
     return Found("", fault=fault)
 
 

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict
 
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, record_of
-from sigmaswarm.drives.overlap import SEEN_FILE, landmarks, save_landmarks
+from sigmaswarm.drives.overlap import TRAINING_DATA_FILE, landmarks, save_landmarks
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import staged_files, write_json, write_whole
 from sigmaswarm.filters.names import NetworkName
@@ -170,8 +170,8 @@ def _save(learned: Learned, config: LearnConfig, tuning: Path | None, out: Path)
             config.parameters.save(new / FILE)
         else:
             write_whole(new / FILE, tuning.read_bytes())
-            if (tuning.parent / SEEN_FILE).exists():
-                shutil.copyfile(tuning.parent / SEEN_FILE, new / SEEN_FILE)
+            if (tuning.parent / TRAINING_DATA_FILE).exists():
+                shutil.copyfile(tuning.parent / TRAINING_DATA_FILE, new / TRAINING_DATA_FILE)
 
 
 class FinishedRecord(BaseModel, extra="forbid"):

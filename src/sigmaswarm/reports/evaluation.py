@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sigmaswarm.drives.overlap import SEEN_FILE
+from sigmaswarm.drives.overlap import TRAINING_DATA_FILE
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import staged_files, write_whole
 from sigmaswarm.learned.folder import Learned
@@ -83,7 +83,7 @@ def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
     """Copy a tuning.toml, its history and its fingerprints into a folder. Return the paths of the copies."""
     file = tuning_file(tuning)
     written: list[Path] = []
-    for name in (FILE, HISTORY_FILE, SEEN_FILE):
+    for name in (FILE, HISTORY_FILE, TRAINING_DATA_FILE):
         source = file if name == FILE else file.parent / name
         if source.is_file():
             write_whole(folder / name, source.read_bytes())

@@ -175,9 +175,9 @@ def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool
     name = "median" if alone else results.label(course.method) if whole else course.group
     curve(ax, x, middle, Look(color, 2.0), name)
     diamond = Look(color, 1.2, NO_LINE, "D", 6.75).line
-    said = f"within 1% from generation {settles} onward (paper: {theirs})" if alone else ""
+    label = f"within 1% from generation {settles} onward (paper: {theirs})" if alone else ""
     hover = hover_id(f"within 1% of its last value from generation {settles} onward")
-    ax.plot(settles, middle[settles - 1], **diamond, gid=hover, label=said)
+    ax.plot(settles, middle[settles - 1], **diamond, gid=hover, label=label)
 
 
 def curve_charts(results: Results) -> tuple[Chart, ...]:

@@ -23,7 +23,7 @@ from sigmaswarm.scoring.measures import method_names
 from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tables import Cell, Column, Table
 from sigmaswarm.tuning.config import SWARM
-from sigmaswarm.tuning.diagnostics import said_of_forecasts
+from sigmaswarm.tuning.diagnostics import describe_forecasts
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, TuningRecord, history_of, load_history
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
@@ -42,7 +42,7 @@ SIGMA_POINTS = {"alpha", "beta", "kappa"}
 def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Path]:
     """Write convergence.csv and the figures of a tuning into its folder. Return the paths of the pictures.
 
-    ``track`` is a track on a training drive (`scoring.tracks.first_look`).
+    ``track`` is a track on a training drive (`scoring.tracks.first_track`).
     """
     save_history(tuning, folder)
     labels = LABELS | method_names(tuning.parameters.kind, tuning.parameters.model)
@@ -112,7 +112,7 @@ def tuning_report(folder: Path) -> Report:
             held_out,
             *(
                 f"D{said[1:]}."
-                for said in said_of_forecasts(file.forecasts, [d.duration_s or 0.0 for d in file.data])
+                for said in describe_forecasts(file.forecasts, [d.duration_s or 0.0 for d in file.data])
             ),
         ),
         figures=tuple(figures),

@@ -173,7 +173,7 @@ def verdicts(found: Sequence[Consistency | None]) -> dict[Kind, str]:
     known = [one for one in found if one]
     of = {kind: [one for one in known if kind in _kinds(one)] for kind in VERDICTS}
     blind = bool(known) and all(one.mean_nees is None for one in known)
-    said: dict[Kind, str] = {}
+    messages: dict[Kind, str] = {}
     for kind, text in VERDICTS.items():
         count = len(found) - len(known) if kind == "unknown" else len(of[kind])
         if not count:
@@ -184,8 +184,8 @@ def verdicts(found: Sequence[Consistency | None]) -> dict[Kind, str]:
         }
         where = f"on {count} of {len(found)} drives " if len(found) > 1 else ""
         forecasts = f" ({FORECASTS})" if blind and kind not in ("unknown", "alike") else ""
-        said[kind] = f"{where}the filter {text.format(**sizes)}{forecasts}"
-    return said
+        messages[kind] = f"{where}the filter {text.format(**sizes)}{forecasts}"
+    return messages
 
 
 def _kinds(one: Consistency) -> Iterator[Kind]:

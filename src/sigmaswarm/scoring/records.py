@@ -47,7 +47,7 @@ class ScoresRecord(BaseModel):
     """Radii by drive for all fixes (``tracking``) and, by drift measure, at the ends of outages."""
     stale_fixes: dict[str, int] = Field(default_factory=dict)
 
-    def drift_said(self, measure: str, method: str = "tuned") -> str:
+    def describe_drift(self, measure: str, method: str = "tuned") -> str:
         """Describe the outages behind a drift, and the range of single placements; empty if unknown."""
         found = [of[measure] for of in self.drifts.values() if measure in of]
         drawn = [one.each.get(method, []) for one in found]

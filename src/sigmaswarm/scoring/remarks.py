@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sigmaswarm.drives.fingerprint import DriveRecord
-from sigmaswarm.filters.divergence import said_of_restarts
+from sigmaswarm.filters.divergence import describe_restarts
 from sigmaswarm.scoring.consistency import CORRELATED, Consistency
 from sigmaswarm.scoring.drifts import BASELINE, FIXES
 from sigmaswarm.scoring.measures import DRIFTS, METHODS, POSITION_MEASURES, Measure
 from sigmaswarm.scoring.records import ScoresRecord
-from sigmaswarm.scoring.tracks import FirstLook
+from sigmaswarm.scoring.tracks import FirstTrack
 from sigmaswarm.wording import counted
 
 ALL_OF_IT = 0.99
@@ -23,10 +23,10 @@ NOTABLE = 0.9
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:
     found = {drive: times for drive, of in scores.restarts.items() if (times := of.get("tuned"))}
-    return tuple(f"the tuned filter {said_of_restarts(drive, times)}" for drive, times in found.items())
+    return tuple(f"the tuned filter {describe_restarts(drive, times)}" for drive, times in found.items())
 
 
-def said_of_training(drive: DriveRecord) -> str:
+def describe_training_drives(drive: DriveRecord) -> str:
     """Return how much of a drive the tuning used, and the training drives if their names differ."""
     used, whole = drive.seen_s or 0.0, drive.duration_s or 0.0
     part = "all" if round(used) >= round(whole) else f"{used:.0f}"
@@ -35,9 +35,9 @@ def said_of_training(drive: DriveRecord) -> str:
     return f"the tuning used {part} of the {whole:.0f} s of {drive.name}{as_others}"
 
 
-def said_of_drives(data: Sequence[DriveRecord]) -> str:
+def describe_drives(data: Sequence[DriveRecord]) -> str:
     called = counted(len(data), "drive")
-    each = [said_of_training(drive) for drive in data if drive.seen_s]
+    each = [describe_training_drives(drive) for drive in data if drive.seen_s]
     if each:
         return f"{called} ({'PARTLY ' if len(each) < len(data) else ''}TRAINING DATA: {'; '.join(each)})"
     return called + " that the tuning did not use" * all(drive.seen_s is not None for drive in data)
@@ -53,7 +53,7 @@ def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:
 
 
 def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
-    said: list[str] = []
+    messages: list[str] = []
     for drive, found in scores.drives.items():
         worse = [
             f"{what} {tuned:.3g} m against {raw:.3g} m"
@@ -63,12 +63,12 @@ def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
             and tuned > raw
         ]
         if worse:
-            said.append(f"on {drive} the tuned filter is WORSE than the raw fixes: {', '.join(worse)}")
-    return tuple(said)
+            messages.append(f"on {drive} the tuned filter is WORSE than the raw fixes: {', '.join(worse)}")
+    return tuple(messages)
 
 
 def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[str, ...]:
-    said: list[str] = []
+    messages: list[str] = []
     for method, name in ((BASELINE, "the baseline"), (FIXES, "the filter that uses only the fixes")):
         known = {
             m: (tuned, other)
@@ -82,11 +82,11 @@ def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tu
             for m, (tuned, other) in worse.items()
         )
         if "position_rmse_m" in worse or 2 * len(worse) > len(known):
-            said.append(f"the tuned filter is WORSE than {name}: {each}")
+            messages.append(f"the tuned filter is WORSE than {name}: {each}")
         elif worse:
             among = f"{len(worse)} of {len(known)} measures"
-            said.append(f"the tuned filter is worse than {name} in {among}: {each}")
-    return tuple(said)
+            messages.append(f"the tuned filter is worse than {name} in {among}: {each}")
+    return tuple(messages)
 
 
 def how_far(scores: ScoresRecord, data: Sequence[DriveRecord]) -> tuple[str, ...]:
@@ -96,9 +96,9 @@ def how_far(scores: ScoresRecord, data: Sequence[DriveRecord]) -> tuple[str, ...
     return tuple(_without_truth(name, c) for name, c in found[:3])
 
 
-def said_of_first_look(look: FirstLook) -> str:
+def describe_first_track(track: FirstTrack) -> str:
     """Return a sentence on the position error on a training drive; empty if unknown."""
-    name, rmse = look.picture.whole.name, look.position_rmse
+    name, rmse = track.picture.whole.name, track.position_rmse
     if np.isfinite(rmse["tuned"]):
         others = ", ".join(
             f"{METHODS[m]} {rmse[m]:.2g} m" for m in (BASELINE, "raw_gps") if np.isfinite(rmse[m])
@@ -107,16 +107,16 @@ def said_of_first_look(look: FirstLook) -> str:
             f"{rmse['tuned']:.2g} m RMSE on {name} ({others}), a training drive: "
             "expect larger errors on other drives"
         )
-    if look.consistency is None or not look.consistency.own_sigma:
+    if track.consistency is None or not track.consistency.own_sigma:
         return ""
-    return _without_truth(name, look.consistency)
+    return _without_truth(name, track.consistency)
 
 
 def _without_truth(drive: str, found: Consistency) -> str:
-    return f"Position error on {drive} without truth: {said_of_position(found)}"
+    return f"Position error on {drive} without truth: {describe_position(found)}"
 
 
-def said_of_position(found: Consistency) -> str:
+def describe_position(found: Consistency) -> str:
     """Return a sentence that estimates a filter's position error on a drive without truth.
 
     The estimate is the RMS of the filter's position sigmas. If the innovations are far smaller than expected, the fixes
@@ -135,15 +135,15 @@ def said_of_position(found: Consistency) -> str:
             f"from its predictions by less than expected ({nis}): the receiver smooths its fixes, or their errors "
             "are correlated"
         )
-    said = f"{own:.2g} m (RMS), the filter's own estimate"
+    size = f"{own:.2g} m (RMS), the filter's own estimate"
     included = f"the fixes deviate from its predictions by {missed:.2g} m, their own errors included"
     if found.mean_nis > high:
-        return f"more than {said}: {included}, more than expected ({nis})"
+        return f"more than {size}: {included}, more than expected ({nis})"
     if found.mean_nis < low:
-        return f"{said}, or somewhat less: {included}, less than expected ({nis})"
+        return f"{size}, or somewhat less: {included}, less than expected ({nis})"
     if alike:
-        return f"{said}, or more: {included}, as expected, but the errors of neighboring fixes are correlated"
+        return f"{size}, or more: {included}, as expected, but the errors of neighboring fixes are correlated"
     return (
-        f"about {said}, and the log agrees: {included}, as expected. An error that all fixes have in common "
+        f"about {size}, and the log agrees: {included}, as expected. An error that all fixes have in common "
         "is not included"
     )

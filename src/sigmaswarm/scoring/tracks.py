@@ -197,7 +197,7 @@ class Tracker:
 
 
 @dataclass(frozen=True, eq=False)
-class FirstLook:
+class FirstTrack:
     """Result of a tuned filter on a training drive.
 
     ``position_rmse``, m: tuned filter, baseline and raw fixes; NaN without truth.
@@ -208,7 +208,7 @@ class FirstLook:
     consistency: Consistency | None
 
 
-def first_look(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> FirstLook:
+def first_track(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> FirstTrack:
     ready = PreparedDrive(drive, as_recorded=as_recorded)
     tracker = Tracker(ready, picture=True)
     filters = compared(drive, parameters)
@@ -218,7 +218,7 @@ def first_look(drive: Drive, parameters: FilterParameters, *, as_recorded: bool)
     consistency = None
     if recorded["tuned"].failure is None:
         consistency = consistency_of(recorded["tuned"].innovations, own_sigma=tracker.own_sigma["tuned"])
-    return FirstLook(tracker.picture(drive.name), rmse, consistency)
+    return FirstTrack(tracker.picture(drive.name), rmse, consistency)
 
 
 def sharpest_turn(ready: PreparedDrive) -> Array:

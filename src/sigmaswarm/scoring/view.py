@@ -20,10 +20,10 @@ from sigmaswarm.scoring.measures import (
 from sigmaswarm.scoring.radius import DOF, LEVELS, LOW, TRACKING, RadiusRecord, factor_of
 from sigmaswarm.scoring.records import EvaluationRecord, Measured, ScoresRecord
 from sigmaswarm.scoring.remarks import (
+    describe_drives,
     how_far,
     partly_scored,
     restarted,
-    said_of_drives,
     worse_than_raw,
     worse_than_untuned,
 )
@@ -150,7 +150,7 @@ class EvaluationView:
 
     def result(self) -> str:
         """Return a sentence on the position error with truth, else on the drift over outages."""
-        drives, mean_of = said_of_drives(self.setup.data), self.scores.mean_of
+        drives, mean_of = describe_drives(self.setup.data), self.scores.mean_of
         for measure, what in (
             ("position_rmse_m", "has a position RMSE of {} m"),
             ("outage_drift_m", f"drifts {{}} m (RMS) over an outage of {self.setup.outage_length_s:g} s"),
@@ -162,9 +162,9 @@ class EvaluationView:
             each = [
                 _compared(tuned, value, self.names[m]) for m in rivals if m and (value := mean_of(m, measure))
             ]
-            spread = self.scores.drift_said(measure)
-            said = f"On {drives} the tuned filter {what.format(f'{tuned:.3g}')}{f' ({spread})' if spread else ''}"
-            return f"{': '.join([said, ', '.join(each)][: 1 + bool(each)])}.{self._not_beaten()}"
+            spread = self.scores.describe_drift(measure)
+            text = f"On {drives} the tuned filter {what.format(f'{tuned:.3g}')}{f' ({spread})' if spread else ''}"
+            return f"{': '.join([text, ', '.join(each)][: 1 + bool(each)])}.{self._not_beaten()}"
         return f"On {drives} the tuned filter has no score: it failed, or there is no truth."
 
     def _not_beaten(self) -> str:
@@ -181,16 +181,16 @@ class EvaluationView:
         data = self.setup.data
         late = [f"{d.scored_from_s:.0f} s into {d.name}" for d in data if (d.scored_from_s or 0.0) > LATE]
         blind = [drive.name for drive in data if drive.has_truth is False]
-        said = [f"Filters and scores start {', '.join(late)}, at {START_RULE}."] if late else []
-        said += map(_sentence, partly_scored(data))
-        said += [f"{', '.join(blind)}: {NO_TRUTH}."] if blind else []
-        said += map(_sentence, how_far(self.scores, data))
-        said += [
+        sentences = [f"Filters and scores start {', '.join(late)}, at {START_RULE}."] if late else []
+        sentences += map(_sentence, partly_scored(data))
+        sentences += [f"{', '.join(blind)}: {NO_TRUTH}."] if blind else []
+        sentences += map(_sentence, how_far(self.scores, data))
+        sentences += [
             f"{name}: no filter used {n} of the fixes: they are stale (they repeat an earlier fix, although the "
             "vehicle may have moved)."
             for name, n in self.scores.stale_fixes.items()
         ]
-        return tuple(said)
+        return tuple(sentences)
 
     def explanations(self) -> tuple[str, ...]:
         methods = self.scores.mean
@@ -202,7 +202,7 @@ class EvaluationView:
         )
 
     def radii(self) -> tuple[str, ...]:
-        said: list[str] = []
+        sentences: list[str] = []
         for drive, records in self.scores.radius.items():
             if (found := records.get(TRACKING)) is None:
                 continue
@@ -211,56 +211,63 @@ class EvaluationView:
             sigma = "" if ratio is None else f"; the filter's own sigma is {size_of(ratio)}"
             lasts = f", including {found.lasting_m:.2g} m per axis of correlated fix errors"
             lasts = lasts if found.lasting_m else ""
-            said.append(
+            sentences.append(
                 f"{drive}: 95% of the position errors should be within {found.radius_95_m:.2g} m (median){lasts}{held}"
                 f"{sigma}."
             )
-        return tuple(said)
+        return tuple(sentences)
 
     def verdicts(self) -> dict[str, str]:
         found = verdicts([*self.scores.consistency.values()])
-        return {kind: _sentence(said) for kind, said in found.items()}
+        return {kind: _sentence(message) for kind, message in found.items()}
 
     def warnings(self) -> tuple[str, ...]:
         """Return the warnings as sentences, the most serious first."""
         data = self.setup.data
-        said: list[str] = []
+        sentences: list[str] = []
         if any(drive.seen_s for drive in data):
-            said.append(
+            sentences.append(
                 "the filter was tuned on some of these drives, where its errors are smaller than on other drives"
             )
         if failed := [drive for drive, methods in self.scores.failed.items() if "tuned" in methods]:
-            said.append(f"the tuned filter failed on {', '.join(failed)}")
-        said += worse_than_raw(self.scores)
-        said += worse_than_untuned(self.scores, self.measures)
-        said += restarted(self.scores)
-        said += [
+            sentences.append(f"the tuned filter failed on {', '.join(failed)}")
+        sentences += worse_than_raw(self.scores)
+        sentences += worse_than_untuned(self.scores, self.measures)
+        sentences += restarted(self.scores)
+        sentences += [
             f"on {drive} the stated 95% radius contains only {100 * found.inside_95:.0f}% of the position errors"
             for drive, of in self.scores.radius.items()
             if (found := of.get(TRACKING)) and found.inside_95 is not None and found.inside_95 < LOW
         ]
-        said += self.setup.truth_offsets.values()
+        sentences += self.setup.truth_offsets.values()
         if len(data) == 1 and data[0].duration_s:
-            said.append(
+            sentences.append(
                 f"the scores are from one drive of {data[0].duration_s:.0f} s: they may differ on other drives"
             )
-        return tuple(map(_sentence, said))
+        return tuple(map(_sentence, sentences))
 
     def findings(self) -> tuple[str, ...]:
-        return tuple(_sentence(said) for found in self.setup.findings.values() for said in found)
+        return tuple(_sentence(message) for found in self.setup.findings.values() for message in found)
 
     def sentences(self, more: Iterable[str] = ()) -> tuple[str, ...]:
         """Return all sentences, the most important first; ``more`` is placed after the warnings."""
         positions = map(_sentence, how_far(self.scores, self.setup.data))
-        said = (self.result(), *positions, *self.warnings(), *more, *self.verdicts().values(), *self.radii())
-        return tuple(dict.fromkeys((*said, *self.coverage(), *self.drifts(), *self.explanations())))
+        sentences = (
+            self.result(),
+            *positions,
+            *self.warnings(),
+            *more,
+            *self.verdicts().values(),
+            *self.radii(),
+        )
+        return tuple(dict.fromkeys((*sentences, *self.coverage(), *self.drifts(), *self.explanations())))
 
     def drifts(self) -> tuple[str, ...]:
         return tuple(
             f"{measure.title} of the tuned filter: {drift:.3g} m over {spread}."
             for m, measure in self.measures.items()
             if (drift := self.scores.mean_of("tuned", m)) is not None
-            and (spread := self.scores.drift_said(m))
+            and (spread := self.scores.describe_drift(m))
         )
 
     # ---- notebooks and print ----

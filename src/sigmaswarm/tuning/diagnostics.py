@@ -13,7 +13,7 @@ import numpy as np
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.divergence import said_of_restarts
+from sigmaswarm.filters.divergence import describe_restarts
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise
 from sigmaswarm.filters.parameters import FilterParameters
@@ -70,7 +70,7 @@ class Forecast:
         return f"{self.length_s:g} s {self.tuned_m:.3g} m ({others})"
 
 
-def said_of_forecasts(forecasts: Sequence[Forecast], durations: Sequence[float] = ()) -> list[str]:
+def describe_forecasts(forecasts: Sequence[Forecast], durations: Sequence[float] = ()) -> list[str]:
     """Return a sentence on the drifts, and one if the filter drifts further than the baseline over 5 s, or neither.
 
     ``durations`` of the training drives, s: only a part of many or long drives is measured.
@@ -114,7 +114,7 @@ def loss_warnings(parameters: FilterParameters, replays: Replays, *, outages: bo
 
 
 def divergence_warnings(found: Iterable[tuple[str, list[float]]]) -> list[str]:
-    diverged = [said_of_restarts(name, times) for name, times in found if times]
+    diverged = [describe_restarts(name, times) for name, times in found if times]
     if not diverged:
         return []
     more = f"; and on {len(diverged) - NAMED} more drives" if len(diverged) > NAMED else ""
@@ -135,12 +135,12 @@ def drift_warnings(found: Iterable[tuple[float, ...]], most: float = FAR) -> lis
 
 def restarts_of(ready: PreparedDrive, parameters: FilterParameters) -> tuple[str, list[float]]:
     """Return a drive's name and the times, s, at which a monitored filter was reset in its first hour."""
-    return ready.drive.name, Recording(_first_hour(ready), parameters, recover=True).finished().restarts
+    return ready.drive.name, Recording(_first_part(ready), parameters, recover=True).finished().restarts
 
 
 def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
     """Return the lag-1 autocorrelation of innovations in the first hour, averaged over both axes."""
-    found = Recording(_first_hour(ready), parameters).finished().innovations
+    found = Recording(_first_part(ready), parameters).finished().innovations
     with np.errstate(all="ignore"):  # a failed filter gives NaN and infinity
         nu = found.innovation / np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
         return float(np.mean(np.mean(nu[1:] * nu[:-1], axis=0) / np.mean(nu**2, axis=0)))
@@ -165,7 +165,7 @@ def correlation_warnings(
     return [to_do(f"tune with --use {' '.join([*use, 'fix-error'])}", why)]
 
 
-def _first_hour(ready: PreparedDrive) -> Replay:
+def _first_part(ready: PreparedDrive) -> Replay:
     start = float(ready.drive.imu.time[0])
     return replay_of(_part(ready, start, start + MONITORED))
 
@@ -210,7 +210,7 @@ def scale_warnings(objective: str, parameters: FilterParameters, replays: Replay
         return []
     before = replays.scores([parameters])
     nis = float(before.mean_nis.mean())
-    said = (
+    message = (
         f"{objective} does not determine the scale of the covariances: mean NIS is {nis:.2g}, but should be 2"
     )
     remedy = SCALE_REMEDY.format(objective=objective)
@@ -222,5 +222,5 @@ def scale_warnings(objective: str, parameters: FilterParameters, replays: Replay
                 f"a factor of {nis / 2:.3g} on all variances changes mean NIS to 2 and the position RMSE by "
                 f"{moved:+.1%}"
             )
-            return [to_do(f"{remedy}, or use FilterParameters.scaled({nis / 2:.3g})", f"{said}; {right}")]
-    return [to_do(remedy, said)]
+            return [to_do(f"{remedy}, or use FilterParameters.scaled({nis / 2:.3g})", f"{message}; {right}")]
+    return [to_do(remedy, message)]

@@ -91,17 +91,17 @@ class LeverArmEstimate:
         axes = [f"{axis} (+-{std:.2f} m)" for axis, std in zip(found, self.std, strict=True)]
         known = [axis for axis, observable in zip(axes, self.observable, strict=True) if observable]
         unknown = [axis for axis in axes if axis not in known]
-        said = [f"antenna {' and '.join(known)} of the IMU"] if known else []
+        remarks = [f"antenna {' and '.join(known)} of the IMU"] if known else []
         if known and any(self.stated):
-            said.append(f"drive.toml states {' and '.join(stated)}")
+            remarks.append(f"drive.toml states {' and '.join(stated)}")
         if unknown:
             times = (1.96 * max(self.std) / self.within) ** 2
-            said.append(
+            remarks.append(
                 f"the turns of this log do not determine {' and '.join(unknown)} to {self.within:g} m, which needs "
                 f"{times:.1f} times as many turns"
                 + ("; drive.toml keeps its value" if any(self.stated) else "")
             )
-        return "; ".join(said)
+        return "; ".join(remarks)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the attributes as JSON types."""

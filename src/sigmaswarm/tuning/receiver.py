@@ -115,8 +115,8 @@ def noise_warnings(
         ]
     else:
         return []
-    said = f"the filter copies the fixes: its R corresponds to {r:.2g} m per axis, and {why}"
-    return [to_do(remedy, f"{said}; forecasts do not show correlated errors, and {UNKNOWN}")]
+    message = f"the filter copies the fixes: its R corresponds to {r:.2g} m per axis, and {why}"
+    return [to_do(remedy, f"{message}; forecasts do not show correlated errors, and {UNKNOWN}")]
 
 
 def prior_warnings(

@@ -10,7 +10,7 @@ from pydantic import AliasChoices, BaseModel, BeforeValidator, Field
 
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.drives.mounting import Angles, common_axes, common_mounting
-from sigmaswarm.drives.overlap import SEEN_FILE, Landmarks, load_landmarks, whole_drive
+from sigmaswarm.drives.overlap import TRAINING_DATA_FILE, Landmarks, load_landmarks, whole_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.filters.robot_yaml import YAML
@@ -110,13 +110,13 @@ def tuning_file(path: Path) -> Path:
     return path / FILE if path.is_dir() else path
 
 
-def seen_by(path: Path) -> list[Landmarks]:
+def training_data_of(path: Path) -> list[Landmarks]:
     """Return the landmarks of the training drives of a tuning.toml or its folder, from seen.npz next to it.
 
     If seen.npz is missing or from an earlier version, only whole drives are recognized.
     """
     data = TuningRecord.read(path).data
-    kept = load_landmarks(tuning_file(path).parent / SEEN_FILE)
+    kept = load_landmarks(tuning_file(path).parent / TRAINING_DATA_FILE)
     if kept is not None and [marks.sha256 for marks in kept] == [drive.sha256 for drive in data]:
         return kept
     return [whole_drive(d.name, d.sha256, d.duration_s or 0.0) for d in data if d.sha256]

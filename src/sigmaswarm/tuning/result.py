@@ -21,9 +21,9 @@ from sigmaswarm.records import load_record
 from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
-from sigmaswarm.tuning.diagnostics import SCALE_FREE, Forecast, said_of_forecasts
+from sigmaswarm.tuning.diagnostics import SCALE_FREE, Forecast, describe_forecasts
 from sigmaswarm.tuning.objectives import objective_named
-from sigmaswarm.tuning.record import NOT_VALIDATED, TuningRecord, seen_by, tuning_file
+from sigmaswarm.tuning.record import NOT_VALIDATED, TuningRecord, training_data_of, tuning_file
 from sigmaswarm.tuning.search import Trial, saved_trials
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE, RISE, Sensitivity
 from sigmaswarm.tuning.space import search_space
@@ -225,7 +225,7 @@ class Tuning(Generic[P]):
         if v := self.validation:
             on = counted(len(v.drives), f"validation {self._noun}")
             lines.append(f"cost {notebook.number(v.cost)} on {on}, errors {v.gap:+.1%}")
-        lines += said_of_forecasts(self.forecasts, [one["duration_s"] for one in self.data])
+        lines += describe_forecasts(self.forecasts, [one["duration_s"] for one in self.data])
         remarks = self.remarks
         lines += remarks[:SHOWN_REMARKS]
         if (more := len(remarks) - SHOWN_REMARKS) > 0:
@@ -295,7 +295,7 @@ class Tuning(Generic[P]):
             steps=result.filter_steps,
             full_steps=result.filter_steps_without_racing,
             data=[drive.model_dump(exclude_unset=True) for drive in record.data],
-            seen=tuple(seen_by(file)),
+            seen=tuple(training_data_of(file)),
             sensitivities=sensitivities,
             validation=validation,
             fixes_alone=record.fixes_alone,

@@ -12,10 +12,16 @@ import numpy as np
 
 from sigmaswarm.datasets.dataset import Dataset, datasets_of
 from sigmaswarm.drives.drive import Array, Drive, listed
-from sigmaswarm.drives.overlap import SEEN_FILE, Landmarks, SavedLandmarks, overlap_of, save_landmarks
+from sigmaswarm.drives.overlap import (
+    TRAINING_DATA_FILE,
+    Landmarks,
+    SavedLandmarks,
+    overlap_of,
+    save_landmarks,
+)
 from sigmaswarm.drives.sensors import sensors_of
 from sigmaswarm.errors import InputError, SigmaswarmWarning
-from sigmaswarm.files import held_folder
+from sigmaswarm.files import locked_folder
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.parameters import FilterParameters
@@ -136,7 +142,7 @@ def tune(
     with ExitStack() as stack:
         folder = None
         if out is not None:  # created only after all checks of the input
-            place = stack.enter_context(held_folder(Path(out)))
+            place = stack.enter_context(locked_folder(Path(out)))
             folder = tuning_folder(place, problem, resume=bool(resume), start=first)
         seen = _landmarks_of(problem, folder)
         pool = executor or stack.enter_context(ThreadPoolExecutor(cores()))
@@ -149,7 +155,10 @@ def _landmarks_of(problem: Problem[Any], folder: ResultFolder | None) -> Sequenc
     seen = problem.seen
     if folder is None or not seen:
         return tuple(seen)
-    file, names = folder.path / SEEN_FILE, tuple((entry["name"], entry["sha256"]) for entry in problem.data)
+    file, names = (
+        folder.path / TRAINING_DATA_FILE,
+        tuple((entry["name"], entry["sha256"]) for entry in problem.data),
+    )
     save_landmarks(seen, file, names)
     return seen if isinstance(seen, Sequence) else SavedLandmarks(file, names)
 

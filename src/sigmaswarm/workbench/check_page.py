@@ -125,14 +125,14 @@ class CheckPage(Page):
     def _steps(self) -> None:
         for number, step in enumerate(self.steps):
             if "repair" in step:
-                said = "repaired: " + ", ".join(step["repair"])
+                description = "repaired: " + ", ".join(step["repair"])
             else:
-                said = "kept only {:g} to {:g} s".format(*step["keep"])
+                description = "kept only {:g} to {:g} s".format(*step["keep"])
             rest = [*self.steps[:number], *self.steps[number + 1 :]]
             with card("done"), line("between"):
-                text("h3", said)
+                text("h3", description)
                 back = button("Undo", lambda rest=rest: self._do("undoing the step", rest), "undo")
-                back.props(f'aria-label="Undo: {said}"').set_enabled(not self.waiting)
+                back.props(f'aria-label="Undo: {description}"').set_enabled(not self.waiting)
 
     def _findings(self) -> None:
         findings = self.diagnosis.findings if self.diagnosis else ()
@@ -237,12 +237,12 @@ def _apply(drive: Drive, step: Step) -> Drive:
 def _look_ahead(drive: Drive, diagnosis: Diagnosis) -> dict[str, tuple[Agreements, str]]:
     """Try each repair. Return the agreements after it, and a sentence if the repair is withheld."""
     after: dict[str, tuple[Agreements, str]] = {}
-    said = (
+    description = (
         "The doctor withholds this repair, since a filter predicts the fixes worse after this repair. Check "
         "the log yourself."
     )
     for code in dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None):
         mended = sigmaswarm.repair(drive, diagnosis, only=[code])
         withheld = code in mended.metadata.get("withheld", ())
-        after[code] = _agreements(mended), said if withheld else ""
+        after[code] = _agreements(mended), description if withheld else ""
     return after

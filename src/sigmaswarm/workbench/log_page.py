@@ -35,13 +35,14 @@ class LogPage(OpenLog):
 
     def refresh(self) -> None:
         """Show changes. Unchanged rows of a table keep place and focus."""
-        shown = [panel.glance.table for panel in self.panels]
-        if self.look and shown == [glance.table for glance in self.look.tables]:
-            uses = columns.uses_of(self.look)
+        shown = [panel.preview.table for panel in self.panels]
+        if self.inspection and shown == [preview.table for preview in self.inspection.tables]:
+            uses = columns.uses_of(self.inspection)
             for panel in self.panels:
-                panel.update(self.look, uses)
+                panel.update(self.inspection, uses)
         else:
-            self.panels = [TablePanel(self, self.look, g) for g in self.look.tables] if self.look else []
+            tables = self.inspection.tables if self.inspection else ()
+            self.panels = [TablePanel(self, self.inspection, table) for table in tables if self.inspection]
             self._tables.refresh()
         for part in (self.status, self._notes, self._agreement, self._finish):
             part.refresh()
@@ -100,27 +101,27 @@ class LogPage(OpenLog):
     def open(self, path: str) -> None:
         self.bench.choices["log"] = path
         self.bench.save()
-        self.look, self.drive, self.found, self.panels, self.wrong = None, None, (), [], ""
+        self.inspection, self.drive, self.found, self.panels, self.wrong = None, None, (), [], ""
         self._pick.refresh()
         self.reread()
         self.refresh()
 
     @ui.refreshable_method
     def _notes(self) -> None:
-        if (look := self.look) is None:
+        if (inspection := self.inspection) is None:
             return
         with ui.element("div").classes("section"):
             text("h2", "Contents of the log")
-            for note in look.notes:
+            for note in inspection.notes:
                 text("p", note, "soft")
-            if look.proposal:
+            if inspection.proposal:
                 with card("warning"):
-                    text("p", f"Not recognized automatically. The names suggest: {look.proposal}")
-                    text("p", look.evidence, "soft")
+                    text("p", f"Not recognized automatically. The names suggest: {inspection.proposal}")
+                    text("p", inspection.evidence, "soft")
                     button("Use this", self._propose, "auto_fix_high", main=True)
 
     def _propose(self) -> None:
-        for key, proposed in (self.look.settings if self.look else {}).items():
+        for key, proposed in (self.inspection.settings if self.inspection else {}).items():
             self.bench.log_choices.setdefault(key, {}).update(proposed)
         self.choose()
 
@@ -146,7 +147,7 @@ class LogPage(OpenLog):
 
     @ui.refreshable_method
     def _finish(self) -> None:
-        if (log := self.bench.log) is None or self.look is None:
+        if (log := self.bench.log) is None or self.inspection is None:
             return
         choices = self.bench.log_choices
         name = choices.get("name") or self.bench.free("drives", log.stem)

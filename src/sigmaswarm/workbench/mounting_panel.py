@@ -38,7 +38,7 @@ class MountingPanel:
 
     @property
     def state(self) -> tuple[bool, str]:
-        return self.page.look is not None, self.page.bench.log_choices.get("mount", "")
+        return self.page.inspection is not None, self.page.bench.log_choices.get("mount", "")
 
     @ui.refreshable_method
     def show(self) -> None:
@@ -122,9 +122,9 @@ def sketch(rotation: Array) -> str:
     for k in np.argsort(VIEW[2] @ rotation):
         name, color = AXES[k]
         parts.append(_arrow(MOUNTED, MOUNTED + 1.35 * rotation[:, k], color, name))
-    said = ", ".join(f"{name} {_direction(rotation[:, k])}" for k, (name, _) in enumerate(AXES))
+    description = ", ".join(f"{name} {_direction(rotation[:, k])}" for k, (name, _) in enumerate(AXES))
     car = files("sigmaswarm.workbench").joinpath("car.svg").read_text()
-    labeled = car.replace('aria-label=""', f'aria-label="The IMU in the vehicle: {said}"')
+    labeled = car.replace('aria-label=""', f'aria-label="The IMU in the vehicle: {description}"')
     return labeled.replace("</svg>", "".join([*parts, "</svg>"]))
 
 

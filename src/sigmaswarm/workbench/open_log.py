@@ -7,19 +7,19 @@ from typing import Any
 from nicegui import ui
 
 import sigmaswarm
-from sigmaswarm import Agreement, Drive, Look, agreements, find_mount
+from sigmaswarm import Agreement, Drive, Inspection, agreements, find_mount
 from sigmaswarm.importing import choices as columns
 from sigmaswarm.workbench.parts import Page, message, text
 from sigmaswarm.workbench.state import Workbench, attempt
 
-Reading = tuple[Look | None, Drive | None, tuple[Agreement, ...], str]
+Reading = tuple[Inspection | None, Drive | None, tuple[Agreement, ...], str]
 """Content of a log, its drive, the agreements, and an error message."""
 
 
 class OpenLog(Page):
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
-        self.look: Look | None = None
+        self.inspection: Inspection | None = None
         self.drive: Drive | None = None
         self.found: tuple[Agreement, ...] = ()
         self.done = ""
@@ -28,7 +28,7 @@ class OpenLog(Page):
     @ui.refreshable_method
     def status(self) -> None:
         self.messages()
-        if self.wrong and self.look and self.look.tables:
+        if self.wrong and self.inspection and self.inspection.tables:
             text(
                 "p",
                 "Choose the use of each column below (--map). After each choice the log is read again.",
@@ -42,8 +42,8 @@ class OpenLog(Page):
         self.status.refresh()
 
     def assign(self, table: str, column: str, target: str | None) -> None:
-        if self.look:
-            columns.assign(self.bench.log_choices, self.look, table, column, target or columns.UNUSED)
+        if self.inspection:
+            columns.assign(self.bench.log_choices, self.inspection, table, column, target or columns.UNUSED)
             self.choose()
 
     def express(self, target: str, expression: str) -> None:
@@ -55,8 +55,8 @@ class OpenLog(Page):
             self.start("reading the log", _read, self.opened, {**self.bench.log_choices}, then=self._taken)
 
     def _taken(self, reading: Reading | None) -> None:
-        look, self.drive, self.found, wrong = reading or (None, None, (), self.wrong)
-        self.look, self.wrong = look or self.look, wrong
+        inspection, self.drive, self.found, wrong = reading or (None, None, (), self.wrong)
+        self.inspection, self.wrong = inspection or self.inspection, wrong
         self.refresh()
 
     def find_mounting(self) -> None:
@@ -76,12 +76,12 @@ def _read(log: Path, choices: dict[str, Any]) -> Reading:
     """Inspect a log and import it. After an error the results of earlier stages are kept."""
     settings = columns.settings_of(choices)
     drive, found = None, ()
-    look, wrong = attempt(sigmaswarm.inspect_log, log, **settings)
-    if look is not None:
+    inspection, wrong = attempt(sigmaswarm.inspect_log, log, **settings)
+    if inspection is not None:
         drive, wrong = attempt(sigmaswarm.import_log, log, **settings)
     if drive is not None:
         found, wrong = attempt(agreements, drive)
-    return look, drive, found or (), wrong
+    return inspection, drive, found or (), wrong
 
 
 def _mounting(log: Path, choices: dict[str, Any]) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
-from sigmaswarm import Glance, Look, Range
+from sigmaswarm import Inspection, Range, TablePreview
 from sigmaswarm.importing import choices as columns
 from sigmaswarm.importing.choices import CUSTOM, NAMES, TARGETS, UNUSED, Uses
 from sigmaswarm.workbench.open_log import OpenLog
@@ -20,16 +20,21 @@ MOST_COLUMNS = 30
 class TablePanel:
     """A table that can be folded. A choice redraws only the rows that it changes."""
 
-    def __init__(self, page: OpenLog, look: Look, glance: Glance) -> None:
-        self.page, self.look, self.glance, self.uses = page, look, glance, columns.uses_of(look)
-        shown = sorted(glance.ranges, key=lambda r: (glance.table, r.column) not in self.uses)
+    def __init__(self, page: OpenLog, inspection: Inspection, preview: TablePreview) -> None:
+        self.page, self.inspection, self.preview, self.uses = (
+            page,
+            inspection,
+            preview,
+            columns.uses_of(inspection),
+        )
+        shown = sorted(preview.ranges, key=lambda r: (preview.table, r.column) not in self.uses)
         self.rows = [ColumnRow(self, one) for one in shown[:MOST_COLUMNS]]
-        used = (glance.table, shown[0].column) in self.uses if shown else False
+        used = (preview.table, shown[0].column) in self.uses if shown else False
         # Until a drive can be made, tables in use are unfolded, in a log with few tables all tables.
-        self.unfolded = page.drive is None and (used or len(look.tables) <= 4)
+        self.unfolded = page.drive is None and (used or len(inspection.tables) <= 4)
 
-    def update(self, look: Look, uses: Uses) -> None:
-        self.look, self.uses = look, uses
+    def update(self, inspection: Inspection, uses: Uses) -> None:
+        self.inspection, self.uses = inspection, uses
         for row in self.rows:
             if row.state() != row.shown:
                 row.show.refresh()
@@ -38,18 +43,18 @@ class TablePanel:
     def heading(self) -> str:
         roles: dict[str, set[str]] = {}
         for (table_, _), found in self.uses.items():
-            for target, _ in found if table_ == self.glance.table else ():
+            for target, _ in found if table_ == self.preview.table else ():
                 role, _, name = target.partition(".")
                 roles.setdefault(NAMES[role], set()).add("time" if name == "t" else name)
-        said = "; ".join(f"{role}: {', '.join(sorted(names))}" for role, names in roles.items())
-        return f"{self.glance.table}: {said or 'not used'}"
+        description = "; ".join(f"{role}: {', '.join(sorted(names))}" for role, names in roles.items())
+        return f"{self.preview.table}: {description or 'not used'}"
 
     def show(self) -> None:
         """Show the table. The server sends the columns when the table is first unfolded."""
-        glance = self.glance
-        rows = f"{glance.rows} rows" if glance.rows is not None else ""
-        rate = f"{glance.rate:.4g} Hz" if glance.rate else ""
-        about = ", ".join(filter(None, (glance.kind, rows, rate, f"{len(glance.ranges)} columns")))
+        preview = self.preview
+        rows = f"{preview.rows} rows" if preview.rows is not None else ""
+        rate = f"{preview.rate:.4g} Hz" if preview.rate else ""
+        about = ", ".join(filter(None, (preview.kind, rows, rate, f"{len(preview.ranges)} columns")))
         fold = ui.expansion(caption=about).classes("card").bind_value(self, "unfolded")
         fold.bind_text_from(self, "heading")
         with fold:
@@ -67,9 +72,9 @@ class TablePanel:
         with ui.element("div").classes("columns"):
             for row in self.rows:
                 row.show()
-        if (left := len(self.glance.ranges) - MOST_COLUMNS) > 0:
+        if (left := len(self.preview.ranges) - MOST_COLUMNS) > 0:
             text("p", f"and {left} more columns, which expressions can also use", "soft")
-        first = self.look.rows[self.glance.table].head(5)
+        first = self.inspection.rows[self.preview.table].head(5)
         if len(first) and (names := first.columns[:12]):
             with ui.expansion("First rows").classes("soft"):
                 table(names, [[_cell(row[name]) for name in names] for row in first.to_dicts()])
@@ -85,28 +90,28 @@ class ColumnRow:
         self.shown: Any = None
 
     def state(self) -> tuple[list[tuple[str, str]], list[str]]:
-        found = self.panel.uses.get((self.panel.glance.table, self.about.column), [])
+        found = self.panel.uses.get((self.panel.preview.table, self.about.column), [])
         return found, self._faults(found[0][0] if found else "")
 
     @ui.refreshable_method
     def show(self) -> None:
         self.shown = found, faults = self.state()
-        page, about, table_ = self.panel.page, self.about, self.panel.glance.table
+        page, about, table_ = self.panel.page, self.about, self.panel.preview.table
         target, expression = found[0] if found else (UNUSED, "")
         with ui.element("div").classes("column-row"):
             with ui.element("div"):
                 ui.label(about.column).classes("column-name")
                 span = f"{number(about.low)} to {number(about.high)}"
                 ui.label(span if about.low is not None else about.example[:40] or "empty").classes("range")
-            values = np.empty(0) if about.low is None else self.panel.look.numbers(table_, about.column)
+            values = np.empty(0) if about.low is None else self.panel.inspection.numbers(table_, about.column)
             ui.html(sparkline(values), sanitize=False)
             choose = partial(page.assign, table_, about.column)
             use = select(f"Use of {about.column}", TARGETS, target, choose, with_input=True)
             use.classes("field").props("dense options-dense")
             if target:
                 self._unit(target, expression)
-            for also, said in found[1:]:
-                ui.label(f"also {TARGETS[also]} = {said}").classes("about")
+            for also, sentence in found[1:]:
+                ui.label(f"also {TARGETS[also]} = {sentence}").classes("about")
             for sentence in faults:
                 with ui.element("div").classes("wrong").props('role="alert"'):
                     ui.label(sentence)
@@ -130,8 +135,8 @@ class ColumnRow:
         mapped = page.bench.log_choices.get("maps", {})
         faults = [
             fault.sentence
-            for fault in self.panel.look.faults
-            if fault.table == self.panel.glance.table
+            for fault in self.panel.inspection.faults
+            if fault.table == self.panel.preview.table
             and f"{fault.role}.{fault.column}" not in mapped
             and columns.mentions(fault.sentence, column)
         ]

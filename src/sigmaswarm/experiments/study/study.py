@@ -34,9 +34,9 @@ from sigmaswarm.experiments.study.networks import score_networks, train_all, tra
 from sigmaswarm.experiments.study.record import Results, StudyRecord, spreads_of
 from sigmaswarm.experiments.study.results import results_of, rival_results
 from sigmaswarm.experiments.study.scores import score_all
-from sigmaswarm.experiments.study.timings import Stopwatch, kept_time, rival_times, write_timings
+from sigmaswarm.experiments.study.timings import Stopwatch, rival_times, stored_time, write_timings
 from sigmaswarm.experiments.study.tracks import follow
-from sigmaswarm.files import held_folder, make_folder, staged_files, write_whole
+from sigmaswarm.files import locked_folder, make_folder, staged_files, write_whole
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned.fitting import exact
@@ -145,7 +145,7 @@ def run_study(
         if cluster is not None:
             raise InputError("rivals = True: networks are trained on local drives; leave the cluster out")
     watch = Stopwatch()
-    with held_folder(Path(out)) as folder, ExitStack() as stack:
+    with locked_folder(Path(out)) as folder, ExitStack() as stack:
         _open_folder(folder, config, resume)
         if config.rivals:  # bo suppresses this warning, but a compiler in another thread may undo that
             stack.enter_context(warnings.catch_warnings())
@@ -257,7 +257,7 @@ def _tune_all(
         search = Search(own, None, folder, lambda now: report(now.generation))
         timed = design.config.rivals and folder.finished(task.trial) is None
         file = folder.path / f"trial-{task.trial:03d}" / "timings.json"
-        with kept_time(file) if timed else nullcontext():
+        with stored_time(file) if timed else nullcontext():
             trial = search.trial(task.trial)
         if not np.isfinite(trial.cost):
             raise InputError(

@@ -47,7 +47,7 @@ class Stopwatch:
 
 
 @contextmanager
-def kept_time(file: Path) -> Generator[None]:
+def stored_time(file: Path) -> Generator[None]:
     """Measure this thread's processor time in a ``with`` block, and write it to timings.json."""
     began = time.thread_time()
     yield

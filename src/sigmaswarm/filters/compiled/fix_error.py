@@ -63,7 +63,7 @@ def move_fix_error(w, *, n, noted):
         w[R.PHI, l], w[R.GAINED_X, l], w[R.GAINED_Y, l] = 1.0, 0.0, 0.0
 
 
-def see_fix_error(w, *, n):
+def observe_fix_error(w, *, n):
     """Add phi times the fix error, and the gained variance, to nu, H P H^T and C of a fix."""
     for l in range(LANES):
         phi = w[R.PHI, l]

@@ -31,7 +31,7 @@ from sigmaswarm.drives.events import FIX, HEADING, STANDSTILL, VELOCITY, sample_
 from sigmaswarm.drives.gaps import gap_of, usual_after
 from sigmaswarm.drives.odometer import INTERVAL, LARGEST_AGE
 from sigmaswarm.drives.stale_fixes import STALE, kind_of
-from sigmaswarm.drives.standstill import FIX_WINDOW, MEANS, fixes_stand, is_as_it_was, is_calm
+from sigmaswarm.drives.standstill import FIX_WINDOW, MEANS, fixes_are_still, is_calm, matches_stop
 from sigmaswarm.drives.timeline import AX, AXES, AY, DT, GAP, N_STEP, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 from sigmaswarm.filters.compiled.layout import COVARIANCE, N_KEPT, P0, R
@@ -209,10 +209,10 @@ def _until(rows, n, now):
 @_plain
 def _is_standstill(v, fixes, end, now, means):
     """Return True if the fixes before row ``end`` and the stop so far show a standstill, after a calm second."""
-    if not fixes_stand(fixes, fixes[:, KIND], end, now, np.empty(1)):
+    if not fixes_are_still(fixes, fixes[:, KIND], end, now, np.empty(1)):
         return False
     passed, v[STOP_TIME] = now - v[STOP_TIME], now
-    return is_as_it_was(v[STOP], passed, means)
+    return matches_stop(v[STOP], passed, means)
 
 
 @_plain

@@ -25,7 +25,7 @@ from sigmaswarm.filters.compiled.adaptive import (
     strong_tracking,
     student_t_weight,
 )
-from sigmaswarm.filters.compiled.fix_error import age_fix_error, move_fix_error, see_fix_error
+from sigmaswarm.filters.compiled.fix_error import age_fix_error, move_fix_error, observe_fix_error
 from sigmaswarm.filters.compiled.lanes import kernel, sincos, spread_of
 from sigmaswarm.filters.compiled.layout import C1, C2, LANES, SLOPE, R, at
 from sigmaswarm.filters.compiled.tilted12 import (
@@ -80,7 +80,7 @@ def update_fix(w, z, lever, since, *, stores_innovation, gated, adaptive, fix_er
         move_fix_error(w)
     _measure_fix(w, z, lever)
     if fix_error:
-        see_fix_error(w)
+        observe_fix_error(w)
     if stores_innovation:
         for l in range(LANES):
             nis = _add_likelihood(w, l)
@@ -121,7 +121,7 @@ def forecast_fix(w, z, lever, since, *, n, fix_error):
     _measure_fix(w, z, lever)
     if fix_error:
         age_fix_error(w, z, since)
-        see_fix_error(w)
+        observe_fix_error(w)
     for l in range(LANES):
         nis = _add_likelihood(w, l)
         w[R.SQ_FORECAST, l] += w[R.N1, l] * w[R.N1, l] + w[R.N2, l] * w[R.N2, l]
@@ -251,7 +251,7 @@ def measurement_kernels(name: str, note_prior=None, noted=0):
     }
     parts = (update_scalar, update_pair, _keep_digits, take_velocity, student_t_weight)
     parts += (strong_tracking, apply_fuzzy_rules, adapt) if ready["adaptive"] else ()
-    parts += (age_fix_error, move_fix_error, see_fix_error) if model.fix_error else ()
+    parts += (age_fix_error, move_fix_error, observe_fix_error) if model.fix_error else ()
     parts += () if ready["tilted"] else (_measure_fix,)
     ready["measure_heading"] = kernel(measure_heading_planar, n=ready["n"])
     if unscented:

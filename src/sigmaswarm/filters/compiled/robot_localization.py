@@ -138,7 +138,7 @@ def _measure_fix(w, x, y, var_x, var_y, forward, left):
 
 
 @kernel
-def _look_at_fix(w):
+def _check_fix(w):
     """Add the likelihood of a fix to the sums; reject the fix if its NIS exceeds the squared threshold."""
     for l in range(LANES):
         nis = _add_likelihood(w, l)
@@ -219,7 +219,7 @@ def step(w, u, events, z, wheels, lever, since):
         x, y, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
         _measure_fix(w, x, y, var_x, var_y, lever[0], lever[1])
         if events & FIX:
-            _look_at_fix(w)
+            _check_fix(w)
             _update_x(w)
             _update_y(w)
             _add_residual(w)

@@ -103,7 +103,7 @@ def _patiently(make: Callable[..., T], *arguments: Any) -> T:
 
 
 def _name(function: Callable[..., Any], known: Names) -> str:
-    return f"{function.__qualname__}_{_told_apart(known)}" if known else function.__qualname__
+    return f"{function.__qualname__}_{_distinct(known)}" if known else function.__qualname__
 
 
 def _changed(function: Callable[..., Any], change: Change | None, known: Names) -> Written:
@@ -123,7 +123,7 @@ def _made(function: Callable[..., Any], written: Written, name: str) -> Callable
     return made
 
 
-def _told_apart(known: Names) -> str:
+def _distinct(known: Names) -> str:
     """Return a hash of bound names, which distinguishes functions that are generated from one function.
 
     Numba names machine code after a function's qualified name and the number of compilations in the process. So kernels

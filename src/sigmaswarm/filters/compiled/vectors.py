@@ -64,7 +64,7 @@ class _Loops(ast.NodeTransformer):
         if ast.unparse(node.iter) != "range(LANES)":
             return self.generic_visit(node)
         called = f"_{self.title.strip('_')}_{_hash(node.body, self.names)}"
-        loop = _Loop(called, node.body, self.names, *_seen_from_outside(node.body, self.locals))
+        loop = _Loop(called, node.body, self.names, *_used_outside(node.body, self.locals))
         self.names[called] = _as_intrinsic(loop)
         call = f"{called}(w, ({''.join(name + ', ' for name in loop.shared)}))"
         new = [call] if not loop.counted else [f"_counts = {call}"]
@@ -85,7 +85,7 @@ class _Loop(NamedTuple):
     counted: list[str]
 
 
-def _seen_from_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[str], list[str]]:
+def _used_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[str], list[str]]:
     """Return ``shared`` and ``counted`` of `_Loop`."""
     made, shared, counted = {"w", "l"}, dict[str, None](), list[str]()
     for statement in body:

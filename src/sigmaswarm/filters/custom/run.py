@@ -329,8 +329,8 @@ def _shape(model: Model, log: Log, role: str, call: Callable[[], Any], wanted: l
         try:
             result = np.asarray(call(), dtype=np.float64)
         except Exception as error:  # a user's function may raise any error
-            said = " ".join(str(error).split())
-            raise model.wrong(f"{role} fails on {log.name}: {type(error).__name__}: {said}") from error
+            reason = " ".join(str(error).split())
+            raise model.wrong(f"{role} fails on {log.name}: {type(error).__name__}: {reason}") from error
     if result.shape not in wanted:
         shapes = " or ".join(str(shape) for shape in wanted)
         raise model.wrong(f"{role} returns shape {result.shape} on {log.name}; it should be {shapes}")

@@ -325,5 +325,5 @@ def collect(
 
 def broken_table(path: Path, table: str, error: Exception) -> InputError:
     where = path if path.name == table else path / table
-    said = shown(" ".join(str(error).split("\n")[0].split()), 160)
-    return InputError(f"{where}: can't be read as a table ({said}); export it again")
+    reason = shown(" ".join(str(error).split("\n")[0].split()), 160)
+    return InputError(f"{where}: can't be read as a table ({reason}); export it again")

@@ -61,9 +61,9 @@ def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
                 try:
                     types = typesys.get_types_from_msg(file.read_text("utf-8"), kind)
                 except (OSError, UnicodeDecodeError, typesys.TypesysError, RecursionError) as error:
-                    said = " ".join(str(error).split())[:160]
+                    reason = " ".join(str(error).split())[:160]
                     raise InputError(
-                        f"--msg {file}: can't be read as a definition ({said}); correct it"
+                        f"--msg {file}: can't be read as a definition ({reason}); correct it"
                     ) from None
                 new = {k: v for k, v in types.items() if k not in reader.typestore.fielddefs or k == kind}
                 for name in new:

@@ -1,4 +1,4 @@
-"""A first look at a log: its tables, rates and ranges of columns, and the recipe of a drive."""
+"""The inspection of a log: its tables, rates and ranges of columns, and the recipe of a drive."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -41,7 +41,7 @@ class Range:
 
 
 @dataclass(frozen=True)
-class Glance:
+class TablePreview:
     """A table: its description, number of rows, rate (Hz), and columns."""
 
     table: str
@@ -52,7 +52,7 @@ class Glance:
 
 
 @dataclass(frozen=True)
-class Look:
+class Inspection:
     """Content of the logs of a request, the recipe that an import would use, and its assumptions.
 
     ``proposal``: options of `sigmaswarm import` for unrecognized columns, the same as ``settings`` of `import_log`,
@@ -62,7 +62,7 @@ class Look:
     that a note recommends.
     """
 
-    tables: tuple[Glance, ...]
+    tables: tuple[TablePreview, ...]
     recipe: Recipe
     notes: tuple[str, ...]
     proposal: str = ""
@@ -83,7 +83,7 @@ class Look:
 Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]
 
 
-def look(request: Request) -> Look:
+def inspect_request(request: Request) -> Inspection:
     """Read the beginning of each log. Nothing is written; a guess that fails becomes a note."""
     with opened(request) as (logs, guesses):
         try:
@@ -99,7 +99,9 @@ def look(request: Request) -> Look:
         }
         first: Beginnings = {path: beginnings(log) for path, log in logs.items()}
         tables = [
-            Glance(name, table.kind, table.rows, _rate(rows, times.get((path, name))), tuple(_ranges(rows)))
+            TablePreview(
+                name, table.kind, table.rows, _rate(rows, times.get((path, name))), tuple(_ranges(rows))
+            )
             for path, log in logs.items()
             for name, table in log.tables.items()
             for rows in [first[path][name]]
@@ -113,12 +115,14 @@ def look(request: Request) -> Look:
     if proposal:
         proposal, evidence, works = judged(proposal, partial(_imported, request))
     unread = _unread(tables, recipe, proposal)
-    said, settings = (proposal.options, proposal.settings) if proposal else ("", {})
+    options, settings = (proposal.options, proposal.settings) if proposal else ("", {})
     faults = tuple(fault for guess in guesses.values() for fault in guess.faults)
     rows = {name: frame for tables_of in first.values() for name, frame in tables_of.items()}
     whole = tuple(tables), recipe, tuple(dict.fromkeys(notes))
     down = not recipe.mount and any(guess.downward for guess in guesses.values())
-    return Look(*whole, said, evidence, works, unread, faults, rows, settings, Z_DOWN if down else "")
+    return Inspection(
+        *whole, options, evidence, works, unread, faults, rows, settings, Z_DOWN if down else ""
+    )
 
 
 def _obstacles(
@@ -128,22 +132,24 @@ def _obstacles(
     if missing := convert.missing_sensor(recipe, request, logs, guesses, ROLES):
         return [missing]
     _, faults = convert.complete_all(request, logs, recipe, first)
-    return faults or [f"{request.source.name}: {said}" for said in missing_columns(recipe)]
+    return faults or [f"{request.source.name}: {message}" for message in missing_columns(recipe)]
 
 
 def _unread(
-    tables: Sequence[Glance], recipe: Recipe, proposal: Proposal | None
+    tables: Sequence[TablePreview], recipe: Recipe, proposal: Proposal | None
 ) -> dict[str, tuple[str, ...]]:
     """List columns that neither the recipe nor the proposal reads, by table."""
     parts = [part for role in recipe.roles.values() for part in role]
     unread: dict[str, tuple[str, ...]] = {}
-    for glance in tables:
-        names = [r.column for r in glance.ranges]
-        texts = [text for part in parts if part.table in ("", glance.table) for text in part.columns.values()]
+    for preview in tables:
+        names = [r.column for r in preview.ranges]
+        texts = [
+            text for part in parts if part.table in ("", preview.table) for text in part.columns.values()
+        ]
         texts += [t for columns in (proposal.columns if proposal else {}).values() for t in columns.values()]
         known = (*names, ROW)
         read = {c for text in texts if fits(text, known) for c in compile_expression(text, known).columns}
-        unread |= {glance.table: left} if (left := tuple(c for c in names if c not in read)) else {}
+        unread |= {preview.table: left} if (left := tuple(c for c in names if c not in read)) else {}
     return unread
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from importing.logs import a_drive
 from sigmaswarm.importing.convert import Request
-from sigmaswarm.importing.look import LOOKED_AT, SAMPLE, beginnings, look
+from sigmaswarm.importing.inspection import LOOKED_AT, SAMPLE, beginnings, inspect_request
 from sigmaswarm.importing.readers.messages import message_log
 from sigmaswarm.importing.source import CHUNK, Table
 
@@ -40,8 +40,8 @@ def test_every_file_is_looked_at(tmp_path: Path):
         tmp_path / "gps.csv"
     )
     (tmp_path / "notes.csv").write_text("day,who\nmonday,me\n")
-    seen = look(Request(tmp_path))
-    glances = {glance.table: glance for glance in seen.tables}
+    seen = inspect_request(Request(tmp_path))
+    glances = {preview.table: preview for preview in seen.tables}
     assert glances["a_imu.csv"].rate == pytest.approx(100, rel=1e-3)
     assert glances["gps.csv"].rate == pytest.approx(5, rel=1e-3)
     assert glances["notes.csv"].rate is None and glances["notes.csv"].ranges[1].example == "me"
@@ -52,7 +52,7 @@ def test_every_file_is_looked_at(tmp_path: Path):
 
 def test_a_map_that_fails_is_a_note(tmp_path: Path):
     pl.DataFrame({"t": [0.0, 1.0], "q": [1.0, 2.0]}).write_csv(tmp_path / "log.csv")
-    seen = look(Request(tmp_path / "log.csv", maps=["wheel=q"]))
+    seen = inspect_request(Request(tmp_path / "log.csv", maps=["wheel=q"]))
     assert any("no column 'wheel'" in note for note in seen.notes)
 
 
@@ -62,6 +62,6 @@ def test_a_look_has_rows_and_faults(tmp_path: Path):
     counts = np.round(np.degrees(drive.imu.gz) * 131)
     columns = {"t": drive.imu.time, "ax": drive.imu.ax, "ay": drive.imu.ay, "gz": counts}
     pl.DataFrame(columns).write_csv(file)
-    found = look(Request(file))
+    found = inspect_request(Request(file))
     assert found.rows["log.csv"]["gz"].to_list() == counts[: len(found.rows["log.csv"])].tolist()
     assert {(fault.role, fault.column) for fault in found.faults} == {("imu", "gz")}
