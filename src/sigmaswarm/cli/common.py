@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from sigmaswarm import Drive, Evaluation
+    from sigmaswarm.cli.findings import Remedy
     from sigmaswarm.datasets.dataset import Dataset
     from sigmaswarm.drives.reader import Location
     from sigmaswarm.errors import SigmaswarmWarning
@@ -83,7 +84,7 @@ def cluster_at(address: str | None) -> "Generator[Client | None]":
 def read_datasets(
     *groups: "Sequence[Location]",
     cluster: "Client | None" = None,
-    remedies: list[tuple[str, Path | None]] | None = None,
+    remedies: "list[Remedy] | None" = None,
     gaps: bool = False,
 ) -> "list[Dataset]":
     """Read groups of drives in this process or on the workers of a cluster.

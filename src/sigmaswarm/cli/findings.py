@@ -79,8 +79,7 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Rem
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
         elif warned := [f.code for f in diagnosis.findings if f.severity == "warning"]:
-            command = f"sigmaswarm doctor {shlex.quote(str(folder))}"
-            seen = f"the doctor warns of {', '.join(warned)}; for details run {command}"
+            seen = f"the doctor warns of {', '.join(warned)}; for details run {_doctor(folder)}"
             warnings.warn(f"{folder}: {seen}", SigmaswarmWarning, stacklevel=2)
     return remedies
 
@@ -115,12 +114,16 @@ def mending(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
 
     If no fault can be repaired, or a serious one cannot, return the command that shows the faults, and None.
     """
-    command = f"sigmaswarm doctor {shlex.quote(str(folder))}"
+    command = _doctor(folder)
     if not repairable(diagnosis) or unrepairable(diagnosis):
         return command, None
     folders = (Path("mended" if i == 1 else f"mended-{i}") for i in count(1))
     out = next(out for out in folders if not (out / diagnosis.drive).exists())
     return f"{command} --fix {out}", out / diagnosis.drive
+
+
+def _doctor(folder: "Location") -> str:
+    return f"sigmaswarm doctor {shlex.quote(str(folder))}"
 
 
 def next_steps(diagnosis: "Diagnosis", out: Path) -> Iterator[str]:

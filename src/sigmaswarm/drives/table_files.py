@@ -134,8 +134,8 @@ class TableFile:
                 raise DriveError(f"{header}: no column {name}, only {names_shown(names)}; add or {remedy}")
         if unknown := [name for name in names if name not in known]:
             self._require_one_line(unknown)
-            names = names_shown(unknown, "'")
-            remarks.append(f"{self.path}: ignoring {names}; the known columns are {', '.join(known)}")
+            ignored = names_shown(unknown, "'")
+            remarks.append(f"{self.path}: ignoring {ignored}; the known columns are {', '.join(known)}")
         numbers = {name: self._numbers(name) for name in known if name in names}
         self._require_increasing(numbers["t"])
         return {"time" if name == "t" else name: values for name, values in numbers.items()}

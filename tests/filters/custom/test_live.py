@@ -117,6 +117,9 @@ def test_wrong_input_is_refused():
         filter.update(1.0, [0.0, np.inf, 0.0, 0.0])
     with pytest.raises(InputError, match="not numbers"):
         filter.predict(1.0, ["a", "b"])
+    for call in (lambda: filter.predict("noon", [0.0, 0.0]), lambda: filter.update("noon", [0.0] * 4)):
+        with pytest.raises(InputError, match="t = 'noon' is not a number"):
+            call()
     with pytest.raises(InputError, match="history = -1"):
         live(CAR, log, history=-1)
     with pytest.raises(InputError, match="parameter 'r' is missing"):

@@ -101,14 +101,14 @@ class LiveModel:
         Raises
         ------
         InputError
-            If the number of inputs is wrong, or one is not finite.
+            If the number of inputs is wrong, or one is not finite, or t is not a number.
         """
-        u = _numbers("inputs", inputs, self._n_inputs)
+        u, t = _numbers("inputs", inputs, self._n_inputs), _seconds(t)
         if not self._time < t < np.inf:
             return
         now = [each for each in self._waiting if each[0] <= t]
         self._waiting = self._waiting[len(now) :]
-        sample = _Sample(self._time, self._state, float(t), u, now)
+        sample = _Sample(self._time, self._state, t, u, now)
         self._samples.append(sample)
         while self._samples[0].time < t - self.history:
             self._samples.popleft()
@@ -127,9 +127,9 @@ class LiveModel:
         Raises
         ------
         InputError
-            If the number of elements is wrong, or an element is infinite.
+            If the number of elements is wrong, or an element is infinite, or t is not a number.
         """
-        z = _numbers("measurement", measurement, self._m, absent=True)
+        z, t = _numbers("measurement", measurement, self._m, absent=True), _seconds(t)
         if t > self._time or (t == self._time and not self._samples):
             return _store(self._waiting, t, z)
         late = [sample for sample in self._samples if t <= sample.time]
@@ -183,6 +183,13 @@ def _numbers(name: str, values: ArrayLike, size: int, *, absent: bool = False) -
     return found
 
 
+def _seconds(t: float) -> float:
+    try:
+        return float(t)
+    except (TypeError, ValueError):
+        raise InputError(f"t = {t!r} is not a number; pass seconds") from None
+
+
 def _store(stored: list[Timed], t: float, z: Array) -> bool:
     """Insert a measurement by time, or into one of the same time; return False if it has no new element."""
     for k, (time, known) in enumerate(stored):
@@ -192,5 +199,5 @@ def _store(stored: list[Timed], t: float, z: Array) -> bool:
             return bool((~np.isnan(both)).sum() > (~np.isnan(known)).sum())
     if np.isnan(z).all() or not np.isfinite(t):
         return False
-    insort(stored, (float(t), z), key=itemgetter(0))
+    insort(stored, (t, z), key=itemgetter(0))
     return True
