@@ -22,82 +22,22 @@ from sigmaswarm.filters.compiled.lanes import OPTIONS
 from sigmaswarm.filters.compiled.layout import QUATERNION, state_rows
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.step_log import phi_place
+from sigmaswarm.filters.compiled.transition import COEFFICIENTS, TRANSITIONS
 from sigmaswarm.filters.compiled.unroll import unrolled
-from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED, own_name
-from sigmaswarm.filters.tilted import GRAVITY, STEP_FIRST
+from sigmaswarm.filters.fix_error import FILTERS, own_name
 
 
 def _plain(function, **known):
     return njit(unrolled(function, **known), **OPTIONS)
 
 
-@_plain
-def _moved_planar5(move, p, ap, n):
-    """Compute A P."""
-    h, je, jn = 0.5 * move[0], move[1], move[2]
-    for c in range(n):
-        vx, vy = p[2, c] + je * p[4, c], p[3, c] + jn * p[4, c]
-        ap[0, c], ap[1, c] = p[0, c] + h * (p[2, c] + vx), p[1, c] + h * (p[3, c] + vy)
-        ap[2, c], ap[3, c], ap[4, c] = vx, vy, p[4, c]
-
-
-@_plain
-def _moved_planar8(move, p, ap, n):
-    dt, je, jn, cos, sin = move[0], move[1], move[2], move[3], move[4]
-    h = 0.5 * dt
-    for c in range(n):
-        vx = p[2, c] + je * p[4, c] - (cos * p[5, c] - sin * p[6, c])
-        vy = p[3, c] + jn * p[4, c] - (sin * p[5, c] + cos * p[6, c])
-        ap[0, c], ap[1, c] = p[0, c] + h * (p[2, c] + vx), p[1, c] + h * (p[3, c] + vy)
-        ap[2, c], ap[3, c], ap[4, c] = vx, vy, p[4, c] - dt * p[7, c]
-        ap[5, c], ap[6, c], ap[7, c] = p[5, c], p[6, c], p[7, c]
-
-
-@_plain
-def _moved_tilted12(move, p, ap, n):
-    """Compute A P of the error, whose rotation about up, east and north is in rows 4, 8 and 9."""
-    dt, east, north = move[0], move[1], move[2]
-    h, g = 0.5 * dt, GRAVITY * dt
-    for c in range(n):
-        e, n, up = p[8, c], p[9, c], p[4, c]
-        vx = p[2, c] + g * n - north * up - move[3] * p[5, c] - move[4] * p[6, c]
-        vy = p[3, c] - g * e + east * up - move[6] * p[5, c] - move[7] * p[6, c]
-        ap[0, c], ap[1, c] = p[0, c] + h * (p[2, c] + vx), p[1, c] + h * (p[3, c] + vy)
-        ap[2, c], ap[3, c] = vx, vy
-        ap[8, c] = e - move[3] * p[10, c] - move[4] * p[11, c] - move[5] * p[7, c]
-        ap[9, c] = n - move[6] * p[10, c] - move[7] * p[11, c] - move[8] * p[7, c]
-        ap[4, c] = up - move[9] * p[10, c] - move[10] * p[11, c] - move[11] * p[7, c]
-        for a in (5, 6, 7, 10, 11):
-            ap[a, c] = p[a, c]
-
-
-def _moved_unscented(move, p, ap, n, *, first):
-    """Compute A P of the error from D and the slopes."""
-    h = 0.5 * move[0]
-    for c in range(n):
-        vx = p[2, c] - move[1] * p[5, c] - move[2] * p[6, c]
-        vy = p[3, c] - move[3] * p[5, c] - move[4] * p[6, c]
-        e, n, up = p[8, c], p[9, c], p[4, c]
-        for i in range(6):
-            q = p[first[i], c]
-            vx += move[5 + i] * q
-            vy += move[11 + i] * q
-            if i < 3:
-                e += move[17 + i] * q
-                n += move[20 + i] * q
-                up += move[23 + i] * q
-        ap[0, c], ap[1, c] = p[0, c] + h * (p[2, c] + vx), p[1, c] + h * (p[3, c] + vy)
-        ap[2, c], ap[3, c], ap[8, c], ap[9, c], ap[4, c] = vx, vy, e, n, up
-        for a in (5, 6, 7, 10, 11):
-            ap[a, c] = p[a, c]
-
-
-_MOVED = {
-    "planar5": _moved_planar5,
-    "planar8": _moved_planar8,
-    "tilted12": _moved_tilted12,
-    UNSCENTED: _plain(_moved_unscented, first=STEP_FIRST),
-}
+def _transition_times(move, p, ap, *, n, coefficients, transition):
+    """Compute A P of a model's own states (n) from a logged row: the length of the step and its coefficients."""
+    f = tuple(move[1 + k] for k in coefficients)
+    for c in range(p.shape[1]):
+        moved = transition(f, move[0], tuple(p[k, c] for k in range(n)))
+        for k in range(n):
+            ap[k, c] = moved[k]
 
 
 def _spread(state, p, *, n, first):
@@ -164,13 +104,15 @@ def _turned(q, x, y, z, out):
     out[0], out[1], out[2], out[3] = one * w0, one * w1, one * w2, one * w3
 
 
-def _step_back(before, noted, behind, work, *, n, n_state, first, tilted, phi, moved, spread, solve):
+def _step_back(
+    before, noted, behind, work, *, n, n_state, first, tilted, phi, transition_times, spread, solve
+):
     """Smooth one step: replace the smoothed state after it, in ``behind`` (n_state,), by that before it."""
     prior = noted[n_state : 2 * n_state]
     p, change, x, s = work[0], work[1], work[2], work[3]
     error, shift = work[4, 0], work[4, 1]
     spread(before, p)
-    moved(noted[2 * n_state :], p, x, n)
+    transition_times(noted[2 * n_state :], p, x)
     if phi:
         for b in (n - 2, n - 1):
             for a in range(n):
@@ -239,9 +181,14 @@ def _kernel_of(name):
     first = n + (len(QUATERNION) if tilted else 0)
 
     def known():
+        own = own_name(name)
+        transition_times = _plain(
+            _transition_times, n=len(FILTERS[own].states), coefficients=range(len(COEFFICIENTS[own])),
+            transition=_plain(TRANSITIONS[own]),
+        )  # fmt: skip
         step_back = _plain(
-            _step_back, n=n, n_state=len(state_rows(name)), first=first, tilted=tilted, moved=_MOVED[own_name(name)],
-            phi=phi_place(name),
+            _step_back, n=n, n_state=len(state_rows(name)), first=first, tilted=tilted, phi=phi_place(name),
+            transition_times=transition_times,
             spread=_plain(_spread, n=n, first=first), solve=_plain(_solve, n=n),
         )  # fmt: skip
         return {"n": n, "step_back": step_back}

@@ -12,8 +12,9 @@ from sigmaswarm.filters.compiled.layout import LANES, R
 from sigmaswarm.filters.compiled.measurements import measurement_kernels
 from sigmaswarm.filters.compiled.planar5 import predict_planar5
 from sigmaswarm.filters.compiled.planar8 import predict_planar8
-from sigmaswarm.filters.compiled.tilted12 import COLUMNS, predict_tilted12, settle
-from sigmaswarm.filters.compiled.tilted12_unscented import predict_unscented
+from sigmaswarm.filters.compiled.tilted12 import COLUMNS, predict_tilted12, propagate, settle
+from sigmaswarm.filters.compiled.tilted12_unscented import add_curvature, linearize
+from sigmaswarm.filters.compiled.transition import COEFFICIENTS, TRANSITIONS
 from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED, own_name
 from sigmaswarm.filters.schedule import GAP_ACCELERATION_STD, GAP_TILT_STD, GAP_TURN_STD
 from sigmaswarm.filters.tilted import N
@@ -80,12 +81,20 @@ def _step(
             settle(w)
 
 
+def _predict_tilted12(name, columns=COLUMNS, **known):
+    moved = kernel(propagate, columns=columns, coefficients=COEFFICIENTS[name], transition=TRANSITIONS[name])
+    return kernel(predict_tilted12, propagate=moved, **known)
+
+
 _PREDICTIONS = {
     "planar5": (predict_planar5, None),
     "planar8": (predict_planar8, None),
-    "tilted12": (kernel(predict_tilted12, columns=COLUMNS), settle),
-    "tilted12+fix-error": (kernel(predict_tilted12, columns=(*COLUMNS, (N, N + 1))), settle),
-    UNSCENTED: (predict_unscented, settle),
+    "tilted12": (_predict_tilted12("tilted12", linearize=None, add_curvature=None), settle),
+    "tilted12+fix-error": (
+        _predict_tilted12("tilted12", (*COLUMNS, (N, N + 1)), linearize=None, add_curvature=None),
+        settle,
+    ),
+    UNSCENTED: (_predict_tilted12(UNSCENTED, linearize=linearize, add_curvature=add_curvature), settle),
 }
 
 

@@ -1,8 +1,7 @@
 """Log of each step of the compiled filter for a smoother: the prediction before any update, and its transition A.
 
-A is the Jacobian of an extended filter, or the statistical linearization Cov(s', s) P^-1 of an unscented filter. In
-planar5.py and planar8.py this linearization is the Jacobian with k J g0 + m t in place of J g0. The prediction includes
-the inflation by a fading factor or after a run of outliers.
+The log has the coefficients of A (see transition.py), and phi of `fix_error`. The prediction includes the inflation by
+a fading factor or after a run of outliers.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -10,28 +9,13 @@ the inflation by a fading factor or after a run of outliers.
 import numpy as np
 
 from sigmaswarm.filters.compiled.lanes import kernel
-from sigmaswarm.filters.compiled.layout import LANES, MOVE, PRIOR, SLOPE, R, state_rows
-from sigmaswarm.filters.compiled.tilted12_unscented import OUTPUTS
-from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED, own_name
-
-MOVES = {
-    "planar5": (R.JEAST, R.JNORTH),
-    "planar8": (R.JEAST, R.JNORTH, R.COS, R.SIN),
-    "tilted12": (
-        *(R.EAST, R.NORTH),
-        *(R.D11, R.D12, R.D13, R.D21, R.D22, R.D23, R.D31, R.D32, R.D33),
-    ),
-    UNSCENTED: (
-        *(R.D11, R.D12, R.D21, R.D22),
-        *(SLOPE + OUTPUTS * column + output for output in (0, 1) for column in range(6)),
-        *(SLOPE + OUTPUTS * column + output for output in (2, 3, 4) for column in range(3)),
-    ),
-}
-"""Rows from which A is computed, by kernel, all proportional to the length of the step; phi of `fix_error` follows."""
+from sigmaswarm.filters.compiled.layout import LANES, MOVE, PRIOR, state_rows
+from sigmaswarm.filters.compiled.transition import COEFFICIENTS
+from sigmaswarm.filters.fix_error import FILTERS, own_name
 
 
 def _moves_of(name):
-    return MOVES[own_name(name)]
+    return COEFFICIENTS[own_name(name)]
 
 
 def logged_rows(name):

@@ -4,15 +4,8 @@ The attitude of the mean is the quaternion in rows ATT_W ... ATT_Z. Rows I, J an
 east, north and up. It is 0 except between a measurement and `fold`, which rotates the quaternion by the error. All
 other rows are those of planar8; K and L are the biases of gx and gy.
 
-Seven rows of F differ from those of the identity. With D = dt R at the middle of the step, a = D f, g = 9.81 dt and
-h = dt/2:
-
-    u' = u + g J - a_n T - D11 A - D12 B        x' = x + h (u + u')
-    v' = v - g I + a_e T - D21 A - D22 B        y' = y + h (v + v')
-    I' = I - D11 K - D12 L - D13 W              J', T' likewise
-
-So P' = F P F^T is computed in two parts: first F P, with these seven rows in scratch rows, then (F P) F^T. The columns
-of A, B, W, K and L are computed last.
+A changes seven rows (see transition.py), so P' = A P A^T is computed in two parts: first A P, with these seven rows in
+scratch rows, then (A P) A^T. The columns of A, B, W, K and L are computed last.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -45,13 +38,13 @@ KEPT = (R.A, R.B, R.W, R.K, R.L)
 
 # Each group is one loop. Its columns share most inputs, so fewer numbers are loaded, and more operations are parallel.
 COLUMNS = (R.X, R.Y, R.U, R.V), (R.T, R.I, R.J, R.A), (R.B, R.W, R.K, R.L)
-"""Columns of F P. Those of KEPT are last, since they overwrite rows that the other columns read. Columns of states that
-F does not change may follow."""
-ROWS = (R.X, R.Y), (R.U, R.V), (R.T, R.I, R.J)  # of (F P) F'
+"""Columns of A P. Those of KEPT are last, since they overwrite rows that the other columns read. Columns of states that
+A does not change may follow."""
+ROWS = (R.X, R.Y), (R.U, R.V), (R.T, R.I, R.J)  # of (A P) A'
 
 
 def fp(i, j):
-    """Return the row of (F P)[i, j] for i in MOVED: a scratch row, or that of P if F does not change column j."""
+    """Return the row of (A P)[i, j] for i in MOVED: a scratch row, or that of P if A does not change column j."""
     return at(i, j) if j not in MOVED else FP + len(MOVED) * MOVED.index(i) + MOVED.index(j)
 
 
@@ -122,50 +115,51 @@ def _move(w, u):
         w[R.V, l] += north
 
 
-def predict_tilted12(w, u, *, columns):
-    """Compute a step of the process model; ``columns``: `COLUMNS`, then those of states outside of the process."""
-    _half_turn(w, u)
-    _move(w, u)
-    h, g, q_scale = 0.5 * u[DT], GRAVITY * u[DT], u[Q_SCALE]
+def propagate(w, u, *, columns, coefficients, transition):
+    """Compute A P A^T; ``columns``: `COLUMNS`, then those of states outside of the process. See transition.py."""
+    dt = u[DT]
     for group in columns:
         for l in range(LANES):
+            f = tuple(w[row, l] for row in coefficients)
             for j in group:
-                pu, pv = w[at(R.U, j), l], w[at(R.V, j), l]
-                pi, pj, pt = w[at(R.I, j), l], w[at(R.J, j), l], w[at(R.T, j), l]
-                pa, pb = w[at(R.A, j), l], w[at(R.B, j), l]
-                pk, pl, pw = w[at(R.K, j), l], w[at(R.L, j), l], w[at(R.W, j), l]
-                u1 = pu + g * pj - w[R.NORTH, l] * pt - w[R.D11, l] * pa - w[R.D12, l] * pb
-                v1 = pv - g * pi + w[R.EAST, l] * pt - w[R.D21, l] * pa - w[R.D22, l] * pb
-                w[fp(R.U, j), l], w[fp(R.V, j), l] = u1, v1
-                w[fp(R.X, j), l] = w[at(R.X, j), l] + h * (pu + u1)
-                w[fp(R.Y, j), l] = w[at(R.Y, j), l] + h * (pv + v1)
-                w[fp(R.I, j), l] = pi - w[R.D11, l] * pk - w[R.D12, l] * pl - w[R.D13, l] * pw
-                w[fp(R.J, j), l] = pj - w[R.D21, l] * pk - w[R.D22, l] * pl - w[R.D23, l] * pw
-                w[fp(R.T, j), l] = pt - w[R.D31, l] * pk - w[R.D32, l] * pl - w[R.D33, l] * pw
+                e = transition(f, dt, tuple(w[at(k, j), l] for k in range(N)))
+                (
+                    w[fp(R.X, j), l], w[fp(R.Y, j), l], w[fp(R.U, j), l], w[fp(R.V, j), l], w[fp(R.T, j), l],
+                    _, _, _, w[fp(R.I, j), l], w[fp(R.J, j), l], _, _,
+                ) = e  # fmt: skip
     for group in ROWS:
         for l in range(LANES):
+            f = tuple(w[row, l] for row in coefficients)
             for i in group:
-                bu, bv = w[fp(i, R.U), l], w[fp(i, R.V), l]
-                bi, bj, bt = w[fp(i, R.I), l], w[fp(i, R.J), l], w[fp(i, R.T), l]
-                ba, bb = w[fp(i, R.A), l], w[fp(i, R.B), l]
-                bk, bl, bw = w[fp(i, R.K), l], w[fp(i, R.L), l], w[fp(i, R.W), l]
+                x, y, vx, vy, up, _, _, _, east, north, _, _ = transition(
+                    f, dt, tuple(w[fp(i, k), l] for k in range(N))
+                )
                 # Each pair in MOVED is computed once, in the column of the state that is later in MOVED.
-                if i in (R.X, R.Y, R.U, R.V):
-                    u1 = bu + g * bj - w[R.NORTH, l] * bt - w[R.D11, l] * ba - w[R.D12, l] * bb
-                    v1 = bv - g * bi + w[R.EAST, l] * bt - w[R.D21, l] * ba - w[R.D22, l] * bb
                 if i == R.X:
-                    w[at(R.X, R.X), l] = w[fp(R.X, R.X), l] + h * (bu + u1)
+                    w[at(i, R.X), l] = x
                 if i in (R.X, R.Y):
-                    w[at(i, R.Y), l] = w[fp(i, R.Y), l] + h * (bv + v1)
+                    w[at(i, R.Y), l] = y
                 if i in (R.X, R.Y, R.U):
-                    w[at(i, R.U), l] = u1
+                    w[at(i, R.U), l] = vx
                 if i in (R.X, R.Y, R.U, R.V):
-                    w[at(i, R.V), l] = v1
+                    w[at(i, R.V), l] = vy
                 if i not in (R.I, R.J):
-                    w[at(i, R.T), l] = bt - w[R.D31, l] * bk - w[R.D32, l] * bl - w[R.D33, l] * bw
+                    w[at(i, R.T), l] = up
                 if i != R.J:
-                    w[at(i, R.I), l] = bi - w[R.D11, l] * bk - w[R.D12, l] * bl - w[R.D13, l] * bw
-                w[at(i, R.J), l] = bj - w[R.D21, l] * bk - w[R.D22, l] * bl - w[R.D23, l] * bw
+                    w[at(i, R.I), l] = east
+                w[at(i, R.J), l] = north
+
+
+def predict_tilted12(w, u, *, propagate, linearize, add_curvature):
+    """Compute a step of the process model; ``linearize`` and ``add_curvature`` are of the unscented filter."""
+    _half_turn(w, u)
+    _move(w, u)
+    if linearize:
+        linearize(w, u)
+    propagate(w, u)
+    if add_curvature:
+        add_curvature(w, u)
+    q_scale = u[Q_SCALE]
     for l in range(LANES):
         for i in range(N):
             w[at(i, i), l] += q_scale * w[Q0 + i, l]

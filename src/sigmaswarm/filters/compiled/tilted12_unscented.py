@@ -32,7 +32,7 @@ import math
 import numpy as np
 
 from sigmaswarm.drives.odometer import AGE, MORE, SPEED
-from sigmaswarm.drives.timeline import AX, AY, AZ, DT, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GZ, Q_SCALE
+from sigmaswarm.drives.timeline import AX, AY, AZ, DT, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GZ
 from sigmaswarm.filters.compiled.lanes import FAR, TINY, angle_of, kernel, sinc_cos, sincos, spread_of
 from sigmaswarm.filters.compiled.layout import (
     BEND,
@@ -41,21 +41,21 @@ from sigmaswarm.filters.compiled.layout import (
     EXTRA,
     LANES,
     PIVOT,
-    Q0,
     ROOT,
     SHIFT,
     SLOPE,
     R,
     at,
 )
-from sigmaswarm.filters.compiled.tilted12 import COLUMNS, ROWS, _half_turn, _move, fold, fp
+from sigmaswarm.filters.compiled.tilted12 import fold
+from sigmaswarm.filters.compiled.transition import OUTPUTS
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.tilted import GRAVITY, MEASURED_FIRST, STEP_FIRST, N
 
 ADDED, POSITION = (R.U, R.V, R.I, R.J, R.T), (R.X, R.Y)
 """States with a nonlinear step, in the order of the step's outputs; and the states that integrate the first two."""
-WIDTH, OUTPUTS = 6, 5
-"""Numbers per state in the rows ROOT, and per column in SLOPE and BEND."""
+WIDTH = 6
+"""Numbers per state in the rows ROOT. SLOPE and BEND have `OUTPUTS` per column."""
 
 
 def _root(w, *, order, columns):
@@ -279,7 +279,7 @@ def _turn_acceleration(w):
 
 
 @kernel
-def _unscented_transition(w, u):
+def linearize(w, u):
     """Compute H, mu and EXTRA of a step; add mu to the mean."""
     _root_of_step(w)
     ax, ay, az, h, quarter = u[AX], u[AY], u[AZ], 0.5 * u[DT], 0.25 * u[DT]
@@ -312,64 +312,9 @@ def _unscented_transition(w, u):
 
 
 @kernel
-def predict_unscented(w, u):
-    """Compute a step of the process model like `tilted12.predict_tilted12`, with H in place of F."""
-    _half_turn(w, u)
-    _move(w, u)
-    _unscented_transition(w, u)
-    h, q_scale = 0.5 * u[DT], u[Q_SCALE]
-    for group in COLUMNS:
-        for l in range(LANES):
-            for j in group:
-                pu, pv = w[at(R.U, j), l], w[at(R.V, j), l]
-                pa, pb = w[at(R.A, j), l], w[at(R.B, j), l]
-                pi, pj, pt = w[at(R.I, j), l], w[at(R.J, j), l], w[at(R.T, j), l]
-                u1 = pu - w[R.D11, l] * pa - w[R.D12, l] * pb
-                v1 = pv - w[R.D21, l] * pa - w[R.D22, l] * pb
-                for i in range(6):
-                    p = w[at(STEP_FIRST[i], j), l]
-                    u1 += w[SLOPE + OUTPUTS * i, l] * p
-                    v1 += w[SLOPE + OUTPUTS * i + 1, l] * p
-                for i in range(3):
-                    p = w[at(STEP_FIRST[i], j), l]
-                    pi += w[SLOPE + OUTPUTS * i + 2, l] * p
-                    pj += w[SLOPE + OUTPUTS * i + 3, l] * p
-                    pt += w[SLOPE + OUTPUTS * i + 4, l] * p
-                w[fp(R.U, j), l], w[fp(R.V, j), l] = u1, v1
-                w[fp(R.X, j), l] = w[at(R.X, j), l] + h * (pu + u1)
-                w[fp(R.Y, j), l] = w[at(R.Y, j), l] + h * (pv + v1)
-                w[fp(R.I, j), l], w[fp(R.J, j), l], w[fp(R.T, j), l] = pi, pj, pt
-    for group in ROWS:
-        for l in range(LANES):
-            for i in group:
-                bu, bv = w[fp(i, R.U), l], w[fp(i, R.V), l]
-                ba, bb = w[fp(i, R.A), l], w[fp(i, R.B), l]
-                u1 = bu - w[R.D11, l] * ba - w[R.D12, l] * bb
-                v1 = bv - w[R.D21, l] * ba - w[R.D22, l] * bb
-                bi, bj, bt = w[fp(i, R.I), l], w[fp(i, R.J), l], w[fp(i, R.T), l]
-                for k in range(6):
-                    p = w[fp(i, STEP_FIRST[k]), l]
-                    u1 += w[SLOPE + OUTPUTS * k, l] * p
-                    v1 += w[SLOPE + OUTPUTS * k + 1, l] * p
-                for k in range(3):
-                    p = w[fp(i, STEP_FIRST[k]), l]
-                    bi += w[SLOPE + OUTPUTS * k + 2, l] * p
-                    bj += w[SLOPE + OUTPUTS * k + 3, l] * p
-                    bt += w[SLOPE + OUTPUTS * k + 4, l] * p
-                # Each pair in MOVED is computed once, in the column of the state that is later in MOVED.
-                if i == R.X:
-                    w[at(R.X, R.X), l] = w[fp(R.X, R.X), l] + h * (bu + u1)
-                if i in (R.X, R.Y):
-                    w[at(i, R.Y), l] = w[fp(i, R.Y), l] + h * (bv + v1)
-                if i in (R.X, R.Y, R.U):
-                    w[at(i, R.U), l] = u1
-                if i in (R.X, R.Y, R.U, R.V):
-                    w[at(i, R.V), l] = v1
-                if i not in (R.I, R.J):
-                    w[at(i, R.T), l] = bt
-                if i != R.J:
-                    w[at(i, R.I), l] = bi
-                w[at(i, R.J), l] = bj
+def add_curvature(w, u):
+    """Add EXTRA, the covariance that H does not contain, to the covariance of a step."""
+    h = 0.5 * u[DT]
     for l in range(LANES):
         for i in range(len(ADDED)):
             for j in range(i, len(ADDED)):
@@ -381,8 +326,6 @@ def predict_unscented(w, u):
         w[at(R.X, R.X), l] += h * h * w[EXTRA, l]
         w[at(R.X, R.Y), l] += h * h * w[EXTRA + 1, l]
         w[at(R.Y, R.Y), l] += h * h * w[EXTRA + OUTPUTS + 1, l]
-        for i in range(N):
-            w[at(i, i), l] += q_scale * w[Q0 + i, l]
 
 
 # ---- Measurements ----

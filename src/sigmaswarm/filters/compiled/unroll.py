@@ -1,8 +1,9 @@
 """Unroll loops over states, and inline kernels into each other.
 
 Loops over lanes become vector instructions, so their bodies must not contain branches (see `vectors`). Therefore
-`unrolled` unrolls the loops over states, for a known number n of states, and replaces names of rows by numbers. It also
-inlines kernels, which Numba does slowly. Names in a function must be defined above the function in its file.
+`unrolled` unrolls the loops over states, for a known number n of states, writes out ``tuple(... for ...)``, and
+replaces names of rows by numbers. It also inlines kernels, which Numba does slowly. Names in a function must be defined
+above the function in its file.
 """
 
 import ast
@@ -214,10 +215,20 @@ class _Writer(ast.NodeTransformer):
         return [ast.fix_missing_locations(each) for each in (*body, *definition.body[documented:])]
 
     def visit_Call(self, node: ast.Call) -> Any:
+        if node.args and isinstance(node.args[0], ast.GeneratorExp):  # tuple(... for k in ...)
+            return self._tuple(node.args[0])
         self.generic_visit(node)
         if isinstance(node.func, ast.Name) and node.func.id in NUMBERS:
             return ast.Constant(self._value(node))
         return node
+
+    def _tuple(self, node: ast.GeneratorExp) -> ast.expr:
+        (loop,), outer, elements = node.generators, self.values, list[ast.expr]()
+        for value in self._value(loop.iter):
+            self.values = outer | {ast.unparse(loop.target): value}
+            elements.append(self.visit(_copied(node.elt)))
+        self.values = outer
+        return ast.Tuple(elements, ast.Load())
 
     def visit_Attribute(self, node: ast.Attribute) -> Any:
         row = isinstance(node.value, ast.Name) and self.names.get(node.value.id) is R

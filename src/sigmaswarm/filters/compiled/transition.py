@@ -1,0 +1,74 @@
+"""The transition A of each model's error in a step, e' = A e, as a prediction (P' = A P A^T + Q) and a smoother use it.
+
+A is the Jacobian of an extended filter, or the statistical linearization Cov(s', s) P^-1 of an unscented filter. In
+planar5.py and planar8.py this linearization is the Jacobian with k J g0 + m t in place of J g0; see also
+tilted12_unscented.py. Each function returns A e as a tuple, from its coefficients ``f``, the values of the rows
+`COEFFICIENTS`, which are proportional to the length of the step ``dt``.
+"""
+
+# pyright: basic
+
+from sigmaswarm.filters.compiled.layout import SLOPE, R
+from sigmaswarm.filters.fix_error import UNSCENTED
+from sigmaswarm.filters.tilted import GRAVITY
+
+OUTPUTS = 5
+"""Numbers per column in SLOPE: of vx and vy, and of the rotation about east, north and up."""
+COEFFICIENTS = {
+    "planar5": (R.JEAST, R.JNORTH),
+    "planar8": (R.JEAST, R.JNORTH, R.COS, R.SIN),
+    "tilted12": (R.EAST, R.NORTH, R.D11, R.D12, R.D13, R.D21, R.D22, R.D23, R.D31, R.D32, R.D33),
+    UNSCENTED: (
+        *(R.D11, R.D12, R.D21, R.D22),
+        *(SLOPE + OUTPUTS * column + output for output in (0, 1) for column in range(6)),
+        *(SLOPE + OUTPUTS * column + output for output in (2, 3, 4) for column in range(3)),
+    ),
+}
+
+
+def planar5(f, dt, e):
+    je, jn = f
+    x, y, vx, vy, theta = e
+    vx1, vy1 = vx + je * theta, vy + jn * theta
+    return x + 0.5 * dt * (vx + vx1), y + 0.5 * dt * (vy + vy1), vx1, vy1, theta
+
+
+def planar8(f, dt, e):
+    je, jn, c, s = f
+    x, y, vx, vy, theta, ax, ay, wz = e
+    vx1 = vx + je * theta - (c * ax - s * ay)
+    vy1 = vy + jn * theta - (s * ax + c * ay)
+    return x + 0.5 * dt * (vx + vx1), y + 0.5 * dt * (vy + vy1), vx1, vy1, theta - dt * wz, ax, ay, wz
+
+
+def tilted12(f, dt, e):
+    """``r_east``, ``r_north`` and ``r_up`` are a small rotation, which is stored as roll, pitch and heading."""
+    a_east, a_north, d11, d12, d13, d21, d22, d23, d31, d32, d33 = f
+    x, y, vx, vy, r_up, ax, ay, wz, r_east, r_north, wx, wy = e
+    h, g = 0.5 * dt, GRAVITY * dt
+    vx1 = vx + g * r_north - a_north * r_up - d11 * ax - d12 * ay
+    vy1 = vy - g * r_east + a_east * r_up - d21 * ax - d22 * ay
+    r_east1 = r_east - d11 * wx - d12 * wy - d13 * wz
+    r_north1 = r_north - d21 * wx - d22 * wy - d23 * wz
+    r_up1 = r_up - d31 * wx - d32 * wy - d33 * wz
+    return x + h * (vx + vx1), y + h * (vy + vy1), vx1, vy1, r_up1, ax, ay, wz, r_east1, r_north1, wx, wy
+
+
+def tilted12_unscented(f, dt, e):
+    """The slopes are H of tilted12_unscented.py: of the velocity over STEP_FIRST, of the rotation over the rates."""
+    (
+        d11, d12, d21, d22,
+        vx_wz, vx_wx, vx_wy, vx_up, vx_east, vx_north, vy_wz, vy_wx, vy_wy, vy_up, vy_east, vy_north,
+        east_wz, east_wx, east_wy, north_wz, north_wx, north_wy, up_wz, up_wx, up_wy,
+    ) = f  # fmt: skip
+    x, y, vx, vy, r_up, ax, ay, wz, r_east, r_north, wx, wy = e
+    h, vx1, vy1 = 0.5 * dt, vx - d11 * ax - d12 * ay, vy - d21 * ax - d22 * ay
+    vx1 += vx_wz * wz + vx_wx * wx + vx_wy * wy + vx_up * r_up + vx_east * r_east + vx_north * r_north
+    vy1 += vy_wz * wz + vy_wx * wx + vy_wy * wy + vy_up * r_up + vy_east * r_east + vy_north * r_north
+    r_east1 = r_east + east_wz * wz + east_wx * wx + east_wy * wy
+    r_north1 = r_north + north_wz * wz + north_wx * wx + north_wy * wy
+    r_up1 = r_up + up_wz * wz + up_wx * wx + up_wy * wy
+    return x + h * (vx + vx1), y + h * (vy + vy1), vx1, vy1, r_up1, ax, ay, wz, r_east1, r_north1, wx, wy
+
+
+TRANSITIONS = {"planar5": planar5, "planar8": planar8, "tilted12": tilted12, UNSCENTED: tilted12_unscented}
