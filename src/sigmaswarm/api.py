@@ -2,17 +2,22 @@
 
 import tempfile
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.checks import unshared_times
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.mounting import Angles
+from sigmaswarm.drives.overlap import Landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError, SigmaswarmWarning
+from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_filter
+from sigmaswarm.tuning.record import TuningRecord, training_data_of
 from sigmaswarm.tuning.result import Tuning
 
 if TYPE_CHECKING:
@@ -26,13 +31,36 @@ Filter = FilterParameters | Tuning[Any] | str | Path
 """Parameters of a filter, a tuning, or the file or folder of a tuning."""
 
 
-def filter_of(given: Filter) -> FilterParameters:
+@dataclass(frozen=True)
+class TunedFilter:
+    """A filter, and what it takes over from its tuning."""
+
+    parameters: FilterParameters
+    as_recorded: bool = False
+    seen: Sequence[Landmarks] | None = None
+    fixes_alone: MotionNoise | None = None
+    mounting: Angles | None = None
+    imu_axes: Mapping[str, str] = field(default_factory=dict[str, str])
+
+
+def tuned_filter(given: Filter) -> TunedFilter:
+    if isinstance(given, FilterParameters):
+        return TunedFilter(given)
     if isinstance(given, str | Path):
-        return FilterParameters.load(given)
-    parameters = given.parameters if isinstance(given, Tuning) else given
-    if not isinstance(parameters, FilterParameters):
-        raise InputError(f"got {type(parameters).__name__}; pass FilterParameters, a Tuning or its path")
-    return parameters
+        path = Path(given)
+        parameters, tuning, seen = (
+            FilterParameters.load(path),
+            TuningRecord.read(path),
+            training_data_of(path),
+        )
+        as_recorded = tuning.as_recorded
+    else:
+        parameters, tuning, seen = getattr(given, "parameters", given), given, getattr(given, "seen", ())
+        if not isinstance(parameters, FilterParameters):
+            raise InputError(f"got {type(parameters).__name__}; pass FilterParameters, a Tuning or its path")
+        as_recorded = tuning.config.model_dump()["as_recorded"]
+    imu = tuning.mounting, tuning.imu_axes
+    return TunedFilter(parameters, as_recorded, list(seen) or None, tuning.fixes_alone, *imu)
 
 
 def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> Drive:
@@ -99,7 +127,7 @@ def run(
     bank: bool = False,
     initial: InitialState | None = None,
     recover: bool = True,
-    as_recorded: bool = False,
+    as_recorded: bool | None = None,
 ) -> Estimate:
     """Run a filter over a drive; its truth, if any, is not used.
 
@@ -115,8 +143,9 @@ def run(
         Start of the filter; by default the first time at which the drive shows position, speed and heading.
     recover : bool
         Reset the filter if it diverges.
-    as_recorded : bool
-        Run without preprocessing: use stale fixes, and treat gaps in the IMU as ordinary steps.
+    as_recorded : bool, optional
+        Run without preprocessing: use stale fixes, and treat gaps in the IMU as ordinary steps. By default as the
+        tuning.
 
     Returns
     -------
@@ -130,7 +159,8 @@ def run(
     InputError
         If ``smooth`` and ``bank`` are both given.
     """
-    chosen = filter_of(parameters)
+    tuned = tuned_filter(parameters)
+    chosen, as_recorded = tuned.parameters, tuned.as_recorded if as_recorded is None else as_recorded
     options: dict[str, Any] = {"initial": initial, "recover": recover, "as_recorded": as_recorded}
     if smooth and bank:
         raise InputError(
@@ -157,13 +187,13 @@ def evaluate(
     drives : Drive or sequence of Drive
         Without truth the scores are the consistency and the drift over outages, relative to the fixes.
     parameters : FilterParameters, Tuning, or the path of a tuning
-        A `Tuning` also identifies its training drives: the evaluation warns if ``drives`` contain parts of them.
+        A tuning also identifies its training drives: the evaluation warns if ``drives`` contain parts of them.
     against : the same, optional
         A second filter of any model, or the path of an ekf.yaml of robot_localization.
     **options
         ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``swarm`` (a filter bank), ``seen``,
-        ``fixes_alone`` (noise parameters of the filter that uses only the fixes; a `Tuning` contains them),
-        ``cluster``.
+        ``fixes_alone`` (noise parameters of the filter that uses only the fixes), ``cluster``. ``as_recorded``,
+        ``seen`` and ``fixes_alone`` are by default those of the tuning.
 
     Returns
     -------
@@ -181,10 +211,14 @@ def evaluate(
 
     if isinstance(drives, FilterParameters | Tuning):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
-    if isinstance(parameters, Tuning):
-        options = {"seen": parameters.seen or None, "fixes_alone": parameters.fixes_alone} | options
-    other = filter_of(against) if isinstance(against, Tuning) else against
-    return evaluation.evaluate(drives, filter_of(parameters), against=other, **options)
+    tuned = tuned_filter(parameters)
+    known: dict[str, Any] = {
+        "as_recorded": tuned.as_recorded,
+        "seen": tuned.seen,
+        "fixes_alone": tuned.fixes_alone,
+    }
+    other = tuned_filter(against).parameters if isinstance(against, Tuning) else against
+    return evaluation.evaluate(drives, tuned.parameters, against=other, **{**known, **options})
 
 
 def export(
@@ -214,18 +248,14 @@ def export(
         If the target is unknown or does not support the model.
     """
     from sigmaswarm.exports.targets import export_texts, kind_of, write_texts
-    from sigmaswarm.tuning.record import TuningRecord
 
-    known = filter_of(parameters)
-    if isinstance(parameters, str | Path):
-        record = TuningRecord.read(Path(parameters))
-        recorded, known_imu = record.as_recorded, {"mounting": record.mounting, "imu_axes": record.imu_axes}
-        options = {"as_recorded": recorded, **known_imu} | options
-    elif isinstance(parameters, Tuning):
-        recorded = parameters.config.model_dump()["as_recorded"]
-        known_imu = {"mounting": parameters.mounting, "imu_axes": parameters.imu_axes}
-        options = {"as_recorded": recorded, **known_imu} | options
-    texts = export_texts(known, to, **options)
+    tuned = tuned_filter(parameters)
+    known: dict[str, Any] = {
+        "as_recorded": tuned.as_recorded,
+        "mounting": tuned.mounting,
+        "imu_axes": tuned.imu_axes,
+    }
+    texts = export_texts(tuned.parameters, to, **{**known, **options})
     if folder is not None:
         write_texts(texts, folder, kind_of(to))
     return texts

@@ -1,5 +1,6 @@
 """--as-recorded: a filter is run and evaluated as it was tuned."""
 
+import json
 import re
 import tomllib
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 import sigmaswarm as library
 from filter_cases import rough
 from sigmaswarm.drives.writer import write_drive
+from sigmaswarm.errors import DriveWarning
 from support import quickly
 
 
@@ -27,9 +29,17 @@ def test_the_command_line_keeps_to_what_was_tuned(sigmaswarm, tmp_path: Path, as
         means.append(np.loadtxt(out, delimiter=",", skiprows=1))
     same = means[0].tobytes() == means[1].tobytes()
     assert same is as_recorded
-    said = sigmaswarm("evaluate", str(tmp_path / "tuned"), str(folder), "--verbose").out
+    out, tuned = tmp_path / "evaluation", tmp_path / "tuned"
+    said = sigmaswarm("evaluate", str(tuned), str(folder), "--verbose", "--out", str(out)).out
     assert ("no filter used 5 of the fixes" in said) is not as_recorded
-    tuned = tmp_path / "tuned"
+    assert ("--outage-seed 0 --as-recorded" in library.report(out)) is as_recorded
+    with pytest.warns(DriveWarning, match="2 gaps"):
+        drive = library.read_drive(folder)
+    for given in (tuned, library.Tuning.load(tuned)):  # in Python as well
+        assert np.array_equal(library.run(drive, given).columns()["x"], means[0][:, 1])
+        found = library.evaluate(drive, given)
+        assert found.to_dict() == json.loads((out / "scores.json").read_text())
+        assert all(one.record.seen_s for one in found.drives.values())
     stated, other = (
         library.export(tuned, "c99", as_recorded=each) for each in (as_recorded, not as_recorded)
     )

@@ -13,6 +13,7 @@ import pytest
 import sigmaswarm
 from doctor.faults import FAULTS, MORE, THIRD, codes_of, fixes_late
 from sigmaswarm import Diagnosis, Drive, Gps, Imu, split_time
+from sigmaswarm.doctor import diagnose
 from sigmaswarm.doctor.checks.timing import clock_jumps
 from sigmaswarm.doctor.fixes import jumps
 from sigmaswarm.doctor.verdicts import yaw_of
@@ -45,6 +46,13 @@ def recorded(name: str) -> Drive:
 
 def serious(diagnosis: Diagnosis) -> list[str]:
     return [finding.code for finding in diagnosis.findings if finding.severity == "serious"]
+
+
+def test_the_last_diagnoses_are_kept():
+    """As many as fit; a drive that is diagnosed again costs nothing."""
+    drives = [replace(make_drive(duration=20.0), name=f"drive {i}") for i in range(diagnose.KEPT)]
+    found = [sigmaswarm.diagnose(drive) for drive in drives]
+    assert all(sigmaswarm.diagnose(drive) is one for drive, one in zip(drives, found, strict=True))
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.config import paper_options
 from sigmaswarm.tuning.defaults import objective_for, with_filter
 from sigmaswarm.tuning.diagnostics import scale_warnings
+from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.space import OPTIONS
 from sigmaswarm.tuning.tune import tune
 from support import DRIVES, make_drive, needs_shared
@@ -274,7 +275,7 @@ def test_the_factor_that_is_offered_makes_nis_right_and_leaves_the_position():
     drive = stating(PLAIN, 1.0, 1.0)
     replayer = Replayer([drive], outages=False)
     before = replayer.scores([CAREFUL.scaled(2.0)])
-    (said,) = scale_warnings("truth-pose", CAREFUL.scaled(2.0), replayer)
+    (said,) = scale_warnings(objective_named("truth-pose"), CAREFUL.scaled(2.0), replayer)
     assert "truth-pose does not determine the scale of the covariances: mean NIS is" in said
     factor = float(said.split("a factor of ")[1].split()[0])
     after = replayer.scores([CAREFUL.scaled(2.0).scaled(factor)])
@@ -291,8 +292,11 @@ def test_it_is_never_offered_for_planar5_nor_where_the_objective_looks_at_it():
     after = replayer.scores([five.scaled(before.mean_nis[0, 0] / 2)])
     assert after.position_rmse[0, 0] == pytest.approx(before.position_rmse[0, 0], rel=0.02)  # it might be
     assert after.mean_nis[0, 0] == pytest.approx(2.0, rel=0.2)
-    (said,) = scale_warnings("truth-rmse", five, replayer)
+    (said,) = scale_warnings(objective_named("truth-rmse"), five, replayer)
     assert "does not determine the scale" in said
     assert "on all variances changes" not in said
+    for objective, measure in {"2 truth-rmse": "nees", "outage-rmse": "nis"}.items():
+        (said,) = scale_warnings(objective_named(objective), five, replayer)
+        assert said.startswith(f"TO DO: tune with '{objective} + 0.2 {measure}'")
     for objective in ("truth-pose + 0.2 nees", "innovation-t", "gps-rmse"):
-        assert scale_warnings(objective, five, replayer) == []
+        assert scale_warnings(objective_named(objective), five, replayer) == []

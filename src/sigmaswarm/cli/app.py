@@ -137,7 +137,7 @@ def _run() -> int:
         message = ours or terminal.one_line(error).removesuffix(".")
         return _fail(2, f"{message}{hint or _hidden_option(message)}")
     except KeyboardInterrupt:
-        resumable = sys.argv[1:2] in (["tune"], ["compare"], ["simulate"], ["study"])
+        resumable = sys.argv[1:2] in (["tune"], ["compare"], ["simulate"], ["study"], ["learn"])
         print(file=sys.stderr)
         return _fail(130, "interrupted" + "; repeat the command with --resume to continue" * resumable)
     except BrokenPipeError:  # `sigmaswarm ... | head` is not a mistake

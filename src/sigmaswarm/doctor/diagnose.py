@@ -62,7 +62,7 @@ def diagnose(drive: Drive) -> Diagnosis:
         fingerprint(drive) + repr(sorted(drive.metadata.items())),
     )  # drive.toml may state a noise
     found = _kept.get(key) or _diagnosed(drive)
-    for old in list(_kept)[: len(_kept) + 1 - KEPT]:
+    for old in list(_kept)[: max(len(_kept) + 1 - KEPT, 0)]:
         _kept.pop(old, None)
     return _kept.setdefault(key, found)
 

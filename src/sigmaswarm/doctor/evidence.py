@@ -77,7 +77,7 @@ def gather(drive: Drive) -> Evidence:
     """
     evidence = _read(drive)
     evidence = _mirrored(evidence, drive) or evidence
-    for old in list(_scatters)[: len(_scatters) + 1 - KEPT]:
+    for old in list(_scatters)[: max(len(_scatters) + 1 - KEPT, 0)]:
         _scatters.pop(old, None)
     _scatters[fingerprint(drive)] = evidence.scatter
     return evidence

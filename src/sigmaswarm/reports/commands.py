@@ -9,6 +9,7 @@ from pydantic import ValidationError
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.scoring.drifts import OWN, SMOOTHED, SWARM
+from sigmaswarm.scoring.records import EvaluationRecord
 from sigmaswarm.tuning.config import RENAMED, TuneConfig
 from sigmaswarm.tuning.defaults import with_guards
 
@@ -42,10 +43,11 @@ def tune_command(
 
 
 def evaluate_command(
-    drives: Sequence[str], outage_length: float, outage_seed: int, *, also: Collection[str] = ()
+    drives: Sequence[str], setup: EvaluationRecord, *, also: Collection[str] = ()
 ) -> tuple[str, str]:
     words = ["sigmaswarm", "evaluate", "tuning.toml", *drives, "--out", "again"]
-    words += ["--outage-length", f"{outage_length:g}", "--outage-seed", str(outage_seed)]
+    words += ["--outage-length", f"{setup.outage_length_s:g}", "--outage-seed", str(setup.outage_seed)]
+    words += ["--as-recorded"] if setup.as_recorded else []
     options = {OWN: ["--against", "against.toml"], SMOOTHED: ["--smooth"], SWARM: ["--swarm"]}
     words += [word for method in also for word in options.get(method, ())]  # the folder contains a network
     note = "tuning.toml is in the folder of this page. Replace the names of the drives by the paths of their folders."

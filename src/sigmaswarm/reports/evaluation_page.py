@@ -59,7 +59,7 @@ def evaluation_report(folder: Path) -> Report:
     tracks = TrackView(drives, {m: labels[m] for m in LINES if m not in absent}, STYLES, SHOWN, "tuned")
     swarm = tuple(chart for drive in drives for chart in swarm_charts(drive))
     also = [method for method in (OWN, *ALSO) if method in scores.mean]
-    command, note = evaluate_command(list(scores.drives), setup.outage_length_s, setup.outage_seed, also=also)
+    command, note = evaluate_command(list(scores.drives), setup, also=also)
     verdicts = view.verdicts()
     remarks = [*view.warnings(), *view.findings(), *(verdicts[kind] for kind in VERDICTS if kind in verdicts)]
     remarks += [r for r in (file.result.remarks if file.result else ()) if r != NOT_VALIDATED]

@@ -171,6 +171,7 @@ class Evaluation:
     against: FilterParameters | None = None
     parameters: FilterParameters | None = None
     fixes_alone: MotionNoise | None = None
+    as_recorded: bool = False
 
     @property
     def scores(self) -> Mapping[str, Mapping[str, Score]]:
@@ -259,6 +260,7 @@ class Evaluation:
             findings={name: list(found.findings) for name, found in self.drives.items() if found.findings},
             truth_offsets={n: found.truth_offset for n, found in self.drives.items() if found.truth_offset},
             fixes_alone=self.fixes_alone,
+            as_recorded=self.as_recorded,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -347,6 +349,7 @@ def evaluate(
         against=other,
         parameters=parameters,
         fixes_alone=chosen.fixes_alone,
+        as_recorded=chosen.as_recorded,
     )
 
 
@@ -433,7 +436,7 @@ def _tracked(
         run = make(replay)
         tracker.follow(method, run)
         scores[method] = tracker.scores[method]
-        if method != FIXES:  # dead reckoning is never reset
+        if method != FIXES:  # the filter of the fixes alone is never reset
             restarts[method] = tuple(run.restarts)
     radius = _radius(ready.drive, filters["tuned"], tracker.stated)
     tracker.stated = NOTHING_STATED  # frees three arrays of the length of truth

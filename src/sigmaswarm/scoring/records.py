@@ -96,6 +96,7 @@ class EvaluationRecord(BaseModel):
     """Sentence on a constant offset between fixes and truth, by drive."""
     fixes_alone: MotionNoise | None = None
     """Noise parameters from the tuning; None if they were fitted to each drive."""
+    as_recorded: bool = False
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the files by name; empty before version 0.4.0."""
 

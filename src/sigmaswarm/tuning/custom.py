@@ -119,7 +119,7 @@ def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
 
 
 def _described(log: Log) -> dict[str, Any]:
-    """Describe a log by name, size and hash, as `described` describes a drive."""
+    """Describe a log by name, size and hash, as `record_of` describes a drive."""
     columns = (log.time, log.inputs, log.measurement_time, log.measurements, log.mean, log.covariance)
     return {
         "name": log.name,

@@ -24,6 +24,7 @@ from sigmaswarm.filters.run import replay_of
 from sigmaswarm.scoring.drifts import BASELINE, FIXES, Outages
 from sigmaswarm.scoring.remote import Replays
 from sigmaswarm.scoring.targets import FORECAST_LENGTHS, LONG_OUTAGE_LENGTH, OUTAGE_LENGTH
+from sigmaswarm.tuning.objectives import Objective
 from sigmaswarm.wording import to_do
 
 NAMED = 3
@@ -46,9 +47,7 @@ CORRELATED = 0.3
 The medians of three filters tuned without truth were -0.05 and 0.12 with white errors, 0.15 with a simulated u-blox M8,
 and 0.33 to 0.91 with real receivers.
 """
-SCALE_FREE = ("truth-rmse", "truth-pose")
-"""Objectives that do not depend on the scale of the covariance."""
-SCALE_REMEDY = "tune with '{objective} + 0.2 nees'"
+SCALE_REMEDY = "tune with '{objective} + 0.2 {measure}'"
 SCALE_MOVED = 0.02
 """Largest relative change of the position RMSE for which the factor is suggested."""
 SCALE_NEAR = 0.2
@@ -204,16 +203,17 @@ def _together(found: Iterable[tuple[float, ...]]) -> list[float]:
     return np.mean(known, axis=0).tolist() if len(known) else [0.0, 0.0]
 
 
-def scale_warnings(objective: str, parameters: FilterParameters, replays: Replays) -> list[str]:
+def scale_warnings(objective: Objective, parameters: FilterParameters, replays: Replays) -> list[str]:
     """Warn if the objective does not determine the scale of the covariance; if possible, propose a factor."""
-    if objective not in SCALE_FREE:
+    if not objective.scale_free:
         return []
     before = replays.scores([parameters])
     nis = float(before.mean_nis.mean())
+    name = objective.name
     message = (
-        f"{objective} does not determine the scale of the covariances: mean NIS is {nis:.2g}, but should be 2"
+        f"{name} does not determine the scale of the covariances: mean NIS is {nis:.2g}, but should be 2"
     )
-    remedy = SCALE_REMEDY.format(objective=objective)
+    remedy = SCALE_REMEDY.format(objective=name, measure="nees" if objective.needs_truth else "nis")
     if parameters.model != "planar5" and nis > 0:
         after = replays.scores([parameters.scaled(nis / 2)])
         moved = float(after.position_rmse.mean() / before.position_rmse.mean() - 1)

@@ -27,6 +27,8 @@ class Objective:
     per_drive : callable
         Function from scores to costs, shape (n_sets, n_drives).
     needs_truth, needs_outages, needs_forecasts : bool
+    scale_free : bool
+        True if the cost does not depend on a common factor of all covariances.
     likelihood : bool
         True for a negative log-likelihood. In a sum with such a term, all terms are in nats.
     nats : float
@@ -42,6 +44,7 @@ class Objective:
     needs_truth: bool = False
     needs_outages: bool = False
     needs_forecasts: bool = False
+    scale_free: bool = False
     likelihood: bool = False
     nats: float = 0.0
     warning: str | None = None
@@ -109,6 +112,7 @@ OBJECTIVES = {
             "position RMSE against truth, m",
             lambda scores: scores.position_rmse,
             needs_truth=True,
+            scale_free=True,
         ),
         Objective(
             "truth-pose",
@@ -116,6 +120,7 @@ OBJECTIVES = {
             _pose,
             needs_truth=True,
             needs_outages=True,
+            scale_free=True,
         ),
         Objective(
             "innovation-nll",
@@ -144,6 +149,7 @@ OBJECTIVES = {
             "RMS error of the forecast of fixes hidden for 3 to 5 s, m",
             lambda scores: scores.forecast_rmse,
             needs_forecasts=True,
+            scale_free=True,
         ),
         Objective(
             "nis",
@@ -187,6 +193,7 @@ def objective_named(name: str) -> Objective:
         summary=" + ".join(f"{w:g} x {o.summary}" for w, o in terms),
         per_drive=lambda scores: np.sum([w * o.per_drive(scores) for w, o in terms], axis=0),
         **{flag: any(getattr(o, flag) for _, o in terms) for flag in FLAGS},
+        scale_free=all(o.scale_free for _, o in terms),
         nats=sum(w * o.nats for w, o in terms) if in_nats else 0.0,
         warning=warnings[0] if warnings else None,
     )

@@ -180,7 +180,7 @@ class CarProblem(Problem[FilterParameters]):
         found = loss_warnings(parameters, replays, outages=not objective.needs_outages)
         if parameters.accuracy_scale is not None:
             found += accuracy_warnings(parameters, replays.dataset.map(stated), self.config.use)
-        found += scale_warnings(objective.name, parameters, replays)
+        found += scale_warnings(objective, parameters, replays)
         # Skipped with truth, since estimating the noise of the fixes takes as long as reading a drive.
         if not (objective.needs_truth and all(drive.truth for drive in self.sensors)):
             noise = replays.dataset.map(fix_noise)

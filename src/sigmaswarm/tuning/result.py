@@ -21,7 +21,7 @@ from sigmaswarm.records import load_record
 from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
-from sigmaswarm.tuning.diagnostics import SCALE_FREE, Forecast, describe_forecasts
+from sigmaswarm.tuning.diagnostics import Forecast, describe_forecasts
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.record import NOT_VALIDATED, TuningRecord, training_data_of, tuning_file
 from sigmaswarm.tuning.search import Trial, saved_trials
@@ -304,7 +304,7 @@ class Tuning(Generic[P]):
 
 
 def _remarks(t: Tuning[Any]) -> Iterator[str]:
-    p, objective, factor = t.parameters, t.config.objective, t.inflation_factor
+    p, objective, factor = t.parameters, objective_named(t.config.objective), t.inflation_factor
     car = p if isinstance(p, FilterParameters) else None
     yield from t.warnings
     if factor != 1.0:
@@ -323,13 +323,13 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
             f"the tuned values of {names} are arbitrary: any other value within the bounds raises the cost by less "
             "than 1%; no action is needed"
         )
-    if NOISE_SCALE in t.unidentified and objective not in SCALE_FREE:
+    if NOISE_SCALE in t.unidentified and not objective.scale_free:
         why = (
             "the objective does not determine the common scale of all noise variances, so the covariances are "
             "not reliable"
         )
         yield to_do("add innovation-nll or nis to the objective", why)
-    if car and not (car.lateral_noise or car.velocity_noise) and "truth-pose" not in objective:
+    if car and not (car.lateral_noise or car.velocity_noise) and "truth-pose" not in objective.name:
         remedy = "for a car use the lateral constraint (--use lateral), or tune with truth-pose"
         why = (
             "without other measurements, the fixes hardly determine the heading, which may be wrong by tens "
@@ -340,7 +340,7 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     if better and better.lowest_rise < -RISE and factor == 1.0:
         why = f"a change of {better.name} alone lowers the cost by {-better.lowest_rise:.0%}"
         yield to_do("search longer, with more trials, or polish", why)
-    if car and "truth" in objective:
+    if car and objective.needs_truth:
         yield OF_THESE_SENSORS
     if t.mounting is None and any(KEY in entry for entry in t.data):
         yield f"the IMU's mountings of the training drives differ ({KEY}), so an export does not turn raw samples"

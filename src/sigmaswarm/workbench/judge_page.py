@@ -76,8 +76,7 @@ class JudgePage(Page):
         tuning = Tuning.load(folder)
         against = Tuning.load(self.bench.path("tunings", rival)) if rival else None
         drives = [self.bench.read(name) for name in chosen["drives"]]
-        recorded = tuning.config.model_dump()["as_recorded"]
-        found = sigmaswarm.evaluate(drives, tuning, against=against, as_recorded=recorded)
+        found = sigmaswarm.evaluate(drives, tuning, against=against)
         stem = f"{chosen['tuning']}-against-{rival}" if rival else chosen["tuning"]
         name = self.bench.free("evaluations", stem)
         save_evaluation(found, self.bench.path("evaluations", name), folder)
