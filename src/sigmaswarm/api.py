@@ -191,7 +191,7 @@ def evaluate(
     against : the same, optional
         A second filter of any model, or the path of an ekf.yaml of robot_localization.
     **options
-        ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``swarm`` (a filter bank), ``seen``,
+        ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``bank`` (a filter bank), ``seen``,
         ``fixes_alone`` (noise parameters of the filter that uses only the fixes), ``cluster``. ``as_recorded``,
         ``seen`` and ``fixes_alone`` are by default those of the tuning.
 

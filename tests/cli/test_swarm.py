@@ -33,9 +33,9 @@ def test_run_writes_the_mixture_and_what_the_swarm_said(sigmaswarm, drives: Path
 
 def test_evaluate_has_a_row_for_it_and_so_has_the_page(sigmaswarm, drives: Path, tuned: Path, here: Path):
     drive = next(drives.iterdir())
-    ended = sigmaswarm("evaluate", tuned, drive, "--swarm", "--out", "evaluation")
+    ended = sigmaswarm("evaluate", tuned, drive, "--bank", "--out", "evaluation")
     assert ended.code == 0
-    assert "tuned, as a swarm" in ended.out
+    assert "tuned, filter bank" in ended.out
     scores = json.loads((here / "evaluation" / "scores.json").read_text())
     (row,) = (methods["swarm"] for methods in scores["drives"].values())
     read = read_drive(drive)
@@ -49,7 +49,7 @@ def test_evaluate_has_a_row_for_it_and_so_has_the_page(sigmaswarm, drives: Path,
     assert sigmaswarm("report", "evaluation").code == 0
     page = (here / "evaluation" / "page.html").read_text()
     assert "Filter bank" in page
-    assert "--swarm" in page
+    assert "--bank" in page
 
 
 def test_it_has_no_hindsight(sigmaswarm, drives: Path, tuned: Path):

@@ -45,8 +45,8 @@ class EvaluateOptions:
         Seed of the outage windows.
     smooth
         Also evaluate the smoothed estimates of the tuned filter.
-    swarm
-        Also evaluate a filter bank: sixteen variants of the tuned filter and their mixture.
+    bank
+        Also evaluate a filter bank: sixteen variants of the tuned filter and their mixture. --swarm is deprecated.
     verbose
         Also print the scores of each drive, the consistency, all remarks and the names of written files.
     """
@@ -58,7 +58,7 @@ class EvaluateOptions:
     as_recorded: AsRecorded = False
     trust_log: TrustLog = False
     smooth: bool = False
-    swarm: bool = False
+    bank: Annotated[bool, Parameter(name=["--bank", "--swarm"])] = False
     cluster: Cluster = None
     verbose: bool = False
     json: Json = False
@@ -79,9 +79,10 @@ def evaluate(
 ) -> None:
     """Evaluate a tuned filter on drives.
 
-    The filter is compared with the baseline filter, raw GPS, IMU only and, with --against, another filter. Use drives
-    that the tuning did not use. All methods start at the same time from the same state. Without truth the scores are
-    the consistency of the innovations and the drift in simulated outages, measured at the hidden fixes.
+    The filter is compared with the baseline filter, a filter of the fixes alone, raw GPS, IMU only and, with --against,
+    another filter. Use drives that the tuning did not use. All methods start at the same time from the same state.
+    Without truth the scores are the consistency of the innovations and the drift in simulated outages, measured at the
+    hidden fixes.
 
     For example:
 
@@ -91,7 +92,7 @@ def evaluate(
         sigmaswarm evaluate tuned drives/friday --against mine.toml
         sigmaswarm evaluate tuned drives/friday --against ekf.yaml
         sigmaswarm evaluate tuned drives/friday --smooth --out evaluation
-        sigmaswarm evaluate tuned drives/friday --swarm
+        sigmaswarm evaluate tuned drives/friday --bank
         sigmaswarm evaluate tuned drives/friday --json
     """
     from sigmaswarm.filters.robot_yaml import YAML
@@ -161,7 +162,7 @@ def _evaluated(
             as_recorded=options.as_recorded or record.as_recorded,
             seen=[*training_data_of(tuning), *seen_in(tuning)] or None,
             smooth=options.smooth,
-            swarm=options.swarm,
+            bank=options.bank,
             more={learned.kind: run} if learned and run else {},
             fixes_alone=record.fixes_alone,
         )

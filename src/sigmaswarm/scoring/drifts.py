@@ -25,7 +25,7 @@ from sigmaswarm.scoring.targets import (
 from sigmaswarm.scoring.truth import root_mean
 
 SMOOTHED = "smoothed"  # the tuned filter, smoothed
-SWARM = "swarm"  # a filter bank of the tuned filter
+BANK = "swarm"  # a filter bank of the tuned filter
 LEARNED = ("outage-lstm", "noise-gru")
 OWN = "against"  # another tuning, or a user's own filter
 FIXES = "fixes_alone"  # a constant-velocity filter without IMU

@@ -16,7 +16,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, record_of
 from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import InputError, warn_deprecated
 from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.filters.bank.run import BankRun
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, fit_noise
@@ -27,7 +27,7 @@ from sigmaswarm.filters.run import Innovations, run_imu_only
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
-from sigmaswarm.scoring.drifts import BASELINE, FIXES, OWN, SMOOTHED, SWARM, Outages, Run, Runs
+from sigmaswarm.scoring.drifts import BANK, BASELINE, FIXES, OWN, SMOOTHED, Outages, Run, Runs
 from sigmaswarm.scoring.measures import ALSO, DRIFTS, MEASURES, METHODS, Measure, measures, method_names
 from sigmaswarm.scoring.radius import TRACKING, RadiusRecord, lasting_variance, radius_record
 from sigmaswarm.scoring.records import (
@@ -80,7 +80,7 @@ class Options:
         Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     smooth : bool
         Also evaluate the smoothed estimates, which use fixes after an outage: see `sigmaswarm.smooth`.
-    swarm : bool
+    bank : bool
         Also evaluate a filter bank: see `sigmaswarm.LiveFilterBank`.
     more : mapping of str to callable
         Further methods, with names from `ALSO`: functions that run a method on a replay, such as a trained network.
@@ -94,7 +94,7 @@ class Options:
     outage_seed: int = 0
     as_recorded: bool = False
     smooth: bool = False
-    swarm: bool = False
+    bank: bool = False
     more: Runs = field(default_factory=dict[str, Callable[[Replay], Run]])
     fixes_alone: MotionNoise | None = None
 
@@ -102,9 +102,9 @@ class Options:
         runs: dict[str, Callable[[Replay], Run]] = {}
         if self.smooth:
             runs[SMOOTHED] = partial(Smoothing, parameters=parameters, recover=True)
-        if self.swarm:
+        if self.bank:
             bank = partial(BankRun, parameters=parameters, recover=True, as_recorded=self.as_recorded)
-            runs[SWARM] = bank
+            runs[BANK] = bank
         return {**runs, **self.more}
 
 
@@ -327,6 +327,9 @@ def evaluate(
     (dataset,) = datasets_of(drives, cluster=cluster)
     if not len(dataset):
         raise InputError("no drives were given; name at least one drive folder")
+    if "swarm" in options:
+        warn_deprecated("evaluate(swarm=...)", "bank")
+        options["bank"] = options.pop("swarm")
     if (other := options.pop("against", None)) is not None:
         other = filter_for(other, dataset)
     chosen = Options(other, **options)

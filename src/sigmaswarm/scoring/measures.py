@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sigmaswarm.scoring.drifts import BASELINE, FIXES, LEARNED, OWN, SMOOTHED, SWARM
+from sigmaswarm.scoring.drifts import BANK, BASELINE, FIXES, LEARNED, OWN, SMOOTHED
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 
@@ -21,7 +21,7 @@ HOW_FIXES = "Fixes alone is a constant-velocity filter without the IMU; its nois
 HOW_TO_COMPARE = (
     "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
 )
-ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"} | {
+ALSO = {SMOOTHED: "tuned, smoothed", BANK: "tuned, filter bank"} | {
     name: f"tuned, {name}" for name in LEARNED
 }
 """Optional rows after the tuned filter."""
