@@ -25,7 +25,7 @@ PACKAGES = ("sigmaswarm", "numpy", "numba", "scipy", "filterpy", "pyswarms", "ka
 FILTERS = {
     "test_filterpy": "FilterPy, predictions and updates of the drive",
     "test_textbook": "sigmaswarm's textbook filter, predictions and updates of the drive",
-    "test_numba": "Numba, the textbook filter in loops, predictions and updates of the drive",
+    "test_numba": "the textbook filter as loops in Numba, predictions and updates of the drive",
     "test_gtsam": "GTSAM's iSAM2 with attitude, 30 s of the drive (a smoother: its graph grows)",
     "test_batch": "**sigmaswarm's compiled batch of 32, predictions, updates and scores of the drive**",
 }
@@ -140,7 +140,7 @@ def tunings(measured: dict) -> Iterator[str]:
         records = measured[name]
         whole = statistics.median([seconds(record) for record in records])
         share = records[0]["extra_info"]["times"]
-        part = "in full" if share == 1 else f"1 part in {share:,.0f}, extrapolated"
+        part = "in full" if share == 1 else f"1/{share:,.0f} of the run, extrapolated"
         compared = "1" if records is ours else ratio(records, ours, seconds)
         yield f"| {label} | {part} | {duration(whole)} | {compared} |"
 

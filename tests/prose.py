@@ -35,7 +35,11 @@ CONSTRUCTIONS = {
     r"\bnone of [^.]{0,60}\b(no|not|without)\b": "double negative",
     r"(?:^|[.!?] )(nor|so (?:is|are|does|do|has|have)|only (?:then|so))\b": "inversion",
     r"\bput before the doctor\b|\bas it asks\b|\bas [a-z]+ has it\b": "idiom",
-    r"\b(metre|colour|behaviour|licence|manoeuvre|neighbour|optimis|normalis)": "American spelling",
+    r"\b(beats?|beaten)\b": "be better than",
+    r"\btuned against\b": "tuned with",
+    r"\b(metre|colour|behaviour|licence|manoeuvre|neighbour|optimis|normalis|(grey|centre)\b|(label|level|model)led)": (
+        "American spelling"
+    ),
 }
 HEADING = re.compile(r"(what|how(?!-to)|why|where|when|whether|who)\b|.*[.?!:]$", re.IGNORECASE)
 CODE = re.compile(r"`[^`]*`|--[a-z-]+|\$[^$]*\$|<[^>]*>")

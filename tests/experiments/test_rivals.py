@@ -289,7 +289,7 @@ def test_simulated_roads_and_the_shaking_are_the_config_s():
 
 
 def test_times_stand_in_files_of_their_own(whole: Study):
-    assert "a sample, us" not in (whole.folder / "tables/rivals.md").read_text()
+    assert "per sample, us" not in (whole.folder / "tables/rivals.md").read_text()
     text = (whole.folder / "tables/runtime-rivals.md").read_text()
     assert "training, s" in text
     times = json.loads((whole.folder / "timings.json").read_text())["rivals"]
@@ -335,9 +335,9 @@ def test_the_learning_curve_ends_in_the_study_s_own_network(whole: Study):
 def test_the_page_shows_them(whole: Study):
     section = next(s for s in read_report(whole.folder).sections if s.title == "Rivals")
     captions = [table.caption.split(":")[0] for table in section.tables]
-    alone = "Networks against PSO-UKF, planar8 (honest) without them"
+    alone = "Networks compared with PSO-UKF, planar8 (honest) without a network"
     assert captions == ["Rivals", alone, "Other drives", "Other drives", "Learning curves"]
-    assert "a sample, us" in [column.title for column in section.tables[0].columns]
+    assert "per sample, us" in [column.title for column in section.tables[0].columns]
     assert len(section.charts) == 3  # of 30 s nothing is known
 
 

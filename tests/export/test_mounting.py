@@ -165,7 +165,7 @@ def test_a_tuning_keeps_the_mounting_on_which_its_drives_agree(imported: Drive, 
     assert not any("mountings" in remark for remark in of(None, (0.0, 0.0, 2.0)).remarks)
     for differing in (of((0.0, 0.0, 86.0), (0.0, 0.0, 94.0)), of((180.0, 0.0, 0.0), None)):
         assert differing.mounting is None
-        assert sum("mountings of the training drives differ" in remark for remark in differing.remarks) == 1
+        assert sum("training drives state different mountings" in remark for remark in differing.remarks) == 1
     sigmaswarm.FilterParameters.load(tuning).save(tmp_path / "filter.toml")
     assert TuningRecord.read(tmp_path / "filter.toml").mounting is None
 

@@ -193,7 +193,7 @@ def test_the_evaluation_s_summary_says_the_evaluation_s_figures(folders: tuple[P
     report = read_report(out)
     said = report.lead[0]
     assert said.startswith(
-        "On 2 drives the tuned filter"
+        "On 2 drives, the tuned filter"
     )  # evaluated without what the tuning saw: nothing is claimed
     assert f"has a position RMSE of {found.mean('tuned', 'position_rmse_m'):.3g} m: " in said
     means = {m: found.mean(m, "position_rmse_m") for m in ("raw_gps", "fixes_alone", "untuned")}

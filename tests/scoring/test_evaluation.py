@@ -116,7 +116,7 @@ def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(ev
     said = evaluate(drive, GOOD).record.describe_drift("outage_drift_m")
     low, high = told.spread("tuned") or (np.nan, np.nan)
     of = f"{told.outages} outages in 8 placements"
-    few = ", all on the same short stretch: the drift on another stretch may be far larger"
+    few = "; all placements are on one short stretch, and the drift on another stretch may be far larger"
     assert said == f"{of}; the drift in a single placement is {low:.3g} to {high:.3g} m{few}"
     many = {name: {"outage_drift_m": told.model_copy(update={"outages": 8 * 5})}}
     assert few not in evaluation.record.model_copy(update={"drifts": many}).describe_drift("outage_drift_m")
@@ -223,8 +223,8 @@ def test_where_the_filter_is_worse_than_the_raw_fixes_is_said_in_a_sentence(eval
         "blind": Evaluated(others),
     }
     assert Evaluation(drives).worse_than_raw == (
-        "on town the tuned filter is WORSE than the raw fixes: RMSE 3 m against 2 m, 95% 7.25 m against 4 m",
-        "on field the tuned filter is WORSE than the raw fixes: 50% 1 m against 0.5 m",
+        "on town the tuned filter is WORSE than the raw fixes: RMSE 3 m instead of 2 m, 95% 7.25 m instead of 4 m",
+        "on field the tuned filter is WORSE than the raw fixes: 50% 1 m instead of 0.5 m",
     )
 
 
@@ -240,20 +240,20 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
         return Evaluation({"town": Evaluated(others | both)}).worse_than_untuned
 
     assert said(47.8, 18.5) == (
-        "the tuned filter is WORSE than the baseline: 5 s outage drift 47.8 m against 18.5 m",
+        "the tuned filter is WORSE than the baseline: 5 s outage drift 47.8 m instead of 18.5 m",
     )
     assert said(18.5, 47.8) == said(18.6, 18.5) == ()
     good = Score(position_rmse=0.5, heading_rmse=np.radians(0.4), outage_drift=2.0, long_outage_drift=7.0)
     sheet = replace(good, position_rmse=1.1, heading_rmse=np.radians(0.3), outage_drift=4.0)
     assert Evaluation({"town": Evaluated(others | {"untuned": sheet, "tuned": good})}).worse_than_untuned == (
         "the tuned filter is worse than the baseline in 1 of 4 measures: heading error "
-        "0.4 deg against 0.3 deg",
+        "0.4 deg instead of 0.3 deg",
     )
     assert Evaluation(
         {"town": Evaluated(others | {"fixes_alone": sheet, "tuned": good})}
     ).worse_than_untuned == (
         "the tuned filter is worse than the filter that uses only the fixes in 1 of 4 measures: heading error "
-        "0.4 deg against 0.3 deg",
+        "0.4 deg instead of 0.3 deg",
     )
     farther = replace(sheet, position_rmse=0.4)
     (here,) = Evaluation({"town": Evaluated(others | {"untuned": farther, "tuned": good})}).worse_than_untuned

@@ -32,10 +32,10 @@ def recorded(nis: float, next_one: float) -> Consistency:
 @pytest.mark.parametrize(
     ("nis", "next_one", "said"),
     [
-        (2.0, 0.0, "about 0.5 m (RMS), the filter's own estimate, and the log agrees: the fixes"),
-        (2.0, 0.4, "0.5 m (RMS), the filter's own estimate, or more: "),
-        (3.0, 0.0, "more than 0.5 m (RMS), the filter's own estimate: the fixes deviate from its predictions by 1.8 m"),
-        (1.7, 0.0, "0.5 m (RMS), the filter's own estimate, or somewhat less: "),
+        (2.0, 0.0, "about 0.5 m (RMS), as the filter estimates. The fixes"),
+        (2.0, 0.4, "0.5 m (RMS) or more, as the filter estimates. "),
+        (3.0, 0.0, "more than the 0.5 m (RMS) that the filter estimates. The fixes deviate from its predictions by"),
+        (1.7, 0.0, "0.5 m (RMS) or somewhat less, as the filter estimates. "),
         (1.7, 0.4, "not known, perhaps 1.4 m"),
         (0.2, 0.0, "not known, perhaps 1.4 m"),
     ],
@@ -49,7 +49,7 @@ def test_how_far_off_without_truth_is_the_filters_word_held_against_the_fixes(
 def test_a_log_that_shows_nothing_of_the_error_gets_no_figure():
     """The filter's own sigmas exceed what it expects of the fixes: the difference of the two is no error."""
     said = describe_position(recorded(0.2, 0.4).model_copy(update={"own_sigma": 1.6}))
-    assert said.startswith("not known. The filter's own estimate is 1.6 m (RMS), but the fixes")
+    assert said.startswith("not known. The filter estimates 1.6 m (RMS), but the fixes")
 
 
 @pytest.mark.long

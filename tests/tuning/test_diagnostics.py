@@ -66,7 +66,7 @@ def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     (tuned, other) = drifts_of(PreparedDrive(town()), bad)
     assert tuned > found[0][0]
     (said,) = drift_warnings([(100.0, 20.0), (np.nan, np.nan)])
-    assert said.startswith("TO DO: DO NOT USE IT; ")
+    assert said.startswith("TO DO: DO NOT USE THIS FILTER; ")
     assert "or on more drives: over 30 s without fixes the tuned filter drifts 100 m" in said
     assert drift_warnings([(29.0, 20.0)]) == drift_warnings([]) == []
     assert drift_warnings([(20.0, 20.0), (np.nan, np.nan)], NEAR) == drift_warnings([], NEAR) == []
@@ -77,8 +77,8 @@ def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     short = good.forecasts[1]
     measured = drifts_of(PreparedDrive(town()), good.parameters, length=5.0, noise=good.fixes_alone)
     assert (short.tuned_m, short.baseline_m, short.fixes_alone_m) == pytest.approx(measured)
-    assert "NOT BEATEN" in str(replace(short, fixes_alone_m=short.tuned_m))
-    assert "NOT BEATEN" not in str(replace(short, fixes_alone_m=1.01 * short.tuned_m))
+    assert ": LOWER" in str(replace(short, fixes_alone_m=short.tuned_m))
+    assert ": LOWER" not in str(replace(short, fixes_alone_m=1.01 * short.tuned_m))
     assert f"drift without fixes on the training drives: {good.forecasts[0]}" in repr(good)
     same = evaluate([town()], good)
     assert measured[:2] == pytest.approx([same.mean(m, "outage_drift_m") for m in ("tuned", "untuned")])
@@ -103,7 +103,7 @@ def test_a_car_that_stands_has_no_drift():
 def test_a_search_that_ended_too_early_is_noticed():
     first = split_time(read_drive(DRIVES / "dresden"), 0.7)[0]
     early = tune([first], objective="innovation-t", model="planar8", particles=10, generations=2, seed=2)
-    assert [r for r in early.remarks if "DO NOT USE IT" in r and "over 30 s without fixes" in r]
+    assert [r for r in early.remarks if "DO NOT USE THIS FILTER" in r and "over 30 s without fixes" in r]
     whole = tune([first], objective="innovation-t", model="planar8", seed=0)
     assert not [r for r in whole.remarks if "DO NOT" in r]
 

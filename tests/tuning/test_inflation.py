@@ -72,10 +72,11 @@ def test_the_cost_rises_by_the_inflation_and_no_more(inflation: float, model: st
 @pytest.mark.parametrize(
     ("model", "said"),
     [
-        ("planar8", "all process noise variances are {:.3g} times as large as at the lowest cost"),
+        ("planar8", "process-noise inflation multiplied all process noise variances by {:.3g}: "),
         (
             "tilted12",
-            "the random walks of biases are {:.3g} and the noise of position and velocity is {:.3g} times as",
+            "process-noise inflation multiplied the random walks of biases by {:.3g} and the noise of position and "
+            "velocity by {:.3g}: ",
         ),
     ],
 )

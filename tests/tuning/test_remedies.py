@@ -134,7 +134,7 @@ def test_a_log_that_begins_in_reverse_is_cut_as_the_doctor_says():
     part = split_time(whole, at=at)[1]
     assert "reverse-start" not in diagnose(part).codes
     assert to_dos(tune(whole), "diverged")
-    assert not to_dos(tune(part), "DO NOT USE IT")
+    assert not to_dos(tune(part), "DO NOT USE THIS FILTER")
 
 
 def test_no_remedy_of_a_tuning_without_options_speaks_of_leaving_them_out():

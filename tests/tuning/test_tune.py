@@ -361,7 +361,7 @@ def test_validation_drives_are_scored_but_choose_nothing():
     training, other = DRIVES[:1], make_drive(duration=25.0, seed=9, gps_std=4.0, name="noisy", imu_rate=50.0)
     plain = tune(training, **SMALL)
     assert plain.validation is None
-    assert any("of the drives it was tuned on" in remark for remark in plain.remarks)
+    assert any("the cost is that of the training drives" in remark for remark in plain.remarks)
     strange, blind = (
         "is valid only for the receiver and the IMU of these drives",
         {"objective": "innovation-t"},

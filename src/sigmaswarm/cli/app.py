@@ -114,7 +114,7 @@ def main() -> NoReturn:
     code = _run()
     for message, count in _warned.items():
         if count > 1:
-            print(f"warning: occurred {count} times: {shown(message, 80)}", file=sys.stderr)
+            print(f"warning ({count} times): {shown(message, 80)}", file=sys.stderr)
     try:
         if sys.stdout is not None:
             sys.stdout.flush()

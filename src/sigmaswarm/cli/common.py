@@ -175,6 +175,9 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
             *sentences,
         )
         return
-    left = f", {len(sentences) - MOST_SENTENCES} more remarks" if len(sentences) > MOST_SENTENCES else ""
-    adds = f"--verbose also shows {'each drive, ' if several else ''}consistency{left}"
-    say(*sentences[:MOST_SENTENCES], adds)
+    left = [f"{len(sentences) - MOST_SENTENCES} more remarks"] if len(sentences) > MOST_SENTENCES else []
+    *adds, last = [*(["each drive"] if several else []), "the consistency", *left]
+    say(
+        *sentences[:MOST_SENTENCES],
+        f"--verbose also shows {' and '.join(filter(None, [', '.join(adds), last]))}",
+    )

@@ -46,7 +46,7 @@ def doctor(
     fix
         Folder for a repaired copy of each drive. The drives themselves are not changed.
     lever_arm_within
-        Estimate one lever arm from all drives; --fix writes axes with a 95% interval of at most +- M meters.
+        Estimate one lever arm from all drives; --fix writes axes whose 95% interval is at most +- this value, m.
     """
     read = _read(drives)
     if fix is not None:

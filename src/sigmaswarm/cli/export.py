@@ -107,12 +107,12 @@ def export(
     if mounting and to == "c99":
         angles = ", ".join(f"{angle:g}" for angle in mounting)
         say(
-            "ins_gps_turn_imu() rotates samples with the imported axes by the mounting of the training drives "
+            "ins_gps_turn_imu() rotates samples from the imported axes by the mounting of the training drives "
             f"({angles} deg)"
         )
     if to != "filterpy" and record.mountings_differ:
         say(
-            "note: the IMU's mountings of the training drives differ, so the export contains no rotation: turn raw "
+            "note: the training drives state different mountings, so the export contains no rotation: rotate raw "
             "samples to x forward, y left, z up before the filter, or tune on drives with one mounting"
         )
     say(f"next: {next_command(to, out, texts)}")

@@ -25,8 +25,8 @@ for one in fields(Options):
 def record_carla(*, out: Path, **options: Any) -> None:
     """Record drives with known truth from a CARLA server.
 
-    The command records the maneuvers and weathers of the paper with a Tesla Model 3, by default 20 runs of each of the
-    25 conditions.
+    The command records the maneuvers and environments of the paper with a Tesla Model 3, by default 20 runs of each of
+    the 25 conditions.
 
     CARLA 0.9.16 needs `pip install carla==0.9.16`. For an older server, write the recorder into one file with `python
     -m sigmaswarm_carla.pack carla_recorder.pyz`, and run this file with the Python of the server's client

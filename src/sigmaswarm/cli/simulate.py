@@ -81,8 +81,8 @@ class SimulateOptions:
 def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
     """Simulate drives with known truth.
 
-    The car is a Tesla Model 3. Maneuvers and weathers are those of the paper. Sensor errors are those of real sensors.
-    By default 20 runs of each of the paper's 25 conditions are simulated. The same seed gives the same files.
+    The car is a Tesla Model 3. Maneuvers and environments are those of the paper. Sensor errors are those of real
+    sensors. By default 20 runs of each of the paper's 25 conditions are simulated. The same seed gives the same files.
 
     For example:
 

@@ -140,7 +140,7 @@ def _remarks(tuning: "Tuning[Any]", track: "FirstTrack") -> Iterable[str]:
     from sigmaswarm.scoring.remarks import describe_first_track
 
     if position := describe_first_track(track):
-        yield f"position: {position}"
+        yield f"position: {position.removeprefix('Position ')}"
     for remark in tuning.remarks[:MOST_SENTENCES]:
         yield remark if remark.startswith(TO_DO) else f"note: {remark}"
     if (left := len(tuning.remarks) - MOST_SENTENCES) > 0:

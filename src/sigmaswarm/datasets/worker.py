@@ -24,7 +24,7 @@ BYTES_PER_COLUMN_BYTE = 3.3
 
 @dataclass(frozen=True)
 class Failure:
-    """An exception as an answer; Dask would log it as a failed task."""
+    """An exception that is returned, not raised: Dask would log it as a failed task."""
 
     error: Exception
 

@@ -31,7 +31,7 @@ distinguishes mirrored fixes from an IMU with other axes."""
 CLEAR_SCALE = 4.0  # standard deviations of the scale of ax and ay if they agree with the exchanged fixes
 FEWEST = 20  # smallest number of fixes for the checks that need motion
 KEPT = 256
-"""Number of drives with a cached scatter, which tuning needs in each repetition."""
+"""Largest number of drives whose scatter is cached; each repetition of a tuning needs it."""
 _scatters: dict[str, float] = {}
 
 

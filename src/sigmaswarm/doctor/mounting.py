@@ -1,6 +1,6 @@
 """Estimate the mounting of the IMU as one rotation, from gravity, turns and the direction of travel.
 
-Roll and pitch follow from gravity and the axis of turning, yaw from the regression of the path on the levelled
+Roll and pitch follow from gravity and the axis of turning, yaw from the regression of the path on the leveled
 accelerations. The direction of travel refines yaw and pitch. This is repeated with the rotated axes until the remaining
 rotation is zero.
 """
@@ -29,7 +29,7 @@ ROUNDS = 16
 SURE, LIKELY = math.radians(3.0), math.radians(8.0)
 """Largest total standard deviation, rad, with confidence "sure", and with "likely"."""
 LEAST_SHARE = 0.5
-"""Smallest share of the course's changes that the levelled gyro explains."""
+"""Smallest share of the course's changes that the leveled gyro explains."""
 OTHER_WAY = 25.0
 """Smallest lead in chi-square over any mounting that is rotated by 90 degrees or more."""
 TILT_FLOOR = math.radians(1.0), math.radians(1.0)
@@ -153,7 +153,7 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
     imu, yaw_fit = found
     rotation, seen = _converged(drive, course, imu, yaw_fit)
     if seen and seen.yaw_fit.gain < 0 and _follows(seen.yaw_fit) and seen.mirrored > CLEARLY:
-        # The levelled IMU is upside down: its accelerometers report the opposite of specific force, or only some do.
+        # The leveled IMU is upside down: its accelerometers report the opposite of specific force, or only some do.
         opposite = _scaled(imu, "a", -1.0)
         upright = _converged(drive, course, opposite)
         if np.min(_leaning(turned(opposite, upright[0]))) > LEANS:
@@ -221,7 +221,7 @@ def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
 def _converged(
     drive: Drive, course: Course, imu: Imu, yaw_fit: YawFit | None = None
 ) -> tuple[Array, _Round | None]:
-    """Rotate the levelled axes in rounds until the rotation is zero."""
+    """Rotate the leveled axes in rounds until the rotation is zero."""
     rotation, seen = level(imu), None
     for _ in range(ROUNDS):
         seen = _round(replace(drive, imu=turned(imu, rotation)), course, seen, None if seen else yaw_fit)

@@ -204,4 +204,4 @@ ACTIONS: dict[str, Callable[..., Drive]] = {
     "shift-odometer": partial(_shift, "odometer"),
     "close-jump": _close_jump,
 }
-"""Actions in the order of application; they identify rows by recorded times, and fixes by corrected times."""
+"""Actions in the order of application. They refer to rows by recorded times, and to fixes by corrected times."""

@@ -87,7 +87,7 @@ class Mount:
 
 
 def _expected(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
-    """Return M (n, 4) of an interpretation at n angles, and its tolerances as variances (4, 4)."""
+    """Return the expected M (n, 4) at n angles, and its tolerances as variances (4, 4)."""
     c, s = np.cos(angles), np.sin(angles)
     slack = unit * np.where(axes != 0, SCALE, ALIKE).ravel()
     rotations = np.stack([c, -s, s, c], axis=-1).reshape(-1, 2, 2)

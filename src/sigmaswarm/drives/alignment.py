@@ -183,8 +183,8 @@ class Alignments:
                     "repair what `sigmaswarm doctor` finds",
                 )
             return NoStart(
-                f"the vehicle never travels {travel} within {time}, and never far enough compared with the "
-                f"fixes' noise within {SLOW_DURATIONS[-1]:g} s, so the heading can't be found",
+                f"the vehicle never travels {travel} within {time}, and within {SLOW_DURATIONS[-1]:g} s never far "
+                "enough relative to the noise of the fixes, so the heading can't be found",
                 f"use a longer or a faster drive ({3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for "
                 f"{time}), or write the heading at the first IMU sample to drive.toml, for example heading_deg "
                 "= 90 (degrees counter-clockwise from east)",
@@ -201,7 +201,7 @@ class Alignments:
         )
         return NoStart(
             f"no filter can start: only {usable}, and {needs}",
-            "use a longer drive with fixes at 1 Hz or faster, without gaps and repeated positions",
+            "use a longer drive with fixes at 1 Hz or faster, without gaps or repeated positions",
         )
 
     def _fitted(self, k: int) -> InitialState | None:

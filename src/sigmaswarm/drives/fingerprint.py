@@ -10,8 +10,8 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.mounting import AXES_KEY, KEY, axes_of
 
 START_RULE = (
-    "the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster), or, on a slower drive, "
-    "10 m or more in up to 90 s; the first fix with a heading, if it is earlier"
+    "the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster; on a slower drive, 10 m "
+    "or more in up to 90 s), or at an earlier fix with a heading"
 )
 """Description of the start that `alignment` finds (`DriveRecord.scored_from_s`), for messages and pages."""
 

@@ -29,7 +29,7 @@ _EASTMOST = 179.999999999
 def geojson(time: Array, places: Array, path: Path, name: str) -> None:
     """Write a line, cut at the antimeridian (RFC 7946, 3.1.9). ``places`` (n, 2) are latitude and longitude, deg.
 
-    ``coordTimes`` has the format of togeojson: a list, or for a line in parts a list of lists.
+    ``coordTimes`` has the format of togeojson: a list, or a list of lists for a line in parts.
     """
     parts = cut(time, places)
     lines: list[Any] = [[[round(lon, 9), round(lat, 9)] for lat, lon in part.tolist()] for _, part in parts]
@@ -59,7 +59,7 @@ def gpx(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def kml(time: Array, places: Array, path: Path, name: str) -> None:
-    """Write a line, cut at the antimeridian, or with dates a gx:Track."""
+    """Write a gx:Track if the times are dates, else a line, cut at the antimeridian."""
     if _stamps(time[:1]):
         _timed_kml(time, places, path, name)
         return

@@ -35,7 +35,7 @@ MOST_RESTARTS = 1000  # largest number of resets in the record of reset times
 MOST_READINGS = 2000  # stored odometer readings: ten seconds at 200 Hz
 FASTER_IMU = 4  # the monitor covers its full time if the IMU is up to this many times as fast as stated
 MOST_HISTORY = 100_000  # IMU intervals in history and lag: 100 s at 1 kHz, 0.2 GB
-MOST_WAITING = 1000  # approximate number of fixes that can wait while the IMU is silent
+MOST_WAITING = 1000  # approximate number of fixes that can wait during a gap of the IMU
 _NO_NUMBERS = (TypeError, LookupError, OverflowError)
 """Errors of invalid input such as texts, None, too few numbers, or integers of 400 digits."""
 
@@ -72,9 +72,9 @@ class LiveFilter:
     same time, for example from two receivers, are used one after the other. An identical fix is a repeated message and
     is ignored. A stale fix is stored but not used: see `drives.stale_fixes`.
 
-    While the IMU is silent, the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`).
-    A sample stamped more than 10 s ahead waits for a second sample within a second of its stamp. Then both are used, as
-    after a silence; otherwise the first one is dropped and counted. The same rule applies to fixes. IMU samples near
+    Without IMU samples the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`). A
+    sample stamped more than 10 s ahead waits for a second sample within a second of its stamp. Then both are used, as
+    after a gap; otherwise the first one is dropped and counted. The same rule applies to fixes. IMU samples near
     the time stamp of a fix also confirm it.
 
     The divergence monitor compares the filter once a second with the latest fixes and resets it if it has diverged

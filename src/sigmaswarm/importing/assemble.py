@@ -154,7 +154,7 @@ def _in_one_turn(
         moved[role] = time + best[0]
         if len(best) > 1 and role in ("gps", "truth", "odometer"):
             other = (best[1] - best[0]) / SECOND
-            message = f"the clock restarts every {period / SECOND:.6g} s, and the table is taken to end with the IMU's"
+            message = f"the clock restarts every {period / SECOND:.6g} s; assumed to end with the IMU samples"
             say(f"{role}: {message}; otherwise write --{role}-offset {other:.10g}")
     return moved
 
@@ -331,7 +331,7 @@ def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, o
     if np.hypot(east, north) > FARTHEST:
         return (
             f"{message}, {np.hypot(east, north) / 1e3:.0f} km away, as the coordinates of a map (UTM) are: convert it "
-            "to degrees, as with pyproj, and map truth.lat and truth.lon"
+            "to degrees, for example with pyproj, and map truth.lat and truth.lon"
         )
     best = origin
     for _ in range(3):  # north turns with the place

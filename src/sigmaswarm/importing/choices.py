@@ -117,7 +117,9 @@ def settings_of(choices: Mapping[str, Any]) -> dict[str, Any]:
         try:
             forward, left, up = (float(v) for v in arm.split(","))
         except ValueError:
-            raise InputError(f"{arm!r} is not a lever arm; write m forward,left,up, as 1.2,0,0.5") from None
+            raise InputError(
+                f"{arm!r} is not a lever arm; write m forward,left,up, for example 1.2,0,0.5"
+            ) from None
         settings["gps_lever_arm_m"] = forward, left, up
     return settings
 

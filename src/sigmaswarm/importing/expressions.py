@@ -275,7 +275,7 @@ class _Compiler:
         if len(names) < len(args) or not names:
             raise InputError(
                 f"utc(...) in {quoted(self.text)} takes a column of dates, or several columns, and optionally their "
-                "format, as utc(date, '%d.%m.%Y %H:%M:%S'); correct the expression"
+                "format, for example utc(date, '%d.%m.%Y %H:%M:%S'); correct the expression"
             )
         for name in names:
             self._use(name)

@@ -221,7 +221,7 @@ def _turn(calibration: Calibration, stated: float | None) -> float:
     if calibration.mirrored:
         raise InputError(
             "mag: mx and my rotate in the wrong direction, so --declination can't be applied; change the sign "
-            "of one of them, exchange them, or omit --declination"
+            "of mx or my, exchange mx and my, or omit --declination"
         )
     return calibration.declination - float(np.radians(stated))
 

@@ -23,7 +23,7 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
     mounting = evidence.mounting
     if evidence.mirrored:
         raise InputError(
-            "mount auto: the fixes are a mirror image of the motion; exchange x and y, or lat and lon, by --map"
+            "mount auto: the fixes are a mirror image of the motion; exchange x and y, or lat and lon, with --map"
         )
     if mounting is None or mounting.confidence == "no":
         reason = mounting.reason if mounting else "required: ax, ay, az, gx, gy, gz and a moving vehicle"

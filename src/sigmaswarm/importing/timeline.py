@@ -178,7 +178,7 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
         raise InputError(
             f"{where}: {lost} of {len(time)} rows ({repeated:.0%}) have the time of the row before, and the number "
             f"of rows per time varies from {counts.min()} to {counts.max()}: the times of the {role} are too "
-            f"coarse; specify a finer time with --map {role}.t=..., or count rows where the rate is known, as "
+            f"coarse; specify a finer time with --map {role}.t=..., or count rows where the rate is known: "
             f'--map "{role}.t=row/{rate:.6g}"'
         )
     group = np.repeat(np.arange(len(new)), counts)

@@ -66,8 +66,8 @@ class LearnConfig:
     drives : sequence of Drive
         Training drives.
     validation : sequence of Drive
-        Drives for early stopping and, for outage-lstm, calibration. The default is the last quarter of each drive, or,
-        for outage-lstm with three or more drives, the last third of the drives.
+        Drives for early stopping, and for the calibration of outage-lstm. The default is the last quarter of each
+        drive; for outage-lstm with three or more drives, the last third of the drives.
     search : int
         Number of further settings (units, window, learning rate) to try; the best on the validation data is used.
     seed : int

@@ -76,7 +76,7 @@ class OutageLstm:
         return self.weights["kept"] * np.exp(-np.asarray(age)[..., np.newaxis] / self.weights["lasts"])
 
     def forecasts(self, windows: Windows) -> dict[int, Forecast]:
-        """Return the forecast at the end of each window, by the index of the sample there."""
+        """Return the forecast at the end of each window, by the index of the last sample."""
         numbers = (column.tolist() for column in (windows.begin, windows.first, windows.age))
         outputs = *self.displacements(windows.features), self.displacements(windows.features_at_first)[0]
         return dict(zip(windows.end.tolist(), map(Forecast, *numbers, *outputs), strict=True))

@@ -71,9 +71,9 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
             parts += [] if gps is not None and _drives(imu, gps, part) else [part]
     if not parts:
         duration = imu.time[-1] - imu.time[0]
-        what = f"is {duration:.3g} s long" if duration < 2 * SHORTEST else "moves"
+        what = f"log is {duration:.3g} s long" if duration < 2 * SHORTEST else "IMU moves"
         raise InputError(
-            f"the log {what}: it has no standstill of {SHORTEST:g} s; record the IMU at rest, for an hour to "
+            f"the {what}, without a standstill of {SHORTEST:g} s; record the IMU at rest, for an hour to "
             "determine all noise terms"
         )
     static = sum(part.stop - part.start for part in parts)

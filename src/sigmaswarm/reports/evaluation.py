@@ -185,7 +185,7 @@ def consistency(name: str, evaluated: Evaluated) -> Figure | None:
     charts = (
         Chart(f"{name}: {found.inside_gate:.1%} inside", over_time),
         Chart(f"mean {found.mean_nis:.2f}, consistent: {low:.2f} to {high:.2f}", histogram),
-        Chart("innovations (grey: white noise, 95%)", lags),
+        Chart("innovations (gray: white noise, 95%)", lags),
     )
     return figure_of(*charts, size=(11, 3.4))
 

@@ -175,7 +175,8 @@ def _spread(record: StudyRecord) -> Section:
     charts = [spread_chart(results, spreads, measure) for measure in ERRORS]
     text = (
         "Each drive has one value, the mean over its trials. Box: quartiles. Whiskers: 5 to 95% of the drives.",
-        "The mean NIS of a consistent filter is 2. A larger value means overconfident, a smaller value underconfident. "
+        "The mean NIS of a consistent filter is 2. With a larger value the filter is overconfident, with a smaller "
+        "value underconfident. "
         "Position errors alone do not determine the scale of the covariances.",
     )
     charts = _known((*charts, spread_chart(results, spreads, "nis", mark=CONSISTENT)))
@@ -195,8 +196,8 @@ def _tracks(record: StudyRecord) -> tuple[Section, ...]:
 
 def _comparisons(results: Results) -> Section:
     text = (
-        f"{results.label(MAIN)} against every other method, drive by drive. Improvement (equation 5): the relative "
-        "reduction of the mean error, with a bootstrap interval over drives.",
+        f"{results.label(MAIN)} compared with every other method, drive by drive. Improvement (equation 5): the "
+        "relative reduction of the mean error, with a bootstrap interval over drives.",
         "p: Wilcoxon's signed-rank test, with Holm's correction over the methods. The rank-biserial correlation is the "
         "effect size: 1 means better on every drive, -1 worse on every drive.",
     )

@@ -48,13 +48,13 @@ INTERVALS = (
     "optimizer vary much."
 )
 EFFORT = (
-    "Labelled: driving time with truth, for tuning. Learned: driving time without truth, for training a "
+    "Labeled: driving time with truth, for tuning. Learned: driving time without truth, for training a "
     "network. Numbers: number of free parameters of tuning and training. Drifts: one outage per drive, with the 95% "
     "interval for new drives (bootstrap over drives and trials); -: no drive is long enough."
 )
 TIMES = (
-    "Training: processor time of a trial (for a network, excluding the tuning of its filter). A sample: processor time "
-    "per IMU sample of a run over a whole drive from Python."
+    "Training: processor time of a trial (for a network, excluding the tuning of its filter). Per sample: processor "
+    "time per IMU sample of a run over a whole drive from Python."
 )
 Row = tuple[Cell, ...]
 
@@ -197,7 +197,7 @@ def runtime_table(results: Results, live: Mapping[str, Mapping[str, float]]) -> 
             row += [times.get(f"{call}_ms"), None if low is None or high is None else (low, high)]
         rows.append(tuple(row))
     columns = [Column("filter"), _figures("paper")]
-    for title in ("ours, an IMU sample", "ours, an IMU sample with a fix"):
+    for title in ("ours, per IMU sample", "ours, per IMU sample with a fix"):
         columns += [_figures(title, 4), _figures("95% of the calls", 4, joined=True)]
     note = (
         "Median times of calls of the live filter from Python over one drive, on the machine that ran the study. In "
@@ -223,7 +223,7 @@ def objectives_compared(results: Results) -> str:
         "The study has two objectives, since the paper's objective compares the estimate with the GPS fix that the "
         "filter has just used: a filter that copies the fixes has the lowest cost. Tuned for the paper's objective, "
         "the PSO-UKF has an RMSE of {:.2f} m relative to the fixes, but of {:.2f} m relative to the truth. The RMSE of "
-        "the fixes is {:.2f} m. Tuned against truth by the same swarm, the PSO-UKF has an RMSE of {:.2f} m relative to "
+        "the fixes is {:.2f} m. Tuned with truth by the same swarm, the PSO-UKF has an RMSE of {:.2f} m relative to "
         "the truth."
     ).format(*means)
 
@@ -245,9 +245,8 @@ def comparison_table(results: Results, protocol: str, measure: str) -> Table:
         for c in results.comparisons
         if (c.protocol, c.measure) == (protocol, measure)
     )
-    caption = (
-        f"{results.label(MAIN)} under the protocol {protocol} against each other method: {ERRORS[measure]}"
-    )
+    methods = f"{results.label(MAIN)} under the protocol {protocol}, compared with every other method"
+    caption = f"{methods}: {ERRORS[measure]}"
     return Table(caption, columns, rows, note=PAIRED.format("PSO-UKF"))
 
 
@@ -352,8 +351,8 @@ def rivals_tables(
 
 def rivals_table(results: Results, times: Mapping[str, Mapping[str, float]]) -> Table:
     """Tabulate data, number of free parameters, drift and processor ``times`` of each tuned or trained method."""
-    columns = [Column("method"), *(_figures(title, 0) for title in ("labelled, s", "learned, s", "numbers"))]
-    columns += [_figures("training, s", 1), _figures("a sample, us", 2)] if times else []
+    columns = [Column("method"), *(_figures(title, 0) for title in ("labeled, s", "learned, s", "numbers"))]
+    columns += [_figures("training, s", 1), _figures("per sample, us", 2)] if times else []
     columns += _with_intervals(f"drift over {length}, m" for length in LENGTHS.values())
     rows: list[Row] = []
     for e in results.rivals.efforts if results.rivals else ():
@@ -371,7 +370,7 @@ def _gains_table(results: Results, rivals: RivalResults) -> Table:
     rows = tuple(
         (results.label(c.method), results.measures[c.measure], *_paired_cells(c)) for c in rivals.gains
     )
-    caption = f"Networks against {results.label(HELPED, 'honest')} without them"
+    caption = f"Networks compared with {results.label(HELPED, 'honest')} without a network"
     kept = (
         "Measures that a network does not change are omitted, such as the position error while fixes arrive."
     )

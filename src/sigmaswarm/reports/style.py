@@ -1,4 +1,4 @@
-"""Style of all pictures, for color-blind readers and grey prints."""
+"""Style of all pictures, for color-blind readers and gray prints."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -30,7 +30,7 @@ VERMILION, PURPLE, SKY, INDIGO = "#D55E00", "#CC79A7", "#56B4E9", "#332288"
 CHARCOAL, SLATE, GREY, SILVER, MIST = "#4d4d4d", "#51585f", "#999999", "#cccccc", "#e5e5e5"
 NO_LINE = "none"
 
-# Line styles also differ, so that a grey print stays legible.
+# Line styles also differ, so that a gray print stays legible.
 STYLES: dict[str, Look] = {
     "truth": Look(BLACK, 1.2),
     "tuned": Look(BLUE, 2.2),

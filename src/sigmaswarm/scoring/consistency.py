@@ -56,7 +56,7 @@ class Consistency(BaseModel):
     white_band : float
         Half width of the 95% band of the autocorrelation of white innovations.
     white_p : float
-        p-value of the test for whiteness of G. M. Ljung and G. E. P. Bounds (1978).
+        p-value of the test for whiteness of G. M. Ljung and G. E. P. Box (1978).
     mean_nees : float or None
         Mean NEES of the position at truth times: 2 for a consistent filter, None without truth. It has no band, since
         position errors are correlated over time.
@@ -140,7 +140,7 @@ Kind = Literal[
 ALIKE = 0.5
 """Lag-1 correlation above which consecutive innovations are nearly equal."""
 CORRELATED = 0.2
-"""Lag-1 correlation above which a right NIS does not prove consistency."""
+"""Lag-1 correlation above which a mean NIS of 2 does not prove consistency."""
 FORECASTS = "this result is for predictions of the fixes; without truth, position errors can't be assessed"
 
 VERDICTS: dict[Kind, str] = {

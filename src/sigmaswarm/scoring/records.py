@@ -56,9 +56,9 @@ class ScoresRecord(BaseModel):
             return ""
         means = [sum(one[i] or 0.0 for one in drawn) / len(drawn) for i in range(count)]
         outages = sum(one.outages for one in found)
-        few = (", all on the same short stretch: the drift on another stretch may be far larger") * (
-            outages < FEW * count
-        )
+        few = (
+            "; all placements are on one short stretch, and the drift on another stretch may be far larger"
+        ) * (outages < FEW * count)
         single = f"the drift in a single placement is {min(means):.3g} to {max(means):.3g} m"
         return f"{outages} outages in {count} placements; {single}{few}"
 

@@ -56,7 +56,7 @@ def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
     messages: list[str] = []
     for drive, found in scores.drives.items():
         worse = [
-            f"{what} {tuned:.3g} m against {raw:.3g} m"
+            f"{what} {tuned:.3g} m instead of {raw:.3g} m"
             for measure, what in POSITION_MEASURES.items()
             if (tuned := found["tuned"].get(measure)) is not None
             and (raw := found["raw_gps"].get(measure)) is not None
@@ -78,7 +78,7 @@ def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tu
         }
         worse = {m: pair for m, pair in known.items() if pair[1] < NOTABLE * pair[0]}
         each = ", ".join(
-            f"{shown[m].title} {tuned:.3g} {shown[m].unit} against {other:.3g} {shown[m].unit}"
+            f"{shown[m].title} {tuned:.3g} {shown[m].unit} instead of {other:.3g} {shown[m].unit}"
             for m, (tuned, other) in worse.items()
         )
         if "position_rmse_m" in worse or 2 * len(worse) > len(known):
@@ -123,7 +123,7 @@ def describe_position(found: Consistency) -> str:
     are smoothed or their errors are correlated, and the position error may be as large as that of the fixes.
     """
     own, missed, expected = found.own_sigma or 0.0, found.missed or 0.0, found.expected or 0.0
-    (low, high), nis = found.nis_band, f"mean NIS {found.mean_nis:.2g} (2 is consistent)"
+    (low, high), nis = found.nis_band, f"mean NIS {found.mean_nis:.2g}, should be 2"
     alike = found.autocorrelation[0] > CORRELATED
     if found.mean_nis < low and (alike or found.mean_nis < FAR_BELOW):
         guess = ""
@@ -131,19 +131,23 @@ def describe_position(found: Consistency) -> str:
             fixes = (expected**2 - own**2) ** 0.5
             guess = f", perhaps {fixes:.2g} m, the error that the filter assumes for the fixes"
         return (
-            f"not known{guess}. The filter's own estimate is {own:.2g} m (RMS), but the fixes deviate "
-            f"from its predictions by less than expected ({nis}): the receiver smooths its fixes, or their errors "
-            "are correlated"
+            f"not known{guess}. The filter estimates {own:.2g} m (RMS), but the fixes deviate from its predictions by "
+            f"less than expected ({nis}): the receiver smooths its fixes, or their errors are correlated"
         )
-    size = f"{own:.2g} m (RMS), the filter's own estimate"
-    included = f"the fixes deviate from its predictions by {missed:.2g} m, their own errors included"
+    size = f"{own:.2g} m (RMS)"
+    included = f"The fixes deviate from its predictions by {missed:.2g} m, including their own errors,"
     if found.mean_nis > high:
-        return f"more than {size}: {included}, more than expected ({nis})"
+        return (
+            f"more than the {size} that the filter estimates. {included} which is more than expected ({nis})"
+        )
     if found.mean_nis < low:
-        return f"{size}, or somewhat less: {included}, less than expected ({nis})"
+        return f"{size} or somewhat less, as the filter estimates. {included} which is less than expected ({nis})"
     if alike:
-        return f"{size}, or more: {included}, as expected, but the errors of neighboring fixes are correlated"
+        return (
+            f"{size} or more, as the filter estimates. {included} as expected, but the errors of neighboring fixes are "
+            "correlated"
+        )
     return (
-        f"about {size}, and the log agrees: {included}, as expected. An error that all fixes have in common "
-        "is not included"
+        f"about {size}, as the filter estimates. {included} as expected. An error that all fixes have in common is not "
+        "included"
     )

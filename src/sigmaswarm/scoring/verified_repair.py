@@ -108,8 +108,10 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
     if not withheld:
         return mended
     withheld = list(dict.fromkeys(f.code for f in diagnosis.findings if f.repair and f.code in withheld))
-    what = f"{drive.name}: the repair of {', '.join(withheld)} is withheld, since after this repair a filter predicts"
-    warnings.warn(SigmaswarmWarning(f"{what} the fixes worse; check the log yourself"), stacklevel=2)
+    what = f"{drive.name}: the repair of {', '.join(withheld)} is withheld, since it makes a filter's"
+    warnings.warn(
+        SigmaswarmWarning(f"{what} predictions of the fixes worse; check the log yourself"), stacklevel=2
+    )
     return replace(mended, metadata={**mended.metadata, "withheld": withheld})
 
 

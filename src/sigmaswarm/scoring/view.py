@@ -163,9 +163,9 @@ class EvaluationView:
                 _compared(tuned, value, self.names[m]) for m in rivals if m and (value := mean_of(m, measure))
             ]
             spread = self.scores.describe_drift(measure)
-            text = f"On {drives} the tuned filter {what.format(f'{tuned:.3g}')}{f' ({spread})' if spread else ''}"
+            text = f"On {drives}, the tuned filter {what.format(f'{tuned:.3g}')}{f' ({spread})' if spread else ''}"
             return f"{': '.join([text, ', '.join(each)][: 1 + bool(each)])}.{self._not_beaten()}"
-        return f"On {drives} the tuned filter has no score: it failed, or there is no truth."
+        return f"On {drives}, the tuned filter has no score: it failed, or there is no truth."
 
     def _not_beaten(self) -> str:
         mean_of = self.scores.mean_of
@@ -175,7 +175,7 @@ class EvaluationView:
             for m, (tuned, alone) in pairs.items()
             if tuned is not None and alone is not None and tuned >= alone
         ]
-        return f" It does NOT beat the fixes alone in the {', '.join(lost)}." if lost else ""
+        return f" It is NOT better than the fixes alone in the {', '.join(lost)}." if lost else ""
 
     def coverage(self) -> tuple[str, ...]:
         data = self.setup.data

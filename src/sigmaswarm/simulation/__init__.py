@@ -2,7 +2,7 @@
 
     maneuvers -> planning -> dynamics -> journey -> terrain -> motion -> imu, gps, odometer -> scenarios -> Drive
 
-docs/simulator.md lists the modelled effects.
+docs/simulator.md lists the modeled effects.
 """
 
 from sigmaswarm.simulation.conditions import PAPER_MANEUVERS, simulate_many

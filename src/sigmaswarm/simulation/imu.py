@@ -115,7 +115,7 @@ IMU_GRADES = {
             Triad(1e-4),
             Triad(1e-4, turn_on=1e-3),
             carla=True,
-            source="CARLA Leaderboard sensor set-up (0.001 m/s2, 0.001 rad/s a sample at 100 Hz)",
+            source="CARLA Leaderboard sensor set-up (0.001 m/s2, 0.001 rad/s per sample at 100 Hz)",
         ),
     )
 }

@@ -103,11 +103,11 @@ class TuneConfig(SearchConfig):
     """Options for tuning a built-in model; `defaults.with_filter` chooses missing ``model`` and ``use``."""
 
     model: ModelName = "planar5"
-    """Process model: planar5 (paper), planar8 (IMU biases), tilted12 (roll, pitch). Default: by the sensors."""
+    """Process model: planar5 (paper), planar8 (IMU biases), tilted12 (roll, pitch). Default: depends on the sensors."""
     kind: FilterKind = "ukf"
-    """Filter type: unscented, extended, adaptive (Sage-Husa), strong tracking, fuzzy. Default: the model's first."""
+    """Filter type: unscented, extended, adaptive (Sage-Husa), strong tracking, fuzzy. Default: depends on the model."""
     use: tuple[Option, ...] = ()
-    """Measurements and constraints in addition to position fixes. Default: by the sensors. See docs/method.md."""
+    """Measurements and constraints added to position fixes. Default: depends on the sensors. See docs/method.md."""
     outage_seed: int = Field(default=0, ge=0)
     """Seed of the outage windows, for objectives that hide fixes."""
     as_recorded: bool = False

@@ -133,7 +133,7 @@ def explain_tuning(drives: Sequence[Drive | Sensors], **options: Any) -> list[st
     return [
         f"Filter: {because or config.model}",
         f"Objective: {config.objective}: {objective_named(config.objective).summary}",
-        f"Search: {sets} parameter sets by {config.optimizer}, {trials}, seed {config.seed}",
+        f"Search: {config.optimizer} with {sets} parameter sets, {trials}, seed {config.seed}",
     ]
 
 

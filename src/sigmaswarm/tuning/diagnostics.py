@@ -40,7 +40,7 @@ NEAR = 1.2
 For few placements the ratio is accurate to 10%.
 """
 LOOK = 600.0  # s in the middle of a drive that are checked for drift
-REMEDY = "DO NOT USE IT; check the drive with `sigmaswarm doctor`, or tune with more trials or on more drives"
+REMEDY = "DO NOT USE THIS FILTER; check the drive with `sigmaswarm doctor`, or tune with more trials or on more drives"
 CORRELATED = 0.3
 """Lag-1 autocorrelation of innovations above which a warning is given.
 
@@ -64,8 +64,8 @@ class Forecast:
     fixes_alone_m: float
 
     def __str__(self) -> str:
-        beaten = "" if self.tuned_m < self.fixes_alone_m else ": NOT BEATEN"
-        others = f"fixes alone {self.fixes_alone_m:.3g} m{beaten}, baseline {self.baseline_m:.3g} m"
+        lower = "" if self.tuned_m < self.fixes_alone_m else ": LOWER"
+        others = f"fixes alone {self.fixes_alone_m:.3g} m{lower}, baseline {self.baseline_m:.3g} m"
         return f"{self.length_s:g} s {self.tuned_m:.3g} m ({others})"
 
 
@@ -117,7 +117,8 @@ def divergence_warnings(found: Iterable[tuple[str, list[float]]]) -> list[str]:
     if not diverged:
         return []
     more = f"; and on {len(diverged) - NAMED} more drives" if len(diverged) > NAMED else ""
-    why = f"the tuned filter {'; it '.join(diverged[:NAMED])}{more}, although it was tuned there"
+    these = "this drive" if len(diverged) == 1 else "these drives"
+    why = f"the tuned filter {'; it '.join(diverged[:NAMED])}{more}, although it was tuned on {these}"
     return [to_do(REMEDY, why)]
 
 

@@ -111,7 +111,7 @@ def race(
 
 
 def _ahead(each: Array, costs: Array, rival: Leader, seen: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Select candidates that beat the leader on the same drives by more than a standard error of the difference."""
+    """Select candidates that are better than the leader by more than a standard error of the difference."""
     with np.errstate(invalid="ignore"):  # a failed candidate has infinite costs
         spread = (each - rival.each[seen]).std(axis=1, ddof=1)
     return costs + spread / np.sqrt(len(seen)) < rival.cost

@@ -23,10 +23,9 @@ from sigmaswarm.tuning.search import Trial
 End = float | Literal["-"]
 """End of the range in which the cost increases by less than 1%; ``-`` if the range reaches the bound."""
 NOT_VALIDATED = (
-    "its cost is that of the drives it was tuned on; evaluate the filter on other drives, or pass some drives "
-    "as validation"
+    "the cost is that of the training drives; evaluate the filter on other drives, or pass validation drives"
 )
-"""Remark that is omitted after an evaluation. It is recognized in files by its text, so do not change it."""
+"""Remark that is omitted after an evaluation, which recognizes it in files by its text."""
 FILE = "tuning.toml"
 HISTORY_FILE = "convergence.csv"
 CONVERGENCE = {

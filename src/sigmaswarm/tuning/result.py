@@ -33,9 +33,9 @@ from sigmaswarm.wording import counted, in_order, to_do
 P = TypeVar("P", default=FilterParameters)
 SHOWN_REMARKS = 5  # number of remarks in the printed text
 INFLATED = (
-    "{} times as large as at the lowest cost (process-noise inflation): the costs with and without inflation "
-    "hardly differ; on other roads and with other IMUs the inflated filter is more accurate. On the roads used for "
-    "tuning, it drifts slightly more in outages; --inflation 0 turns the inflation off"
+    "process-noise inflation multiplied {}: the costs with and without inflation hardly differ; on other roads and "
+    "with other IMUs the inflated filter is more accurate. On the roads used for tuning, it drifts slightly more in "
+    "outages; --inflation 0 turns the inflation off"
 )
 OF_THESE_SENSORS = (
     "a filter tuned with truth is valid only for the receiver and the IMU of these drives: with other sensors it "
@@ -308,12 +308,14 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     car = p if isinstance(p, FilterParameters) else None
     yield from t.warnings
     if factor != 1.0:
-        inflated = f"all process noise variances are {factor:.3g}"
+        inflated = f"all process noise variances by {factor:.3g}"
         if car and MODELS[car.model].measures_imu:
-            inflated = f"the noise variances of position, velocity and acceleration are {factor:.3g}"
+            inflated = f"the noise variances of position, velocity and acceleration by {factor:.3g}"
         if car and MODELS[car.model].tilts:
             root = f"{factor**0.5:.3g}"
-            inflated = f"the random walks of biases are {factor:.3g} and the noise of position and velocity is {root}"
+            inflated = (
+                f"the random walks of biases by {factor:.3g} and the noise of position and velocity by {root}"
+            )
         yield INFLATED.format(inflated)
     for touched in t.touched_bounds:
         if touched.parameter not in t.unidentified:
@@ -343,7 +345,7 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     if car and objective.needs_truth:
         yield OF_THESE_SENSORS
     if t.mounting is None and any(KEY in entry for entry in t.data):
-        yield f"the IMU's mountings of the training drives differ ({KEY}), so an export does not turn raw samples"
+        yield f"the training drives state different mountings ({KEY}), so an export does not rotate raw samples"
     if t.start_cost is not None:
         yield f"the filter from which the search started has cost {notebook.number(t.start_cost)} with the same inputs"
     if t.validation is None:

@@ -238,7 +238,7 @@ def _look_ahead(drive: Drive, diagnosis: Diagnosis) -> dict[str, tuple[Agreement
     """Try each repair. Return the agreements after it, and a sentence if the repair is withheld."""
     after: dict[str, tuple[Agreements, str]] = {}
     description = (
-        "The doctor withholds this repair, since a filter predicts the fixes worse after this repair. Check "
+        "The doctor withholds this repair, since it makes a filter's predictions of the fixes worse. Check "
         "the log yourself."
     )
     for code in dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None):

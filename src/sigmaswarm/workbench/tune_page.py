@@ -22,7 +22,7 @@ MODELS = {
     "planar8": "planar8",
     "tilted12": "tilted12",
 }
-STARTING = "reading the drives, to tune on them"
+STARTING = "reading the training drives"
 """Work that continues if the user changes a choice."""
 COMPARED = 6
 Update = Callable[[], None]

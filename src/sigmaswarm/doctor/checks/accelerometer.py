@@ -112,14 +112,15 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
     if size < TILT[0] + margin:
         return
     tilt = math.degrees(math.asin(min(size / GRAVITY, 1.0)))
-    what = f"ax and ay contain constants of {leak[0]:+.2f} and {leak[1]:+.2f} m/s2, which the motion does not explain"
+    offsets = f"{leak[0]:+.2f} and {leak[1]:+.2f} m/s2"
+    what = f"ax and ay contain constant offsets of {offsets}, which the motion does not explain"
     severity, confidence = "warning", 0.95
     if size > TILT[1] + margin:
         severity, confidence = "serious", 0.99
         what = f"{what}: this is gravity, since the IMU is tilted by about {tilt:.0f} deg"
     else:
         what = f"{what}: the IMU has a bias, or is tilted by about {tilt:.0f} deg"
-    remedy = "level the IMU, or subtract the constants; --model planar8 estimates the remaining bias"
+    remedy = "level the IMU, or subtract the offsets; --model planar8 estimates the remaining bias"
     repair = _leveled(evidence.drive.imu, leak)
     yield Finding("gravity", severity, what, WHERE, evidence.span, confidence, remedy, repair)
 

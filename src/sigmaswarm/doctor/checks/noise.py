@@ -23,7 +23,7 @@ LASTS = 2.5
 FAR_FIRST = 1000.0
 """Distance of the first fix from the others, m, above which it is an outlier that displaces the drive's origin."""
 WHITE = 0.7
-"""Ratio of the noise from fix to fix to the scatter about a path of 10 s: 1 for white noise, less if correlated."""
+"""Ratio of the noise from fix to fix to the scatter about a path of 10 s: 1 for white noise, less for correlated."""
 
 
 def check_noise(evidence: Evidence) -> Iterator[Finding]:

@@ -186,7 +186,7 @@ class CurvePoint(_Part):
 class RivalResults(_Part):
     """Additional results of a study with rivals.
 
-    ``gains`` compares each network with its filter without a network; ``holm_p`` is not corrected over several tests.
+    ``gains`` compares each network with its filter without a network; ``holm_p`` is not corrected for multiple tests.
     """
 
     efforts: list[Effort]

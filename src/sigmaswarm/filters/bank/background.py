@@ -1,4 +1,4 @@
-"""A search that runs in a thread while the filters of a bank go on."""
+"""A search that runs in a thread while the filters of a bank continue."""
 
 import os
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -21,7 +21,7 @@ if hasattr(os, "register_at_fork"):
 
 @dataclass(frozen=True, eq=False)
 class Pending:
-    """A running search that replays the log up to step ``logged``, from the ancestor of lane ``led``.
+    """A running search that replays the log up to step ``logged``. It starts from the ancestor of lane ``led``.
 
     A forked or unpickled copy searches in the calling thread.
     """

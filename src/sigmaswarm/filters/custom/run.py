@@ -165,7 +165,7 @@ def run_kernel(
     covariances: bool,
     runs: Array | None = None,
 ) -> Filtered:
-    """Run the compiled filter, or without a kernel the textbook filter; ``runs`` (m, 2) of outliers is updated."""
+    """Run the compiled filter, or the textbook filter if there is no kernel; ``runs`` (m, 2) of outliers is updated."""
     runs = np.zeros((steps.measurements.shape[1], 2)) if runs is None else runs
     p = model.values(parameters)
     if kernel is None:
@@ -234,7 +234,7 @@ def kernel_of(model: Model, steps: Steps, *, absent: bool = False) -> Any:
 
 
 def _compiled(model: Model, steps: Steps, *, absent: bool) -> Any:
-    """Compile the filter, and compare it with the textbook filter; None, with a warning, on failure or a difference."""
+    """Compile the filter, and compare it with the textbook filter. After a failure or difference, warn, return None."""
     few = replace(
         steps, **{name: getattr(steps, name)[:TRIED] for name in ("dt", "source", "updates", "records")}
     )

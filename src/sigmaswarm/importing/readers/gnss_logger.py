@@ -1,8 +1,8 @@
 """Android's GnssLogger: one text file with several kinds of lines, whose columns are named in comments at the top.
 
 LOGGING.md of the app: Fix (degrees, m/s, AccuracyMeters the radius of a 68% circle, bearing from north), Accel or
-UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). ``elapsedRealtimeNanos`` is one clock for all kinds; Fix
-lacks it in older logs, and UTC in milliseconds is used.
+UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). ``elapsedRealtimeNanos`` is one clock for all kinds; in
+older logs Fix lacks it, and UTC in milliseconds replaces it.
 """
 
 from contextlib import ExitStack

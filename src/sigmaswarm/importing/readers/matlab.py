@@ -64,8 +64,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     if not frames:
         if any(type(v).__name__ in _OPAQUE or k == "__function_workspace__" for k, v in content.items()):
             raise InputError(
-                f"{path}: contains MATLAB's own tables (timetable, table), which are not supported; in MATLAB type for "
-                "each: writetimetable(NAME, 'NAME.csv')  (or writetable), and import the folder of these files"
+                f"{path}: contains MATLAB's own tables (timetable, table), which are not supported; in MATLAB "
+                "write each with writetimetable(NAME, 'NAME.csv') or writetable, and import the folder of these files"
             )
         raise InputError(
             f"{path}: contains neither vectors nor a struct of vectors; save the log's columns as vectors of one struct"

@@ -83,8 +83,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 class _Log(io.BufferedReader):
     """A file that records where its reader stopped, and refuses to search for a message after a damaged one.
 
-    pyulog ends silently at a message that is too short. After a message of unknown kind and impossible size, its search
-    byte by byte takes hours or does not end.
+    pyulog stops without an error at a message that is too short. After a message of unknown kind and impossible
+    size, its search byte by byte takes hours or does not end.
     """
 
     stopped = 0

@@ -76,7 +76,7 @@ class NelderMead(AskTell):
             self._settle(len(costs), self.positions, costs)
 
     def _judge_reflections(self, costs: Array) -> None:
-        """Expand points that beat the best vertex, contract those that are among the worst, and keep the others."""
+        """Expand points with costs below the lowest, contract those among the worst, and keep the others."""
         self.reflected, self.reflected_values = self.positions, costs
         best, kept, own = self.values[0], self.values[-self.moved - 1], self.values[-self.moved :]
         self.reach = np.select(
