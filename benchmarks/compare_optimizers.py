@@ -27,7 +27,7 @@ from sigmaswarm.drives.split import clip
 from sigmaswarm.experiments.comparison import COMPARED
 from sigmaswarm.reports.compare import comparison_table, save_comparison
 from sigmaswarm.tuning.config import TuneConfig, validated_config
-from sigmaswarm.tuning.defaults import settled, with_filter
+from sigmaswarm.tuning.defaults import default_filter_options, settled
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.problem import CarProblem, car_problem
 
@@ -141,7 +141,7 @@ def tasks(folder: Path) -> dict[str, list[Drive]]:
 def default_problem(drives: Sequence[Drive]) -> CarProblem:
     """Set up the filter and the objective that `tune` takes by default."""
     sensors = [sensors_of(drive) for drive in drives]
-    options, _ = with_filter({}, sensors)
+    options, _ = default_filter_options({}, sensors)
     return car_problem(drives, settled(validated_config(TuneConfig, options), sensors))
 
 

@@ -28,9 +28,9 @@ import numpy as np
 from real_drives import KITTI
 from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, read_drive, simulate, split_time, tune
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.batch import BatchScorer
 from sigmaswarm.simulation.gps import with_outliers
-from sigmaswarm.tuning.defaults import objective_for, with_filter
+from sigmaswarm.tuning.defaults import default_filter_options, objective_for
 from switches import measured, quantities, raw
 
 CAR = ("lateral", "standstill")
@@ -161,7 +161,7 @@ def run(
     training, test = cached(name, parts)
     blind = [replace(drive, truth=None) for drive in training]
     if label == "default":
-        chosen, _ = with_filter({}, [*(training if "truth" in objective else blind), *test])
+        chosen, _ = default_filter_options({}, [*(training if "truth" in objective else blind), *test])
         model, use = chosen["model"], chosen["use"]
         same = [each for each, filter in FILTERS.items() if filter == (model, tuple(use))]
         if same and (name, same[0], objective, seed) in done:
@@ -194,7 +194,7 @@ def lacking(model: str, use: Sequence[str], drives: Sequence[Drive]) -> bool:
 
 def figures(test: Sequence[Drive], parameters: FilterParameters) -> list[float]:
     """What `COLUMNS` says, over all test drives together; NIS and NEES are means over drives."""
-    scores = Replayer(test, outages=False).scores([parameters])
+    scores = BatchScorer(test, outages=False).scores([parameters])
     nis, nees = float(scores.mean_nis.mean()), float(scores.mean_nees.mean())
     return [*measured([PreparedDrive(drive) for drive in test], parameters), nis, nees]
 

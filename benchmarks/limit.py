@@ -115,7 +115,7 @@ def kernel_call(fixes: bool = True):
             *others,
             ends if fixes else np.zeros_like(ends),
             rows.copy(),
-            run.new_place(),
+            run.new_cursor(),
             len(steps),
             run.NO_RECORD,
             run.NO_INNOVATIONS,

@@ -15,7 +15,7 @@ import numpy as np
 import sigmaswarm
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.batch import BatchScorer
 from sigmaswarm.scoring.truth import share_known
 from sigmaswarm.simulation.gps import GPS_GRADES
 from sigmaswarm.simulation.imu import gauss_markov
@@ -125,7 +125,7 @@ def main() -> None:
                     model=asked.model,
                     use=("lateral", "standstill"),
                 )
-                scores = Replayer(test, outages=False).scores([found.parameters])
+                scores = BatchScorer(test, outages=False).scores([found.parameters])
                 rmse[on] = float(scores.position_rmse.mean())
                 ratios.setdefault((gps, on), []).append(rmse[on] / rmse["truth"])
             said = "; ".join(

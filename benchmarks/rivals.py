@@ -27,9 +27,9 @@ import numpy as np
 from real_drives import KITTI
 from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, read_drive, simulate, split_time, tune
 from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.names import FilterKind, NetworkName
-from sigmaswarm.filters.parameters import clash
-from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.parameters import incompatibility
 from sigmaswarm.learned.folder import Learned, load_learned
 from sigmaswarm.learned.learn import LearnConfig, learn
 from sigmaswarm.scoring.drifts import Outages
@@ -87,7 +87,7 @@ def made(imu: str, seeds: Sequence[int]) -> list[Drive]:
 def measured(drive: Drive, parameters: FilterParameters, learned: Learned | None) -> list[float]:
     ready = PreparedDrive(drive)
     make: Callable = (
-        partial(Recording, parameters=parameters, recover=True)
+        partial(FilterRun, parameters=parameters, recover=True)
         if learned is None
         else partial(learned.run, parameters=parameters, recover=True)
     )
@@ -115,7 +115,9 @@ def measured(drive: Drive, parameters: FilterParameters, learned: Learned | None
 
 def tuned(drives: Sequence[Drive], kind: FilterKind, seed: int) -> tuple[FilterParameters, float, int]:
     began = time.process_time()
-    use = tuple(option for option in USE if not clash(kind, (option,)))  # robust goes with ukf and ekf
+    use = tuple(
+        option for option in USE if not incompatibility(kind, (option,))
+    )  # robust goes with ukf and ekf
     with ThreadPoolExecutor() as pool:
         found = tune(
             list(drives),

@@ -29,10 +29,10 @@ from sigmaswarm.filters.dating_back import dated_back
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.batch import BatchScorer
 from sigmaswarm.scoring.drifts import Outages
 from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE
-from sigmaswarm.tuning.defaults import with_filter
+from sigmaswarm.tuning.defaults import default_filter_options
 from switches import quantities
 
 MORE: dict[str, tuple[str, ...]] = {"no slip": (), "slip": ("slip",)}
@@ -68,7 +68,7 @@ def score(out: Path, case: Any, known: str, slip: str, seed: int, pool: ThreadPo
     key = (name, known, slip, seed)
     if (*key, "tuning") not in done:
         drives = training if known == "T" else [replace(drive, truth=None) for drive in training]
-        chosen, _ = with_filter({}, [*drives, *test])
+        chosen, _ = default_filter_options({}, [*drives, *test])
         use = (*chosen["use"], *MORE[slip])
         tuned = tune(drives, seed=seed, executor=pool, model=chosen["model"], use=use).parameters
         note(out, (*key, "tuning"), tuned.to_dict())
@@ -86,7 +86,7 @@ def figures(test: Sequence[PreparedDrive], parameters: FilterParameters) -> list
     """Scores in the order of `COLUMNS`, over all test drives together."""
     off, turned = zip(*(errors(one.drive, run_filter(one, parameters)) for one in test), strict=True)
     after, faced = zip(*(errors(one.drive, smooth(one, parameters)) for one in test), strict=True)
-    found = Replayer(test, outages=False).scores([parameters])
+    found = BatchScorer(test, outages=False).scores([parameters])
     return [
         *quantities(np.concatenate(off)),
         rms_deg(turned),

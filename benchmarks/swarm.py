@@ -45,7 +45,7 @@ from sigmaswarm import (
 )
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.filters.bank.run import BankRun
-from sigmaswarm.filters.recording import Piece, Recording
+from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.scoring.score import PieceErrors
 from sigmaswarm.scoring.targets import outage_replay, outage_windows, tracking_replay
@@ -174,9 +174,9 @@ def measured(
     """Position (m), heading (deg), drift (m), mean NIS."""
     ready = prepared(drive)
 
-    def run(replay: Replay) -> BankRun | Recording:
+    def run(replay: Replay) -> BankRun | FilterRun:
         if method == "fleet":
-            return Recording(replay, tuned, recover=True)
+            return FilterRun(replay, tuned, recover=True)
         return BankRun(replay, tuned, seed=seed, recover=True, **CHANGES[method])
 
     found = run(tracking_replay(ready))
@@ -191,7 +191,7 @@ def measured(
 
 
 def drift(
-    ready: PreparedDrive, run: Callable[[Replay], Iterator[Piece]], seed: tuple[int, int]
+    ready: PreparedDrive, run: Callable[[Replay], Iterator[EstimateChunk]], seed: tuple[int, int]
 ) -> np.ndarray:
     """Squared errors at the ends of outages of 5 s, m2."""
     ends = outage_windows(ready.drive, ready.initial, length=5.0, seed=seed)[:, 1]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from sigmaswarm import simulate
-from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.batch import BatchScorer
 from sigmaswarm.tuning.space import search_space
 
 PATIENCE = 6.0  # s
@@ -71,7 +71,7 @@ def drives(drive):
 def test_cores(benchmark, all_cores, drives, n_sets, n_drives):
     space = search_space("planar5", "log10", drives[0].nominal_interval)
     points = np.random.default_rng(0).uniform(space.low, space.high, (n_sets, len(space.names)))
-    sets, replayer = space.decode(points), Replayer(drives[:n_drives], outages=False)
+    sets, replayer = space.decode(points), BatchScorer(drives[:n_drives], outages=False)
     times = []
     with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(2) as two:
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.batch import BatchScorer
 from sigmaswarm.tuning.space import search_space
 
 pytestmark = [pytest.mark.usefixtures("turn"), pytest.mark.benchmark(group="kinds")]
@@ -27,7 +27,7 @@ FILTERS = {
 
 @pytest.fixture(scope="session")
 def replayer(drive):
-    return Replayer([drive], outages=False)
+    return BatchScorer([drive], outages=False)
 
 
 @pytest.mark.parametrize("name", FILTERS)

@@ -13,7 +13,7 @@ import rival_numba
 from rival_pyswarms import Course
 from rival_pyswarms import tune as tune_with_pyswarms
 from sigmaswarm import Gps, clip, initial_state, run_filter, run_textbook, tune
-from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.batch import BatchScorer
 
 PART = 5.0
 """s of the drive that the slow ones run over."""
@@ -46,7 +46,7 @@ def crowded(drive):
 
 @pytest.fixture(scope="session")
 def replayer(drive, parameter_sets):
-    replayer = Replayer([drive], outages=False)
+    replayer = BatchScorer([drive], outages=False)
     replayer.scores(parameter_sets)  # compiles, where the cache is empty
     return replayer
 
@@ -102,7 +102,7 @@ def test_kalman_py(measure, crowded, parameter_sets):
 
 @pytest.mark.benchmark(group="fix at every sample")
 def test_batch_crowded(measure, crowded, parameter_sets):
-    replayer = Replayer([crowded], outages=False)
+    replayer = BatchScorer([crowded], outages=False)
     samples = int((crowded.imu.time > replayer.initial[0].time).sum())
     measure(lambda: replayer.scores(parameter_sets), work=len(parameter_sets) * samples, rounds=5)
 

@@ -9,8 +9,8 @@ from oracles.filterpy_car import FilterPyCar
 from sigmaswarm.drives import events
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.timeline import Timeline
+from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.replay import Replay, Targets
 from stepwise import steps_with_fixes
 
@@ -50,7 +50,7 @@ def compiled_run(
     timeline: Timeline, initial: InitialState, p: FilterParameters
 ) -> tuple[np.ndarray, np.ndarray]:
     """Means and covariances of the compiled filter over the whole time line."""
-    run = Recording(Replay(timeline, initial, Targets.none(timeline)), p).whole()
+    run = FilterRun(Replay(timeline, initial, Targets.none(timeline)), p).whole()
     assert run.sound.all(), "the compiled filter failed"
     return run.mean, run.covariance
 

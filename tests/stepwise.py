@@ -124,7 +124,7 @@ class CompiledCars:
             run.NO_TARGETS,
             np.zeros(1, dtype=np.int32),
             rows,
-            run.new_place(),
+            run.new_cursor(),
             1,
             run.NO_RECORD,
             run.NO_INNOVATIONS,

@@ -20,7 +20,7 @@ from sigmaswarm.doctor.verdicts import yaw_of
 from sigmaswarm.doctor.yaw_fit import YawFit
 from sigmaswarm.drives.split import clip
 from sigmaswarm.simulation.gps import with_outliers
-from sigmaswarm.tuning.defaults import with_filter
+from sigmaswarm.tuning.defaults import default_filter_options
 from support import DRIVES, limited_memory, make_drive, needs_shared, quickly
 
 MEMS = {
@@ -392,7 +392,10 @@ def test_tune_adds_fix_error_with_the_stated_number_of_fixes_on_a_part_too(n: in
     whole = replace(simulated("icm-20602"), truth=None)
     part = clip(whole, end=float(whole.gps.time[n]))
     stated = [re.search(r"with (\d+) fixes or more for training", found_of(d, "use")) for d in (whole, part)]
-    assert all(s and (n >= int(s[1])) == ("fix-error" in with_filter({}, [part])[0]["use"]) for s in stated)
+    assert all(
+        s and (n >= int(s[1])) == ("fix-error" in default_filter_options({}, [part])[0]["use"])
+        for s in stated
+    )
 
 
 @pytest.mark.long

@@ -24,8 +24,8 @@ from sigmaswarm.exports.trajectory import (
     write_fixes,
     write_pieces,
 )
+from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.presets import DEFAULTS
-from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.run import Estimate, estimates_of, replay_of, run_filter, run_imu_only
 from support import make_drive
 
@@ -113,7 +113,7 @@ def test_a_filter_that_fails_on_its_way_leaves_no_file(tmp_path: Path):
     replay = replay_of(replace(drive, imu=replace(drive.imu, gz=spoiled)))
     with pytest.raises(SigmaswarmError, match="the filter failed at t = 149"):
         write_pieces(
-            estimates_of(Recording(replay, DEFAULTS, recover=True)), (0.0, 150.0), tmp_path / "e.csv"
+            estimates_of(FilterRun(replay, DEFAULTS, recover=True)), (0.0, 150.0), tmp_path / "e.csv"
         )
     assert list(tmp_path.iterdir()) == []
 

@@ -19,9 +19,9 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 from sigmaswarm.filters import tilted
+from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.geodesy import wrap_angle
 from support import quickly
@@ -166,7 +166,7 @@ def consistency(
     for j in range(runs):
         own = replace(line, fixes=np.hstack([fixes[:, j], np.zeros((len(fixes), 4))]))
         replay = Replay(own, initial, Targets.none(own))
-        recording = Recording(replay, wrong)
+        recording = FilterRun(replay, wrong)
         run = recording.whole()
         assert run.sound.all()
         nis += recording.sums["NIS"][0, 0]

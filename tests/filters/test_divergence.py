@@ -23,7 +23,7 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_filter
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.batch import BatchScorer
 from sigmaswarm.scoring.score import score_estimate
 from support import DRIVES, make_drive, needs_shared, quickly
 
@@ -197,12 +197,12 @@ def test_a_gyro_that_is_far_off_is_no_reason_to_start_anew_for_a_filter_that_kno
 
 @pytest.mark.parametrize("samples", [1, 333, 10_000])
 def test_looking_changes_no_bit(samples: int):
-    from sigmaswarm.filters.recording import Recording
+    from sigmaswarm.filters.filter_run import FilterRun
     from sigmaswarm.filters.run import replay_of
 
     replay = replay_of(make_drive(duration=40.0, seed=3))
-    plain = Recording(replay, SET)
-    watched = Recording(replay, SET, recover=True, samples=samples)
+    plain = FilterRun(replay, SET)
+    watched = FilterRun(replay, SET, recover=True, samples=samples)
     a, b = plain.whole(), watched.whole()
     np.testing.assert_array_equal(a.mean, b.mean)
     np.testing.assert_array_equal(a.covariance, b.covariance)
@@ -211,11 +211,11 @@ def test_looking_changes_no_bit(samples: int):
 
 
 def test_a_restart_does_not_depend_on_the_pieces():
-    from sigmaswarm.filters.recording import Recording
+    from sigmaswarm.filters.filter_run import FilterRun
     from sigmaswarm.filters.run import replay_of
 
     replay = replay_of(*turned(drive_of("simulated")))
-    runs = [Recording(replay, SET, recover=True, samples=n) for n in (77, 10_000)]
+    runs = [FilterRun(replay, SET, recover=True, samples=n) for n in (77, 10_000)]
     a, b = (run.whole() for run in runs)
     assert runs[0].restarts == runs[1].restarts != []
     np.testing.assert_array_equal(a.mean, b.mean)
@@ -223,7 +223,7 @@ def test_a_restart_does_not_depend_on_the_pieces():
 
 def test_no_tuning_starts_anew():
     drive, start = turned(drive_of("simulated"))
-    scored = Replayer([prepared(drive, start)], outages=False).scores([SET])
+    scored = BatchScorer([prepared(drive, start)], outages=False).scores([SET])
     lost = score_estimate(drive, run_filter(drive, SET, initial=start, recover=False))
     found = score_estimate(drive, run_filter(drive, SET, initial=start))
     assert scored.position_rmse[0, 0] == pytest.approx(lost.position_rmse, rel=1e-9)

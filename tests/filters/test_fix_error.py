@@ -16,7 +16,7 @@ from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.check import check_export
 from sigmaswarm.exports.targets import export_texts, write_texts
-from sigmaswarm.filters.compiled.run import new_place
+from sigmaswarm.filters.compiled.run import new_cursor
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.live import LiveFilter
@@ -175,7 +175,7 @@ def test_a_hidden_fix_is_forecast_with_the_aged_error_and_leaves_the_filter_alon
         replay, array = Replay(each, ready.initial, Targets.none(each)), KernelArray([p])
         rows = start_replays([replay], array)[0]
         innovations = np.empty((len(each.fixes), 5))
-        run_steps(replay, array, rows, new_place(), len(each.dt), innovations=innovations)
+        run_steps(replay, array, rows, new_cursor(), len(each.dt), innovations=innovations)
         ends.append((rows[: len(FILTERS[p.kernel].states), 0], innovations))
     np.testing.assert_array_equal(ends[0][0], ends[1][0])
     nu, s_xx = ends[1][1][at, 0] - ends[0][1][at, 0], ends[1][1][at, 2] - ends[0][1][at, 2]

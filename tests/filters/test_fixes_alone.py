@@ -10,8 +10,8 @@ from filterpy.kalman import KalmanFilter
 from sigmaswarm import baseline, simulate
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.filter_run import joined
 from sigmaswarm.filters.fixes_alone import UNKNOWN_SPEED, FixesAlone, MotionNoise, fit_noise, noise_of
-from sigmaswarm.filters.recording import joined
 from sigmaswarm.scoring.drifts import Outages
 from sigmaswarm.scoring.evaluation import evaluate
 from sigmaswarm.scoring.targets import outage_replay, tracking_replay

@@ -29,7 +29,7 @@ from sigmaswarm.filters.compiled.rows import CACHE_LINE, new_rows
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Sums, run_replays
-from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.batch import BatchScorer
 from sigmaswarm.scoring.targets import tracking_replay
 from sigmaswarm.tuning.batch import run_batch
 from support import make_drive
@@ -132,7 +132,7 @@ def velocity_after(driving: list[list[float]], headings: np.ndarray) -> np.ndarr
         run.NO_TARGETS,
         np.zeros(n, dtype=np.int32),
         rows,
-        run.new_place(),
+        run.new_cursor(),
         n,
         run.NO_RECORD,
         run.NO_INNOVATIONS,
@@ -229,7 +229,7 @@ def test_a_sets_result_does_not_depend_on_place_or_company(order: list[int]):
 @pytest.mark.parametrize("threads", [1, 2, 4])
 def test_threads_change_no_bit(threads: int):
     drives = [make_drive(duration=40, jitter=0.3, seed=seed) for seed in (3, 4)]
-    replayer = Replayer(drives, outages=True, forecasts=True)
+    replayer = BatchScorer(drives, outages=True, forecasts=True)
     alone = replayer.scores(many_sets())
     with ThreadPoolExecutor(threads) as pool:
         together = replayer.scores(many_sets(), pool)

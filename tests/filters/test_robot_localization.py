@@ -113,7 +113,7 @@ class Messages:
         run.run_lanes(
             NAME, np.column_stack([self.dt, self.dt, 0 * self.dt]), np.arange(k, dtype=np.int32),
             self.numbers[:, :3].copy(), flags, fixes, np.empty((0, 3)), np.zeros(3), run.NO_TARGETS,
-            np.zeros(k, dtype=np.int32), rows, run.new_place(), k if stop is None else stop, record,
+            np.zeros(k, dtype=np.int32), rows, run.new_cursor(), k if stop is None else stop, record,
             run.NO_INNOVATIONS,
         )  # fmt: skip
         done = record[: int(self.is_imu[:stop].sum()), :44, 0].T
@@ -382,7 +382,7 @@ def test_an_estimate_has_no_subnormal_numbers() -> None:
     replay, array = tracking_replay(prepared(make_drive(duration=90))), KernelArray((parameters,))
     rows = start_replays([replay], array)[0]
     rows[R.B] = 1.0
-    run_steps(replay, array, rows, run.new_place(), len(replay.timeline.dt))
+    run_steps(replay, array, rows, run.new_cursor(), len(replay.timeline.dt))
     numbers = np.abs(rows[[*state_rows(NAME)], 0])
     assert not np.any((numbers > 0) & (numbers < np.finfo(float).tiny))
     assert abs(rows[R.B, 0]) < 1e-300

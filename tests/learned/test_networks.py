@@ -12,7 +12,7 @@ from sigmaswarm.drives.outages import hidden_fixes
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.layout import R
-from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.filters.run import replay_of, run_filter
 from sigmaswarm.filters.textbook.car import TextbookCar
@@ -42,7 +42,7 @@ def network(seed: int = 0, **more) -> OutageLstm:
 @pytest.mark.parametrize("recover", [True, False])
 def test_without_an_outage_no_bit_changes(recover: bool):
     drive, p = equipped(), parameters("planar8", lateral_noise=0.05)
-    plain = Recording(replay_of(drive), p, recover=recover).whole()
+    plain = FilterRun(replay_of(drive), p, recover=recover).whole()
     for pieces in (7, 10_000):
         for run in (
             OutageRun(replay_of(drive), p, network(), samples=pieces, recover=recover),
@@ -102,7 +102,7 @@ def test_a_displacement_is_absorbed_as_by_a_filter_that_keeps_a_clone(
     line = replay.timeline
     ends = np.flatnonzero(line.sampled) + 1
     first, stop = int(ends[1200]), int(ends[1300])
-    run = Recording(replay, p)
+    run = FilterRun(replay, p)
     run._steps_to(first, np.empty((0, 0, 0)))
     begin = Begin(run._rows[0].copy(), run._place.copy())
     run._steps_to(stop, np.empty((0, 0, 0)))
@@ -147,7 +147,7 @@ def test_a_displacement_says_nothing_of_the_place():
     p = parameters("planar8", lateral_noise=0.05)
     replay = replay_of(silent())
     ends = np.flatnonzero(replay.timeline.sampled) + 1
-    run = Recording(replay, p)
+    run = FilterRun(replay, p)
     run._steps_to(int(ends[1500]), np.empty((0, 0, 0)))
     begin = Begin(run._rows[0].copy(), run._place.copy())
     run._steps_to(int(ends[1600]), np.empty((0, 0, 0)))
@@ -162,7 +162,7 @@ def test_an_update_that_leads_away_from_the_displacement_is_left_out():
     p = parameters("planar8", lateral_noise=0.05)
     replay = replay_of(silent())
     ends = np.flatnonzero(replay.timeline.sampled) + 1
-    run = Recording(replay, p)
+    run = FilterRun(replay, p)
     run._steps_to(int(ends[1500]), np.empty((0, 0, 0)))
     begin = Begin(run._rows[0].copy(), run._place.copy())
     run._steps_to(int(ends[1600]), np.empty((0, 0, 0)))
@@ -228,7 +228,7 @@ def test_scales_hold_from_the_sample_behind_a_fix_and_lie_in_bounds():
     assert (scales >= 1 / MOST_SCALE).all()
     assert (scales <= MOST_SCALE * (1 + 1e-12)).all()
     assert np.ptp(np.log(scales)) > 0.3
-    plain = Recording(replay_of(drive), p).finished().innovations
+    plain = FilterRun(replay_of(drive), p).finished().innovations
     assert run.innovations.covariance[0].tobytes() == plain.covariance[0].tobytes()
     assert run.innovations.covariance[1].tobytes() != plain.covariance[1].tobytes()
 

@@ -5,9 +5,9 @@ import numpy as np
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.filter_run import failure_at
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import failure_at
 from sigmaswarm.filters.run import Estimate, replay_of
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.loop import smooth_steps

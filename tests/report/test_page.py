@@ -47,7 +47,7 @@ from sigmaswarm.scoring.tracks import (
 )
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.defaults import with_guards
+from sigmaswarm.tuning.defaults import with_default_guards
 from sigmaswarm.tuning.record import TuningRecord
 from sigmaswarm.tuning.tune import tune
 from support import make_drive, quickly
@@ -408,13 +408,13 @@ def test_a_command_names_an_option_that_is_not_at_its_default(name: str):
     ],
 )
 def test_a_command_names_guards_where_tune_would_settle_for_others(asked: dict, named: set[str]):
-    config = with_guards(TuneConfig.model_validate({"objective": "innovation-nll", **asked}))
+    config = with_default_guards(TuneConfig.model_validate({"objective": "innovation-nll", **asked}))
     said = parsed(tune_command(config.model_dump(), ["a"], [])[0])
     assert said.keys() & {"prior", "inflation"} == set(named)
-    assert with_guards(TuneConfig.model_validate(said)) == config
+    assert with_default_guards(TuneConfig.model_validate(said)) == config
     without = {k: v for k, v in config.model_dump().items() if k not in ("prior", "inflation")}
     said = parsed(tune_command(without, ["a"], [])[0])  # of a version that had neither
-    again = with_guards(TuneConfig.model_validate(said)).model_dump()
+    again = with_default_guards(TuneConfig.model_validate(said)).model_dump()
     assert (again["prior"], again["inflation"]) == (0.0, 0.0)
 
 

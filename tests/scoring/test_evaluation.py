@@ -13,8 +13,8 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.run import run_filter, run_imu_only
-from sigmaswarm.scoring.batch import Replayer
-from sigmaswarm.scoring.evaluation import Evaluated, Evaluation, evaluate
+from sigmaswarm.scoring.batch import BatchScorer
+from sigmaswarm.scoring.evaluation import DriveResult, Evaluation, evaluate
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import outage_windows, placements
 from support import make_drive
@@ -92,7 +92,9 @@ def drifts_of(drive: Drive, sets: list[FilterParameters], length: float, seed: i
     """RMS over all outages of all placements, from one batch each: shape (n_sets,)."""
     seeds = placements(drive, initial_state(drive), length=length, seed=seed)
     each = [
-        Replayer([drive], outages=True, outage_length=length, outage_seed=s).scores(sets).outage_drift[:, 0]
+        BatchScorer([drive], outages=True, outage_length=length, outage_seed=s)
+        .scores(sets)
+        .outage_drift[:, 0]
         for s in seeds
     ]
     counts = [len(ends) for ends in all_ends(drive, initial_state(drive), length, seed)]
@@ -111,7 +113,7 @@ def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(ev
         assert len(told.each[method]) == 8
         low, high = told.spread(method) or (np.nan, np.nan)
         assert low < evaluation.value(name, method, "outage_drift_m") < high
-    first = Replayer([drive], outages=True).scores([GOOD]).outage_drift[0, 0]
+    first = BatchScorer([drive], outages=True).scores([GOOD]).outage_drift[0, 0]
     assert told.each["tuned"][0] == pytest.approx(first, rel=1e-12)
     said = evaluate(drive, GOOD).record.describe_drift("outage_drift_m")
     low, high = told.spread("tuned") or (np.nan, np.nan)
@@ -168,7 +170,7 @@ def test_each_method_is_scored_by_its_definition(evaluation: Evaluation):
     for drive in DRIVES:
         start = initial_state(drive)
         sets = [GOOD, baseline(drive, like=GOOD)]
-        batch = Replayer([drive], outages=False).scores(sets)
+        batch = BatchScorer([drive], outages=False).scores(sets)
         drifts = {measure: drifts_of(drive, sets, length) for measure, length in DRIFTS.items()}
         for i, method in enumerate(METHODS[:2]):
             plain = score_estimate(drive, run_filter(drive, sets[i]))
@@ -218,9 +220,9 @@ def test_where_the_filter_is_worse_than_the_raw_fixes_is_said_in_a_sentence(eval
     raw = Score(position_rmse=2.0, position_median=1.0, position_95=4.0)
     others = dict.fromkeys(METHODS, Score())
     drives = {
-        "town": Evaluated(others | {"tuned": tuned, "raw_gps": raw}),
-        "field": Evaluated(others | {"tuned": raw, "raw_gps": tuned}),
-        "blind": Evaluated(others),
+        "town": DriveResult(others | {"tuned": tuned, "raw_gps": raw}),
+        "field": DriveResult(others | {"tuned": raw, "raw_gps": tuned}),
+        "blind": DriveResult(others),
     }
     assert Evaluation(drives).worse_than_raw == (
         "on town the tuned filter is WORSE than the raw fixes: RMSE 3 m instead of 2 m, 95% 7.25 m instead of 4 m",
@@ -237,7 +239,7 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
 
     def said(tuned: float, manual: float) -> tuple[str, ...]:
         both = {"untuned": Score(outage_drift=manual), "tuned": Score(outage_drift=tuned)}
-        return Evaluation({"town": Evaluated(others | both)}).worse_than_untuned
+        return Evaluation({"town": DriveResult(others | both)}).worse_than_untuned
 
     assert said(47.8, 18.5) == (
         "the tuned filter is WORSE than the baseline: 5 s outage drift 47.8 m instead of 18.5 m",
@@ -245,18 +247,22 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
     assert said(18.5, 47.8) == said(18.6, 18.5) == ()
     good = Score(position_rmse=0.5, heading_rmse=np.radians(0.4), outage_drift=2.0, long_outage_drift=7.0)
     sheet = replace(good, position_rmse=1.1, heading_rmse=np.radians(0.3), outage_drift=4.0)
-    assert Evaluation({"town": Evaluated(others | {"untuned": sheet, "tuned": good})}).worse_than_untuned == (
+    assert Evaluation(
+        {"town": DriveResult(others | {"untuned": sheet, "tuned": good})}
+    ).worse_than_untuned == (
         "the tuned filter is worse than the baseline in 1 of 4 measures: heading error "
         "0.4 deg instead of 0.3 deg",
     )
     assert Evaluation(
-        {"town": Evaluated(others | {"fixes_alone": sheet, "tuned": good})}
+        {"town": DriveResult(others | {"fixes_alone": sheet, "tuned": good})}
     ).worse_than_untuned == (
         "the tuned filter is worse than the filter that uses only the fixes in 1 of 4 measures: heading error "
         "0.4 deg instead of 0.3 deg",
     )
     farther = replace(sheet, position_rmse=0.4)
-    (here,) = Evaluation({"town": Evaluated(others | {"untuned": farther, "tuned": good})}).worse_than_untuned
+    (here,) = Evaluation(
+        {"town": DriveResult(others | {"untuned": farther, "tuned": good})}
+    ).worse_than_untuned
     assert "is WORSE than" in here
 
 
@@ -301,7 +307,7 @@ def test_a_filter_that_lost_its_way_is_named(evaluation: Evaluation):
 
 def test_equation_5_in_round_numbers():
     scores = {m: Score(position_rmse=v) for m, v in zip(METHODS, [1.5, 2.0, 2.5, 3.0, 9.0], strict=True)}
-    evaluation = Evaluation({"d": Evaluated(scores)})
+    evaluation = Evaluation({"d": DriveResult(scores)})
     assert evaluation.improvement() == pytest.approx(25.0)
     assert evaluation.improvement("raw_gps") == pytest.approx(50.0)
     assert evaluation.improvement("untuned", "heading_rmse_deg") is None
@@ -366,7 +372,7 @@ def test_a_filter_that_fails_is_no_number_and_leaves_the_others(evaluation: Eval
 def test_a_failure_on_one_drive_leaves_no_mean_to_boast_of():
     fine = {m: Score(position_rmse=1.0) for m in METHODS}
     failed = fine | {"tuned": Score(failed=True)}
-    evaluation = Evaluation({"a": Evaluated(fine), "b": Evaluated(failed)})
+    evaluation = Evaluation({"a": DriveResult(fine), "b": DriveResult(failed)})
     assert evaluation.mean("tuned", "position_rmse_m") is None
     assert evaluation.mean("untuned", "position_rmse_m") == 1.0
 

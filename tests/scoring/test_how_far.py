@@ -9,7 +9,7 @@ import sigmaswarm
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.scoring.consistency import Consistency
 from sigmaswarm.scoring.evaluation import evaluate
-from sigmaswarm.scoring.remarks import describe_first_track, describe_position, how_far
+from sigmaswarm.scoring.remarks import describe_first_track, describe_position, estimate_position_errors
 from sigmaswarm.scoring.tracks import first_track
 from sigmaswarm.tuning.tune import tune
 
@@ -67,7 +67,7 @@ def test_what_a_filter_says_of_itself_is_what_it_is_off_where_the_log_bears_it_o
         np.sqrt(np.mean(estimate.covariance[:, [0, 1], [0, 1]].sum(axis=1))), rel=1e-9
     )
     assert own == pytest.approx(off, rel=0.34)
-    (said,) = how_far(blind.record, blind.setup.data)
+    (said,) = estimate_position_errors(blind.record, blind.setup.data)
     assert f"{own:.2g} m (RMS)" in said
     track = first_track(drives[2], tuning.parameters, as_recorded=False)
     assert describe_first_track(track).startswith(f"{off:.2g} m RMSE on {drives[2].name} (baseline ")

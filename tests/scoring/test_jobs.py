@@ -41,7 +41,7 @@ def test_every_replay_meets_every_set_once_and_in_order(lengths: list[list[int]]
     assert set(Counter(met).values()) == {1}
     assert len(met) == n_sets * sum(map(len, lengths))
     assert all(1 <= len(job.sets) <= (MOST_SETS if workers == 1 else most_lanes("planar8")) for job in jobs)
-    # `Replayer` joins them in this order: the sets of a part side by side, the parts one after the other
+    # `BatchScorer` joins them in this order: the sets of a part side by side, the parts one after the other
     assert jobs == sorted(jobs, key=lambda job: (job.name, job.replays.start, job.sets.start))
 
 

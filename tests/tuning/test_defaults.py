@@ -15,13 +15,13 @@ from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import FilterKind
-from sigmaswarm.filters.parameters import FilterParameters, clash
-from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.filters.parameters import FilterParameters, incompatibility
+from sigmaswarm.scoring.batch import BatchScorer
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.config import paper_options
-from sigmaswarm.tuning.defaults import objective_for, with_filter
+from sigmaswarm.tuning.defaults import default_filter_options, objective_for
 from sigmaswarm.tuning.diagnostics import scale_warnings
-from sigmaswarm.tuning.objectives import objective_named
+from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.space import OPTIONS
 from sigmaswarm.tuning.tune import tune
 from support import DRIVES, make_drive, needs_shared
@@ -150,10 +150,12 @@ def test_without_truth_fix_errors_that_do_not_show_as_stated_are_states():
     truth = make_drive(duration=60.0).truth
 
     def chosen_for(drives: list[Drive], **options: str) -> tuple[str, ...]:
-        return with_filter(options, drives)[0]["use"]
+        return default_filter_options(options, drives)[0]["use"]
 
     assert chosen_for([lasting]) == (*used, "fix-error")
-    assert with_filter({}, [lasting])[1].endswith("fixes that differ by less than the receiver's error")
+    assert default_filter_options({}, [lasting])[1].endswith(
+        "fixes that differ by less than the receiver's error"
+    )
     assert chosen_for([lasting, replace(lasting, truth=truth)]) == (*used, "fix-error")
     assert chosen_for([replace(lasting, truth=truth)]) == used
     assert chosen_for([replace(lasting, truth=truth)], objective="innovation-t") == (*used, "fix-error")
@@ -183,22 +185,22 @@ def test_without_truth_fix_errors_that_do_not_show_as_stated_are_states():
 
 def test_what_the_user_gives_stays():
     both = {"model": "planar5", "use": ("gate",)}
-    assert with_filter(both, [six(PLAIN)]) == (both, "")
-    given, said = with_filter({"use": ("gate",)}, [six(PLAIN)])
+    assert default_filter_options(both, [six(PLAIN)]) == (both, "")
+    given, said = default_filter_options({"use": ("gate",)}, [six(PLAIN)])
     assert (given, said) == (
         {"use": ("gate",), "model": "tilted12"},
         "tilted12 with gate, as given: six IMU axes",
     )
-    given, said = with_filter({"model": "planar8"}, [six(PLAIN)])
+    given, said = default_filter_options({"model": "planar8"}, [six(PLAIN)])
     assert given == {"model": "planar8", "use": CAR}
     assert said == (
         "planar8 with lateral, standstill, robust, as given: tilted12 suits the logs: six IMU axes"
     )
-    assert with_filter({"model": "planar8", "use": ()}, [PLAIN])[0]["use"] == ()
-    given, said = with_filter({"model": "planar5"}, [PLAIN])  # as the paper has it
+    assert default_filter_options({"model": "planar8", "use": ()}, [PLAIN])[0]["use"] == ()
+    given, said = default_filter_options({"model": "planar5"}, [PLAIN])  # as the paper has it
     assert given["use"] == ()
     assert said.startswith("planar5 with position fixes alone, as given: the paper's model;")
-    assert with_filter(paper_options({}), [six(PLAIN)]) == (paper_options({}), "")
+    assert default_filter_options(paper_options({}), [six(PLAIN)]) == (paper_options({}), "")
 
 
 @given(
@@ -212,10 +214,10 @@ def test_what_is_chosen_goes_with_what_was_asked(
 ):
     drive = stating(PLAIN, 1.0, 9.0) if states else PLAIN
     asked = {"objective": objective} | ({} if kind is None else {"kind": kind})
-    found, _ = with_filter(asked, [six(drive) if axes else drive])
+    found, _ = default_filter_options(asked, [six(drive) if axes else drive])
     kinds = MODELS[found["model"]].kinds
     assert kind is None or kind in kinds
-    assert clash(kind or kinds[0], found["use"]) is None
+    assert incompatibility(kind or kinds[0], found["use"]) is None
     assert not ("robust" in found["use"] and "innovation-nll" in objective)
     assert set(found["use"]) <= set(OPTIONS)
     assert {"lateral", "standstill"} <= set(found["use"])
@@ -273,9 +275,9 @@ def test_scaled_multiplies_every_variance():
 
 def test_the_factor_that_is_offered_makes_nis_right_and_leaves_the_position():
     drive = stating(PLAIN, 1.0, 1.0)
-    replayer = Replayer([drive], outages=False)
+    replayer = BatchScorer([drive], outages=False)
     before = replayer.scores([CAREFUL.scaled(2.0)])
-    (said,) = scale_warnings(objective_named("truth-pose"), CAREFUL.scaled(2.0), replayer)
+    (said,) = scale_warnings(parse_objective("truth-pose"), CAREFUL.scaled(2.0), replayer)
     assert "truth-pose does not determine the scale of the covariances: mean NIS is" in said
     factor = float(said.split("a factor of ")[1].split()[0])
     after = replayer.scores([CAREFUL.scaled(2.0).scaled(factor)])
@@ -286,17 +288,17 @@ def test_the_factor_that_is_offered_makes_nis_right_and_leaves_the_position():
 
 
 def test_it_is_never_offered_for_planar5_nor_where_the_objective_looks_at_it():
-    replayer = Replayer([PLAIN], outages=False)
+    replayer = BatchScorer([PLAIN], outages=False)
     five = FilterParameters(1.0, 2.0, 0.0, (1e-5, 1e-5, 1e-3, 1e-3, 1e-8), (1.2, 1.2))
     before = replayer.scores([five])
     after = replayer.scores([five.scaled(before.mean_nis[0, 0] / 2)])
     assert after.position_rmse[0, 0] == pytest.approx(before.position_rmse[0, 0], rel=0.02)  # it might be
     assert after.mean_nis[0, 0] == pytest.approx(2.0, rel=0.2)
-    (said,) = scale_warnings(objective_named("truth-rmse"), five, replayer)
+    (said,) = scale_warnings(parse_objective("truth-rmse"), five, replayer)
     assert "does not determine the scale" in said
     assert "on all variances changes" not in said
     for objective, measure in {"2 truth-rmse": "nees", "outage-rmse": "nis"}.items():
-        (said,) = scale_warnings(objective_named(objective), five, replayer)
+        (said,) = scale_warnings(parse_objective(objective), five, replayer)
         assert said.startswith(f"TO DO: tune with '{objective} + 0.2 {measure}'")
     for objective in ("truth-pose + 0.2 nees", "innovation-t", "gps-rmse"):
-        assert scale_warnings(objective_named(objective), five, replayer) == []
+        assert scale_warnings(parse_objective(objective), five, replayer) == []

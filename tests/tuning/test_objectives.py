@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from sigmaswarm.errors import InputError
 from sigmaswarm.scoring.batch import Scores
 from sigmaswarm.tuning.config import SearchConfig
-from sigmaswarm.tuning.objectives import OBJECTIVES, objective_named, worst_mean
+from sigmaswarm.tuning.objectives import OBJECTIVES, conditional_value_at_risk, parse_objective
 
 
 def scores(**given) -> Scores:
@@ -69,27 +69,27 @@ def test_the_three_objectives_are_there():
     ],
 )
 def test_costs_are_the_mean_over_drives(name: str, costs: list[float]):
-    np.testing.assert_allclose(objective_named(name).costs(scores()), costs, rtol=1e-12)
+    np.testing.assert_allclose(parse_objective(name).costs(scores()), costs, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["truth-rmse", "truth-pose", "gps-rmse"])
 def test_a_failure_on_any_drive_costs_infinity(name: str):
-    costs = objective_named(name).costs(scores(failed=[[False, True], [False, False]]))
+    costs = parse_objective(name).costs(scores(failed=[[False, True], [False, False]]))
     assert math.isinf(costs[0])
     assert math.isfinite(costs[1])
 
 
 def test_what_can_not_be_scored_costs_infinity():
-    costs = objective_named("truth-rmse").costs(scores(position_rmse=[[np.nan, 1.0], [1.0, np.inf]]))
+    costs = parse_objective("truth-rmse").costs(scores(position_rmse=[[np.nan, 1.0], [1.0, np.inf]]))
     assert costs.tolist() == [np.inf, np.inf]
-    costs = objective_named("truth-pose").costs(scores(outage_drift=[[np.inf, 1.0], [1.0, 1.0]]))
+    costs = parse_objective("truth-pose").costs(scores(outage_drift=[[np.inf, 1.0], [1.0, 1.0]]))
     assert costs[0] == np.inf
     assert math.isfinite(costs[1])
 
 
 def test_a_drive_without_outages_or_headings_has_no_such_term():
     none = [[np.nan, np.nan]] * 2
-    costs = objective_named("truth-pose").costs(scores(outage_drift=none, heading_rmse=none))
+    costs = parse_objective("truth-pose").costs(scores(outage_drift=none, heading_rmse=none))
     np.testing.assert_allclose(costs, [2.0, 2.25])
 
 
@@ -102,7 +102,7 @@ def test_an_unknown_name_is_answered_with_the_known_ones():
     with pytest.raises(
         InputError, match=r"no objective is called 'rmse'; choose one of truth-rmse, truth-pose, innovation"
     ):
-        objective_named("rmse")
+        parse_objective("rmse")
 
 
 @pytest.mark.parametrize(
@@ -118,17 +118,17 @@ def test_an_unknown_name_is_answered_with_the_known_ones():
 )
 def test_a_sum_that_can_not_be_read_is_refused(name: str, said: str):
     with pytest.raises(InputError, match=re.escape(said)):
-        objective_named(name)
+        parse_objective(name)
 
 
 def test_a_sum_needs_what_its_terms_need():
-    both = objective_named("gps-rmse + 0.25 truth-pose + outage-rmse")
+    both = parse_objective("gps-rmse + 0.25 truth-pose + outage-rmse")
     assert both.name == "gps-rmse + 0.25 truth-pose + outage-rmse"
     assert both.needs_truth
     assert both.needs_outages
     assert both.needs_forecasts
     assert "copies the fixes" in both.warning
-    assert not objective_named("innovation-nll + nis").needs_truth
+    assert not parse_objective("innovation-nll + nis").needs_truth
 
 
 @given(
@@ -138,42 +138,42 @@ def test_a_sum_needs_what_its_terms_need():
 def test_the_worst_mean_is_the_conditional_value_at_risk(costs: np.ndarray, share: float):
     # Rockafellar and Uryasev: CVaR = min over v of v + mean(max(c - v, 0)) / share; v can be one of the values
     by_definition = [min(v + np.maximum(row - v, 0).mean() / share for v in row) for row in costs]
-    np.testing.assert_allclose(worst_mean(costs, share), by_definition, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(worst_mean(costs, 1.0), costs.mean(axis=1))
+    np.testing.assert_allclose(conditional_value_at_risk(costs, share), by_definition, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(conditional_value_at_risk(costs, 1.0), costs.mean(axis=1))
 
 
 def test_one_bad_drive_is_not_averaged_away():
     table = scores(position_rmse=[[1.0, 1.0, 7.0], [4.0, 4.0, 4.0]], failed=np.zeros((2, 3), bool))
-    truth = objective_named("truth-rmse")
+    truth = parse_objective("truth-rmse")
     assert truth.costs(table).tolist() == [3.0, 4.0]
     assert truth.costs(table, 1 / 3).tolist() == [7.0, 4.0]
 
 
 def test_a_rise_of_a_likelihood_is_one_of_errors():
-    assert objective_named("truth-rmse").rise(2.2, 2.0) == pytest.approx(0.1)
+    assert parse_objective("truth-rmse").rise(2.2, 2.0) == pytest.approx(0.1)
     # errors larger by 10% on two axes, with S to match, cost 2 ln 1.1 nats, whatever the zero of the scale
-    nll = objective_named("innovation-nll")
+    nll = parse_objective("innovation-nll")
     assert nll.rise(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
     assert nll.rise(np.array([np.inf, 0.0]), 0.0).tolist() == [np.inf, 0.0]
     # whatever the weight, and however many numbers a measurement has
     for weight in ("0.01", "100"):
-        part = objective_named(f"{weight} innovation-nll")
+        part = parse_objective(f"{weight} innovation-nll")
         assert part.rise(5.0 + 2 * float(weight) * math.log(1.1), 5.0) == pytest.approx(0.1)
-    halves = objective_named("0.5 innovation-t + 0.5 forecast-t")
+    halves = parse_objective("0.5 innovation-t + 0.5 forecast-t")
     assert halves.needs_forecasts and not halves.needs_truth
     assert halves.rise(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
-    with_rmse = objective_named("innovation-t + truth-rmse")  # counted as if all were nats
+    with_rmse = parse_objective("innovation-t + truth-rmse")  # counted as if all were nats
     assert with_rmse.rise(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
     assert nll.rise(3 * math.log(1.1), 0.0, elements=3) == pytest.approx(0.1)
-    assert objective_named("nis + nees").rise(0.001 + 4 * math.log(1.1), 0.001) == pytest.approx(0.1)
-    assert objective_named("truth-pose + 0.2 nees").rise(2.2, 2.0) == pytest.approx(0.1)
+    assert parse_objective("nis + nees").rise(0.001 + 4 * math.log(1.1), 0.001) == pytest.approx(0.1)
+    assert parse_objective("truth-pose + 0.2 nees").rise(2.2, 2.0) == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("share", [0.0, -1.0, 1.5, math.nan])
 def test_a_share_that_is_none_is_refused(share: float):
     with pytest.raises(InputError, match="worst = "):
-        worst_mean(np.ones((1, 3)), share)
+        conditional_value_at_risk(np.ones((1, 3)), share)
 
 
 def test_failures_beyond_the_worst_share_are_no_nan():
-    assert worst_mean(np.array([[np.inf, np.inf, 1.0, 2.0]]), 0.25).tolist() == [np.inf]
+    assert conditional_value_at_risk(np.array([[np.inf, np.inf, 1.0, 2.0]]), 0.25).tolist() == [np.inf]

@@ -13,7 +13,7 @@ from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, receiver_std, stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.defaults import with_guards
+from sigmaswarm.tuning.defaults import with_default_guards
 from sigmaswarm.tuning.receiver import prior_costs
 
 SEARCH = {"particles": 12, "generations": 8, "model": "planar8", "kind": "ekf"}
@@ -126,7 +126,7 @@ def test_what_it_adds_is_the_costs_difference():
     ],
 )
 def test_it_stands_where_truth_has_no_say(asked, prior, inflation):
-    config = with_guards(TuneConfig(**asked))
+    config = with_default_guards(TuneConfig(**asked))
     assert (config.prior, config.inflation) == (prior, inflation)
 
 

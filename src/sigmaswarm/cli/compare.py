@@ -62,14 +62,14 @@ def compare(
     """
     from sigmaswarm.drives.sensors import sensors_of
     from sigmaswarm.reports.compare import comparison_table, save_comparison
-    from sigmaswarm.tuning.defaults import with_filter
+    from sigmaswarm.tuning.defaults import default_filter_options
 
     require_result_folder(out, [], "comparison", "config.json")
     asked: dict[str, Any] = {"seeds": seeds, "out": out, "resume": resume, "workers": workers}
     asked |= {name: value for name, value in (("optimizers", optimizers), ("scales", scales)) if value}
     with cluster_at(cluster) as client:
         read, held_out = read_datasets(drives, validation or [], cluster=client)
-        chosen = with_filter(options, [*read.map(sensors_of), *held_out.map(sensors_of)])[1]
+        chosen = default_filter_options(options, [*read.map(sensors_of), *held_out.map(sensors_of)])[1]
         with progress_bar("comparing", "tunings, remaining") as show:
             found = sigmaswarm.compare(read, validation=held_out, progress=show, **asked, **options)
     written = save_comparison(found, out)

@@ -98,7 +98,7 @@ def evaluate(
     from sigmaswarm.filters.robot_yaml import YAML
     from sigmaswarm.learned.folder import load_learned
     from sigmaswarm.reports.evaluation import save_evaluation
-    from sigmaswarm.scoring.records import ASKED_FILE, EVALUATION
+    from sigmaswarm.scoring.records import EVALUATION, EVALUATION_FILE
     from sigmaswarm.tuning.record import TuningRecord
 
     if tuning.suffix in YAML:
@@ -110,7 +110,7 @@ def evaluate(
     parameters = sigmaswarm.FilterParameters.load(tuning)
     record = TuningRecord.read(tuning)
     if out:
-        require_result_folder(out, [tuning, options.against], EVALUATION, ASKED_FILE)
+        require_result_folder(out, [tuning, options.against], EVALUATION, EVALUATION_FILE)
     remedies: list[Remedy] = []
     result = _evaluated(tuning, parameters, drives, options, learned, record, remedies)
     _warn_of_training_drives(result)

@@ -108,7 +108,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
         write_pieces,
     )
     from sigmaswarm.filters.bank.run import BankRun
-    from sigmaswarm.filters.recording import Recording
+    from sigmaswarm.filters.filter_run import FilterRun
     from sigmaswarm.filters.run import estimates_of, replay_of
     from sigmaswarm.filters.smoothing import Smoothing
     from sigmaswarm.learned.folder import load_learned
@@ -144,13 +144,13 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     elif learned is not None:
         found = learned.run(replay, parameters, recover=True)
     else:
-        found = (Smoothing if smooth else Recording)(replay, parameters, recover=True)
+        found = (Smoothing if smooth else FilterRun)(replay, parameters, recover=True)
     time = replay.timeline.imu_time
     first, last = float(time[0]), float(time[-1])
     shown = None
     # The bag is in order of time, so the innovations must be known before the first estimate is written.
     if out.suffix == BAG and not options.bank and learned is None:
-        shown = Recording(replay, parameters, recover=True).finished().innovations
+        shown = FilterRun(replay, parameters, recover=True).finished().innovations
     pieces = estimates_of(found)
     more: dict[str, Any] = {"merge": options.merge, "innovations": shown, "name": read.name}
     write_pieces(pieces, (first, last), out, **more, **target)

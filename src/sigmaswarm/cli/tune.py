@@ -114,14 +114,14 @@ def _tune(
     from sigmaswarm.filters.presets import filter_for
     from sigmaswarm.scoring.jobs import cores
     from sigmaswarm.scoring.tracks import first_track
-    from sigmaswarm.tuning.defaults import with_filter
+    from sigmaswarm.tuning.defaults import default_filter_options
 
     read, held_back = groups
     everywhere = [*read.map(sensors_of), *held_back.map(sensors_of)]
     if asked["start"]:
         asked = {**asked, "start": filter_for(asked["start"], read)}
         options.setdefault("model", asked["start"].model)
-    chosen = "" if asked["paper"] else with_filter(options, everywhere)[1]
+    chosen = "" if asked["paper"] else default_filter_options(options, everywhere)[1]
     with ThreadPoolExecutor(workers or cores()) as pool, tuning_progress("tuning") as progress:
         tuning = sigmaswarm.tune(
             read, validation=held_back, executor=pool, progress=progress, **asked, **options

@@ -96,7 +96,7 @@ def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | NoS
     if headed.any():
         return _stated_start(drive, headed)
     slow = _slow_start(drive, usable) if alignments.slow else None
-    return slow or alignments.why_none()
+    return slow or alignments.failure_reason()
 
 
 def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
@@ -172,7 +172,7 @@ class Alignments:
         """True if there are enough fixes, and the vehicle is always slow, with a margin for noise."""
         return bool(self._many.any()) and not np.any(self._chord[self._many] >= SLOW_CHORD)
 
-    def why_none(self) -> NoStart:
+    def failure_reason(self) -> NoStart:
         time, travel = f"{MAX_DURATION:g} s", f"{MIN_TRAVEL:g} m"
         if self._many.any():
             if np.any(self._chord[self._many] >= MIN_TRAVEL):

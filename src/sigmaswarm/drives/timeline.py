@@ -29,7 +29,7 @@ DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
 N_STEP, FIRST_AXIS = 9, AX
 AXES = ("ax", "ay", "gz", "az", "gx", "gy")
 """Axes of the IMU in the order of a step; every IMU has the first three."""
-FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA = range(8)  # columns of a fix
+FIX_X, FIX_Y, FIX_VX, FIX_VY, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA = range(8)  # columns of a fix
 
 
 @dataclass(frozen=True, eq=False)

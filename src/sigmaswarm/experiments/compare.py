@@ -34,7 +34,7 @@ from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.scoring.score import score_estimate
 from sigmaswarm.scoring.targets import tracking_replay
 from sigmaswarm.tuning.config import TuneConfig, validated_config
-from sigmaswarm.tuning.defaults import objective_for, with_filter
+from sigmaswarm.tuning.defaults import default_filter_options, objective_for
 from sigmaswarm.tuning.options import SEEDS, CompareOptions, OptimizerName
 from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space
 from sigmaswarm.tuning.result import Tuning
@@ -212,7 +212,7 @@ def _contenders(options: GridOptions, drives: Sequence[Any]) -> list[Contender]:
     given.pop("seeds", None)
     names = given.pop("optimizers", ("pso", "ga", "ga-pso", "de", "cma-es", "random"))
     scales = given.pop("scales", ("log10",))
-    shared, _ = with_filter(given, drives)
+    shared, _ = default_filter_options(given, drives)
     objective = objective_for(drives, given.get("objective", "auto"), shared["model"], shared["use"])
     shared |= {"objective": objective, "prior": 0.0, "inflation": 0.0}
     if not names or not scales:

@@ -29,7 +29,7 @@ INPUTS = {
     },
     "z": {
         **{timeline.FIX_X: "(fix->x - b->origin[0])", timeline.FIX_Y: "(fix->y - b->origin[1])"},
-        **{timeline.FIX_U: "fix->vx", timeline.FIX_V: "fix->vy"},
+        **{timeline.FIX_VX: "fix->vx", timeline.FIX_VY: "fix->vy"},
         **{timeline.FIX_VAR_X: "fix->variance[0]", timeline.FIX_VAR_Y: "fix->variance[1]"},
         **{timeline.FIX_THETA: "fix->heading", timeline.FIX_VAR_THETA: "fix->heading_variance"},
     },

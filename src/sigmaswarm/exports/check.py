@@ -16,9 +16,9 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c99 import fits_float, replay_events
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.filters.bank.run import BankRun
+from sigmaswarm.filters.filter_run import joined
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import joined
 from sigmaswarm.filters.run import replay_of, run_filter
 from sigmaswarm.geodesy import wrap_angle
 

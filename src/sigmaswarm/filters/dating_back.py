@@ -12,7 +12,7 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.filters.compiled.layout import state_rows
-from sigmaswarm.filters.compiled.run import new_place
+from sigmaswarm.filters.compiled.run import new_cursor
 from sigmaswarm.filters.fix_error import FILTERS, STATES
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import THETA, require_driven_by_imu
@@ -108,7 +108,7 @@ def _ended(ready: PreparedDrive, parameters: FilterParameters, until: float) -> 
     replay, array = replay_of(ready), KernelArray([parameters])
     rows = start_replays([replay], array)[0]
     stop = int(np.searchsorted(replay.timeline.end, until, side="right"))
-    run_steps(replay, array, rows, new_place(), stop)
+    run_steps(replay, array, rows, new_cursor(), stop)
     if not sound_lanes(rows[np.newaxis], parameters.kernel)[0, 0]:
         return None
     mean, covariance = unpack_states(rows[state_rows(parameters.kernel), :1], parameters.kernel)

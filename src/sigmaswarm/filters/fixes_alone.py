@@ -16,7 +16,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.drives.timeline import FIX_VAR_X, FIX_X, Timeline
-from sigmaswarm.filters.recording import Piece
+from sigmaswarm.filters.filter_run import EstimateChunk
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import replay_of
 
@@ -99,7 +99,7 @@ class FixesAlone:
         self._line, self._noise = replay.timeline, noise
         self.initial: InitialState = replay.initial
 
-    def __iter__(self) -> Iterator[Piece]:
+    def __iter__(self) -> Iterator[EstimateChunk]:
         line, noise = self._line, self._noise
         variance = noise.fix * _variances(line)
         moments = np.concatenate([[self.initial.time], line.fix_time])
@@ -117,4 +117,4 @@ class FixesAlone:
         covariance[:, [0, 1], [0, 1]] = spread[:, np.newaxis]
         mean = np.column_stack([x + t * u, y + t * v, u, v, heading])
         sound = np.ones(len(t), dtype=np.bool_)
-        yield Piece(line.imu_time, mean, covariance, sound, ~sound)
+        yield EstimateChunk(line.imu_time, mean, covariance, sound, ~sound)

@@ -184,7 +184,7 @@ class FilterParameters:
         if n + self.kappa <= 0:
             raise ValueError(f"kappa must be greater than {-n} for {n} states, got {self.kappa}")
         used = [option for option, name in _ACTIVATES.items() if getattr(self, name) is not None]
-        if reason := clash(self.kind, used):
+        if reason := incompatibility(self.kind, used):
             raise ValueError(reason)
         known = MODELS[self.model].options
         for option in used:
@@ -312,7 +312,7 @@ NOISES = ("process_noise", "measurement_noise", "imu_noise", *_SCALED)
 RULES_SINCE = (0, 3)  # version that introduced the present treatment of stale fixes, gaps and standstills
 
 
-def clash(kind: str, use: Collection[str]) -> str | None:
+def incompatibility(kind: str, use: Collection[str]) -> str | None:
     """Return the reason for a conflict between a filter type and options, or between two options; else None."""
     if "robust" in use and "gate" in use:
         return "robust and gate can't be combined, since robust weights the fixes that gate rejects; leave one out"

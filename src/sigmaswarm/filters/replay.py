@@ -113,7 +113,7 @@ def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParame
 def run_array(replays: Sequence[Replay], array: KernelArray) -> Sums:
     rows = start_replays(replays, array)
     for replay, block in zip(cycle(replays), rows, strict=False):
-        run_steps(replay, array, block, run.new_place(), len(replay.timeline.dt))
+        run_steps(replay, array, block, run.new_cursor(), len(replay.timeline.dt))
     return array.sums(rows)
 
 

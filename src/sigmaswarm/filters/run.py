@@ -12,9 +12,9 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.errors import InputError, SigmaswarmError
+from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun, Innovations, failure_at, joined
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import Innovations, Piece, Recording, failure_at, joined
 from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.loop import run_steps
@@ -138,7 +138,7 @@ def run_filter(
         If ``initial`` is not given and the drive never moves far enough.
     """
     replay = replay_of(drive, initial, as_recorded=as_recorded)
-    return estimate_of(Recording(replay, parameters, recover=recover), recover=recover)
+    return estimate_of(FilterRun(replay, parameters, recover=recover), recover=recover)
 
 
 def run_innovations(
@@ -153,7 +153,7 @@ def run_innovations(
     Innovations after a failure are NaN or meaningless; `run_filter` reports the failure.
     """
     replay = replay_of(drive, initial, as_recorded=as_recorded)
-    return Recording(replay, parameters).finished().innovations
+    return FilterRun(replay, parameters).finished().innovations
 
 
 def replay_of(
@@ -184,7 +184,7 @@ class Run(Protocol):
         """The failure in the pieces so far, with its time."""
         ...
 
-    def __iter__(self) -> Iterator[Piece]: ...
+    def __iter__(self) -> Iterator[EstimateChunk]: ...
 
 
 def estimate_of(run: Run, *, recover: bool) -> Estimate:

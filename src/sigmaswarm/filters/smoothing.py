@@ -24,10 +24,10 @@ from sigmaswarm.filters.compiled.run import NEXT_STEP, NO_INNOVATIONS, logging_k
 from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.step_log import logged_rows
 from sigmaswarm.filters.divergence import DivergenceMonitor
+from sigmaswarm.filters.filter_run import SAMPLES, EstimateChunk, FilterRun
 from sigmaswarm.filters.models import THETA, require_driven_by_imu
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import SAMPLES, Piece, Recording
 from sigmaswarm.filters.replay import Replay, require_readable
 from sigmaswarm.filters.run import Estimate, estimate_of, replay_of
 from sigmaswarm.filters.schedule import measured_by
@@ -86,7 +86,7 @@ class _ForwardLog:
     lost: NDArray[np.bool_]
 
 
-class _Forward(Recording):
+class _Forward(FilterRun):
     """A recording that logs every step, keeps a checkpoint before each piece, and can run a piece again.
 
     All passes use the same kernel. Another one would round differently, and estimates would depend on the checkpoints.
@@ -148,7 +148,7 @@ class _Forward(Recording):
 class Smoothing:
     """A smoother over a replay, as an iterator of pieces; the constructor runs the forward and backward passes.
 
-    Parameters and attributes are those of `Recording`; ``initial`` is smoothed. The length of the pieces, which is the
+    Parameters and attributes are those of `FilterRun`; ``initial`` is smoothed. The length of the pieces, which is the
     distance between two checkpoints, does not affect the results.
     """
 
@@ -177,7 +177,7 @@ class Smoothing:
             mean, covariance = self._estimate(self._back()[np.newaxis])
             self.initial = InitialState(mean[0], covariance[0], replay.initial.time)
 
-    def __iter__(self) -> Iterator[Piece]:
+    def __iter__(self) -> Iterator[EstimateChunk]:
         first = 0
         for number, (size, sound) in enumerate(self._sizes):
             piece = self._piece(number, first, size, sound)
@@ -209,7 +209,7 @@ class Smoothing:
         smooth_back(self._kernel, log.steps, log.start, log.ends, log.started, log.sampled, before, out)
         return out, before
 
-    def _piece(self, number: int, first: int, size: int, sound: int) -> Piece:
+    def _piece(self, number: int, first: int, size: int, sound: int) -> EstimateChunk:
         time, n = self._line.imu_time[first : first + size], self._n
         mean, covariance = np.full((size, n), np.nan), np.full((size, n, n), np.nan)
         lost = np.zeros(size, dtype=np.bool_)
@@ -219,7 +219,7 @@ class Smoothing:
                 self._kept = number, self._smoothed(log, self._behind[number], sound)[0], log.lost
             _, states, lost[:sound] = self._kept
             mean[:sound], covariance[:sound] = self._estimate(states)
-        return Piece(time, mean, covariance, np.arange(size) < sound, lost)
+        return EstimateChunk(time, mean, covariance, np.arange(size) < sound, lost)
 
     def _estimate(self, states: Array) -> tuple[Array, Array]:
         """Return means (r, n), with wrapped headings, and covariances (r, n, n) of states (r, s)."""

@@ -12,9 +12,9 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.compiled.layout import Q0, R
+from sigmaswarm.filters.filter_run import SAMPLES, InterruptibleRun
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import SAMPLES, PausingRecording
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.learned.cells import Weights, gru, head
 
@@ -51,10 +51,10 @@ def nis_of(nu: Any, s: Any) -> tuple[Any, Any]:
     return (s22 * n1 * n1 - 2.0 * s12 * n1 * n2 + s11 * n2 * n2) / det, det
 
 
-class NoiseRun(PausingRecording):
+class NoiseRun(InterruptibleRun):
     """Run of a filter over a replay with a network that scales Q and R; ``scales``: these factors after each fix.
 
-    With an untrained network the run equals that of `Recording`.
+    With an untrained network the run equals that of `FilterRun`.
     """
 
     def __init__(

@@ -11,8 +11,8 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.learned.cells import new_weights
 from sigmaswarm.learned.fitting import HELD_BACK, Examples, Lesson
@@ -49,7 +49,7 @@ def segments_of(
             replay = replay_of(drive)
             settings = Settings.of(replay, twin)
             columns, ends = columns_of(replay, twin)
-            estimate = Recording(replay, twin).whole()
+            estimate = FilterRun(replay, twin).whole()
             last = float(estimate.time[-1])
             since = last - HELD_BACK * (last - replay.initial.time)
             for start in np.arange(replay.initial.time, last - length, length):

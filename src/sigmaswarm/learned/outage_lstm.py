@@ -18,9 +18,9 @@ import numpy as np
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.compiled.layout import R
+from sigmaswarm.filters.filter_run import SAMPLES, InterruptibleRun
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import SAMPLES, PausingRecording
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.learned.cells import Weights, head, lstm, new_weights
 from sigmaswarm.learned.outages import HORIZON, Windows, outage_windows
@@ -119,10 +119,10 @@ def untrained(
     return OutageLstm(axes, window, {**new_weights(rng, 4, features.shape[-1], units, 4), **scales})
 
 
-class OutageRun(PausingRecording):
+class OutageRun(InterruptibleRun):
     """Run of a filter over a replay with forecasts of displacements in outages.
 
-    Without outages it equals `Recording`. ``accepted`` and ``rejected`` count displacements.
+    Without outages it equals `FilterRun`. ``accepted`` and ``rejected`` count displacements.
     """
 
     def __init__(

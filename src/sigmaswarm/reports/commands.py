@@ -11,7 +11,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.scoring.drifts import BANK, OWN, SMOOTHED
 from sigmaswarm.scoring.records import EvaluationRecord
 from sigmaswarm.tuning.config import RENAMED, TuneConfig
-from sigmaswarm.tuning.defaults import with_guards
+from sigmaswarm.tuning.defaults import with_default_guards
 
 STATED = ("objective", "particles", "generations", "trials", "seed", "model", "use")
 """Options that the command contains even at their defaults."""
@@ -61,7 +61,7 @@ def _usual(config: Mapping[str, Any]) -> dict[str, Any]:
         usual["kind"] = TuneConfig.model_validate({"model": config["model"]}).kind
     asked = {name: config[name] for name in DEFAULTS if name in config and name not in GUARDS}
     with suppress(ValidationError, InputError):  # an objective of another version
-        settled = with_guards(TuneConfig.model_validate(asked))
+        settled = with_default_guards(TuneConfig.model_validate(asked))
         usual |= {name: getattr(settled, name) for name in GUARDS}
     return usual
 

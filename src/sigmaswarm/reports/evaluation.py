@@ -41,9 +41,9 @@ from sigmaswarm.reports.style import (
 )
 from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.scoring.drifts import BASELINE, FIXES, LEARNED, OWN
-from sigmaswarm.scoring.evaluation import Evaluated, Evaluation
+from sigmaswarm.scoring.evaluation import DriveResult, Evaluation
 from sigmaswarm.scoring.measures import Measure, with_outages
-from sigmaswarm.scoring.records import ASKED_FILE, EVALUATION, seal
+from sigmaswarm.scoring.records import EVALUATION, EVALUATION_FILE, write_checksums
 from sigmaswarm.scoring.tracks import CLOSE_UP, MOVED, SHARES, Columns, Picture, Tracks
 from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, tuning_file
@@ -62,7 +62,7 @@ def save_evaluation(
 
     The folder also gets copies of ``tuning`` (the evaluated tuning.toml or its folder) and ``network``.
     """
-    with staged_files(folder, EVALUATION, ASKED_FILE) as new:
+    with staged_files(folder, EVALUATION, EVALUATION_FILE) as new:
         written = [*evaluation.save(new), save(comparison(evaluation), new / "comparison.png")]
         labels = LABELS | dict(evaluation.names)
         for name, found in evaluation.drives.items():
@@ -75,7 +75,7 @@ def save_evaluation(
             written += [save(f, new / f"{stem}-{kind}.png") for kind, f in figures.items() if f]
         written += copy_tuning(tuning, new) if tuning else []
         written += network.save(new) if network else []
-        seal(new)
+        write_checksums(new)
     return [folder / file.relative_to(new) for file in written]
 
 
@@ -146,7 +146,7 @@ def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, .
     return tuple(bars(view.measures[name], values) for name, values in known.items() if values)
 
 
-def consistency(name: str, evaluated: Evaluated) -> Figure | None:
+def consistency(name: str, evaluated: DriveResult) -> Figure | None:
     """Draw NIS over time, histogram of NIS, and autocorrelation of the innovations of the tuned filter.
 
     Return None if the filter failed or had too few fixes.

@@ -18,7 +18,13 @@ from sigmaswarm.reports.tuning import (
 )
 from sigmaswarm.scoring.drifts import BASELINE, FIXES, OWN
 from sigmaswarm.scoring.measures import ALSO, method_names
-from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord, require_sealed
+from sigmaswarm.scoring.records import (
+    EVALUATION_FILE,
+    SCORES_FILE,
+    EvaluationRecord,
+    ScoresRecord,
+    verify_checksums,
+)
 from sigmaswarm.scoring.tracks import TRACKS_FILE, load_tracks
 from sigmaswarm.scoring.view import (
     EvaluationView,
@@ -94,8 +100,8 @@ def evaluation_report(folder: Path) -> Report:
 def read_view(folder: Path, file: TuningRecord) -> EvaluationView:
     """Read the scores and the setup of an evaluation of the tuning in ``file``."""
     scores = load_record(ScoresRecord, folder / SCORES_FILE)
-    setup = load_record(EvaluationRecord, folder / ASKED_FILE)
-    require_sealed(folder, setup)
+    setup = load_record(EvaluationRecord, folder / EVALUATION_FILE)
+    verify_checksums(folder, setup)
     other = setup.against and (setup.against.kind, setup.against.model)
     kind, model = str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5"))
     names = method_names(kind, model, also=[m for m in (OWN, *ALSO) if m in scores.mean], against=other)

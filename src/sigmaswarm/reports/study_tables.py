@@ -89,7 +89,7 @@ def _table(
     return Table(caption, tuple(columns), tuple(rows), strong, note)
 
 
-UNPRINTED = ("comparison-", "conditions-")
+UNPRINTED = ("comparison-", "conditions-", "trials")
 """Beginnings of the names of long tables, which `sigmaswarm study` only writes to files."""
 
 
@@ -105,7 +105,7 @@ def study_tables(results: Results) -> dict[str, Table]:
     -------
     dict of str to Table
         ``table-1`` to ``table-3`` (with the numbers of the paper), ``comparison-honest`` and ``comparison-paper``,
-        three tables ``conditions-...``, and ``optimum``. With rivals also ``rivals``, ``rivals-gains``, ``elsewhere-1``
+        three tables ``conditions-...``, ``optimum``, and ``trials``. With rivals also ``rivals``, ``rivals-gains``, ``elsewhere-1``
         and so on, and ``learning-curve``. Each has to_markdown(), to_latex() and to_csv(); notebooks display it.
     """
     return {
@@ -117,6 +117,7 @@ def study_tables(results: Results) -> dict[str, Table]:
         "conditions-heading-rmse": conditions_table(results, HEADING),
         "conditions-outage-drift": conditions_table(results, DRIFT),
         "optimum": optimum_table(results, [MAIN]),
+        "trials": trials_table(results),
         **rivals_tables(results),
     }
 

@@ -63,14 +63,14 @@ _NUMBERS = tuple(field.name for field in fields(Scores) if field.name != "failed
 
 
 @dataclass(frozen=True)
-class Passes:  # options of Replayer and PreparedDrive
+class Passes:  # options of BatchScorer and PreparedDrive
     outages: bool = False
     forecasts: bool = False
     outage_seed: int = 0
     as_recorded: bool = False
 
 
-class Replayer:
+class BatchScorer:
     """Drives that are prepared once and replayed with any number of parameter sets.
 
     ``outages`` and ``forecasts`` each add a pass over every drive: with outages of ``outage_length`` s, or with fixes
@@ -95,9 +95,9 @@ class Replayer:
             self._passes["forecasts"] = tuple(forecast_replay(r, seed=outage_seed) for r in self._ready)
 
     @staticmethod
-    def together(parts: Sequence["Replayer"]) -> "Replayer":
+    def together(parts: Sequence["BatchScorer"]) -> "BatchScorer":
         """Join replayers with the same passes, without preparing drives again."""
-        whole = Replayer.__new__(Replayer)
+        whole = BatchScorer.__new__(BatchScorer)
         whole._ready = tuple(one for part in parts for one in part._ready)
         whole._passes = {
             name: tuple(replay for part in parts for replay in part._passes[name])
@@ -105,11 +105,11 @@ class Replayer:
         }
         return whole
 
-    def subset(self, drives: Sequence[int]) -> "Replayer":
+    def subset(self, drives: Sequence[int]) -> "BatchScorer":
         """Return a replayer of some of the drives, by index."""
         if list(drives) == list(range(len(self._ready))):
             return self
-        part = Replayer.__new__(Replayer)
+        part = BatchScorer.__new__(BatchScorer)
         part._ready = tuple(self._ready[i] for i in drives)
         part._passes = {name: tuple(replays[i] for i in drives) for name, replays in self._passes.items()}
         return part

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import Piece, Recording
 from sigmaswarm.filters.replay import Replay, joined, run_replays
 from sigmaswarm.filters.run import Estimate, Run
 from sigmaswarm.scoring.batch import scores_of
@@ -95,9 +95,9 @@ class Outages:
             places = [np.empty((0, 2)), *(piece.mean[_rows_at(ends, piece), :2] for piece in run)]
             self._add(method, _drift(self._ready, ends, np.vstack(places)), failed=bool(run.failure))
 
-    def _recorded(self, method: str, outages: Replay, parameters: FilterParameters, ends: Array) -> Recording:
+    def _recorded(self, method: str, outages: Replay, parameters: FilterParameters, ends: Array) -> FilterRun:
         """Run a filter; for the tuned filter, store variances and errors at the ends of the outages."""
-        recording = Recording(outages, parameters, recover=True)
+        recording = FilterRun(outages, parameters, recover=True)
         if method != "tuned":
             return recording.finished()
         for piece in recording:
@@ -125,7 +125,7 @@ class Outages:
         return DriftRecord(outages=sum(map(len, self._ends)), each=each)
 
 
-def rms_drift(ready: PreparedDrive, estimate: Estimate | Piece, ends: Array) -> float:
+def rms_drift(ready: PreparedDrive, estimate: Estimate | EstimateChunk, ends: Array) -> float:
     """Return the RMS position error at the ends of outages, m."""
     places = [np.interp(ends, estimate.time, estimate.mean[:, i]) for i in (0, 1)]
     return _drift(ready, ends, np.column_stack(places))
@@ -140,6 +140,6 @@ def _errors(ready: PreparedDrive, time: Array, places: Array) -> Array:
     return places - np.column_stack([np.interp(time, reference.time, c) for c in (reference.x, reference.y)])
 
 
-def _rows_at(ends: Array, piece: Piece) -> NDArray[np.intp]:
+def _rows_at(ends: Array, piece: EstimateChunk) -> NDArray[np.intp]:
     """Return the rows of a piece at ends of outages; each end is the time of a sample."""
     return np.searchsorted(piece.time, ends[(ends >= piece.time[0]) & (ends <= piece.time[-1])])

@@ -32,7 +32,7 @@ from sigmaswarm.scoring.measures import ALSO, DRIFTS, MEASURES, METHODS, Measure
 from sigmaswarm.scoring.radius import TRACKING, RadiusRecord, lasting_variance, radius_record
 from sigmaswarm.scoring.records import (
     AGAINST_FILE,
-    ASKED_FILE,
+    EVALUATION_FILE,
     SCORES_FILE,
     AgainstRecord,
     DriftRecord,
@@ -109,7 +109,7 @@ class Options:
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluated:
+class DriveResult:
     """Results of all methods on a drive.
 
     ``restarts`` are times of resets, s, by method; ``drifts`` are by measure. ``consistency`` and ``innovations`` are
@@ -130,7 +130,7 @@ class Evaluated:
     truth_offset: str = ""
     radius: Mapping[str, RadiusRecord] = field(default_factory=dict[str, RadiusRecord])
 
-    def called(self, name: str) -> "Evaluated":
+    def called(self, name: str) -> "DriveResult":
         tracks, picture = self.tracks, self.picture
         return replace(
             self,
@@ -139,7 +139,7 @@ class Evaluated:
             picture=picture and replace(picture, whole=replace(picture.whole, name=name)),
         )
 
-    def seen_in(self, overlap: Overlap) -> "Evaluated":
+    def seen_in(self, overlap: Overlap) -> "DriveResult":
         """Return a copy that records the part of the drive that was used for tuning."""
         part = {"seen_s": overlap.seconds, "seen_in": list(overlap.of)}
         return replace(self, record=self.record.model_copy(update=part))
@@ -151,7 +151,7 @@ class Evaluation:
 
     Attributes
     ----------
-    drives : mapping of drive name to Evaluated
+    drives : mapping of drive name to DriveResult
     names : mapping of method to str
         Display names.
     outage_length, outage_seed : float, int
@@ -159,12 +159,12 @@ class Evaluation:
     against : FilterParameters or None
         Other filter in the comparison.
     parameters : FilterParameters or None
-        Evaluated filter.
+        DriveResult filter.
     fixes_alone : MotionNoise or None
         Noise parameters of the filter that uses only the fixes; None if they were fitted to each drive.
     """
 
-    drives: Mapping[str, Evaluated]
+    drives: Mapping[str, DriveResult]
     names: Mapping[str, str] = field(default_factory=method_names)
     outage_length: float = OUTAGE_LENGTH
     outage_seed: int = 0
@@ -296,7 +296,7 @@ class Evaluation:
 
     def save(self, folder: Path) -> list[Path]:
         """Write scores.json, scores.csv, evaluation.json, tracks.npz and the other filter, if any; return the paths."""
-        paths = [folder / name for name in (SCORES_FILE, "scores.csv", ASKED_FILE, TRACKS_FILE)]
+        paths = [folder / name for name in (SCORES_FILE, "scores.csv", EVALUATION_FILE, TRACKS_FILE)]
         write_json(paths[0], self.to_dict())
         write_whole(paths[1], self._frame({m: m for m in self.names}).write_csv())
         write_json(paths[2], self.setup.model_dump())
@@ -334,7 +334,7 @@ def evaluate(
         other = filter_for(other, dataset)
     chosen = Options(other, **options)
     one = partial(_evaluated, parameters=parameters, options=chosen, marked=seen is not None)
-    found: dict[str, Evaluated] = {}
+    found: dict[str, DriveResult] = {}
     for drive, each, marks in dataset.imap(one):
         numbered = (f"{drive} ({i})" for i in range(2, len(found) + 2))  # two drives may have the same name
         name = next(n for n in (drive, *numbered) if n not in found)
@@ -358,7 +358,7 @@ def evaluate(
 
 def _evaluated(
     drive: Drive, parameters: FilterParameters, options: Options, marked: bool
-) -> tuple[str, Evaluated, Landmarks | None]:
+) -> tuple[str, DriveResult, Landmarks | None]:
     """Run every method over a drive; return its name, the results and, if ``marked``, its landmarks."""
     marks = landmarks(drive) if marked else None
     own = {} if options.against is None else {OWN: options.against}
@@ -419,7 +419,7 @@ def _radius(
 
 def _tracked(
     ready: PreparedDrive, tracker: Tracker, filters: Mapping[str, FilterParameters], options: Options
-) -> tuple[Evaluated, Runs]:
+) -> tuple[DriveResult, Runs]:
     """Run every method over all fixes; return the results, and functions for the methods that are not single filters.
 
     This is a separate function, so that its memory is freed before the next pass.
@@ -444,4 +444,4 @@ def _tracked(
     radius = _radius(ready.drive, filters["tuned"], tracker.stated)
     tracker.stated = NOTHING_STATED  # frees three arrays of the length of truth
     innovations, radii = recorded["tuned"].innovations, {TRACKING: radius} if radius else {}
-    return Evaluated(scores, innovations=innovations, restarts=restarts, radius=radii), further
+    return DriveResult(scores, innovations=innovations, restarts=restarts, radius=radii), further

@@ -14,7 +14,7 @@ from sigmaswarm.records import load_record
 from sigmaswarm.scoring.consistency import Consistency
 from sigmaswarm.scoring.radius import RadiusRecord
 
-SCORES_FILE, ASKED_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
+SCORES_FILE, EVALUATION_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
 Measured = dict[str, float | None]
 FEW = 4
 """Outages per placement below which all placements hide nearly the same fixes."""
@@ -101,21 +101,21 @@ class EvaluationRecord(BaseModel):
     """SHA-256 of the files by name; empty before version 0.4.0."""
 
 
-_SEALED = (SCORES_FILE, "tracks.npz", "tuning.toml", AGAINST_FILE)
+_CHECKED_FILES = (SCORES_FILE, "tracks.npz", "tuning.toml", AGAINST_FILE)
 
 
-def seal(folder: Path) -> None:
-    record = load_record(EvaluationRecord, folder / ASKED_FILE)
-    found = {name: _sha256(folder / name) for name in _SEALED if (folder / name).exists()}
-    write_json(folder / ASKED_FILE, record.model_copy(update={"files": found}).model_dump())
+def write_checksums(folder: Path) -> None:
+    record = load_record(EvaluationRecord, folder / EVALUATION_FILE)
+    found = {name: _sha256(folder / name) for name in _CHECKED_FILES if (folder / name).exists()}
+    write_json(folder / EVALUATION_FILE, record.model_copy(update={"files": found}).model_dump())
 
 
-def require_sealed(folder: Path, record: EvaluationRecord) -> None:
+def verify_checksums(folder: Path, record: EvaluationRecord) -> None:
     """Raise `InputError` if a file differs from its SHA-256 in evaluation.json."""
     for name, expected in record.files.items():
-        if name not in _SEALED or not (folder / name).is_file() or _sha256(folder / name) != expected:
+        if name not in _CHECKED_FILES or not (folder / name).is_file() or _sha256(folder / name) != expected:
             raise InputError(
-                f"{folder / name}: does not belong to {ASKED_FILE} next to it; repeat `sigmaswarm evaluate`, or "
+                f"{folder / name}: does not belong to {EVALUATION_FILE} next to it; repeat `sigmaswarm evaluate`, or "
                 "restore the original file"
             )
 

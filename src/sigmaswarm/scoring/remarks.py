@@ -89,7 +89,7 @@ def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tu
     return tuple(messages)
 
 
-def how_far(scores: ScoresRecord, data: Sequence[DriveRecord]) -> tuple[str, ...]:
+def estimate_position_errors(scores: ScoresRecord, data: Sequence[DriveRecord]) -> tuple[str, ...]:
     """Estimate the position error on each of the first three drives without truth."""
     blind = [one.name for one in data if one.has_truth is False]
     found = [(name, c) for name in blind if (c := scores.consistency.get(name)) and c.own_sigma]

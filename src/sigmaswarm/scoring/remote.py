@@ -16,25 +16,25 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.table import ParameterTable
-from sigmaswarm.scoring.batch import Passes, Replayer, Scores
+from sigmaswarm.scoring.batch import BatchScorer, Passes, Scores
 
 T = TypeVar("T")
-Check = Callable[[Replayer], None]
+Check = Callable[[BatchScorer], None]
 """Picklable function that raises `InputError` if prepared drives are not usable."""
 
 
-def replays_on(dataset: Dataset, passes: Passes, check: Check) -> "Replays":
+def replays_on(dataset: Dataset, passes: Passes, check: Check) -> "AnyBatchScorer":
     """Prepare the drives of a local or remote dataset; ``check`` rejects unusable drives."""
     if isinstance(dataset, RemoteDataset):
-        remote = RemoteReplayer(dataset, passes, check)
+        remote = RemoteBatchScorer(dataset, passes, check)
         _ = remote.steps  # prepares the drives
         return remote
     drives = dataset.map(partial(PreparedDrive, as_recorded=passes.as_recorded))
     return _replayer(drives, passes, check)
 
 
-def _replayer(drives: Sequence[PreparedDrive], passes: Passes, check: Check) -> Replayer:
-    replayer = Replayer(
+def _replayer(drives: Sequence[PreparedDrive], passes: Passes, check: Check) -> BatchScorer:
+    replayer = BatchScorer(
         drives, outages=passes.outages, forecasts=passes.forecasts, outage_seed=passes.outage_seed
     )
     check(replayer)
@@ -42,8 +42,8 @@ def _replayer(drives: Sequence[PreparedDrive], passes: Passes, check: Check) -> 
 
 
 @dataclass(frozen=True)
-class RemoteReplayer:
-    """A `Replayer` of a remote dataset; executors are ignored, since the workers of the cluster run the filters."""
+class RemoteBatchScorer:
+    """A `BatchScorer` of a remote dataset; executors are ignored, since the workers of the cluster run the filters."""
 
     dataset: RemoteDataset
     passes: Passes
@@ -54,8 +54,8 @@ class RemoteReplayer:
         steps = partial(_steps, passes=self.passes, check=self.check)
         return np.array(in_order(self.dataset.call(apply_to_each, steps)), np.int64)
 
-    def subset(self, drives: Sequence[int]) -> "RemoteReplayer":
-        part = RemoteReplayer(self.dataset.subset(drives), self.passes, self.check)
+    def subset(self, drives: Sequence[int]) -> "RemoteBatchScorer":
+        part = RemoteBatchScorer(self.dataset.subset(drives), self.passes, self.check)
         part.__dict__["steps"] = self.steps[list(drives)]
         return part
 
@@ -72,7 +72,7 @@ class RemoteReplayer:
         sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
         answers = self.dataset.call(_taken, self.passes, self.check, take, sets)
         shape = len(self.dataset), *answers[0][1].shape[-2::-1]
-        whole = np.empty(shape).T  # the memory order of `Replayer`, since bits of sums depend on it
+        whole = np.empty(shape).T  # the memory order of `BatchScorer`, since bits of sums depend on it
         for places, part in answers:
             whole[..., places] = part
         return whole
@@ -81,7 +81,7 @@ class RemoteReplayer:
         return map_prepared(self.dataset, function, as_recorded=self.passes.as_recorded)
 
 
-Replays = Replayer | RemoteReplayer
+AnyBatchScorer = BatchScorer | RemoteBatchScorer
 
 
 def map_prepared(
@@ -98,7 +98,7 @@ def _prepared(drive: CachedDrive, as_recorded: bool) -> PreparedDrive:
     return drive.once(("prepared", as_recorded), partial(PreparedDrive, as_recorded=as_recorded))
 
 
-def _cached_replayer(drive: CachedDrive, passes: Passes, check: Check) -> Replayer:
+def _cached_replayer(drive: CachedDrive, passes: Passes, check: Check) -> BatchScorer:
     return drive.once(passes, lambda _: _replayer([_prepared(drive, passes.as_recorded)], passes, check))
 
 
@@ -114,5 +114,5 @@ def _taken(
     take: Callable[[Scores], Array],
     parameter_sets: Sequence[FilterParameters],
 ) -> Array:
-    replayer = Replayer.together([_cached_replayer(drive, passes, check) for drive in drives])
+    replayer = BatchScorer.together([_cached_replayer(drive, passes, check) for drive in drives])
     return take(replayer.scores(parameter_sets, pool))

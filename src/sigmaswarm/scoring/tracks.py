@@ -16,10 +16,10 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import read_arrays, whole_file
 from sigmaswarm.filters.bank.run import BankRun
 from sigmaswarm.filters.bank.spread import START
+from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
-from sigmaswarm.filters.recording import Piece, Recording
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import Estimate, replay_of
 from sigmaswarm.geodesy import wrap_angle
@@ -99,8 +99,8 @@ class Tracker:
 
     def record(
         self, series: str, replay: Replay, parameters: FilterParameters, *, recover: bool = False
-    ) -> Recording:
-        recording = Recording(replay, parameters, recover=recover)
+    ) -> FilterRun:
+        recording = FilterRun(replay, parameters, recover=recover)
         self._follow(series, recording, replay.initial)
         if recording.failure is None:
             found = recording.innovations
@@ -116,7 +116,7 @@ class Tracker:
             self._keep(series + SHARES, [{"time": log.time, **log.shares}], len(log.time))
             self._keep(series + MOVED, [{"time": log.time, **moved}], len(log.time))
 
-    def _follow(self, series: str, run: Iterable[Piece], initial: InitialState) -> None:
+    def _follow(self, series: str, run: Iterable[EstimateChunk], initial: InitialState) -> None:
         truth, imu_time = self._ready.drive.truth, self._ready.drive.imu.time
         errors = None if truth is None else PieceErrors(truth, initial)
         variance, count = 0.0, 0
@@ -146,7 +146,7 @@ class Tracker:
     def keep_estimate(self, series: str, estimate: Estimate) -> None:
         self._keep(series, [self._columns(estimate)], len(estimate.time))
 
-    def _columns(self, found: Estimate | Piece) -> Columns:
+    def _columns(self, found: Estimate | EstimateChunk) -> Columns:
         """Compute position, errors against truth, and 3 sigma."""
         time, mean, truth = found.time, found.mean, self._ready.drive.truth
         columns = {"time": time, "x": mean[:, 0], "y": mean[:, 1]}

@@ -14,7 +14,7 @@ from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline_of
 from sigmaswarm.filters.run import run_innovations
-from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.batch import BatchScorer
 
 CLOCKS = {"shift-clock", "shift-fixes"}
 VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
@@ -127,7 +127,9 @@ def _forecasts(drive: Drive, judges: list[FilterParameters]) -> Array:
     for row, parameters in zip(errors, judges, strict=True):
         try:
             size = np.sort(np.hypot(*run_innovations(drive, parameters).innovation.T))
-            row[1] = Replayer([drive], outages=False, forecasts=True).scores([parameters]).forecast_rmse[0, 0]
+            row[1] = (
+                BatchScorer([drive], outages=False, forecasts=True).scores([parameters]).forecast_rmse[0, 0]
+            )
         except SigmaswarmError:
             continue
         row[0] = np.sqrt(np.mean(size[: max(int(0.95 * len(size)), 1)] ** 2))

@@ -21,7 +21,7 @@ from sigmaswarm.scoring.radius import DOF, LEVELS, LOW, TRACKING, RadiusRecord, 
 from sigmaswarm.scoring.records import EvaluationRecord, Measured, ScoresRecord
 from sigmaswarm.scoring.remarks import (
     describe_drives,
-    how_far,
+    estimate_position_errors,
     partly_scored,
     restarted,
     worse_than_raw,
@@ -184,7 +184,7 @@ class EvaluationView:
         sentences = [f"Filters and scores start {', '.join(late)}, at {START_RULE}."] if late else []
         sentences += map(_sentence, partly_scored(data))
         sentences += [f"{', '.join(blind)}: {NO_TRUTH}."] if blind else []
-        sentences += map(_sentence, how_far(self.scores, data))
+        sentences += map(_sentence, estimate_position_errors(self.scores, data))
         sentences += [
             f"{name}: no filter used {n} of the fixes: they are stale (they repeat an earlier fix, although the "
             "vehicle may have moved)."
@@ -251,7 +251,7 @@ class EvaluationView:
 
     def sentences(self, more: Iterable[str] = ()) -> tuple[str, ...]:
         """Return all sentences, the most important first; ``more`` is placed after the warnings."""
-        positions = map(_sentence, how_far(self.scores, self.setup.data))
+        positions = map(_sentence, estimate_position_errors(self.scores, self.setup.data))
         sentences = (
             self.result(),
             *positions,

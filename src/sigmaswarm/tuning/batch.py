@@ -15,12 +15,12 @@ from sigmaswarm.drives.drive import Array, Drive, listed
 from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.scoring.batch import Passes, Replayer
+from sigmaswarm.scoring.batch import BatchScorer, Passes
 from sigmaswarm.scoring.jobs import cores
-from sigmaswarm.scoring.remote import Replays, replays_on
+from sigmaswarm.scoring.remote import AnyBatchScorer, replays_on
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import forecast_windows
-from sigmaswarm.tuning.objectives import Objective, objective_named
+from sigmaswarm.tuning.objectives import Objective, parse_objective
 from sigmaswarm.wording import shown
 
 
@@ -91,7 +91,7 @@ def run_batch(
             f"executor = {shown(given)}: is not an executor; use concurrent.futures.ThreadPoolExecutor(2), "
             "or leave it out"
         )
-    goal = objective_named(objective)
+    goal = parse_objective(objective)
     check_drives(dataset.map(sensors_of), goal)
     replayer = replays_for(goal, dataset, outage_seed, as_recorded=as_recorded)
     with nullcontext(executor) if executor else ThreadPoolExecutor(cores()) as pool:
@@ -111,14 +111,14 @@ def check_drives(drives: Sequence[Drive | Sensors], objective: Objective) -> Non
         )
 
 
-def replays_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded: bool) -> Replays:
+def replays_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded: bool) -> AnyBatchScorer:
     """Prepare the drives for the passes that an objective needs."""
     passes = Passes(objective.needs_outages, objective.needs_forecasts, seed, as_recorded)
     return replays_on(dataset, passes, partial(require_fit, objective=objective.name, seed=seed))
 
 
-def require_fit(replayer: Replayer, objective: str, seed: int) -> None:
-    needs_truth = objective_named(objective).needs_truth
+def require_fit(replayer: BatchScorer, objective: str, seed: int) -> None:
+    needs_truth = parse_objective(objective).needs_truth
     for drive, initial, moments in zip(
         replayer.drives, replayer.initial, replayer.truth_moments, strict=True
     ):

@@ -100,7 +100,7 @@ class SearchConfig(BaseModel):
 
 
 class TuneConfig(SearchConfig):
-    """Options for tuning a built-in model; `defaults.with_filter` chooses missing ``model`` and ``use``."""
+    """Options for tuning a built-in model; `defaults.default_filter_options` chooses missing ``model`` and ``use``."""
 
     model: ModelName = "planar5"
     """Process model: planar5 (paper), planar8 (IMU biases), tilted12 (roll, pitch). Default: depends on the sensors."""

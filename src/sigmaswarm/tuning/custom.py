@@ -16,7 +16,7 @@ from sigmaswarm.filters.custom.run import Runner, run_model
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.tuning.bounds import Bounds, Dimension
 from sigmaswarm.tuning.config import SearchConfig
-from sigmaswarm.tuning.objectives import objective_named
+from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.problem import Problem
 from sigmaswarm.tuning.space import SCALING
 
@@ -40,7 +40,7 @@ class ModelProblem(Problem[dict[str, float]]):
     def parameters(self, point: Array) -> dict[str, float]:
         return dict(zip(self.space.names, self.space.values(point).tolist(), strict=True))
 
-    def why_none(self, point: Array) -> str | None:
+    def failure_reason(self, point: Array) -> str | None:
         """Return why the filter at a point, shape (d,), fails on a log; None if it does not fail."""
         parameters = self.parameters(point)
         failures = (run_model(log, self.model, parameters).failure for log in self.logs)
@@ -57,7 +57,7 @@ class ModelProblem(Problem[dict[str, float]]):
     def rise(self, costs: Array | float, best: float) -> Array:
         present = (~np.isnan(steps.measurements) for steps in self.runner.steps)
         elements = float(np.mean([each.sum(axis=1).mean() for each in present]))
-        return objective_named(self.config.objective).rise(costs, best, elements)
+        return parse_objective(self.config.objective).rise(costs, best, elements)
 
     def on(self, data: Sequence[Log]) -> "ModelProblem":
         return model_problem(data, self.model, self.config)

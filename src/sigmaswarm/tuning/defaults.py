@@ -10,10 +10,10 @@ from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS
-from sigmaswarm.filters.parameters import clash
+from sigmaswarm.filters.parameters import incompatibility
 from sigmaswarm.tuning.config import C, TuneConfig, validated_config
 from sigmaswarm.tuning.inflation import INFLATION, TILTED_INFLATION, WITH_TRUTH
-from sigmaswarm.tuning.objectives import objective_named
+from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.wording import counted
 
 PLAIN = "planar5"  # the paper's model
@@ -33,7 +33,9 @@ OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
 """Objectives with and without truth for custom models, which support only these."""
 
 
-def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> tuple[dict[str, Any], str]:
+def default_filter_options(
+    options: dict[str, Any], drives: Sequence[Drive | Sensors]
+) -> tuple[dict[str, Any], str]:
     """Add missing ``model`` and ``use``; return the options and one line that explains them, or "" if none was missing.
 
     For the paper's model, planar5, no measurements are added. Measurements that conflict with ``kind`` or the objective
@@ -70,7 +72,7 @@ def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive
     """
     have, objective = [sensors_of(one) for one in drives], options.get("objective") or "auto"
     auto = objective == "auto"
-    blind = not all(one.truth for one in have) if auto else not objective_named(objective).needs_truth
+    blind = not all(one.truth for one in have) if auto else not parse_objective(objective).needs_truth
     kind = options.get("kind") or (MODELS[model].kinds[0] if model in MODELS else "")
     modeled = kernel_name(model, kind, True) in FILTERS and _fits("fix-error", options)
     return blind and modeled and enough_for_fix_error(have) and all(one.lasting for one in have)
@@ -85,7 +87,7 @@ def _fits(name: str, options: dict[str, Any]) -> bool:
     if name == "robust" and "innovation-nll" in str(options.get("objective")):
         return False  # innovation-nll does not reduce the weight of outliers
     kind = options.get("kind")
-    return kind is None or clash(kind, [name]) is None
+    return kind is None or incompatibility(kind, [name]) is None
 
 
 def objective_for(
@@ -121,30 +123,30 @@ def settled(config: C, data: Sequence[Sensors | Log]) -> C:
     car = isinstance(config, TuneConfig)
     model, use = (config.model, config.use) if car else (PLAIN, ())
     objective = objective_for(data, config.objective, model, use)
-    return with_guards(config.model_copy(update={"objective": objective}))
+    return with_default_guards(config.model_copy(update={"objective": objective}))
 
 
 def explain_tuning(drives: Sequence[Drive | Sensors], **options: Any) -> list[str]:
     """Explain the filter, objective and search that `tune` would use, in three sentences."""
     sensors = [sensors_of(one) for one in drives]
-    options, because = with_filter(options, sensors)
+    options, because = default_filter_options(options, sensors)
     config = settled(validated_config(TuneConfig, options), sensors)
     sets, trials = config.particles * config.generations * config.trials, counted(config.trials, "trial")
     return [
         f"Filter: {because or config.model}",
-        f"Objective: {config.objective}: {objective_named(config.objective).summary}",
+        f"Objective: {config.objective}: {parse_objective(config.objective).summary}",
         f"Search: {config.optimizer} with {sets} parameter sets, {trials}, seed {config.seed}",
     ]
 
 
-def with_guards(config: C) -> C:
+def with_default_guards(config: C) -> C:
     """Set the prior on R and the process-noise inflation, which by default apply to likelihoods without truth.
 
     A model with roll and pitch is also inflated with truth.
     """
     if not isinstance(config, TuneConfig):
         return config
-    objective, model = objective_named(config.objective), MODELS[config.model]
+    objective, model = parse_objective(config.objective), MODELS[config.model]
     blind = objective.likelihood and not objective.needs_truth
     prior, inflation = float(blind), 0.0
     if config.scale == "log10" and blind:

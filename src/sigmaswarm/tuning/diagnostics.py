@@ -14,15 +14,15 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.divergence import describe_restarts
+from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
-from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.scoring.drifts import BASELINE, FIXES, Outages
-from sigmaswarm.scoring.remote import Replays
+from sigmaswarm.scoring.remote import AnyBatchScorer
 from sigmaswarm.scoring.targets import FORECAST_LENGTHS, LONG_OUTAGE_LENGTH, OUTAGE_LENGTH
 from sigmaswarm.tuning.objectives import Objective
 from sigmaswarm.wording import to_do
@@ -88,7 +88,9 @@ def describe_forecasts(forecasts: Sequence[Forecast], durations: Sequence[float]
     return [f"drift without fixes on {on}: {', '.join(map(str, forecasts))}", *worse]
 
 
-def forecasts_of(parameters: FilterParameters, noise: MotionNoise, replays: Replays) -> Iterator[Forecast]:
+def forecasts_of(
+    parameters: FilterParameters, noise: MotionNoise, replays: AnyBatchScorer
+) -> Iterator[Forecast]:
     """Measure the drift over outages of several lengths, in the middle of the first drives.
 
     The placements are those of an evaluation, so that the drifts are the same on the same drive.
@@ -101,7 +103,7 @@ def forecasts_of(parameters: FilterParameters, noise: MotionNoise, replays: Repl
             yield Forecast(length, *drifts)
 
 
-def loss_warnings(parameters: FilterParameters, replays: Replays, *, outages: bool) -> list[str]:
+def loss_warnings(parameters: FilterParameters, replays: AnyBatchScorer, *, outages: bool) -> list[str]:
     found = divergence_warnings(replays.of_each_prepared(partial(restarts_of, parameters=parameters)))
     if found or not outages:
         return found
@@ -135,12 +137,12 @@ def drift_warnings(found: Iterable[tuple[float, ...]], most: float = FAR) -> lis
 
 def restarts_of(ready: PreparedDrive, parameters: FilterParameters) -> tuple[str, list[float]]:
     """Return a drive's name and the times, s, at which a monitored filter was reset in its first hour."""
-    return ready.drive.name, Recording(_first_part(ready), parameters, recover=True).finished().restarts
+    return ready.drive.name, FilterRun(_first_part(ready), parameters, recover=True).finished().restarts
 
 
 def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
     """Return the lag-1 autocorrelation of innovations in the first hour, averaged over both axes."""
-    found = Recording(_first_part(ready), parameters).finished().innovations
+    found = FilterRun(_first_part(ready), parameters).finished().innovations
     with np.errstate(all="ignore"):  # a failed filter gives NaN and infinity
         nu = found.innovation / np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
         return float(np.mean(np.mean(nu[1:] * nu[:-1], axis=0) / np.mean(nu**2, axis=0)))
@@ -204,7 +206,7 @@ def _together(found: Iterable[tuple[float, ...]]) -> list[float]:
     return np.mean(known, axis=0).tolist() if len(known) else [0.0, 0.0]
 
 
-def scale_warnings(objective: Objective, parameters: FilterParameters, replays: Replays) -> list[str]:
+def scale_warnings(objective: Objective, parameters: FilterParameters, replays: AnyBatchScorer) -> list[str]:
     """Warn if the objective does not determine the scale of the covariance; if possible, propose a factor."""
     if not objective.scale_free:
         return []

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.tuning.objectives import objective_named
+from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.problem import Problem
 
 INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
@@ -61,7 +61,7 @@ def inflated(
 
 def _limits(problem: Problem[Any]) -> Array:
     """Return the lower limits of the coordinates, shape (d,)."""
-    space, objective = problem.space, objective_named(problem.config.objective)
+    space, objective = problem.space, parse_objective(problem.config.objective)
     if len(problem.data) < ENOUGH_DRIVES or not objective.needs_truth:
         return space.least
     return np.where([one.field == "bias_std" for one in space.dimensions], -np.inf, space.least)

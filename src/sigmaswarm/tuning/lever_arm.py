@@ -18,10 +18,10 @@ from sigmaswarm.drives.drive import Array, Drive, listed
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.sensors import sensors_of, suggest_filter
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.filter_run import FilterRun, Innovations
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import HALF_A_WHEELBASE, baseline_of
-from sigmaswarm.filters.recording import Innovations, Recording
 from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.config import TuneConfig, validated_config
@@ -302,4 +302,4 @@ def _run(ready: PreparedDrive, p: FilterParameters, at: Values, values: Values) 
     moved = replace(line, lever=lever, driving=driving)
     p = replace(p, **{name: value for name, value in values.items() if hasattr(p, name)})
     replay = Replay(moved, replace(start, mean=mean), Targets.none(moved))
-    return Recording(replay, p).finished().innovations
+    return FilterRun(replay, p).finished().innovations

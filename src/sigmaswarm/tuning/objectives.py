@@ -70,12 +70,12 @@ class Objective:
 
 
 def mean_cost(each: Array, worst: float = 1.0) -> Array:
-    """Return `worst_mean`, shape (n,); ``inf`` if any drive failed."""
-    cost = worst_mean(each, worst)
+    """Return `conditional_value_at_risk`, shape (n,); ``inf`` if any drive failed."""
+    cost = conditional_value_at_risk(each, worst)
     return np.where(np.isfinite(cost), cost, np.inf)
 
 
-def worst_mean(costs: Array, share: float) -> Array:
+def conditional_value_at_risk(costs: Array, share: float) -> Array:
     """Return the mean over the worst ``share`` of each row of costs, shape (n, m), as an array of shape (n,).
 
     If the share is not a whole number of values, the last one has a smaller weight (conditional value at risk: R. T.
@@ -181,7 +181,7 @@ _TERM = re.compile(r"\s*(?:(?P<weight>[0-9.]+(?:e[+-]?[0-9]+)?)\s*\*?\s*)?(?P<na
 
 
 @cache
-def objective_named(name: str) -> Objective:
+def parse_objective(name: str) -> Objective:
     """Return an objective, or a weighted sum of objectives such as ``truth-pose + 0.2 nees``."""
     terms = [_term(part, name) for part in name.split("+")]
     if len(terms) == 1 and terms[0][0] == 1.0:

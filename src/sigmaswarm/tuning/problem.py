@@ -22,7 +22,7 @@ from sigmaswarm.filters.fixes_alone import MotionNoise, noise_of
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import require_named_axes
 from sigmaswarm.scoring.batch import Scores
-from sigmaswarm.scoring.remote import Replays
+from sigmaswarm.scoring.remote import AnyBatchScorer
 from sigmaswarm.tuning.batch import check_drives, replays_for
 from sigmaswarm.tuning.bounds import Bounds
 from sigmaswarm.tuning.config import SearchConfig, TuneConfig
@@ -34,7 +34,7 @@ from sigmaswarm.tuning.diagnostics import (
     loss_warnings,
     scale_warnings,
 )
-from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
+from sigmaswarm.tuning.objectives import Objective, mean_cost, parse_objective
 from sigmaswarm.tuning.receiver import (
     accuracy_warnings,
     fix_noise,
@@ -109,7 +109,7 @@ class Problem(ABC, Generic[P]):
         """Compare the drift of a filter with that of fixes alone, by outage length."""
         return []
 
-    def why_none(self, point: Array) -> str | None:
+    def failure_reason(self, point: Array) -> str | None:
         """Return why the filter at a point failed, if known."""
         return None
 
@@ -120,11 +120,11 @@ class CarProblem(Problem[FilterParameters]):
 
     config: TuneConfig
     space: SearchSpace
-    replays: Replays
+    replays: AnyBatchScorer
 
     @cached_property
     def objective(self) -> Objective:
-        return objective_named(self.config.objective)
+        return parse_objective(self.config.objective)
 
     @cached_property
     def _receiver_std(self) -> Array:  # m, shape (m, 2)
@@ -196,13 +196,13 @@ class CarProblem(Problem[FilterParameters]):
 
 def costs_of_each(objective: str, scores: Scores) -> Array:
     """Return the costs of a named objective, shape (n_sets, n_drives)."""
-    return objective_named(objective).each(scores)
+    return parse_objective(objective).each(scores)
 
 
 def car_problem(
     drives: Sequence[Drive] | Dataset, config: TuneConfig, space: SearchSpace | None = None
 ) -> CarProblem:
-    objective = objective_named(config.objective)
+    objective = parse_objective(config.objective)
     if config.prior and not objective.nats:
         raise InputError(
             f"prior = {config.prior:g}: is in nats, but {objective.name} is not; leave prior out, or use "
@@ -229,7 +229,7 @@ def car_space(config: TuneConfig, drives: Sequence[Drive | Sensors]) -> SearchSp
         kind=config.kind,
         use=config.use,
         fix_std=float(np.median([one.receiver_std for one in have])),
-        has_truth=objective_named(config.objective).needs_truth,
+        has_truth=parse_objective(config.objective).needs_truth,
     )
 
 

@@ -22,7 +22,7 @@ from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
 from sigmaswarm.tuning.diagnostics import Forecast, describe_forecasts
-from sigmaswarm.tuning.objectives import objective_named
+from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.record import NOT_VALIDATED, TuningRecord, training_data_of, tuning_file
 from sigmaswarm.tuning.search import Trial, saved_trials
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE, RISE, Sensitivity
@@ -196,7 +196,7 @@ class Tuning(Generic[P]):
     def _meaning(self) -> str:
         if not isinstance(self.config, TuneConfig):
             return MODEL_OBJECTIVES[self.config.objective]
-        meaning, prior = objective_named(self.config.objective).summary, self.config.prior
+        meaning, prior = parse_objective(self.config.objective).summary, self.config.prior
         return (
             f"{meaning} + {prior:g} x the prior of R, if R is below the receiver's variance"
             if prior
@@ -268,7 +268,7 @@ class Tuning(Generic[P]):
         parameters: Any = record.filter if own else FilterParameters.load(file)
         values: dict[str, Any] = {**record.filter}
         if isinstance(config, TuneConfig):
-            has_truth = objective_named(config.objective).needs_truth
+            has_truth = parse_objective(config.objective).needs_truth
             space = search_space(
                 config.model, config.scale, kind=config.kind, use=config.use, has_truth=has_truth
             )
@@ -304,7 +304,7 @@ class Tuning(Generic[P]):
 
 
 def _remarks(t: Tuning[Any]) -> Iterator[str]:
-    p, objective, factor = t.parameters, objective_named(t.config.objective), t.inflation_factor
+    p, objective, factor = t.parameters, parse_objective(t.config.objective), t.inflation_factor
     car = p if isinstance(p, FilterParameters) else None
     yield from t.warnings
     if factor != 1.0:

@@ -15,7 +15,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
-from sigmaswarm.filters.parameters import SEARCHED, FilterParameters, clash
+from sigmaswarm.filters.parameters import SEARCHED, FilterParameters, incompatibility
 from sigmaswarm.filters.table import ParameterTable
 from sigmaswarm.tuning.bounds import Bounds, Dimension
 from sigmaswarm.tuning.options import Option, Scale
@@ -140,7 +140,7 @@ def search_space(
         raise InputError(f"a filter can't use {unknown[0]!r}; choose from {', '.join(OPTIONS)}")
     if "slip" in use and "lateral" not in use:
         raise InputError("slip is the tire slip of the lateral constraint; also use lateral")
-    if reason := clash(kind, use):
+    if reason := incompatibility(kind, use):
         raise InputError(reason)
     kinds, options = MODELS[model].kinds, MODELS[model].options or [o for o in OPTIONS if o != "imu-gate"]
     lacking = [option for option in use if option not in options]

@@ -36,7 +36,7 @@ from sigmaswarm.tuning.config import (
     validated_config,
 )
 from sigmaswarm.tuning.custom import model_problem
-from sigmaswarm.tuning.defaults import settled, with_filter
+from sigmaswarm.tuning.defaults import default_filter_options, settled
 from sigmaswarm.tuning.inflation import inflated
 from sigmaswarm.tuning.options import SearchOptions, TuneOptions
 from sigmaswarm.tuning.problem import Problem, car_problem
@@ -191,7 +191,7 @@ def _problem_of(
         sensors = [*data.map(sensors_of), *others.map(sensors_of)]
         given = None if start is None else filter_for(start, data)
         options = options if given is None else {"model": given.model, "kind": given.kind, **options}
-        config = settled(validated_config(TuneConfig, with_filter(options, sensors)[0]), sensors)
+        config = settled(validated_config(TuneConfig, default_filter_options(options, sensors)[0]), sensors)
         problem = car_problem(data, config)
         first = None if given is None else start_point(problem.space, given)
         robust = "robust" in config.use and "innovation-nll" in config.objective
@@ -250,7 +250,7 @@ def tune_problem(
     if not np.isfinite(cost):
         raise InputError(
             "no parameter set gave a finite cost: every filter failed on at least one drive; "
-            + (problem.why_none(point) or "check the drives for NaN and for values in wrong units")
+            + (problem.failure_reason(point) or "check the drives for NaN and for values in wrong units")
         )
     if isinstance(config, TuneConfig) and config.inflation:
         point, cost, factor = inflated(problem, point, cost, config.inflation, executor)

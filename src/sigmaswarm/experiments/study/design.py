@@ -33,11 +33,11 @@ from sigmaswarm.experiments.study.config import (
     ProtocolName,
     StudyConfig,
 )
-from sigmaswarm.scoring.batch import Passes, Replayer
-from sigmaswarm.scoring.remote import RemoteReplayer, Replays, map_prepared
+from sigmaswarm.scoring.batch import BatchScorer, Passes
+from sigmaswarm.scoring.remote import AnyBatchScorer, RemoteBatchScorer, map_prepared
 from sigmaswarm.simulation.conditions import simulate_many, simulated_source
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.defaults import objective_for, with_filter
+from sigmaswarm.tuning.defaults import default_filter_options, objective_for
 from sigmaswarm.tuning.racing import MANY
 
 if TYPE_CHECKING:
@@ -105,12 +105,12 @@ class Design:
             return [function(self.prepared[i]) for i in chosen]
         return map_prepared(self.remote.subset(chosen), function, as_recorded=True)
 
-    def replays(self, *, outages: bool) -> Replays:
+    def replays(self, *, outages: bool) -> AnyBatchScorer:
         seed = self.config.seed
         if self.remote is None:
-            return Replayer(self.prepared, outages=outages, outage_seed=seed)
+            return BatchScorer(self.prepared, outages=outages, outage_seed=seed)
         passes = Passes(outages=outages, outage_seed=seed, as_recorded=True)
-        return RemoteReplayer(self.remote, passes, _accept)
+        return RemoteBatchScorer(self.remote, passes, _accept)
 
     def tune_config(self, method: str, protocol: str) -> TuneConfig:
         c, particles, generations = self.config, self.config.particles, self.config.generations
@@ -143,7 +143,7 @@ class Design:
 
     @cached_property
     def _default_options(self) -> dict[str, Any]:
-        found, _ = with_filter({}, self.drives)
+        found, _ = default_filter_options({}, self.drives)
         return {**found, "objective": objective_for(self.drives, "auto", found["model"], found["use"])}
 
     def members(self, group: str) -> list[int]:
@@ -246,7 +246,7 @@ def _simulated(config: StudyConfig, executor: Executor | None, runs: int, **othe
     return list(simulate_many(config.maneuvers, config.environments, runs, executor=executor, **options))
 
 
-def _accept(_: Replayer) -> None:
+def _accept(_: BatchScorer) -> None:
     """Accept all drives."""
 
 

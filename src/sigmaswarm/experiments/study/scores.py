@@ -21,9 +21,9 @@ from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, noise_of
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, PAPER, baseline
 from sigmaswarm.filters.run import estimate_of, run_imu_only
-from sigmaswarm.scoring.batch import Replayer, Scores
+from sigmaswarm.scoring.batch import BatchScorer, Scores
 from sigmaswarm.scoring.drifts import rms_drift
-from sigmaswarm.scoring.remote import Replays
+from sigmaswarm.scoring.remote import AnyBatchScorer
 from sigmaswarm.scoring.score import score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_windows, tracking_replay
 from sigmaswarm.scoring.truth import root_mean
@@ -122,7 +122,7 @@ def score_all(
 class _Pass:
     """Prepared drives, a mask of the drives with room for an outage, and functions that compute measures."""
 
-    replays: Replays
+    replays: AnyBatchScorer
     fits: NDArray[np.bool_]
     take: Mapping[str, Callable[[Scores], Array]]
 
@@ -132,7 +132,7 @@ def _passes(design: Design) -> list[_Pass]:
     passes = [_Pass(design.replays(outages=True), np.ones(len(design.drives), dtype=np.bool_), TAKEN)]
     seed = design.config.seed
     for measure, length in design.config.long_outages.items():
-        replays = Replayer(design.prepared, outages=True, outage_length=length, outage_seed=seed)
+        replays = BatchScorer(design.prepared, outages=True, outage_length=length, outage_seed=seed)
         fits = [
             len(outage_windows(r.drive, r.initial, length=length, seed=seed)) > 0 for r in design.prepared
         ]

@@ -42,7 +42,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned.fitting import exact
 from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.scoring.tracks import Picture, save_tracks
-from sigmaswarm.tuning.objectives import objective_named
+from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.options import require_packages
 from sigmaswarm.tuning.problem import CarProblem, car_space
 from sigmaswarm.tuning.search import Search, Trial
@@ -244,7 +244,7 @@ def _tune_all(
     processes: int,
 ) -> dict[Task, Trial]:
     configs = {(p, m): design.tune_config(m, p) for p, m in design.config.tuned}
-    outages = {v: objective_named(config.objective).needs_outages for v, config in configs.items()}
+    outages = {v: parse_objective(config.objective).needs_outages for v, config in configs.items()}
     replays = {needed: design.replays(outages=needed) for needed in set(outages.values())}
     problems = {v: CarProblem(configs[v], spaces[v], [], replays[outages[v]]) for v in configs}
     folders = _result_folders(design, out)

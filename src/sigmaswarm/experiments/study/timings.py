@@ -15,10 +15,10 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.networks import Trained, Training
 from sigmaswarm.files import write_json
+from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.parameters import FilterKind, FilterParameters, ModelName
 from sigmaswarm.filters.presets import DEFAULTS
-from sigmaswarm.filters.recording import Recording
 from sigmaswarm.records import read_content
 from sigmaswarm.scoring.targets import tracking_replay
 
@@ -91,7 +91,7 @@ def _sample_us(own: Trained | FilterParameters, ready: PreparedDrive) -> float:
     for _ in range(2):
         replay = tracking_replay(ready)
         began = time.process_time()
-        run = own.learned.run(replay, own.parameters) if isinstance(own, Trained) else Recording(replay, own)
+        run = own.learned.run(replay, own.parameters) if isinstance(own, Trained) else FilterRun(replay, own)
         run.finished()
         took = 1e6 * (time.process_time() - began) / len(replay.timeline.imu_time)
     return took

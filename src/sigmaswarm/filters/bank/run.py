@@ -15,11 +15,11 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.filters.bank.live import LiveFilterBank
 from sigmaswarm.filters.bank.mixture import Mixture
+from sigmaswarm.filters.filter_run import EstimateChunk, Innovations, failure_at
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import Innovations, Piece, failure_at
 from sigmaswarm.filters.replay import Replay, require_readable
 from sigmaswarm.filters.run import Estimate, estimate_of, replay_of
 from sigmaswarm.geodesy import wrap_angle
@@ -102,7 +102,7 @@ class BankRun:
         """Times of the bank's resets in the pieces so far, s."""
         return self.bank.bank_restarts
 
-    def __iter__(self) -> Iterator[Piece]:
+    def __iter__(self) -> Iterator[EstimateChunk]:
         line, drive, bank = self._line, self._line.drive, self.bank
         last = len(drive.imu) - 1
         imu = [drive.imu.time, *(getattr(drive.imu, axis) for axis in FILTERS[self._model].imu)]
@@ -137,13 +137,15 @@ class BankRun:
                 at += len(states)
                 states, weights, lost = [], [], []
 
-    def _piece(self, time: Array, states: list[Array], weights: list[Array], lost: list[bool]) -> Piece:
+    def _piece(
+        self, time: Array, states: list[Array], weights: list[Array], lost: list[bool]
+    ) -> EstimateChunk:
         mixed = Mixture.of(np.array(states), np.array(weights), self._model)
         mixed.mean[:, THETA] = wrap_angle(mixed.mean[:, THETA])
         sound = np.isfinite(mixed.mean.sum(axis=1) + mixed.covariance.sum(axis=(1, 2)))
         if self.failure is None and not sound.all():
             self.failure = failure_at(self._line, float(time[np.argmin(sound)]))
-        return Piece(time, mixed.mean, mixed.covariance, sound, np.array(lost))
+        return EstimateChunk(time, mixed.mean, mixed.covariance, sound, np.array(lost))
 
     @property
     def log(self) -> BankLog:

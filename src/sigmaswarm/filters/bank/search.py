@@ -15,7 +15,14 @@ from sigmaswarm.drives.events import FIX, ODOMETER
 from sigmaswarm.drives.timeline import FIRST_AXIS, Q_SCALE
 from sigmaswarm.filters.bank.spread import Spread
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, SUM_ROWS, WIDEST, R
-from sigmaswarm.filters.compiled.run import NO_INNOVATIONS, NO_RECORD, NO_TARGETS, SINCE, new_place, run_lanes
+from sigmaswarm.filters.compiled.run import (
+    NO_INNOVATIONS,
+    NO_RECORD,
+    NO_TARGETS,
+    SINCE,
+    new_cursor,
+    run_lanes,
+)
 from sigmaswarm.filters.compiled.swarm import (
     EVIDENCE_COUNTS,
     EVIDENCE_LASTS,
@@ -84,7 +91,7 @@ class Steps:
 
     @property
     def _place(self) -> Array:
-        place = new_place()
+        place = new_cursor()
         if len(self.rows):
             place[SINCE] = self.rows[0, T_SINCE] - self.rows[0, T_STEP][Q_SCALE]
         return place

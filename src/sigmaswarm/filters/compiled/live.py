@@ -63,7 +63,7 @@ LEVER = slice(N_FILTER_STATE + 9, N_FILTER_STATE + 12)
 SAMPLE = slice(LEVER.stop, LEVER.stop + N_SAMPLE)  # the last sample
 LAST_SAMPLE = SAMPLE.start  # its time
 (
-    FIX_TIME, FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA, HAS_VELOCITY, KIND,
+    FIX_TIME, FIX_X, FIX_Y, FIX_VX, FIX_VY, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA, HAS_VELOCITY, KIND,
 ) = range(11)  # fmt: skip
 FIX_ROW = slice(FIX_X, HAS_VELOCITY)  # a row of `Timeline.fixes`
 N_FIX = 11

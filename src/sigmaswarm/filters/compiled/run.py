@@ -46,7 +46,7 @@ _NOTHING, NO_DEVIATIONS = readonly(np.empty(0)), readonly(np.empty((0, 4)))
 NO_TARGETS: TargetColumns = _NOTHING, _NOTHING, _NOTHING, _NOTHING, np.empty(0, dtype=np.bool_), NO_DEVIATIONS
 
 
-def new_place() -> Array:
+def new_cursor() -> Array:
     return np.zeros(5)
 
 

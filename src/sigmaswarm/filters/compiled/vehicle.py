@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sigmaswarm.drives.odometer import AGE, MORE, SPEED
-from sigmaswarm.drives.timeline import AX, FIX_THETA, FIX_U, FIX_V, FIX_VAR_THETA, GX, GY, GZ
+from sigmaswarm.drives.timeline import AX, FIX_THETA, FIX_VAR_THETA, FIX_VX, FIX_VY, GX, GY, GZ
 from sigmaswarm.filters.compiled.lanes import sincos, spread_of
 from sigmaswarm.filters.compiled.layout import C1, C2, LANES, R, at
 from sigmaswarm.filters.compiled.tilted12 import fold
@@ -26,7 +26,7 @@ def update_velocity(w, z, *, n):
     """Update with the receiver's velocity over ground, m/s east and north."""
     for l in range(LANES):
         w[R.R1, l] = w[R.R_VELOCITY, l]
-    take_velocity(w, z[FIX_U], z[FIX_V])
+    take_velocity(w, z[FIX_VX], z[FIX_VY])
 
 
 def update_standstill(w, u, *, n, gyro_biases, tilted):

@@ -11,7 +11,7 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.layout import R, state_rows
-from sigmaswarm.filters.compiled.run import new_place
+from sigmaswarm.filters.compiled.run import new_cursor
 from sigmaswarm.filters.divergence import Check, DivergenceMonitor, at_fix, check_times
 from sigmaswarm.filters.kernel_array import KernelArray, Sums
 from sigmaswarm.filters.models import THETA
@@ -25,7 +25,7 @@ SAMPLES = 10_000  # IMU samples in a piece (9 MB for planar8)
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class EstimateChunk:
     """Estimates at some consecutive IMU samples, after all fixes up to each sample."""
 
     time: Array  # (r,), s
@@ -35,9 +35,11 @@ class Piece:
     lost: NDArray[np.bool_]  # (r,), diverged and not yet reset; the estimate is the last fix
 
 
-def joined(pieces: Iterable[Piece]) -> Piece:
+def joined(pieces: Iterable[EstimateChunk]) -> EstimateChunk:
     parts = list(pieces)
-    return Piece(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Piece)))
+    return EstimateChunk(
+        *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(EstimateChunk))
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +72,7 @@ class Innovations:
         return np.asarray(np.linalg.solve(root, self.innovation[..., None])[..., 0], np.float64)
 
 
-class Recording:
+class FilterRun:
     """Run of a filter over a replay: an iterator of pieces. Sums and innovations are available after the last piece.
 
     ``samples``: number of IMU samples in a piece, which does not affect the results. ``recover``: reset the filter
@@ -97,7 +99,7 @@ class Recording:
     ) -> None:
         self._replay, self._array, self._samples = replay, KernelArray((parameters,)), samples
         self.initial = replay.initial
-        self._rows, self._place = start_replays([replay], self._array), new_place()
+        self._rows, self._place = start_replays([replay], self._array), new_cursor()
         self._state = state_rows(parameters.kernel)
         self._innovations = np.empty((len(replay.timeline.fixes), 5))
         self._checks = check_times(replay.timeline) if recover else None
@@ -112,10 +114,10 @@ class Recording:
         self._complete = False
         self.failure: str | None = None
 
-    def __iter__(self) -> Iterator[Piece]:
+    def __iter__(self) -> Iterator[EstimateChunk]:
         return self._pieces
 
-    def whole(self) -> Piece:
+    def whole(self) -> EstimateChunk:
         return joined(self)
 
     def finished(self) -> Self:
@@ -237,7 +239,7 @@ class Recording:
         fresh[added_up] = self._rows[0, added_up]
         self._rows[0] = fresh
 
-    def _piece(self, time: Array, record: Array, lost: NDArray[np.bool_]) -> Piece:
+    def _piece(self, time: Array, record: Array, lost: NDArray[np.bool_]) -> EstimateChunk:
         mean, covariance = state_estimate(record[:, :-1, 0].T, self._array.kernel)
         sound = (record[:, -1, 0] == 1.0) & np.isfinite(mean).all(axis=1) & self._array.plausible
         sound = np.logical_and.accumulate(sound & definite(covariance) & (self.failure is None))
@@ -245,7 +247,7 @@ class Recording:
         mean[~sound], covariance[~sound] = np.nan, np.nan
         if self.failure is None and not sound.all():
             self.failure = failure_at(self._replay.timeline, time[np.argmin(sound)])
-        return Piece(time, mean, covariance, sound, lost)
+        return EstimateChunk(time, mean, covariance, sound, lost)
 
     @property
     def sums(self) -> Sums:
@@ -265,7 +267,7 @@ class Recording:
             raise RuntimeError("take all pieces of the recording first")
 
 
-class PausingRecording(Recording):
+class InterruptibleRun(FilterRun):
     """A recording that calls `_at` after the IMU samples with the sorted indices ``_marks``, (k,)."""
 
     _marks: NDArray[np.intp]

@@ -12,8 +12,8 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.drives.timeline import build_timeline
+from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.replay import Replay, Targets, run_replays
 from sigmaswarm.filters.run import run_filter, run_innovations
 from sigmaswarm.scoring.targets import forecast_replay, tracking_replay
@@ -33,7 +33,7 @@ def replay_of(make, of=tracking_replay) -> Replay:
     return of(prepared(make()))
 
 
-def as_bits(recording: Recording) -> dict[str, bytes]:
+def as_bits(recording: FilterRun) -> dict[str, bytes]:
     whole = recording.whole()
     parts = (
         vars(whole) | vars(recording.sums) | {f"fix {k}": v for k, v in vars(recording.innovations).items()}
@@ -58,9 +58,9 @@ def test_pieces_of_any_length_give_the_whole_runs_bits(model: str, kind: str, op
         (replay_of(equipped, forecast_replay), (1000,)),
     ):
         n = len(replay.timeline.imu_time)
-        whole = as_bits(Recording(replay, p, samples=n))
+        whole = as_bits(FilterRun(replay, p, samples=n))
         for samples in (length % n for length in lengths):
-            in_pieces = as_bits(Recording(replay, p, samples=samples))
+            in_pieces = as_bits(FilterRun(replay, p, samples=samples))
             assert [name for name in whole if whole[name] != in_pieces[name]] == [], samples
         sums = run_replays([replay], [p])
         assert all(np.asarray(column).tobytes() == whole[name] for name, column in vars(sums).items())
@@ -69,7 +69,7 @@ def test_pieces_of_any_length_give_the_whole_runs_bits(model: str, kind: str, op
 @pytest.mark.parametrize("option", OPTIONS)
 def test_run_filter_and_run_innovations_are_its_pieces(option: str):
     p, drive = parameters("planar8", **OPTIONS[option]), equipped()
-    recording = Recording(replay_of(equipped), p, samples=300)
+    recording = FilterRun(replay_of(equipped), p, samples=300)
     whole, estimate, said = recording.whole(), run_filter(drive, p), run_innovations(drive, p)
     assert recording.failure is None
     for name in ("time", "mean", "covariance"):
@@ -86,7 +86,7 @@ def test_a_failure_in_one_piece_is_one_in_all_that_follow(samples: int):
     ill = replace(drive, imu=replace(drive.imu, ax=ax))
     start = initial_state(drive)
     line = build_timeline(ill, start.time)
-    recording = Recording(Replay(line, start, Targets.none(line)), parameters("planar5"), samples=samples)
+    recording = FilterRun(Replay(line, start, Targets.none(line)), parameters("planar5"), samples=samples)
     whole = recording.whole()
     sound = line.imu_time < drive.imu.time[2000]
     assert whole.sound.tolist() == sound.tolist()
@@ -97,7 +97,7 @@ def test_a_failure_in_one_piece_is_one_in_all_that_follow(samples: int):
 
 
 def test_sums_of_an_unfinished_recording_are_refused():
-    recording = Recording(replay_of(equipped), parameters("planar5"), samples=100)
+    recording = FilterRun(replay_of(equipped), parameters("planar5"), samples=100)
     next(iter(recording))
     with pytest.raises(RuntimeError, match="all pieces"):
         _ = recording.sums
@@ -111,10 +111,10 @@ def peak_of_pieces(drive: Drive) -> int:
     line = build_timeline(drive, start.time)
     replay, p = Replay(line, start, Targets.none(line)), parameters("planar8")
     replay.arrays(frozenset())
-    for _ in Recording(replay, p, samples=500):  # compiled, and all that is kept is there
+    for _ in FilterRun(replay, p, samples=500):  # compiled, and all that is kept is there
         pass
     tracemalloc.start()
-    for _ in Recording(replay, p, samples=500):
+    for _ in FilterRun(replay, p, samples=500):
         pass
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
@@ -148,7 +148,7 @@ def residuals(nu: np.ndarray, s: np.ndarray, p: FilterParameters) -> np.ndarray:
 @pytest.mark.parametrize("of", [tracking_replay, forecast_replay], ids=["tracking", "forecast"])
 def test_what_is_recorded_adds_up_to_the_sums(model: str, kind: str, option: str, of):
     p, replay = parameters(model, kind=kind, **OPTIONS[option]), replay_of(equipped, of)
-    recording = Recording(replay, p, samples=100)
+    recording = FilterRun(replay, p, samples=100)
     whole, line, targets = recording.whole(), replay.timeline, replay.targets
     said = recording.innovations
     nu, s = said.innovation, said.covariance
