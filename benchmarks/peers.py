@@ -40,7 +40,8 @@ from sigmaswarm import (
 from sigmaswarm.drives.outages import hidden_fixes
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.smoothing import Smoothing
-from sigmaswarm.scoring.drifts import SMOOTHED, Outages
+from sigmaswarm.scoring.drifts import Outages
+from sigmaswarm.scoring.methods import SMOOTHED
 from sigmaswarm.scoring.score import truth_at
 from sigmaswarm.scoring.targets import outage_windows, placements
 from sigmaswarm.tuning.optimizers import create_optimizer

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from sigmaswarm import SigmaswarmWarning, evaluate, read_drive, split_time, tune
-from sigmaswarm.scoring.drifts import BASELINE
-from sigmaswarm.scoring.measures import MEASURES, METHODS
+from sigmaswarm.scoring.measures import MEASURES
+from sigmaswarm.scoring.methods import BASELINE, METHODS
 
 KITTI = ("kitti-09-26-0022", "kitti-09-26-0101", "kitti-09-30-0018", "kitti-09-30-0033", "kitti-09-30-0034")
 

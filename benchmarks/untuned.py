@@ -15,7 +15,7 @@ import numpy as np
 from defaults import cases
 from sigmaswarm import FilterParameters, SigmaswarmWarning, evaluate
 from sigmaswarm.drives.sensors import suggest_filter
-from sigmaswarm.scoring.drifts import BASELINE
+from sigmaswarm.scoring.methods import BASELINE
 from sigmaswarm.tuning.space import search_space
 
 MEASURES = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m", "long_outage_drift_m")

@@ -34,7 +34,8 @@ from sigmaswarm.reports.page import Report, Section
 from sigmaswarm.reports.page import page as html_page
 from sigmaswarm.reports.tuning import save_tuning_figures
 from sigmaswarm.scoring.evaluation import Evaluation, evaluate
-from sigmaswarm.scoring.measures import MEASURES, METHODS
+from sigmaswarm.scoring.measures import MEASURES
+from sigmaswarm.scoring.methods import METHODS
 from sigmaswarm.scoring.targets import tracking_replay
 from sigmaswarm.scoring.tracks import (
     MOST_POINTS,

@@ -12,8 +12,8 @@ from sigmaswarm.exports.features import features_of, fill, in_range, values_of
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.robot_yaml import PLACES
-from sigmaswarm.scoring.drifts import BASELINE, OWN
 from sigmaswarm.scoring.evaluation import Evaluation
+from sigmaswarm.scoring.methods import AGAINST, BASELINE
 from sigmaswarm.versions import __version__
 
 FILE = "robot_localization.yaml"
@@ -111,7 +111,7 @@ def accuracy_section(evaluation: Evaluation) -> str:
     names = {
         BASELINE: "default process noise, same inputs",
         "tuned": "ekf.yaml",
-        OWN: evaluation.names.get(OWN, ""),
+        AGAINST: evaluation.names.get(AGAINST, ""),
     }
     for method, name in names.items():
         if method in evaluation.names:
@@ -119,7 +119,7 @@ def accuracy_section(evaluation: Evaluation) -> str:
             lines.append(f"| {name} | " + " | ".join("-" if v is None else f"{v:.3g}" for v in values) + " |")
     sentences = [
         _compared(evaluation, over, names[over], known[0])
-        for over in (BASELINE, OWN)
+        for over in (BASELINE, AGAINST)
         if over in evaluation.names and known
     ]
     seen = [name for name, found in evaluation.drives.items() if found.record.seen_s]
@@ -134,7 +134,7 @@ def _compared(evaluation: Evaluation, other: str, name: str, measure: str) -> st
     if not tuned or not theirs:
         return f"The errors of ekf.yaml and of {name} can't be compared, since one of these filters failed."
     title = evaluation.measures[measure].title
-    if other == OWN and theirs < tuned:
+    if other == AGAINST and theirs < tuned:
         return (
             f"The {title} of the {name.removeprefix('other ')} is {1 - theirs / tuned:.0%} lower: {theirs:.3g} m "
             f"instead of {tuned:.3g} m."

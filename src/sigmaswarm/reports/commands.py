@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.scoring.drifts import BANK, OWN, SMOOTHED
+from sigmaswarm.scoring.methods import AGAINST, BANK, SMOOTHED
 from sigmaswarm.scoring.records import EvaluationRecord
 from sigmaswarm.tuning.config import RENAMED, TuneConfig
 from sigmaswarm.tuning.defaults import with_default_guards
@@ -48,7 +48,7 @@ def evaluate_command(
     words = ["sigmaswarm", "evaluate", "tuning.toml", *drives, "--out", "again"]
     words += ["--outage-length", f"{setup.outage_length_s:g}", "--outage-seed", str(setup.outage_seed)]
     words += ["--as-recorded"] if setup.as_recorded else []
-    options = {OWN: ["--against", "against.toml"], SMOOTHED: ["--smooth"], BANK: ["--bank"]}
+    options = {AGAINST: ["--against", "against.toml"], SMOOTHED: ["--smooth"], BANK: ["--bank"]}
     words += [word for method in also for word in options.get(method, ())]  # the folder contains a network
     note = "tuning.toml is in the folder of this page. Replace the names of the drives by the paths of their folders."
     return shlex.join(words), note

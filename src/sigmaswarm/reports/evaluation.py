@@ -40,16 +40,16 @@ from sigmaswarm.reports.style import (
     many_styles,
 )
 from sigmaswarm.scoring.consistency import GATE_95
-from sigmaswarm.scoring.drifts import BASELINE, FIXES, LEARNED, OWN
 from sigmaswarm.scoring.evaluation import DriveResult, Evaluation
 from sigmaswarm.scoring.measures import Measure, with_outages
+from sigmaswarm.scoring.methods import AGAINST, BASELINE, FIXES, LEARNED
 from sigmaswarm.scoring.records import EVALUATION, EVALUATION_FILE, write_checksums
 from sigmaswarm.scoring.tracks import CLOSE_UP, MOVED, SHARES, Columns, Picture, Tracks
 from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, tuning_file
 from sigmaswarm.wording import names_shown
 
-DRAWN = ("raw_gps", BASELINE, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth")
+DRAWN = ("raw_gps", BASELINE, AGAINST, "tuned", *LEARNED, "swarm", "smoothed", "truth")
 """Series of a track from bottom to top. The truth is drawn above the tuned filter, whose line is wider."""
 HEADING_SHOWN = (1.0, 30.0)
 """Limits of the range of the heading axis, deg, since a diverged filter has large errors."""

@@ -16,8 +16,7 @@ from sigmaswarm.reports.tuning import (
     shown_config,
     what_was_tuned,
 )
-from sigmaswarm.scoring.drifts import BASELINE, FIXES, OWN
-from sigmaswarm.scoring.measures import ALSO, method_names
+from sigmaswarm.scoring.methods import AGAINST, ALSO, BASELINE, FIXES, method_names
 from sigmaswarm.scoring.records import (
     EVALUATION_FILE,
     SCORES_FILE,
@@ -36,9 +35,9 @@ from sigmaswarm.scoring.view import (
 from sigmaswarm.tuning.record import NOT_VALIDATED, TuningRecord
 from sigmaswarm.wording import in_order
 
-LINES = ("truth", *ALSO, "tuned", OWN, BASELINE, FIXES, "imu_only", "raw_gps")
+LINES = ("truth", *ALSO, "tuned", AGAINST, BASELINE, FIXES, "imu_only", "raw_gps")
 """Series of the tracks, from top to bottom."""
-SHOWN = ("truth", "tuned", *ALSO, OWN, BASELINE, "raw_gps")
+SHOWN = ("truth", "tuned", *ALSO, AGAINST, BASELINE, "raw_gps")
 VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
 """Verdicts on the consistency that the page shows as warnings."""
 BANK = (
@@ -60,11 +59,11 @@ def evaluation_report(folder: Path) -> Report:
             f"{folder}: scores.json, evaluation.json and tracks.npz contain different drives; "
             "repeat `sigmaswarm evaluate`"
         )
-    absent = {OWN, FIXES, *ALSO} - {*scores.mean}
+    absent = {AGAINST, FIXES, *ALSO} - {*scores.mean}
     labels = LABELS | dict(view.names)
     tracks = TrackView(drives, {m: labels[m] for m in LINES if m not in absent}, STYLES, SHOWN, "tuned")
     swarm = tuple(chart for drive in drives for chart in swarm_charts(drive))
-    also = [method for method in (OWN, *ALSO) if method in scores.mean]
+    also = [method for method in (AGAINST, *ALSO) if method in scores.mean]
     command, note = evaluate_command(list(scores.drives), setup, also=also)
     verdicts = view.verdicts()
     remarks = [*view.warnings(), *view.findings(), *(verdicts[kind] for kind in VERDICTS if kind in verdicts)]
@@ -104,7 +103,7 @@ def read_view(folder: Path, file: TuningRecord) -> EvaluationView:
     verify_checksums(folder, setup)
     other = setup.against and (setup.against.kind, setup.against.model)
     kind, model = str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5"))
-    names = method_names(kind, model, also=[m for m in (OWN, *ALSO) if m in scores.mean], against=other)
+    names = method_names(kind, model, also=[m for m in (AGAINST, *ALSO) if m in scores.mean], against=other)
     data = [with_training(drive, file.data) for drive in setup.data]
     return EvaluationView(scores, setup.model_copy(update={"data": data}), names)
 
@@ -112,7 +111,7 @@ def read_view(folder: Path, file: TuningRecord) -> EvaluationView:
 def _figures(view: EvaluationView) -> tuple[tuple[str, str, str], ...]:
     figures: list[tuple[str, str, str]] = []
     for name, measure in view.measures.items():
-        rival = OWN if OWN in view.scores.mean else view.best_baseline(name) or BASELINE
+        rival = AGAINST if AGAINST in view.scores.mean else view.best_baseline(name) or BASELINE
         tuned, other = view.scores.mean_of("tuned", name), view.scores.mean_of(rival, name)
         if tuned is not None:
             note = "" if other is None else f"{view.names[rival]}: {other:.3g} {measure.unit}"

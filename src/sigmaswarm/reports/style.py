@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from sigmaswarm.scoring.drifts import BASELINE, FIXES, OWN
-from sigmaswarm.scoring.measures import ALSO, METHODS, method_names
+from sigmaswarm.scoring.methods import AGAINST, ALSO, BASELINE, FIXES, METHODS, method_names
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ STUDY_STYLES: dict[str, Look] = {
     "raw_gps": STYLES["raw_gps"],
 }
 """Styles of the series in the tracks of a study, from top to bottom."""
-LABELS = {"truth": "truth", **method_names(also=(OWN, *ALSO)), **METHODS}
+LABELS = {"truth": "truth", **method_names(also=(AGAINST, *ALSO)), **METHODS}
 
 
 def many_styles(n: int, width: float) -> list[Look]:

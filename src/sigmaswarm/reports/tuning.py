@@ -19,7 +19,7 @@ from sigmaswarm.reports.evaluation import tracks
 from sigmaswarm.reports.figures import Chart, curve, figure_of, logarithmic, save
 from sigmaswarm.reports.page import Report, Section
 from sigmaswarm.reports.style import BLUE, LABELS, ORANGE, Look
-from sigmaswarm.scoring.measures import method_names
+from sigmaswarm.scoring.methods import method_names
 from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tables import Cell, Column, Table
 from sigmaswarm.tuning.config import SWARM

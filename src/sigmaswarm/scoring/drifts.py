@@ -24,14 +24,6 @@ from sigmaswarm.scoring.targets import (
 )
 from sigmaswarm.scoring.truth import root_mean
 
-SMOOTHED = "smoothed"  # the tuned filter, smoothed
-BANK = "swarm"  # a filter bank of the tuned filter
-LEARNED = ("outage-lstm", "noise-gru")
-OWN = "against"  # another tuning, or a user's own filter
-FIXES = "fixes_alone"  # a constant-velocity filter without IMU
-BASELINE = "untuned"  # the baseline
-
-
 Runs = Mapping[str, Callable[[Replay], Run]]
 
 

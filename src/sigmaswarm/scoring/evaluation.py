@@ -27,8 +27,9 @@ from sigmaswarm.filters.run import Innovations, run_imu_only
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
-from sigmaswarm.scoring.drifts import BANK, BASELINE, FIXES, OWN, SMOOTHED, Outages, Run, Runs
-from sigmaswarm.scoring.measures import ALSO, DRIFTS, MEASURES, METHODS, Measure, measures, method_names
+from sigmaswarm.scoring.drifts import Outages, Run, Runs
+from sigmaswarm.scoring.measures import DRIFTS, MEASURES, Measure, measures
+from sigmaswarm.scoring.methods import AGAINST, ALSO, BANK, BASELINE, FIXES, METHODS, SMOOTHED, method_names
 from sigmaswarm.scoring.radius import TRACKING, RadiusRecord, lasting_variance, radius_record
 from sigmaswarm.scoring.records import (
     AGAINST_FILE,
@@ -230,7 +231,7 @@ class Evaluation:
     @property
     def record(self) -> ScoresRecord:
         """The content of scores.json."""
-        drives, rivals = self.drives, [m for m in (OWN, BASELINE, FIXES) if m in self.names]
+        drives, rivals = self.drives, [m for m in (AGAINST, BASELINE, FIXES) if m in self.names]
         failed = {name: [m for m, s in found.scores.items() if s.failed] for name, found in drives.items()}
         return ScoresRecord(
             drives={d: {m: {k: self.value(d, m, k) for k in MEASURES} for m in self.names} for d in drives},
@@ -341,7 +342,7 @@ def evaluate(
         found[name] = each if name == drive else each.called(name)
         if seen is not None and marks is not None and (overlap := known_overlap(marks, seen)) is not None:
             found[name] = found[name].seen_in(overlap)
-    also = (*([OWN] if other else []), *chosen.further(parameters))
+    also = (*([AGAINST] if other else []), *chosen.further(parameters))
     against = None if other is None else (other.kind, other.model)
     names = method_names(parameters.kind, parameters.model, also=also, against=against)
     return Evaluation(
@@ -361,7 +362,7 @@ def _evaluated(
 ) -> tuple[str, DriveResult, Landmarks | None]:
     """Run every method over a drive; return its name, the results and, if ``marked``, its landmarks."""
     marks = landmarks(drive) if marked else None
-    own = {} if options.against is None else {OWN: options.against}
+    own = {} if options.against is None else {AGAINST: options.against}
     filters = compared(drive, parameters) | own
     ready = PreparedDrive(drive, as_recorded=options.as_recorded)
     tracker = Tracker(ready, picture=True)
@@ -390,7 +391,7 @@ def _evaluated(
     radii = {m: _radius(drive, parameters, of.stated) for m, of in outages.items()}
     found = replace(
         passed,
-        scores={method: scores[method] for method in (OWN, "tuned", *ALSO, *METHODS) if method in scores},
+        scores={method: scores[method] for method in (AGAINST, "tuned", *ALSO, *METHODS) if method in scores},
         consistency=consistency,
         tracks=tracker.tracks(drive.name),
         picture=tracker.picture(drive.name),

@@ -1,65 +1,12 @@
-"""Methods and measures of a comparison, and their display names."""
+"""Measures of a comparison, and their display names."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from sigmaswarm.scoring.drifts import BANK, BASELINE, FIXES, LEARNED, OWN, SMOOTHED
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
-
-METHODS = {
-    "tuned": "tuned filter",
-    BASELINE: "baseline",
-    FIXES: "fixes alone",
-    "raw_gps": "raw GPS",
-    "imu_only": "IMU only",
-}
-"""Display names of the rows of every comparison."""
-HOW_FIXES = "Fixes alone is a constant-velocity filter without the IMU; its noise parameters are fitted to {}"
-HOW_TO_COMPARE = (
-    "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
-)
-ALSO = {SMOOTHED: "tuned, smoothed", BANK: "tuned, filter bank"} | {
-    name: f"tuned, {name}" for name in LEARNED
-}
-"""Optional rows after the tuned filter."""
-
-
-def filter_called(kind: str, model: str) -> str:
-    name = kind.replace("-", " ").replace("ukf", "UKF").replace("ekf", "EKF")
-    return name if model == "planar5" else f"{name}, {model}"
-
-
-def method_names(
-    kind: str = "ukf",
-    model: str = "planar5",
-    *,
-    also: Collection[str] = (),
-    against: tuple[str, str] | None = None,
-) -> dict[str, str]:
-    """Return the display names of the methods.
-
-    ``also``: optional rows from `ALSO`; `OWN` adds the row of another filter. ``against``: type and model of that
-    filter, if known.
-    """
-    first = {OWN: f"other {filter_called(*against) if against else 'filter'}"} if OWN in also else {}
-    first |= {"tuned": f"tuned {filter_called(kind, model)}"}
-    return first | {method: name for method, name in ALSO.items() if method in also} | METHODS | first
-
-
-def baseline_note(tuned: str) -> str:
-    if tuned.endswith("robot-localization"):
-        return (
-            "The baseline is robot_localization with its default process noise, the IMU's variances 0.0001 rad2/s2 "
-            "and 0.01 m2/s4, and the stated accuracy of the fixes (else 2.1 m)"
-        )
-    return (
-        "The baseline is the tuned filter's model without tuning: R is from the stated or observed accuracy of "
-        "the fixes (else 2.1 m), and Q is from the IMU's noise density (else that of an MPU-6050) and typical "
-        "errors of the model"
-    )
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ import numpy as np
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.filters.divergence import describe_restarts
 from sigmaswarm.scoring.consistency import CORRELATED, Consistency
-from sigmaswarm.scoring.drifts import BASELINE, FIXES
-from sigmaswarm.scoring.measures import DRIFTS, METHODS, POSITION_MEASURES, Measure
+from sigmaswarm.scoring.measures import DRIFTS, POSITION_MEASURES, Measure
+from sigmaswarm.scoring.methods import BASELINE, FIXES, METHODS
 from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import FirstTrack
 from sigmaswarm.wording import counted

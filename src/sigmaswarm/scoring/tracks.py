@@ -24,7 +24,8 @@ from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import Estimate, replay_of
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
-from sigmaswarm.scoring.drifts import BASELINE, Run
+from sigmaswarm.scoring.drifts import Run
+from sigmaswarm.scoring.methods import BASELINE
 from sigmaswarm.scoring.score import PieceErrors, Score, distance_from, score_raw_gps
 from sigmaswarm.scoring.thinning import CloseUp, Columns, Thinned
 from sigmaswarm.scoring.truth import is_known

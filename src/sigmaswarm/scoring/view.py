@@ -6,17 +6,8 @@ from dataclasses import dataclass
 from sigmaswarm import notebook
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
 from sigmaswarm.scoring.consistency import FORECASTS, Consistency, size_of, verdicts
-from sigmaswarm.scoring.drifts import BASELINE, FIXES, OWN
-from sigmaswarm.scoring.measures import (
-    DRIFTS,
-    HOW_FIXES,
-    HOW_TO_COMPARE,
-    NO_OUTAGES,
-    Measure,
-    baseline_note,
-    measures,
-    with_outages,
-)
+from sigmaswarm.scoring.measures import DRIFTS, NO_OUTAGES, Measure, measures, with_outages
+from sigmaswarm.scoring.methods import AGAINST, BASELINE, FIXES, HOW_FIXES, HOW_TO_COMPARE, baseline_note
 from sigmaswarm.scoring.radius import DOF, LEVELS, LOW, TRACKING, RadiusRecord, factor_of
 from sigmaswarm.scoring.records import EvaluationRecord, Measured, ScoresRecord
 from sigmaswarm.scoring.remarks import (
@@ -158,7 +149,7 @@ class EvaluationView:
             tuned = mean_of("tuned", measure)
             if tuned is None:
                 continue
-            rivals = (OWN, self.best_baseline(measure))  # a gain over a worse method would be misleading
+            rivals = (AGAINST, self.best_baseline(measure))  # a gain over a worse method would be misleading
             each = [
                 _compared(tuned, value, self.names[m]) for m in rivals if m and (value := mean_of(m, measure))
             ]
@@ -198,7 +189,7 @@ class EvaluationView:
         return (
             *([f"{baseline_note(self.names['tuned'])}."] if BASELINE in methods else []),
             *([f"{HOW_FIXES.format(fitted)}."] if FIXES in methods else []),
-            *([] if OWN in methods else [f"{HOW_TO_COMPARE}."]),
+            *([] if AGAINST in methods else [f"{HOW_TO_COMPARE}."]),
         )
 
     def radii(self) -> tuple[str, ...]:

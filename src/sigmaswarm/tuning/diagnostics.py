@@ -21,7 +21,8 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import replay_of
-from sigmaswarm.scoring.drifts import BASELINE, FIXES, Outages
+from sigmaswarm.scoring.drifts import Outages
+from sigmaswarm.scoring.methods import BASELINE, FIXES
 from sigmaswarm.scoring.remote import AnyBatchScorer
 from sigmaswarm.scoring.targets import FORECAST_LENGTHS, LONG_OUTAGE_LENGTH, OUTAGE_LENGTH
 from sigmaswarm.tuning.objectives import Objective
