@@ -59,26 +59,24 @@ class Kernel:
     ``known`` contains the values of keyword-only parameters and of globals.
     """
 
-    is_kernel = True
-
     def __init__(self, function: Callable[..., Any], change: Change | None, known: Names) -> None:
         self.source, self._change, self.known = function, change, known
         self.__name__ = function.__name__
 
     @cached_property
     def written(self) -> Written:
-        return _patiently(_changed, self.source, self._change, self.known)
+        return _with_retries(_transformed, self.source, self._change, self.known)
 
     @cached_property
     def name(self) -> str:
-        return _name(self.source, self.known)
+        return _qualified_name(self.source, self.known)
 
     @cached_property
-    def _made(self) -> Callable[..., Any]:
-        return _made(self.source, self.written, self.name)
+    def _compiled(self) -> Callable[..., Any]:
+        return _compiled(self.source, self.written, self.name)
 
     def __call__(self, *arguments: Any) -> None:
-        self._made(*arguments)
+        self._compiled(*arguments)
 
 
 def unrolled(
@@ -91,10 +89,12 @@ def unrolled(
 
     ``change``: see `Change`. ``known`` can also contain globals.
     """
-    return _patiently(lambda: _made(function, _changed(function, change, known), _name(function, known)))
+    return _with_retries(
+        lambda: _compiled(function, _transformed(function, change, known), _qualified_name(function, known))
+    )
 
 
-def _patiently(make: Callable[..., T], *arguments: Any) -> T:
+def _with_retries(make: Callable[..., T], *arguments: Any) -> T:
     for _ in range(9):
         try:
             return make(*arguments)
@@ -103,11 +103,11 @@ def _patiently(make: Callable[..., T], *arguments: Any) -> T:
     return make(*arguments)
 
 
-def _name(function: Callable[..., Any], known: Names) -> str:
-    return f"{function.__qualname__}_{_distinct(known)}" if known else function.__qualname__
+def _qualified_name(function: Callable[..., Any], known: Names) -> str:
+    return f"{function.__qualname__}_{_hash_of(known)}" if known else function.__qualname__
 
 
-def _changed(function: Callable[..., Any], change: Change | None, known: Names) -> Written:
+def _transformed(function: Callable[..., Any], change: Change | None, known: Names) -> Written:
     definition, names = written_out(function, **known)
     definition = _copied(definition)
     if change is not None:
@@ -115,7 +115,7 @@ def _changed(function: Callable[..., Any], change: Change | None, known: Names) 
     return Written(definition, names)
 
 
-def _made(function: Callable[..., Any], written: Written, name: str) -> Callable[..., Any]:
+def _compiled(function: Callable[..., Any], written: Written, name: str) -> Callable[..., Any]:
     tree = ast.fix_missing_locations(ast.Module([written.definition], []))
     defined: Names = {}
     exec(compile(tree, function.__code__.co_filename, "exec"), written.names, defined)
@@ -124,7 +124,7 @@ def _made(function: Callable[..., Any], written: Written, name: str) -> Callable
     return made
 
 
-def _distinct(known: Names) -> str:
+def _hash_of(known: Names) -> str:
     """Return a hash of bound names, which distinguishes functions that are generated from one function.
 
     Numba names machine code after a function's qualified name and the number of compilations in the process. So kernels
@@ -188,7 +188,7 @@ class _Writer(ast.NodeTransformer):
         if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name)):
             return node
         kernel: Any = self.names.get(call.func.id)
-        return self._spliced(kernel.written, call.args) if hasattr(kernel, "is_kernel") else node
+        return self._spliced(kernel.written, call.args) if isinstance(kernel, Kernel) else node
 
     def _spliced(self, written: Written, arguments: list[ast.expr]) -> list[ast.stmt]:
         """Replace a call of a kernel by its statements, with unique names."""
