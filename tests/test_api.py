@@ -89,6 +89,9 @@ def test_an_import_and_a_look_take_the_settings_of_the_command_line(tmp_path):
     outside = "log.csv: gps: 600 of 2000 fixes lie outside of .*; the IMU's first 12 s have no fixes"
     with pytest.warns(sigmaswarm.SigmaswarmWarning, match=outside):
         sigmaswarm.import_log(tmp_path / "log.csv", gps_offset_s=12.0)
+    notes: list[str] = []
+    sigmaswarm.import_log(tmp_path / "log.csv", say=notes.append, gps_offset_s=12.0)  # without warnings
+    assert any("lie outside" in note for note in notes)
 
 
 @pytest.mark.parametrize("old", ["LiveSwarm", "run_swarm", "datasheet"])

@@ -2,7 +2,7 @@
 
 import tempfile
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -63,7 +63,9 @@ def tuned_filter(given: Filter) -> TunedFilter:
     return TunedFilter(parameters, as_recorded, list(seen) or None, tuning.fixes_alone, *imu)
 
 
-def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> Drive:
+def import_log(
+    log: str | Path, *, name: str | None = None, say: Callable[[str], Any] | None = None, **settings: Any
+) -> Drive:
     """Make a drive from a log of another format, as `sigmaswarm import` does.
 
     Parameters
@@ -72,6 +74,8 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
         File or folder with the samples of the IMU.
     name : str, optional
         Name of the drive; by default the name of the log.
+    say : callable, optional
+        Receives the notes; by default they are warnings.
     **settings
         ``gps``, ``truth``, ``odometer``: further logs. ``format``, ``maps`` ({"ax": "acc_x*g"}), ``tables`` ({"imu":
         "/imu/data"}), ``time``, ``recipe`` (a file) and settings of a recipe, such as ``mount``, ``gps_offset_s``,
@@ -101,7 +105,7 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
     if unshared := unshared_times(drive.imu.time, drive.gps.time):
         notes.append(str(unshared).replace(".csv", ""))
     for note in notes:
-        warnings.warn(SigmaswarmWarning(f"{log}: {note}"), stacklevel=2)
+        say(note) if say else warnings.warn(SigmaswarmWarning(f"{log}: {note}"), stacklevel=2)
     return drive
 
 

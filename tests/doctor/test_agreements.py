@@ -7,7 +7,7 @@ import pytest
 
 import sigmaswarm
 from sigmaswarm.doctor.agreements import FINDINGS, Agreement, agreements, shown_by
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Drive, Gps, Imu
 from support import make_drive
 
 DRIVE = make_drive(duration=60.0, gps_rate=5.0, seed=3, name="monday")
@@ -47,6 +47,15 @@ def test_a_fault_is_seen(key: str, most: float, spoiled: dict[str, np.ndarray]):
 def test_pieces_of_the_course_are_placed_on_the_gyro():
     """After a stop the course may have lost whole turns: the pieces agree, and the drift of the gyro is taken off."""
     assert off(with_imu(gz=DRIVE.imu.gz + 0.01), "turning") == pytest.approx(off(DRIVE, "turning"), abs=0.2)
+
+
+@pytest.mark.parametrize(("sign", "shown"), [(1.0, False), (-1.0, True)])
+def test_a_wrong_sign_is_seen_in_circles(sign: float, shown: bool):
+    """A constant turn of the wrong sign is not a bias."""
+    time, at, rate = np.arange(0.0, 60.0, 0.02), np.arange(0.0, 60.0), 0.3
+    imu = Imu(time, 0 * time, 0 * time + 3 * rate, 0 * time + sign * rate)
+    drive = Drive("circles", imu, Gps(at, 10 * np.sin(rate * at), 10 * (1 - np.cos(rate * at))))
+    assert (off(drive, "turning") > 90.0) == shown
 
 
 def test_a_short_drive_has_what_it_can_show():

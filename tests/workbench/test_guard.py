@@ -1,5 +1,6 @@
 """Who may see the workbench, what may be read, and how much may be sent."""
 
+import asyncio
 import http.client
 from pathlib import Path
 from typing import Any
@@ -70,6 +71,21 @@ def test_guard(tmp_path: Path, serve: Any):
     assert status == 200
     assert "drive.toml" in packed
     assert "link.csv" not in packed
+
+
+def test_a_body_without_a_length_is_bounded(monkeypatch: pytest.MonkeyPatch):
+    """An upload in chunks ends as soon as it is too long."""
+    from sigmaswarm.workbench import server
+
+    async def chunk() -> dict[str, Any]:
+        return {"type": "http.request", "body": b"1234"}
+
+    async def taken() -> list[str]:
+        receive = server.Guard._bounded(chunk)
+        return [(await receive())["type"] for _ in range(3)]
+
+    monkeypatch.setattr(server, "MOST_UPLOADED", 10)
+    assert asyncio.run(taken()) == ["http.request", "http.request", "http.disconnect"]
 
 
 def test_names_and_sources(tmp_path: Path):

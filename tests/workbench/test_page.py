@@ -1,5 +1,6 @@
 """The steps one by one: faults next to their columns, repairs and the way back, the keyboard, contrast."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,6 @@ def wrong_sign(folder: Path) -> Path:
     """A drive whose gyro turns the other way."""
     drive = make_drive(duration=DURATION, gps_rate=5.0, seed=3, name="monday")
     imu = Imu(drive.imu.time, drive.imu.ax, drive.imu.ay, -drive.imu.gz)
-    from dataclasses import replace
-
     return sigmaswarm.write_drive(replace(drive, imu=imu), folder / "drives" / "monday")
 
 
@@ -91,6 +90,13 @@ def test_cuts(tmp_path: Path, serve: Any, tab: Any):
     assert last[0] >= 25.0
     page.goto(served.url + "tune")
     expect(page.get_by_role("combobox", name="monday", exact=True)).to_have_value("leave it out")
+    page.get_by_text("Filter: planar5").wait_for()
+    page.bring_to_front()  # a list opens in the tab in front only
+    page.get_by_role("combobox", name="Measurements").click()
+    for name in ("lateral", "robust"):  # the list stays open
+        page.get_by_role("option", name=name, exact=True).click()
+    page.keyboard.press("Escape")
+    page.get_by_text("Filter: planar5 with lateral, robust").wait_for()
 
 
 def test_broken_log_and_faults(tmp_path: Path, serve: Any, tab: Any):
@@ -108,23 +114,28 @@ def test_broken_log_and_faults(tmp_path: Path, serve: Any, tab: Any):
     drop(page, sorted(file.parent.iterdir()))
     row = page.locator(".column-row", has=page.get_by_text("gz", exact=True))
     expect(row.locator(".wrong").first).to_contain_text("gz")
+    page.evaluate("scrollTo(0, document.body.scrollHeight)")
+    expect(page.locator(".message.bad")).to_be_in_viewport()
     expect(page.get_by_role("button", name="Make the drive")).to_be_disabled()
 
 
 def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
     """Keys alone do all five steps; the checker objects to nothing on any page."""
     drive = make_drive(duration=DURATION, gps_rate=5.0, seed=3, name="monday")
-    log = sigmaswarm.write_drive(drive, tmp_path / "log")
+    assert drive.truth is not None
+    turned = replace(drive.truth, theta=drive.truth.theta + 8 * np.pi)
+    log = sigmaswarm.write_drive(replace(drive, truth=turned), tmp_path / "log")
     sigmaswarm.tune(drive, out=tmp_path / "bench" / "tunings" / "monday", **SMALL)
-    served = serve(tmp_path / "bench", log)
+    served = serve(tmp_path / "bench", log, logs={str(log): {"mount": "0,0,0.5"}})
     page = tab(served.url + "log")
+    page.get_by_text("truth: the heading converted from radians").wait_for()  # a note of the import
     page.get_by_role("button", name="Make the drive").wait_for()
     assert contrast_of(page) == []
     tab_to(page, "yaw, degrees")
-    for angle in (1, 2, 3):
+    for angle in (1.5, 2.5, 3.5):
         page.keyboard.press("ArrowRight")
         page.get_by_text(f"yaw {angle}°").wait_for()
-    expect(page.locator("pre")).to_contain_text("--mount=0,0,3")
+    expect(page.locator("pre")).to_contain_text("--mount=0,0,3.5")
     tab_to(page, "Make the drive")
     page.keyboard.press("Enter")
     page.get_by_text("wrote drives/log").wait_for()
@@ -145,9 +156,14 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
     tab_to(page, "Start")
     page.keyboard.press("Enter")
     page.get_by_role("cell", name="log", exact=True).wait_for()
+    page.set_viewport_size({"width": 390, "height": 844})
+    cells = page.locator("table.stacks td").all()
+    assert len({cell.bounding_box()["x"] for cell in cells}) == 1  # one below the other
+    assert contrast_of(page) == []
+    page.set_viewport_size({"width": 1280, "height": 900})
     for step, name, do, done in (
         ("judge", "Judge", "Evaluate", "Next: export it"),
-        ("take", "Take away", "Write C99", "wrote 1"),
+        ("take", "Next: export it", "Write Python", "wrote 1 file to"),
     ):
         tab_to(page, name)
         page.keyboard.press("Enter")
@@ -157,6 +173,7 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
         tab_to(page, do)
         page.keyboard.press("Enter")
         page.get_by_text(done).wait_for()
+    expect(page.locator("pre")).to_contain_text(f"{tmp_path / 'bench' / 'drives' / 'log'}")
 
 
 def test_envelope_keeps_all_peaks():

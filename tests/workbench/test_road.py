@@ -128,12 +128,33 @@ def name_columns(page: Any) -> None:
     settle(page)
 
 
+def find_mounting(page: Any) -> None:
+    """Follow the note."""
+    page.get_by_text("press 'Find it in the log'").wait_for()
+    page.get_by_role("button", name="Find it in the log").click()
+    page.get_by_text("deg found in the log").wait_for()
+    settle(page)
+
+
+def set_offset(page: Any) -> None:
+    """Leave the reading of the log with this choice unfinished."""
+    page.get_by_text("More settings").click()
+    page.get_by_label("Seconds to add").fill("0.02")
+
+
+SIZES = {"particles": 8, "generations": 3, "seed": 5}
+
+
 def take_away(page: Any, folder: Path) -> None:
     """From a checked drive to a built C filter that has run."""
     page.get_by_role("link", name="Next: tune a filter on it").click()
     page.get_by_text("Filter: planar5").wait_for()
+    for name, size in SIZES.items():  # without a pause
+        page.get_by_label(name, exact=True).fill(str(size))
     page.get_by_role("button", name="Start").click()
     page.get_by_role("link", name="Next: judge it").click()
+    (tuned,) = (folder / "tunings").iterdir()
+    assert SIZES.items() <= sigmaswarm.Tuning.load(tuned).config.model_dump().items()
     page.get_by_role("button", name="Evaluate").click()
     report = page.frame_locator("iframe")
     report.get_by_role("heading", name="Evaluation of planar5").wait_for()
@@ -148,18 +169,20 @@ def take_away(page: Any, folder: Path) -> None:
         assert len(pl.read_csv(exported / "estimate.csv")) > 100
 
 
-@pytest.mark.parametrize(("write", "prepare"), [(odd_csv, name_columns), (phone, None), (bag, None)])
+@pytest.mark.parametrize(
+    ("write", "prepare"), [(odd_csv, name_columns), (phone, find_mounting), (bag, set_offset)]
+)
 def test_road(write: Any, prepare: Any, tmp_path: Path, serve: Any, tab: Any):
     """To a drive that the shown command makes, too, and on to a filter in C."""
     files = write(tmp_path / "log")
     served = serve(tmp_path / "bench")
     page = tab(served.url)
     drop(page, files)
-    if prepare:
-        prepare(page)
+    prepare(page)
+    page.get_by_role("button", name="Make the drive").click()
+    page.get_by_role("link", name="Next: check it").wait_for()
     assert page.locator(".message.bad").all_inner_texts() == []
     line = page.locator("pre").inner_text()
-    page.get_by_role("button", name="Make the drive").click()
     page.get_by_role("link", name="Next: check it").click()
     page.get_by_role("heading", name="No serious finding").wait_for()
     take_away(page, served.folder)

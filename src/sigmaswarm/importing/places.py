@@ -85,6 +85,7 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
         ("radians clockwise from north", np.pi / 2 - angle),
         ("degrees counter-clockwise from east", np.radians(angle)),
         ("degrees clockwise from north", np.pi / 2 - np.radians(angle)),
+        ("radians that grow beyond a turn", np.degrees(angle)),
     )
     errors = [float(np.median(np.abs(wrap_angle(a[rows] - course)))) for _, a in conventions]
     best = int(np.argmin(errors))

@@ -132,8 +132,9 @@ def explain_tuning(drives: Sequence[Drive | Sensors], **options: Any) -> list[st
     options, because = default_filter_options(options, sensors)
     config = settled(validated_config(TuneConfig, options), sensors)
     sets, trials = config.particles * config.generations * config.trials, counted(config.trials, "trial")
+    given = config.model + (f" with {', '.join(config.use)}" if config.use else "")
     return [
-        f"Filter: {because or config.model}",
+        f"Filter: {because or given}",
         f"Objective: {config.objective}: {parse_objective(config.objective).summary}",
         f"Search: {config.optimizer} with {sets} parameter sets, {trials}, seed {config.seed}",
     ]

@@ -130,7 +130,7 @@ class CheckPage(Page):
                 description = "kept only {:g} to {:g} s".format(*step["keep"])
             rest = [*self.steps[:number], *self.steps[number + 1 :]]
             with card("done"), line("between"):
-                text("h3", description)
+                text("h2", description)
                 back = button("Undo", lambda rest=rest: self._do("undoing the step", rest), "undo")
                 back.props(f'aria-label="Undo: {description}"').set_enabled(not self.waiting)
 
@@ -193,9 +193,9 @@ class CheckPage(Page):
         drive = self.stages[-1]
         time = drive.imu.time
         low, high = float(time[0]), float(time[-1])
-        series = {"gz": (time, drive.imu.gz)}
+        series = {"gz, rad/s": (time, drive.imu.gz)}
         if drive.gps.speed is not None:
-            series["speed / 10"] = (drive.gps.time, drive.gps.speed / 10)
+            series["speed, 10 m/s"] = (drive.gps.time, drive.gps.speed / 10)
 
         def selected(a: float, b: float) -> None:
             begin.value, end.value = round(max(a, low), 2), round(min(b, high), 2)
@@ -211,7 +211,7 @@ class CheckPage(Page):
                     with line():
                         begin = ui.number("from, s", value=round(low, 2)).classes("grow")
                         end = ui.number("to, s", value=round(high + 0.01, 2)).classes("grow")
-                    time_plot("Select a part", "rad/s", series, on_select=selected)
+                    time_plot("Select a part", "", series, on_select=selected)
                     with line():
                         keep = button(
                             "Keep only this part", lambda: self.add({"keep": span()}), "content_cut"

@@ -71,7 +71,7 @@ class JudgePage(Page):
         self.refresh()
 
     def _evaluate(self, chosen: dict[str, Any]) -> str:
-        """Evaluate and save. Return the name of the evaluation."""
+        """Evaluate, save, and write the report. Return the name of the evaluation."""
         folder, rival = self.bench.path("tunings", chosen["tuning"]), chosen.get("against")
         tuning = Tuning.load(folder)
         against = Tuning.load(self.bench.path("tunings", rival)) if rival else None
@@ -79,7 +79,9 @@ class JudgePage(Page):
         found = sigmaswarm.evaluate(drives, tuning, against=against)
         stem = f"{chosen['tuning']}-against-{rival}" if rival else chosen["tuning"]
         name = self.bench.free("evaluations", stem)
-        save_evaluation(found, self.bench.path("evaluations", name), folder)
+        made = self.bench.path("evaluations", name)
+        save_evaluation(found, made, folder)
+        sigmaswarm.report(made, made / "page.html")
         return name
 
     def _result(self) -> None:

@@ -1,6 +1,7 @@
 """Step 1: show the content of a log, and convert it to a drive."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from nicegui import ui
@@ -8,7 +9,7 @@ from nicegui.events import MultiUploadEventArguments
 
 from sigmaswarm import write_drive
 from sigmaswarm.importing import choices as columns
-from sigmaswarm.workbench.mounting_panel import MountingPanel
+from sigmaswarm.workbench.mounting_panel import FIND, MountingPanel
 from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.parts import button, card, command, line, link, select, text
 from sigmaswarm.workbench.plots import agreement_plot, show_map
@@ -21,6 +22,7 @@ class LogPage(OpenLog):
         super().__init__(bench)
         self.panels: list[TablePanel] = []
         self.mounting = MountingPanel(self)
+        self.finished = self._finishing
 
     def content(self) -> None:
         if self.opened != self.bench.log:
@@ -44,8 +46,10 @@ class LogPage(OpenLog):
             tables = self.inspection.tables if self.inspection else ()
             self.panels = [TablePanel(self, self.inspection, table) for table in tables if self.inspection]
             self._tables.refresh()
-        for part in (self.status, self._notes, self._agreement, self._finish):
+        for part in (self.status, self._notes, self._agreement, self._command):
             part.refresh()
+        if self.finished != self._finishing:
+            self._finish.refresh()
         if self.mounting.shown != self.mounting.state:
             self.mounting.show.refresh()
 
@@ -92,7 +96,8 @@ class LogPage(OpenLog):
             )
             self.status.refresh()
             return
-        folder = self.bench.path("logs", self.bench.free("logs", dropped or Path(files[0].name).stem))
+        name = dropped or (Path(files[0].name).stem if len(files) == 1 else "log")
+        folder = self.bench.path("logs", self.bench.free("logs", name))
         folder.mkdir()
         for file in files:
             await file.save(folder / file.name)
@@ -101,7 +106,14 @@ class LogPage(OpenLog):
     def open(self, path: str) -> None:
         self.bench.choices["log"] = path
         self.bench.save()
-        self.inspection, self.drive, self.found, self.panels, self.wrong = None, None, (), [], ""
+        self.inspection, self.drive, self.found, self.panels, self.wrong, self.mounted = (
+            None,
+            None,
+            (),
+            [],
+            "",
+            "",
+        )
         self._pick.refresh()
         self.reread()
         self.refresh()
@@ -112,8 +124,10 @@ class LogPage(OpenLog):
             return
         with ui.element("div").classes("section"):
             text("h2", "Contents of the log")
-            for note in inspection.notes:
+            for note in self.notes:
                 text("p", note, "soft")
+            if any("--mount" in note for note in self.notes):
+                text("p", f"On this page: press {FIND!r} or enter the mounting, below the tables.", "soft")
             if inspection.proposal:
                 with card("warning"):
                     text("p", f"Not recognized automatically. The names suggest: {inspection.proposal}")
@@ -147,29 +161,52 @@ class LogPage(OpenLog):
 
     @ui.refreshable_method
     def _finish(self) -> None:
-        if (log := self.bench.log) is None or self.inspection is None:
+        self.finished = opened, name, made, done = self._finishing
+        if not opened:
             return
-        choices = self.bench.log_choices
-        name = choices.get("name") or self.bench.free("drives", log.stem)
-        again = choices.get("made") == name
+
+        def label(name: str) -> str:
+            return "Make the drive again" if name == made else "Make the drive"
+
         with card():
             text("h2", "Make a drive from the log")
             with line("end"):
                 field = ui.input("Name of the drive", value=name).classes("grow")
-                field.on("change", lambda: self.choose(name=field.value))
-                label = "Make the drive again" if again else "Make the drive"
-                make = button(label, lambda: self._make(field.value or "", again=again), "check", main=True)
-                make.set_enabled(self.drive is not None and not self.waiting)
-            command(columns.command_of(log, self.bench.folder / "drives" / name, choices))
-            if self.done:
+                field.on("change", lambda: self._rename(field.value or ""))
+                make = button(label(name), lambda: self._make(field.value or ""), "check", main=True)
+                make.bind_enabled_from(self, "drive", bool).bind_text_from(field, "value", label)
+            self._command()
+            if done:
                 link("Next: check it", "check")
 
-    def _make(self, name: str, *, again: bool) -> None:
+    @property
+    def _finishing(self) -> tuple[bool, str, str, str]:
+        """Return whether a log is open, the name of the drive, the name of the drive that was made, and the result."""
+        choices, log = self.bench.log_choices, self.bench.log
+        name = choices.get("name") or self.bench.free("drives", log.stem if log else "")
+        return log is not None and self.inspection is not None, name, choices.get("made", ""), self.done
+
+    @ui.refreshable_method
+    def _command(self) -> None:
+        if log := self.bench.log:
+            folder = self.bench.folder / "drives" / self._finishing[1]
+            command(columns.command_of(log, folder, self.bench.log_choices))
+
+    def _rename(self, name: str) -> None:
+        self.bench.log_choices["name"] = name
+        self.bench.save()
+        self._command.refresh()
+
+    def _make(self, name: str) -> None:
         """Write the drive. It replaces an earlier drive of this log and its checked copy."""
+        if self.waiting:  # for a choice that was made immediately before
+            self.after_reading = partial(self._make, name)
+            return
         if self.drive is None:
             return
         path, wrong = attempt(self.bench.path, "drives", name)
         if path is not None:
+            again = self.bench.log_choices.get("made") == name
             _, wrong = attempt(write_drive, replace(self.drive, name=name), path, overwrite=again)
         self.wrong, self.done = wrong, "" if wrong else f"wrote drives/{name}; check it next"
         if not wrong:

@@ -15,6 +15,7 @@ from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.parts import button, card, line, message, text
 from sigmaswarm.workbench.state import attempt
 
+FIND = "Find it in the log"
 ANGLES = ("roll", "pitch", "yaw")
 SETTLED = 0.6
 """Time after the last change until the log is read again, s."""
@@ -50,6 +51,9 @@ class MountingPanel:
         with card():
             text("h2", "Mounting of the IMU in the vehicle")
             message(wrong, "bad")
+            with ui.element("div").classes("message good").props('role="status"') as found:
+                ui.label().bind_text_from(self.page, "mounted")
+            found.bind_visibility_from(self.page, "mounted")
             with ui.element("div").classes("grid"):
                 picture = ui.html(sketch(rotation), sanitize=False)
                 with ui.element("div"):
@@ -58,14 +62,18 @@ class MountingPanel:
                         field = ui.input("Mounting (--mount)", value=mount).props(
                             'hint="90, or 0,10,90, or x=-y,y=x"'
                         )
-                        field.classes("grow").on("change", lambda: self._choose("mount", field.value))
+                        field.classes("grow").on("change", lambda: self._mount(field.value or ""))
                         with sliders:
                             self._angles(rotation, picture, field)
-                        button("Find it in the log", self.page.find_mounting, "explore")
+                        button(FIND, self.page.find_mounting, "explore")
                     about = "The arrows are the sensor's axes: x forward, y left and z up need no rotation."
                     text("p", about, "soft")
                     with ui.expansion("More settings").classes("soft"):
                         self._settings()
+
+    def _mount(self, mount: str) -> None:
+        self.page.mounted = ""
+        self._choose("mount", mount)
 
     def _choose(self, key: str, value: object) -> None:
         self.page.choose(**{key: value.strip() if isinstance(value, str) else value})
@@ -74,24 +82,25 @@ class MountingPanel:
         sliders: list[ui.slider] = []
 
         def moved() -> None:
-            turned = ",".join(f"{slider.value:g}" for slider in sliders)
+            turned = ",".join(f"{slider.value:.1f}" for slider in sliders)
             picture.set_content(sketch(parse_mount(turned)))
 
         def rested(changed: int, event: GenericEventArguments) -> None:
             values = [slider.value for slider in sliders]
             values[changed] = float(event.args)  # the slider itself may be updated later
-            turned = ",".join(f"{value:g}" for value in values)
+            turned = ",".join(f"{round(value or 0.0, 1):g}" for value in values)
             field.value = "" if turned == "0,0,0" else turned
             self.shown = True, field.value
-            self._choose("mount", field.value)
+            self._mount(field.value)
 
-        for number, (name, angle) in enumerate(zip(ANGLES, roll_pitch_yaw(rotation), strict=True)):
+        for number, (name, angle) in enumerate(zip(ANGLES, roll_pitch_yaw(rotation, 1), strict=True)):
             with line():
-                label = ui.label().style("width: 92px")
-                slider = ui.slider(min=-180, max=180, step=1, value=angle).classes("grow")
+                label = ui.label().style("width: 110px")
+                # With step 0 a slider keeps fractions of a degree, and a key changes it by 1 degree.
+                slider = ui.slider(min=-180, max=180, step=0, value=angle).classes("grow")
                 slider.props(f'aria-label="{name}, degrees"').on_value_change(moved)
                 slider.on("change", partial(rested, number), throttle=SETTLED, leading_events=False)
-                label.bind_text_from(slider, "value", lambda value, name=name: f"{name} {value:g}°")
+                label.bind_text_from(slider, "value", lambda value, name=name: f"{name} {round(value, 1):g}°")
                 sliders.append(slider)
 
     def _settings(self) -> None:

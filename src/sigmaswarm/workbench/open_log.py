@@ -1,5 +1,6 @@
 """The open log of step 1, the choices for it, and the drive."""
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,8 @@ from sigmaswarm.importing import choices as columns
 from sigmaswarm.workbench.parts import Page, message, text
 from sigmaswarm.workbench.state import Workbench, attempt
 
-Reading = tuple[Inspection | None, Drive | None, tuple[Agreement, ...], str]
-"""Content of a log, its drive, the agreements, and an error message."""
+Reading = tuple[Inspection | None, Drive | None, tuple[Agreement, ...], str, list[str]]
+"""Content of a log, its drive, the agreements, an error message, and notes on the log and its import."""
 
 
 class OpenLog(Page):
@@ -22,7 +23,9 @@ class OpenLog(Page):
         self.inspection: Inspection | None = None
         self.drive: Drive | None = None
         self.found: tuple[Agreement, ...] = ()
-        self.done = ""
+        self.done = self.mounted = ""
+        self.notes: list[str] = []
+        self.after_reading: Callable[[], Any] | None = None
         self.opened: Path | None = None
 
     @ui.refreshable_method
@@ -55,18 +58,30 @@ class OpenLog(Page):
             self.start("reading the log", _read, self.opened, {**self.bench.log_choices}, then=self._taken)
 
     def _taken(self, reading: Reading | None) -> None:
-        inspection, self.drive, self.found, wrong = reading or (None, None, (), self.wrong)
+        inspection, self.drive, self.found, wrong, self.notes = reading or (
+            None,
+            None,
+            (),
+            self.wrong,
+            self.notes,
+        )
         self.inspection, self.wrong = inspection or self.inspection, wrong
         self.refresh()
+        proceed, self.after_reading = self.after_reading, None
+        if proceed and not wrong:
+            proceed()
 
     def find_mounting(self) -> None:
         if log := self.bench.log:
             choices = {**self.bench.log_choices, "mount": ""}
-            self.start("looking for the mounting", partial(_mounting, log), choices, then=self._mounted)
+            self.start(
+                "looking for the mounting", partial(_mounting, log), choices, then=self._found_mounting
+            )
             self.status.refresh()
 
-    def _mounted(self, mount: str | None) -> None:
-        if mount:
+    def _found_mounting(self, found: tuple[str, str] | None) -> None:
+        if found:
+            mount, self.mounted = found
             self.choose(mount=mount)
         else:
             self.status.refresh()
@@ -75,14 +90,16 @@ class OpenLog(Page):
 def _read(log: Path, choices: dict[str, Any]) -> Reading:
     """Inspect a log and import it. After an error the results of earlier stages are kept."""
     settings = columns.settings_of(choices)
-    drive, found = None, ()
+    drive, found, notes = None, (), list[str]()
     inspection, wrong = attempt(sigmaswarm.inspect_log, log, **settings)
     if inspection is not None:
-        drive, wrong = attempt(sigmaswarm.import_log, log, **settings)
+        notes += inspection.notes
+        drive, wrong = attempt(sigmaswarm.import_log, log, say=notes.append, **settings)
     if drive is not None:
         found, wrong = attempt(agreements, drive)
-    return inspection, drive, found or (), wrong
+    return inspection, drive, found or (), wrong, [*dict.fromkeys(notes)]
 
 
-def _mounting(log: Path, choices: dict[str, Any]) -> str:
-    return find_mount(sigmaswarm.import_log(log, **columns.settings_of(choices)))[1]
+def _mounting(log: Path, choices: dict[str, Any]) -> tuple[str, str]:
+    """Return the mounting that a log shows, and a note on its accuracy."""
+    return find_mount(sigmaswarm.import_log(log, **columns.settings_of(choices)))[1:]

@@ -4,6 +4,7 @@ import asyncio
 import json
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeVar
 
 from nicegui import background_tasks, run, ui
@@ -90,9 +91,10 @@ def line(classes: str = "") -> ui.element:
     return ui.element("div").classes(f"line {classes}")
 
 
-def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def table(heads: Sequence[str], rows: Sequence[Sequence[str]], classes: str = "") -> None:
+    """Make a table that scrolls sideways; with the class "stacks" a narrow page shows its cells one below the other."""
     scrolled = ui.element("div").classes("wide").props('tabindex="0" role="region" aria-label="table"')
-    with scrolled, ui.element("table").classes("plain"):
+    with scrolled, ui.element("table").classes(f"plain {classes}"):
         with ui.element("thead"), ui.element("tr"):
             for head in heads:
                 with ui.element("th").props('scope="col"'):
@@ -100,15 +102,35 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         with ui.element("tbody"):
             for row in rows:
                 with ui.element("tr"):
-                    for cell in row:
-                        text("td", cell)
+                    for head, cell in zip(heads, row, strict=True):
+                        with ui.element("td") as made:
+                            made.props["data-head"] = head
+                            ui.label(cell)
 
 
 def select(label: str, options: Any, value: Any, choose: Callable[[Any], Any], **more: Any) -> ui.select:
-    """Make a dropdown. ``choose`` receives the new value. Without an option for the value, nothing is selected."""
-    known = isinstance(value, list) or value in options
+    """Make a dropdown. ``choose`` receives the new value. Without an option for the value, nothing is selected.
+
+    A list of several options stays open until all are chosen.
+    """
+    known, several = isinstance(value, list) or value in options, more.get("multiple", False)
     made = ui.select(options, label=label, value=value if known else None, **more).classes("grow")
-    made.on_value_change(lambda event: choose(event.value))
+    opened, chosen = False, made.value
+
+    def open_list(now: bool) -> None:
+        nonlocal opened
+        opened = now
+        changed()
+
+    def changed() -> None:
+        nonlocal chosen
+        if not opened and made.value != chosen:
+            chosen = made.value
+            choose(chosen)
+
+    made.on_value_change(changed)
+    if several:
+        made.on("popup-show", partial(open_list, now=True)).on("popup-hide", partial(open_list, now=False))
     return made
 
 

@@ -156,10 +156,10 @@ def agreement_plot(
                 for one in lines(
                     {label: (x[:0], y[:0]) for label, (x, y) in both.items()}, dashed=shown.expected
                 ):
-                    ui.label(one["name"]).style(f"border-color: {one['line']['color']}")
-        time_plot(
-            found.title, found.unit, both, dashed=shown.expected, pale=pale, span=span, showlegend=False
-        )
+                    dash = "dashed" if "dash" in one["line"] else "solid"
+                    ui.label(one["name"]).style(f"border: 0 {dash} {one['line']['color']}")
+        bare: dict[str, Any] = {"showlegend": False, "margin": LAYOUT["margin"] | {"t": 8}}
+        time_plot(found.title, found.unit, both, dashed=shown.expected, pale=pale, span=span, **bare)
 
 
 def _same(a: Series | None, b: Series) -> bool:

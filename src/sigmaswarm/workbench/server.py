@@ -1,6 +1,7 @@
 """Web server of the workbench, for this machine only; all addresses contain a secret token."""
 
 import hmac
+import logging
 import secrets
 import socket
 import warnings
@@ -78,6 +79,7 @@ class Guard:
 def serve(folder: Path, logs: list[Path], *, port: int = 0, browse: bool = True) -> None:
     bench = Workbench(folder, logs)
     warnings.simplefilter("ignore", SigmaswarmWarning)  # the page shows notes and findings
+    logging.getLogger("nicegui").setLevel(logging.ERROR)  # not of a busy machine
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

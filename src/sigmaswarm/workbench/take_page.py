@@ -1,5 +1,6 @@
 """Step 5: export the filter as C, for ROS or for Python, and its trajectories."""
 
+import shlex
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import sigmaswarm
 from sigmaswarm import time_origin_of, write_estimate
 from sigmaswarm.exports.names import DESCRIPTIONS, Description, next_command
 from sigmaswarm.files import make_folder
+from sigmaswarm.wording import counted
 from sigmaswarm.workbench.parts import Page, button, card, command, line, link, message, select, text
 from sigmaswarm.workbench.state import Workbench, attempt
 
@@ -112,4 +114,7 @@ class TakePage(Page):
             return f"wrote {file}", ""
         more = {"replay": drive} if target == "c99" and drive else {}
         texts = sigmaswarm.export(tuning, target, folder, **more)
-        return f"wrote {len(texts)} files to {folder}", next_command(target, folder, texts)
+        then = next_command(target, folder, texts)
+        if name:
+            then = then.replace(" DRIVE ", f" {shlex.quote(str(self.bench.path('drives', name)))} ")
+        return f"wrote {counted(len(texts), 'file')} to {folder}", then

@@ -94,35 +94,43 @@ class TunePage(Page):
                 more.props('hint="none: chosen from the sensors"')
             with line():
                 for key in ("particles", "generations", "trials", "seed"):
-                    value = options.get(key, TuneConfig.model_fields[key].default)
+                    value = options.setdefault(key, TuneConfig.model_fields[key].default)
                     size = ui.number(key, value=value, min=0, precision=0).classes("size")
-                    size.on("change", partial(self._sized, options, key, size))
-            self.messages()
-            for sentence in self.why:
-                text("p", sentence)
+                    size.bind_value(options, key, forward=lambda value: value and int(value))
+                    size.on("change", self._changed)
+            self._reasoning()
             begin = button("Start", self._begin, "play_arrow", main=True)
-            begin.set_enabled(not self.waiting)
+            begin.bind_enabled_from(self, "waiting", lambda waiting: waiting != STARTING)
+
+    @ui.refreshable_method
+    def _reasoning(self) -> None:
+        """Show what will be tuned. It is refreshed without the fields, in which the user may be typing."""
+        self.messages()
+        for sentence in self.why:
+            text("p", sentence)
 
     def _choose(self, choices: dict[str, Any], key: str, value: Any) -> None:
         choices[key] = value
-        self.bench.save()
-        if self.waiting != STARTING:
-            self._explain()
+        self._changed()
         self.refresh()
 
-    def _sized(self, options: dict[str, Any], key: str, size: ui.number) -> None:
-        self._choose(options, key, int(size.value or 0))
+    def _changed(self) -> None:
+        self.bench.save()
+        self.why = []
+        if self.waiting != STARTING:
+            self._explain()
+        self._reasoning.refresh()
 
     @property
     def _options(self) -> dict[str, Any]:
-        return {k: v for k, v in self.bench.choices.get("options", {}).items() if v not in ("", [])}
+        return {k: v for k, v in self.bench.choices.get("options", {}).items() if v not in ("", [], None)}
 
     def _explain(self) -> None:
         self.start("reading the drives", self._reasons, then=self._explained)
 
     def _explained(self, why: list[str] | None) -> None:
         self.why = why or []
-        self.refresh()
+        self._reasoning.refresh()
 
     def _reasons(self) -> list[str]:
         used = [self.bench.read(name) for name, what in self.plan.items() if what != LEFT_OUT]
@@ -130,7 +138,7 @@ class TunePage(Page):
 
     def _begin(self) -> None:
         self.start(STARTING, self._drives, then=self._begun)
-        self.refresh()
+        self._reasoning.refresh()
 
     def _begun(self, parts: tuple[list[Drive], list[Drive]] | None) -> None:
         if parts:
@@ -140,7 +148,9 @@ class TunePage(Page):
             self.bench.choices.setdefault("tunings", {})[name] = {"drives": drives, "held": held}
             self.bench.save()
             self.runs.begin(name, *parts, self._options)
-        self.refresh()
+        if not self.why:
+            self._explain()
+        self._reasoning.refresh()
 
     def _drives(self) -> tuple[list[Drive], list[Drive]]:
         """Read the drives. Split drives as chosen, like `sigmaswarm split`."""
@@ -226,7 +236,7 @@ class TunePage(Page):
         with ui.element("div").classes("section"):
             text("h2", "Tunings")
             rows = [[name, *_row(tuning)] for name, tuning in tunings.items()]
-            table(["name", "filter", "objective", "cost", "held out", "drives"], rows)
+            table(["name", "filter", "objective", "cost", "held out", "drives"], rows, "stacks")
             for _, wrong in found.values():
                 message(wrong, "bad")
             costs = {
