@@ -34,6 +34,7 @@ from sigmaswarm.tuning.defaults import default_filter_options, objective_for
 from switches import measured, quantities, raw
 
 CAR = ("lateral", "standstill")
+WITH_TRUTH = "auto with truth"
 FILTERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "planar5": ("planar5", ()),
     "planar8": ("planar8", CAR),
@@ -75,7 +76,7 @@ def main() -> None:
     parser.add_argument("drives", type=Path)
     parser.add_argument("--out", type=Path, required=True, help="one line of JSON a tuning")
     parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--with-truth", nargs="*", default=["truth-pose + 0.2 nees"], help="objectives")
+    parser.add_argument("--with-truth", nargs="*", default=[WITH_TRUTH], help="objectives")
     parser.add_argument("--without-truth", nargs="*", default=["auto"], help="objectives")
     parser.add_argument("--filters", nargs="+", default=list(FILTERS), choices=(*FILTERS, "default"))
     parser.add_argument("--only", nargs="+", help="parts of cases' names")
@@ -172,7 +173,10 @@ def run(
             return None
     if (name, "raw fixes", "-", 0) not in done:
         noted(out, done, (name, "raw fixes", "-", 0), [*quantities(raw(test))])
-    taken = objective_for(blind, objective, model, use)
+    if objective == WITH_TRUTH:
+        taken = objective_for(training, "auto", model, use)
+    else:
+        taken = objective_for(blind, objective, model, use)
     tuning = tune(training, objective=taken, seed=seed, executor=pool, model=model, use=use)
     return noted(out, done, (name, label, objective, seed), figures(test, tuning.parameters))
 

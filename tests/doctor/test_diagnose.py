@@ -370,7 +370,9 @@ def test_the_options_follow_from_the_log():
     few = "; with 250 fixes or more for training also fix-error"
     lasting = f"{few}, since the fixes differ by less than the receiver's error"
     may = "; you may add velocity to --use: the receiver measures speed and course"
-    assert found_of(velocity, "use") == six + tilts + may, "with truth, fix-error is not added"
+    assert found_of(velocity, "use") == six + tilts + lasting + may
+    level = replace(velocity, imu=replace(velocity.imu, az=None, gx=None, gy=None))
+    assert "fix-error" not in found_of(level, "use"), "with truth, only tilted12 uses it"
     velocity = replace(velocity, truth=None)
     assert found_of(velocity, "use") == six + tilts + lasting + may
     part = clip(velocity, end=float(velocity.gps.time[200]))

@@ -259,6 +259,15 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
         "the tuned filter is worse than the filter that uses only the fixes in 1 of 4 measures: heading error "
         "0.4 deg instead of 0.3 deg",
     )
+    close = {
+        "untuned": replace(sheet, long_outage_drift=6.9),
+        "fixes_alone": replace(good, long_outage_drift=8.0),
+    }
+    headline = Evaluation({"town": DriveResult(others | {"tuned": good} | close)}).view.result()
+    assert headline.endswith(
+        " It is NOT better than the fixes alone in the 5 s outage drift (2 m; 2 m)."
+        " It is NOT better than the baseline in the 30 s outage drift (7 m; 6.9 m)."
+    )
     farther = replace(sheet, position_rmse=0.4)
     (here,) = Evaluation(
         {"town": DriveResult(others | {"untuned": farther, "tuned": good})}

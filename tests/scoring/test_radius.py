@@ -42,13 +42,19 @@ def test_a_t_distributed_error_is_inside_as_often_as_stated():
 def test_lasting_variance_by_receiver_and_filter():
     drive, white = m8(), simulate("urban", seed=3, duration=90.0, imu="icm-20602", gps="white-1m")
     plain = baseline(drive)
-    of = [float(lasting_variance(one, plain, np.array([30.0]))[0]) for one in (drive, white)]
+
+    def added(one, parameters, variance=100.0):
+        return float(lasting_variance(one, parameters, np.array([30.0]), np.array([variance]))[0])
+
+    of = [added(one, plain) for one in (drive, white)]
     assert abs(of[0] - (2.1**2 - 0.5**2)) < 0.15
     assert of[1] < 0.15
     modeled = dataclasses.replace(plain, kind="ekf", fix_error=0.5)
-    assert abs(float(lasting_variance(drive, modeled, np.array([30.0]))[0]) - (of[0] - 0.5 * 2.1**2)) < 1e-9
-    modeled = dataclasses.replace(modeled, fix_error=2.0)
-    assert not lasting_variance(drive, modeled, np.array([30.0])).any()
+    assert abs(added(drive, modeled) - (of[0] - 0.5 * 2.1**2)) < 1e-9
+    assert abs(added(drive, modeled, 0.7) - (of[0] - 0.7)) < 1e-9, (
+        "not more than the filter's variance contains"
+    )
+    assert added(drive, dataclasses.replace(modeled, fix_error=2.0)) == 0.0
 
 
 def test_lasting_variance_is_that_of_the_last_fix():
@@ -58,7 +64,7 @@ def test_lasting_variance_is_that_of_the_last_fix():
     gps = dataclasses.replace(drive.gps, std_x=std, std_y=std)
     stated = dataclasses.replace(drive, gps=gps)
     switch = float(gps.time[100])
-    before, after = lasting_variance(stated, baseline(stated), np.array([switch - 1e-6, switch]))
+    before, after = lasting_variance(stated, baseline(stated), np.array([switch - 1e-6, switch]), np.ones(2))
     assert math.isclose(after / before, 4.0, rel_tol=1e-12)
 
 
@@ -68,7 +74,9 @@ def test_radius_of_an_estimate():
     estimate = run_filter(drive, parameters)
     radius = position_radius(estimate, drive, parameters, 0.999)
     variance = (estimate.covariance[:, 0, 0] + estimate.covariance[:, 1, 1]) / 2
-    expected = factor_of(0.999) * np.sqrt(variance + lasting_variance(drive, parameters, estimate.time))
+    expected = factor_of(0.999) * np.sqrt(
+        variance + lasting_variance(drive, parameters, estimate.time, variance)
+    )
     np.testing.assert_array_equal(radius, expected)
     assert np.all(radius > position_radius(estimate, drive, parameters))
     with pytest.raises(InputError, match="level = 1: must lie"):
@@ -89,7 +97,7 @@ def test_an_evaluation_reports_the_radius_by_its_definition():
     off = np.hypot(x - truth.x[at], y - truth.y[at])
     variance = (estimate.covariance[:, 0, 0] + estimate.covariance[:, 1, 1]) / 2
     variance = np.interp(truth.time[at], estimate.time, variance)
-    lasting = lasting_variance(drive, parameters, truth.time[at])
+    lasting = lasting_variance(drive, parameters, truth.time[at], variance)
     tracking = record[TRACKING]
     assert tracking.n == at.sum()
     assert math.isclose(

@@ -145,7 +145,7 @@ def smoothing(stated: float, up: float = 3.0, name: str = "smoothing") -> Drive:
     return stating(noisy(make_drive(duration=60.0), 0.05, name), stated, up * stated)
 
 
-def test_without_truth_fix_errors_that_do_not_show_as_stated_are_states():
+def test_fix_errors_that_do_not_show_as_stated_are_states():
     lasting, used = smoothing(2.0), ("lateral", "standstill", "accuracy", "robust")
     truth = make_drive(duration=60.0).truth
 
@@ -181,6 +181,11 @@ def test_without_truth_fix_errors_that_do_not_show_as_stated_are_states():
         assert "fix-error" not in chosen_for([lasting], kind=kind)
     assert chosen_for([six(lasting)], kind="ukf", model="tilted12") == used
     assert chosen_for([six(lasting)]) == (*used, "fix-error")
+    known = six(replace(lasting, truth=truth))
+    assert chosen_for([known]) == (*used, "fix-error"), "with truth only for tilted12"
+    assert chosen_for([known], objective="truth-pose + 0.2 nees") == used, (
+        "these do not determine its parameters"
+    )
 
 
 def test_what_the_user_gives_stays():

@@ -127,7 +127,9 @@ def test_it_names_three_drives_and_counts_the_others():
 def test_a_larger_drift_than_that_of_the_baseline_is_reported_in_one_line(
     tuned: float, baseline: float, worse: bool
 ):
-    others = Forecast(1.0, 0.3, 0.2, 0.5), Forecast(30.0, 80.0, 60.0, 90.0)
+    others = Forecast(1.0, 0.3, 0.5, 0.5), Forecast(30.0, 80.0, 79.0, 90.0)
     said = describe_forecasts([others[0], Forecast(5.0, tuned, baseline, 4.0), others[1]])
-    line = "drift over 5 s without fixes is larger than that of the baseline, on the training drives: 2.1 m, baseline"
-    assert said[1:] == ([f"{line} 1.8 m"] if worse else [])
+    each = "5 s (2.1 m; 1.8 m), " if worse else ""
+    line = f"drift on the training drives is larger than that of the baseline over {each}30 s (80 m; 79 m)"
+    assert said[1:] == [line]
+    assert describe_forecasts([others[0]])[1:] == []

@@ -32,11 +32,13 @@ def test_only_g_is_searched_without_truth_and_r_keeps_a_share_of_the_receivers_v
     assert weighs.lowest[weighs.names.index("r_xy")] == 1e-4
 
 
-def test_the_time_constant_is_searched_with_truth():
+def test_the_time_constant_is_searched_with_truth_if_the_model_has_roll_and_pitch():
     space = search_space("tilted12", "log10", kind="ekf", use=USE, has_truth=True)
     tau = space.names.index("fix_error_time")
     assert (space.lowest[tau], space.highest[tau], space.logarithmic[tau]) == (0.5, 300.0, True)
     assert space.lowest[space.names.index("r_xy")] == 1e-5
+    planar = [search_space("planar8", "log10", kind="ekf", use=USE, has_truth=each) for each in (True, False)]
+    assert planar[0].dimensions == planar[1].dimensions
     drive = make_drive(duration=25.0)
     assert objective_for([drive], "auto", "planar8", USE) == WITH_FIX_ERROR
     assert objective_for([replace(drive, truth=None)], "auto", "tilted12", USE) == "innovation-t"

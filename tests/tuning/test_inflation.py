@@ -2,16 +2,18 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from sigmaswarm import Drive, run_batch, simulate, tune
+from sigmaswarm.drives.gyro_seen import GyroSeen
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.inflation import STEP, inflated
+from sigmaswarm.tuning.inflation import STEP, inflated, shown_bias
 from sigmaswarm.tuning.space import search_space
 from support import quickly
 
@@ -55,7 +57,7 @@ def test_the_cost_rises_by_the_inflation_and_no_more(inflation: float, model: st
     assert plain.inflation_factor == 1.0
     assert inflated_.inflation_factor > 1.0
     assert plain.parameters.measurement_noise == inflated_.parameters.measurement_noise
-    share = inflation  # 60 s bear no more than 100
+    share = inflation  # 60 s bear no more than 150
     low, now = costs(plain.parameters, inflated_.parameters)
     assert now == inflated_.cost
     assert now <= (1 + share) * low
@@ -92,11 +94,11 @@ def test_it_is_kept_with_the_tuning(tmp_path, model: str, said: str):
 
 
 @pytest.mark.parametrize("one", quickly([(False,), (True,)], lambda one: not one), ids=["two drives", "one"])
-def test_twice_the_data_bear_half_the_rise(one: bool):
-    longer = [simulate("urban", duration=120.0, gps="white-1m")] if one else []
-    drives = longer or [town(), simulate("urban", duration=60.0, gps="white-1m", seed=1)]
+def test_more_than_150_s_bear_less_of_the_rise(one: bool):
+    lengths = [200.0] if one else [100.0, 100.0]
+    drives = [simulate("urban", duration=s, gps="white-1m", seed=i) for i, s in enumerate(lengths)]
     plain, inflated_ = (tune(drives, inflation=m, model="planar8", **SEARCH) for m in (0.0, 0.5))
-    share = 0.5 * 100.0 / sum(drive.duration for drive in drives)
+    share = 0.5 * 150.0 / sum(drive.duration for drive in drives)
     assert 1 < inflated_.cost / plain.cost <= 1 + share
     if not inflated_.touched_bounds:
         more = raised(inflated_.parameters, 10**STEP)
@@ -141,6 +143,9 @@ def test_a_tilted_model_has_lower_limits(
         def rise(self, costs, cost):
             return costs - cost
 
+        def starts(self):
+            return ()
+
     point, cost, factor = inflated(Lowest(), space.low, 0.0, 0.02, None)
     assert cost == Lowest().costs(point[np.newaxis])[0]
     assert (factor == 1.0) == (cost_per_decade > 0)
@@ -156,3 +161,33 @@ def test_a_tilted_model_has_lower_limits(
     kept = [name for name in found if model != "tilted12" or name not in LEAST]
     if factor == 1.0:
         assert [found[name] for name in kept] == [lowest[name] for name in kept]
+
+
+def seen(*bias: float) -> SimpleNamespace:
+    return SimpleNamespace(gyro=GyroSeen(np.array(bias), np.full(3, 0.03**2), 0.0, np.zeros(5)))
+
+
+@pytest.mark.parametrize(
+    ("starts", "shown"),
+    [
+        ([seen(0.12, -0.06, 0.12), seen(0.03, 0.0, -0.03)], 0.0693),  # as with an MPU-6050
+        ([seen(0.3, -0.3, 0.3)], 0.298),
+        ([seen(0.03, -0.05, 0.06)], 0.0),  # as with a good gyro
+        ([SimpleNamespace(gyro=None)], 0.0),
+        ([], 0.0),
+    ],
+)
+def test_biases_that_starts_show_are_the_least_deviation_of_the_gyros_bias(starts: list, shown: float):
+    assert shown_bias(starts) == pytest.approx(shown, rel=1e-2)
+    space = search_space("tilted12", "log10", 0.01, kind="ekf", use=("lateral",))
+    problem = SimpleNamespace(
+        space=space,
+        data=[{"duration_s": 100.0}] * 3,
+        config=TuneConfig(model="tilted12", objective="truth-pose"),
+        costs=lambda points, executor=None: np.zeros(len(points)),
+        rise=lambda costs, cost: costs - cost,
+        starts=lambda: starts,
+    )
+    point = inflated(problem, space.low, 0.0, 0.02, None)[0]
+    (found,) = space.decode(point[np.newaxis])
+    assert found.bias_std[1] == pytest.approx(min(max(shown, 1e-5), 0.1), rel=1e-2)

@@ -414,7 +414,7 @@ def _radius(
 ) -> RadiusRecord | None:
     """Summarize the radius of the tuned filter from times (s), variances (m2) and errors (m)."""
     time, variance, error = stated
-    lasting = lasting_variance(drive, parameters, time)
+    lasting = lasting_variance(drive, parameters, time, variance)
     return radius_record(variance, lasting, None if drive.truth is None else error)
 
 

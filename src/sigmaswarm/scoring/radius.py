@@ -3,12 +3,13 @@
 The filter's covariance may lack the variance of correlated fix errors, which do not average out. The total variance per
 axis is estimated as
 
-    sigma^2 = P + max(s^2 - w^2 - g s^2, 0)
+    sigma^2 = P + max(s^2 - w^2 - min(g s^2, P), 0)
 
 where P is the mean of the filter's variances of x and y, s is the standard deviation of the fixes (`receiver_std`), and
 w that of their white noise (`white_noise`). If the filter has states for correlated errors, P contains their variance
-g s^2; otherwise g = 0. A short training drive determines a covariance from few independent errors. Therefore, error /
-sigma is modeled by Student's t with `DOF` degrees of freedom. For a probability q,
+g s^2, or less if they last longer than the filter assumes; otherwise g = 0. A short training drive determines a
+covariance from few independent errors. Therefore, error / sigma is modeled by Student's t with `DOF` degrees of
+freedom. For a probability q,
 
     radius^2 = DOF ((1 - q)^(-2 / DOF) - 1) sigma^2
 
@@ -81,7 +82,7 @@ def position_radius(
     if not estimate.covariance.size:
         raise InputError("the estimate has no covariance; use one of run_filter or smooth")
     variance = np.mean(np.diagonal(estimate.covariance[:, :2, :2], axis1=1, axis2=2), axis=1)
-    return factor_of(level) * np.sqrt(variance + lasting_variance(drive, parameters, estimate.time))
+    return factor_of(level) * np.sqrt(variance + lasting_variance(drive, parameters, estimate.time, variance))
 
 
 def factor_of(level: float) -> float:
@@ -89,15 +90,17 @@ def factor_of(level: float) -> float:
     return math.sqrt(DOF * ((1.0 - level) ** (-2.0 / DOF) - 1.0))
 
 
-def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array) -> Array:
-    """Return the variance per axis, m2, of correlated fix errors that the filter does not model, shape (n,)."""
+def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array, variance: Array) -> Array:
+    """Return the variance per axis, m2, of correlated fix errors that the filter's ``variance`` lacks, shape (n,)."""
     gps, typical = drive.gps, float(np.mean(np.square(receiver_std(drive))))
-    white = white_noise(gps.x + 1j * gps.y) ** 2 / typical
-    share = max(1.0 - white - (parameters.fix_error or 0.0), 0.0)
     if gps.std_x is None or gps.std_y is None:
-        return np.full(len(time), share * typical)
-    last = np.maximum(np.searchsorted(gps.time, time, side="right") - 1, 0)
-    return share * (gps.std_x[last] ** 2 + gps.std_y[last] ** 2) / 2
+        stated = np.full(len(time), typical)
+    else:
+        last = np.maximum(np.searchsorted(gps.time, time, side="right") - 1, 0)
+        stated = (gps.std_x[last] ** 2 + gps.std_y[last] ** 2) / 2
+    white = white_noise(gps.x + 1j * gps.y) ** 2 / typical
+    modeled = np.minimum((parameters.fix_error or 0.0) * stated, variance)
+    return np.maximum((1.0 - white) * stated - modeled, 0.0)
 
 
 def radius_record(variance: Array, lasting: Array, error: Array | None) -> RadiusRecord | None:

@@ -159,14 +159,19 @@ class EvaluationView:
         return f"On {drives}, the tuned filter has no score: it failed, or there is no truth."
 
     def _not_beaten(self) -> str:
+        """Return a sentence each on the fixes alone and on the baseline if their drift over an outage is not larger."""
         mean_of = self.scores.mean_of
-        pairs = {m: (mean_of("tuned", m), mean_of(FIXES, m)) for m in DRIFTS}
-        lost = [
-            f"{self.measures[m].title} ({tuned:.3g} m; {alone:.3g} m)"
-            for m, (tuned, alone) in pairs.items()
-            if tuned is not None and alone is not None and tuned >= alone
-        ]
-        return f" It is NOT better than the fixes alone in the {', '.join(lost)}." if lost else ""
+        sentences = ""
+        for method, name in ((FIXES, "fixes alone"), (BASELINE, "baseline")):
+            lost = [
+                f"{self.measures[m].title} ({tuned:.3g} m; {other:.3g} m)"
+                for m in DRIFTS
+                if (tuned := mean_of("tuned", m)) is not None
+                and (other := mean_of(method, m)) is not None
+                and tuned >= other
+            ]
+            sentences += f" It is NOT better than the {name} in the {', '.join(lost)}." if lost else ""
+        return sentences
 
     def coverage(self) -> tuple[str, ...]:
         data = self.setup.data

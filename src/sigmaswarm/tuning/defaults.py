@@ -26,8 +26,11 @@ If errors are correlated, tuned forecasts reproduce them: with a u-blox M8, the 
 instead of 4 m. A planar filter overfits to its training roads: on roads of another car, its error was 3.6 times that of
 the fixes.
 """
-WITH_FIX_ERROR = "truth-pose + 0.2 nees + 0.1 innovation-t"
-"""Objective with truth and fix-error: the likelihood distinguishes correlated fix errors from white noise."""
+WITH_FIX_ERROR = "innovation-t + 0.2 truth-pose + 0.2 nees"
+"""Objective with truth and fix-error: mainly the likelihood, since a drive has few independent position errors.
+
+With a larger share of truth-pose, the filter fits the errors of the training drive.
+"""
 MIN_DRIVEN = 30.0  # s, shortest driving time of a drive in which fixes can be hidden
 OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
 """Objectives with and without truth for custom models, which support only these."""
@@ -65,17 +68,21 @@ def default_filter_options(
 
 
 def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> bool:
-    """Check that all logs show correlated fix errors, the filter can model them, and the objective needs no truth.
+    """Check that all logs show correlated fix errors, the filter can model them, and the objective suits them.
 
-    The states for these errors reduce the position RMSE by 25% on kingston-1 and by 13% on comma2k19. With simulated
-    receivers and errors that last minutes, only the covariance improves.
+    Without truth, the states for these errors reduce the position RMSE by 25% on kingston-1 and by 13% on comma2k19.
+    With simulated receivers and errors that last minutes, only the covariance improves. With truth, they are used only
+    for models with roll and pitch: `space.search_space` states the reason.
     """
     have, objective = [sensors_of(one) for one in drives], options.get("objective") or "auto"
-    auto = objective == "auto"
-    blind = not all(one.truth for one in have) if auto else not parse_objective(objective).needs_truth
-    kind = options.get("kind") or (MODELS[model].kinds[0] if model in MODELS else "")
+    known = model in MODELS
+    if objective == "auto":
+        suits = not all(one.truth for one in have) or (known and MODELS[model].tilts is not None)
+    else:
+        suits = not parse_objective(objective).needs_truth
+    kind = options.get("kind") or (MODELS[model].kinds[0] if known else "")
     modeled = kernel_name(model, kind, True) in FILTERS and _fits("fix-error", options)
-    return blind and modeled and enough_for_fix_error(have) and all(one.lasting for one in have)
+    return suits and modeled and enough_for_fix_error(have) and all(one.lasting for one in have)
 
 
 def _described(model: str, use: Sequence[str]) -> str:

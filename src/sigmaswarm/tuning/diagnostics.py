@@ -24,7 +24,7 @@ from sigmaswarm.filters.run import replay_of
 from sigmaswarm.scoring.drifts import Outages
 from sigmaswarm.scoring.methods import BASELINE, FIXES
 from sigmaswarm.scoring.remote import AnyBatchScorer
-from sigmaswarm.scoring.targets import FORECAST_LENGTHS, LONG_OUTAGE_LENGTH, OUTAGE_LENGTH
+from sigmaswarm.scoring.targets import FORECAST_LENGTHS, LONG_OUTAGE_LENGTH
 from sigmaswarm.tuning.objectives import Objective
 from sigmaswarm.wording import to_do
 
@@ -71,22 +71,25 @@ class Forecast:
 
 
 def describe_forecasts(forecasts: Sequence[Forecast], durations: Sequence[float] = ()) -> list[str]:
-    """Return a sentence on the drifts, and one if the filter drifts further than the baseline over 5 s, or neither.
+    """Return a sentence on the drifts, and one if a drift is larger than the baseline's, or neither.
 
     ``durations`` of the training drives, s: only a part of many or long drives is measured.
     """
     if not forecasts:
         return []
     worse = [
-        f"drift over {one.length_s:g} s without fixes is larger than that of the baseline, on the training drives: "
-        f"{one.tuned_m:.3g} m, baseline {one.baseline_m:.3g} m"
+        f"{one.length_s:g} s ({one.tuned_m:.3g} m; {one.baseline_m:.3g} m)"
         for one in forecasts
-        if one.length_s == OUTAGE_LENGTH and f"{one.tuned_m:.3g}" != f"{one.baseline_m:.3g}"
-        if one.tuned_m > one.baseline_m
+        if one.tuned_m > one.baseline_m and f"{one.tuned_m:.3g}" != f"{one.baseline_m:.3g}"
     ]
     on = f"the first {NAMED} training drives" if len(durations) > NAMED else "the training drives"
     on += f", {LOOK:g} s in the middle of each" * any(duration > LOOK for duration in durations[:NAMED])
-    return [f"drift without fixes on {on}: {', '.join(map(str, forecasts))}", *worse]
+    message = [f"drift without fixes on {on}: {', '.join(map(str, forecasts))}"]
+    if worse:
+        message.append(
+            f"drift on the training drives is larger than that of the baseline over {', '.join(worse)}"
+        )
+    return message
 
 
 def forecasts_of(

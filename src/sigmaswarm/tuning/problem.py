@@ -5,12 +5,14 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.datasets.dataset import Dataset, LocalDataset
+from sigmaswarm.drives.alignment_fit import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import record_of
 from sigmaswarm.drives.overlap import Landmarks, landmarks
@@ -109,6 +111,10 @@ class Problem(ABC, Generic[P]):
         """Compare the drift of a filter with that of fixes alone, by outage length."""
         return []
 
+    def starts(self) -> Sequence[InitialState]:
+        """Return the start of the filter on each drive."""
+        return ()
+
     def failure_reason(self, point: Array) -> str | None:
         """Return why the filter at a point failed, if known."""
         return None
@@ -171,6 +177,9 @@ class CarProblem(Problem[FilterParameters]):
 
     def fixes_alone(self) -> MotionNoise:
         return MotionNoise.typical(self.replays.of_each_prepared(noise_of))
+
+    def starts(self) -> Sequence[InitialState]:
+        return self.replays.of_each_prepared(attrgetter("initial"))
 
     def forecasts(self, point: Array, noise: MotionNoise) -> list[Forecast]:
         return [*forecasts_of(self.parameters(point), noise, self.replays)]

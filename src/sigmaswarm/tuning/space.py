@@ -30,9 +30,13 @@ SCALING = (
 )
 """Scaling of the sigma points, with the paper's bounds."""
 TIME = "fix_error_time"
-"""Parameter that is searched only with truth, since the likelihood hardly depends on it."""
+"""Parameter that is searched only with truth and roll and pitch.
+
+Without truth, the likelihood hardly depends on it. A planar filter's errors on slopes are correlated, too: on
+kingston-1 its position RMSE with truth was 3.1 m with a searched time, 2.2 m with a fixed one.
+"""
 LEAST_WHITE = 0.04
-"""Lower bound of R, relative to the receiver's variance, for fix-error without truth.
+"""Lower bound of R, relative to the receiver's variance, for fix-error with a fixed time.
 
 With a smaller R, Student's t treats correlated errors as outliers.
 """
@@ -158,13 +162,13 @@ def search_space(
     if kind == "ekf":  # it has no sigma points
         fixed |= {"alpha": 1.0, "beta": 0.0, "kappa": 0.0}
     dimensions = tuple(_dimensions(model, kind, use, nominal_interval or USUAL_INTERVAL))
-    if "fix-error" in use and not has_truth:
-        dimensions = tuple(_without_truth(dimensions, fix_std, "accuracy" in use))
+    if "fix-error" in use and not (has_truth and MODELS[model].tilts):
+        dimensions = tuple(_with_fixed_time(dimensions, fix_std, "accuracy" in use))
     return SearchSpace(dimensions, scale, fixed)
 
 
-def _without_truth(dimensions: Sequence[Dimension], fix_std: float, weighs: bool) -> Iterator[Dimension]:
-    """Yield the dimensions for fix-error without truth; ``weighs``: R grows with the stated variance of a fix."""
+def _with_fixed_time(dimensions: Sequence[Dimension], fix_std: float, weighs: bool) -> Iterator[Dimension]:
+    """Yield the dimensions for fix-error without its time; ``weighs``: R grows with the stated variance of a fix."""
     field, least = (
         ("accuracy_scale", LEAST_WHITE) if weighs else ("measurement_noise", LEAST_WHITE * fix_std**2)
     )

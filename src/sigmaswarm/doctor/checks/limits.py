@@ -87,7 +87,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
         may.append("heading to --use: the fixes have a heading")
     what = f"tune uses {chosen.options}{f': {because}' if because else ''}"
     # A tuning may use several drives, or a part of this one, so the number of fixes is stated, not compared.
-    if drive.truth is None and has_lasting_errors(drive):
+    if (drive.truth is None or chosen.model == "tilted12") and has_lasting_errors(drive):
         what += f"; with {FIXES_FOR_FIX_ERROR} fixes or more for training also fix-error"
         enough = len(drive.gps) >= FIXES_FOR_FIX_ERROR
         what += ", since the fixes differ by less than the receiver's error" if enough else ""
