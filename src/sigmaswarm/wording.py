@@ -24,6 +24,11 @@ def counted(n: int, noun: str) -> str:
     return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
+def left_out(count: int, rows: str = "") -> str:
+    """State that rows are left out; ``rows`` describes them, as in " of imu.csv"."""
+    return f"{counted(count, 'row')}{rows} {'is' if count == 1 else 'are'} left out"
+
+
 def visible(text: str, kept: str = "\n\t") -> str:
     """Escape control characters except ``kept``, since a name may contain commands to a terminal."""
     if text.isprintable():

@@ -372,6 +372,13 @@ def test_split_in_time(sigmaswarm, drives: Path, here: Path):
     train, test = (read_drive(f"parts/urban-clear-00-{part}") for part in ("train", "test"))
     assert train.imu.time[-1] < 15 <= test.imu.time[0]
     assert len(train.imu) + len(test.imu) == len(read_drive(drives / "urban-clear-00").imu)
+    refused = sigmaswarm("split", drives / "urban-clear-00", "--out", "few", "--at", 29.9)
+    assert refused.code == 2 and "fixes are too few for a drive" in refused.err and not Path("few").exists()
+    for time in re.search(r"--at ([\d.]+) to ([\d.]+)", refused.err).groups():
+        assert (
+            sigmaswarm("split", drives / "urban-clear-00", "--out", "few", "--at", time, "--overwrite").code
+            == 0
+        )
 
 
 def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest.MonkeyPatch):

@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import re
 import shlex
 import sys
 import tomllib
@@ -41,6 +42,16 @@ def simulated() -> Drive:
 def bagged(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """An MCAP file, written once."""
     return write_mcap(tmp_path_factory.mktemp("bagged") / "log.mcap", messages(a_drive())).read_bytes()
+
+
+def test_the_remedy_of_mirrored_fixes_names_the_columns_of_the_log(sigmaswarm: Command, here: Path):
+    drive = library.simulate("urban", run=3, duration=90.0, imu_rate=50.0, gps="white-1m")
+    pl.DataFrame({n: v for n, v in vars(drive.imu).items() if v is not None}).write_csv("imu.csv")
+    pl.DataFrame({"time": drive.gps.time, "x": drive.gps.y, "y": drive.gps.x}).write_csv("gps.csv")
+    ended = sigmaswarm("import", "imu.csv", "--gps", "gps.csv", "--out", "drive")
+    maps = re.findall(r'"(gps\.[xy]=\w+)"', " ".join(ended.out.split()))
+    ended = sigmaswarm("import", "imu.csv", "--gps", "gps.csv", "--out", "right", "--map", *maps)
+    assert maps == ["gps.x=y", "gps.y=x"] and "mirrored-fixes" not in ended.out
 
 
 def test_from_a_bag_to_a_bag_with_the_estimate(sigmaswarm: Command, here: Path, tuned: Path):

@@ -87,27 +87,29 @@ def test_a_search_that_ends_at_its_beginning_is_no_offset():
     assert "clock-offset" not in sigmaswarm.diagnose(sigmaswarm.clip(drive, first, first + 60.0)).codes
 
 
-def robot(reverse: bool, seed: int) -> Drive:
-    """Drive for 14 s, stop, and drive on with turns; exact kinematics and white noise."""
+def robot(reverse: bool, seed: int, slow: float = 1.0) -> Drive:
+    """Drive for 14 s, stop, and drive on with turns; exact kinematics and white noise, of the fixes less if slow."""
     rng, t = np.random.default_rng(seed), np.arange(0, 90, 0.01)
     first = -4.0 if reverse else 4.0
     speed = np.interp(t, [0, 2, 5, 14, 16, 19, 24, 55, 60, 65, 85], [0, 0, first, first, 0, 0, 5, 5, 2, 5, 0])
     rate = np.where(t > 24, 0.3 * np.sin(2 * np.pi * (t - 24) / 15), 0.0) * np.abs(speed) / 5
     theta = 0.7 + np.cumsum(rate) * 0.01
+    speed = slow * speed
     position = np.cumsum(speed * np.exp(1j * theta)) * 0.01
     noise = rng.standard_normal((3, len(t)))
     force = np.gradient(speed, 0.01), speed * rate
     imu = Imu(t, force[0] + 0.05 * noise[0], force[1] + 0.05 * noise[1], rate + 0.002 * noise[2])
     k = slice(None, None, 20)
-    x, y = (part[k] + rng.standard_normal(len(t[k])) for part in (position.real, position.imag))
+    x, y = (part[k] + slow**2 * rng.standard_normal(len(t[k])) for part in (position.real, position.imag))
     return Drive("robot", imu, Gps(t[k], x, y))
 
 
 @pytest.mark.parametrize("seed", quickly([(s,) for s in range(3)], lambda s: s == 0))
-def test_a_log_that_begins_in_reverse(seed: int):
-    found = {f.code: f for f in sigmaswarm.diagnose(robot(True, seed)).findings}
+@pytest.mark.parametrize("slow", [1.0, 0.25])
+def test_a_log_that_begins_in_reverse(seed: int, slow: float):
+    found = {f.code: f for f in sigmaswarm.diagnose(robot(True, seed, slow)).findings}
     assert found["reverse-start"].span[1] == pytest.approx(16, abs=2)
-    assert "--at 18 --out parts" in found["reverse-start"].remedy
-    known = replace(robot(True, seed), metadata={"heading_deg": 40.0})
+    assert f"--at {18 if slow == 1 else 17} --out parts" in found["reverse-start"].remedy
+    known = replace(robot(True, seed, slow), metadata={"heading_deg": 40.0})
     assert "reverse-start" not in sigmaswarm.diagnose(known).codes
-    assert "reverse-start" not in sigmaswarm.diagnose(robot(False, seed)).codes
+    assert "reverse-start" not in sigmaswarm.diagnose(robot(False, seed, slow)).codes

@@ -510,6 +510,16 @@ def test_a_diagnosis_that_is_kept_is_that_of_the_same_numbers_and_name():
     assert ("filler", str(module.KEPT - 1)) in module._kept  # the oldest ones go
 
 
+def test_positions_in_another_unit_are_not_called_a_fault_of_the_accelerometer():
+    """Web Mercator stretches the fixes; the accelerometer measures gravity as before."""
+    drive = simulated("icm-20602", 90.0)
+    stretched = replace(drive, gps=replace(drive.gps, x=1.5 * drive.gps.x, y=1.5 * drive.gps.y), truth=None)
+    weak = replace(drive, imu=replace(drive.imu, ax=drive.imu.ax / 1.6))
+    for sick, named in ((stretched, True), (weak, False)):
+        found = [f for f in sigmaswarm.diagnose(sick).findings if f.code == "accelerometer-scale"]
+        assert found and all(("projection of the positions" in f.remedy) == named for f in found)
+
+
 @pytest.mark.parametrize(("sense", "scale"), [(1.0, 0.84), (-1.0, 1.2)])
 def test_a_scale_of_the_gyro_shows_in_whole_turns_too(sense: float, scale: float):
     """Circles: what changes within a window may be slip; a wrong scale also shows in whole turns."""

@@ -214,6 +214,46 @@ def test_an_imu_that_was_moved_within_a_log_is_reported_with_its_time(angle: flo
     assert moved(drive) is None
 
 
+def handled(drive: Drive, begin: float, end: float, axis: str) -> Drive:
+    """The IMU is turned by 60 deg between two times, at 2 rad/s, and turned for the rest of the nearer end."""
+    imu, first = drive.imu, begin < drive.imu.time[0] + drive.duration / 2
+    angle = 1.05 - 2 * (imu.time - begin) if first else 2 * (imu.time - begin)
+    rotation = Rotation.from_rotvec(np.clip(angle, 0, 1.05)[:, None] * np.eye(3)["xyz".index(axis)])
+    rate = np.where((imu.time > begin) & (imu.time < end), -2.0 if first else 2.0, 0.0)
+    columns = {
+        n: v
+        for s in "ag"
+        for n, v in zip(
+            (f"{s}{i}" for i in "xyz"),
+            rotation.apply(np.column_stack([getattr(imu, f"{s}{i}") for i in "xyz"])).T,
+            strict=True,
+        )
+    }
+    columns[f"g{axis}"] = columns[f"g{axis}"] - rate
+    return replace(drive, imu=replace(imu, **columns))
+
+
+@pytest.mark.parametrize(
+    ("begin", "axis", "kept"),
+    [(2.0, "y", (2.5, 150.0)), (148.0, "x", (0.0, 148.0)), (2.0, "z", None), (75.0, "y", None)],
+)
+def test_an_imu_in_someones_hand_at_an_end_is_cut_off(
+    begin: float, axis: str, kept: tuple[float, float] | None
+):
+    """A vehicle turns about the vertical, and an IMU that moves in the middle of a log is another finding."""
+    drive = drive_of("icm-20602", "hilly")
+    sick = handled(drive, begin, begin + 0.525, axis)
+    found = {f.code: f for f in sigmaswarm.diagnose(sick).findings}
+    assert ("mounting-handled" in found) == (kept is not None)
+    if kept is None:
+        return
+    finding = found["mounting-handled"]
+    mended = repaired(sick, sigmaswarm.diagnose(sick))
+    for time in (mended.imu.time, mended.gps.time):
+        np.testing.assert_allclose(time[[0, -1]], kept, atol=1.1)
+    assert finding.repair and "mounting-handled" not in sigmaswarm.diagnose(mended).codes
+
+
 def test_accelerations_without_gravity_show_no_moved_imu():
     drive = drive_of("icm-20602", "flat")
     assert drive.imu.az is not None

@@ -198,6 +198,8 @@ def test_a_repair_that_makes_forecasts_worse_is_withheld(code: str, repair: Repa
     np.testing.assert_array_equal(kept.imu.gz, good.imu.gz)
     np.testing.assert_array_equal(kept.gps.time, good.gps.time)
     assert kept.metadata["withheld"] == [code]
+    sick = replace(FAULTS["g"][0](good), metadata={"withheld": ["accelerometer-unit"]})
+    assert not any(f.repair for f in sigmaswarm.diagnose(sick).findings if f.code == "accelerometer-unit")
     # A right repair beside it is applied.
     sick = FAULTS["g"][0](good)
     found = sigmaswarm.diagnose(sick)

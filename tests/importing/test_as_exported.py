@@ -256,7 +256,13 @@ def test_offsets_between_clocks_are_proposed(tmp_path: Path, name: str):
 
 
 FLAGS = [
-    *(("fix_type", 1, 3), ("status", "V", "A"), ("valid", "False", "True"), ("fix_status", -1, 0)),
+    *(
+        ("fix_type", 1, 3),
+        ("num_sats", 0, 9),
+        ("status", "V", "A"),
+        ("valid", "False", "True"),
+        ("fix_status", -1, 0),
+    ),
     *(
         ("fix", "NO FIX", "3D"),
         ("mode", "No Fix", "GPS Fix"),
@@ -291,6 +297,13 @@ def test_flags_that_the_positions_contradict(tmp_path: Path, name: str, other: o
     require_right(tmp_path)
     (said,) = [note for note in imported(tmp_path).notes if "100 of 200 fixes for which" in note]
     assert len(imported(tmp_path, maps=options_in(said)[0]).drive.gps) == N // EVERY // 2
+
+
+@pytest.mark.parametrize("name", ["mode", "state"])
+@pytest.mark.parametrize("words", [("NONE", "AUTO"), ("NONE", "FOLLOW_GPS"), ("INVALID", "ACTIVE")])
+def test_words_of_an_autopilot_are_no_flags(tmp_path: Path, name: str, words: tuple[str, str]):
+    write(tmp_path, gps=FIXES | {name: np.array([words[k > 30] for k in range(N // EVERY)])})
+    require_right(tmp_path)
 
 
 @pytest.mark.parametrize("flags", [("3D", "DR"), ("MANUAL", "AUTO"), ("12", "LOST")])
@@ -341,7 +354,7 @@ def test_lines_that_are_no_rows(tmp_path: Path, case: str):
     lines = LINES[case](["t,ax,ay,az,gx,gy,gz,lat,lon", *rows()])
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
     require_right(tmp_path / "log.csv")
-    assert any("since they have no time" in note for note in imported(tmp_path / "log.csv").notes)
+    assert any("since the time is missing" in note for note in imported(tmp_path / "log.csv").notes)
 
 
 @pytest.mark.parametrize("name", ["ax", "lat"])
@@ -371,7 +384,9 @@ def test_few_wrong_times_are_no_recording(tmp_path: Path, case: str, count: int)
     table.with_columns(t=time).write_csv(tmp_path / "gps.csv")
     require_right(tmp_path, N // EVERY - count)
     assert any(
-        f"{count} rows are left out, since their times are far from" in n for n in imported(tmp_path).notes
+        n.endswith("left out, since the time is far from those of the rows around")
+        and f" {count} row{'s' * (count > 1)} " in n
+        for n in imported(tmp_path).notes
     )
 
 
@@ -446,7 +461,7 @@ def test_copies_of_rows_are_left_out(tmp_path: Path, case: str):
         table = pl.read_csv(file)
         table[COPIES[case](len(table))].write_csv(file)
     require_right(tmp_path)
-    assert any("since they are copies of other rows" in note for note in imported(tmp_path).notes)
+    assert any("as copies of other rows" in note for note in imported(tmp_path).notes)
 
 
 @pytest.mark.parametrize("names", [("linear_acceleration.{}", "accel_{}"), ("acc_{}", "lin_acc_{}"),
@@ -552,6 +567,17 @@ def test_slow_rates_in_degrees_and_fast_ones_in_radians(tmp_path: Path, v: Any, 
         imported(tmp_path)
     (maps,) = options_in(str(caught.value))
     np.testing.assert_allclose(imported(tmp_path, maps=maps).drive.imu.gz, gz, atol=1e-9)
+
+
+def test_rates_that_no_turn_confirms_are_told_with_the_way(tmp_path: Path):
+    write(tmp_path)
+    assert not any("no turn of the fixes confirms the unit" in note for note in imported(tmp_path).notes)
+    imu, fixes, _ = road(0.3, 0.001 * np.sin(T))
+    write(tmp_path, imu, fixes)
+    (said,) = (note for note in imported(tmp_path).notes if "no turn of the fixes confirms the unit" in note)
+    got = imported(tmp_path, maps=options_in(said)[0])
+    np.testing.assert_allclose(got.drive.imu.gz, np.radians(imu["gz"]), atol=1e-12)
+    assert not any("no turn of the fixes confirms the unit" in note for note in got.notes)
 
 
 @pytest.mark.parametrize(("ticks", "head"), [(1e5, "ticks"), (1e5, "t"), (1e5, "timestamp")])

@@ -315,7 +315,7 @@ def test_times_beyond_64_bits_are_left_out(tmp_path: Path, system: str):
     (folder / "Gyroscope.csv").write_text("\n".join(lines))
     got = imported(folder)
     assert any(
-        "2 rows of Gyroscope.csv are left out, since they have no time" in note for note in got.notes
+        "2 rows of Gyroscope.csv are left out, since the time is missing" in note for note in got.notes
     ), got.notes
     np.testing.assert_allclose(got.drive.imu.ax, IMU.ax, atol=1e-9)
     assert inspect_request(Request(folder)).tables
@@ -332,7 +332,7 @@ def test_times_of_px4_beyond_64_bits_are_left_out(tmp_path: Path):
         data[at : at + 8] = struct.pack("<Q", 2**64 - 7)
     (tmp_path / "f.ulg").write_bytes(data)
     got = imported(tmp_path / "f.ulg")
-    assert any("since they have no time" in note for note in got.notes)
+    assert any("since the time is missing" in note for note in got.notes)
     np.testing.assert_array_equal(got.drive.imu.ax, np.delete(whole.imu.ax, 50))
     assert inspect_request(Request(tmp_path / "f.ulg")).tables
 

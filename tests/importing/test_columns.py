@@ -1,5 +1,6 @@
 """CSV and Parquet, with guessed columns and with mapped ones."""
 
+import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -102,9 +103,42 @@ def test_of_a_folder_with_two_days_it_says_which_is_taken(tmp_path: Path):
     said = [note for note in imported(tmp_path).notes if "is used for the" in note]
     assert said == [
         f"{role}_tuesday.csv has the same columns as {role}_monday.csv; only {role}_monday.csv is used for the {name}; "
-        f"choose with --{name}-table, and import each log as a separate drive"
+        f"import each log as a separate drive, as with --{name}-table {role}_tuesday.csv"
         for role, name in (("imu", "imu"), ("gnss", "gps"))
     ]
+
+
+LONG = a_drive(30.0)
+NUMBERED = ["imu_{}.csv", "2024-05-01_1{}.csv", "imu ({}).csv"]
+
+
+@pytest.mark.parametrize("name", [*NUMBERED, "x{}.csv without headers"])
+@pytest.mark.parametrize("pause", [0.0, 20.0])
+def test_files_that_continue_each_other_are_joined(tmp_path: Path, name: str, pause: float):
+    columns = {n: getattr(LONG.imu, n) for n in ("time", "ax", "ay", "az", "gx", "gy", "gz")}
+    whole, third = pl.DataFrame(columns), len(LONG.imu) // 3
+    headers = "without" not in name
+    for k in (2, 0, 1):
+        part = whole[k * third : (k + 1) * third] if k < 2 else whole[2 * third :]
+        later = part.with_columns(time=pl.col("time") + pause * k)
+        path = tmp_path / name.partition(" without")[0].format(k if headers else "abc"[k])
+        later.write_csv(path, include_header=headers or k == 0)
+    fixes = pl.DataFrame({n: getattr(LONG.gps, n) for n in ("time", "lat", "lon")})[::5]  # 1 Hz
+    if headers and not pause:
+        for k in (1, 0):
+            fixes[k * 10 : (k + 1) * 10 if k == 0 else None].write_csv(tmp_path / f"fixes{k}.csv")
+    else:
+        fixes.write_csv(tmp_path / "fixes.csv")
+    got = imported(tmp_path)
+    assert pause or len(got.drive.gps) == len(fixes)
+    if "imu_" in name:
+        packed = shutil.make_archive(f"{tmp_path}-packed", "zip", tmp_path)
+        assert len(imported(Path(packed)).drive.imu) == len(got.drive.imu)
+    assert len(got.drive.imu) == (third if pause else len(LONG.imu))
+    assert any("are joined" in note for note in got.notes) == (not pause)
+    if not pause:
+        assert_close(got.drive.imu, LONG.imu, "time ax gz", 1e-9)
+        assert not any("has no header" in note for note in got.notes)
 
 
 @pytest.mark.parametrize(
@@ -224,7 +258,7 @@ def test_one_table_for_all_with_fixes_repeated(tmp_path: Path):
     got = imported(tmp_path / "all.csv")
     np.testing.assert_allclose(got.drive.gps.lat, gps.lat)
     assert np.all((got.drive.gps.time - gps.time >= 0) & (got.drive.gps.time - gps.time < 0.011))
-    assert any("repeat the previous position" in note for note in got.notes)
+    assert any("the previous position is repeated" in note for note in got.notes)
 
 
 def test_one_table_for_all_with_empty_cells(tmp_path: Path):
@@ -250,7 +284,7 @@ def test_rows_out_of_order_twice_or_without_values_are_told(tmp_path: Path):
     got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=MAPS)
     assert_close(got.drive.imu, DRIVE.imu, "time ax gz", 1e-12)
     said = " ".join(got.notes)
-    assert "out of order" in said and "time of the previous row" in said
+    assert "out of order" in said and "that of the previous row" in said
 
 
 @pytest.mark.parametrize(
@@ -662,6 +696,9 @@ NAMED = {
     "Spanish": ("Aceleración {};Giroscopio {};Latitud;Longitud", (1.0, 1.0, 1.0, 1.0)),
     "RaceChrono": ("{}_acc [G];{}_rate_of_rotation [deg/s];lat;lon", (1 / G, 180 / np.pi, 1.0, 1.0)),
     "two units": ("imu1_a{};imu1_g{};lat;lon", (1.0, 1.0, 1.0, 1.0)),
+    "units before axes": ("acc_mg_{};gyro_dps_{};lat;lon", (1000 / G, 180 / np.pi, 1.0, 1.0)),
+    "units as words": ("Acc_{}_cms2;Gyro_{}_radpersec;lat;lon", (100.0, 1.0, 1.0, 1.0)),
+    "the unit g's": ("Accel {} (g's);Gyro {} (deg/sec);lat;lon", (1 / G, 180 / np.pi, 1.0, 1.0)),
 }
 
 
@@ -815,7 +852,8 @@ def test_tables_in_folders_below_are_named(tmp_path: Path):
         (tmp_path / "mav0" / name).mkdir(parents=True)
         (tmp_path / "mav0" / name / "rows.csv").write_text("t,x\n0,1\n")
     with pytest.raises(
-        InputError, match=r"mav0/gps0/rows.csv and mav0/imu0/rows.csv\); import one .* with --gps"
+        InputError,
+        match=r"\(mav0/gps0, mav0/imu0\); import one file, such as .*/mav0/gps0/rows.csv, .* with --gps",
     ):
         imported(tmp_path)
 
@@ -853,6 +891,15 @@ def test_rows_of_several_kinds_are_refused_with_the_way(tmp_path: Path, end: str
         imported(tmp_path / "log.csv")
 
 
+def test_of_folders_with_whole_logs_the_folder_is_named(tmp_path: Path):
+    for day in ("monday", "tuesday"):
+        (tmp_path / day).mkdir()
+        write_two(tmp_path / day, AXES, FIXES)
+    with pytest.raises(InputError, match=r"\(monday, tuesday\); import each log, as ") as caught:
+        imported(tmp_path)
+    assert_close(imported(Path(str(caught.value).rpartition(" as ")[2])).drive.gps, DRIVE.gps, "lat", 1e-12)
+
+
 def test_folders_of_days_are_not_mixed(tmp_path: Path):
     imu, gps = DRIVE.imu, DRIVE.gps
     tables = {
@@ -862,7 +909,7 @@ def test_folders_of_days_are_not_mixed(tmp_path: Path):
     for day, table in tables.items():
         (tmp_path / day).mkdir()
         pl.DataFrame(table).write_csv(tmp_path / day / "data.csv")
-    with pytest.raises(InputError, match=r"day1/data.csv and day2/data.csv\); import one"):
+    with pytest.raises(InputError, match=r"\(day1, day2\); import one"):
         imported(tmp_path)
 
 

@@ -27,6 +27,7 @@ FIX = "uint64 timestamp\nfloat64 latitude_deg\nfloat64 longitude_deg\nuint8 fix_
 DEFINED = {
     "own_msgs/msg/Wrapped": "std_msgs/Header header\nstd_msgs/Float64 latitude\nstd_msgs/Float64 longitude\n",
     "own_msgs/msg/Plain": "int64 time_us\nfloat64 lat\nfloat64 lon\n",
+    "own_msgs/msg/Stamped": "float64 stamp\nfloat64 lat\nfloat64 lon\n",
     "own_msgs/msg/Arrays": "std_msgs/Header header\nfloat64[3] accel_m_s2\nfloat64[3] gyro_deg_s\n",
     "own_msgs/msg/Flat": "float64 acc_x_g\nfloat64 acc_y_g\nfloat64 acc_z_g\nfloat64 gx\nfloat64 gy\nfloat64 gz\n",
     "own_msgs/msg/Codes": "float64[3] q\nfloat64 first\nfloat64 second\n",
@@ -53,6 +54,8 @@ def one(store: Any, kind: str, i: int) -> Any:
         return make(stamp(store, GPS.time[i]), number(GPS.lat[i]), number(GPS.lon[i]))
     if kind.endswith("Plain"):
         return make(round((GPS.time[i] + EPOCH) * 1e6), GPS.lat[i], GPS.lon[i])
+    if kind.endswith("Stamped"):
+        return make(GPS.time[i] + EPOCH, GPS.lat[i], GPS.lon[i])
     if kind.endswith("SensorGps"):
         return make(round(GPS.time[i] * 1e6), GPS.lat[i], GPS.lon[i], 3, 1.0)
     force, rate = np.array([IMU.ax[i], IMU.ay[i], IMU.az[i]]), np.array([IMU.gx[i], IMU.gy[i], IMU.gz[i]])
@@ -70,6 +73,7 @@ def of_kinds(store: Any, imu: str, fix: str) -> Iterator[Message]:
 
 
 PAIRS = [("own_msgs/msg/Arrays", "own_msgs/msg/Wrapped"), ("own_msgs/msg/Flat", "own_msgs/msg/Plain"),
+         ("own_msgs/msg/Arrays", "own_msgs/msg/Stamped"),
          ("px4_msgs/msg/SensorCombined", "px4_msgs/msg/SensorGps")]  # fmt: skip
 
 

@@ -89,7 +89,7 @@ def test_ubx_without_a_fix_damaged_or_cut_short(tmp_path: Path):
 
 
 def nmea(i: int, begin: int = EPOCH, talker: str = "GN") -> list[bytes]:
-    """The sentences of one fix: GGA, GST, RMC."""
+    """The sentences of one fix: GGA, GST, RMC, GLL."""
     t = moment(i, begin)
     clock = f"{t:%H%M%S}.{t.microsecond // 10000:02d}"
     course = np.degrees(np.pi / 2 - GPS.course[i]) % 360
@@ -100,6 +100,7 @@ def nmea(i: int, begin: int = EPOCH, talker: str = "GN") -> list[bytes]:
         ("GST", {"rangeRms": 1.0, "stdLat": round(GPS.std_y[i], 3), "stdLong": round(GPS.std_x[i], 3)}),
         ("RMC", {**place, "status": "A", "spd": round(GPS.speed[i] * 3600 / 1852, 3), "cog": round(course, 2),
                  "date": f"{t:%Y-%m-%d}"}),
+        ("GLL", {**place, "status": "A", "posMode": "A"}),
     ]  # fmt: skip
     return [
         pynmeagps.NMEAMessage(talker, kind, pynmeagps.GET, hpnmeamode=1, time=clock, **values).serialize()
@@ -132,7 +133,7 @@ def test_nmea_over_midnight(tmp_path: Path):
     midnight = EPOCH - EPOCH % 86400 - 6
     lines: list[bytes] = []
     for i in range(len(GPS)):
-        gga, gst, rmc = nmea(i, midnight)
+        gga, gst, rmc, _ = nmea(i, midnight)
         lines += [gga, gst, rmc] if i == 0 else [gga, gst]
     (tmp_path / "log.nmea").write_bytes(b"".join(lines))
     table = imu_csv(tmp_path)
@@ -171,7 +172,8 @@ def test_broken(tmp_path: Path, name: str, content: bytes, said: str):
 
 
 @pytest.mark.parametrize(
-    ("taken", "begin"), [((0,), EPOCH), ((0, 1), EPOCH), ((0,), EPOCH - EPOCH % 86400 - 6)]
+    ("taken", "begin"),
+    [((0,), EPOCH), ((0, 1), EPOCH), ((3,), EPOCH), ((0,), EPOCH - EPOCH % 86400 - 6)],
 )
 def test_nmea_without_a_date_counts_from_midnight(tmp_path: Path, taken: tuple[int, ...], begin: int):
     lines = [nmea(i, begin)[k] for i in range(len(GPS)) for k in taken]

@@ -2,18 +2,24 @@
 
 import re
 import shlex
+import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 
 from importing.logs import a_drive, assert_close, imported
+from sigmaswarm import simulate
 from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.importing.convert import Request, import_drive
 from sigmaswarm.importing.inspection import inspect_request
+from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.source import Choice
 from sigmaswarm.importing.units import parse_unit
 from support import quickly, some
 
@@ -56,6 +62,7 @@ DIALECTS: dict[str, str] = {
     "lines above": table(["Logger 2, firmware 1.3", "Serial: 12", "", ",".join(HEAD), *joined(ROWS)]),
     "lines above with commas": table(["Logger,2", "rate,100", ",".join(HEAD), *joined(ROWS)]),
     "many lines above": table([*(f"setting {k}: {k}" for k in range(40)), ",".join(HEAD), *joined(ROWS)]),
+    "groups above": table([",Accelerometer,,,Gyroscope,,", "t,x,y,z,x,y,z", *joined(ROWS)]),
     "sep=;": table(["sep=;", ";".join(HEAD), *joined(ROWS, ";")]),
     "sep=,": table(["sep=,", ",".join(HEAD), *joined(ROWS)], "\r\n"),
     "decimal commas": table([";".join(HEAD), *joined(COMMA, ";")]),
@@ -92,6 +99,32 @@ def test_dialects(tmp_path: Path, dialect: str):
     got = imported(tmp_path)
     assert_close(got.drive.imu, IMU, "time ax ay az gx gy gz", 1e-12)
     assert any("decimal commas" in n for n in got.notes) == ("decimal commas" in dialect)
+
+
+@pytest.mark.parametrize("fault", ["commas everywhere", "carriage returns"])
+def test_a_text_that_is_converted_by_the_named_command(tmp_path: Path, fault: str):
+    head = ",".join(HEAD)
+    form = [[f"{float(c):.9f}".replace(".", ",") for c in row] for row in ROWS]
+    content = table([head, *joined(form)]) if "commas" in fault else table([head, *joined(ROWS)], "\r")
+    (tmp_path / "imu.csv").write_text(content, newline="")
+    write_fixes(tmp_path)
+    with pytest.raises(InputError, match="for example with: ") as caught:
+        imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv")
+    subprocess.run(str(caught.value).partition("for example with: ")[2], shell=True, check=True, cwd=tmp_path)
+    got = imported(tmp_path / "new.csv", gps=tmp_path / "gps.csv")
+    assert_close(got.drive.imu, IMU, "time ax ay az gx gy gz", 1e-8)
+
+
+def test_separators_of_thousands_are_no_decimal_commas(tmp_path: Path):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(
+        tmp_path,
+        lon=[f'{v!r},"{1200 + k:,.1f}"' for k, v in enumerate(GPS.lon.tolist())],
+        head="t,lat,lon,alt",
+    )
+    got = imported(tmp_path)
+    np.testing.assert_allclose(got.drive.gps.alt, 1200 + np.arange(len(GPS)))
+    assert not any("decimal commas" in note for note in got.notes)
 
 
 @pytest.mark.parametrize("name", ["drive.log", "DATA.DAT", "imu.asc", "data"])
@@ -144,9 +177,27 @@ def test_of_several_columns_of_text_the_first_is_named(tmp_path: Path):
 def test_columns_without_a_header_can_be_mapped(tmp_path: Path):
     (tmp_path / "imu.csv").write_text(table(joined(ROWS)))
     write_fixes(tmp_path)
-    maps = ["imu.t=c1", *(f"{a}=c{k}" for k, a in enumerate(AXES, 2))]
-    got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=maps)
+    with pytest.raises(
+        InputError, match=r"imu\.csv begin with t, ax, ay, az, gx, gy, gz, write --map "
+    ) as caught:
+        imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv")
+    got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=maps_in(str(caught.value)))
     assert_close(got.drive.imu, IMU, "time ax ay az gx gy gz", 1e-12)
+    (tmp_path / "gps.csv").write_text((tmp_path / "gps.csv").read_text().partition("\n")[2])
+    with pytest.raises(InputError, match=r"write --imu-table imu\.csv --map ") as caught:
+        imported(tmp_path)
+    options: dict[str, Any] = {"choice": Choice({"imu": "imu.csv"}), "maps": maps_in(str(caught.value))}
+    with pytest.raises(
+        InputError, match=r"gps\.csv begin with t, lat, lon, write --gps-table gps\.csv --map "
+    ) as caught:
+        imported(tmp_path, **options)
+    options["maps"] += maps_in(str(caught.value))
+    assert_close(
+        imported(tmp_path, **options | {"choice": Choice({"imu": "imu.csv", "gps": "gps.csv"})}).drive.gps,
+        GPS,
+        "lat",
+        1e-9,
+    )
 
 
 def test_a_name_of_any_length_is_read_in_a_moment(tmp_path: Path):
@@ -333,6 +384,7 @@ PLACES: dict[str, tuple[str, Callable[[float], str], Callable[[float], str]]] = 
         lambda b: repr(float(np.radians(b))),
     ),
     "degrees, named": ("t,Latitude (deg),Longitude (deg)", repr, repr),
+    "milliarcseconds, named": ("t,lat_mas,lon_mas", lambda a: repr(a * 3.6e6), lambda b: repr(b * 3.6e6)),
     "1e-7 degrees": ("t,lat,lon", lambda a: str(round(a * 1e7)), lambda b: str(round(b * 1e7 + 3e9 - 3e9))),
     "1e-7 degrees, named": (
         "t,lat [degE7],lon [1e-7 deg]",
@@ -484,17 +536,52 @@ def test_rates_that_no_car_has_are_no_degrees(tmp_path: Path, scale: float):
     assert_close(got.drive.imu, IMU, "gx gy gz", 1e-9)
 
 
-@pytest.mark.parametrize("scale", [np.pi / 180, 1e6])
+@pytest.mark.parametrize("scale", [np.pi / 180, 3600.0, 1e6])
 def test_places_that_may_be_two_things_are_refused_and_the_remedy_helps(tmp_path: Path, scale: float):
     (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
     write_fixes(tmp_path, (GPS.lat * scale).tolist(), (GPS.lon * scale).tolist())
     with pytest.raises(InputError, match="latitude and longitude") as caught:
         imported(tmp_path)
-    maps = [m.replace("1e-7", "1e-6") for m in maps_in(str(caught.value))[:2]]
-    assert_close(imported(tmp_path, maps=maps).drive.gps, GPS, "lat lon", 1e-9)
+    maps = [m for m in maps_in(str(caught.value)) if scale < 1 or m.endswith(("/3600", "/1e6")[scale == 1e6])]
+    assert_close(imported(tmp_path, maps=maps[:2]).drive.gps, GPS, "lat lon", 1e-9)
 
 
-@pytest.mark.parametrize("cell", some(["0", "0.0", "-999", "1e10", "-9999.0", "", "n/a", "NaN"]))
+@pytest.mark.parametrize("south", [0.0, 15.0])
+def test_milliarcseconds_that_may_be_1e_7_degrees_are_told_with_the_way(tmp_path: Path, south: float):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(tmp_path, ((GPS.lat - south) * 3.6e6).tolist(), (GPS.lon * 3.6e6).tolist())
+    maps = [m for note in imported(tmp_path).notes if "milliarcseconds" in note for m in maps_in(note)]
+    got = imported(tmp_path, maps=maps).drive.gps
+    np.testing.assert_allclose(got.lat, GPS.lat - south, atol=1e-9)
+
+
+def test_web_mercator_is_told_with_the_way(tmp_path: Path):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    x, y = np.radians(GPS.lon), np.log(np.tan(np.pi / 4 + np.radians(GPS.lat) / 2))
+    write_fixes(tmp_path, 6_378_137 * x, 6_378_137 * y, "t,x,y")
+    (said,) = (note for note in imported(tmp_path).notes if "Web Mercator" in note)
+    assert_close(imported(tmp_path, maps=maps_in(said)).drive.gps, GPS, "lat lon", 1e-9)
+    assert "Web Mercator" not in maps_in(said)
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1.0, ""), (1.0, " [m]"), (100.0, ""), (100.0, " [cm]"), (1e3, "")]
+)
+def test_coordinates_from_the_center_of_the_earth(tmp_path: Path, factor: float, unit: str):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    lat, lon, e2 = np.radians(GPS.lat), np.radians(GPS.lon), 6.69437999014e-3
+    n = 6_378_137 / np.sqrt(1 - e2 * np.sin(lat) ** 2)
+    places = np.column_stack(
+        [n * np.cos(lat) * np.cos(lon), n * np.cos(lat) * np.sin(lon), n * (1 - e2) * np.sin(lat)]
+    )
+    rows = [",".join(map(repr, row)) for row in np.column_stack([GPS.time, factor * places]).tolist()]
+    (tmp_path / "gps.csv").write_text(table([",".join(["t", *(f"ecef_{i}{unit}" for i in "xyz")]), *rows]))
+    assert_close(imported(tmp_path).drive.gps, GPS, "lat lon", 1e-8)
+
+
+@pytest.mark.parametrize(
+    "cell", some(["0", "0.0", "-999", "1e10", "-9999.0", "", "n/a", "NaN", "---.--", "-1.#IND", "181.0"])
+)
 @pytest.mark.parametrize("count", quickly([(1,), (5,)], lambda count: count == 5))
 def test_placeholders_are_no_fixes(tmp_path: Path, cell: str, count: int):
     (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
@@ -513,7 +600,7 @@ def test_a_first_fix_far_from_the_rest_is_left_out(tmp_path: Path, place: tuple[
     write_fixes(tmp_path, [place[0], *GPS.lat[1:].tolist()], [place[1], *GPS.lon[1:].tolist()])
     got = imported(tmp_path)
     np.testing.assert_allclose(got.drive.origin[:2], (GPS.lat[1], GPS.lon[1]))
-    assert any("km from the others are left out, including the first" in note for note in got.notes)
+    assert any("km from the others is left out, including the first" in note for note in got.notes)
 
 
 @pytest.mark.parametrize("value", ["-999", "1e10", "9999", "nan"])
@@ -523,7 +610,7 @@ def test_placeholders_of_the_imu_are_no_samples(tmp_path: Path, value: str):
     write_fixes(tmp_path)
     got = imported(tmp_path)
     assert len(got.drive.imu) == len(IMU) - 3 and np.abs(got.drive.imu.az).max() < 20
-    assert any("3 rows are left out, since they have an empty cell" in note for note in got.notes)
+    assert any("3 rows are left out, since a cell is empty" in note for note in got.notes)
 
 
 @pytest.mark.parametrize(
@@ -571,6 +658,52 @@ def test_the_heading_of_truth(tmp_path: Path, form: str):
     got = imported(tmp_path).drive.truth
     apart = np.angle(np.exp(1j * (got.theta - TRUTH.theta)))
     assert np.abs(apart).max() < 1e-6
+
+
+FRAMES: dict[str, complex] = {"turned": np.exp(0.6j), "kilometers": 1e-3, "turned feet": 3.28 * np.exp(-2j)}
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("place", ["lat,lon", "x,y"])
+def test_a_truth_with_other_axes_is_refused_and_the_remedy_helps(
+    tmp_path: Path, frame: str, mirrored: bool, place: str
+):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(tmp_path, *((GPS.x, GPS.y, "t,x,y") if place == "x,y" else ()))
+    z = FRAMES[frame] * (TRUTH.x + 1j * TRUTH.y)
+    rows = [f"{t!r},{a!r},{b!r}" for t, a, b in np.column_stack([TRUTH.time, z.real, z.imag]).tolist()]
+    (tmp_path / "truth.csv").write_text(table(["t,y,x" if mirrored else "t,x,y", *rows]))
+    with pytest.raises(InputError, match="the truth's x and y are not m east and north") as caught:
+        imported(tmp_path)
+    maps = re.findall(r'"(truth\.[^"]+)"', str(caught.value))
+    drive = imported(tmp_path, maps=maps).drive
+    moved = [np.ptp(getattr(table, name)) for name in "xy" for table in (drive.truth, TRUTH)]
+    np.testing.assert_allclose(moved[::2], moved[1::2], rtol=0.03)
+    known = [np.interp(GPS.time, drive.truth.time, getattr(drive.truth, n)) - getattr(GPS, n) for n in "xy"]
+    assert np.std(known, axis=1).max() < 1.5
+
+
+@pytest.mark.parametrize("place", ["lat,lon", "x,y"])
+@pytest.mark.parametrize("late", [-18.0, 4.0])
+def test_a_truth_with_another_clock_is_told_with_the_offset(tmp_path: Path, place: str, late: float):
+    drive = simulate("urban", run=3, duration=60.0, gps="white-1m")
+    columns = {n: v for n, v in vars(drive.imu).items() if v is not None}
+    pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
+    lat, lon, _ = enu_to_geodetic(
+        np.column_stack([drive.gps.x, drive.gps.y, 0 * drive.gps.x]), (48.0, 11.0, 0.0)
+    ).T
+    pl.DataFrame({"time": drive.gps.time, "lat": lat, "lon": lon}).write_csv(tmp_path / "gps.csv")
+    lat, lon, _ = enu_to_geodetic(
+        np.column_stack([drive.truth.x, drive.truth.y, 0 * drive.truth.x]), (48.0, 11.0, 0.0)
+    ).T
+    truth = {"lat": lat, "lon": lon} if place == "lat,lon" else {"x": drive.truth.x, "y": drive.truth.y}
+    pl.DataFrame({"time": drive.truth.time + late, **truth}).write_csv(tmp_path / "truth.csv")
+    (said,) = (note for note in imported(tmp_path).notes if "--truth-offset" in note)
+    offset = float(re.search(r"--truth-offset (-?[\d.]+)", said)[1])
+    assert offset == pytest.approx(-late, abs=0.5)
+    notes = imported(tmp_path, recipe=Recipe(truth_offset_s=offset)).notes
+    assert not any("--truth-offset" in note for note in notes)
 
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (3.0, -2.0), (0.0, 40.0)])

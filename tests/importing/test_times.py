@@ -66,6 +66,7 @@ TWO_COLUMNS: dict[str, tuple[str, Cells]] = {
     "since the start": ("secs,nsecs", split(10**9, 58426)),
     "stamp.sec, stamp.nanosec": ("stamp.sec,stamp.nanosec", split(10**9)),
     "tv_sec, tv_usec": ("tv_sec,tv_usec", split(10**6)),
+    "s, and ms of the second": ("time_s,time_ms", split(10**3)),
     "header before the time of receipt": (
         "time,header.stamp.secs,header.stamp.nsecs",
         lambda t: f"{EPOCH + t + 0.3 * (t * 7 % 1):.6f},{split(10**9)(t)}",
@@ -120,6 +121,12 @@ NAMED: dict[str, tuple[str, Cells]] = {
     "time [min]": ("time [min]", lambda t: repr(t / 60)),
     "time (h)": ("time (h)", lambda t: repr(t / 3600)),
     "t_days": ("time_days", lambda t: repr(t / 86400)),
+    "t_imu": ("t_imu", repr),
+    "ticks since year 1": ("t", lambda t: str(621_355_968_000_000_000 + round((EPOCH + t) * 1e7))),
+    "ticks since 1601": ("t", lambda t: str(116_444_736_000_000_000 + round((EPOCH + t) * 1e7))),
+    "elapsed": ("elapsed", lambda t: f"0:00:{t:09.6f}"),
+    "utc_time": ("utc_time", repr),
+    "datenum": ("datenum", lambda t: f"{719529 + (EPOCH + t) / 86400:.12f}"),
 }
 
 
@@ -194,6 +201,8 @@ def test_stated_times_pass_the_same_check(tmp_path: Path, time: str):
 
 DATES = (
     "%d-%b-%Y %H:%M:%S.%f",
+    "%d-%b-%y %H:%M:%S.%f",
+    "%d.%m.%y %H:%M:%S.%f",
     "%Y/%m/%d %H:%M:%S.%f",
     "%d.%m.%Y %H:%M:%S.%f",
     "%d/%m/%Y %H:%M:%S.%f",
@@ -399,16 +408,14 @@ def test_rows_that_all_have_one_time_are_refused_and_the_remedy_helps(tmp_path: 
     assert apart(tmp_path, maps=[remedy]) < 1e-9
 
 
-@pytest.mark.parametrize("first", ["%d/%m", "%m/%d"])
+@pytest.mark.parametrize("first", ["%d/%m/%Y", "%m/%d/%Y", "%d/%m/%y", "%y/%m/%d"])
 def test_a_date_that_may_be_two_days_is_refused_and_the_remedy_helps(tmp_path: Path, first: str):
     begin = 1_717_459_200  # 4 June 2024
-    form = f"{first}/%Y %H:%M:%S.%f"
+    form = f"{first} %H:%M:%S.%f"
     write(tmp_path, "time", lambda t: datetime.datetime.fromtimestamp(begin + t, datetime.UTC).strftime(form))
     with pytest.raises(InputError, match="may be two different days") as caught:
         imported(tmp_path)
-    time = re.search(r'--time "([^"]+)"', str(caught.value))[1]
-    if first == "%m/%d":
-        time = time.replace("%d/%m", "%m/%d")
+    time = next(t for t in re.findall(r'--time "([^"]+)"', str(caught.value)) if first in t)
     drive = imported(tmp_path, time=time).drive
     assert drive.metadata["time_origin_s"] == begin
 
@@ -469,6 +476,30 @@ def test_a_clock_that_starts_anew_is_two_recordings(tmp_path: Path, begins: tupl
     assert len(first.drive.gps) + len(second.drive.gps) == len(GPS)
     with pytest.raises(InputError, match="there is no recording 3; choose --part 1"):
         imported(tmp_path, part=3)
+
+
+def test_fixes_whose_clock_does_not_start_anew_get_the_remedy_of_an_offset(tmp_path: Path):
+    write(tmp_path, "t", lambda t: f"{t if t < 7 else t - 7:.6f}", "t", repr)
+    (said,) = (note for note in imported(tmp_path, part=2).notes if "--gps-offset" in note)
+    assert float(re.search(r"--gps-offset (-[\d.]+)", said)[1]) == pytest.approx(-7, abs=0.02)
+    assert not any("--gps-offset" in note for note in imported(tmp_path, part=1).notes)
+
+
+def test_the_remedy_of_an_unknown_time_names_the_column_that_increases(tmp_path: Path):
+    write(tmp_path, "n,beats", lambda t: f"{7 - t % 2},{t!r}", "t", repr)
+    with pytest.raises(InputError, match="no column is recognized as the time") as caught:
+        imported(tmp_path)
+    assert apart(tmp_path, maps=maps_in(str(caught.value))[:1]) < 1e-9
+
+
+@pytest.mark.parametrize("order", ["reversed", "random"])
+def test_rows_in_no_order_are_sorted(tmp_path: Path, order: str):
+    write(tmp_path, "t", repr)
+    for name in ("imu.csv", "gps.csv"):
+        head, *rows = (tmp_path / name).read_text().split("\n")
+        rows = rows[::-1] if order == "reversed" else np.random.default_rng(1).permutation(rows).tolist()
+        (tmp_path / name).write_text("\n".join([head, *rows]))
+    assert apart(tmp_path) < 1e-9
 
 
 def test_rows_in_another_order_are_one_recording(tmp_path: Path):

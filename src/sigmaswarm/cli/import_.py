@@ -221,13 +221,24 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
     write_drive(imported.drive, out, overwrite=options.overwrite)
     if options.save_recipe:
         imported.recipe.save(options.save_recipe)
-    diagnosis = diagnose(imported.drive)
+    diagnosis = _with_columns(diagnose(imported.drive), imported)
     if options.json:
         print_json(_summary(imported, out) | {"doctor": diagnosis.to_dict()})
         return
     say(*_report(imported, out, diagnosis))
     print_diagnosis(diagnosis)
     say(*next_steps(diagnosis, out))
+
+
+def _with_columns(diagnosis: "Diagnosis", imported: "Imported") -> "Diagnosis":
+    """Replace COLUMN_OF_LAT, which stands for a column of the log in a remedy, by this column's expression."""
+    texts = {n: text for part in imported.recipe.roles.get("gps", ()) for n, text in part.columns.items()}
+
+    def named(text: str) -> str:
+        return re.sub(r"COLUMN_OF_([A-Z]+)", lambda m: texts.get(m[1].lower(), m[0]), text)
+
+    findings = tuple(replace(finding, remedy=named(finding.remedy)) for finding in diagnosis.findings)
+    return replace(diagnosis, findings=findings)
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:

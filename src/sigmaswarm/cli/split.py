@@ -51,6 +51,7 @@ def split(
     times = None if not at else at[0] if len(at) == 1 else (at[0], at[1])
     whole = read_known(drive)
     parts = sigmaswarm.split_time(whole, 0.7 if train_fraction is None else train_fraction, at=times)
+    _require_enough(whole, parts)
     require_writable([out / part.name for part in parts], [drive], overwrite=overwrite)
     for part in parts:
         sigmaswarm.write_drive(part, out / part.name, overwrite=overwrite)
@@ -58,6 +59,23 @@ def split(
         print_json({"drives": [str(out / part.name) for part in parts]})
         return
     say(*(f"wrote {out / part.name} ({part.duration:.0f} s)" for part in parts), *_next_steps(parts, out))
+
+
+def _require_enough(whole: "sigmaswarm.Drive", parts: "Sequence[sigmaswarm.Drive]") -> None:
+    """Refuse, before anything is written, a part that is too short for a drive."""
+    from sigmaswarm.drives.checks import FEWEST_SAMPLES, FEWEST_SHARED_FIXES, shortage_of
+
+    imu, gps = whole.imu.time, whole.gps.time
+    gps = gps[(gps >= imu[0]) & (gps <= imu[-1])]
+    for part in parts:
+        if len(part.gps) and not shortage_of(part.imu, part.gps):
+            continue
+        low = max(imu[FEWEST_SAMPLES - 1], gps[FEWEST_SHARED_FIXES - 1]) + 0.01
+        high = min(imu[-FEWEST_SAMPLES], gps[-FEWEST_SHARED_FIXES]) - 0.01
+        remedy = f"split with --at {low:.2f} to {high:.2f}" if low < high else "record a longer drive"
+        raise sigmaswarm.InputError(
+            f"{part.name}: {part.duration:.1f} s with {len(part.gps)} fixes are too few for a drive; {remedy}"
+        )
 
 
 def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path) -> list[str]:

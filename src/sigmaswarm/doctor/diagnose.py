@@ -1,10 +1,12 @@
 """Diagnose one drive by all checks."""
 
+from dataclasses import replace
+
 from sigmaswarm.doctor.checks.accelerometer import check_accelerometer
 from sigmaswarm.doctor.checks.gyro import check_gyro, check_tilt
 from sigmaswarm.doctor.checks.heading import check_heading
 from sigmaswarm.doctor.checks.limits import check_observability, check_use
-from sigmaswarm.doctor.checks.mounting import check_mirrored, check_mounting, check_reverse
+from sigmaswarm.doctor.checks.mounting import check_handled, check_mirrored, check_mounting, check_reverse
 from sigmaswarm.doctor.checks.noise import check_noise
 from sigmaswarm.doctor.checks.odometer import check_odometer
 from sigmaswarm.doctor.checks.timing import check_clock, check_sampling
@@ -20,6 +22,7 @@ CHECKS = (
     check_mirrored,
     check_reverse,
     check_mounting,
+    check_handled,
     check_gyro,
     check_accelerometer,
     check_tilt,
@@ -73,6 +76,10 @@ def _diagnosed(drive: Drive) -> Diagnosis:
         return Diagnosis(drive.name, tuple(finding_of(wrong, "serious", ends, 0.999) for wrong in spoiled))
     evidence = gather(drive)
     found = [finding for check in CHECKS for finding in check(evidence)]
+    withheld = drive.metadata.get(
+        "withheld", ()
+    )  # a repair that made predictions worse is not proposed again
+    found = [replace(finding, repair=None) if finding.code in withheld else finding for finding in found]
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
     return Diagnosis(drive.name, tuple(found), evidence.clock.visible)
 

@@ -16,6 +16,7 @@ from sigmaswarm.doctor.fixes import exchanged
 from sigmaswarm.doctor.mounting import turned
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.mounting import with_rotation, without_axes
+from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.tables import NO_HEADING, Imu
 from sigmaswarm.geodesy import wrap_angle
 
@@ -182,6 +183,10 @@ def _close_jump(drive: Drive, moment: float, jump: float) -> Drive:
     return drive
 
 
+def _cut_ends(drive: Drive, begin: float, end: float) -> Drive:
+    return clip(drive, begin, math.nextafter(end, math.inf))
+
+
 AXES = {"rotate", "gyro", "tilt-rates", "accelerometer", "turn"}
 """Actions that change the axes of the IMU."""
 ACTIONS: dict[str, Callable[..., Drive]] = {
@@ -203,5 +208,6 @@ ACTIONS: dict[str, Callable[..., Drive]] = {
     "odometer": _odometer,
     "shift-odometer": partial(_shift, "odometer"),
     "close-jump": _close_jump,
+    "cut-ends": _cut_ends,
 }
 """Actions in the order of application. They refer to rows by recorded times, and to fixes by corrected times."""

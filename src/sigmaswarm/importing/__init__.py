@@ -8,7 +8,7 @@ A table of a `Log` becomes part of a drive in these steps:
 4. ``gather.py`` evaluates the expressions in batches (``expressions.py``, ``dates.py``).
 5. ``timeline.py`` unwraps, spreads and sorts times and chooses a recording; ``joining.py`` joins the tables of a role.
 6. ``places.py`` checks positions, ``mounting.py`` rotates the IMU, and ``assemble.py`` makes the drive; ``rates.py``
-   compares turns of the IMU and the fixes.
+   compares turns of the IMU and the fixes, ``shared_frame.py`` the tracks of the truth and the fixes.
 
 A `Recipe` contains the expressions, and the user can change it with ``--map``. ``convert.py`` runs all steps;
 ``inspection.py`` describes a log without importing it.

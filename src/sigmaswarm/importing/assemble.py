@@ -11,13 +11,12 @@ from sigmaswarm.drives.checks import shortage_of
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
 from sigmaswarm.drives.mounting import AXES_KEY, with_rotation
 from sigmaswarm.errors import InputError
-from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu, wrap_angle
+from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.dates import GPS_EPOCH, LONG_AGO, SECOND, WEEK, Nanoseconds, gps_to_unix
 from sigmaswarm.importing.gather import Gathered
 from sigmaswarm.importing.joining import join, without_column
 from sigmaswarm.importing.mounting import parse_mount, rotate
 from sigmaswarm.importing.places import (
-    FARTHEST,
     FASTEST,
     MOVING,
     Say,
@@ -27,18 +26,16 @@ from sigmaswarm.importing.places import (
     level,
 )
 from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.shared_frame import Origin, assumed_origin, require_same_axes
 from sigmaswarm.importing.source import ROLES, Role
-from sigmaswarm.importing.times import FASTEST_IMU, LONGEST_STEP, SLOWEST_IMU
+from sigmaswarm.importing.timeline import STEPS
+from sigmaswarm.importing.times import FASTEST_IMU, LEAST_INTERVAL, LONGEST_STEP, SLOWEST_IMU
 from sigmaswarm.importing.velocities import without_wrong_velocity
 
 SEED, MOST_FIXES = 0, 10_000_000
 """Seed of the noise, and largest number, of fixes that are made from the truth."""
-LEAST_INTERVAL = 0.04
-"""Shortest usual interval of fixes, s."""
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 WITHOUT_POSITION = "gps: no column contains a position; map lat and lon (deg), or x and y (m east, north)"
-Origin = tuple[float, float, float]
-"""Latitude (deg), longitude (deg), altitude (m)."""
 
 
 @np.errstate(all="ignore")  # infinite values are refused when the drive is read back
@@ -57,6 +54,12 @@ def assemble(
     values: dict[Role, Values] = {}
     for role, parts in gathered.items():
         times[role], values[role] = join(parts, role, REQUIRED.get(role, ()), say, recording)
+    back = gathered["imu"][0].set_back
+    for role in times:
+        steps = np.diff(times[role])
+        if back and not gathered[role][0].set_back and back > STEPS * np.median(steps):
+            message = "the clock does not restart with that of the IMU; if the pause before the recording was short,"
+            say(f"{role}: {message} write --{role}-offset {-back / SECOND:.3f}")
     seconds, zero = _seconds(_in_one_turn(times, gathered, say), recipe)
     imu = _imu(seconds["imu"], values["imu"], recipe)
     origin = recipe.origin
@@ -72,10 +75,14 @@ def assemble(
     truth = None
     if "truth" in values:
         placed, origin = _placed_truth(values["truth"], origin, gps)
-        if "lat" in gps and "lat" not in placed and recipe.origin is None and origin is not None:
-            say(_assumed_origin(seconds, placed, gps, origin))
+        parts = [g.part for g in gathered["truth"]]
+        message = require_same_axes(seconds, placed, gps, parts) if gps else ""
+        assumed = "lat" in gps and "lat" not in placed and recipe.origin is None
+        if assumed and origin is not None and not message:
+            message = assumed_origin(seconds, placed, gps, origin)
+        if message:
+            say(message)
         if {"speed", "course"} <= placed.keys() or {"vx", "vy"} <= placed.keys():
-            parts = [g.part for g in gathered["truth"]]
             placed = without_wrong_velocity(seconds["truth"], placed, "truth", parts, say)
         truth = Truth(seconds["truth"], **_motion(seconds["truth"], placed, gps, say))
     if recipe.gps_from_truth:
@@ -311,37 +318,6 @@ def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[V
             "truth: no column contains a position; map truth.x and truth.y, or truth.lat and truth.lon"
         )
     return values, origin
-
-
-def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, origin: Origin) -> str:
-    message = "truth is in meters: its origin is taken to be the first fix"
-    time = seconds["gps"]
-    inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])
-    if np.count_nonzero(inside) < 3:
-        return f"{message}; specify the origin with --origin lat,lon,alt"
-    time = time[inside]
-    true = np.column_stack([np.interp(time, seconds["truth"], truth[n]) for n in ("x", "y")])
-    height = gps.get("alt", np.full(len(inside), origin[2]))[inside]
-
-    def apart(begin: Origin) -> Array:
-        return geodetic_to_enu(gps["lat"][inside], gps["lon"][inside], height, begin)[:, :2] - true
-
-    off = apart(origin)
-    (east, north), spread = np.mean(off, axis=0), np.std(off, axis=0) / np.sqrt(len(time))
-    if np.hypot(east, north) > FARTHEST:
-        return (
-            f"{message}, {np.hypot(east, north) / 1e3:.0f} km away, as the coordinates of a map (UTM) are: convert it "
-            "to degrees, for example with pyproj, and map truth.lat and truth.lon"
-        )
-    best = origin
-    for _ in range(3):  # north turns with the place
-        move = np.append(np.mean(apart(best), axis=0), 0.0)[None]
-        lat, lon, _ = enu_to_geodetic(move, best)[0]
-        best = float(lat), float(lon), origin[2]
-    state = f"specify the origin; --origin {best[0]:.8f},{best[1]:.8f},{best[2]:.3f} fits the fixes best"
-    if np.all(np.abs([east, north]) < 5 * spread):
-        return f"{message}; {state}"
-    return f"{message}; but the fixes lie {east:.2f} m east and {north:.2f} m north of the truth on average: {state}"
 
 
 def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]:

@@ -1,10 +1,12 @@
 """Import of a log: open it, guess or read a recipe, gather, assemble."""
 
 import os
+import re
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import polars as pl
@@ -69,6 +71,11 @@ class Imported:
 
 Guesses = Mapping[Path, Guess]
 LOOK = " (--show lists the columns, and proposes a mapping if their names suggest one)"
+ORDERS: dict[Role, tuple[str, ...]] = {
+    "imu": ("t", "ax", "ay", "az", "gx", "gy", "gz"),
+    "gps": ("t", "lat", "lon"),
+}
+"""Usual orders of columns without names."""
 MOST_FAULTS = 3
 """Largest number of faults in one message."""
 
@@ -110,8 +117,10 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
         plain = replace(recipe, mount="") if recipe.mount == AUTO else recipe
         field = gathered.pop("mag", ())
         drive = assemble(name, gathered, plain, notes.append, request.part)
-        if unit := unit_of_rates(drive, recipe.roles, unitless):
+        unit, unconfirmed = unit_of_rates(drive, recipe.roles, unitless)
+        if unit:
             raise InputError(unit)
+        notes += [unconfirmed] if unconfirmed else []
         if recipe.mount == AUTO:
             drive, mount, note = find_mount(drive)
             recipe = replace(recipe, mount=mount)
@@ -239,7 +248,7 @@ def _with_unit_of_rates(
         gathered = _gather_all(request, logs, plain, lambda done: None)
         gathered.pop("mag", None)
         drive = assemble("log", gathered, plain, lambda note: None, request.part)
-        message = unit_of_rates(drive, plain.roles, unitless)
+        message, _ = unit_of_rates(drive, plain.roles, unitless)
     except InputError:  # other faults remain
         return faults
     return [f"{f.partition('; specify')[0]}; {message}" if message and '"imu.g' in f else f for f in faults]
@@ -275,6 +284,8 @@ def missing_sensor(
             continue
         path = request.home(role)
         there = names_shown(logs[path].tables)
+        if example := _unnamed(logs[path], role):
+            remedy = f"{example}; or {remedy}"
         texts = (*logs[path].remarks, *guesses[path].notes)
         if why := [s for s in texts if "has no header" in s or "can't be decoded" in s]:
             there = there or "what can be decoded"
@@ -289,6 +300,19 @@ def missing_sensor(
         return (
             f"{path}: no {what} found in {there or 'the log'}{more}; {remedy}, or name the columns with --map"
         )
+    return ""
+
+
+def _unnamed(log: Log, role: Role) -> str:
+    """Propose a mapping for a table whose columns have numbers instead of names; "" if there is none."""
+    order = ORDERS[role]
+    for name, table in log.tables.items():
+        columns = [c for c in table.columns if re.fullmatch(r"(?:c|.*_)\d+", c)]
+        if len(columns) < len(table.columns) or not len(order) <= len(columns) < len(order) + 4:
+            continue
+        chosen = f"--{role}-table {quote(name)} " if len(log.tables) > 1 else ""
+        maps = " ".join(f'"{role}.{what}={column}"' for what, column in zip(order, columns, strict=False))
+        return f"if the columns of {name} begin with {', '.join(order)}, write {chosen}--map {maps}"
     return ""
 
 

@@ -74,7 +74,9 @@ def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
         plain, form = pl.when(plain.str.contains(r"\.")).then("0:" + plain), f"%H:{form}"
     if form and "%d" not in form and "%j" not in form:
         return plain.str.to_time(form, strict=False).cast(pl.Int64) / 1e9
-    return plain.str.to_datetime(form or None, time_unit="ns", strict=False).dt.timestamp("ns") / 1e9 - ahead
+    date = plain.str.to_datetime(form or None, time_unit="us", strict=False)
+    date = pl.when(date.dt.year() > 999).then(date)  # the code %Y also reads a year of two digits
+    return date.dt.timestamp("us") / 1e6 - ahead
 
 
 def parse_durations(text: pl.Expr) -> pl.Expr:

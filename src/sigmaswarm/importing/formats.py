@@ -5,11 +5,13 @@ from collections.abc import Generator, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Limits, Log, first_bytes, no_log
 from sigmaswarm.limits import require_regular, require_text
+from sigmaswarm.wording import names_shown
 
 READERS: dict[str, tuple[str, str]] = {
     "mcap": ("mcap", "an MCAP file: ROS 1, ROS 2 or JSON messages"),
@@ -118,12 +120,15 @@ def format_of(path: Path) -> str:
         if _reader(name).recognizes(path):
             return name
     below = [*path.glob("*/[!.]*.csv"), *path.glob("*/*/[!.]*.csv")] if path.is_dir() else []
-    if tables := sorted(below)[:2]:
-        there = " and ".join(str(f.relative_to(path)) for f in tables)
-        raise InputError(
-            f"{path}: contains no log, but folders with tables ({there}); import one of them, such as {tables[0]}, and "
-            "name the others with --gps, --truth and --odometer"
+    if below:
+        folders = [*dict.fromkeys(file.parent for file in sorted(below))]
+        there = names_shown(folder.relative_to(path) for folder in folders)
+        several = [folder for folder in folders if sum(file.parent == folder for file in below) > 1]
+        remedy = (
+            f"import one file, such as {min(below)}, and name the others with --gps, --truth and --odometer"
         )
+        remedy = f"import each log, as {quote(str(several[0]))}" if several else remedy
+        raise InputError(f"{path}: contains no log, but folders with tables ({there}); {remedy}")
     if path.is_dir():
         raise no_log(path)
     raise InputError(f"{path}: has an unknown format; specify the format with --format: {', '.join(READERS)}")

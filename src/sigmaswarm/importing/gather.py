@@ -12,9 +12,9 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import Nanoseconds
 from sigmaswarm.importing.expressions import Expression, compile_expression, fits, time_expression
 from sigmaswarm.importing.guess import SAMPLE
-from sigmaswarm.importing.quantities import FEW_ODD, NO_VALUE, PLACEHOLDERS
+from sigmaswarm.importing.quantities import FEW_ODD, NO_NUMBER, NO_VALUE, PLACEHOLDERS
 from sigmaswarm.importing.source import FILES, Limits, Log, Part, Progress, Role
-from sigmaswarm.importing.times import time_of, wrong_unit
+from sigmaswarm.importing.times import rising_column, time_of, wrong_unit
 from sigmaswarm.wording import names_shown, quoted, shown
 
 ROW = "row"
@@ -35,6 +35,7 @@ class Gathered:
     seen, unkept, timeless : numbers of rows: all, those with a false ``keep``, those without a time
     placeholders : by column of the table, the marker of missing values and its count
     period : time after which the clock restarts, ns, once the times are unwrapped; 0 if it does not
+    set_back : time, ns, by which the clock was set back before the chosen recording; 0 if it does not restart
     """
 
     part: Part
@@ -45,6 +46,7 @@ class Gathered:
     timeless: int = 0
     placeholders: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
     period: int = 0
+    set_back: int = 0
 
     def add(self, frame: pl.DataFrame, log: Log) -> None:
         frame = frame.with_columns(pl.col(pl.String).str.strip_chars())
@@ -87,7 +89,8 @@ class Gathered:
         timeless = self._few_timeless(frame) if texts else None
         for name in sorted(texts, key=log.tables[self.part.table].columns.index):
             said = frame[name]
-            wrong = said.cast(pl.Float64, strict=False).is_null() & ~said.str.to_lowercase().is_in(NO_VALUE)
+            empty = said.str.to_lowercase().is_in(NO_VALUE) | said.str.contains(NO_NUMBER)
+            wrong = said.cast(pl.Float64, strict=False).is_null() & ~empty
             wrong = wrong & ~timeless if timeless is not None else wrong
             if wrong.fill_null(False).any():
                 i = int(wrong.fill_null(False).arg_max() or 0)
@@ -157,9 +160,10 @@ def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame
     if "t" not in part.columns and (rows is not None or first is None):
         where = log.path if log.path.name == part.table else f"{log.path}, {shown(part.table)}"
         time = "--time {}" if role == "imu" and len(log.tables) == 1 else f'--map "{role}.t={{}}"'
+        column, rate = "COLUMN" if rows is None else rising_column(rows), 100 if role == "imu" else 1
         raise InputError(
-            f"{where}: no column is recognized as the time of the {role}; specify it with {time.format('COLUMN')}, or "
-            f"count rows if the rate is known, for 100 Hz with {time.format('row/100')}"
+            f"{where}: no column is recognized as the time of the {role}; specify it with {time.format(column)}, or "
+            f"count rows if the rate is known, for {rate} Hz with {time.format(f'row/{rate}')}"
         )
     for text in part.columns.values():
         try:

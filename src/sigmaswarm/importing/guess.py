@@ -45,10 +45,14 @@ _ESTIMATE = re.compile(
 """Names of tables whose positions are estimates, not measurements."""
 _FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok|status)?|(?:(?:gps|gnss)_?)?valid|(?:gps|gnss)_?quality"
 """Names of columns that state whether a row has a fix: 0 means none, or -1 where 0 means a fix, as in ROS."""
+_SATELLITES = "(?:gps_|gnss_)?(?:(?:num|n|no|number_of)_?)?(?:sats?|sv|satellites)(?:_used)?"
+"""Names of numbers of satellites, which are 0 without a fix."""
 _STATUS = (
     rf"{_FIXED}|(?:(?:gps|gnss|nav|pos|position|sol|solution)_?)?(?:status|state|mode|type|solution|quality)"
 )
 """Names of columns that state in words whether a row has a fix."""
+_PILOT = "state|mode|type"
+"""Such names that may also be of an autopilot, whose words resemble those of a receiver: AUTO, FOLLOW_GPS, ACTIVE."""
 _NO_FIX = (
     r"(?:no|not|un|in)_?(?:\w+_)?(?:valid|fix|fixed|solution|gps|gnss|signal|available)|no|none|false|void|bad|lost|"
     r"searching|acquiring|insufficient.*|cold_start"
@@ -57,7 +61,8 @@ _FIX = (
     r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|gps|gnss|valid|active|ok|good|true|yes|int|computed|auto|alone|"
     r"available|psr).*"
 )
-"""Words, in lower case and joined by "_", for rows without and with a fix."""
+_SURE_FIX = r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|psr|valid).*"
+"""Words, in lower case and joined by "_", for rows without and with a fix, and for a fix only of a receiver."""
 MOST_WORDS = 20
 """Largest number of different words in a column of flags."""
 _DIMENSIONS = ".*(?:type|mode)"
@@ -109,7 +114,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         if alike := [t for t in others if samples[t].columns == samples[best].columns]:
             notes.append(
                 f"{names_shown(alike)} {'has' if len(alike) == 1 else 'have'} the same columns as {best}; only {best} "
-                f"is used for the {role}; choose with --{role}-table, and import each log as a separate drive"
+                f"is used for the {role}; import each log as a separate drive, as with --{role}-table {alike[0]}"
             )
         rates = [t for t, c in found.items() if "gz" in c and not c.has("ax", "ay")][:1]
         for table in [best, *rates] if role == "imu" and "gz" not in found[best] else [best]:
@@ -264,12 +269,12 @@ def _fix_stated(frame: pl.DataFrame) -> str:
         if {*texts} == {"A", "V"}:  # as in RMC: active, void
             none = ["V"]
         elif not name.is_one(_STATUS) or not any(
-            re.fullmatch(_FIX, words[t]) for t in texts if t not in none
+            re.fullmatch(_SURE_FIX if name.is_one(_PILOT) else _FIX, words[t]) for t in texts if t not in none
         ):
             continue
         if none or (name.is_one(_FIXED) and cells.fill_null("").eq("").any()):
             return " and ".join(f"{column} != '{text}'" for text in none or [""])
-    flag = next((n for n in names if n.is_one(_FIXED)), None)
+    flag = next((n for pattern in (_FIXED, _SATELLITES) for n in names if n.is_one(pattern)), None)
     kinds = sorted({*numbers_of(frame[flag.column])}) if flag else []
     if flag is None or not kinds:
         return ""

@@ -1,6 +1,7 @@
 """Join the parts of a role into one table with sorted times and complete rows; report omissions."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,8 @@ from sigmaswarm.importing.dates import SECOND, Nanoseconds
 from sigmaswarm.importing.gather import Gathered
 from sigmaswarm.importing.places import Say, Values, good_places, with_longitudes
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.timeline import from_digits, in_order, require_likely, unwrap
-from sigmaswarm.wording import shown
+from sigmaswarm.importing.timeline import from_digits, in_order, recordings, require_likely, unwrap
+from sigmaswarm.wording import counted, left_out, shown
 
 LEAST_STD = 1e-6
 """A standard deviation of at most this value, m, counts as not stated."""
@@ -39,7 +40,7 @@ def join(
             continue
         inside = (time >= other_time[0]) & (time <= other_time[-1])
         if left := int(np.count_nonzero(~inside)):
-            say(f"{role}: {left} rows are left out, since not all tables of the sensor cover their times")
+            say(f"{role}: {left_out(left)}, since not all tables of the sensor cover the time")
         if not inside.any():
             raise InputError(f"{role}: its tables do not overlap in time; convert them to one clock")
         time, values = time[inside], {k: v[inside] for k, v in values.items()}
@@ -90,20 +91,20 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
         keep = part.part.columns["keep"]
         say(f"{role}: {part.unkept} of {part.seen} rows of {table} are left out, since {keep} is not true")
     if part.timeless:
-        say(f"{role}: {part.timeless} rows of {table} are left out, since they have no time")
+        say(f"{role}: {left_out(part.timeless, f' of {table}')}, since the time is missing")
     if not len(time):
         why = "no usable row; --show shows the contents of the log"
         if part.timeless:
             why = "no time within 292 years of 1970; specify the column of the time and its unit with --time"
         raise InputError(f"{role}: {table} contains {why}")
     for name, (value, count) in part.placeholders.items():
-        say(f"{where}: {count} values of {shown(name)} are {value:g}, a placeholder, and are left out")
+        say(f"{where}: {counted(count, 'value')} of {shown(name)} left out: {value:g} is a placeholder")
     time, part.period, note = unwrap(time)  # by all rows: a counter may restart before the first fix
     filled = _finite(values, len(time)).any(axis=0)
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
-        say(f"{role}: {empty} rows are left out, since they have an empty cell")
+        say(f"{role}: {left_out(empty)}, since a cell is empty")
     if (copies := _copies(time, values)) is not None:
-        say(f"{where}: {int(copies.sum())} rows are left out, since they are copies of other rows")
+        say(f"{where}: {left_out(int(copies.sum()))}, as copies of other rows")
         filled &= ~copies
     if role == "gps":  # a row that repeats the time and the place of the row before
         same = [np.diff(column) == 0 for column in (time, *(values[n] for n in POSITIONS if n in values))]
@@ -116,6 +117,8 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
         note = "; ".join(filter(None, (digits, note)))
     if note:
         say(f"{where}: {note}")
+    ends = [(int(time[r.start]), int(time[r.stop - 1])) for r in recordings(time)[:number]] if number else []
+    part.set_back = sum(end - begin for (_, end), (begin, _) in pairwise(ends))
     time, rows = in_order(time, role, where, number, say)
     require_likely(time, role, where, part.part.columns["t"])
     values = _rows(values, rows)
@@ -178,7 +181,7 @@ def _complete_rows(
         )
     sparse = role == "gps" and np.mean(placed) < 0.5
     if (left := int(np.count_nonzero(~full))) and not sparse:
-        say(f"{role}: {left} rows are left out, since they have an empty cell")
+        say(f"{role}: {left_out(left)}, since a cell is empty")
     time, values = time[full], _rows(values, full)
     position = [values[n] for n in POSITIONS if n in values]
     if role != "gps" or not position or len(time) < 10:
@@ -187,5 +190,5 @@ def _complete_rows(
     if np.mean(changed) > 0.5:
         return time, values
     # fixes that are repeated until the next one comes (a table at the IMU's rate) count once
-    say(f"gps: {int(np.count_nonzero(~changed))} rows are left out, since they repeat the previous position")
+    say(f"gps: {left_out(int(np.count_nonzero(~changed)))}, since the previous position is repeated")
     return time[changed], _rows(values, changed)

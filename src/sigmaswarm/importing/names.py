@@ -17,7 +17,7 @@ TIME = (
 )
 CLOCK = (
     "received|boot|date|cts|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|gps|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
-    "(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
+    "datenum|t_?(?:imu|gps|gnss|acc|gyro?|truth|ref|gt)|(?:imu|gps|gnss|fix|truth)_?t|(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|utc|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
 )
 """Names of times, for tables without a more usual name."""
 STAMP = "(?:.*_)?header_(?:time_?)?stamp"
@@ -101,7 +101,7 @@ _TRANSLATED = {
         "time": "zeit uhrzeit heure tiempo hora tempo ora tijd czas",
         "timestamp": "zeitstempel horodatage",
         "date": "datum fecha",
-        "acceleration": "beschleunigung aceleracion aceleracao accelerazione versnelling przyspieszenie",
+        "acceleration": "beschleunigung beschl aceleracion aceleracao accelerazione versnelling przyspieszenie",
         "accelerometer": "beschleunigungssensor accelerometre acelerometro accelerometro akcelerometr",
         "gyroscope": "gyroskop giroscopio gyroscoop zyroskop",
         "rate": "drehrate winkelgeschwindigkeit drehgeschwindigkeit",
@@ -256,7 +256,16 @@ def _read(column: str, text: str) -> Name:
         return Name(column, "_".join(words[:-2]), parse_unit(words[-1]))
     if plain in PARTS_OF_SECONDS:
         return Name(column, plain, parse_unit(plain))
-    return Name(column, plain) if meaning_of_plain(plain) is not None else _with_unit(column, words)
+    if meaning_of_plain(plain) is not None:
+        return Name(column, plain)
+    if words[-1:] and words[-1] in "xyz":  # gyro_dps_x
+        name = _with_unit(column, words[:-1], words[-1])
+        fits = (
+            name.unit and name.unit.dimension in ("acceleration", "rate", "angle") and name.unit.text != "g"
+        )
+        if name.meaning in _AXES and fits:  # g may be gravity
+            return name
+    return _with_unit(column, words)
 
 
 def _with_unit(column: str, words: list[str], axis: str = "") -> Name:

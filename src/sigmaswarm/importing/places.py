@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import geodetic_to_enu, wrap_angle
+from sigmaswarm.wording import left_out
 
 Say = Callable[[str], None]
 Values = dict[str, Array]
@@ -28,14 +29,12 @@ def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) ->
     lat, lon = values["lat"], values["lon"]
     zero = (lat == lon) & (lat == np.round(lat))  # the same whole number in both is a placeholder
     if zero.any() and not zero.all():
-        placed = f"latitude {lat[zero][0]:g}, longitude {lon[zero][0]:g}"
-        say(f"{role}: {int(zero.sum())} rows at {placed} are left out, since such rows are not fixes")
+        placed = f" at latitude {lat[zero][0]:g}, longitude {lon[zero][0]:g}"
+        say(f"{role}: {left_out(int(zero.sum()), placed)}, since such positions are not fixes")
     good = ~zero if not zero.all() else np.ones(len(time), bool)
     outside = good & ((np.abs(lat) > 90) | (np.abs(lon) > 360))
     if outside.any() and outside.sum() < 0.5 * good.sum():
-        say(
-            f"{role}: {int(outside.sum())} rows are left out, since their latitude or longitude is impossible"
-        )
+        say(f"{role}: {left_out(int(outside.sum()))}, since the latitude or longitude is impossible")
         good &= ~outside
     if not good.any() or np.abs(lat[good]).max() > 90:
         return good
@@ -47,9 +46,8 @@ def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) ->
     far = good & (away > FARTHEST + FASTEST * span)
     if far.any() and far.sum() < 0.1 * good.sum():
         first = ", including the first" if far[np.argmax(good)] else ""
-        say(
-            f"{role}: {int(far.sum())} rows {away[far].max() / 1e3:.0f} km from the others are left out{first}"
-        )
+        away_km = f" {away[far].max() / 1e3:.0f} km from the others"
+        say(f"{role}: {left_out(int(far.sum()), away_km)}{first}")
         good &= ~far
     return good
 

@@ -12,6 +12,9 @@ from sigmaswarm.importing.times import Found, median_of, numbers_of, unknown_uni
 from sigmaswarm.importing.units import COUNTS, Dimension, in_si
 from sigmaswarm.wording import quoted
 
+FRACTIONS = {"3600": " for arcseconds", "3.6e6": " for milliarcseconds"}
+NO_NUMBER = r"^[^0-9A-Za-z]*$|#(?:IND|QNAN|SNAN|INF|N/A|NUM!|VALUE!|DIV/0!)"
+"""Texts for a missing number: ---.---, or as a C library or a spreadsheet writes it."""
 PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10)
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-", "invalid", *("*" * n for n in range(1, 20)))
 DIMENSIONS: dict[str, Dimension] = {
@@ -33,6 +36,8 @@ FASTEST = 250.0
 """Largest angular rate of a car, deg/s."""
 HIGHEST = 9000.0
 """Largest altitude, m; another unit would stretch the track by 0.15% or more."""
+RADIUS, EDGE = 6_378_137.0, 2.01e7
+"""Radius of Web Mercator's sphere, and the edge of its map, m."""
 _PER_G = (16384, 8192, 4096, 2048, 1024, 256, 1000, 100, 1e6, 9806.65, 980.665, 9.80665 / 0.3048)
 """Scales of common sensors per g; mg, cg, ug, mm/s2, cm/s2, ft/s2."""
 _ACCELEROMETERS = "common 16-bit sensors: 16384 counts per g at +-2 g, 8192 at 4, 4096 at 8, 2048 at 16"
@@ -86,6 +91,8 @@ def quantity(columns: Columns, what: str, role: Role) -> Found:
         seen = f"{name.column} is left out: {columns.largest(what):.6g} is not an altitude in m"
         example = _maps(columns, role, ["alt"], "{}*1e-3")
         return Found("", note=f"{seen}; map the column: {example} if it is in mm, *1e-2 if it is in cm")
+    if name.unit is None and what == "y" and (note := _web_mercator(columns, role)):
+        return Found(text, note)
     if name.unit is None:
         return _without_unit(columns, what, role) if dimension in ("acceleration", "rate") else Found(text)
     if name.unit.dimension == dimension:
@@ -94,6 +101,22 @@ def quantity(columns: Columns, what: str, role: Role) -> Found:
         return Found("", fault=_raw_counts(columns, what, role))
     sentence = unknown_unit(name, what, dimension, role)
     return Found("", fault=sentence) if what in REQUIRED else Found("", note=f"{sentence}; left out")
+
+
+def _web_mercator(columns: Columns, role: Role) -> str:
+    """Describe x and y that may be Web Mercator, with the remedy; "" if they are not coordinates of a map."""
+    size = (
+        median_of(columns.numbers("y").abs()),
+        median_of(columns.numbers("x").abs()) if "x" in columns else 0.0,
+    )
+    if not 1e5 < size[0] < EDGE or not 1e5 < size[1] < EDGE or "utm" in columns.names["y"].plain:
+        return ""
+    x, y = (f"{columns.text(n)}/{RADIUS:.0f}" for n in "xy")
+    maps = (
+        f"{columns.text('x')} and {columns.text('y')} are read as m east and north; if they are Web Mercator"
+    )
+    maps = f'"{role}.lat=degrees(2*atan2(exp({y}), 1)) - 90" "{role}.lon=degrees({x})"'
+    return f"{maps} (EPSG:3857), write --map {maps}"
 
 
 def _without_unit(columns: Columns, what: str, role: Role) -> Found:
@@ -264,13 +287,19 @@ def of_earth_center(columns: Columns) -> dict[str, Found]:
 
     Eastings and northings may have the same norm, as UTM at 57 degrees; then z is an altitude.
     """
-    if not columns.has("x", "y", "z") or any(columns.names[n].unit for n in "xyz"):
+    if not columns.has("x", "y", "z"):
+        return {}
+    units = {columns.names[n].unit for n in "xyz"}
+    unit = units.pop()
+    if units or (unit is not None and unit.dimension != "length"):
         return {}
     low, high = (float(columns.norms(["x", "y", "z"]).quantile(q) or 0.0) for q in (0.1, 0.9))
+    factors = (1.0, 0.01, 1e-3) if unit is None else (unit.factor,)
+    factor = next((f for f in factors if 6.34e6 < f * low <= f * high < 6.4e6), None)
     stated = all("ecef" in columns.names[n].plain for n in "xyz")
-    if not 6.34e6 < low <= high < 6.4e6 or not (stated or median_of(columns.numbers("z").abs()) > HIGHEST):
+    if factor is None or not (stated or factor * median_of(columns.numbers("z").abs()) > HIGHEST):
         return {}
-    x, y, z = map(columns.text, "xyz")
+    x, y, z = (columns.text(n) if factor == 1 else f"({columns.text(n)}*{factor:g})" for n in "xyz")
     angle = f"atan2({z}*1.00336409, hypot({x}, {y}))"
     lat = f"degrees(atan2({z} + 42841.3115*sin({angle})**3, hypot({x}, {y}) - 42697.6727*cos({angle})**3))"
     note = f"{x}, {y} and {z} are read as coordinates from the center of the earth (ECEF)"
@@ -287,7 +316,7 @@ def _place_form(columns: Columns, role: Role) -> Found:
     lat, lon = (columns.numbers(what).filter(columns.numbers(what) != 0).abs() for what in both)
     if not len(lat) or not len(lon):
         return Found("{}")
-    low, high = (float(v.quantile(0.99) or 0.0) for v in (lat, lon))
+    low, high = map(median_of, (lat, lon))
     if low < 1.571 and high < 3.1416:
         radians, degrees = (_maps(columns, role, both, form) for form in ("degrees({})", "{}"))
         options = f"{radians} for radians, {degrees} for degrees"
@@ -298,9 +327,15 @@ def _place_form(columns: Columns, role: Role) -> Found:
     if low <= 9000 and high <= 18060 and all((v % 100 >= 60).sum() <= FEW_ODD * len(v) for v in (lat, lon)):
         return Found("ddmm({})", "latitude and longitude are read as degrees and minutes, ddmm.mmmm")
     if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 180e6):
-        return Found("{}*1e-7", "latitude and longitude are read as 1e-7 degrees")
-    fitting = [k for k in (7, 6, 5) if low <= 90 * 10**k and high <= 360 * 10**k] or [7]
-    maps = f"{' or '.join(_maps(columns, role, both, f'{{}}*1e-{k}') for k in fitting)} (or another factor)"
+        other = f"; if they are milliarcseconds, write {_maps(columns, role, both, '{}/3.6e6')}"
+        note = "latitude and longitude are read as 1e-7 degrees"
+        return Found("{}*1e-7", note + (other if low <= 90 * 3.6e6 and high <= 180 * 3.6e6 else ""))
+    # of the units with possible degrees, those with the largest
+    fitting = [
+        k for k in ("3600", "1e5", "1e6", "3.6e6", "1e7") if low <= 90 * float(k) and high <= 360 * float(k)
+    ]
+    options = [_maps(columns, role, both, f"{{}}/{k}") + FRACTIONS.get(k, "") for k in fitting[:3] or ["1e7"]]
+    maps = f"{' or '.join(options)} (or another factor)"
     fault = f"latitude and longitude of about {low:.6g} and {high:.6g} are not degrees; write {maps}"
     return Found("", fault=fault)
 

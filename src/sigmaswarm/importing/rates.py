@@ -1,7 +1,7 @@
 """The unit of angular rates without one, from the turns of the fixes."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,8 @@ from sigmaswarm.importing.source import Part, Role
 from sigmaswarm.importing.units import in_si, parse_unit
 
 _DEGREE = math.pi / 180
-ASSUMED = {"{}": ("rad/s", 1.0), "radians({})": ("deg/s", _DEGREE)}
-"""Expressions of rates without a unit, with the assumed unit and its factor to rad/s; {} is the column."""
+ASSUMED = {"{}": 1.0, "radians({})": _DEGREE}
+"""Expressions of rates without a unit, with the assumed factor to rad/s; {} is the column."""
 _NAMED = map(parse_unit, ("rad/s", "deg/s", "mrad/s", "mdps", "cdps", "rpm", "rev/s", "deg/h", "deg/min"))
 COUNTS = {
     f"counts, {per:g} per deg/s": (_DEGREE / per, f"radians({{}}/{per:g})")
@@ -42,7 +42,9 @@ SMALL = 0.2
 """Directions in the space of the axes with less than this share of the largest turn are not used."""
 
 
-def unit_of_rates(drive: Drive, roles: Mapping[Role, Sequence[Part]], unitless: Mapping[str, str]) -> str:
+def unit_of_rates(
+    drive: Drive, roles: Mapping[Role, Sequence[Part]], unitless: Mapping[str, str]
+) -> tuple[str, str]:
     """Describe the unit of rates whose turns contradict those of the fixes, with the remedy.
 
     Parameters
@@ -52,31 +54,37 @@ def unit_of_rates(drive: Drive, roles: Mapping[Role, Sequence[Part]], unitless: 
 
     Returns
     -------
-    "" if the turns agree, no unit explains them, or the log does not show them
+    fault : "" if the turns agree, no unit explains them, or the log does not show them
+    note : states that the log does not show the turns of rates that are assumed to be in rad/s, or ""
     """
     rates = unitless.keys() & {"gx", "gy", "gz"}
     times = {role: parts[0].columns.get("t", "") for role, parts in roles.items() if parts}
     used = {n: text for part in roles["imu"] for n, text in part.columns.items() if n in rates}
     forms = {text.replace(unitless[n], "{}") for n, text in used.items()}
-    if len(forms) != 1 or not forms <= ASSUMED.keys() or (ratio := _ratio(drive)) is None:
-        return ""
-    unit, assumed = ASSUMED[forms.pop()]
+    if len(forms) != 1 or not forms <= ASSUMED.keys():
+        return "", ""
+    assumed = ASSUMED[forms.pop()]
+    columns = ", ".join(unitless[n] for n in used)
     raw = [getattr(drive.imu, n) / assumed for n in used]
+    if (ratio := _ratio(drive)) is None:
+        message = (
+            f"no turn of the fixes confirms the unit of {columns}, read as rad/s; if it is deg/s, write "
+        )
+        return "", message + _maps(used, unitless, "radians({})") if assumed == 1 and np.any(raw) else ""
     whole = all(np.allclose(values, np.round(values), rtol=0, atol=1e-6) for values in raw)
     known = UNITS if whole else UNITS.keys() - COUNTS
     apart = {name: abs(math.log(ratio * assumed / UNITS[name][0])) for name in known}
     likely = sorted((name for name in apart if apart[name] < WITHIN), key=lambda name: apart[name])
-    columns = ", ".join(unitless[n] for n in used)
     if 1 / OTHER < ratio < OTHER:
-        return ""
+        return "", ""
     if not likely:
-        return _wrong_clock(ratio, columns, times)
-    maps = [
-        "--map " + " ".join(f'"imu.{n}={UNITS[name][1].format(unitless[n])}"' for n in used)
-        for name in likely
-    ]
-    names = " or ".join(likely)
-    return f"the turns of the fixes show {columns} in {names}, not {unit}; write {' or '.join(maps)}"
+        return _wrong_clock(ratio, columns, times), ""
+    maps = " or ".join(_maps(used, unitless, UNITS[name][1]) for name in likely)
+    return f"the turns of the fixes show {columns} in {' or '.join(likely)}; write {maps}", ""
+
+
+def _maps(names: Iterable[str], unitless: Mapping[str, str], form: str) -> str:
+    return "--map " + " ".join(f'"imu.{n}={form.format(unitless[n])}"' for n in names)
 
 
 def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:

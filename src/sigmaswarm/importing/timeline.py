@@ -9,8 +9,8 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import LONG_AGO, SECOND, WEEK, Nanoseconds
 from sigmaswarm.importing.places import Say
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.times import LONGEST_STEP, SHORTEST_STEP, UNITS
-from sigmaswarm.wording import names_shown
+from sigmaswarm.importing.times import DISORDERED, LONGEST_STEP, SHORTEST_STEP, UNITS
+from sigmaswarm.wording import counted, left_out, names_shown
 
 MINUTE = 60 * SECOND
 WRAPS: tuple[tuple[int, str], ...] = (
@@ -64,7 +64,7 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, int, str]:
     """Unwrap a counter that restarted; return the times, its period, ns, and a sentence; 0 and "" if it did not."""
     steps = np.diff(time)
     ahead = steps[steps > 0]
-    if not len(ahead) or not (steps < 0).any():
+    if not len(ahead) or not 0 < np.mean(steps < 0) < DISORDERED:
         return time, 0, ""
     usual = float(np.median(ahead))
     fitting: list[tuple[float, int, str]] = []
@@ -86,7 +86,7 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, int, str]:
         return time, 0, ""
     _, period, name = min(fitting)
     turns = np.concatenate([[0], np.cumsum(steps < -0.5 * period)])
-    return time + turns * period, period, f"{name}, wraps {turns[-1]} time(s) and is unwrapped"
+    return time + turns * period, period, f"{name}, wraps {counted(int(turns[-1]), 'time')} and is unwrapped"
 
 
 def recordings(time: Nanoseconds) -> list[slice]:
@@ -201,7 +201,7 @@ def in_order(
     rows = np.flatnonzero(~_stray(time))
     if len(rows) < len(time):
         say(
-            f"{where}: {len(time) - len(rows)} rows are left out, since their times are far from those around them"
+            f"{where}: {left_out(len(time) - len(rows))}, since the time is far from those of the rows around"
         )
     taken, chosen = choose_part(time[rows], part, role, where)
     rows = rows[taken]
@@ -218,9 +218,7 @@ def in_order(
         say(f"{where}: {note}")
     new = np.diff(time, prepend=time[0] - 1) > 0
     if not new.all():
-        say(
-            f"{where}: {int(np.count_nonzero(~new))} rows are left out, since they have the time of the previous row"
-        )
+        say(f"{where}: {left_out(int(np.count_nonzero(~new)))}, since the time is that of the previous row")
     return time[new], rows[new]
 
 

@@ -29,54 +29,47 @@ from sigmaswarm.wording import quoted, shown
 
 LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0, "mag": 5.0}
 """Largest plausible sample interval, s."""
-SHORTEST_STEP = 1e-4
-"""Shortest sample interval of a car's sensor, s."""
+SHORTEST_STEP, LEAST_INTERVAL = 1e-4, 0.04
+"""Shortest sample interval of a car's sensor, and shortest usual interval of fixes, s."""
 FASTEST_IMU, SLOWEST_IMU = 4e-4, 0.15
 """Intervals of an IMU, s, outside which the unit of its time is not guessed."""
+DISORDERED = 0.4
+"""Share of decreasing steps above which rows are in no order; of a counter that wraps, fewer steps decrease."""
 LEAST_COUNT = 4
 """Smallest step of whole numbers that are taken as ms: smaller ones may be the numbers of rows, or 0.01 s."""
+_DAYS_FIRST = (
+    *("%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%Y/%m/%d", "%d.%m.%Y", "%d.%m.%y"),
+    *("%m/%d/%Y", "%d/%m/%Y", "%m/%d/%y", "%d/%m/%y", "%y/%m/%d"),
+)
 DATE_FORMATS = (
     "",
-    "%d-%b-%Y %H:%M:%S%.f",
-    "%d %b %Y %H:%M:%S%.f",
+    *(f"{day} %H:%M:%S%.f" for day in _DAYS_FIRST),
     "%a %b %d %H:%M:%S%.f %Y",
-    "%Y/%m/%d %H:%M:%S%.f",
-    "%d.%m.%Y %H:%M:%S%.f",
-    "%m/%d/%Y %H:%M:%S%.f",
-    "%d/%m/%Y %H:%M:%S%.f",
-    "%m/%d/%Y %I:%M:%S%.f %p",
-    "%d/%m/%Y %I:%M:%S%.f %p",
+    *(f"{day} %I:%M:%S%.f %p" for day in ("%m/%d/%Y", "%d/%m/%Y", "%Y-%m-%d")),
     "%Y-%m-%d %H:%M:%S:%3f",
-    "%Y-%m-%d %I:%M:%S%.f %p",
-    "%Y-%m-%d_%H-%M-%S%.f",
-    "%Y-%m-%d %H-%M-%S%.f",
-    "%Y%m%d %H%M%S%.f",
-    "%Y%m%d %H:%M:%S%.f",
-    "%H:%M:%S%.f",
-    "%H:%M:%S:%3f",
-    "%I:%M:%S%.f %p",
-    "%M:%S%.f",
+    *("%Y-%m-%d_%H-%M-%S%.f", "%Y-%m-%d %H-%M-%S%.f", "%Y%m%d %H%M%S%.f", "%Y%m%d %H:%M:%S%.f"),
+    *("%H:%M:%S%.f", "%H:%M:%S:%3f", "%I:%M:%S%.f %p", "%M:%S%.f"),
 )
 """Formats in the order of trial; the first is ISO 8601."""
 LEAST_FITTING = 0.99
 """Smallest share of dates that fit their format; other dates are damaged."""
 COUNTED = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 CALENDAR = ("year", "month", "day", "hour", "minute", "second")
-_CALENDAR = {word: word for word in CALENDAR} | {
-    "mon": "month",
-    "hr": "hour",
-    "min": "minute",
-    "sec": "second",
+_CALENDAR = {
+    **{word: word for word in CALENDAR},
+    **{"mon": "month", "hr": "hour", "min": "minute", "sec": "second"},
 }
 """Last words of the names of a date's six columns."""
 UNITS = {**COUNTED, "days": 86400.0, "h": 3600.0, "min": 60.0}
 """Units of times, s; those of clock counters come first."""
-_DAYS = (
-    (2e4, 8e4, EXCEL_EPOCH, "1900"),
-    (6.5e5, 8e5, MATLAB_EPOCH, "year 0"),
-    (2.44e6, 2.5e6, JULIAN_EPOCH, "4713 BC"),
+_EPOCHS = (
+    (2e4, 8e4, EXCEL_EPOCH, 86400, "days since 1900"),
+    (6.5e5, 8e5, MATLAB_EPOCH, 86400, "days since year 0"),
+    (2.44e6, 2.5e6, JULIAN_EPOCH, 86400, "days since 4713 BC"),
+    (6.2e17, 6.6e17, 621_355_968_000_000_000, 1e-7, "ticks of 100 ns since year 1"),
+    (1.26e17, 1.4e17, 116_444_736_000_000_000, 1e-7, "ticks of 100 ns since 1601"),
 )
-"""Ranges of days, with the day of 1970-01-01 and the first day."""
+"""Ranges of counts from other years than 1970, with the count of 1970-01-01, the unit in s, and a description."""
 _DATES_S = (3e8, 4e9)
 """Range of dates, s since 1970: 1979 to 2096."""
 
@@ -98,7 +91,7 @@ def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
     if several or (good and good[0][1]):
         return several or good[0][2]
     calendar, parts = _calendar(names, frame)
-    parts = [*parts, *(clock for clock, known, _ in pairs if known)]  # a time of day without its day
+    parts = [*parts, *(clock for clock, *_ in pairs)]  # a time of day without its day
     single = _single([n for n in names if n not in parts], frame, role) or calendar
     lacking = single is None or single.fault
     usable = [found for _, known, found in (*good, *pairs) if known or (lacking and not found.fault)]
@@ -111,6 +104,15 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
     """Return the expression of a table's time, or None."""
     found = find_time(frame, role)
     return found.expression or None if found else None
+
+
+def rising_column(frame: pl.DataFrame) -> str:
+    """Return the first column without a known name that increases from row to row, else "COLUMN"."""
+    for name in read_names(frame.columns):
+        steps = numbers_of(frame[name.column]).diff().drop_nulls()
+        if name.meaning is None and len(steps) and (steps > 0).all():
+            return written(name.column)
+    return "COLUMN"
 
 
 def written(column: str) -> str:
@@ -134,6 +136,8 @@ def median_of(values: pl.Series) -> float:
 def step_of(values: pl.Series) -> float:
     """Return the median forward step of a time; rows with the same stamp share a step."""
     steps = numbers_of(values).diff().drop_nulls()
+    if (steps < 0).sum() > DISORDERED * len(steps):
+        steps = numbers_of(values).sort().diff().drop_nulls()
     forward = steps.filter(steps > 0)
     shared = len(forward) / (len(forward) + int((steps == 0).sum())) if len(forward) else 1.0
     return median_of(forward) * (shared if shared < 0.9 else 1.0)
@@ -181,14 +185,13 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> Found | Non
         for first in names
         if first.words and first.words[-1] in SECONDS
         for rest in names
-        if rest.words
-        and rest.words[:-1] == first.words[:-1]
-        and rest.words[-1] in {*PARTS_OF_SECONDS} - {"ms"}
+        if rest.words and rest.words[:-1] == first.words[:-1] and rest.words[-1] in PARTS_OF_SECONDS
     ]
     for first, rest, scale in sorted(pairs, key=lambda p: "stamp" not in p[0].words):
         whole, part = numbers_of(frame[first.column]), numbers_of(frame[rest.column])
         fits = (whole == whole.round()).all() and part.is_between(0, 1 / scale - 0.5).all()
-        if len(whole) and len(part) and fits:
+        falls = rest.words[-1] != "ms" or (part.diff() < 0).any()  # else ms may count from the start
+        if len(whole) and len(part) and fits and falls:
             text = f"{written(first.column)} + {written(rest.column)}*{scale:.0e}".replace("e-0", "e-")
             return Found(text, f"the time is {first.column} and {rest.column} together")
     return None
@@ -240,24 +243,28 @@ def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
 
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
-    """Find a column with the name of a time, preferably one that changes; else a clock that increases.
-
-    A column that is always 0 (stamps that are not set) is ignored.
-    """
+    """Find a column with the name of a time, preferably one that changes, and not always 0; else a running clock."""
     times = [name for name in names if name.meaning == "t"]
     for name in sorted(times, key=lambda name: frame[name.column].n_unique() < 2):
         numbers = numbers_of(frame[name.column])
         if not (len(numbers) > 1 and (numbers == 0).all()):
             return _of_column(name, frame, role)
-    clocks = [n for n in names if n.is_one(CLOCK) and step_of(frame[n.column]) > 0]
+    clocks = [
+        n for n in names if n.is_one(CLOCK) and (step_of(frame[n.column]) > 0 or _of_words(frame[n.column]))
+    ]
     running = max(clocks, key=lambda n: frame[n.column].n_unique(), default=None)
     return None if running is None else _of_column(running, frame, role)
+
+
+def _of_words(values: pl.Series) -> bool:
+    """Return True for texts that are not numbers, such as dates."""
+    return values.dtype == pl.String and not len(numbers_of(values)) and bool(values.str.len_chars().max())
 
 
 def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> Found:
     """Read the time in one column: dates in text, or numbers, by the unit in the name, their size or their steps."""
     values, text = frame[name.column], written(name.column)
-    if values.dtype == pl.String and not len(numbers_of(values)) and values.str.len_chars().max():
+    if _of_words(values):
         return _of_text([name.column], frame)
     if values.dtype.is_temporal():
         return Found(text)
@@ -276,7 +283,10 @@ def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
     message = (
         f"column {quoted(name.column)}: the unit {quoted(name.unit.text if name.unit else '')} is {kind}"
     )
-    return f'{message}; specify the factor to SI units, for example --map "{role}.{column}={written(name.column)}*1.0"'
+    text = f"{written(name.column)}*1.0"
+    if name.unit and name.unit.dimension == "angle" and dimension == "rate":
+        text = in_si(name.unit, written(name.column))
+    return f'{message}; specify the factor to SI units, for example --map "{role}.{column}={text}"'
 
 
 def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
@@ -308,13 +318,11 @@ def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
             f"{len(texts)} rows"
         )
         return Found("", fault=f'{message}; correct these rows, or leave them out with --time "{whole}"')
-    by_day, by_month = (next((f for f in fitting if f.startswith(begin)), "") for begin in ("%d/%m", "%m/%d"))
-    if by_day and by_month:
-        option = (
-            f"--time \"utc({called}, '{by_day}')\" if the day comes first, with {by_month} if the month does"
-        )
-        fault = f"column {quoted(columns[0])}: {shown(texts[0])} may be two different days; write {option}"
-        return Found("", fault=fault)
+    orders = [(word, f) for word in ("day", "month", "year") for f in fitting if f.startswith(f"%{word[0]}/")]
+    if len(orders) > 1:
+        options = (f"--time \"utc({called}, '{f}')\" if the {word} comes first" for word, f in orders)
+        message = f"{shown(texts[0])} may be two different days"
+        return Found("", fault=f"column {quoted(columns[0])}: {message}; write {' or '.join(options)}")
     note = "" if not form or "%d" in form else "times of day without a date"
     return Found(f"utc({called}, '{form}')" if form else f"utc({called})", note)
 
@@ -330,10 +338,13 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
     numbers = numbers_of(values)
     size, step = median_of(numbers.abs()), step_of(values)
     column = text.strip("`")
+    for begin, end, epoch, scale, what in _EPOCHS:
+        if begin < size < end and SHORTEST_STEP < step * scale < 4 * LONGEST_STEP[role]:
+            return Found(f"({text} - {epoch})*{scale:g}", f"{column} is read as {what}")
     dated = [unit for unit, scale in COUNTED.items() if _DATES_S[0] < size * scale < _DATES_S[1]]
     dated = [unit for unit in dated if unit != "s" or step == 0 or step < LONGEST_STEP[role]]
     if not dated and 0 < step < (FASTEST_IMU if role == "imu" else SHORTEST_STEP / 2):
-        return _of_days(numbers, text, column, step, role)
+        return _too_short(numbers, text, column, step, role)
     likely = [unit for unit, scale in COUNTED.items() if step * scale < LONGEST_STEP[role]]
     unit = (*dated, *likely, "s")[0]
     if role == "imu" and not dated and unit == "ms" and step < LEAST_COUNT:
@@ -352,18 +363,13 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
     return Found(_scaled(text, unit), "" if unit == "s" else f"the times in {column} are read as {unit}")
 
 
-def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> Found:
-    """Read numbers whose steps are too short for seconds as days of a spreadsheet or of MATLAB, or as day fractions."""
-    low, high = float(numbers.min()), float(numbers.max())  # pyright: ignore[reportArgumentType]
-    likely = SHORTEST_STEP < step * 86400 < 4 * LONGEST_STEP[role]
-    for begin, end, epoch, whose in _DAYS:
-        if likely and begin < low and high < end:
-            return Found(f"({text} - {epoch})*86400", f"{column} is read as days since {whose}")
-    if likely and low > 1e-3 and high < 1:
+def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> Found:
+    """Read numbers whose steps are too short for seconds as fractions of a day, or refuse them."""
+    if SHORTEST_STEP < step * 86400 < 4 * LONGEST_STEP[role] and numbers.is_between(1e-3, 1).all():
         return Found(f"{text}*86400", f"{column} read as days (fractions of a day)")
     message = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes, *1 for seconds'
-    fault = f"column {quoted(column)}: steps of {step:.2g} are too short for seconds; state the unit: write {message}"
-    return Found("", fault=fault)
+    seen = f"column {quoted(column)}: steps of {step:.2g} are too short for seconds"
+    return Found("", fault=f"{seen}; state the unit: write {message}")
 
 
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
@@ -383,7 +389,10 @@ def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
     likely = [(u, f) for u, f in UNITS.items() if SHORTEST_STEP < step * f < longest]
     if not step or SHORTEST_STEP < step * scale < longest or not likely:
         return ""
-    unit, factor = min(likely, key=lambda u: not _DATES_S[0] < size * u[1] < _DATES_S[1])
+    low, high = (FASTEST_IMU, SLOWEST_IMU) if role == "imu" else (LEAST_INTERVAL, longest)
+    unit, factor = min(
+        likely, key=lambda u: (not _DATES_S[0] < size * u[1] < _DATES_S[1], not low < step * u[1] < high)
+    )
     times = "" if factor == 1 else f"*{factor:g}".replace("e-0", "e-")
     option = '--time "' if role == "imu" else f'--map {role}.t="'
     return (

@@ -30,7 +30,7 @@ _BASE_WORDS = {
     "A": {
         **{1.0: "rad radian radians", 1e-3: "mrad", 1e-6: "urad", _DEGREE: "deg degs degree degrees"},
         **{_DEGREE / 1e3: "mdeg", _DEGREE / 100: "cdeg", _DEGREE / 60: "arcmin", _DEGREE / 3600: "arcsec"},
-        **{2 * math.pi: "rev revolutions turn turns", math.pi / 200: "gon"},
+        **{_DEGREE / 3.6e6: "mas", 2 * math.pi: "rev revolutions turn turns", math.pi / 200: "gon"},
     },
 }
 """Words for units of length, time and angle, by factor to m, s and rad."""
@@ -51,18 +51,19 @@ _DIMENSIONS: dict[tuple[int, int, int], Dimension] = {
     (0, -1, 1): "rate",
 }
 _MORE: tuple[tuple[Dimension, float, str], ...] = (
-    ("acceleration", G, "g g0 gs gee"),
+    ("acceleration", G, "g g0 gs g's gee"),
     ("acceleration", G / 1e3, "mg milli-g millig"),
     ("acceleration", G / 1e6, "ug micro-g"),
     ("acceleration", 0.01, "gal gals"),
     ("acceleration", 1e-5, "mgal"),
-    ("acceleration", 1.0, "mps2 ms2 mpss ms-2 ms^-2"),
+    ("acceleration", 0.01, "cms2 cmps2"),
+    ("acceleration", 1.0, "mps2 ms2 mpss ms-2 ms^-2 mpersec2"),
     ("acceleration", 0.3048, "fps2"),
-    ("rate", _DEGREE, "dps degps degs"),
+    ("rate", _DEGREE, "dps degps degs degsec degpersec"),
     ("rate", _DEGREE / 1e3, "mdps"),
     ("rate", _DEGREE / 100, "cdps"),
     ("rate", _DEGREE / 3600, "dph"),
-    ("rate", 1.0, "radps rads"),
+    ("rate", 1.0, "radps rads radsec radpersec"),
     ("rate", 1e-3, "mradps"),
     ("rate", math.pi / 30, "rpm"),
     ("speed", 1.0, "mps"),

@@ -91,16 +91,25 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
         yield Finding("mounting", severity, what, WHERE, span, confidence_of(angle / std), remedy, repair)
     second = np.arange(imu.time[0] + 0.5, imu.time[-1], 1.0)
     force = mount.matrix @ np.array([imu.ax, imu.ay])
-    for name, (scale, std), row in zip(("forward", "leftward"), mount.scale, force, strict=True):
-        pushed = np.std(smoothed(imu.time, row, second, 1.0))
-        if pushed > LEAST_PUSH and abs(scale - 1) > max(WRONG_SCALE, 5 * std):
-            what = (
-                f"the car's {name} acceleration is {scale:.2f} times the acceleration that the IMU measures "
-                f"(standard deviation {std:.2f})"
-            )
-            remedy = "check the sensor's range setting and low-pass filter"
-            confidence = confidence_of((scale - 1) / std)
-            yield Finding("accelerometer-scale", "warning", what, WHERE, span, confidence, remedy)
+    wrong = [
+        (name, scale, std)
+        for name, (scale, std), row in zip(("forward", "leftward"), mount.scale, force, strict=True)
+        if np.std(smoothed(imu.time, row, second, 1.0)) > LEAST_PUSH
+        and abs(scale - 1) > max(WRONG_SCALE, 5 * std)
+    ]
+    remedy = "check the sensor's range setting and low-pass filter"
+    (forward, std), (left, other) = mount.scale
+    alike = all(mount.known) and abs(forward - left) < 3 * math.hypot(std, other)
+    if alike and imu.az is not None and abs(_size_of(_force(imu, mount.unit)) - GRAVITY) < SIZE[1]:
+        # the accelerometer measures gravity correctly
+        remedy = "check unit and projection of the positions, such as Web Mercator (EPSG:3857), which stretches them"
+    for name, scale, std in wrong:
+        what = (
+            f"the car's {name} acceleration is {scale:.2f} times the acceleration that the IMU measures "
+            f"(standard deviation {std:.2f})"
+        )
+        confidence = confidence_of((scale - 1) / std)
+        yield Finding("accelerometer-scale", "warning", what, WHERE, span, confidence, remedy)
 
 
 def _gravity(evidence: Evidence) -> Iterator[Finding]:
@@ -170,11 +179,19 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def _magnitude(evidence: Evidence, unit: float) -> Iterator[Finding]:
-    imu = evidence.drive.imu
+def _force(imu: Imu, unit: float) -> Array:
+    """Return the specific force (3, n), averaged over half a second."""
     count = max(round(0.5 / float(np.median(np.diff(imu.time)))), 1)
-    force = unit * moving_mean(np.array([imu.ax, imu.ay, imu.az]), count)
-    size = float(np.median(np.linalg.norm(force, axis=0)))
+    return unit * moving_mean(np.array([imu.ax, imu.ay, imu.az]), count)
+
+
+def _size_of(force: Array) -> float:
+    return float(np.median(np.linalg.norm(force, axis=0)))
+
+
+def _magnitude(evidence: Evidence, unit: float) -> Iterator[Finding]:
+    force = _force(evidence.drive.imu, unit)
+    size = _size_of(force)
     off = size - GRAVITY
     if abs(off) < SIZE[0]:
         return

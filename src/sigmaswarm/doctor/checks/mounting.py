@@ -1,7 +1,7 @@
 """Check the mounting of an IMU with six axes, its changes, mirrored fixes, and logs that begin in reverse."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.doctor.mounting import SERIOUS, Mounting, angle_of
 from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.drives.alignment import NoStart, find_start
+from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.geodesy import roll_pitch_yaw
 
@@ -25,7 +26,13 @@ LEAST_DIFFERENCE = math.radians(
 )  # smallest difference from the mounting of drive.toml that a note reports
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 
-STANDS = 1.0  # m/s, speed below which a car may change between forward and reverse
+ENDS, HANDLED, UNLIKE = 15.0, 0.5, 4.0
+"""Time, s, at each end of a log in which an IMU may be handled; smallest mean rate of tilting over half a second in
+this case, rad/s and relative to the largest of the rest. In fault-free drives it was below 0.2 rad/s.
+"""
+STANDS, OF_USUAL = 1.0, 0.3
+"""Speed below which a vehicle may change between forward and reverse: at most, m/s, and relative to its 90% quantile,
+since robots are slow."""
 STEP = 2.0  # s, for changes of speed and the integral of ax
 CLEAR, LEAST = 3.0, 0.4
 """Smallest slope, in standard deviations and absolute, with which a regression of speed changes on the integral of ax
@@ -98,11 +105,7 @@ def moved(drive: Drive) -> tuple[float, float] | None:
     imu = drive.imu
     if imu.az is None:
         return None
-    edges = np.arange(imu.time[0], imu.time[-1], 5.0)
-    rows = np.searchsorted(imu.time, edges)
-    force = np.array([np.append(0.0, np.cumsum(v)) for v in (imu.ax, imu.ay, imu.az)])
-    counts = np.diff(rows)
-    mean = (np.diff(force[:, rows], axis=1) / np.maximum(counts, 1))[:, counts > 0].T
+    times, mean = _means(imu.time, (imu.ax, imu.ay, imu.az), 5.0)
     direction = mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9)
     least = 4  # windows on each side: 20 s
     if len(direction) < 2 * least:
@@ -119,8 +122,47 @@ def moved(drive: Drive) -> tuple[float, float] | None:
     if float(np.median(off)) > SCATTER:
         return None
     noise = float(np.median(off)) / math.sqrt(min(len(part) for part in parts))
-    at = float(edges[:-1][counts > 0][cut])
-    return (at, angle) if angle > max(MOVED, STANDS_OUT * noise) else None
+    return (float(times[cut]), angle) if angle > max(MOVED, STANDS_OUT * noise) else None
+
+
+def _means(time: Array, columns: Sequence[Array], step: float) -> tuple[Array, Array]:
+    """Return the beginnings (n,) of intervals of ``step`` s with samples, and the mean values (n, k) in them."""
+    edges = np.arange(time[0], time[-1], step)
+    rows = np.searchsorted(time, edges)
+    sums = np.array([np.append(0.0, np.cumsum(v)) for v in columns])
+    counts = np.diff(rows)
+    return edges[:-1][counts > 0], (np.diff(sums[:, rows], axis=1)[:, counts > 0] / counts[counts > 0]).T
+
+
+def check_handled(evidence: Evidence) -> Iterator[Finding]:
+    """Find an IMU, such as that of a phone, in someone's hand at the beginning or end of a log."""
+    first, last = evidence.span
+    begin, end = steady(evidence.drive)
+    if (begin, end) == (first, last):
+        return
+    ends = [f"until t = {begin:.1f} s"] if begin > first else []
+    ends += [f"from t = {end:.1f} s"] if end < last else []
+    what = f"the IMU is in motion relative to the vehicle {' and '.join(ends)}, as in someone's hand"
+    remedy = f"use only t = {begin:.1f} to {end:.1f} s"
+    repair = Repair("cut-ends", (begin, end))
+    yield Finding("mounting-handled", "warning", what, WHERE, evidence.span, 0.99, remedy, repair)
+
+
+def steady(drive: Drive) -> tuple[float, float]:
+    """Return the first and last time, s, of the part without an end at which the IMU tilts as no vehicle does."""
+    imu, step = drive.imu, 0.5
+    first, last = float(imu.time[0]), float(imu.time[-1])
+    if imu.az is None or imu.gx is None or imu.gy is None or last - first < 4 * ENDS:
+        return first, last
+    times, mean = _means(imu.time, (imu.ax, imu.ay, imu.az, imu.gx, imu.gy, imu.gz), step)
+    up = np.median(mean[:, :3], axis=0)
+    tilting = np.linalg.norm(np.cross(mean[:, 3:], up / max(float(np.linalg.norm(up)), 1e-9)), axis=1)
+    early, late = times < first + ENDS, times + step > last - ENDS
+    usual = float(np.max(tilting[~early & ~late], initial=0.0))
+    limit = max(HANDLED, UNLIKE * usual) if np.linalg.norm(up) > GRAVITY / 2 else np.inf
+    begin = float(times[early & (tilting > usual)].max()) + step if np.any(tilting[early] > limit) else first
+    end = float(times[late & (tilting > usual)].min()) if np.any(tilting[late] > limit) else last
+    return begin, end
 
 
 def check_reverse(evidence: Evidence) -> Iterator[Finding]:
@@ -136,7 +178,8 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
         return
     gained = smoothed(imu.time, integral(imu.time, imu.ax), course.time - evidence.clock.late, course.span)
     speed = np.abs(course.velocity)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], (speed > STANDS).astype(int), [0]])))
+    moving = speed > min(STANDS, OF_USUAL * float(np.quantile(speed, 0.9)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], moving.astype(int), [0]])))
     runs = [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= 5]
     slopes = [(run, _slope(course.time[run], speed[run], gained[run])) for run in runs]
     shown = [(run, *slope) for run, slope in slopes if slope]

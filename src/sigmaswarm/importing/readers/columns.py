@@ -1,11 +1,12 @@
 """CSV and Parquet: a file, or a folder of files, each of which is a table. Rows are streamed through polars."""
 
+import math
 import re
 import subprocess
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from itertools import count
+from itertools import count, pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any, cast
 
@@ -13,7 +14,9 @@ import polars as pl
 
 from sigmaswarm.drives.table_files import BROKEN, one_file
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.guess import guess_roles, spread_rows
+from sigmaswarm.importing.dates import SECOND
+from sigmaswarm.importing.expressions import time_expression
+from sigmaswarm.importing.guess import SAMPLE, guess_roles, spread_rows
 from sigmaswarm.importing.readers.dialect import BLANKS, Dialect, dialect_of, is_table, uneven_row
 from sigmaswarm.importing.readers.packed import paths_in, unpacked
 from sigmaswarm.importing.source import (
@@ -28,10 +31,13 @@ from sigmaswarm.importing.source import (
     first_bytes,
     no_log,
 )
+from sigmaswarm.importing.times import time_of
 from sigmaswarm.wording import names_shown, quoted, shown
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
 CHUNK = 100_000
+LONGEST_BREAK = 10.0
+"""Longest time, s, between files that are joined."""
 
 
 def recognizes(path: Path) -> bool:
@@ -79,7 +85,50 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         if not files:
             raise no_log(path)
     scans = {f.relative_to(folder).as_posix(): scan(f, f, limits, remarks) for f in files}
-    return of_files(path, scans, FILES, None, remarks)
+    return of_files(path, _joined(scans, remarks), FILES, None, remarks)
+
+
+def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, pl.LazyFrame]:
+    """Join files that continue each other: the same columns, times in sequence, and names that differ in numbers.
+
+    Files without a header may have other names, if one file has a header of as many columns.
+    """
+    heads = {name: rows.collect_schema().names() for name, rows in scans.items()}
+    titled = {name: head for name, head in heads.items() if head[0] != "c1"}
+    renamed, groups = dict(scans), dict[tuple[str, ...], list[str]]()
+    for name, head in heads.items():
+        like = [other for other in titled if len(titled[other]) == len(head) and name not in titled]
+        first = like[0] if len(like) == 1 else name
+        renamed[name] = scans[name].rename(dict(zip(head, heads[first], strict=True)))
+        plain = re.sub(r"[\W_]*\d+[\W_]*", "", PurePosixPath(first).stem)
+        groups.setdefault((plain, *heads[first]), []).append(name)
+    whole: dict[str, pl.LazyFrame] = {}
+    for names in groups.values():
+        spans = sorted((_span(renamed[name]), name) for name in names) if len(names) > 1 else []
+        gaps = [later[0][0] - former[0][1] for former, later in pairwise(spans)]
+        if not gaps or not all(0 <= gap < LONGEST_BREAK for gap in gaps):
+            whole |= {name: scans[name] for name in names}
+            continue
+        names = [name for _, name in spans]
+        whole[names[0]] = pl.concat([renamed[name] for name in names], how="vertical_relaxed")
+        reason = f"{names_shown(names)} are joined, since their times continue each other"
+        remarks[:] = [r for r in remarks if not any(r.startswith(f"{n}: has no header") for n in names)] + [
+            reason
+        ]
+    return whole
+
+
+def _span(rows: pl.LazyFrame) -> tuple[float, float]:
+    """Return the first and the last time of a table, s; NaN if they cannot be read."""
+    head = rows.head(SAMPLE).collect()
+    text = time_of(head) or time_of(head, "gps")
+    ends = (
+        pl.concat([rows.head(1), rows.tail(1)]).select(time_expression(text, head)).collect()
+        if text
+        else None
+    )
+    first, last = ends.to_series().to_list() if ends is not None and len(ends) == 2 else (None, None)
+    return (math.nan, math.nan) if first is None or last is None else (first / SECOND, last / SECOND)
 
 
 def of_names(
@@ -89,7 +138,7 @@ def of_names(
     folder, remarks = unpacked(path, names, limits, stack), list[str]()
     there = [name for name in names if (folder / name).is_file()]
     scans = {name: scan(folder / name, path / name, limits, remarks) for name in there}
-    return of_files(path, scans, "CSV", guessed, remarks)
+    return of_files(path, scans if guessed else _joined(scans, remarks), "CSV", guessed, remarks)
 
 
 def _is_prose(file: Path) -> bool:

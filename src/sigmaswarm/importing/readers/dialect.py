@@ -6,12 +6,13 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from shlex import quote
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.names import read_name
-from sigmaswarm.importing.quantities import NO_VALUE
+from sigmaswarm.importing.quantities import NO_NUMBER, NO_VALUE
 from sigmaswarm.importing.source import first_bytes
 from sigmaswarm.importing.units import COUNTS, parse_unit
 from sigmaswarm.wording import names_shown
@@ -29,7 +30,6 @@ _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’ \u00a0\u202f])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
 _DIGITS = re.compile(r"\d{8} ?\d{4,6}[\d.]{0,10}")
 """A date and a time of day without separators."""
-_EMPTY = (*NO_VALUE, "inf", "-inf")
 Rows = Sequence[Sequence[str]]
 _HEADER, _COVARIANCE = ("sec", "nanosec", "frame_id"), [f"_covariance[{k}]" for k in range(9)]
 _VECTORS = (("orientation", "xyzw"), ("angular_velocity", "xyz"), ("linear_acceleration", "xyz"))
@@ -95,9 +95,12 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     if not names:
         last = lines[above[-1]] if above else "#"
         if last.lstrip()[:1] not in COMMENTS and len(found := _titles(last, separator)) > 1:
+            remedy = f"write a header with {width} names"
+            if width == 2 * len(found) and separator == ",":
+                join = rf"sed -E '{first + 1},$s/([^,]*),([^,]*)(,|$)/\1.\2\3/g' {quote(shown_as.name)} > new.csv"
+                remedy = f"if each number has a decimal comma, join its cells, for example with: {join}"
             raise InputError(
-                f"{shown_as}, row {first + 1}: has {width} cells, but the header has {len(found)}; write a "
-                f"header with {width} names"
+                f"{shown_as}, row {first + 1}: has {width} cells, but the header has {len(found)}; {remedy}"
             )
         _require_one_kind(data, shown_as)
         if names := _of_message(data[0]):
@@ -153,11 +156,17 @@ def is_table(file: Path) -> bool:
     return len(lines) > 5 and all(len(c) > 2 and sum(map(is_value, c)) > 0.5 * len(c) for c in cells)
 
 
+def _is_empty(cell: str) -> bool:
+    return cell.strip().lower() in (*NO_VALUE, "inf", "-inf") or re.search(NO_NUMBER, cell) is not None
+
+
 def _has_decimal_commas(cells: Sequence[str]) -> bool:
     """Return True for numbers with commas, unless many other texts (such as dates) have commas."""
-    filled = [cell.strip() for cell in cells if cell.strip().lower() not in _EMPTY][:100]
+    filled = [cell.strip() for cell in cells if not _is_empty(cell)][:100]
     numbers = sum(any(form.fullmatch(cell) for form in (_NUMBER, _GROUPED)) for cell in filled)
-    return any("," in cell for cell in cells) and numbers >= 0.9 * len(filled)
+    commas = [cell for cell in cells if "," in cell]
+    thousands = any("." in cell.partition(",")[2] for cell in commas)
+    return bool(commas) and not thousands and numbers >= 0.9 * len(filled)
 
 
 def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
@@ -166,6 +175,11 @@ def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
         raise InputError(
             f"{shown_as}: is text in UTF-16; save it as UTF-8, for example with: iconv -f UTF-16 -t UTF-8 "
             f"{shown_as.name} > new.csv"
+        )
+    if b"\r" in head and b"\n" not in head:
+        raise InputError(
+            f"{shown_as}: its lines end in a carriage return alone; convert it, for example with: "
+            f"tr '\\r' '\\n' < {quote(shown_as.name)} > new.csv"
         )
     cut = head if len(head) < HEAD else head[: head.rfind(b"\n") + 1]
     try:
@@ -224,7 +238,7 @@ def _numeric_columns(rows: Rows) -> list[int]:
     filled, values = Counter[int](), Counter[int]()
     for row in rows:
         for k, cell in enumerate(row):
-            if cell.strip().lower() not in _EMPTY:
+            if not _is_empty(cell):
                 filled[k] += 1
                 values[k] += is_value(cell)
     return sorted(k for k in values if values[k] and values[k] >= 0.5 * filled[k])
@@ -233,7 +247,7 @@ def _numeric_columns(rows: Rows) -> list[int]:
 def _is_data(cells: Sequence[str], numeric: Sequence[int]) -> bool:
     if len(cells) < 2 or not numeric:
         return False
-    filled = [cells[k] for k in numeric if k < len(cells) and cells[k].strip().lower() not in _EMPTY]
+    filled = [cells[k] for k in numeric if k < len(cells) and not _is_empty(cells[k])]
     values = sum(map(is_value, filled))
     return bool(filled) and len(cells) > 0.5 * max(numeric) and values >= 0.5 * len(filled)
 
@@ -256,6 +270,10 @@ def _header(above: Sequence[str], separator: str, width: int, most: int, empty: 
         titles = titles or [""] * len(units)
     if units:
         titles = [_with_unit(n, u) for n, u in zip(titles, units, strict=False)] + titles[len(units) :]
+    groups = fitting[place - 1] if place and not units else []
+    if len(set(titles)) < len(titles) == len(groups) > len(set(groups)):  # Accelerometer,,,Gyroscope,,
+        filled = accumulate(groups, lambda before, group: group or before)
+        titles = [f"{group} {title}".strip() for group, title in zip(filled, titles, strict=True)]
     while empty and len(titles) == width and not titles[-1].strip():
         titles, width, empty = titles[:-1], width - 1, empty - 1
     counted = titles[1:] if not titles[0] else titles

@@ -41,9 +41,15 @@ def number_in(message: Any, path: str, i: int | None = None) -> int | float | No
     return message if isinstance(message, int | float) else None
 
 
+def has_header(message: Any) -> bool:
+    return isinstance(message, dict) or hasattr(getattr(message, "header", None), "stamp")
+
+
 def stamp_of(message: Any) -> int | None:
-    """Return the stamp of a message's header, ns; None if a JSON message lacks it."""
+    """Return the stamp of a message's header, ns, or its own field; None if a JSON message lacks it."""
     if not isinstance(message, dict):
+        if not has_header(message):
+            return message.stamp
         stamp = message.header.stamp
         return stamp.sec * 10**9 + stamp.nanosec
     for at in ("header.stamp", "timestamp"):

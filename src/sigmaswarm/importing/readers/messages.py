@@ -15,7 +15,7 @@ import polars as pl
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import SAMPLE, guess_roles
 from sigmaswarm.importing.names import read_name
-from sigmaswarm.importing.readers.fields import getter
+from sigmaswarm.importing.readers.fields import getter, has_header
 from sigmaswarm.importing.readers.frames import frame_of, placement, static_topic
 from sigmaswarm.importing.readers.px4 import TURNED, part_of
 from sigmaswarm.importing.readers.topics import STANDARD, Topics, prefix
@@ -155,7 +155,7 @@ class _Collector:
     def add(self, received: int, message: Any) -> None:
         row = [get(message) if get else received for get in self.getters]
         self.rows.append(row)
-        if self.stamp is not None and row[self.stamp]:  # 0 if not set
+        if self.stamp is not None and row[self.stamp] and has_header(message):  # 0 if not set
             self.delays.append((received - row[self.stamp]) * 1e-9)
 
     def take(self) -> pl.DataFrame:

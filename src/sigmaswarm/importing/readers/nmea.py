@@ -1,7 +1,7 @@
 """NMEA 0183 sentences of a receiver, through pynmeagps.
 
-GGA or GNS contain the position, RMC date and velocity, GST standard deviations, and HDT, THS or PASHR the heading of
-two antennas. Sentences with the same time of day make one fix. The day is from RMC or ZDA, and advances at midnight.
+GGA, GNS or GLL contain the position, RMC date and velocity, GST standard deviations, and HDT, THS or PASHR the heading
+of two antennas. Sentences with the same time of day make one fix. The day is from RMC or ZDA, and advances at midnight.
 """
 
 import math
@@ -139,11 +139,13 @@ def _values(message: Any) -> dict[str, float]:
         height = number("alt") + (number("sep") if getattr(message, "sep", "") != "" else 0.0)
         place = {"lat": number("lat"), "lon": number("lon"), "alt": height}
         return {**place, "quality": quality, "hdop": number("HDOP")}
-    if kind == "RMC" and getattr(message, "status", "") == "A":
+    if kind in ("RMC", "GLL") and getattr(message, "status", "") == "A":
+        place = {"rmc_lat": number("lat"), "rmc_lon": number("lon"), "rmc_quality": 1.0}
+        if kind == "GLL":
+            return place
         speed, course = number("spd") * KNOT, number("cog")
         if math.isnan(course) and speed < STILL:
             course = 0.0  # receivers leave the course empty at standstill
-        place = {"rmc_lat": number("lat"), "rmc_lon": number("lon"), "rmc_quality": 1.0}
         return {"speed": speed, "course": course, **place}
     if kind == "GST":
         return {"std_lat": number("stdLat"), "std_lon": number("stdLong")}
@@ -157,6 +159,6 @@ def _values(message: Any) -> dict[str, float]:
 
 
 def _row(day: date, clock: time, fix: dict[str, float]) -> tuple[float, ...]:
-    """Return the row of a fix; the position is that of RMC if no other sentence has one."""
+    """Return the row of a fix; the position is that of RMC or GLL if no other sentence has one."""
     seconds = datetime.combine(day, clock, UTC).timestamp()
     return (seconds, *(fix.get(name, fix.get(f"rmc_{name}", math.nan)) for name in COLUMNS[1:]))

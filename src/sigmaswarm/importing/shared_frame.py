@@ -1,0 +1,125 @@
+"""The frame of a truth in meters, compared with that of the fixes: its axes and its origin."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
+from sigmaswarm.importing.places import FARTHEST, Values
+from sigmaswarm.importing.source import Part, Role
+
+Origin = tuple[float, float, float]
+"""Latitude (deg), longitude (deg), altitude (m)."""
+EXPLAINED, TURNED, STRETCHED = 0.9, np.radians(5), 0.05
+"""Smallest share of the fixes' variance that a turned truth must explain; smallest angle, rad, and relative difference
+of scale that are reported."""
+LAGS, CLEARLY = np.arange(-20.0, 20.1, 0.5), 4.0
+"""Delays, s, of the truth; on a circle, a delay looks like a turn. Smallest ratio of the fixes' variance that the truth
+as it is leaves, at any of them, to that which the turned truth leaves."""
+LATEST = 2.5
+"""Largest delay of a receiver, s."""
+FEWEST = 10
+"""Smallest number of fixes that are compared with the truth."""
+
+
+def require_same_axes(
+    seconds: Mapping[Role, Array], truth: Values, gps: Values, parts: Sequence[Part]
+) -> str:
+    """Refuse a truth in meters whose axes are not east and north: exchanged, turned, or in another unit.
+
+    The fixes z and the truth w, as complex numbers about their means, then satisfy z = a w, or z = a conj(w). Return a
+    sentence if they instead have different clocks, else "".
+    """
+    inside, true = _true(seconds, truth)
+    if len(true) < FEWEST:
+        return ""
+    fixes = np.column_stack([gps[n] for n in ("x", "y")])
+    if "lat" in gps and np.linalg.norm(fixes[inside].mean(axis=0)) > FARTHEST:
+        return ""  # so far from the origin, east and north are other directions
+    z, w = (_centered(xy) for xy in (fixes[inside], true))
+    power, unexplained = float(np.mean(np.abs(z) ** 2)), float(np.mean(np.abs(z - w) ** 2))
+    dots = np.mean(z * w.conj()), np.mean(z * w)
+    mirrored = int(np.abs(dots[1]) > np.abs(dots[0]))
+    factor = complex(dots[mirrored] / max(float(np.mean(np.abs(w) ** 2)), 1e-9))
+    left = power - float((dots[mirrored] * np.conj(factor)).real)
+    late = [_apart(fixes, seconds, truth, lag) for lag in LAGS]
+    best = int(np.argmin(late))
+    if late[best] < min(unexplained / CLEARLY, (1 - EXPLAINED) * power, left) and abs(LAGS[best]) > LATEST:
+        lag, when = LAGS[best], "later" if LAGS[best] > 0 else "earlier"
+        message = f"truth: its track is that of the fixes about {abs(lag):g} s {when}; write --truth-offset {-lag:g}"
+        return f"{message}, or --gps-offset {lag:g} if the fixes have the wrong clock"
+    if "lat" in truth:
+        return ""
+    stretched = abs(np.log(max(abs(factor), 1e-9))) > STRETCHED
+    if left > (1 - EXPLAINED) * power or not (mirrored or stretched or abs(np.angle(factor)) > TURNED):
+        return ""
+    if min(unexplained, *late) < CLEARLY * left:
+        return ""
+    size = 10.0 ** np.round(np.log10(abs(factor))) if stretched else 1.0
+    size = size if abs(np.log(abs(factor) / size)) < STRETCHED else abs(factor)
+    a, side = factor / abs(factor), -1 if mirrored else 1
+    x, y = ({n: t for part in parts for n, t in part.columns.items()}[n] for n in ("x", "y"))
+    rows = (a.real, x, -side * a.imag, y), (a.imag, x, side * a.real, y)
+    maps = " ".join(f'"truth.{n}={_combined(size, *row)}"' for n, row in zip("xy", rows, strict=True))
+    raise InputError(
+        f"the truth's x and y are not m east and north of the same track as the fixes; write --map {maps}"
+    )
+
+
+def _apart(fixes: Array, seconds: Mapping[Role, Array], truth: Values, lag: float) -> float:
+    """Return the mean square of the distances, m2, of fixes (n, 2) to the truth ``lag`` s later, about their means."""
+    inside, true = _true(seconds, truth, lag)
+    if np.count_nonzero(inside) < max(FEWEST, len(fixes) // 2):
+        return np.inf
+    return float(np.mean(np.abs(_centered(fixes[inside]) - _centered(true)) ** 2))
+
+
+def _centered(xy: Array) -> NDArray[np.complex128]:
+    return (xy - xy.mean(axis=0)) @ np.array([1, 1j])
+
+
+def _combined(size: float, one: float, x: str, other: float, y: str) -> str:
+    """Write size (one x + other y) as an expression; coefficients within 2% of -1, 0 or 1 are taken as exact."""
+    terms: list[str] = []
+    for value, text in ((one, x), (other, y)):
+        exact = float(np.round(value)) if abs(value - np.round(value)) < 0.02 else value
+        terms += [text if exact * size == 1 else f"{exact * size:.6g}*({text})"] if exact else []
+    return " + ".join(terms)
+
+
+def _true(seconds: Mapping[Role, Array], truth: Values, lag: float = 0.0) -> tuple[NDArray[np.bool_], Array]:
+    """Return a mask of the fixes with a truth ``lag`` s later, and this truth (n, 2)."""
+    time = seconds["gps"] + lag
+    inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])
+    return inside, np.column_stack([np.interp(time[inside], seconds["truth"], truth[n]) for n in ("x", "y")])
+
+
+def assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, origin: Origin) -> str:
+    message = "truth is in meters: its origin is taken to be the first fix"
+    inside, true = _true(seconds, truth)
+    if len(true) < 3:
+        return f"{message}; specify the origin with --origin lat,lon,alt"
+    height = gps.get("alt", np.full(len(inside), origin[2]))[inside]
+
+    def apart(begin: Origin) -> Array:
+        return geodetic_to_enu(gps["lat"][inside], gps["lon"][inside], height, begin)[:, :2] - true
+
+    off = apart(origin)
+    (east, north), spread = np.mean(off, axis=0), np.std(off, axis=0) / np.sqrt(len(true))
+    if np.hypot(east, north) > FARTHEST:
+        return (
+            f"{message}, {np.hypot(east, north) / 1e3:.0f} km away, as the coordinates of a map (UTM) are: convert it "
+            "to degrees, for example with pyproj, and map truth.lat and truth.lon"
+        )
+    best = origin
+    for _ in range(3):  # north turns with the place
+        move = np.append(np.mean(apart(best), axis=0), 0.0)[None]
+        lat, lon, _ = enu_to_geodetic(move, best)[0]
+        best = float(lat), float(lon), origin[2]
+    state = f"specify the origin; --origin {best[0]:.8f},{best[1]:.8f},{best[2]:.3f} fits the fixes best"
+    if np.all(np.abs([east, north]) < 5 * spread):
+        return f"{message}; {state}"
+    return f"{message}; but the fixes lie {east:.2f} m east and {north:.2f} m north of the truth on average: {state}"
