@@ -374,7 +374,7 @@ def test_split_in_time(sigmaswarm, drives: Path, here: Path):
     assert len(train.imu) + len(test.imu) == len(read_drive(drives / "urban-clear-00").imu)
     refused = sigmaswarm("split", drives / "urban-clear-00", "--out", "few", "--at", 29.9)
     assert refused.code == 2 and "fixes are too few for a drive" in refused.err and not Path("few").exists()
-    for time in re.search(r"--at ([\d.]+) to ([\d.]+)", refused.err).groups():
+    for time in re.search(r"from ([\d.]+) to ([\d.]+) s", refused.err).groups():
         assert (
             sigmaswarm("split", drives / "urban-clear-00", "--out", "few", "--at", time, "--overwrite").code
             == 0

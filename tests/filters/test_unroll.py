@@ -34,6 +34,26 @@ def test_written_out_is_the_loop():
         assert not {"i", "j", "n"} & set(names)
 
 
+def squares(w, *, n):
+    x, y = tuple(w[k] * w[k] for k in range(n))
+    return y - x
+
+
+def sum_of(w, *, n):
+    return sum(w[k] for k in range(n))
+
+
+def positive(w, *, n):
+    return tuple(w[k] for k in range(n) if k)
+
+
+def test_only_a_tuple_of_all_values_is_written_out():
+    assert unrolled(squares, n=2)([3.0, 5.0]) == 16.0
+    for other in (sum_of, positive):
+        with pytest.raises(TypeError, match="only tuple"):
+            unrolled(other, n=2)
+
+
 def test_rows_of_the_upper_triangle_are_told_apart():
     n = len(MEAN)
     rows = {at(i, j) for j in range(n) for i in range(j + 1)}

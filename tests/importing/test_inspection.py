@@ -41,11 +41,11 @@ def test_every_file_is_looked_at(tmp_path: Path):
     )
     (tmp_path / "notes.csv").write_text("day,who\nmonday,me\n")
     seen = inspect_request(Request(tmp_path))
-    glances = {preview.table: preview for preview in seen.tables}
-    assert glances["a_imu.csv"].rate == pytest.approx(100, rel=1e-3)
-    assert glances["gps.csv"].rate == pytest.approx(5, rel=1e-3)
-    assert glances["notes.csv"].rate is None and glances["notes.csv"].ranges[1].example == "me"
-    ranges = {r.column: r for r in glances["gps.csv"].ranges}
+    previews = {preview.table: preview for preview in seen.tables}
+    assert previews["a_imu.csv"].rate == pytest.approx(100, rel=1e-3)
+    assert previews["gps.csv"].rate == pytest.approx(5, rel=1e-3)
+    assert previews["notes.csv"].rate is None and previews["notes.csv"].ranges[1].example == "me"
+    ranges = {r.column: r for r in previews["gps.csv"].ranges}
     assert ranges["lat"].low == drive.gps.lat.min() and ranges["lat"].high == drive.gps.lat.max()
     assert [part.table for part in seen.recipe.roles["imu"]] == ["a_imu.csv"]
 

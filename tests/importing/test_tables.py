@@ -19,7 +19,8 @@ from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.importing.convert import Request, import_drive
 from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.importing.source import Choice
+from sigmaswarm.importing.shared_frame import require_same_axes
+from sigmaswarm.importing.source import Choice, Part
 from sigmaswarm.importing.units import parse_unit
 from support import quickly, some
 
@@ -561,7 +562,7 @@ def test_web_mercator_is_told_with_the_way(tmp_path: Path):
     write_fixes(tmp_path, 6_378_137 * x, 6_378_137 * y, "t,x,y")
     (said,) = (note for note in imported(tmp_path).notes if "Web Mercator" in note)
     assert_close(imported(tmp_path, maps=maps_in(said)).drive.gps, GPS, "lat lon", 1e-9)
-    assert "Web Mercator" not in maps_in(said)
+    assert said.startswith("x and y are read as m east and north; if they are Web Mercator")
 
 
 @pytest.mark.parametrize(
@@ -660,7 +661,11 @@ def test_the_heading_of_truth(tmp_path: Path, form: str):
     assert np.abs(apart).max() < 1e-6
 
 
-FRAMES: dict[str, complex] = {"turned": np.exp(0.6j), "kilometers": 1e-3, "turned feet": 3.28 * np.exp(-2j)}
+FRAMES: dict[str, complex] = {
+    "turned": np.exp(0.6j),
+    "kilometers": 1e-3,
+    "turned feet": 3.28 * np.exp(-2j),
+}
 
 
 @pytest.mark.parametrize("frame", FRAMES)
@@ -680,8 +685,27 @@ def test_a_truth_with_other_axes_is_refused_and_the_remedy_helps(
     drive = imported(tmp_path, maps=maps).drive
     moved = [np.ptp(getattr(table, name)) for name in "xy" for table in (drive.truth, TRUTH)]
     np.testing.assert_allclose(moved[::2], moved[1::2], rtol=0.03)
+    length = [float(np.sum(np.hypot(np.diff(each.x), np.diff(each.y)))) for each in (drive.truth, TRUTH)]
+    assert length[0] == pytest.approx(length[1], rel=0.01 if "feet" in frame else 1e-4)
     known = [np.interp(GPS.time, drive.truth.time, getattr(drive.truth, n)) - getattr(GPS, n) for n in "xy"]
     assert np.std(known, axis=1).max() < 1.5
+
+
+@pytest.mark.parametrize("degrees", [8, 82, -98, 0.5])
+def test_the_remedy_for_a_turned_truth_is_a_rotation(degrees: float):
+    t, angle = np.arange(0.0, 200.0), np.exp(1j * np.radians(degrees))
+    track = 10.0 * t + 300j * np.sin(0.03 * t)
+    truth, gps = ({"x": z.real, "y": z.imag} for z in (track * angle, track))
+    parts = [Part("truth", {"x": "x", "y": "y"})]
+    if degrees == 0.5:
+        assert require_same_axes({"truth": t, "gps": t}, truth, gps, parts) == ""
+        return
+    with pytest.raises(InputError) as caught:
+        require_same_axes({"truth": t, "gps": t}, truth, gps, parts)
+    (a, b), (c, d) = (map(float, re.findall(r"(-?[0-9.]+)\*", m)) for m in maps_in(str(caught.value)))
+    np.testing.assert_allclose(
+        [[a, b], [c, d]], [[angle.real, angle.imag], [-angle.imag, angle.real]], atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("place", ["lat,lon", "x,y"])

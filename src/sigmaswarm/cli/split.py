@@ -72,9 +72,14 @@ def _require_enough(whole: "sigmaswarm.Drive", parts: "Sequence[sigmaswarm.Drive
             continue
         low = max(imu[FEWEST_SAMPLES - 1], gps[FEWEST_SHARED_FIXES - 1]) + 0.01
         high = min(imu[-FEWEST_SAMPLES], gps[-FEWEST_SHARED_FIXES]) - 0.01
-        remedy = f"split with --at {low:.2f} to {high:.2f}" if low < high else "record a longer drive"
+        remedy = (
+            f"split at a time from {low:.2f} to {high:.2f} s (--at)"
+            if low < high
+            else "record a longer drive"
+        )
+        fixes = f"{len(part.gps)} fix{'es' * (len(part.gps) != 1)}"
         raise sigmaswarm.InputError(
-            f"{part.name}: {part.duration:.1f} s with {len(part.gps)} fixes are too few for a drive; {remedy}"
+            f"{part.name}: {part.duration:.1f} s with {fixes} are too few for a drive; {remedy}"
         )
 
 

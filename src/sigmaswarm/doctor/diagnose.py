@@ -60,10 +60,8 @@ def diagnose(drive: Drive) -> Diagnosis:
     """
     if shortage := shortage_of(drive.imu, drive.gps):
         raise DriveError(f"{drive.name}/{shortage}")
-    key = (
-        drive.name,
-        fingerprint(drive) + repr(sorted(drive.metadata.items())),
-    )  # drive.toml may state a noise
+    about = repr(sorted(drive.metadata.items()))  # drive.toml may state a noise
+    key = drive.name, fingerprint(drive) + about
     found = _kept.get(key) or _diagnosed(drive)
     for old in list(_kept)[: max(len(_kept) + 1 - KEPT, 0)]:
         _kept.pop(old, None)
@@ -76,9 +74,8 @@ def _diagnosed(drive: Drive) -> Diagnosis:
         return Diagnosis(drive.name, tuple(finding_of(wrong, "serious", ends, 0.999) for wrong in spoiled))
     evidence = gather(drive)
     found = [finding for check in CHECKS for finding in check(evidence)]
-    withheld = drive.metadata.get(
-        "withheld", ()
-    )  # a repair that made predictions worse is not proposed again
+    # A repair that made predictions worse is not proposed again.
+    withheld = drive.metadata.get("withheld", ())
     found = [replace(finding, repair=None) if finding.code in withheld else finding for finding in found]
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
     return Diagnosis(drive.name, tuple(found), evidence.clock.visible)

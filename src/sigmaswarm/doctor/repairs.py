@@ -207,7 +207,7 @@ ACTIONS: dict[str, Callable[..., Drive]] = {
     "drop-readings": _drop_readings,
     "odometer": _odometer,
     "shift-odometer": partial(_shift, "odometer"),
-    "close-jump": _close_jump,
     "cut-ends": _cut_ends,
+    "close-jump": _close_jump,
 }
 """Actions in the order of application. They refer to rows by recorded times, and to fixes by corrected times."""

@@ -87,7 +87,7 @@ class _ForwardLog:
 
 
 class _Forward(FilterRun):
-    """A recording that logs every step, keeps a checkpoint before each piece, and can run a piece again.
+    """A run that logs every step, keeps a checkpoint before each piece, and can run a piece again.
 
     All passes use the same kernel. Another one would round differently, and estimates would depend on the checkpoints.
     """

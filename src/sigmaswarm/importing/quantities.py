@@ -112,11 +112,9 @@ def _web_mercator(columns: Columns, role: Role) -> str:
     if not 1e5 < size[0] < EDGE or not 1e5 < size[1] < EDGE or "utm" in columns.names["y"].plain:
         return ""
     x, y = (f"{columns.text(n)}/{RADIUS:.0f}" for n in "xy")
-    maps = (
-        f"{columns.text('x')} and {columns.text('y')} are read as m east and north; if they are Web Mercator"
-    )
+    read = f"{columns.text('x')} and {columns.text('y')} are read as m east and north"
     maps = f'"{role}.lat=degrees(2*atan2(exp({y}), 1)) - 90" "{role}.lon=degrees({x})"'
-    return f"{maps} (EPSG:3857), write --map {maps}"
+    return f"{read}; if they are Web Mercator (EPSG:3857), write --map {maps}"
 
 
 def _without_unit(columns: Columns, what: str, role: Role) -> Found:

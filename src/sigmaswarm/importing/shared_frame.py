@@ -19,6 +19,8 @@ of scale that are reported."""
 LAGS, CLEARLY = np.arange(-20.0, 20.1, 0.5), 4.0
 """Delays, s, of the truth; on a circle, a delay looks like a turn. Smallest ratio of the fixes' variance that the truth
 as it is leaves, at any of them, to that which the turned truth leaves."""
+EXACT = 0.02
+"""Angle, rad, within which axes are taken as exactly exchanged or reversed."""
 LATEST = 2.5
 """Largest delay of a receiver, s."""
 FEWEST = 10
@@ -61,6 +63,8 @@ def require_same_axes(
     size = 10.0 ** np.round(np.log10(abs(factor))) if stretched else 1.0
     size = size if abs(np.log(abs(factor) / size)) < STRETCHED else abs(factor)
     a, side = factor / abs(factor), -1 if mirrored else 1
+    if abs(a - (quarter := 1j ** np.round(np.angle(a) / (np.pi / 2)))) < EXACT:
+        a = complex(np.round(quarter))
     x, y = ({n: t for part in parts for n, t in part.columns.items()}[n] for n in ("x", "y"))
     rows = (a.real, x, -side * a.imag, y), (a.imag, x, side * a.real, y)
     maps = " ".join(f'"truth.{n}={_combined(size, *row)}"' for n, row in zip("xy", rows, strict=True))
@@ -82,12 +86,9 @@ def _centered(xy: Array) -> NDArray[np.complex128]:
 
 
 def _combined(size: float, one: float, x: str, other: float, y: str) -> str:
-    """Write size (one x + other y) as an expression; coefficients within 2% of -1, 0 or 1 are taken as exact."""
-    terms: list[str] = []
-    for value, text in ((one, x), (other, y)):
-        exact = float(np.round(value)) if abs(value - np.round(value)) < 0.02 else value
-        terms += [text if exact * size == 1 else f"{exact * size:.6g}*({text})"] if exact else []
-    return " + ".join(terms)
+    """Write size (one x + other y) as an expression."""
+    factors = ((size * one, x), (size * other, y))
+    return " + ".join(text if k == 1 else f"{k:.6g}*({text})" for k, text in factors if k)
 
 
 def _true(seconds: Mapping[Role, Array], truth: Values, lag: float = 0.0) -> tuple[NDArray[np.bool_], Array]:

@@ -32,7 +32,7 @@ from sigmaswarm.scoring.view import (
     explained_scores,
     with_training,
 )
-from sigmaswarm.tuning.record import NOT_VALIDATED, TuningRecord
+from sigmaswarm.tuning.record import NOT_VALIDATED_TEXTS, TuningRecord
 from sigmaswarm.wording import in_order
 
 LINES = ("truth", *ALSO, "tuned", AGAINST, BASELINE, FIXES, "imu_only", "raw_gps")
@@ -67,7 +67,7 @@ def evaluation_report(folder: Path) -> Report:
     command, note = evaluate_command(list(scores.drives), setup, also=also)
     verdicts = view.verdicts()
     remarks = [*view.warnings(), *view.findings(), *(verdicts[kind] for kind in VERDICTS if kind in verdicts)]
-    remarks += [r for r in (file.result.remarks if file.result else ()) if r != NOT_VALIDATED]
+    remarks += [r for r in (file.result.remarks if file.result else ()) if r not in NOT_VALIDATED_TEXTS]
     return Report(
         title=f"Evaluation of {filter_name(file)}",
         lead=(view.result(), *(view.coverage() if view.blind else ()), what_was_tuned(file)),

@@ -96,7 +96,7 @@ class BatchScorer:
 
     @staticmethod
     def together(parts: Sequence["BatchScorer"]) -> "BatchScorer":
-        """Join replayers with the same passes, without preparing drives again."""
+        """Join scorers with the same passes, without preparing drives again."""
         whole = BatchScorer.__new__(BatchScorer)
         whole._ready = tuple(one for part in parts for one in part._ready)
         whole._passes = {
@@ -106,7 +106,7 @@ class BatchScorer:
         return whole
 
     def subset(self, drives: Sequence[int]) -> "BatchScorer":
-        """Return a replayer of some of the drives, by index."""
+        """Return a scorer of some of the drives, by index."""
         if list(drives) == list(range(len(self._ready))):
             return self
         part = BatchScorer.__new__(BatchScorer)

@@ -160,7 +160,7 @@ class Evaluation:
     against : FilterParameters or None
         Other filter in the comparison.
     parameters : FilterParameters or None
-        DriveResult filter.
+        Evaluated filter.
     fixes_alone : MotionNoise or None
         Noise parameters of the filter that uses only the fixes; None if they were fitted to each drive.
     """

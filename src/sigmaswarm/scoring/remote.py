@@ -30,15 +30,15 @@ def replays_on(dataset: Dataset, passes: Passes, check: Check) -> "AnyBatchScore
         _ = remote.steps  # prepares the drives
         return remote
     drives = dataset.map(partial(PreparedDrive, as_recorded=passes.as_recorded))
-    return _replayer(drives, passes, check)
+    return _scorer(drives, passes, check)
 
 
-def _replayer(drives: Sequence[PreparedDrive], passes: Passes, check: Check) -> BatchScorer:
-    replayer = BatchScorer(
+def _scorer(drives: Sequence[PreparedDrive], passes: Passes, check: Check) -> BatchScorer:
+    scorer = BatchScorer(
         drives, outages=passes.outages, forecasts=passes.forecasts, outage_seed=passes.outage_seed
     )
-    check(replayer)
-    return replayer
+    check(scorer)
+    return scorer
 
 
 @dataclass(frozen=True)
@@ -98,12 +98,12 @@ def _prepared(drive: CachedDrive, as_recorded: bool) -> PreparedDrive:
     return drive.once(("prepared", as_recorded), partial(PreparedDrive, as_recorded=as_recorded))
 
 
-def _cached_replayer(drive: CachedDrive, passes: Passes, check: Check) -> BatchScorer:
-    return drive.once(passes, lambda _: _replayer([_prepared(drive, passes.as_recorded)], passes, check))
+def _cached_scorer(drive: CachedDrive, passes: Passes, check: Check) -> BatchScorer:
+    return drive.once(passes, lambda _: _scorer([_prepared(drive, passes.as_recorded)], passes, check))
 
 
 def _steps(drive: CachedDrive, passes: Passes, check: Check) -> int:
-    return int(_cached_replayer(drive, passes, check).steps[0])
+    return int(_cached_scorer(drive, passes, check).steps[0])
 
 
 def _taken(
@@ -114,5 +114,5 @@ def _taken(
     take: Callable[[Scores], Array],
     parameter_sets: Sequence[FilterParameters],
 ) -> Array:
-    replayer = BatchScorer.together([_cached_replayer(drive, passes, check) for drive in drives])
-    return take(replayer.scores(parameter_sets, pool))
+    scorer = BatchScorer.together([_cached_scorer(drive, passes, check) for drive in drives])
+    return take(scorer.scores(parameter_sets, pool))

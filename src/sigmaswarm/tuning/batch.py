@@ -93,9 +93,9 @@ def run_batch(
         )
     goal = parse_objective(objective)
     check_drives(dataset.map(sensors_of), goal)
-    replayer = replays_for(goal, dataset, outage_seed, as_recorded=as_recorded)
+    scorer = replays_for(goal, dataset, outage_seed, as_recorded=as_recorded)
     with nullcontext(executor) if executor else ThreadPoolExecutor(cores()) as pool:
-        scores = replayer.scores(sets, pool)
+        scores = scorer.scores(sets, pool)
     each = tuple(tuple(scores[i, j] for j in range(len(dataset))) for i in range(len(sets)))
     return BatchResult(goal.costs(scores, worst), each, np.asarray(scores.failed.any(axis=1)))
 
@@ -117,17 +117,15 @@ def replays_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorde
     return replays_on(dataset, passes, partial(require_fit, objective=objective.name, seed=seed))
 
 
-def require_fit(replayer: BatchScorer, objective: str, seed: int) -> None:
+def require_fit(scorer: BatchScorer, objective: str, seed: int) -> None:
     needs_truth = parse_objective(objective).needs_truth
-    for drive, initial, moments in zip(
-        replayer.drives, replayer.initial, replayer.truth_moments, strict=True
-    ):
+    for drive, initial, moments in zip(scorer.drives, scorer.initial, scorer.truth_moments, strict=True):
         if needs_truth and drive.truth is not None and not moments:
             raise InputError(
                 f"{drive.name}: truth covers t = {drive.truth.time[0]:g} to {drive.truth.time[-1]:g} s, but a filter "
                 f"runs from {initial.time:g} to {drive.imu.time[-1]:g} s; convert truth and sensors to one clock"
             )
-    for drive, initial, hidden in zip(replayer.drives, replayer.initial, replayer.hidden_fixes, strict=False):
+    for drive, initial, hidden in zip(scorer.drives, scorer.initial, scorer.hidden_fixes, strict=False):
         if hidden:
             continue
         what, drives = f"is too short to hide fixes for 3 to 5 s, which {objective} needs", "longer"

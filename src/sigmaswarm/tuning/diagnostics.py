@@ -65,7 +65,7 @@ class Forecast:
     fixes_alone_m: float
 
     def __str__(self) -> str:
-        lower = "" if self.tuned_m < self.fixes_alone_m else ": LOWER"
+        lower = ": LOWER" if self.fixes_alone_m < self.tuned_m else ""
         others = f"fixes alone {self.fixes_alone_m:.3g} m{lower}, baseline {self.baseline_m:.3g} m"
         return f"{self.length_s:g} s {self.tuned_m:.3g} m ({others})"
 

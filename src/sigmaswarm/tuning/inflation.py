@@ -79,7 +79,7 @@ def _limits(problem: Problem[Any]) -> Array:
         least = np.where([one.field == "bias_std" for one in space.dimensions], -np.inf, least)
     if shown := shown_bias(problem.starts()):
         gyro = [name == "gyro_bias_std" for name in space.names]
-        least = np.where(gyro, np.minimum(np.log10(shown), space.high), least)
+        least = np.where(gyro, np.maximum(least, np.minimum(np.log10(shown), space.high)), least)
     return least
 
 
@@ -87,7 +87,9 @@ def shown_bias(starts: Sequence[InitialState]) -> float:
     """Return the standard deviation of the gyro biases that starts show, rad/s; 0 if they show none."""
     seen = [start.gyro for start in starts if start.gyro is not None]
     bias, variance = (np.array([getattr(one, what) for one in seen]) for what in ("bias", "variance"))
-    known = np.isfinite(variance)  # an axis that was not observed has an infinite variance
+    known = np.isfinite(bias) & np.isfinite(
+        variance
+    )  # an axis that was not observed has an infinite variance
     squares, variance = np.square(bias[known]), variance[known]
     if not known.any() or np.mean(squares / variance) < BIASED:
         return 0.0

@@ -190,7 +190,7 @@ def parse_objective(name: str) -> Objective:
     in_nats = all(o.nats for _, o in terms) or any(o.likelihood for _, o in terms)
     return Objective(
         name=" + ".join(o.name if w == 1.0 else f"{w:g} {o.name}" for w, o in terms),
-        summary=" + ".join(f"{w:g} x {o.summary}" for w, o in terms),
+        summary=" + ".join(o.summary if w == 1.0 else f"{w:g} x ({o.summary})" for w, o in terms),
         per_drive=lambda scores: np.sum([w * o.per_drive(scores) for w, o in terms], axis=0),
         **{flag: any(getattr(o, flag) for _, o in terms) for flag in FLAGS},
         scale_free=all(o.scale_free for _, o in terms),

@@ -26,6 +26,11 @@ NOT_VALIDATED = (
     "the cost is that of the training drives; evaluate the filter on other drives, or pass validation drives"
 )
 """Remark that is omitted after an evaluation, which recognizes it in files by its text."""
+NOT_VALIDATED_TEXTS = (
+    NOT_VALIDATED,
+    "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation",
+)
+"""This remark in files of this version and of 0.3.0."""
 FILE = "tuning.toml"
 HISTORY_FILE = "convergence.csv"
 CONVERGENCE = {

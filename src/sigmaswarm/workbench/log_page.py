@@ -106,14 +106,8 @@ class LogPage(OpenLog):
     def open(self, path: str) -> None:
         self.bench.choices["log"] = path
         self.bench.save()
-        self.inspection, self.drive, self.found, self.panels, self.wrong, self.mounted = (
-            None,
-            None,
-            (),
-            [],
-            "",
-            "",
-        )
+        self.inspection, self.drive, self.after_reading = None, None, None
+        self.found, self.panels, self.wrong, self.mounted = (), [], "", ""
         self._pick.refresh()
         self.reread()
         self.refresh()

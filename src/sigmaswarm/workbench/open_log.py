@@ -84,6 +84,7 @@ class OpenLog(Page):
             mount, self.mounted = found
             self.choose(mount=mount)
         else:
+            self.after_reading = None
             self.status.refresh()
 
 

@@ -215,7 +215,9 @@ class _Writer(ast.NodeTransformer):
         return [ast.fix_missing_locations(each) for each in (*body, *definition.body[documented:])]
 
     def visit_Call(self, node: ast.Call) -> Any:
-        if node.args and isinstance(node.args[0], ast.GeneratorExp):  # tuple(... for k in ...)
+        if node.args and isinstance(node.args[0], ast.GeneratorExp):
+            if ast.unparse(node.func) != "tuple" or any(loop.ifs for loop in node.args[0].generators):
+                raise TypeError(f"only tuple(... for k in ...) can be unrolled: {ast.unparse(node)}")
             return self._tuple(node.args[0])
         self.generic_visit(node)
         if isinstance(node.func, ast.Name) and node.func.id in NUMBERS:

@@ -173,6 +173,9 @@ def of_files(
     def guess(choice: Choice) -> Guess:
         if guessed is not None:
             return guessed
+        for table in choice.tables.values():
+            if table not in scans and (joined := [r for r in remarks if table in r and "are joined" in r]):
+                raise InputError(f"there is no table {quoted(table)}: {joined[0]}; choose the first of them")
         heads = {name: collect(rows, path, name, spread_rows) for name, rows in scans.items()}
         stripped = pl.col(pl.String).str.strip_chars()
         return guess_roles({name: head.with_columns(stripped) for name, head in heads.items()}, choice.tables)
