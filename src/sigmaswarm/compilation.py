@@ -211,7 +211,7 @@ def _log_once(folder: str) -> None:
 def _warn_once(trouble: str) -> None:
     warnings.warn(
         f"compiled filters are not cached, since {trouble}: each start compiles them again, which takes about ten "
-        "seconds; set NUMBA_CACHE_DIR to a folder of your own",
+        "seconds; set NUMBA_CACHE_DIR to a writable folder",
         SigmaswarmWarning,
         stacklevel=2,
     )

@@ -88,7 +88,7 @@ def read_bounded(path: Path, most: int) -> bytes:
 
 
 def read_toml_text(path: Path) -> str:
-    """Read the text of a TOML file that can be parsed within seconds, without its byte-order mark."""
+    """Return the text of a TOML file without its byte-order mark; refuse a file that takes long to parse."""
     content = read_bounded(path, MOST_TOML)
     if found := _LONG_KEY.search(content):
         row = content.count(b"\n", 0, found.start()) + 1

@@ -470,7 +470,7 @@ def test_a_drive_is_not_written_into_a_drive(sigmaswarm: Command, here: Path):
     library.write_drive(library.simulate("urban", duration=40.0, imu_rate=50.0), here / "outer")
     for command in (("split", "outer", "--out", "outer"), ("doctor", "outer", "--fix", "outer/mended")):
         ended = sigmaswarm(*command)
-        assert ended.code == 2 and f"is inside of the drive {here / 'outer'}; name a folder" in ended.err
+        assert ended.code == 2 and f"is inside the drive {here / 'outer'}; name a folder" in ended.err
     assert len(list((here / "outer").iterdir())) == 4
 
 

@@ -644,4 +644,4 @@ def test_the_proposed_origin_of_a_far_truth_fits_to_the_centimeter(tmp_path: Pat
     drive = imported(tmp_path, recipe=Recipe(origin=tuple(map(float, origin.split(","))))).drive
     np.testing.assert_allclose(drive.gps.x, drive.truth.x, atol=0.02)
     pl.DataFrame({"t": T, "x": PATH["x"] + 691e3, "y": PATH["y"] + 5325e3}).write_csv(tmp_path / "truth.csv")
-    assert any("as the coordinates of a map (UTM) are" in note for note in imported(tmp_path).notes)
+    assert any("probably those of a map (UTM)" in note for note in imported(tmp_path).notes)

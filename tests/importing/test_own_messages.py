@@ -141,7 +141,7 @@ def test_a_topic_without_names_can_be_mapped(tmp_path: Path):
         yield from (("/codes", t, make(np.zeros(3), GPS.lat[i], GPS.lon[i])) for i, t in enumerate(GPS.time))
 
     bag = write_ros(tmp_path / "bag", sent(), "sqlite3")
-    with pytest.raises(InputError, match=r"/codes .* choose another topic, or map it"):
+    with pytest.raises(InputError, match=r"/codes .* choose another topic, or name the fields with --map"):
         imported(bag, choice=Choice({"gps": "/codes"}))
     got = imported(bag, choice=Choice({"gps": "/codes"}), maps=["lat=first", "lon=second"]).drive
     assert_close(got.gps, GPS, "lat lon", 0)

@@ -455,7 +455,7 @@ def test_coarse_stamps_of_an_uneven_count_are_refused_and_the_remedy_helps(
     at = dict(zip(IMU.time.tolist(), stamps.tolist(), strict=True))
     write(tmp_path, "t", lambda t: str(at[t]), "t", repr)
     with pytest.raises(
-        InputError, match=r"\d+ of \d+ rows \(9\d%\) have the time of the row before.*too coarse"
+        InputError, match=r"\d+ of \d+ rows \(9\d%\) repeat the previous time.*too coarse"
     ) as caught:
         imported(tmp_path)
     assert "row/" in str(caught.value)

@@ -243,7 +243,10 @@ ERRORS = {
     "short": (lambda log: log.select(slice(0, 700)), "is 6.99 s long"),
     "few": (lambda log: log.select(slice(0, 20)), "20 samples"),
     "moves": (lambda log: replace(log, gz=0.5 * np.sin(log.time)), "moves, without a standstill of 10 s"),
-    "dead": (lambda log: Imu(log.time, 0 * log.ax, 0 * log.ax, 0 * log.ax), "no axis shows its noise"),
+    "dead": (
+        lambda log: Imu(log.time, 0 * log.ax, 0 * log.ax, 0 * log.ax),
+        "the noise can't be measured on any axis",
+    ),
     "nan": (
         lambda log: replace(log, ay=np.where(log.time < 1, np.nan, log.ay)),
         "ay has values that are not numbers",

@@ -52,7 +52,7 @@ def compare(
     scales
         Scales of the search space; log10 by default.
     seeds
-        Number of runs of each optimizer, each with another seed.
+        Number of runs of each optimizer, each with a different seed.
     validation
         Drives that the search does not use; the tuned filters are also evaluated on them.
     workers

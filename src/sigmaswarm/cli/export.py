@@ -35,9 +35,9 @@ class ExportOptions:
     check
         c99: compare C with `sigmaswarm run` on these drives. robot_localization: write the errors into README.md.
     against
-        With --check, for the model robot-localization: a second tuning for the table in README.md.
+        With --check, for the model robot-localization: a second tuning that is added to the table in README.md.
     lanes
-        c99: number of filters of the exported filter bank, 1 to 16. The C code does not search parameters.
+        c99: number of filters of the exported filter bank, 1 to 16. The C code does not search for better parameters.
     seed
         Seed of the parameters in the filter bank.
     """

@@ -77,7 +77,7 @@ class Assignment:
             self.owners = assigned(self.sizes, self.workers, self.owners)
 
     def _usable_workers(self) -> dict[str, int]:
-        """Return the present workers with the same versions; at the start, raise if a worker has others."""
+        """Return the current workers with the client's versions; at the start, raise an error for others."""
         present = self.cluster.workers()
         new = [address for address in present if address not in {*self.workers, *self._refused}]
         for address, error in self.cluster.version_errors(new).items():

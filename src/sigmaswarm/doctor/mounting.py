@@ -286,8 +286,9 @@ def _misfits(fit: AccelerationFit, side: float) -> Array:
 def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array, float]:
     """Return the tilt after a rotation by ``yaw``: slopes (2,) of the vertical, standard deviations, and the spread.
 
-    Gravity is the part of the accelerations that no motion explains. About the axis of turning, the integrals of gx and
-    gy follow that of gz. The result is the mean of the two directions, with inverse variances as weights.
+    The vertical is estimated twice. Gravity is the part of the accelerations that the motion does not explain. The axis
+    of turning follows from the slopes of the integrals of gx and gy on that of gz. The result is the mean of both,
+    weighted by their inverse variances.
     """
     leak = -fit.bias / GRAVITY
     gravity = np.median(leak, axis=0)

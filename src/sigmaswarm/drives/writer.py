@@ -71,7 +71,7 @@ def require_replaceable(
     """
     around = (parent for parent in folder.parents if (parent / "drive.toml").is_file())
     if around := next((parent for parent in around if has_table(parent, "imu")), None):
-        raise DriveError(f"{folder} is inside of the drive {around}; name a folder outside of it")
+        raise DriveError(f"{folder} is inside the drive {around}; name a folder outside of it")
     if not folder.exists():
         return
     if not folder.is_dir():

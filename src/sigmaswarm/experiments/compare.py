@@ -58,7 +58,7 @@ REFUSED = {
     **{name: f"varies in a comparison; use {name}s instead" for name in ("seed", "optimizer", "scale")},
     **dict.fromkeys(
         ("prior", "inflation", "margin"),
-        "can't be set in a comparison, which compares costs without it; leave it out",
+        "can't be set: a comparison compares costs without it; leave it out",
     ),
 }
 """Options of `tune` that a comparison rejects, with the reasons."""
@@ -239,8 +239,8 @@ def _contender(name: str, scale: str, shared: Mapping[str, Any]) -> Contender:
         key, _, value = setting.partition("=")
         if key not in OWN or not value:
             raise InputError(
-                f"{name}: {setting!r} is not a setting; write NAME=VALUE after the colon, with a name of "
-                f"{', '.join(OWN)}"
+                f"{name}: {setting!r} is not a setting; write NAME=VALUE after the colon, where NAME is one "
+                f"of {', '.join(OWN)}"
             )
         own[key] = value
     config = validated_config(TuneConfig, {**shared, "optimizer": optimizer, "scale": scale, **own})

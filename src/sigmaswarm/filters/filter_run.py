@@ -179,7 +179,7 @@ class FilterRun:
     def _check(self, steps: NDArray[np.intp], record: Array) -> tuple[int, InitialState | None]:
         """Check the filter at the recorded steps, up to the first divergence.
 
-        Return the row of that step, or the last row, and the state for a reset, or None.
+        Return the row of the divergence and the state for a reset; without a divergence, the last row and None.
         """
         times = self._checks
         assert times is not None

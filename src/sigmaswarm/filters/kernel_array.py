@@ -125,7 +125,7 @@ class KernelArray:
 
     @property
     def plausible(self) -> NDArray[np.bool_]:
-        """Sets with Q >= 0 and R > 0, bool of shape (size,); P of other sets may be indefinite long before a check."""
+        """Sets with Q >= 0 and R > 0, bool of shape (size,); P of others may be indefinite long before a check."""
         own = self._constants[:, self._first : self._first + self.size]
         r = own[[R.RX - CONSTANT_ROWS.start, R.RY - CONSTANT_ROWS.start]]
         return (own[_Q].min(axis=0) >= 0) & (r.min(axis=0) > 0)

@@ -118,7 +118,7 @@ def run_array(replays: Sequence[Replay], array: KernelArray) -> Sums:
 
 
 def start_replays(replays: Sequence[Replay], array: KernelArray) -> Array:
-    """Return the rows of an array's filters at the start of each replay, as `KernelArray.start`."""
+    """Return the rows of an array's filters at the start of each replay, in the format of `KernelArray.start`."""
     return array.start([r.initial for r in replays], [r.timeline.nominal_interval for r in replays])
 
 

@@ -102,10 +102,10 @@ def start_std(p: FilterParameters) -> Array:
 
 
 def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> tuple[Array, Array]:
-    """Return means (m, r, n) and covariances (m, r, n, n) at m starts of one length for std of shape (r, 3).
+    """Return means (m, r, n) and covariances (m, r, n, n) for m starts and std of shape (r, 3).
 
-    States that a start lacks begin at 0, with the standard deviation ``std`` of a bias or the state's ``start_std``.
-    Gyro biases observed at the start are included: see `GyroSeen.tell`.
+    All starts have the same number of states. States that a start lacks begin at 0, with the standard deviation ``std``
+    of a bias or the state's ``start_std``. Gyro biases observed at the start are included: see `GyroSeen.tell`.
     """
     n = len(model.states)
     known = known_states(n, len(initial[0].mean))

@@ -68,8 +68,8 @@ MOST_WORDS = 20
 _DIMENSIONS = ".*(?:type|mode)"
 """Names of columns in which 3 means a fix in three dimensions: 1 then means none."""
 MOST_DROPPED, JUMP = 0.2, 5.0
-"""Largest share of likely fixes that a flag may exclude unless the positions jump there; smallest ratio of such a jump
-to the 90% quantile of the other steps."""
+"""Largest share of the likely fixes that a flag may exclude if the positions do not jump there; smallest ratio of a
+jump to the 90% quantile of the other steps."""
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
     "gps": (

@@ -86,7 +86,7 @@ def _centered(xy: Array) -> NDArray[np.complex128]:
 
 
 def _combined(size: float, one: float, x: str, other: float, y: str) -> str:
-    """Write size (one x + other y) as an expression."""
+    """Return ``size * (one * x + other * y)`` as the text of an expression."""
     factors = ((size * one, x), (size * other, y))
     return " + ".join(text if k == 1 else f"{k:.6g}*({text})" for k, text in factors if k)
 
@@ -112,8 +112,9 @@ def assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, or
     (east, north), spread = np.mean(off, axis=0), np.std(off, axis=0) / np.sqrt(len(true))
     if np.hypot(east, north) > FARTHEST:
         return (
-            f"{message}, {np.hypot(east, north) / 1e3:.0f} km away, as the coordinates of a map (UTM) are: convert it "
-            "to degrees, for example with pyproj, and map truth.lat and truth.lon"
+            f"{message}, but it is then {np.hypot(east, north) / 1e3:.0f} km from the fixes, so its coordinates are "
+            "probably those of a map (UTM); convert it to degrees, for example with pyproj, and map truth.lat and "
+            "truth.lon"
         )
     best = origin
     for _ in range(3):  # north turns with the place

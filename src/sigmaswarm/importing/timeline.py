@@ -176,10 +176,9 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
             return time, ""
         lost, rate = len(time) - len(new), usual * SECOND / step
         raise InputError(
-            f"{where}: {lost} of {len(time)} rows ({repeated:.0%}) have the time of the row before, and the number "
-            f"of rows per time varies from {counts.min()} to {counts.max()}: the times of the {role} are too "
-            f"coarse; specify a finer time with --map {role}.t=..., or count rows where the rate is known: "
-            f'--map "{role}.t=row/{rate:.6g}"'
+            f"{where}: {lost} of {len(time)} rows ({repeated:.0%}) repeat the previous time, and {counts.min()} to "
+            f"{counts.max()} rows share one time, so the times of the {role} are too coarse; specify a finer time "
+            f'with --map {role}.t=..., or, if the rate is constant, --map "{role}.t=row/{rate:.6g}"'
         )
     group = np.repeat(np.arange(len(new)), counts)
     place = np.arange(len(time)) - new[group]

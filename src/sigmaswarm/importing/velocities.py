@@ -15,8 +15,8 @@ UNITS = (("mm/s", 1e3, "*1e-3"), ("cm/s", 100.0, "*1e-2"), ("km/h", 3.6, "/3.6")
          ("mph", 2.23694, "*0.44704"), ("knots", 1.94384, "*0.514444444444"))  # fmt: skip
 """Units of speed: the name, the number per m/s, and the conversion in an expression."""
 ALIKE, CONSTANT = 1.5, 2.0
-"""Largest ratio of a stated speed to that of the positions; largest ratio of its 90% to its 10% quantile, since a unit
-gives a constant ratio."""
+"""Ratio of the stated speed to that of the positions above which the speed is wrong; largest 90% quantile of this ratio
+relative to its 10% quantile. A wrong unit changes the speed by a constant factor."""
 SLOWEST = 0.2
 """Lowest speed, m/s, at which positions are compared with a stated speed: robots are slow."""
 MOVED = 0.3

@@ -43,7 +43,7 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
     Raises
     ------
     InputError
-        If the log can't be read or is too short, the IMU moves, or no axis shows its noise.
+        If the log can't be read or is too short, the IMU moves, or the noise of no axis can be measured.
     """
     if isinstance(log, Imu):
         return _measured("IMU", log, None)
@@ -127,7 +127,7 @@ def _measured(name: str, imu: Imu, gps: Gps | None) -> Noise:
             continue
         axes.append(_axis_noise(axis, values, interval, remarks))
     if not axes:
-        raise InputError(f"no axis shows its noise: {'; '.join(remarks)}")
+        raise InputError(f"the noise can't be measured on any axis: {'; '.join(remarks)}")
     lengths = tuple((float(time[p.start]), (p.stop - p.start) * interval) for p in parts)
     general = [*on_stretches(stretches, [length for _, length in lengths]), *on_gravity(imu, parts[0])]
     remarks += on_gyro(axes)

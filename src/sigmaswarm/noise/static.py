@@ -47,7 +47,8 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
     steps = np.diff(imu.time)
     if len(imu) < FEWEST or not np.all(steps > 0):
         raise InputError(
-            f"{len(imu)} samples with increasing times are too few; record at least {SHORTEST:g} s"
+            f"at least {FEWEST} samples with increasing times are needed, but the log has {len(imu)} samples; "
+            f"record at least {SHORTEST:g} s"
         )
     columns = [axis for axis in AXES if getattr(imu, axis) is not None]
     if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:

@@ -38,9 +38,10 @@ ENOUGH_DRIVES = 3
 REFERENCE_DURATION = 150.0
 """Driving time, s, for which the whole cost increase is allowed; twice the time allows half of it.
 
-With 100 s, 83% instead of 90% of the errors of a filter tuned on 200 s of kitti-09-30-0018 were inside the 95% radius
-on kitti-09-30-0033; the position RMSE on the training roads was the same within 1%. Shorter drives do not allow a
-larger increase: after tuning on 60 s of a highway, 0.086 instead of 0.05 increased the 5 s drift on other roads by 20%.
+A filter was tuned on 200 s of kitti-09-30-0018 and tested on kitti-09-30-0033. With 100 s instead of 150 s, 83%
+instead of 90% of its errors were inside the 95% radius; the position RMSE on the training roads was the same within 1%.
+Shorter drives do not allow a larger increase: after tuning on 60 s of a highway, an increase of 0.086 instead of 0.05
+raised the 5 s drift on other roads by 20%.
 """
 BIASED = 5.0
 """Mean of bias^2 / variance over starts and axes above which the starts show biases of the gyro.

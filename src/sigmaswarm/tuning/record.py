@@ -30,7 +30,7 @@ NOT_VALIDATED_TEXTS = (
     NOT_VALIDATED,
     "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation",
 )
-"""This remark in files of this version and of 0.3.0."""
+"""Texts of this remark in files of this version and of 0.3.0."""
 FILE = "tuning.toml"
 HISTORY_FILE = "convergence.csv"
 CONVERGENCE = {

@@ -189,7 +189,7 @@ class CheckPage(Page):
                 mend.props(f'aria-label="{label}: {finding.code}"').set_enabled(not self.waiting)
 
     def _cut(self) -> None:
-        """Select a time span with the mouse or by numbers, to keep only it or to leave it out."""
+        """Select a time span with the mouse or by numbers; keep only this span, or leave it out."""
         drive = self.stages[-1]
         time = drive.imu.time
         low, high = float(time[0]), float(time[-1])

@@ -83,7 +83,7 @@ class LogPage(OpenLog):
             drop.classes("drop").props(f':filter="{only_files}"')
 
     def _named(self, path: Path) -> str:
-        """Return the name of a log, for a file in a folder with the name of the folder."""
+        """Return the name of a log; the name of a file in a folder includes that of the folder."""
         inside = path.parent in self.bench.named or path.parent.parent == self.bench.folder / "logs"
         return f"{path.parent.name} / {path.name}" if inside else path.name
 

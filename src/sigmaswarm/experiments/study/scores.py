@@ -175,7 +175,7 @@ def _manual(ready: PreparedDrive, method: str) -> FilterParameters:
 def _unfiltered(method: str, design: Design) -> dict[str, Array]:
     """Score raw fixes, fixes alone or IMU only on all drives: arrays of shape (1, drives) by measure.
 
-    The noise parameters of fixes alone are the medians of those fitted to the drives.
+    The filter of the fixes alone uses the medians of the noise parameters fitted to the drives.
     """
     lengths, seed = {"outage_drift_m": OUTAGE_LENGTH} | design.config.long_outages, design.config.seed
     noise = MotionNoise.typical(design.of_each(noise_of)) if method == "fixes-alone" else None

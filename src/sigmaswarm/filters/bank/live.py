@@ -54,11 +54,11 @@ class LiveFilterBank(LiveFilter):
     """Sixteen filters with different parameters for one stream of samples; the estimate is their mixture.
 
     The likelihood of the fixes is the evidence of each filter (lane) and gives its weight; evidence fades within a
-    minute. Lane 0 is the tuning and gives the results of a `LiveFilter`. Some lanes represent other receivers. Every 10
-    s of driving, the worst lanes are replaced: one by the result of a search over the last minute, the others by
-    changed copies of good lanes. So the bank adapts to other sensors or other reception. On the vehicle used for tuning
-    it is not more accurate than the single filter. If the mixture diverges, lanes 1 to 15 are reset; most lanes then
-    keep their biases.
+    minute. Lane 0 has the tuned parameters and gives the results of a `LiveFilter`. Some lanes represent other
+    receivers. Every 10 s of driving, the worst lanes are replaced: one by the result of a search over the last minute,
+    the others by changed copies of good lanes. Thus the bank adapts to other sensors or other reception. On the vehicle
+    used for tuning it is not more accurate than the single filter. If the mixture diverges, lanes 1 to 15 are reset;
+    most lanes then keep their biases.
 
     The interface is that of a `LiveFilter` without the smoothed state. A copy by `pickle` continues with identical
     results. After a reset, all lanes ignore earlier fixes.

@@ -71,8 +71,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         outer = [folder for folder in folders if len(folder.parts) == min(len(f.parts) for f in folders)]
         if len(outer) > 1:
             raise InputError(
-                f"{path}: contains tables in several folders ({names_shown(map(str, outer))}); unpack it, and import "
-                "one folder, or one file and the others with --gps, --truth and --odometer"
+                f"{path}: contains tables in several folders ({names_shown(map(str, outer))}); unpack it, then import "
+                "one folder, or one file with the others named by --gps, --truth and --odometer"
             )
         names = [*dict.fromkeys(file.name for file in packed)]
         return of_names(path, names, limits, stack, None)

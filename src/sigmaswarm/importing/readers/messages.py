@@ -127,8 +127,8 @@ class _Messages:
             return Guess({})
         if role not in choice.mapped:
             raise InputError(
-                f"{self.path}: {topic} ({self.tables[topic].kind}) has no field whose name shows "
-                f"{' and '.join(sorted(wanted))}; choose another topic, or map it"
+                f"{self.path}: {topic} ({self.tables[topic].kind}) has no fields named like "
+                f"{' and '.join(sorted(wanted))}; choose another topic, or name the fields with --map"
             )
         time = time_of(self._sample(topic), role)
         return Guess({role: (Part(topic, {"t": time} if time else {}),)})
