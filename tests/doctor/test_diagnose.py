@@ -48,6 +48,16 @@ def serious(diagnosis: Diagnosis) -> list[str]:
     return [finding.code for finding in diagnosis.findings if finding.severity == "serious"]
 
 
+@pytest.mark.parametrize("missing", [2.0, 25.0])
+def test_fixes_in_a_gap_of_the_imu_are_no_outliers(missing: float):
+    """A window of fixes may lie inside the gap, where the IMU's path is a straight line."""
+    drive = simulated("icm-20602", 180.0)
+    inside = (drive.imu.time > 80.0) & (drive.imu.time < 80.0 + missing)
+    found = sigmaswarm.diagnose(replace(drive, imu=drive.imu.select(~inside)))
+    assert "imu-gap" in found.codes
+    assert "gps-outliers" not in found.codes
+
+
 def test_the_last_diagnoses_are_kept():
     """As many as fit; a drive that is diagnosed again costs nothing."""
     drives = [replace(make_drive(duration=20.0), name=f"drive {i}") for i in range(diagnose.KEPT)]

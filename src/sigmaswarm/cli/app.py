@@ -51,7 +51,7 @@ app = App(
 A drive is a folder with imu.csv, gps.csv, drive.toml and, if known, truth.csv. The usual commands:
 
     sigmaswarm doctor drives/monday drives/tuesday
-    sigmaswarm tune drives/monday drives/tuesday --out tuned --objective truth-pose
+    sigmaswarm tune drives/monday drives/tuesday --out tuned
     sigmaswarm evaluate tuned drives/friday --out evaluation
     sigmaswarm report evaluation
     sigmaswarm run tuned drives/friday --out estimate.csv

@@ -119,9 +119,10 @@ def usable_windows(imu: Array, course: Course, longest: float) -> NDArray[np.int
     interval = float(np.median(np.diff(course.time)))
     length = float(np.clip(np.count_nonzero(course.moving) * interval / 2, 5.0, longest))
     rows = windows_of(course.time, (course.time > imu[0] + 1) & (course.time < imu[-1] - 1), length)
-    gaps = imu[:-1][np.diff(imu) > 0.3]
-    before, after = np.searchsorted(gaps, [course.time[rows[:, 0]] - 1, course.time[rows[:, -1]] + 1])
-    return rows[(before == after) & (course.moving[rows].mean(axis=1) > 0.3)]
+    gaps = np.diff(imu) > 0.3
+    begun = np.searchsorted(imu[:-1][gaps], course.time[rows[:, -1]] + 1)
+    ended = np.searchsorted(imu[1:][gaps], course.time[rows[:, 0]] - 1)  # a window may lie inside a gap
+    return rows[(begun == ended) & (course.moving[rows].mean(axis=1) > 0.3)]
 
 
 class _Fit:

@@ -156,6 +156,8 @@ class EvaluationView:
             spread = self.scores.describe_drift(measure)
             text = f"On {drives}, the tuned filter {what.format(f'{tuned:.3g}')}{f' ({spread})' if spread else ''}"
             return f"{': '.join([text, ', '.join(each)][: 1 + bool(each)])}.{self._not_beaten()}"
+        if any(mean_of("tuned", measure) is not None for measure in DRIFTS):
+            return f"On {drives}, no outage of {self.setup.outage_length_s:g} s fits; use a longer part of a drive."
         return f"On {drives}, the tuned filter has no score: it failed, or there is no truth."
 
     def _not_beaten(self) -> str:
