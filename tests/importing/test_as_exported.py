@@ -569,6 +569,15 @@ def test_slow_rates_in_degrees_and_fast_ones_in_radians(tmp_path: Path, v: Any, 
     np.testing.assert_allclose(imported(tmp_path, maps=maps).drive.imu.gz, gz, atol=1e-9)
 
 
+@pytest.mark.parametrize(("share", "ratio", "noted"), [(0.87, 1.02, 0), (0.87, 57.3, 1), (0.3, 1.0, 1)])
+def test_turns_that_explain_most_of_the_course_confirm_the_unit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, share: float, ratio: float, noted: int
+):
+    monkeypatch.setattr("sigmaswarm.importing.rates._ratio", lambda _: (share, ratio))
+    write(tmp_path)
+    assert sum("no turn of the fixes confirms" in note for note in imported(tmp_path).notes) == noted
+
+
 def test_rates_that_no_turn_confirms_are_told_with_the_way(tmp_path: Path):
     write(tmp_path)
     assert not any("no turn of the fixes confirms the unit" in note for note in imported(tmp_path).notes)

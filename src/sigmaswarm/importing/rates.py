@@ -32,10 +32,10 @@ APART, GAP = (1.5, 6.0, 24.0), 1.4
 """Times, s, over which changes of course are compared; largest ratio of an actual to such a time."""
 DELAYS = (-1.0, -0.5, -0.25, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
 """Tried delays of the fixes, s."""
-EXPLAINED, LEAST_TURN, FEWEST = 0.9, 0.1, 20
-"""Smallest share of the changes of course that the rates must explain; smallest standard deviation, rad, and number of
-these changes.
-"""
+EXPLAINED, CONFIRMS = 0.9, 0.5
+"""Smallest share of the changes of course that the rates must explain: to show another unit; to confirm the assumed."""
+LEAST_TURN, FEWEST = 0.1, 20
+"""Smallest standard deviation, rad, and number of the changes of course."""
 OUTLYING = 3.0
 """Number of standard deviations above which a change of course is an outlier, as when a robot spins on the spot."""
 SMALL = 0.2
@@ -66,7 +66,10 @@ def unit_of_rates(
     assumed = ASSUMED[forms.pop()]
     columns = ", ".join(unitless[n] for n in used)
     raw = [getattr(drive.imu, n) / assumed for n in used]
-    if (ratio := _ratio(drive)) is None:
+    share, ratio = _ratio(drive)
+    if share < EXPLAINED:
+        if share > CONFIRMS and 1 / OTHER < ratio < OTHER:
+            return "", ""
         message = (
             f"no turn of the fixes confirms the unit of {columns}, read as rad/s; if it is deg/s, write "
         )
@@ -101,15 +104,15 @@ def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
     return f"{message}: the unit of the times is likely {10.0**power:g} times the assumed one; write --map {maps}"
 
 
-def _ratio(drive: Drive) -> float | None:
-    """Return the ratio of the turns of the fixes to those of the IMU about any axis; None if the log shows none."""
+def _ratio(drive: Drive) -> tuple[float, float]:
+    """Return the share of the turns of the fixes that those of the IMU about any axis explain, and their ratio."""
     time, x, y, imu = drive.gps.time, drive.gps.x, drive.gps.y, drive.imu
     axes = np.array([v for v in (imu.gx, imu.gy, imu.gz) if v is not None])
     steps = 0.5 * (axes[:, 1:] + axes[:, :-1]) * np.diff(imu.time)
     angles = np.pad(np.cumsum(steps, axis=1), ((0, 0), (1, 0)))
     noise = float(np.median(np.hypot(np.diff(x, 2), np.diff(y, 2)))) / 2.9 if len(time) > 2 else 0.0
     course, rows = course_of(time, x, y, chord=float(np.clip(20 * noise, 0.5, 20.0)))
-    at, best = time[rows], (EXPLAINED, 0.0)
+    at, best = time[rows], (0.0, 0.0)
     for apart in APART:
         later = np.searchsorted(at, at + apart)
         first = np.flatnonzero(later < len(at))
@@ -119,7 +122,7 @@ def _ratio(drive: Drive) -> float | None:
         for delay in DELAYS:
             ends = [[np.interp(at[k] - delay, imu.time, angle) for angle in angles] for k in (first, later)]
             best = max(best, _fitted(np.subtract(ends[1], ends[0]).T, turns))
-    return best[1] or None
+    return best
 
 
 def _fitted(measured: Array, turns: Array) -> tuple[float, float]:
