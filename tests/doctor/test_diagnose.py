@@ -58,6 +58,19 @@ def test_fixes_in_a_gap_of_the_imu_are_no_outliers(missing: float):
     assert "gps-outliers" not in found.codes
 
 
+def test_one_circle_is_said_to_hide_the_scale_of_the_gyro():
+    rng, t, rate = np.random.default_rng(0), np.arange(0, 60, 0.01), 0.26
+    noise = 0.01 * rng.standard_normal((3, len(t)))
+    imu = Imu(t, noise[0], 2.5 * rate + noise[1], np.full(len(t), rate) + noise[2])
+    at = np.exp(1j * (rate * t[::100] - np.pi / 2)) * 2.5 / rate + 0.1 * rng.standard_normal((60, 2)) @ [
+        1,
+        1j,
+    ]
+    found = sigmaswarm.diagnose(Drive("circle", imu, Gps(t[::100], at.real, at.imag)))
+    (yaw,) = (finding.what for finding in found.findings if finding.code == "unseen-yaw")
+    assert "turns at a nearly constant rate" in yaw
+
+
 def test_the_last_diagnoses_are_kept():
     """As many as fit; a drive that is diagnosed again costs nothing."""
     drives = [replace(make_drive(duration=20.0), name=f"drive {i}") for i in range(diagnose.KEPT)]
