@@ -37,7 +37,7 @@ class ExportOptions:
     against
         With --check, for the model robot-localization: a second tuning that is added to the table in README.md.
     lanes
-        c99: number of filters of the exported filter bank, 1 to 16. The C code does not search for better parameters.
+        c99: number of filters in the exported bank, 1 to 16. The C code does not search for better parameters.
     seed
         Seed of the parameters in the filter bank.
     """

@@ -12,8 +12,8 @@ from sigmaswarm.doctor.findings import Finding
 from sigmaswarm.drives.alignment import NoStart, find_start
 from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, stated_spread, suggest_filter
 
-QUARTER = np.pi / 2
-"""Smallest range of the course, rad, of a car that turns."""
+CIRCLE = 2 * np.pi
+"""Smallest range of the course, rad, of a car that drives in circles."""
 MORE = "use a drive with turns, starts and stops to check for these faults"
 ABOVE_NOISE = 3.0
 """RMS change of the course within windows, in standard deviations, above which the car turns."""
@@ -63,7 +63,7 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
             f"the course changes by {change:.0f} deg within 20 s, and no column of the gyro follows it",
             f"check the gyro's unit and the clocks; offsets beyond {WIDEST:.0f} s are not searched",
         )
-    if np.ptp(course.angle[moving]) > QUARTER:
+    if np.ptp(course.angle[moving]) > CIRCLE:
         steady = "turns at a nearly constant rate, which does not separate the gyro's scale from its bias"
         return f"{shown}, and the car {steady}", MORE
     return f"{shown}, and changes there by {change:.1f} deg within 20 s; slower turns are not visible", MORE
