@@ -1,9 +1,9 @@
-"""What a filter says of its own position error, where no truth tells it, against the truth.
+"""The position error that a filter estimates without truth, compared with the error against truth.
 
     python benchmarks/how_far.py ../shared/drives --seeds 3
 
-Tuned without truth by default, tested on what the tuning never saw, as in `defaults.py`. Prints Markdown: the least and
-the greatest over seeds and test drives, and in how many of them `evaluate` says that the log can't tell.
+Filters are tuned without truth and tested on other drives or parts, as in `defaults.py`. Prints Markdown: the smallest
+and the largest value over seeds and test drives, and the number of tests in which `evaluate` reports an unknown error.
 """
 
 import argparse
@@ -24,7 +24,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
-    print("| tested on | its own word, m | true RMSE, m | word over truth | can't tell |")
+    print("| tested on | estimated, m | true RMSE, m | estimated / true | unknown |")
     print("|---" * 5 + "|")
     for name, parts in cases(options.drives).items():
         if ">" in name or "outliers" in name:
@@ -40,12 +40,12 @@ def main() -> None:
 
 
 def words(training, test, seed: int):
-    """Of each test drive: what the filter says, what is true, their ratio, and whether the log can't tell."""
+    """Yield for each test drive: estimated error, true error, their ratio, and True if the error is unknown."""
     found = evaluate(test, tune(training, seed=seed).parameters)
     for name, consistency in found.record.consistency.items():
         true = found.value(name, "tuned", "position_rmse_m")
         assert consistency and consistency.own_sigma and true
-        unknown = describe_position(consistency).startswith("this log can't tell")
+        unknown = describe_position(consistency).startswith("not known")
         yield consistency.own_sigma, true, consistency.own_sigma / true, unknown
 
 

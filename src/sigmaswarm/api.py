@@ -33,7 +33,7 @@ Filter = FilterParameters | Tuning[Any] | str | Path
 
 @dataclass(frozen=True)
 class TunedFilter:
-    """A filter, and what it takes over from its tuning."""
+    """A filter with the settings that it inherits from its tuning."""
 
     parameters: FilterParameters
     as_recorded: bool = False
@@ -55,10 +55,10 @@ def tuned_filter(given: Filter) -> TunedFilter:
         )
         as_recorded = tuning.as_recorded
     else:
-        parameters, tuning, seen = getattr(given, "parameters", given), given, getattr(given, "seen", ())
+        parameters = getattr(given, "parameters", given)
         if not isinstance(parameters, FilterParameters):
             raise InputError(f"got {type(parameters).__name__}; pass FilterParameters, a Tuning or its path")
-        as_recorded = tuning.config.model_dump()["as_recorded"]
+        tuning, seen, as_recorded = given, given.seen, given.config.model_dump()["as_recorded"]
     imu = tuning.mounting, tuning.imu_axes
     return TunedFilter(parameters, as_recorded, list(seen) or None, tuning.fixes_alone, *imu)
 

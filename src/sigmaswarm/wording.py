@@ -21,7 +21,7 @@ def in_order(remarks: Iterable[str]) -> list[str]:
 
 
 def counted(n: int, noun: str) -> str:
-    return f"{n} {noun}{'' if n == 1 else 's'}"
+    return f"{n} {noun}{'' if n == 1 else 'es' if noun.endswith('x') else 's'}"
 
 
 def left_out(count: int, rows: str = "") -> str:

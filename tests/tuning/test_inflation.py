@@ -57,7 +57,7 @@ def test_the_cost_rises_by_the_inflation_and_no_more(inflation: float, model: st
     assert plain.inflation_factor == 1.0
     assert inflated_.inflation_factor > 1.0
     assert plain.parameters.measurement_noise == inflated_.parameters.measurement_noise
-    share = inflation  # 60 s bear no more than 150
+    share = inflation  # 60 s allow no more than 150 s
     low, now = costs(plain.parameters, inflated_.parameters)
     assert now == inflated_.cost
     assert now <= (1 + share) * low

@@ -11,6 +11,7 @@ import sigmaswarm
 from sigmaswarm.cli.common import print_json, read_known, require_writable, say
 from sigmaswarm.cli.findings import unrepairable
 from sigmaswarm.cli.options import Json, Overwrite
+from sigmaswarm.wording import counted
 
 
 def split(
@@ -77,7 +78,7 @@ def _require_enough(whole: "sigmaswarm.Drive", parts: "Sequence[sigmaswarm.Drive
             if low < high
             else "record a longer drive"
         )
-        fixes = f"{len(part.gps)} fix{'es' * (len(part.gps) != 1)}"
+        fixes = counted(len(part.gps), "fix")
         raise sigmaswarm.InputError(
             f"{part.name}: {part.duration:.1f} s with {fixes} are too few for a drive; {remedy}"
         )

@@ -9,12 +9,11 @@ from typing import Any, Literal, cast
 from sigmaswarm.drives.table_files import CSV, LARGEST
 from sigmaswarm.drives.tables import Array
 from sigmaswarm.errors import DriveError
-from sigmaswarm.geodesy import geodetic_to_enu
+from sigmaswarm.geodesy import Origin, geodetic_to_enu
 from sigmaswarm.limits import read_toml_text
 from sigmaswarm.wording import names_shown, quoted, shown, value_shown
 
 Frame = Literal["enu", "wgs84"]
-Origin = tuple[float, float, float]  # deg, deg, m: latitude, longitude, altitude
 
 POSITIONS: dict[Frame, tuple[str, str]] = {"enu": ("x", "y"), "wgs84": ("lat", "lon")}
 _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {

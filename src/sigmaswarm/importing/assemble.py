@@ -11,7 +11,7 @@ from sigmaswarm.drives.checks import shortage_of
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
 from sigmaswarm.drives.mounting import AXES_KEY, with_rotation
 from sigmaswarm.errors import InputError
-from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.geodesy import Origin, wrap_angle
 from sigmaswarm.importing.dates import GPS_EPOCH, LONG_AGO, SECOND, WEEK, Nanoseconds, gps_to_unix
 from sigmaswarm.importing.gather import Gathered
 from sigmaswarm.importing.joining import join, without_column
@@ -26,7 +26,7 @@ from sigmaswarm.importing.places import (
     level,
 )
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.importing.shared_frame import Origin, assumed_origin, require_same_axes
+from sigmaswarm.importing.shared_frame import assumed_origin, require_same_axes
 from sigmaswarm.importing.source import ROLES, Role
 from sigmaswarm.importing.timeline import STEPS
 from sigmaswarm.importing.times import FASTEST_IMU, LEAST_INTERVAL, LONGEST_STEP, SLOWEST_IMU

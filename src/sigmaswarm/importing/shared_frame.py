@@ -7,12 +7,10 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
+from sigmaswarm.geodesy import Origin, enu_to_geodetic, geodetic_to_enu
 from sigmaswarm.importing.places import FARTHEST, Values
 from sigmaswarm.importing.source import Part, Role
 
-Origin = tuple[float, float, float]
-"""Latitude (deg), longitude (deg), altitude (m)."""
 EXPLAINED, TURNED, STRETCHED = 0.9, np.radians(5), 0.05
 """Smallest share of the fixes' variance that a turned truth must explain; smallest angle, rad, and relative difference
 of scale that are reported."""

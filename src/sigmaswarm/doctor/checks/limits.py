@@ -11,6 +11,7 @@ from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding
 from sigmaswarm.drives.alignment import NoStart, find_start
 from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, stated_spread, suggest_filter
+from sigmaswarm.wording import counted
 
 CIRCLE = 2 * np.pi
 """Smallest range of the course, rad, of a car that drives in circles."""
@@ -83,7 +84,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
             f"the stated standard deviations range from {stated[0]:.2g} to {stated[1]:.2g} m"
         )
     if count := int(np.count_nonzero(evidence.outlying)):
-        reasons["robust"] = f"{count} fix{'es lie' if count > 1 else ' lies'} far off the path"
+        reasons["robust"] = f"{counted(count, 'fix')} {'lie' if count > 1 else 'lies'} far off the path"
     if chosen.model == "tilted12":
         reasons["model"] = "the IMU has az, gx and gy, which distinguish hills from motion"
     because = "; ".join(filter(None, reasons.values()))

@@ -83,17 +83,14 @@ def _step(
 
 def _predict_tilted12(name, columns=COLUMNS, **known):
     moved = kernel(propagate, columns=columns, coefficients=COEFFICIENTS[name], transition=TRANSITIONS[name])
-    return kernel(predict_tilted12, propagate=moved, **known)
+    return kernel(predict_tilted12, propagate=moved, **{"linearize": None, "add_curvature": None} | known)
 
 
 _PREDICTIONS = {
     "planar5": (predict_planar5, None),
     "planar8": (predict_planar8, None),
-    "tilted12": (_predict_tilted12("tilted12", linearize=None, add_curvature=None), settle),
-    "tilted12+fix-error": (
-        _predict_tilted12("tilted12", (*COLUMNS, (N, N + 1)), linearize=None, add_curvature=None),
-        settle,
-    ),
+    "tilted12": (_predict_tilted12("tilted12"), settle),
+    "tilted12+fix-error": (_predict_tilted12("tilted12", (*COLUMNS, (N, N + 1))), settle),
     UNSCENTED: (_predict_tilted12(UNSCENTED, linearize=linearize, add_curvature=add_curvature), settle),
 }
 

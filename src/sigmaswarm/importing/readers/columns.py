@@ -93,6 +93,8 @@ def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, 
 
     Files without a header may have other names, if one file has a header of as many columns.
     """
+    if len(scans) < 2:
+        return {**scans}
     heads = {name: rows.collect_schema().names() for name, rows in scans.items()}
     titled = {name: head for name, head in heads.items() if head[0] != "c1"}
     renamed, groups = dict(scans), dict[tuple[str, ...], list[str]]()
