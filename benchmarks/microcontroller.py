@@ -12,6 +12,7 @@ import re
 import sys
 import tempfile
 import warnings
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -35,7 +36,9 @@ FILTERS = {
     "planar8 ukf": ("planar8", "ukf", False),
     "planar8 ekf, every option": ("planar8", "ekf", True),
     "planar8 ukf, every option": ("planar8", "ukf", True),
+    "planar8 ukf, every option and fix-error": ("planar8", "ukf", True),
     "tilted12 ekf, every option": ("tilted12", "ekf", True),
+    "tilted12 ekf, every option and fix-error": ("tilted12", "ekf", True),
 }
 CLOSE = (
     "planar5 ukf",
@@ -48,7 +51,8 @@ BUILDS = ((M4F, (FLOAT,)), (M7, (FLOAT,)), (M7, ()))
 
 def given(name: str, drive: Drive) -> FilterParameters:
     model, kind, everything = FILTERS[name]
-    return tuned(model, kind, drive.nominal_interval, everything=everything)
+    p = tuned(model, kind, drive.nominal_interval, everything=everything)
+    return replace(p, fix_error=0.3) if name.endswith("fix-error") else p
 
 
 def drives(folder: Path, *, quick: bool) -> list[Drive]:

@@ -22,6 +22,11 @@ FILTERS = {
         "ukf",
         ("lateral", "standstill", "accuracy", "robust"),
     ),
+    "planar8 ukf, lateral, standstill, accuracy, robust and fix-error": (
+        "planar8",
+        "ukf",
+        ("lateral", "standstill", "accuracy", "robust", "fix-error"),
+    ),
 }
 
 

@@ -67,7 +67,7 @@ static void update(double time)
     const ins_gps_real velocity[2] = {number(20.0), number(20.0)}, x = number(100.0), y = number(100.0);
     const ins_gps_real *given = pick(2) ? velocity : 0;
     ins_gps_real mean[5], covariance[25];
-#ifdef HAS_ACCURACY
+#ifdef HAS_STD
     const ins_gps_real std[2] = {number(3.0), number(3.0)};
     ins_gps_update(&filter, time, x, y, given, std);
     ins_gps_watch_fix(&watch, time, x, y, std);

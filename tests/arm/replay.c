@@ -30,8 +30,9 @@ static void sample(const ins_gps_real u[], double time)
 static void fix(const ins_gps_real z[], double time)
 {
     const ins_gps_real *velocity = isnan(z[2]) ? NULL : z + 2;
-#ifdef HAS_ACCURACY
-    ins_gps_update(&filter, time, z[0], z[1], velocity, z + 4);
+#ifdef HAS_STD
+    static const ins_gps_real not_stated[2] = {0, 0};
+    ins_gps_update(&filter, time, z[0], z[1], velocity, isnan(z[4]) ? not_stated : z + 4);
 #else
     ins_gps_update(&filter, time, z[0], z[1], velocity);
 #endif

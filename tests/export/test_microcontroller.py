@@ -44,12 +44,15 @@ FILTERS = {
     "planar8 ekf": ("planar8", "ekf", True),
     "planar8 ukf": ("planar8", "ukf", True),
     "tilted12": ("tilted12", "ekf", True),
+    "planar8 with fix error": ("planar8", "ukf", True),
+    "tilted12 with fix error": ("tilted12", "ekf", True),
 }
 
 
 def given(name: str, interval: float = 0.01) -> FilterParameters:
     model, kind, everything = FILTERS[name]
-    return tuned(model, kind, interval, everything=everything)
+    p = tuned(model, kind, interval, everything=everything)
+    return replace(p, fix_error=0.3) if "fix error" in name else p
 
 
 @cache
