@@ -80,7 +80,7 @@ def test_lanes_are_checked_against_the_swarm(sigmaswarm: Command, tuned: Path, d
     assert "#define INS_GPS_LANES 3" in Path("c/ins_gps.h").read_text()
     wrong = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--lanes", 17)
     assert (wrong.code, wrong.err.count("\n")) == (2, 1)
-    assert "lanes = 17: out of range; choose 2 to 16" in wrong.err
+    assert "lanes = 17 is out of range; choose 2 to 16" in wrong.err
     wrong = sigmaswarm("export", tuned, "--to", "filterpy", "--out", "py", "--lanes", 4)
     assert wrong.code == 2
     assert "--lanes is for --to c99 only" in wrong.err

@@ -34,7 +34,7 @@ def recorded(nis: float, next_one: float) -> Consistency:
     [
         (2.0, 0.0, "about 0.5 m (RMS), as the filter estimates. The fixes"),
         (2.0, 0.4, "0.5 m (RMS) or more, as the filter estimates. "),
-        (3.0, 0.0, "more than the 0.5 m (RMS) that the filter estimates. The fixes deviate from its predictions by"),
+        (3.0, 0.0, "more than the 0.5 m (RMS) that the filter estimates. The fixes deviate from the predictions by"),
         (1.7, 0.0, "0.5 m (RMS) or somewhat less, as the filter estimates. "),
         (1.7, 0.4, "not known, perhaps 1.4 m"),
         (0.2, 0.0, "not known, perhaps 1.4 m"),

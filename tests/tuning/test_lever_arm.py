@@ -115,7 +115,7 @@ def test_what_the_turns_do_not_show_stays_as_it_is(urban: Drive):
     assert found.observable == (False, False)
     assert max(found.std) > 0.3
     assert str(found).startswith("the turns of this log do not determine ")
-    assert " to 0.15 m, which needs " in str(found)
+    assert " to 0.15 m; this accuracy needs " in str(found)
     assert found.applied(drive) is drive
 
 
@@ -125,7 +125,7 @@ def test_each_axis_counts_by_itself(urban: Drive):
     assert found.observable == (False, True)
     assert str(found) == (
         "antenna 0.60 m right (+-0.06 m) of the IMU; drive.toml states 0.70 m ahead and 0.20 m left; the turns "
-        "of this log do not determine 1.50 m ahead (+-0.12 m) to 0.15 m, which needs 2.5 times as many turns; "
+        "of this log do not determine 1.50 m ahead (+-0.12 m) to 0.15 m; this accuracy needs 2.5 times as many turns; "
         "drive.toml keeps its value"
     )
     copy = found.applied(replace(urban, metadata={**urban.metadata, "gps_lever_arm_m": [0.7, 0.2, 1.1]}))

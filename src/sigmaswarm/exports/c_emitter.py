@@ -269,7 +269,7 @@ class _Function(ast.NodeTransformer):
         self.declared = before
         self.put("}", depth)
         if len(self.lines) == n_lines + 1:
-            del self.lines[-2:]  # without any term left
+            del self.lines[-2:]  # no term is left
 
     # ---- places ----
 

@@ -23,7 +23,7 @@ class Lanes:
     def __post_init__(self) -> None:
         if not 1 <= self.n <= LANES:
             raise InputError(
-                f"lanes = {self.n}: out of range; choose 2 to {LANES} for a filter bank, or 1 for the filter alone"
+                f"lanes = {self.n} is out of range; choose 2 to {LANES} for a filter bank, or 1 for the filter alone"
             )
 
     def filters(self, tuning: FilterParameters) -> list[FilterParameters]:

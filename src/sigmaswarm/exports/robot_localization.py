@@ -26,7 +26,7 @@ DEFAULT_PROCESS_NOISE = (
 )
 """Default process noise per second: x, y, z; roll, pitch, yaw; their rates; accelerations."""
 SMALL, FIRST_FIX = 1e-6, 1.0
-"""Initial variance of states that stay at 0, and minimum initial variance of x and y, m2."""
+"""SMALL: initial variance of states that stay at 0. FIRST_FIX: minimum initial variance of x and y, m2."""
 SHOWN = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
 """Initial variances of vx, vy, yaw, ax, ay, yaw rate if initial_state is set as in README.md."""

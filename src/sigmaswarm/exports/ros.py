@@ -120,7 +120,7 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
         begin, end = reader.start_time, reader.end_time
         if round(last * 1e9) < begin or round(first * 1e9) > end:
             raise InputError(
-                f"{path}: covers {begin / 1e9:.3f} to {end / 1e9:.3f} s, the estimate {first:.3f} to "
+                f"{path}: covers {begin / 1e9:.3f} to {end / 1e9:.3f} s, but the estimate covers {first:.3f} to "
                 f"{last:.3f} s; name the bag from which the drive was imported"
             )
         if TOPIC in reader.topics:
@@ -142,7 +142,7 @@ def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
             continue
         if old.msgtype not in reader.typestore.fielddefs:
             warnings.warn(
-                f"{path}: {old.topic} is left out: its type {old.msgtype} is not defined",
+                f"{path}: {old.topic} is left out, since the type {old.msgtype} is not defined",
                 SigmaswarmWarning,
                 stacklevel=2,
             )
@@ -203,7 +203,7 @@ class Made:
 
 
 def _messages(pieces: Iterable[Estimate], made: Made, origin: Origin | None) -> Iterator[Message]:
-    """Yield estimates and, every `INTERVAL`, the std of x, y (m) and heading (rad) and a NavSatFix."""
+    """Yield estimates and, every `INTERVAL`, a NavSatFix and standard deviations of x, y (m) and heading (rad)."""
     before = -1
     for estimate in pieces:
         velocity, jacobian = body_velocity(estimate.mean)

@@ -121,7 +121,7 @@ def write_texts(texts: Mapping[str, str], folder: str | Path, kind: str = "expor
 
 
 def kind_of(target: str) -> str:
-    """Return the kind of result that an export is in its folder."""
+    """Return the name of an export in the record of its folder."""
     return f"export to {target.replace('-', '_')}"
 
 

@@ -27,7 +27,7 @@ SUFFIX = "+fix-error"  # end of the name of a model with the states b
 
 @dataclass(frozen=True)
 class Appended:
-    """A measurement of a model with the states b; ``gain`` is 1 if it measures the sum with b, else 0."""
+    """A measurement of a model with the states b; ``gain`` is 1 if the measurement includes b, else 0."""
 
     own: Any
     gain: float = 0.0

@@ -39,8 +39,8 @@ from sigmaswarm.filters.table import ParameterTable
 Starts = dict[InitialState, tuple[Array, Array]]
 """Initial state rows (N_STATE, columns) and headings (columns,), rad; one column if all columns are equal."""
 
-MOST_STARTS = 20_000  # column starts, 3 kB each, that are computed in advance
-MOST_CACHED = 1_000  # cached starts, 3 kB each, which the next generations reuse
+MOST_STARTS = 20_000  # largest number of starts of columns, 3 kB each, that are computed in advance
+MOST_CACHED = 1_000  # largest number of cached starts, 3 kB each, for the next generations
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,7 +45,7 @@ class FixedLag:
         filter_state, counts, _, fixes, speeds, history, checkpoints, _ = memory
         now, kept = float(filter_state[live.TIME]), int(counts[live.N_HISTORY])
         order = (int(counts[live.OLDEST]) + np.arange(kept)) % len(history)
-        # The state before a sample is the one after the sample before it.
+        # The state before a sample is the state after the previous sample.
         moments = history[order, live.TIME]
         first = int(np.searchsorted(moments, now - self._lag + NEARLY, side="right")) - 1
         if not kept:

@@ -29,7 +29,7 @@ MEASURED = {
 """Measurements other than fixes, and the unit of their variance.
 
 A filter uses the measurement NAME if its parameter NAME_noise is a number. A tuning's option, the event in
-`drives.events`, the kernels' row R_NAME, and USE_NAME and NAME_NOISE in C are named after it.
+`drives.events`, the kernels' row R_NAME, and USE_NAME and NAME_NOISE in C have the name of the measurement.
 """
 NOISE_OF = {name: f"{name}_noise" for name in MEASURED}
 
@@ -182,7 +182,7 @@ class State:
     name: str
     unit: str
     variance: tuple[float, float]  # bounds of the process noise, unit squared per nominal IMU step
-    shared: str  # search parameter, common to east and north if their noise is the same
+    shared: str  # name of the search parameter; east and north share this name if their noise is the same
     bias_of: str | None = None  # the sensor in SENSORS with this bias, which starts at 0
     per_second: bool = False  # the bounds are per second
     start_std: float = 0.0  # initial standard deviation of a state that alignments lack, other than a bias

@@ -219,7 +219,7 @@ class FilterParameters:
             If the factor is not positive.
         """
         if not 0 < factor < np.inf:
-            raise InputError(f"factor = {factor:g}: must be positive and finite")
+            raise InputError(f"factor = {factor:g} is not positive and finite; pass for example 2.0")
         given = {name: getattr(self, name) for name in _SCALED}
         imu_factor = factor if MODELS[self.model].measures_imu else 1.0
         return replace(
@@ -297,7 +297,7 @@ class FilterParameters:
             for i, variance in enumerate(getattr(parameters, key)):
                 if variance < 0 or (variance == 0 and key == "measurement_noise"):
                     raise InputError(
-                        f"{path}: filter.{key}[{i}]: a variance must be positive (is {variance:g}); "
+                        f"{path}: the variance filter.{key}[{i}] must be positive (is {variance:g}); "
                         "correct it in the file"
                     )
         return parameters
@@ -308,7 +308,7 @@ _ACTIVATES = {s.option: n for n, s in SEARCHED.items() if getattr(FilterParamete
 """Options of ``tune --use``, and the fields that activate them."""
 _SCALED = (*NOISE_OF.values(), "accuracy_scale", "fix_error")
 NOISES = ("process_noise", "measurement_noise", "imu_noise", *_SCALED)
-"""Fields with noise variances or factors of them; a common factor on all scales the covariance."""
+"""Fields with noise variances or factors of them; a common factor of all these fields scales the covariance."""
 RULES_SINCE = (0, 3)  # version that introduced the present treatment of stale fixes, gaps and standstills
 
 

@@ -186,5 +186,5 @@ def preset(name: PresetName, drive: Drive) -> FilterParameters:
         return baseline(drive)
     fixed = {"defaults": DEFAULTS, "paper": PAPER}
     if name not in fixed:
-        raise InputError(f"no preset is called {name!r}; choose one of {', '.join(get_args(PresetName))}")
+        raise InputError(f"there is no preset {name!r}; choose one of {', '.join(get_args(PresetName))}")
     return fixed[name]

@@ -143,7 +143,7 @@ def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float |
         limit = math.nan
     if not limit > 0:
         raise InputError(f"{path}: {keys[0]} must be a positive number; correct it")
-    return limit**2 if limit < 1e100 else None  # its default is the largest number
+    return limit**2 if limit < 1e100 else None  # the default is the largest number
 
 
 def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
@@ -157,6 +157,6 @@ def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
         if block.get(f"{name}_differential") is True or block.get(f"{name}_relative") is True:
             yield f"{name}: differential and relative left out"
         if entries[_YAW]:
-            yield f"{name}: yaw is the heading of the fixes, and is left out if a drive has none"
+            yield f"{name}: yaw is the heading of the fixes, and is left out for drives without headings"
         if entries[_VYAW] and not name.startswith("imu"):
             yield f"{name}: yaw rate left out"

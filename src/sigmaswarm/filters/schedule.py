@@ -130,7 +130,7 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
 
 
 def _seen(initial: Sequence[InitialState]) -> list[tuple[slice, GyroSeen]]:
-    """Return the gyro observations with the indices of their starts; as one observation if all starts have one."""
+    """Return the gyro observations with the indices of their starts; as a single observation if every start has one."""
     each = [(k, start.gyro) for k, start in enumerate(initial) if start.gyro is not None]
     if len(each) == len(initial):
         return [(slice(None), together([seen for _, seen in each]))]
@@ -138,5 +138,5 @@ def _seen(initial: Sequence[InitialState]) -> list[tuple[slice, GyroSeen]]:
 
 
 def converted(p: FilterParameters, nominal_interval: float) -> Array:
-    """Return the diagonal of Q per nominal interval (s) of a drive, (n,), from that of the parameters' own interval."""
+    """Convert the diagonal of Q, (n,), from the parameters' own interval to the nominal interval (s) of a drive."""
     return nominal_interval / (p.nominal_interval or nominal_interval) * np.array(p.process_noise)

@@ -89,7 +89,8 @@ class _ForwardLog:
 class _Forward(FilterRun):
     """A run that logs every step, keeps a checkpoint before each piece, and can run a piece again.
 
-    All passes use the same kernel. Another one would round differently, and estimates would depend on the checkpoints.
+    All passes use the same kernel. Another kernel would round differently, and estimates would depend on the
+    checkpoints.
     """
 
     def __init__(self, replay: Replay, parameters: FilterParameters, *, samples: int, recover: bool) -> None:
@@ -163,7 +164,7 @@ class Smoothing:
         self._line = replay.timeline
         self._kernel = parameters.kernel
         self._forward = forward = _Forward(replay, parameters, samples=samples, recover=recover)
-        self._sizes: list[tuple[int, int]] = []  # samples of each piece, and how many of them are sound
+        self._sizes: list[tuple[int, int]] = []  # numbers of samples and of sound samples of each piece
         for piece in forward:
             self._sizes.append((len(piece.time), int(piece.sound.sum())))
         self._all_restarts = list(forward.restarts)
@@ -194,7 +195,7 @@ class Smoothing:
             if not sound:
                 continue
             log = self._forward.again(number, sound)
-            if behind is None:  # after the last step the smoothed state is the filter's
+            if behind is None:  # after the last step, the smoothed state is the state of the filter
                 was_reset = len(log.ends) and log.ends[-1] == len(log.steps) - 1
                 behind = log.started[-1] if was_reset else log.steps[-1, : log.start.shape[0]]
             self._behind[number] = behind

@@ -203,7 +203,8 @@ def scores_of(passes: Mapping[str, Sequence[Replay]], sums: Mapping[str, Sums]) 
 def _divisors_of(replays: Sequence[Replay]) -> Array:
     """Return the divisors of the sums of each replay, shape (5, n_drives, 1), with NaN in place of 0.
 
-    They are the number of positions, the weights of positions and headings, and the numbers of fixes and hidden fixes.
+    The divisors are the number of positions, the weights of positions and headings, and the numbers of fixes and hidden
+    fixes.
     """
     counts = np.array(
         [

@@ -58,8 +58,8 @@ class Consistency(BaseModel):
     white_p : float
         p-value of the test for whiteness of G. M. Ljung and G. E. P. Box (1978).
     mean_nees : float or None
-        Mean NEES of the position at truth times: 2 for a consistent filter, None without truth. It has no band, since
-        position errors are correlated over time.
+        Mean NEES of the position at truth times: 2 for a consistent filter, None without truth. A band is not known,
+        since position errors are correlated over time.
     missed, expected : float or None
         RMS of the innovations, m: actual, and according to their covariances.
     own_sigma : float or None

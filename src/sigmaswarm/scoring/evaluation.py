@@ -319,9 +319,10 @@ def evaluate(
     """Compare a tuned filter with the baseline, raw GPS, fixes alone and IMU only: see `sigmaswarm.evaluate`.
 
     With ``seen``, landmarks of the training drives, the evaluation reports the part of each drive that was used for
-    training, even if the drive was renamed, cut or repaired. They are ``tuning.seen``, or the result of
-    `tuning.record.training_data_of`; without seen.npz, only complete drives are recognized. With ``cluster``, its
-    workers read the drives (also given as paths or URLs) and run the filters. ``options`` are attributes of `Options`.
+    training, even if the drive was renamed, cut or repaired. These landmarks are ``tuning.seen``, or the result of
+    `tuning.record.training_data_of`; without seen.npz, only complete drives are recognized. With ``cluster``, the
+    workers of the cluster read the drives (also given as paths or URLs) and run the filters. ``options`` are attributes
+    of `Options`.
     """
     if isinstance(drives, FilterParameters):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")

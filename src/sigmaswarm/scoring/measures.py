@@ -41,7 +41,7 @@ MEASURES = measures()
 DRIFTS = ("short_outage_drift_m", "outage_drift_m", "long_outage_drift_m")
 """Measures in which a filter with an IMU should be better than the fixes alone."""
 NO_OUTAGES = ("raw_gps", "imu_only")
-"""Methods whose outage drifts are not shown; files contain that of IMU only, which is its error since the start."""
+"""Methods whose outage drifts are not shown. Files contain the drift of IMU only, the error since the start."""
 POSITION_MEASURES = {"position_rmse_m": "RMSE", "position_median_m": "50%", "position_95_m": "95%"}
 """Measures by which a filter is compared with the raw fixes, and their names in sentences."""
 

@@ -7,7 +7,7 @@ axis is estimated as
 
 where P is the mean of the filter's variances of x and y, s is the standard deviation of the fixes (`receiver_std`), and
 w that of their white noise (`white_noise`). If the filter has states for correlated errors, P contains their variance
-g s^2, or less if they last longer than the filter assumes; otherwise g = 0. A short training drive determines a
+g s^2, or less if the errors last longer than the filter assumes; otherwise g = 0. A short training drive determines a
 covariance from few independent errors. Therefore, error / sigma is modeled by Student's t with `DOF` degrees of
 freedom. For a probability q,
 
@@ -80,7 +80,7 @@ def position_radius(
     if not 0.0 < level < 1.0:
         raise InputError(f"level = {level:g}: must lie above 0 and below 1")
     if not estimate.covariance.size:
-        raise InputError("the estimate has no covariance; use one of run_filter or smooth")
+        raise InputError("the estimate has no covariance; use an estimate of run_filter or smooth")
     variance = np.mean(np.diagonal(estimate.covariance[:, :2, :2], axis1=1, axis2=2), axis=1)
     return factor_of(level) * np.sqrt(variance + lasting_variance(drive, parameters, estimate.time, variance))
 

@@ -131,11 +131,11 @@ def describe_position(found: Consistency) -> str:
             fixes = (expected**2 - own**2) ** 0.5
             guess = f", perhaps {fixes:.2g} m, the error that the filter assumes for the fixes"
         return (
-            f"not known{guess}. The filter estimates {own:.2g} m (RMS), but the fixes deviate from its predictions by "
+            f"not known{guess}. The filter estimates {own:.2g} m (RMS), but the fixes deviate from the predictions by "
             f"less than expected ({nis}): the receiver smooths its fixes, or their errors are correlated"
         )
     size = f"{own:.2g} m (RMS)"
-    included = f"The fixes deviate from its predictions by {missed:.2g} m, including their own errors,"
+    included = f"The fixes deviate from the predictions by {missed:.2g} m, including their own errors,"
     if found.mean_nis > high:
         return (
             f"more than the {size} that the filter estimates. {included} which is more than expected ({nis})"

@@ -68,7 +68,7 @@ class RemoteBatchScorer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """Score the sets on the workers, and apply ``take``, which returns shape (..., n_sets, n_drives), there."""
+        """Score the sets on the workers, where ``take``, which returns shape (..., n_sets, n_drives), is applied."""
         sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
         answers = self.dataset.call(_taken, self.passes, self.check, take, sets)
         shape = len(self.dataset), *answers[0][1].shape[-2::-1]

@@ -12,10 +12,10 @@ from sigmaswarm.drives.gaps import MANY, SHORTEST
 POSITION_FLOOR = 0.3
 """Standard deviation of truth, m per axis, below which the weight hardly increases.
 
-It is the accuracy of the best filters with cheap receivers. Without it, parts under open sky, where every filter is
-accurate, would have nearly all the weight.
+This is the accuracy of the best filters with cheap receivers. Without a limit, parts under open sky, where every filter
+is accurate, would have nearly all the weight.
 """
-HEADING_FLOOR = math.radians(0.3)  # the same for the heading
+HEADING_FLOOR = math.radians(0.3)  # rad, the same limit for the true heading
 BLOCKS = 8
 """Parts of a drive; the spread of their means shows the effect of correlated errors."""
 CLEAR = 5.0
@@ -92,12 +92,13 @@ def truth_offset(drive: Drive) -> str:
     if max(world_clear, body_clear) < CLEAR or abs(offset) < max(LEAST[0], LEAST[1] * scatter):
         return ""
     origin = (
-        f"the truth has another origin or datum: import with --origin, or add {world.real:.2f} and {world.imag:.2f} m "
+        f"the truth has another origin or datum, so import with --origin, or add {world.real:.2f} and "
+        f"{world.imag:.2f} m "
         "to x and y of truth.csv"
     )
     length = arm + body
     lever = (
-        "the antenna is not at the position of the truth: write "
+        "the antenna is not at the position of the truth, so write "
         f"gps_lever_arm_m = [{length.real:.2f}, {length.imag:.2f}, 0.0] into drive.toml"
     )
     causes = [

@@ -158,7 +158,7 @@ class EvaluationView:
             return f"{': '.join([text, ', '.join(each)][: 1 + bool(each)])}.{self._not_beaten()}"
         if any(mean_of("tuned", measure) is not None for measure in DRIFTS):
             return f"On {drives}, no outage of {self.setup.outage_length_s:g} s fits; use a longer part of a drive."
-        return f"On {drives}, the tuned filter has no score: it failed, or there is no truth."
+        return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
     def _not_beaten(self) -> str:
         """Return a sentence each on the fixes alone and on the baseline if their drift over an outage is not larger."""
@@ -172,7 +172,9 @@ class EvaluationView:
                 and (other := mean_of(method, m)) is not None
                 and tuned >= other
             ]
-            sentences += f" It is NOT better than the {name} in the {', '.join(lost)}." if lost else ""
+            sentences += (
+                f" The tuned filter is NOT better than the {name} in the {', '.join(lost)}." if lost else ""
+            )
         return sentences
 
     def coverage(self) -> tuple[str, ...]:
@@ -184,7 +186,7 @@ class EvaluationView:
         sentences += [f"{', '.join(blind)}: {NO_TRUTH}."] if blind else []
         sentences += map(_sentence, estimate_position_errors(self.scores, data))
         sentences += [
-            f"{name}: no filter used {n} of the fixes: they are stale (they repeat an earlier fix, although the "
+            f"{name}: no filter used {n} of the fixes, which are stale (they repeat an earlier fix, although the "
             "vehicle may have moved)."
             for name, n in self.scores.stale_fixes.items()
         ]

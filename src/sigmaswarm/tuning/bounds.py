@@ -47,9 +47,9 @@ class TouchedBound:
 class Dimension:
     """One tuned parameter: its field of `FilterParameters`, and its range.
 
-    - ``entries``: number of entries of a tuple that it sets; 0 if the field is a number.
+    - ``entries``: number of entries of a tuple that the parameter sets; 0 if the field is a number.
     - ``spread``: True if the range spans powers of ten.
-    - ``inflation``: decades that `tuning.inflation` adds per decade of its factor.
+    - ``inflation``: decades that `tuning.inflation` adds per decade of the inflation factor.
     - ``least``: lower limit after inflation.
     """
 

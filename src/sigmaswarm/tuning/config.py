@@ -61,7 +61,7 @@ class SearchConfig(BaseModel):
     seed: int = Field(default=0, ge=0)
     """Seed of all random numbers; the same seed gives the same result."""
     worst: float = Field(default=1.0, gt=0, le=1)
-    """The cost is the mean over this share of the drives, the worst ones; 1 means all drives."""
+    """Average the cost over this share of the drives, those with the highest costs; 1 means all drives."""
     # at the same budget at least as good as de and better than the paper's pso (docs/optimizers.md)
     optimizer: OptimizerName | OwnOptimizer | OwnOptimizerName = "de-qpso"
     """Search algorithm; bo needs scikit-learn. In Python also a custom class. See docs/optimizers.md."""
@@ -169,7 +169,7 @@ PAPER: dict[str, Any] = {
     "prior": 0.0,
     "inflation": 0.0,
 }
-"""The paper's settings of one tuning. The paper repeats it 20 times and does not state inertia, seed and bounds."""
+"""The paper's settings of one tuning. The paper repeats this tuning 20 times and states no inertia, seed and bounds."""
 
 
 def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -41,7 +41,7 @@ class ModelProblem(Problem[dict[str, float]]):
         return dict(zip(self.space.names, self.space.values(point).tolist(), strict=True))
 
     def failure_reason(self, point: Array) -> str | None:
-        """Return why the filter at a point, shape (d,), fails on a log; None if it does not fail."""
+        """Return the reason for a failure of the filter at a point, shape (d,), on a log; None without a failure."""
         parameters = self.parameters(point)
         failures = (run_model(log, self.model, parameters).failure for log in self.logs)
         return next((f"model {failure}" for failure in failures if failure), None)
@@ -97,7 +97,7 @@ def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
     within = (moments >= log.time[0]) & (moments <= log.time[-1])
     if not within.any():
         raise log.wrong(
-            f"truth covers t = {moments[0]:g} to {moments[-1]:g} s, the inputs {log.time[0]:g} to "
+            f"truth covers t = {moments[0]:g} to {moments[-1]:g} s, but the inputs cover {log.time[0]:g} to "
             f"{log.time[-1]:g} s; convert both to one clock"
         )
     moments = moments[within]

@@ -71,8 +71,8 @@ def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive
     """Check that all logs show correlated fix errors, the filter can model them, and the objective suits them.
 
     Without truth, the states for these errors reduce the position RMSE by 25% on kingston-1 and by 13% on comma2k19.
-    With simulated receivers and errors that last minutes, only the covariance improves. With truth, they are used only
-    for models with roll and pitch: `space.search_space` states the reason.
+    With simulated receivers and errors that last minutes, only the covariance improves. With truth, these states are
+    used only for models with roll and pitch: `space.search_space` states the reason.
     """
     have, objective = [sensors_of(one) for one in drives], options.get("objective") or "auto"
     known = model in MODELS
@@ -114,7 +114,8 @@ def objective_for(
     blind = [one.name for one in data if not one.truth]
     if blind and len(blind) < len(data):
         warnings.warn(
-            f"{blind[0]} has no truth, so all drives are tuned with {without}; leave it out, or set --objective",
+            f"{blind[0]} has no truth, so all drives are tuned with {without}; leave this drive out, or set "
+            "--objective",
             SigmaswarmWarning,
             stacklevel=5,
         )

@@ -71,7 +71,7 @@ class Forecast:
 
 
 def describe_forecasts(forecasts: Sequence[Forecast], durations: Sequence[float] = ()) -> list[str]:
-    """Return a sentence on the drifts, and one if a drift is larger than the baseline's, or neither.
+    """Return a sentence on the drifts, and a second one if a drift is larger than that of the baseline.
 
     ``durations`` of the training drives, s: only a part of many or long drives is measured.
     """
@@ -134,7 +134,7 @@ def drift_warnings(found: Iterable[tuple[float, ...]], most: float = FAR) -> lis
         return []
     why = (
         f"over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m on its training drives, "
-        f"the baseline {other:.3g} m"
+        f"but the baseline {other:.3g} m"
     )
     return [to_do(REMEDY, why)]
 
@@ -165,7 +165,7 @@ def correlation_warnings(
     if parameters.fix_error is not None or not supported or not known or np.median(known) < CORRELATED:
         return []
     why = (
-        f"the innovations are correlated from fix to fix (lag 1: {np.median(known):.2f}), as are the fix errors, "
+        f"the innovations and the errors of the fixes are correlated from fix to fix (lag 1: {np.median(known):.2f}), "
         "and the stated covariance is too small"
     )
     return [to_do(f"tune with --use {' '.join([*use, 'fix-error'])}", why)]

@@ -16,8 +16,8 @@ another car's drive. On drives of the same car the limits change the error by -5
 determine the deviations of the initial biases, which then have no limit: a limit would raise the heading error by 10%.
 
 The gyro's initial bias has another limit if the starts of the training drives show biases: a filter subtracts a bias of
-many standard deviations at any start (`gyro_seen`), so the cost hardly depends on this deviation. It was 5e-5 rad/s for
-a gyro with biases of 0.2 rad/s, and the filter diverged on drives with a smaller bias.
+many standard deviations at any start (`gyro_seen`), so the cost hardly depends on this deviation. The deviation was
+5e-5 rad/s for a gyro with biases of 0.2 rad/s, and the filter diverged on drives with a smaller bias.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
 ENOUGH_DRIVES = 3
 """Number of drives with truth that determine the deviations of the initial biases."""
 REFERENCE_DURATION = 150.0
-"""Driving time, s, for which the whole cost increase is allowed; twice the time allows half of it.
+"""Driving time, s, for which the whole cost increase is allowed; twice the time allows half of this increase.
 
 A filter was tuned on 200 s of kitti-09-30-0018 and tested on kitti-09-30-0033. With 100 s instead of 150 s, 83%
 instead of 90% of its errors were inside the 95% radius; the position RMSE on the training roads was the same within 1%.
@@ -46,7 +46,7 @@ raised the 5 s drift on other roads by 20%.
 BIASED = 5.0
 """Mean of bias^2 / variance over starts and axes above which the starts show biases of the gyro.
 
-It is at most 1.4 on real drives and with a simulated ICM-20602, and 7 to 90 with a simulated MPU-6050.
+This mean is at most 1.4 on real drives and with a simulated ICM-20602, and 7 to 90 with a simulated MPU-6050.
 """
 DECADES = 4.0  # decades; the largest factor is 10^4
 STEP = 0.1  # decades between two factors

@@ -31,7 +31,7 @@ from sigmaswarm.tuning.search import Search
 
 ARM = ("forward", "left")
 UNKNOWN_STD, STATED_STD = 2.0, 1.0
-"""Prior standard deviations, m: without a lever arm in drive.toml; with one but without ``gps_lever_arm_std_m``."""
+"""Prior standard deviations, m. UNKNOWN_STD: no lever arm in drive.toml. STATED_STD: no ``gps_lever_arm_std_m``."""
 SCALES = ("scale_ax", "scale_ay", "scale_gz")
 ROLLING = 0.1
 """Prior standard deviation of accelerometer scales in a planar filter; they include effects of roll and pitch."""
@@ -45,12 +45,12 @@ DOF = 8.0  # degrees of freedom of Student's t, which reduces the weight of outl
 BLOCK = 20.0
 """Length of a block, s: fix errors may be correlated within a block."""
 FITTED = 1.2
-"""Factor on the standard deviations, since the noise is fitted to the same fixes and tire slip is not exactly linear.
+"""Factor on the standard deviations: the noise is fitted to the same fixes, and tire slip is not exactly linear.
 
 Without it, 93% of the errors on 65 simulated drives were within 1.96 standard deviations.
 """
 ROUNDS, CONVERGED = 8, 0.005
-"""Largest number of Gauss-Newton steps, and the step, m, below which they end."""
+"""ROUNDS: largest number of Gauss-Newton steps. CONVERGED: size of the last step, m."""
 SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
 """Options for tuning the noise; without tuning, the standard deviations are two to six times as large."""
 Values = dict[str, float]
@@ -69,7 +69,7 @@ class LeverArmEstimate:
     std : (float, float)
         Standard deviations of forward and left, m.
     stated : (float, float)
-        Lever arm in drive.toml, m; zeros if it states none.
+        Lever arm in drive.toml, m; zeros if drive.toml states none.
     within : float
         Required accuracy, m: an axis is observable if 1.96 standard deviations are at most this.
     """
@@ -97,8 +97,8 @@ class LeverArmEstimate:
         if unknown:
             times = (1.96 * max(self.std) / self.within) ** 2
             remarks.append(
-                f"the turns of this log do not determine {' and '.join(unknown)} to {self.within:g} m, which needs "
-                f"{times:.1f} times as many turns"
+                f"the turns of this log do not determine {' and '.join(unknown)} to {self.within:g} m; "
+                f"this accuracy needs {times:.1f} times as many turns"
                 + ("; drive.toml keeps its value" if any(self.stated) else "")
             )
         return "; ".join(remarks)

@@ -23,7 +23,7 @@ from sigmaswarm.tuning.problem import Problem
 FIRST = 12
 """A race starts with 1 / FIRST of the drives."""
 MANY = 96
-"""Smallest number of drives for a race against the leader; with fewer, 1/12 of them is too few for a test."""
+"""Smallest number of drives for a race against the leader; 1/12 of fewer drives is too few for a test."""
 Order = Sequence[int] | NDArray[np.int64]
 
 

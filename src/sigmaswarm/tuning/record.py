@@ -25,7 +25,7 @@ End = float | Literal["-"]
 NOT_VALIDATED = (
     "the cost is that of the training drives; evaluate the filter on other drives, or pass validation drives"
 )
-"""Remark that is omitted after an evaluation, which recognizes it in files by its text."""
+"""Remark in files. An evaluation recognizes this text and omits the remark."""
 NOT_VALIDATED_TEXTS = (
     NOT_VALIDATED,
     "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation",

@@ -86,7 +86,7 @@ class Tuning(Generic[P]):
     seen : sequence of Landmarks
         Landmarks by which `evaluate` recognizes training drives or parts of them.
     warnings : tuple of str
-        Faults of the filter on the training drives that the objective does not show.
+        Faults that the objective does not show, on the training drives.
     sensitivities : tuple of Sensitivity
         Range of each parameter in which the cost increases by less than 1%.
     validation : Validation or None

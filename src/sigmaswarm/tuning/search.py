@@ -148,7 +148,7 @@ class Search:
         if trial.point.shape == low.shape and np.all((low <= trial.point) & (trial.point <= high)):
             return trial
         raise InputError(
-            f"{folder / 'history.npz'}: its point is not one of this search; delete {folder} to redo this trial"
+            f"{folder / 'history.npz'}: the point does not belong to this search; delete {folder} to redo this trial"
         )
 
     def _generation(self, number: int, optimizer: Budgeted, best: Array, leader: Leader | None) -> Raced:

@@ -30,10 +30,10 @@ SCALING = (
 )
 """Scaling of the sigma points, with the paper's bounds."""
 TIME = "fix_error_time"
-"""Parameter that is searched only with truth and roll and pitch.
+"""Parameter that is searched only with truth, for models with roll and pitch.
 
-Without truth, the likelihood hardly depends on it. A planar filter's errors on slopes are correlated, too: on
-kingston-1 its position RMSE with truth was 3.1 m with a searched time, 2.2 m with a fixed one.
+Without truth, the likelihood hardly depends on this time. On slopes, a planar filter also has correlated errors: on
+kingston-1, its position RMSE with truth was 3.1 m with a searched time and 2.2 m with a fixed time.
 """
 LEAST_WHITE = 0.04
 """Lower bound of R, relative to the receiver's variance, for fix-error with a fixed time.

@@ -167,7 +167,7 @@ class ResultFolder:
         if not same_results(record.versions, wanted.pop("versions", {})):
             made = names_shown(" ".join(one) for one in record.versions.items())
             raise InputError(
-                f"{file}: the tuning was started with other software versions, {made}; continue with those, "
+                f"{file}: the tuning was started with other software versions, {made}; continue with these versions, "
                 "or choose another --out"
             )
         if saved != wanted:

@@ -103,7 +103,7 @@ def tune(
     drives : Drive or sequence of Drive; Log or sequence of Log
         Training drives, or logs for a custom model. With ``cluster`` also paths and URLs of drives.
     validation : Drive or sequence of Drive
-        Drives that the search does not use. The result reports the cost on them.
+        Drives that the search does not use. The result reports the cost on these drives.
     out : path, optional
         Folder for results. Every generation is saved in it, so that a stopped run can be resumed.
     executor : concurrent.futures.Executor, optional

@@ -208,9 +208,7 @@ class Strange:
 def test_what_can_not_be_compiled_runs_all_the_same():
     log = pendulum_log(duration=5.0)
     strange = replace(PENDULUM, f=Strange())
-    with pytest.warns(
-        SigmaswarmWarning, match=r"pendulum: its functions can't be compiled \(.+\); the textbook"
-    ) as told:
+    with pytest.warns(SigmaswarmWarning, match=r"pendulum: can't be compiled \(.+\); the textbook") as told:
         slow = run_model(log, strange, PARAMETERS)
     assert len(told) == 1
     assert "\n" not in str(told[0].message)
@@ -264,7 +262,7 @@ def test_f_may_not_change_the_log():
         u -= state[0]
         return state
 
-    with pytest.raises(InputError, match=r"f fails on swing: ValueError: .*read-only"):
+    with pytest.raises(InputError, match=r"f fails on swing \(ValueError, .*read-only"):
         run_model(
             Log(**(vars(log) | {"inputs": np.ones(len(log.time))})), replace(PENDULUM, f=spoil), PARAMETERS
         )

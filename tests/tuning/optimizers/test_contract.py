@@ -222,8 +222,12 @@ def test_costs_of_another_shape_are_refused(name: str):
     ("name", "changes", "said"),
     [
         ("pos", {}, "optimizer = 'pos': not known; choose one of pso, ga, "),
-        ("de", {"inertia": 0.5}, "inertia: not an option of the optimizer de; it has base, scale, crossover"),
-        ("random", {"inertia": 0.5}, "it has none"),
+        (
+            "de",
+            {"inertia": 0.5},
+            "inertia: not an option of the optimizer de, which has base, scale, crossover",
+        ),
+        ("random", {"inertia": 0.5}, "which has none"),
         ("pso", {"population": 1}, "population = 1, .* at least 2"),
         ("pso", {"budget": 0}, "budget = 0"),
         ("pso", {"polish": 64}, "polish = 64"),

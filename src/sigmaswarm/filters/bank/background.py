@@ -16,12 +16,12 @@ def _searcher() -> ThreadPoolExecutor:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_searcher.cache_clear)  # a forked process has no such thread
+    os.register_at_fork(after_in_child=_searcher.cache_clear)  # the thread does not exist in a forked process
 
 
 @dataclass(frozen=True, eq=False)
 class Pending:
-    """A running search that replays the log up to step ``logged``. It starts from the ancestor of lane ``led``.
+    """A running search that replays the log up to step ``logged``. The search starts from the ancestor of lane ``led``.
 
     A forked or unpickled copy searches in the calling thread.
     """

@@ -33,7 +33,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 SEARCH_EVERY = 10.0  # s between the starts of two searches
 SEARCH_TAKES = 1.0  # s of samples until the result of a search is used; a search takes about 15 ms
 REPLAYED = 60.0  # s of samples that a search replays
-FASTER = 2.0  # m/s; no replacement at lower speeds, at which fixes hardly determine headings and biases
+FASTER = 2.0  # m/s; at lower speeds no lane is replaced, since fixes hardly determine headings and biases
 REPLACED = 7  # lanes replaced per search: one by its result, the others by changed copies of good lanes
 JITTER = 0.6  # standard deviation of a copy's random change, in standard deviations of the offset
 
@@ -57,8 +57,8 @@ class LiveFilterBank(LiveFilter):
     minute. Lane 0 has the tuned parameters and gives the results of a `LiveFilter`. Some lanes represent other
     receivers. Every 10 s of driving, the worst lanes are replaced: one by the result of a search over the last minute,
     the others by changed copies of good lanes. Thus the bank adapts to other sensors or other reception. On the vehicle
-    used for tuning it is not more accurate than the single filter. If the mixture diverges, lanes 1 to 15 are reset;
-    most lanes then keep their biases.
+    used for tuning, the bank is not more accurate than the single filter. If the mixture diverges, lanes 1 to 15 are
+    reset; most lanes then keep their biases.
 
     The interface is that of a `LiveFilter` without the smoothed state. A copy by `pickle` continues with identical
     results. After a reset, all lanes ignore earlier fixes.
@@ -160,7 +160,7 @@ class LiveFilterBank(LiveFilter):
         swarm.weigh(self._filter_state)
 
     def _started(self, start: InitialState) -> Array:
-        """Return rows (N_KEPT, LANES)."""
+        """Return the rows (N_KEPT, LANES) of all lanes at a start."""
         sets = tuple(self.spread.parameters(self.offsets[lane]) for lane in range(LANES))
         return KernelArray(sets).start([start], [self._interval])[0]
 
@@ -296,7 +296,7 @@ class LiveFilterBank(LiveFilter):
         )
 
     def _brought_on(self, found: Found, since: Array) -> tuple[Array, float]:
-        """Return the search result's lane (N_KEPT,) and evidence after the steps that followed its replay."""
+        """Return the search result's lane (N_KEPT,) and evidence after the steps that followed the replay."""
         steps = Steps(self._kernel, since, self._filter_state[live.LEVER].copy())
         lane, known = steps.followed(found.lane, found.known)
         return lane, known.evidence
@@ -334,7 +334,7 @@ class LiveFilterBank(LiveFilter):
         return mean, covariance
 
     def _gyro_bias(self, mean: Array) -> float:
-        """Return the known gyro bias, rad/s; without it the heading of an alignment would be wrong."""
+        """Return the known gyro bias, rad/s; without this bias, an alignment has a wrong heading."""
         bias = float(mean[GYRO_BIAS]) if len(mean) > GYRO_BIAS else 0.0
         return bias if np.isfinite(bias) else 0.0
 

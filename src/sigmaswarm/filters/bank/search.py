@@ -39,14 +39,14 @@ from sigmaswarm.filters.student import INNOVATION_DOF
 
 GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9  # F and CR of differential evolution
-NOT_SCORED = 2.0  # s at the start of a replay, in which a filter with new offsets converges
+NOT_SCORED = 2.0  # s at the start of a replay without scores, while a filter with new offsets converges
 FEWEST_SCORED_FIXES = 8  # smallest number of scored fixes for a result
-FARTHEST = 8.0  # bound of an offset, in its standard deviations
+FARTHEST = 8.0  # bound of an offset, in standard deviations of this offset
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Evidence of a filter, and the time of the last fix in it, s."""
+    """Evidence of a filter, and the time of its last fix, s."""
 
     evidence: float
     at: float

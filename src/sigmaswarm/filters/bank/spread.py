@@ -10,13 +10,13 @@ from sigmaswarm.filters.compiled.layout import CONSTANTS, LANES, LETTERS
 from sigmaswarm.filters.models import MODELS, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
-OFFSET_DOF = 4.0  # of Student's t, the prior of an offset: most are small, a few (another sensor) large
+OFFSET_DOF = 4.0  # degrees of freedom of Student's t, the prior of an offset; a few offsets are large
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
-"""Standard deviations of offsets, decades of variance: noise of a state, walk of a bias, R, other measurements."""
-R_DOWN_STD = 0.45  # standard deviation of a smaller R; fixes in a city are accurate until they jump
-SCALE_STD = 0.7  # same, of a common factor of all variances, which hardly changes the estimates
-START_STD = 1.5  # same, of the biases' initial variance; at first never below the tuning's
-AXLE_STD = 0.7  # m
+"""Standard deviations of offsets of process noise, of bias walks, of R and of other variances, decades of variance."""
+R_DOWN_STD = 0.45  # decades, for a smaller R than tuned; fixes in a city are accurate until they jump
+SCALE_STD = 0.7  # decades, for a common factor of all variances, which hardly changes the estimates
+START_STD = 1.5  # decades, for the initial variance of the biases; the first draws do not reduce it
+AXLE_STD = 0.7  # m, standard deviation of the offset of the rear axle
 R, SCALE, START, AXLE = "r", "scale", "bias_start", "rear_axle"
 FIXED = (
     {},
@@ -32,9 +32,11 @@ FIXED = (
 
 FAR, FAR_AXLE = 0.5, 0.5  # largest offsets without a warning, decades and m
 _MEANS = {
-    R: "R is {times}: another receiver?",
-    SCALE: "all variances together are {times}: the filter was tuned without regard to its covariance?",
-    **dict.fromkeys(NOISE_OF, "the noise of {name} is {times}: another vehicle, or another mounting?"),
+    R: "R is {times}, which indicates another receiver",
+    SCALE: "all variances together are {times}, which indicates a tuning that ignored the covariance",
+    **dict.fromkeys(
+        NOISE_OF, "the noise of {name} is {times}, which indicates another vehicle or another mounting"
+    ),
 }
 
 
@@ -147,7 +149,7 @@ class Spread:
             elif name not in (START, SCALE):
                 is_its_own = abs(offset) > FAR or abs(common) <= FAR
                 if is_its_own and abs(offset + common) > FAR:
-                    sentence = _MEANS.get(name, "the noise of {name} is {times}: another IMU?")
+                    sentence = _MEANS.get(name, "the noise of {name} is {times}, which indicates another IMU")
                     found.append(sentence.format(name=name.removeprefix("q_"), times=_times(offset + common)))
         return tuple(found)
 

@@ -167,10 +167,10 @@ def _root(a, root):
 
 @_kernel
 def _centre(images, points, angles, weights, mean):
-    """Write the mean of ``images`` to ``mean``, and subtract it from them.
+    """Write the mean of ``images`` to ``mean``, and subtract the mean from the images.
 
-    For an angle, the difference of an image from the first image is wrapped: it differs from that of the points (0 if
-    not given) by at most half a turn.
+    For an angle, the difference of an image from the first image is wrapped. So it differs by at most half a turn from
+    the difference of the two points (0 without points).
     """
     for i in range(images.shape[1]):
         first, shift = images[0, i], 0.0
@@ -197,7 +197,7 @@ def _add_products(a, b, weights, out):
 
 @_kernel
 def _leave_out(z, nu, s, cross):
-    """Make the update ignore elements without a value, NaN; return the number of the others.
+    """Make the update ignore elements without a value (NaN); return the number of elements with a value.
 
     With nu = 0, C = 0 and a row and column of S as in the identity, the update has the bits of a filter without these
     rows of h and R.
@@ -278,14 +278,14 @@ def _limited_share(z, nis, limit, runs):
 def _limited(nis, limit):
     """Return the term of a measurement in the likelihood: logarithmic above the limit.
 
-    Its derivative by nu is 2 S^-1 nu limit / NIS there, the direction and size of the limited update.
+    Above the limit, its derivative by nu is 2 S^-1 nu limit / NIS, with the direction and size of the limited update.
     """
     return nis if nis <= limit else limit * (1 + math.log(nis / limit))
 
 
 @_kernel
 def _finite(mean, covariance):
-    """Return True if both arrays are finite: 0 times inf or NaN is NaN."""
+    """Return True if both arrays are finite, since 0 times inf or NaN is NaN."""
     total = 0.0
     for i in range(mean.size):
         total += 0.0 * mean[i]

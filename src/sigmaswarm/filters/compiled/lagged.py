@@ -13,7 +13,7 @@ STEP_LOG = N_ALL + 1
 
 def _again(sources):
     def again(step, v, counts, fixes, speeds, history, checkpoints, first, corrects):
-        if sources == "":  # never; so the name is closed over
+        if sources == "":  # never true; makes ``sources`` a part of the closure
             return
         replay(step, v, counts, fixes, speeds, history, checkpoints, first, corrects)
 

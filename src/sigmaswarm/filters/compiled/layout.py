@@ -15,13 +15,13 @@ from sigmaswarm.filters.fix_error import FILTERS
 
 LANES = 16  # parameter sets per array, a compile-time constant: two AVX-512 or four AVX2 vectors
 
-WIDEST = 8  # lanes in the widest vector; the number of lanes of a run is a multiple of it
+WIDEST = 8  # lanes in the widest vector; the number of lanes of a run is a multiple of this number
 
 BLOCKS = 2  # largest number of blocks of LANES in a run; the second block is in additional rows
 
 
 def most_lanes(kernel: str) -> int:
-    """Return the largest number of filters per run: many hide latencies, but they must fit in the L1 cache."""
+    """Return the largest number of filters per run: many filters hide latencies, but all must fit in the L1 cache."""
     uncompiled = config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
     return LANES if FILTERS[kernel].tilts or uncompiled else BLOCKS * LANES
 
@@ -48,31 +48,31 @@ COVARIANCE = tuple(a + b for j, b in enumerate(_STATES) for a in _STATES[: j + 1
 CONSTANTS = (
     # Sigma points. QUARTER_GAMMA, SHORTENS (-8 / gamma^2) and SECOND are 0 in an extended filter.
     "QUARTER_GAMMA", "SHORTENS", "SPREAD", "SECOND",
-    *(f"Q_{a}" for a in _STATES), "RX", "RY",  # an adaptive or fuzzy filter writes these
+    *(f"Q_{a}" for a in _STATES), "RX", "RY",  # adaptive and fuzzy filters write these rows
     "R_VELOCITY", "R_LATERAL", "R_STANDSTILL", "R_RATE",
     "REAR_AXLE", "TIRE_SLIP", "LATENCY", "GATE", "FORGETTING", "FADING",
     "FUZZY", "WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q",  # FUZZY < 0: no fuzzy filter
     "ACCURACY",  # factor of the stated variance of a fix in its R, 0: none; a fuzzy filter also writes this row
     "R_HEADING", "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: reciprocal of odometer_scale
-    "DOF", "PATIENCE",  # DOF of Student's t, 0: Gaussian; nominal steps of outliers after which the filter recovers
+    "DOF", "PATIENCE",  # DOF: of Student's t, 0: Gaussian. PATIENCE: nominal steps of outliers before recovery
     "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal interval / tau; variance of a fix that states none
 )  # fmt: skip
 SUMS = (
-    "SQ_POSITION", "SQ_HEADING",  # of errors over the targets, weighted, m2; over the targets with a heading, rad2
+    "SQ_POSITION", "SQ_HEADING",  # sums of squared errors over the targets: position, weighted, m2; heading, rad2
     "NEES",  # e^T P^-1 e of the position over the targets; P includes the reference's variance
-    "SQ_FIX", "SQ_FORECAST",  # m2, of residuals of the fixes after their update; of innovations of the hidden fixes
+    "SQ_FIX", "SQ_FORECAST",  # m2, squared residuals of fixes after their update; squared innovations of hidden fixes
     "NIS", "LOG_TAIL",  # nu^T S^-1 nu; ln(1 + NIS / c), with c of `innovation-t`; over all fixes, also the hidden ones
     "FORECAST_T",  # ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over the hidden fixes, with v and c of `forecast-t`
     "LOG_DET",  # ln det S over all fixes
     "DET", "TAIL", "OK", "REJECTED", "RECENT",
     "OUTLIERS", "SPAN",  # number of consecutive outliers, and the nominal steps from the first to the last
     "QUICK", "SLOW", "TIMES_R", "TIMES_Q",  # a fuzzy filter's averages, and its current factors
-    "HEADING",  # of models with tilts, whose mean has no row for it
+    "HEADING",  # of models with tilts; their mean has no row for the heading
     # COS and SIN of planar5's heading, valid if SIN_COS_VALID is 1. Kernels that change the heading also set
     # SIN_COS_VALID_ALL to 0.
     "SIN_COS_VALID", "COS", "SIN",
 )  # fmt: skip
-"""Sums and memory of a run. Those up to LOG_DET are in `kernel_array.Sums`."""
+"""Sums and memory of a run. Sums up to LOG_DET are in `kernel_array.Sums`."""
 SCRATCH = (
     "SIN_COS_VALID_ALL",  # equal in all lanes; 1: SIN_COS_VALID is 1 in all lanes; 0: unknown
     "BEFORE_X", "BEFORE_Y", "BEFORE_T",  # the last estimate

@@ -3,7 +3,7 @@
 The filter is the first lane of the rows in `layout`. A step (see `single`) is called by its address, so this file is
 compiled once for all models. The memory consists of eight arrays:
 
-    filter_state (N_ALL,) the state, which a late fix resets to an earlier one; then settings, which it does not reset
+    filter_state (N_ALL,) the state, which a late fix resets to an earlier state; then settings, which are never reset
     counts  (N_COUNTS,) lengths of the filled parts of the other arrays, and counts of ignored data
     memory  (N_MEMORY, 8) memory of the standstill detection, see `drives.standstill`; no rows if unused
     fixes   (f, N_FIX) the fixes and their kinds, sorted by time, then by arrival
@@ -94,8 +94,8 @@ CHECKPOINT_EVERY = (
 CHECK_EVERY = CHECKPOINT_EVERY  # samples between two checks of P, which is also checked after each fix
 ROUNDING = 1e-8  # a negative eigenvalue of the correlation matrix up to this size is a rounding error
 
-LEAP = 10.0  # s; a sample or fix further ahead of the filter waits for a second one
-AGREES = 1.0 + 1e-6  # s, largest difference of two confirming stamps, with the rounding of Unix time
+LEAP = 10.0  # s; a sample or fix further ahead of the filter waits for a second sample or fix
+AGREES = 1.0 + 1e-6  # s, largest difference of time stamps that confirm each other, with rounding
 
 # A record: the step (DT ... GY) to the sample's time; 1 if the last second was calm; the means of that second.
 S_TIME = N_FILTER_STATE
@@ -105,7 +105,7 @@ S_CALM = S_STEP.stop
 S_MEANS = slice(S_CALM + 1, S_CALM + 5)
 N_RECORD = S_MEANS.stop
 
-TAKEN, IGNORED, LEFT_OUT = 1, 0, -1  # used; a repeat, before the start or waiting; too late, or no room
+TAKEN, IGNORED, LEFT_OUT = 1, 0, -1  # IGNORED: repeat, before the start, waiting. LEFT_OUT: too late, no room
 DUE = 2  # result of a sample: used, and the divergence monitor is due
 
 
@@ -390,7 +390,7 @@ def _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, z):
     """Process a fix with an accepted time: store it for the next sample, or process the later samples again."""
     t = z[FIX_TIME]
     is_number = math.isfinite(z[FIX_X]) and math.isfinite(z[FIX_Y])
-    if t <= v[START]:  # the start includes it, but it may show a standstill
+    if t <= v[START]:  # the start includes this fix, but the fix may show a standstill
         _store_fix(v, counts, fixes, history, z)
         if is_number:
             counts[CAME_LATE] = 0
@@ -437,7 +437,7 @@ def _is_due(v, counts, fixes, t):
 
 def _make_sample(sources):
     def sample(handle, t, a, b, c, d, e, f):
-        """Process an IMU sample; a sample far ahead waits for a second one."""
+        """Process an IMU sample; a sample far ahead waits for a second sample."""
         step, v, counts, memory, fixes, speeds, history, checkpoints, lately = memory_at(handle)
         if sources == "" or not v[LAST_SAMPLE] < t < math.inf:
             return NOTHING
@@ -462,7 +462,7 @@ def _make_sample(sources):
             counts[TIME_JUMPS] += 1
         _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoints, new)
         if agrees and counts[HOLDS_FIX] == HELD and not _is_far_ahead(v, v[FIX_AHEAD][FIX_TIME]):
-            counts[HOLDS_FIX] = NOTHING  # the samples agree
+            counts[HOLDS_FIX] = NOTHING  # the samples confirm the fix
             _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, v[FIX_AHEAD].copy())
         _store_for_monitor(counts, lately, new)
         if lately.shape[0] == 0 or t <= v[START]:
@@ -476,7 +476,7 @@ def _make_sample(sources):
 
 def _make_fix(sources):
     def fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
-        """Process a fix; a fix far ahead waits for a second one."""
+        """Process a fix; a fix far ahead waits for a second fix."""
         step, v, counts, _, fixes, speeds, history, checkpoints, _ = memory_at(handle)
         if sources == "" or not math.isfinite(t):
             counts[TOO_LATE] += 1

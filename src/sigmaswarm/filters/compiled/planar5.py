@@ -41,7 +41,7 @@ def _refresh_sin_cos(w):
 def _invalidate_sin_cos(w):
     """Mark cosine and sine of the heading as invalid after a large turn.
 
-    It is too large for `sinc_cos`.
+    The angle is too large for `sinc_cos`.
     """
     for l in range(LANES):
         w[R.SIN_COS_VALID, l], w[R.SIN_COS_VALID_ALL, l] = 0.0, 0.0
@@ -68,7 +68,7 @@ def predict_planar5(w, u):
     """Compute a step of the process model; a number at the end of a name counts the changes of an element of P.
 
     The position moves for half a step with the velocity before the step, and for half a step with the velocity after.
-    There are two loops, since one would be too long for out-of-order execution.
+    There are two loops, since one loop would be too long for out-of-order execution.
     """
     dt, ax, ay, gz, q_scale = u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE]
     if w[R.SIN_COS_VALID_ALL, 0] == 0.0:

@@ -23,7 +23,7 @@ def _on_the_stack(typing_context, lanes):
 
     def generate(context, builder, signature, arguments):
         size = ir.IntType(64)
-        with builder.goto_entry_block():  # not by Numba's function, which fills it with zeros at each call
+        with builder.goto_entry_block():  # not by Numba's function, which also fills it with zeros
             data = builder.alloca(ir.ArrayType(ir.DoubleType(), BLOCKS * N_ROWS * LANES))
         data.align = CACHE_LINE
         array = context.make_array(kind)(context, builder)

@@ -51,7 +51,7 @@ def new_cursor() -> Array:
 
 
 _TWO_PI = 2 * math.pi
-_DETERMINANTS_PER_LOG = 8  # the range of a double contains their product
+_DETERMINANTS_PER_LOG = 8  # determinants per logarithm; a double can contain their product
 
 
 @kernel
@@ -98,7 +98,7 @@ def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
 def _score_by_deviation(
     w, weight, true_x, true_y, true_theta, scores_heading, counts, heading_counts, var_x, var_y, *, heading
 ):
-    """Score like `_score` with truth that has a variance, which weights each time and is added to P in the NEES.
+    """Score like `_score`, for truth with a variance. The variance weights each time and is added to P in the NEES.
 
     This is a separate function, since `_score` with a factor of 1 would round differently.
     """
@@ -200,7 +200,7 @@ def _load(w, rows):
         below = first // LANES * N_ROWS
         for r in range(N_KEPT):
             for lane in range(first, min(first + LANES, w.shape[1])):
-                w[below + r, lane - first] = rows[r, lane % rows.shape[1]]  # not compiled, w always has LANES
+                w[below + r, lane - first] = rows[r, lane % rows.shape[1]]  # interpreted: w has LANES
         for r in range(N_KEPT, N_ROWS):
             for lane in range(first, min(first + LANES, w.shape[1])):
                 w[below + r, lane - first] = 0.0
@@ -244,9 +244,9 @@ def _digest():
 def named_by_sources(make, name, known=None):
     """Return the function of ``make(sources)``; its key in Numba's cache contains a hash of all kernels' sources.
 
-    Numba alone would not notice a change of a function in another file. It would also not distinguish equal lines that
-    call different functions under one ``name``, but values in a closure are part of its key. ``known`` returns the
-    values of make's keyword-only parameters, which are needed only for compilation.
+    Numba alone would not notice a change of a function in another file. Numba would also not distinguish equal lines
+    that call different functions under one ``name``, but values in a closure are part of Numba's key. ``known`` returns
+    the values of make's keyword-only parameters, which are needed only for compilation.
     """
     sources = f"{name} {_digest()}"
 
@@ -282,7 +282,7 @@ def _machine_code(sources, *, steps_to):
         record,
         innovations,
     ):
-        if sources == "":  # never; so the name is closed over
+        if sources == "":  # never true; makes ``sources`` a part of the closure
             return
         control = exchange_control(-1)
         w = new_rows(rows.shape[1])

@@ -28,7 +28,7 @@ SIGNATURE = types.void(_NUMBERS, _NUMBERS, int64, _NUMBERS, _NUMBERS, _NUMBERS, 
 
 def _one_step(sources, *, step, kept, step_log, logged):
     def one_step(v, u, events, z, wheels, lever, since):
-        if sources == "":  # never; so the name is closed over
+        if sources == "":  # never true; makes ``sources`` a part of the closure
             return
         control = exchange_control(-1)
         w = new_rows(WIDEST)

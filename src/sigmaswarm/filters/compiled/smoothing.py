@@ -155,7 +155,7 @@ def _step_back(
 
 def _backwards(sources, *, n, step_back):
     def backwards(step_log, start, ends, started, sampled, behind, out):
-        if sources == "":  # never; so the name is closed over
+        if sources == "":  # never true; makes ``sources`` a part of the closure
             return
         work = np.empty((5, n, n))
         written, starts = out.shape[0], started.shape[0]

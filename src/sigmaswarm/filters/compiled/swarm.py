@@ -154,7 +154,7 @@ def _check_lanes(v, w):
 
 def _swarm_step(sources, *, step, kept):
     def swarm_step(v, u, events, z, wheels, lever, since):
-        if sources == "":  # never; so the name is closed over
+        if sources == "":  # never true; makes ``sources`` a part of the closure
             return
         control = exchange_control(-1)
         w = _rows_of(v)

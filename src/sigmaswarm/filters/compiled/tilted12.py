@@ -33,13 +33,13 @@ from sigmaswarm.filters.tilted import GRAVITY, N
 
 MOVED = (R.X, R.Y, R.U, R.V, R.T, R.I, R.J)
 KEPT = (R.A, R.B, R.W, R.K, R.L)
-"""States that a step changes, and the biases, which it does not change."""
+"""MOVED: states that a step changes. KEPT: biases, which a step does not change."""
 
 
 # Each group is one loop. Its columns share most inputs, so fewer numbers are loaded, and more operations are parallel.
 COLUMNS = (R.X, R.Y, R.U, R.V), (R.T, R.I, R.J, R.A), (R.B, R.W, R.K, R.L)
-"""Columns of A P. Those of KEPT are last, since they overwrite rows that the other columns read. Columns of states that
-A does not change may follow."""
+"""Columns of A P. The columns of KEPT are last, since they overwrite rows that the other columns need. Columns of
+states that A does not change may follow."""
 ROWS = (R.X, R.Y), (R.U, R.V), (R.T, R.I, R.J)  # of (A P) A'
 
 

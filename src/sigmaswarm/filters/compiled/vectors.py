@@ -75,7 +75,7 @@ class _Loops(ast.NodeTransformer):
 class _Loop(NamedTuple):
     """A loop over lanes: its function, its body, and the values of its names.
 
-    ``shared`` are the names of the enclosing function that the loop reads, ``counted`` those that it adds to.
+    ``shared`` are the names of the enclosing function that the loop reads, ``counted`` the names that the loop adds to.
     """
 
     called: str
@@ -293,7 +293,7 @@ class _Emitter:
                 return self.builder.not_(self.value(operand, frame))
             case ast.Compare(left=left, ops=[op], comparators=[right]):
                 a, b = (self.as_vector(self.value(each, frame)) for each in (left, right))
-                if isinstance(op, ast.NotEq):  # true of NaN
+                if isinstance(op, ast.NotEq):  # true for NaN
                     return self.builder.fcmp_unordered("!=", a, b)
                 return self.builder.fcmp_ordered(_COMPARISONS[type(op)], a, b)
             case ast.IfExp(test=test, body=body, orelse=orelse):

@@ -208,7 +208,8 @@ def _check_overlap(log: str, name: str, moments: Array, time: Array) -> None:
     """Raise `InputError` if a sensor has no value within the log's time."""
     if not len(moments):
         raise _wrong(
-            log, f"{name} has no value, only nan; leave it out, and its element of h and measurement_noise"
+            log,
+            f"{name} has no value, only nan; leave out this sensor and its elements of h and measurement_noise",
         )
     if not np.any((moments >= time[0]) & (moments <= time[-1])):
         raise _wrong(

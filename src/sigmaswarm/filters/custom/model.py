@@ -132,27 +132,26 @@ class Model:
         for i, name in enumerate(names):
             if not name.isidentifier() or keyword.iskeyword(name) or name.startswith("_"):
                 raise self.wrong(
-                    f"{field}: {name!r} is not a valid name; use letters, digits and _, and begin with a letter"
+                    f"{name!r} in {field} is not a valid name; use letters, digits and _, and begin with a letter"
                 )
             if name in names[:i]:
-                raise self.wrong(f"{field}: {name!r} occurs twice; rename one of them")
+                raise self.wrong(f"{name!r} occurs twice in {field}; rename one of them")
 
     def _check_parameters(self) -> None:
         self._check_names("parameters", [t.name for t in self.parameters])
         for t in self.parameters:
             if t.name in SCALING_NAMES:
                 raise self.wrong(
-                    f"parameters: {t.name!r} is a parameter of the sigma points; choose another name"
+                    f"{t.name!r} in parameters is a parameter of the sigma points; choose another name"
                 )
             if not (np.isfinite([t.lowest, t.highest]).all() and t.lowest < t.highest):
                 raise self.wrong(
-                    f"parameter {t.name}: bounds {t.lowest:g}, {t.highest:g} are not a range; pass the lower "
-                    "bound first"
+                    f"the bounds {t.lowest:g}, {t.highest:g} of {t.name} are not a range; pass the lower bound first"
                 )
             if t.logarithmic and t.lowest <= 0:
                 raise self.wrong(
-                    f"parameter {t.name}: a lower bound of {t.lowest:g} has no logarithm; "
-                    "pass a positive bound, or logarithmic=False"
+                    f"the lower bound {t.lowest:g} of {t.name} has no logarithm; pass a positive bound, or "
+                    f"logarithmic=False"
                 )
 
     @cached_property

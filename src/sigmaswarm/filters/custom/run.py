@@ -258,8 +258,8 @@ def _compiled(model: Model, steps: Steps, *, absent: bool) -> Any:
             return _compiled(model, steps, absent=absent)
         why = "the compiled functions return other numbers"
     warnings.warn(
-        f"model {model.name}: its functions can't be compiled ({why}); the textbook filter runs them, which is "
-        "about a hundred times slower",
+        f"model {model.name}: can't be compiled ({why}); the textbook filter runs instead, about a hundred times "
+        f"slower",
         SigmaswarmWarning,
         stacklevel=2,
     )
@@ -330,7 +330,7 @@ def _shape(model: Model, log: Log, role: str, call: Callable[[], Any], wanted: l
             result = np.asarray(call(), dtype=np.float64)
         except Exception as error:  # a user's function may raise any error
             reason = " ".join(str(error).split())
-            raise model.wrong(f"{role} fails on {log.name}: {type(error).__name__}: {reason}") from error
+            raise model.wrong(f"{role} fails on {log.name} ({type(error).__name__}, {reason})") from error
     if result.shape not in wanted:
         shapes = " or ".join(str(shape) for shape in wanted)
-        raise model.wrong(f"{role} returns shape {result.shape} on {log.name}; it should be {shapes}")
+        raise model.wrong(f"{role} returns shape {result.shape} on {log.name}; return {shapes}")

@@ -44,9 +44,9 @@ class FuzzyNoise:
     memory: float  # weight of the previous average at each fix
     widths: tuple[float, float]  # widths of the edges of ratio and trend
     gains: tuple[float, float]  # largest factors of R and Q
-    quick: float = 1.0  # averages of the ratio of the actual to the theoretical innovation covariance
+    quick: float = 1.0  # quick, slow: averages of actual / theoretical innovation covariance
     slow: float = 1.0
-    times_r: float = 1.0  # current factors of R and Q
+    times_r: float = 1.0  # times_r, times_q: current factors of R and Q
     times_q: float = 1.0
 
     @property

@@ -52,8 +52,8 @@ class _OnManifold(GaussianFilter):
 class ErrorStateKalmanFilter(_OnManifold):
     """An extended Kalman filter whose covariance is that of a small error.
 
-    ``transition(state, dt, u)`` is the Jacobian F of ``f`` for a small error, (n, n); ``h.jacobian(state)`` that of
-    ``h``, (m, n). ``mean`` (n,) and ``covariance`` (n, n) are those at the start.
+    ``transition(state, dt, u)`` is the Jacobian F of ``f`` for a small error, (n, n); ``h.jacobian(state)`` is the
+    Jacobian of ``h``, (m, n). ``mean`` (n,) and ``covariance`` (n, n) are values at the start.
     """
 
     def __init__(

@@ -56,7 +56,7 @@ class AskTell:
         for option, value in options.items():
             if option not in known:
                 raise InputError(
-                    f"{option}: not an option of the optimizer {self.name}; it has {', '.join(known) or 'none'}"
+                    f"{option}: not an option of the optimizer {self.name}, which has {', '.join(known) or 'none'}"
                 )
             setattr(self, option, value)
         self.low, self.high, self.population, self.rng = low, high, population, rng

@@ -18,17 +18,17 @@ from sigmaswarm.tuning.optimizers.sampling import SobolSearch
 from sigmaswarm.tuning.options import require_packages
 
 MOST = 200
-"""Largest number of costs in a fit, whose time is proportional to the third power of this number."""
+"""Largest number n of costs in a fit; the time of a fit is proportional to n^3."""
 NOISE = 1e-6  # variance of the noise of a cost, relative to the variance of all costs
 LEAST = 1e-12
 """Smallest variance of a predicted cost, relative to the variance of all costs."""
 FEW_BEST, NEAR = 5, 0.02
-"""Number of best points around which half of the candidates are drawn; standard deviation of the draw, in widths of the
-bounds."""
+"""FEW_BEST: number of best points around which half of the candidates are drawn. NEAR: standard deviation of these
+draws, in widths of the bounds."""
 SHORTEST, LONGEST = 0.2, 10.0
 """Range of the length scales, in widths of the bounds."""
 _ALONE = threading.Lock()
-"""Lock, since warning filters and thread limits are settings of the whole process."""
+"""Lock for fits, since warning filters and thread limits are settings of the whole process."""
 
 
 class BayesianOptimization(AskTell):
@@ -90,7 +90,7 @@ def suggested(
 
     ``effort``: numbers of candidates and of local searches.
     """
-    # One thread, since bits depend on the number of threads, and more are not faster with small matrices.
+    # One thread, since bits depend on the number of threads, and more threads are not faster with small matrices.
     from threadpoolctl import threadpool_limits
 
     n = len(points)
