@@ -358,7 +358,8 @@ def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, 
     said = sigmaswarm("run", tuned, "stood", "--out", "e.csv", "--before", "f.csv").out
     earlier = pl.read_csv("e.csv")["t"][0] + 8.0
     assert (
-        f"the first {earlier:.1f} s have no estimate: a filter starts at the first fix before which" in said
+        f"the first {earlier:.1f} s have no estimate, since a filter starts at the first fix before which"
+        in said
     )
     assert f"wrote the {len(pl.read_csv('f.csv'))} earlier fixes to f.csv" in said
     assert sigmaswarm("run", tuned, "s", "--out", "e.csv", "--before", "f.tum").code == 2

@@ -257,7 +257,7 @@ def test_an_export_says_what_to_do_where_mountings_differ(sigmaswarm: Command, t
             {"name": n, "imu_mounting_deg": m} for n, m in (("monday", (0.0, 10.5, 90.0)), ("friday", second))
         ]
         Path(f"{name}.toml").write_text(tomli_w.dumps(content | {"data": data}))
-    note = "the export contains no rotation: rotate raw samples to x forward, y left, z up before the filter, or tune"
+    note = "the export contains no rotation; rotate raw samples to x forward, y left, z up before the filter, or tune"
     assert note in sigmaswarm("export", "two.toml", "--to", "c99", "--out", "c").out
     assert note not in sigmaswarm("export", "one.toml", "--to", "c99", "--out", "d").out
 

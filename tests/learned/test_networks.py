@@ -211,7 +211,7 @@ def test_outages_are_told_in_time():
 def test_a_drive_without_an_axis_is_refused():
     drive = silent()
     bare = replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None))
-    with pytest.raises(InputError, match=r"synthetic: its imu.csv has no az, an input of the network"):
+    with pytest.raises(InputError, match=r"synthetic: imu.csv has no az, an input of the network"):
         OutageRun(replay_of(bare), parameters("planar8"), network())
 
 

@@ -139,7 +139,7 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
     tab_to(page, "Make the drive")
     page.keyboard.press("Enter")
     page.get_by_text("wrote drives/log").wait_for()
-    tab_to(page, "Next: check it")
+    tab_to(page, "Next: check the drive")
     page.keyboard.press("Enter")
     page.get_by_role("heading", name="Cut", exact=True).wait_for()
     assert contrast_of(page) == []
@@ -162,8 +162,8 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
     assert contrast_of(page) == []
     page.set_viewport_size({"width": 1280, "height": 900})
     for step, name, do, done in (
-        ("judge", "Judge", "Evaluate", "Next: export it"),
-        ("take", "Next: export it", "Write Python", "wrote 1 file to"),
+        ("judge", "Judge", "Evaluate", "Next: export the filter"),
+        ("take", "Next: export the filter", "Write Python", "wrote 1 file to"),
     ):
         tab_to(page, name)
         page.keyboard.press("Enter")

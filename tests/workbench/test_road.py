@@ -130,8 +130,8 @@ def name_columns(page: Any) -> None:
 
 def find_mounting(page: Any) -> None:
     """Follow the note."""
-    page.get_by_text("press 'Find it in the log'").wait_for()
-    page.get_by_role("button", name="Find it in the log").click()
+    page.get_by_text("press 'Find the mounting in the log'").wait_for()
+    page.get_by_role("button", name="Find the mounting in the log").click()
     page.get_by_text("deg found in the log").wait_for()
     settle(page)
 
@@ -147,18 +147,18 @@ SIZES = {"particles": 8, "generations": 3, "seed": 5}
 
 def take_away(page: Any, folder: Path) -> None:
     """From a checked drive to a built C filter that has run."""
-    page.get_by_role("link", name="Next: tune a filter on it").click()
+    page.get_by_role("link", name="Next: tune a filter").click()
     page.get_by_text("Filter: planar5").wait_for()
     for name, size in SIZES.items():  # without a pause
         page.get_by_label(name, exact=True).fill(str(size))
     page.get_by_role("button", name="Start").click()
-    page.get_by_role("link", name="Next: judge it").click()
+    page.get_by_role("link", name="Next: judge the filter").click()
     (tuned,) = (folder / "tunings").iterdir()
     assert SIZES.items() <= sigmaswarm.Tuning.load(tuned).config.model_dump().items()
     page.get_by_role("button", name="Evaluate").click()
     report = page.frame_locator("iframe")
     report.get_by_role("heading", name="Evaluation of planar5").wait_for()
-    page.get_by_role("link", name="Next: export it").click()
+    page.get_by_role("link", name="Next: export the filter").click()
     page.get_by_role("button", name="Write C99").click()
     page.get_by_text("wrote 1").wait_for()
     (exported,) = (folder / "exports").iterdir()
@@ -180,10 +180,10 @@ def test_road(write: Any, prepare: Any, tmp_path: Path, serve: Any, tab: Any):
     drop(page, files)
     prepare(page)
     page.get_by_role("button", name="Make the drive").click()
-    page.get_by_role("link", name="Next: check it").wait_for()
+    page.get_by_role("link", name="Next: check the drive").wait_for()
     assert page.locator(".message.bad").all_inner_texts() == []
     line = page.locator("pre").inner_text()
-    page.get_by_role("link", name="Next: check it").click()
+    page.get_by_role("link", name="Next: check the drive").click()
     page.get_by_role("heading", name="No serious finding").wait_for()
     take_away(page, served.folder)
     (made,) = [
@@ -218,7 +218,7 @@ def test_killed_server_and_two_tabs(tmp_path: Path, serve: Any, tab: Any):
     second = serve(tmp_path / "bench")
     page = tab(second.url + "tune")
     page.get_by_role("button", name="Resume").click()
-    page.get_by_role("link", name="Next: judge it").wait_for()
+    page.get_by_role("link", name="Next: judge the filter").wait_for()
     drive = sigmaswarm.read_drive(tmp_path / "bench" / "drives" / "monday")
     alone = sigmaswarm.tune(drive, **options)
     assert sigmaswarm.Tuning.load(saved).parameters == alone.parameters

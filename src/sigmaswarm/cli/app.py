@@ -107,7 +107,7 @@ def main() -> NoReturn:
     Exit codes: 0 success, 1 serious faults of a drive (doctor), 2 wrong input, 3 unexpected error, 130 interrupted.
     """
     warnings.showwarning = _show_warning
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # without a home it reports its cache folder
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # no message about its cache folder
     terminal.prepare()
     terminal.report_compilation()
     _warned.clear()

@@ -54,7 +54,7 @@ def compare(
     seeds
         Number of runs of each optimizer, each with a different seed.
     validation
-        Drives that the search does not use; the tuned filters are also evaluated on them.
+        Drives that the search does not use; the tuned filters are also evaluated on these drives.
     workers
         Number of threads or, with --cluster, of simultaneous tuning runs; one per core by default.
     resume

@@ -112,7 +112,7 @@ def export(
         )
     if to != "filterpy" and record.mountings_differ:
         say(
-            "note: the training drives state different mountings, so the export contains no rotation: rotate raw "
+            "note: the training drives state different mountings, so the export contains no rotation; rotate raw "
             "samples to x forward, y left, z up before the filter, or tune on drives with one mounting"
         )
     say(f"next: {next_command(to, out, texts)}")

@@ -112,7 +112,7 @@ def unrepairable(diagnosis: "Diagnosis") -> bool:
 def mending(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
     """Return the command that repairs a drive, and the folder of the repaired copy.
 
-    If no fault or not every serious fault can be repaired, return the command that shows the faults, and None.
+    If the doctor can repair no fault, or not every serious fault, return the command that shows the faults, and None.
     """
     command = _doctor(folder)
     if not repairable(diagnosis) or unrepairable(diagnosis):

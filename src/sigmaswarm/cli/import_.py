@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sigmaswarm.importing.convert import Imported, Request
     from sigmaswarm.importing.inspection import Inspection, TablePreview
 
-ASSUMED = "the IMU's axes are assumed to be x forward, y left, z up; if not, add --mount auto, or state the mounting"
+ASSUMED = "the IMU's axes are assumed to be x forward, y left, z up; if wrong, add --mount auto, or state the mounting"
 NOT_READY = "The log cannot be imported yet: repeat --show with the options that are named above"
 MOST_UNREAD = 100
 """Number of unused columns that are named per table."""
@@ -202,7 +202,7 @@ def _request(source: Path, options: ImportOptions) -> "Request":
 
 
 def _import(request: "Request", out: Path, options: ImportOptions) -> None:
-    """Write the drive, and print what was read and assumed."""
+    """Write the drive, and print a summary and the assumptions."""
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.drives.writer import require_replaceable, write_drive
     from sigmaswarm.importing.convert import import_drive
@@ -317,7 +317,7 @@ def _command(seen: "Inspection", options: ImportOptions) -> str:
     """Return the command of the user with --out instead of --show, and with the proposed options."""
     typed = [word for word in sys.argv[1:] if word != "--show"]
     out = [] if options.out else ["--out", "drive"]
-    # A proposal is checked with the axes as they are.
+    # A proposal is checked with the present axes.
     out += ["--mount", seen.mount] if seen.mount and not seen.proposal else []
     return f"{shown(shlex.join(['sigmaswarm', *typed, *out]), 4000)} {shown(seen.proposal, 4000)}".rstrip()
 

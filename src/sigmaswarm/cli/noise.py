@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 NOISE = "noise of an IMU"
-"""Type of the result, as its folder and messages state it."""
+"""Name of the result in its folder and in messages."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class NoiseOptions:
     tuned
         Show the Q of this tuning instead of the noise of a log.
     to
-        Packages in whose formats and units the noise is printed or, with --out, written.
+        Print the noise in the formats and units of these packages; with --out, write their files.
     out
         Folder for the files of the packages and, with a LOG, noise.png, noise.svg and noise.json.
     recipe

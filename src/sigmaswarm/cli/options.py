@@ -76,7 +76,7 @@ def options_of(
     by_data: Collection[str] = (),
     renamed: Mapping[str, str] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Add fields as options to a command. Its ``**options`` contain the options that the user gave.
+    """Add fields as options to a command. Its parameter ``**options`` contains the options of the user.
 
     ``shown``: fields in the short help, by default all. ``apart``: fields that are not options. ``by_data``: fields
     with a default that depends on the data. ``renamed``: deprecated names and the current names.

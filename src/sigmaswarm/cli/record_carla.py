@@ -51,14 +51,14 @@ def record_carla(*, out: Path, **options: Any) -> None:
             arguments += [option] * value
         else:
             arguments.append(f"{option}={value}")
-    # In a separate process, since the client may end its process; this process reports that.
+    # In a separate process, since the client may end its process; this process then reports the end.
     process = subprocess.Popen([sys.executable, "-m", "sigmaswarm_carla", *arguments])
     while True:
         try:
             code = process.wait()
             break
         except KeyboardInterrupt:
-            continue  # the recorder also gets the signal; it first restores the server
+            continue  # the recorder also receives the signal, and first restores the server
     if code < 0:
         raise SigmaswarmError(
             f"the CARLA client was killed by signal {-code}; complete drives are in {out}; continue "

@@ -72,8 +72,8 @@ def run(
     .tum and .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a folder with a ROS 2 bag). The bag also
     contains innovations, NIS and a layout for Foxglove.
 
-    A filter that was tuned without preprocessing also runs without it. If the filter diverges, it is reset; --smooth
-    smooths the parts before and after a reset separately.
+    A filter that was tuned without preprocessing also runs without preprocessing. If the filter diverges, it is reset;
+    --smooth smooths the parts before and after a reset separately.
 
     A filter bank adapts to changes of sensors or surroundings. --bank also writes NAME.swarm.csv, a log of the bank
     with one row per second, and NAME.swarm.toml, the filter that the bank converged to.
@@ -178,10 +178,10 @@ def _print(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixe
         say(*(f"the filter bank: {sentence}" for sentence in summary["said"]))
         say(f"wrote {summary['swarm']}", f"wrote {summary['settled']}")
     earlier = first - float(drive.imu.time[0])
-    if earlier > 5.0:  # s; a drive that begins in motion needs as long
+    if earlier > 5.0:  # s; shorter times are usual, since a start in motion needs some seconds
         rest = f"wrote the {fixes} earlier fixes to {options.before}"
         rest = rest if options.before else "--before NAME.csv writes the fixes before the start"
-        say(f"the first {earlier:.1f} s have no estimate: a filter starts at {START_RULE}; {rest}")
+        say(f"the first {earlier:.1f} s have no estimate, since a filter starts at {START_RULE}; {rest}")
 
 
 def _bank_files(out: Path) -> tuple[Path, Path]:

@@ -44,8 +44,8 @@ def study(
     more. The result does not depend on the number of workers.
 
     In each trial, --rivals also tunes a fuzzy UKF, tunes a UKF by Bayesian optimization (at most 100 evaluations), and
-    trains outage-lstm and noise-gru for planar8. It adds the drift after 15, 30 and 60 s, drives with other sensors and
-    another car, and learning curves. It needs `pip install 'sigmaswarm[learned,bo]'`.
+    trains outage-lstm and noise-gru for planar8. The option adds the drift after 15, 30 and 60 s, drives with other
+    sensors and another car, and learning curves. The option needs `pip install 'sigmaswarm[learned,bo]'`.
 
     For example:
 

@@ -70,7 +70,7 @@ def tune(
     out
         Folder for tuning.toml, the convergence history and figures.
     validation
-        Drives that the search does not use; the tuned filter is also evaluated on them.
+        Drives that the search does not use; the tuned filter is also evaluated on these drives.
     start
         Filter from which the search starts: a tuning, or an ekf.yaml of robot_localization (select its inputs with
         --use).
@@ -91,11 +91,14 @@ def tune(
     if remedies:
         command, mended = remedies[0]
         then = "tune on the repaired copy" if mended else "correct the log, and tune again"
-        after = [f"next:     {command}", f"          then {then}: this filter is tuned to the faults"]
+        after = [
+            f"next:     {command}",
+            f"          then {then}, since the faults of the log distort this filter",
+        ]
     pictures = save_tuning_figures(tuning, track.picture, out)
     if json:
         print_json(tuning.to_dict())
-    else:  # only now, so that an error stays one line
+    else:  # printed last, so that an error is a single line
         files = f"filter:   {out / 'tuning.toml'}", f"pictures: {', '.join(map(str, pictures))}"
         say(*before, *_costs(tuning), *_remarks(tuning, track), *files, *after)
 
@@ -162,7 +165,7 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
     yield f"cost {tuning.cost:.4f} ({tuning.config.objective}{inflated}) on {on}"
     if tuning.config.racing:
         share = tuning.steps / tuning.full_steps
-        yield f"racing: {tuning.steps} filter steps, {share:.0%} of those that a search without racing needs"
+        yield f"racing: {tuning.steps} filter steps, {share:.0%} of the steps without racing"
     if tuning.validation:
         gap = tuning.validation.gap
         change = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"

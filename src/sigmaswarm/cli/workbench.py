@@ -19,8 +19,8 @@ def workbench(
 ) -> None:
     """Import, check, tune, evaluate and export in the browser.
 
-    Only this machine can open the page; its address contains a secret token. The other commands can read the drives,
-    tunings and evaluations in OUT. An interrupted tuning run in OUT can be resumed.
+    Only this machine can open the page. The address of the page contains a secret token. The other commands can read
+    the drives, tunings and evaluations in OUT. An interrupted tuning run in OUT can be resumed.
 
     For example:
 

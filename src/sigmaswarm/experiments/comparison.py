@@ -18,7 +18,7 @@ from sigmaswarm.records import load_record
 from sigmaswarm.tuning.config import TuneConfig
 
 FEWEST_SEEDS = 6
-"""Number of seeds below which a two-sided signed-rank test can't reach p = 5%; its lowest p is 2^(1 - seeds)."""
+"""Number of seeds below which a two-sided signed-rank test can't reach p = 5%: its lowest p is 2^(1 - seeds)."""
 
 COMPARED = {
     "cost": "training cost",
@@ -136,7 +136,7 @@ class Comparison:
 
     @cached_property
     def frame(self) -> pl.DataFrame:
-        """Table with one row for each contender: medians with 95% intervals, worst runs, and tests against the first.
+        """Table with one row for each contender: medians with 95% intervals, worst runs, tests against the first row.
 
         ``p`` is the p-value of a two-sided Wilcoxon test over the seeds, with Holm's correction over all contenders.
         """

@@ -1,8 +1,8 @@
 """Parallel execution of the tasks of an experiment, in the threads of an executor or in forked processes.
 
 Each task saves its results in a folder, so an interrupted experiment can continue. Forked processes need 75%
-of the time of threads, since a tuning run spends 25% of its time in the Python interpreter. They inherit drives and
-prepared time lines without copying.
+of the time of threads, since a tuning run spends 25% of its time in the Python interpreter. Forked processes inherit
+drives and prepared time lines without copying.
 """
 
 import ctypes
@@ -110,7 +110,7 @@ def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) ->
 def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
     """Prepare a forked process, which is killed when its parent or the grid ends.
 
-    Killing it is safe, since files are written atomically.
+    Killing the process is safe, since files are written atomically.
     """
     global _run
     _run = run

@@ -60,7 +60,7 @@ def spread(values: Array) -> float:
 
 
 def trial_interval(values: Array) -> Interval:
-    """Return mean +- 1.96 SD / sqrt(n), as in the paper; it contains the mean over new drives in half of the cases."""
+    """Return mean +- 1.96 SD / sqrt(n), as in the paper; half of such intervals contain the mean over new drives."""
     if not len(values):
         return math.nan, math.nan
     return _around_mean(values, 1.96 * spread(values) / math.sqrt(len(values)))
@@ -173,8 +173,8 @@ def improvement(tuned: Array | np.float64, manual: Array | np.float64) -> Array:
 def median_interval(values: Array) -> Interval:
     """Return a distribution-free interval of the median, from symmetric order statistics.
 
-    W. J. Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2. With fewer than six values, it is the
-    whole range.
+    W. J. Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2. With fewer than six values, the
+    interval is the whole range.
     """
     ordered = np.sort(values)
     n = len(ordered)

@@ -23,7 +23,7 @@ Loss = Callable[[Any, tuple[Any, ...]], Any]
 DECAY = 1e-4
 """Weight decay per step, relative to the learning rate: I. Loshchilov and F. Hutter, ICLR 2019."""
 LARGEST_GRADIENT = 1.0
-"""Largest norm of a gradient; larger gradients are scaled to it: R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013."""
+"""Largest norm of a gradient; larger gradients are scaled down: R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013."""
 HELD_BACK = 0.25
 """Share of each drive, at its end, that is validation data if no validation drives are given."""
 
@@ -187,7 +187,7 @@ class _State:
         return {**named, "losses": self.losses}
 
     def restored(self, arrays: dict[str, Any]) -> "_State":
-        """Return a saved state; raise `LookupError` or `ValueError` if it is not one of this training."""
+        """Return a saved state; raise `LookupError` or `ValueError` for the state of another training."""
         import jax
 
         for name, now in self.arrays().items():

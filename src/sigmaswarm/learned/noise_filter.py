@@ -1,7 +1,7 @@
 """The extended Kalman filter of planar5 and planar8 in JAX, to train `noise-gru` with gradients.
 
-It is the textbook form with the steps of `schedule`. It uses neither the receiver's velocity nor an odometer, and does
-not reset the filter after a divergence. This module needs JAX, the extra ``learned``.
+This filter has the textbook form and the rules of `schedule`. It uses neither the receiver's velocity nor an odometer,
+and is not reset after a divergence. This module needs JAX, the extra ``learned``.
 """
 
 from dataclasses import dataclass

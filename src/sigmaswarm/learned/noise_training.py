@@ -28,7 +28,7 @@ def require_supported(p: FilterParameters) -> None:
         )
     for name in ("velocity_noise", "odometer_noise", "heading_noise", "fix_error"):
         if getattr(p, name) is not None:
-            raise InputError(f"noise-gru does not support {name}; tune a filter without it")
+            raise InputError(f"noise-gru does not support {name}; tune a filter without {name}")
 
 
 def segments_of(
@@ -98,7 +98,7 @@ class NoiseLearner:
     def __init__(
         self, drives: Sequence[Drive], validation: Sequence[Drive], parameters: FilterParameters, seed: int
     ) -> None:
-        del seed  # nothing is random
+        del seed  # segments need no random numbers
         require_supported(parameters)
         self._drives, self._validation, self._parameters = drives, validation, parameters
 

@@ -53,8 +53,8 @@ class Forecast(NamedTuple):
 class OutageLstm:
     """A trained network; ``axes`` of the IMU over ``window``, s, are inputs.
 
-    - ``weights``: those of `cells`; ``center`` and ``spread`` (f,) of the features; ``usual`` and ``scale`` (2,) of the
-      outputs, m; ``kept`` (2,) and ``lasts`` (2,), s, of the errors' autocorrelation, kept x exp(-t / lasts).
+    - ``weights``: weights of `cells`; ``center`` and ``spread`` (f,) of the features; ``usual`` and ``scale`` (2,) of
+      the outputs, m; ``kept`` (2,) and ``lasts`` (2,), s, of the errors' autocorrelation, kept x exp(-t / lasts).
     - ``inflation``: factor of the variances; infinite: no update.
     - ``unsure``: factor of the velocity's Q in outages.
     """
@@ -122,7 +122,7 @@ def untrained(
 class OutageRun(InterruptibleRun):
     """Run of a filter over a replay with forecasts of displacements in outages.
 
-    Without outages it equals `FilterRun`. ``accepted`` and ``rejected`` count displacements.
+    Without outages the run equals that of `FilterRun`. ``accepted`` and ``rejected`` count displacements.
     """
 
     def __init__(
@@ -154,7 +154,7 @@ class OutageRun(InterruptibleRun):
         self._over = set() if windows is None else set(windows.over.tolist())
 
     def _at(self, sample: int, stop: int, record: Array, *, lost: bool) -> None:
-        """Update with the displacement that ends at a sample; store the state for displacements that begin at it."""
+        """Update with the displacement that ends at a sample; store the state for displacements that begin there."""
         forecast = self._forecasts.get(sample)
         if forecast is not None and not lost:
             velocity, begin = self._velocity.get(forecast.first), self._begin.pop(forecast.begin, None)

@@ -15,7 +15,7 @@ OUTAGE_AFTER = 2.0
 """Time since the last fix after which an outage begins, s; a working receiver has 1 Hz or more."""
 STEPS = 40  # number of steps of a resampled window
 _QUIET = 1e-3
-"""Offset that is added to the vibration of an axis before the logarithm, m/s2; a tenth of it for a gyro, rad/s."""
+"""Offset that is added to the vibration of an axis before the logarithm, m/s2; the offset for a gyro is 1e-4 rad/s."""
 _GRAVITY = 9.80665
 
 
@@ -88,7 +88,8 @@ def pairs_of(
 def features_at(line: Timeline, end: NDArray[np.intp], *, axes: Sequence[str], window: float) -> Array:
     """Return the inputs from the last ``window`` s before some samples, (k, STEPS, 2 axes).
 
-    They are the mean (m/s2, rad/s) and the logarithm of the standard deviation, which grows with the speed of a car.
+    The inputs are the mean (m/s2, rad/s) and the logarithm of the standard deviation, which grows with the speed of a
+    car.
     """
     time = line.drive.imu.time
     edges = line.imu_time[end][:, np.newaxis] + np.linspace(-window, 0.0, STEPS + 1)
@@ -98,7 +99,7 @@ def features_at(line: Timeline, end: NDArray[np.intp], *, axes: Sequence[str], w
         values: Array | None = getattr(line.drive.imu, axis)
         if values is None:
             raise InputError(
-                f"{line.drive.name}: its imu.csv has no {axis}, an input of the network; train one on drives of this "
+                f"{line.drive.name}: imu.csv has no {axis}, an input of the network; train a network on drives of this "
                 "car"
             )
         values = values - (_GRAVITY if axis == "az" else 0.0)
@@ -111,7 +112,7 @@ def features_at(line: Timeline, end: NDArray[np.intp], *, axes: Sequence[str], w
 
 
 def _means(time: Array, values: Array, edges: Array) -> Array:
-    """Return the means (k, m) of a signal between edges (k, m + 1); before its first sample it is constant."""
+    """Return the means (k, m) of a signal between edges (k, m + 1); before its first sample the signal is constant."""
     whole = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
     inside = np.maximum(edges, time[0])
     length = np.diff(inside, axis=1)

@@ -60,7 +60,7 @@ def save_evaluation(
 ) -> list[Path]:
     """Write the records and pictures of an evaluation into a folder. Return the paths of all files.
 
-    The folder also gets copies of ``tuning`` (the evaluated tuning.toml or its folder) and ``network``.
+    The files include copies of ``tuning`` (the evaluated tuning.toml or its folder) and ``network``.
     """
     with staged_files(folder, EVALUATION, EVALUATION_FILE) as new:
         written = [*evaluation.save(new), save(comparison(evaluation), new / "comparison.png")]
@@ -107,7 +107,7 @@ def comparison(evaluation: Evaluation) -> Figure:
             ax.text(
                 0.5,
                 0.5,
-                "nothing can be compared: no truth, and the drives are too short for an outage",
+                "nothing can be compared, since there is no truth and the drives are too short for an outage",
                 ha="center",
             )
 

@@ -14,7 +14,7 @@ REPORTS = {"scores.json": evaluation_report, "results.json": study_report, "tuni
 
 
 def read_report(folder: Path) -> Report:
-    """Read a folder of results. Raise `InputError` if it contains none, or if a file is missing or damaged."""
+    """Read a folder of results. Raise `InputError` without results, or if a file is missing or damaged."""
     if not folder.is_dir():
         wrong = "is a file" if folder.exists() else "no such folder"
         raise InputError(f"{folder}: {wrong}; name a folder that tune, evaluate or study wrote")
@@ -22,7 +22,7 @@ def read_report(folder: Path) -> Report:
         if (folder / file).exists():
             return report(folder)
     if (folder / "config.json").exists() and list(folder.glob("checkpoint-*.npz")):
-        raise InputError(f"{folder}: the tuning is not finished; repeat its command with --resume")
+        raise InputError(f"{folder}: the tuning is not finished; repeat the command with --resume")
     raise InputError(
         f"{folder}: contains no results (none of {', '.join(REPORTS)}); name a folder that "
         "tune, evaluate or study wrote"

@@ -19,7 +19,7 @@ _SLOPES = (
 
 
 def noise_figure(noise: Noise) -> Figure:
-    """Draw measured Allan deviation, fitted model and slopes per axis. ``noise`` must be measured, not a filter's."""
+    """Draw measured Allan deviation, fitted model and slopes per axis; ``noise`` is from a log, not from a filter."""
     charts = [
         Chart(f"{axis.axis}{', drifts' * bool(axis.drift)}", lambda ax, axis=axis: _draw(ax, axis))
         for axis in noise.axes
@@ -53,5 +53,5 @@ def _draw(ax: Axes, axis: AxisNoise) -> None:
     ax.set(xlabel="averaging time, s", ylabel=f"Allan deviation, {unit}")
     ax.set_ylim(low, high)
     if math.isfinite(axis.correlation_time):
-        text = f"bias returns in {axis.correlation_time:.0f} s"
+        text = f"bias correlation time {axis.correlation_time:.0f} s"
         ax.text(0.97, 0.95, text, transform=ax.transAxes, ha="right", va="top", fontsize=8)

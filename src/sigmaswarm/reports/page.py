@@ -32,7 +32,7 @@ TERMS = {
     "NIS": "normalized innovation squared: deviation of a fix from the prediction, relative to the covariance",
     "NEES": "normalized estimation error squared: the position error relative to the filter's covariance",
     "RMSE": "root of the mean squared error",
-    "whiteness p": "probability that uncorrelated innovations seem as correlated as these or more (Ljung-Box test "
+    "whiteness p": "probability that uncorrelated innovations seem at least as correlated as these (Ljung-Box test "
     "over ten fixes)",
     "correlation": "correlation of consecutive innovations; 0 if the filter is consistent",
     "consistent": "range of mean NIS of a consistent filter (95%)",

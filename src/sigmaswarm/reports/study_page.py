@@ -103,21 +103,21 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
     mine = [t for t in results.tunings if (t.protocol, t.method) == (protocol, MAIN)]
     if touching := sum(bool(t.touched_bounds) for t in mine):
         yield (
-            f"{protocol}: {touching} of {len(mine)} tunings of {main} ended at a bound: "
-            "the optimum may be outside of the search space"
+            f"{protocol}: {touching} of {len(mine)} tunings of {main} ended at a bound, "
+            "so the optimum may be outside of the search space"
         )
     costs = [t.cost for t in mine]
     if costs and max(costs) > UNLUCKY * min(costs):
         yield (
-            f"{protocol}: the tunings of {main} differ: their training costs are "
-            f"{min(costs):.3g} to {max(costs):.3g} m; tune several times and use the best result"
+            f"{protocol}: the training costs of the tunings of {main} differ, "
+            f"from {min(costs):.3g} to {max(costs):.3g} m; tune several times and use the best result"
         )
     nis = results.summary(protocol, MAIN, "nis")
     if nis is not None and nis.mean is not None and not BEYOND_CHANCE[0] < nis.mean < BEYOND_CHANCE[1]:
         wrong = "overconfident" if nis.mean > BEYOND_CHANCE[1] else "underconfident"
         yield (
-            f"{protocol}: {main} is {wrong}: its mean NIS is {nis.mean:.3g}, "
-            "while a consistent filter has 2; do not rely on its covariances"
+            f"{protocol}: {main} is {wrong}, since its mean NIS is {nis.mean:.3g}, "
+            "but 2 for a consistent filter; do not rely on its covariances"
         )
     unsure = [
         results.label(c.against)
@@ -226,7 +226,7 @@ def _convergence(results: Results) -> Section:
     theirs = results.paper["figure_2"]["stable_generation"]
     text = (
         "Median over trials and range of the middle 80% of the trials. The diamond marks the generation from which "
-        f"the median stays within 1% of its last value. In the paper's figure 2 this is generation {theirs}."
+        f"the median stays within 1% of its last value. In the paper's figure 2, this generation is {theirs}."
     )
     charts = _known(convergence_chart(results, protocol) for protocol in results.protocols)
     return Section("Convergence", (text,), (tables.convergence_table(results),), charts)

@@ -106,8 +106,8 @@ def study_tables(results: Results) -> dict[str, Table]:
     dict of str to Table
         ``table-1`` to ``table-3`` (with the numbers of the paper), ``comparison-honest`` and ``comparison-paper``,
         three tables ``conditions-...``, ``optimum``, and ``trials``. With rivals also ``rivals``, ``rivals-gains``,
-        ``elsewhere-1`` and so on, and ``learning-curve``. Each has to_markdown(), to_latex() and to_csv(); notebooks
-        display it.
+        ``elsewhere-1`` and so on, and ``learning-curve``. Each table has to_markdown(), to_latex() and to_csv();
+        notebooks display it.
     """
     return {
         "table-1": table_1(results),

@@ -95,13 +95,13 @@ def tuning_report(folder: Path) -> Report:
             f"{folder / FILE}: has no [result] table; name a folder that `sigmaswarm tune` wrote"
         )
     figures = [("cost", f"{result.cost:.4g}", f"{result.objective}, training drives")]
-    held_out = "The errors on other drives are not known yet: run sigmaswarm evaluate."
+    held_out = "To measure the errors on other drives, run sigmaswarm evaluate."
     if (cost := result.validation_cost) is not None and (gap := result.validation_gap) is not None:
         how = f"{abs(gap):.1%} {'worse' if gap > 0 else 'better'} than on the training drives"
         figures.append(("cost on held-out drives", f"{cost:.4g}", how))
         held_out = (
-            f"On {counted(len(result.validation_drives), 'drive')} that the search did not use the cost is "
-            f"{cost:.4g}, {how}; on the training drives it is {result.cost:.4g}."
+            f"On {counted(len(result.validation_drives), 'drive')} that the search did not use, the cost is "
+            f"{cost:.4g}, {how}. The cost on the training drives is {result.cost:.4g}."
         )
     figures.append(("candidates tried", f"{result.evaluations}", f"{result.failures} of them failed"))
     command, note = tune_command(file.config, [d.name for d in file.data], result.validation_drives)
@@ -222,7 +222,7 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
 
 
 def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
-    """List the drives, and if known whether evaluated drives were held out."""
+    """List the drives and, if known, the use of evaluated drives in the tuning."""
 
     def held_out(drive: DriveRecord) -> Cell:
         if drive.seen_s:

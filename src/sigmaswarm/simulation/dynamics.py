@@ -1,8 +1,8 @@
 """Compiled simulation of a car, a two-track model, and its driver.
 
 - Tires have a relaxation length, and their forces stay inside the friction circle (combined slip).
-- Motor, brake, rolling resistance and tire act on each wheel. Anti-lock and traction control reduce its torque if its
-  slip exceeds the slip of the tire's peak force.
+- Motor, brake, rolling resistance and tire act on each wheel. Anti-lock and traction control reduce the torque of a
+  wheel whose slip exceeds that of the tire's peak force.
 - The body moves in the plane under the tire forces and the air drag. Roll and pitch are second-order responses to the
   accelerations; springs and dampers transfer the load.
 
@@ -36,7 +36,7 @@ STATES = 24
 AX, AY, YAW_ACCEL, ROLL_ACCEL, PITCH_ACCEL, PEAK_KAPPA, PEAK_ALPHA, FRICTION_USE, REAR_SPIN = range(12, 21)
 RECORDED = 21
 
-_LOW_SPEED = 3.0  # m/s; below, a damper prevents that a standing car oscillates on its tires [P]
+_LOW_SPEED = 3.0  # m/s; at lower speeds, a damper prevents oscillations of a standing car on its tires [P]
 _NOTHING = 1e-60  # smaller states become zero, since subnormal numbers are slow
 _LOW_SPEED_DAMPING = 0.15  # slip per m/s of sliding
 _BRAKE_VISCOSITY = 1000.0  # N m s/rad; makes the dry friction of a brake continuous at standstill
@@ -298,7 +298,7 @@ def _record(row: Array, s: Array, rate: Array, ax: float, ay: float, use: float)
 def _advance(
     s: Array, k: Array, row: Array, steer: float, pedal: float, friction: float, car: Vehicle
 ) -> None:
-    """Do one Runge-Kutta step in place. `row` records the state before it; `k` (5, states) is work space."""
+    """Do one Runge-Kutta step in place. `row` records the state before the step; `k` (5, states) is work space."""
     trial = k[4]
     ax, ay, use = _derivative(s, k[0], steer, pedal, friction, car)
     _record(row, s, k[0], ax, ay, use)

@@ -165,7 +165,7 @@ def measure_gps(
 
     place = antenna.position[:, :2]
     x, y = _through_degrees(place, white).T if grade.carla else (place + white + markov).T
-    std = grade.stated_factor * grade.std  # ideal fixes have none, since 0 is not valid
+    std = grade.stated_factor * grade.std  # ideal fixes state no deviation, since 0 is not valid
     stated = np.full(len(times), std) if std > 0 else None
     moving = grade.velocity_std is not None
     fixes = Gps(
@@ -206,7 +206,7 @@ def with_outliers(
     rng : numpy.random.Generator
         Draws first fix, length and direction of each burst uniformly.
     share : float
-        Share of outliers, in [0, 0.5]. The last burst may exceed it.
+        Share of outliers, in [0, 0.5]. The last burst may exceed this share.
     offset : float
         Size of the error, m.
     length : (float, float)

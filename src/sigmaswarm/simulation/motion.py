@@ -38,10 +38,10 @@ from sigmaswarm.simulation.dynamics import (
 LeverArm = tuple[float, float, float]
 
 # Vibration: white-noise densities from differences of neighboring samples at 5 to 16 m/s in two public recordings of
-# real cars: rtklibexplorer's GNSS_IMU (Colorado, consumer MEMS) and comma2k19 (chip of a phone). They are 3 to 8 times
-# the Colorado densities at standstill, and about 20 times the data sheet of an MPU-6050. Bumps and spectra are not
-# modeled. Roll and pitch rates have no part below the frequency of the springs: white noise would rotate the body by
-# degrees in a minute, and gravity would appear as acceleration.
+# real cars: rtklibexplorer's GNSS_IMU (Colorado, consumer MEMS) and comma2k19 (chip of a phone). These densities are 3
+# to 8 times the Colorado densities at standstill, and about 20 times the data sheet of an MPU-6050. Bumps and spectra
+# are not modeled. Roll and pitch rates have no part below the frequency of the springs: white noise would rotate the
+# body by degrees in a minute, and gravity would appear as acceleration.
 FORCE_DENSITY = (0.06, 0.025, 0.04)
 """Density of the specific force, m/s2/sqrt(Hz) forward, left, up, at `FULL_SPEED` and above."""
 RATE_DENSITY = (0.002, 0.003, 0.0005)

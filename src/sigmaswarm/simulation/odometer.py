@@ -17,7 +17,7 @@ class OdometerGrade:
     rate : float
         Rate of the readings, Hz.
     window : float
-        Length of the counting window before a reading, s. The age of the reading is half of it.
+        Length of the counting window before a reading, s. The age of the reading is half of this length.
     teeth : int
         Pulses per revolution of a wheel.
     scale_std : float

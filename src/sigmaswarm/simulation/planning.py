@@ -116,7 +116,8 @@ def _in_time(way: Array, speed: Array, waits: Array, ease: Array) -> Array:
     times = np.column_stack([arrival, arrival + waits]).ravel()
     looks = np.arange(0.0, times[-1], LOOK)
     planned = np.interp(looks, times, np.repeat(speed, 2))
-    # The legs set the width of the average; the small width of a hard leg also applies to 1 s before and after it.
+    # The legs set the width of the average; the small width of a hard leg also applies to 1 s before and after this
+    # leg.
     width = minimum_filter1d(np.interp(looks, times, np.repeat(ease, 2)), round(2.0 / LOOK))
     half = uniform_filter1d(width, round(0.5 / LOOK), mode="nearest") / 2
     far = np.concatenate([[looks[0] - 2], looks, [looks[-1] + 2]])

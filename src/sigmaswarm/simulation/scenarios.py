@@ -192,7 +192,7 @@ def check_duration(maneuver: str, duration: float | None) -> None:
         return
     if maneuver != "urban":
         raise InputError(
-            f"duration is {duration:g} s for {maneuver!r}; only 'urban' has one, of 30 s or more"
+            f"duration is {duration:g} s for {maneuver!r}; only 'urban' has a duration, of 30 s or more"
         )
     if not 30 <= duration < math.inf:
         raise InputError(f"duration is {duration:g} s; choose 30 s or more")
@@ -253,7 +253,7 @@ def _noise_figures(imu: ImuGrade, gps: GpsGrade) -> dict[str, Any]:
         return {f"{name}_{kind}": getattr(triad, kind) for kind in kinds for name, triad in sensors.items()}
 
     return {
-        **{key: value for key, value in figures.items() if value > 0},  # ideal sensors have none
+        **{key: value for key, value in figures.items() if value > 0},  # ideal sensors lack these values
         **({"gps_lever_arm_m": list(gps.lever_arm)} if any(gps.lever_arm) else {}),
         "imu_noise": {
             "grade": imu.name,

@@ -38,7 +38,7 @@ class CheckPage(Page):
         names = self.originals
         if not names:
             text("p", "No drive yet.")
-            link("Make one from a log", "log")
+            link("Make a drive from a log", "log")
             return
         chosen = self.bench.choices.get("drive")
         name = chosen if chosen in names else names[-1]
@@ -52,7 +52,7 @@ class CheckPage(Page):
             self._steps()
             self._findings()
             self._cut()
-            link("Next: tune a filter on it", "tune")
+            link("Next: tune a filter", "tune")
 
     def choose(self, name: str) -> None:
         self.done = ""
@@ -101,7 +101,7 @@ class CheckPage(Page):
     def _looked_ahead(self, after: dict[str, tuple[Agreements, str]] | None) -> None:
         self.after = after or {}
         if self.after:
-            self._evidence.refresh()  # without the buttons, of which one may be clicked at this moment
+            self._evidence.refresh()  # without the buttons, since the user may click one at this moment
 
     def _checked(self, name: str, steps: list[Step] | None) -> Checked:
         """Apply the steps (by default the saved steps) to a drive, write the result, and check it."""
@@ -169,7 +169,7 @@ class CheckPage(Page):
 
     @ui.refreshable_method
     def _evidence(self, finding: Finding) -> None:
-        """Show the plot of a finding, when known also after a repair, and why a repair is withheld."""
+        """Show the plot of a finding, also after the repair if known, and the reason for a withheld repair."""
         after, withheld = self.after.get(finding.code, ({}, ""))
         message(withheld, "bad")
         if shown := self.before.get(shown_by(finding.code)):
@@ -235,7 +235,7 @@ def _apply(drive: Drive, step: Step) -> Drive:
 
 
 def _look_ahead(drive: Drive, diagnosis: Diagnosis) -> dict[str, tuple[Agreements, str]]:
-    """Try each repair. Return the agreements after it, and a sentence if the repair is withheld."""
+    """Try each repair. Return the agreements after the repair, and a sentence if the repair is withheld."""
     after: dict[str, tuple[Agreements, str]] = {}
     description = (
         "The doctor withholds this repair, since it makes a filter's predictions of the fixes worse. Check "

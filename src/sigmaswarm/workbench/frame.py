@@ -90,7 +90,7 @@ class Frame:
         return PlainTextResponse(wrong, 404) if page is None else HTMLResponse(page)
 
     def _page_of(self, kind: str, name: str) -> str:
-        """Return the page of a result, as `sigmaswarm report` writes it. Write it if it is missing."""
+        """Return the page of a result, as `sigmaswarm report` writes it. Write a missing page first."""
         folder = self.bench.path(kind, name)
         file = folder / "page.html"
         if file.is_file() and not file.is_symlink():

@@ -51,7 +51,7 @@ class JudgePage(Page):
         self.refresh()
 
     def _held(self, name: str) -> list[str]:
-        """Return the validation drives of a tuning, or else the drives that it did not use."""
+        """Return the validation drives of a tuning, or else the drives that the tuning did not use."""
         tuning, _ = attempt(Tuning.load, self.bench.path("tunings", name))
         if tuning is None:
             return []
@@ -94,7 +94,7 @@ class JudgePage(Page):
             with line():
                 select("Evaluation", names, shown, self._show)
                 link("Open the report on a separate page", f"report/evaluations/{shown}")
-                link("Next: export it", "take")
+                link("Next: export the filter", "take")
             frame = ui.element("iframe").classes("report")
             frame.props["src"] = f"report/evaluations/{shown}"
             frame.props["title"] = f"Report of {shown}"

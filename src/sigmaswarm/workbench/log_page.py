@@ -83,7 +83,7 @@ class LogPage(OpenLog):
             drop.classes("drop").props(f':filter="{only_files}"')
 
     def _named(self, path: Path) -> str:
-        """Return the name of a log; the name of a file in a folder includes that of the folder."""
+        """Return the name of a log; the name of a file in a folder includes the name of the folder."""
         inside = path.parent in self.bench.named or path.parent.parent == self.bench.folder / "logs"
         return f"{path.parent.name} / {path.name}" if inside else path.name
 
@@ -171,7 +171,7 @@ class LogPage(OpenLog):
                 make.bind_enabled_from(self, "drive", bool).bind_text_from(field, "value", label)
             self._command()
             if done:
-                link("Next: check it", "check")
+                link("Next: check the drive", "check")
 
     @property
     def _finishing(self) -> tuple[bool, str, str, str]:
@@ -192,7 +192,7 @@ class LogPage(OpenLog):
         self._command.refresh()
 
     def _make(self, name: str) -> None:
-        """Write the drive. It replaces an earlier drive of this log and its checked copy."""
+        """Write the drive, which replaces an earlier drive of this log and its checked copy."""
         if self.waiting:  # for a choice that was made immediately before
             self.after_reading = partial(self._make, name)
             return
@@ -202,7 +202,7 @@ class LogPage(OpenLog):
         if path is not None:
             again = self.bench.log_choices.get("made") == name
             _, wrong = attempt(write_drive, replace(self.drive, name=name), path, overwrite=again)
-        self.wrong, self.done = wrong, "" if wrong else f"wrote drives/{name}; check it next"
+        self.wrong, self.done = wrong, "" if wrong else f"wrote drives/{name}; check this drive next"
         if not wrong:
             self.bench.remove("drives", name + CHECKED)
             self.bench.log_choices.update(name=name, made=name)

@@ -15,13 +15,13 @@ from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.parts import button, card, line, message, text
 from sigmaswarm.workbench.state import attempt
 
-FIND = "Find it in the log"
+FIND = "Find the mounting in the log"
 ANGLES = ("roll", "pitch", "yaw")
 SETTLED = 0.6
 """Time after the last change until the log is read again, s."""
 
 CENTER, SCALE = np.array([170.0, 136.0]), 46
-"""Pixels, and pixels per m, of car.svg."""
+"""CENTER: pixel of the vehicle's origin in car.svg. SCALE: pixels per m."""
 VIEW = np.array([(-0.530, 0.848, 0.0), (-0.345, -0.216, 0.914), (0.775, 0.484, 0.407)])
 """Rows: unit vectors right, up and towards the viewer of car.svg, in the axes of the vehicle."""
 MOUNTED = np.array([-0.4, 0.0, 1.15])
@@ -96,7 +96,7 @@ class MountingPanel:
         for number, (name, angle) in enumerate(zip(ANGLES, roll_pitch_yaw(rotation, 1), strict=True)):
             with line():
                 label = ui.label().style("width: 110px")
-                # With step 0 a slider keeps fractions of a degree, and a key changes it by 1 degree.
+                # With step 0 a slider keeps fractions of a degree, and a key changes the angle by 1 degree.
                 slider = ui.slider(min=-180, max=180, step=0, value=angle).classes("grow")
                 slider.props(f'aria-label="{name}, degrees"').on_value_change(moved)
                 slider.on("change", partial(rested, number), throttle=SETTLED, leading_events=False)

@@ -64,7 +64,7 @@ def text(tag: str, content: str, classes: str = "") -> None:
 
 
 def message(content: str, kind: str) -> None:
-    """Show a sentence of kind bad, good or wait (with a spinner). Screen readers announce it."""
+    """Show a sentence of kind bad, good or wait (with a spinner). Screen readers announce the sentence."""
     if content:
         with ui.element("div").classes(f"message {kind}").props('role="status"'):
             if kind == "wait":

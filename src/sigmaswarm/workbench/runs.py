@@ -54,7 +54,7 @@ class Run:
             try:
                 estimate = sigmaswarm.run(self.shown_on, progress.parameters)
                 self.track = thinned(estimate.mean[:, 0], estimate.mean[:, 1])
-            except sigmaswarm.SigmaswarmError:  # this filter failed; the next filter may not
+            except sigmaswarm.SigmaswarmError:  # this filter failed; the next filter may succeed
                 self.track = None
         self.version += 1
         return not self.stopping

@@ -79,7 +79,7 @@ class Guard:
 def serve(folder: Path, logs: list[Path], *, port: int = 0, browse: bool = True) -> None:
     bench = Workbench(folder, logs)
     warnings.simplefilter("ignore", SigmaswarmWarning)  # the page shows notes and findings
-    logging.getLogger("nicegui").setLevel(logging.ERROR)  # it would also warn that the machine is busy
+    logging.getLogger("nicegui").setLevel(logging.ERROR)  # NiceGUI would also warn of a busy machine
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

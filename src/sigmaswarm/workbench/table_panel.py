@@ -30,7 +30,7 @@ class TablePanel:
         shown = sorted(preview.ranges, key=lambda r: (preview.table, r.column) not in self.uses)
         self.rows = [ColumnRow(self, one) for one in shown[:MOST_COLUMNS]]
         used = (preview.table, shown[0].column) in self.uses if shown else False
-        # Until a drive can be made, tables in use are unfolded, in a log with few tables all tables.
+        # Until a drive can be made, tables in use are unfolded; in a log with few tables, all tables are unfolded.
         self.unfolded = page.drive is None and (used or len(inspection.tables) <= 4)
 
     def update(self, inspection: Inspection, uses: Uses) -> None:
@@ -130,7 +130,7 @@ class ColumnRow:
         field.on("change", lambda: page.express(target, field.value or ""))
 
     def _faults(self, target: str) -> list[str]:
-        """Return reasons not to use the column as guessed, and the error that names it."""
+        """Return reasons not to use the column as guessed, and the error that names the column."""
         page, column = self.panel.page, self.about.column
         mapped = page.bench.log_choices.get("maps", {})
         faults = [

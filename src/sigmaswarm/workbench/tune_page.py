@@ -79,7 +79,7 @@ class TunePage(Page):
             text("h2", "Drives to tune on")
             if not self.plan:
                 text("p", "No drive yet.")
-                link("Make one from a log", "log")
+                link("Make a drive from a log", "log")
                 return
             planned = self.bench.choices.setdefault("plan", {})
             options = self.bench.choices.setdefault("options", {})
@@ -104,7 +104,7 @@ class TunePage(Page):
 
     @ui.refreshable_method
     def _reasoning(self) -> None:
-        """Show what will be tuned. It is refreshed without the fields, in which the user may be typing."""
+        """Show filter and search of the next tuning. A refresh leaves the fields, in which the user may type."""
         self.messages()
         for sentence in self.why:
             text("p", sentence)
@@ -252,7 +252,7 @@ class TunePage(Page):
                         text("p", remark, "soft")
                     _parameters(tuning.parameters)
                     link("Page of this tuning", f"report/tunings/{name}")
-            link("Next: judge it", "judge")
+            link("Next: judge the filter", "judge")
 
 
 def _figure(label: str) -> ui.label:

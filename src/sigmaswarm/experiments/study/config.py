@@ -45,10 +45,10 @@ PROTOCOLS: dict[str, Protocol] = {
 class Method:
     """A method of a study, one row of the tables.
 
-    - ``protocols``: those under which it is tuned or trained.
+    - ``protocols``: protocols under which the method is tuned or trained.
     - ``filter``: filter type and model, if fixed.
-    - ``paper``: key of the paper's result next to it.
-    - ``rival``: True if it is used only in studies with rivals.
+    - ``paper``: key of the corresponding result of the paper.
+    - ``rival``: True if the method is used only in studies with rivals.
     """
 
     label: str
@@ -64,7 +64,7 @@ BY_DEFAULT = "default"
 """Method with the filter, objective and optimizer that `tune` chooses by default."""
 BY_BO = "bo-ukf"
 HELPED = "pso-planar8"
-"""Method with the filter to which networks are added; `noise-gru` does not support tilted12, planar5 has no biases."""
+"""Method whose filter the networks support; `noise-gru` does not support tilted12, and planar5 has no biases."""
 HONEST: tuple[ProtocolName, ...] = ("honest",)
 METHODS: dict[str, Method] = {
     "imu-only": Method("IMU only", paper="imu-only"),
@@ -90,7 +90,7 @@ METHODS: dict[str, Method] = {
 """Methods in the order of the tables; the paper tunes only the UKF."""
 NETWORKS: tuple[NetworkName, ...] = get_args(NetworkName)
 BO_EVALUATIONS = 100
-"""Evaluations of Bayesian optimization; with more, its own time exceeds that of the filters (docs/optimizers.md)."""
+"""Evaluations of Bayesian optimization; with more, the optimizer takes longer than the filters (docs/optimizers.md)."""
 LONG_OUTAGES = {f"outage_drift_{length:g}_s_m": length for length in (15.0, 30.0, 60.0)}
 MEASURES = {
     "position_rmse_m": "position RMSE against truth, m",
@@ -147,9 +147,9 @@ class StudyConfig(BaseModel):
     """Number of simulated drives of each maneuver in each environment."""
     imu: str = "icm-20602"
     gps: str = "white-1m"
-    """The paper does not state its sensors' noise; CARLA's GNSS sensor has white noise."""
+    """GPS grade. The paper does not state the noise of its sensors; CARLA's GNSS sensor has white noise."""
     vibration: float = Field(default=0.0, ge=0)
-    """Vibration of the IMU by road and engine, relative to real cars; a network may infer the speed from it."""
+    """Vibration of the IMU by road and engine, relative to real cars; a network may infer the speed from vibration."""
     terrain: str = "flat"
     drives: tuple[str, ...] = ()
     """Folders or URLs of your own drives with truth, instead of simulated ones."""
@@ -166,14 +166,13 @@ class StudyConfig(BaseModel):
     per_condition: bool = False
     """Tune one filter for each condition instead of one filter for all."""
     racing: bool | None = None
-    """Evaluate worse candidates on few drives (a fifth of the time); --no-racing: on all, as in the paper."""
+    """Evaluate worse candidates on few drives (a fifth of the time); --no-racing: on all drives, as in the paper."""
     rivals: bool = False
     """Also compare a fuzzy filter, Bayesian optimization and networks, and test with other sensors and another car."""
     learn_minutes: float = Field(default=20.0, ge=2)
     """With --rivals: minutes of training data for each network, after the filters' start."""
     elsewhere: tuple[str, ...] = ()
-    """With --rivals: drives with truth from other sensors or another car. Without --drives and --elsewhere
-    they are simulated."""
+    """With --rivals: drives with truth from other sensors or another car; else, without --drives, simulated drives."""
 
     @property
     def simulated(self) -> dict[str, Any]:

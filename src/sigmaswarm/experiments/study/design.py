@@ -73,7 +73,7 @@ def tuning_name(protocol: str, method: str, group: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """The drives of a study and how they are used.
+    """The drives of a study and their use.
 
     ``drives`` have truth and unique names; they are `Sensors` if the drives are on a cluster (``remote``). ``strata``:
     stratum of each drive; each stratum is split into training and test drives. ``apart``: True if all drives are test
@@ -99,7 +99,7 @@ class Design:
         return tuple(PreparedDrive(drive, as_recorded=True) for drive in drives)
 
     def of_each(self, function: Callable[[PreparedDrive], T], drives: Sequence[int] | None = None) -> list[T]:
-        """Apply a module-level function to prepared drives, local or remote: to all, or some by index."""
+        """Apply a module-level function to prepared drives, local or remote; by default all, else by index."""
         chosen = range(len(self.drives)) if drives is None else drives
         if self.remote is None:
             return [function(self.prepared[i]) for i in chosen]
@@ -265,8 +265,8 @@ def _require_apart(marks: Sequence[Landmarks]) -> None:
     for i, one in enumerate(marks):
         if found := overlap_of(one, marks[:i]):
             raise InputError(
-                f"{one.name}: {found.seconds:.0f} s of this drive are also in {', '.join(found.of)}; a study trains on "
-                "some drives and tests on others: remove one of them"
+                f"{one.name}: {found.seconds:.0f} s of this drive are also in {', '.join(found.of)}; remove one of "
+                "them, since a study trains on some drives and tests on others"
             )
 
 

@@ -57,7 +57,7 @@ class ScoreStatistics(_Part):
 
     Attributes
     ----------
-    mean, sd : over trials, of the mean over each trial's test drives
+    mean, sd : mean and standard deviation over trials of the mean over the trial's test drives
     trial_interval : mean +- 1.96 SD / sqrt(n); accounts for optimizer and split, not for new drives
     corrected_t_interval : corrected resampled t interval, for new drives
     bootstrap_interval : for new drives, by resampling trials, and drives within conditions

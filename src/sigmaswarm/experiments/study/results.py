@@ -124,7 +124,7 @@ def _compared(scores: ScoreTable) -> list[str]:
 def _against(
     scores: ScoreTable, variant: Variant, measure: str, others: Sequence[Variant], draws: Draws
 ) -> Iterator[PairedComparison]:
-    """Compare a variant with others; ``holm_p`` is corrected over these."""
+    """Compare a variant with others; ``holm_p`` is corrected over these comparisons."""
     design, (protocol, method) = scores.design, variant
     own = scores.values[variant][measure]
     found: dict[str, PairedStatistics] = {}
@@ -197,7 +197,7 @@ def rival_results(
 def _efforts(
     design: Design, trials: Mapping[Task, Trial], networks: Mapping[Task, Trained]
 ) -> Iterator[Effort]:
-    """Compute the data and free parameters of each variant; those of a network include those of its filter."""
+    """Compute the data and free parameters of each variant; numbers of a network include those of its filter."""
     durations = [ready.drive.duration for ready in design.prepared]
     splits = [design.split(trial)[0] for trial in range(design.config.trials)]
     truth = float(np.mean([sum(durations[i] for i in train) for train in splits]))

@@ -12,7 +12,7 @@ The folder of a study contains
     tracks.npz           tracks of a few test drives of the best trial
     best/                parameter file of the best trial of each tuning
     timings.json         durations of the study and of filters; only this file and tables made from it differ between
-                         two runs; with rivals each tuning and training has its own, too
+                         two runs; with rivals each tuning and training also has this file
 """
 
 import sys
@@ -127,8 +127,8 @@ def run_study(
     workers : int, optional
         Number of processes or threads; by default the number of cores. The result is the same with any number.
     cluster : distributed.Client, optional
-        Dask cluster whose workers simulate or read the drives and run the filters. The result is the same without one.
-        Not available with rivals, since networks are trained locally.
+        Dask cluster whose workers simulate or read the drives and run the filters. The result is the same without a
+        cluster. Not available with rivals, since networks are trained locally.
     progress : callable, optional
         Called with a `StudyProgress` as tunings and trainings advance.
 
@@ -150,7 +150,8 @@ def run_study(
         if config.rivals:  # bo suppresses this warning, but a compiler in another thread may undo that
             stack.enter_context(warnings.catch_warnings())
             warnings.filterwarnings("ignore", "The optimal value found for dimension")
-        # Python's default number of threads is larger than the number of cores, and they would wait for each other.
+        # Python's default number of threads is larger than the number of cores, and the threads would wait for each
+        # other.
         crew = workers or cores()
         pool = executor or stack.enter_context(ThreadPoolExecutor(crew if cluster is None else workers))
         # JAX, which rivals need, does not work in forked processes.

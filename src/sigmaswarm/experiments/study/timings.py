@@ -59,8 +59,8 @@ def rival_times(
 ) -> dict[str, dict[str, float]]:
     """Return the processor times of every tuned or trained variant, by names such as ``honest-pso-ukf``.
 
-    ``training_s`` is the time of a trial, s; that of a network does not include the tuning of its filter. ``sample_us``
-    is the mean time per IMU sample, us. For a resumed trial, only the last part is counted.
+    ``training_s`` is the time of a trial, s; the time of a network does not include the tuning of its filter.
+    ``sample_us`` is the mean time per IMU sample, us. For a resumed trial, only the last part is counted.
     """
     ready = design.prepared[design.split(0)[1][0]]
     spent: dict[str, list[float]] = {}

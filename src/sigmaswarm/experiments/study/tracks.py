@@ -53,8 +53,8 @@ def _followed(
 def shown_drives(design: Design, trial: int) -> list[int]:
     """Choose test drives of a trial: one of each condition, or of each maneuver if there are many conditions.
 
-    They are from different parts of the lists of drives, so that environments differ. A drive with turns is first.
-    Without conditions, the first test drives are chosen.
+    The chosen drives are from different parts of the lists of drives, so that environments differ. A drive with turns
+    is first. Without conditions, the first test drives are chosen.
     """
     _, test = design.split(trial)
     named = {i: design.conditions[i] for i in test}
