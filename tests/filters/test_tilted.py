@@ -12,10 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from exported import export_filter
 from oracles.extended import covariance_error, mean_error
 from sigmaswarm import InputError, LiveFilter, TuneConfig, initial_state, run_filter, run_textbook, tune
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.exports.targets import TARGETS, export_filter
+from sigmaswarm.exports.targets import TARGETS
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.compiled.lanes import angle_of
 from sigmaswarm.filters.compiled.layout import QUATERNION, R

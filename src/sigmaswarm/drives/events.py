@@ -12,8 +12,8 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from sigmaswarm.compilation import cached
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.odometer import INTERVAL, mean_reading, wheels_turn
+from sigmaswarm.drives.tables import Array, Mask
 from sigmaswarm.drives.timeline import AY, FIRST_AXIS, FIX_VAR_THETA, Timeline
 
 # Events, as bits.
@@ -89,10 +89,10 @@ def _add_sample_events(
     used: int,
     start: float,
     end: Array,
-    sampled: NDArray[np.bool_],
+    sampled: Mask,
     ay: Array,
     sample: NDArray[np.int32],
-    stands: NDArray[np.bool_],
+    stands: Mask,
     readings: Array,
 ) -> int:
     """Add the events of all IMU samples to ``flags``; return the number of rows of ``wheels`` that were filled."""

@@ -1,15 +1,15 @@
 """Artificial GPS outages: time windows (k, 2), start and end, s, in which fixes are hidden from a filter."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.tables import Array, Mask
 from sigmaswarm.errors import InputError
 
 SECONDS_PER_OUTAGE = 15.0  # s of driving per window in `random_windows`
 
 
-def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> NDArray[np.bool_]:
+def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> Mask:
     """Return True for fixes (n,) s in an outage (k, 2) s, including both ends.
 
     The end is included since drift is measured there, before any new fix.

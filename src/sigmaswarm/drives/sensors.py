@@ -94,8 +94,8 @@ def sensors_of(drive: Drive | Sensors) -> Sensors:
         axes=tuple(axis for axis in ("ax", "ay", "az", "gx", "gy", "gz") if getattr(imu, axis) is not None),
         attitude=has_attitude(drive),
         odometer=drive.odometer is not None,
-        accuracy=gps.std_x is not None and gps.std_y is not None,
-        velocity=gps.speed is not None and gps.course is not None,
+        accuracy=gps.std is not None,
+        velocity=gps.velocity is not None,
         spread=stated_spread(drive),
         white=has_white_errors(drive),
         driven=float(gps.time[-1] - away[0]) if len(away) else 0.0,
@@ -154,10 +154,9 @@ def has_attitude(drive: Drive) -> bool:
 
 def stated_spread(drive: Drive) -> tuple[float, float] | None:
     """Return the 5% and 95% quantiles of the stated standard deviations, m; None if they hardly vary."""
-    std_x, std_y = drive.gps.std_x, drive.gps.std_y
-    if std_x is None or std_y is None:
+    if (std := drive.gps.std) is None:
         return None
-    low, high = np.quantile(np.concatenate([std_x, std_y]), [0.05, 0.95])
+    low, high = np.quantile(std, [0.05, 0.95])
     return (float(low), float(high)) if high > VARIES * low else None
 
 
@@ -166,11 +165,10 @@ def stated_std(drive: Drive) -> tuple[float, float] | None:
 
     It is the median over the fixes or, if the fixes have none, ``gps_std_m`` of drive.toml.
     """
-    gps = drive.gps
-    if gps.std_x is not None and gps.std_y is not None:
-        return float(np.median(gps.std_x)), float(np.median(gps.std_y))
-    std = drive.metadata.get("gps_std_m")
-    return None if std is None else (float(std), float(std))
+    if (std := drive.gps.std) is not None:
+        return float(np.median(std[0])), float(np.median(std[1]))
+    stated = drive.metadata.get("gps_std_m")
+    return None if stated is None else (float(stated), float(stated))
 
 
 def receiver_std(drive: Drive) -> tuple[float, float]:

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +105,22 @@ class Gps(Table):
     heading: Array | None = None
     std_heading: Array | None = None
 
+    @property
+    def std(self) -> Array | None:
+        """Stated standard deviations, shape (2, n), m east and north; None without them."""
+        return _pair(self.std_x, self.std_y)
+
+    @property
+    def velocity(self) -> Array | None:
+        """Velocity over ground, shape (2, n), m/s east and north; None without speed and course."""
+        if self.speed is None or self.course is None:
+            return None
+        return self.speed * np.array([np.cos(self.course), np.sin(self.course)])
+
+
+def _pair(x: Array | None, y: Array | None) -> Array | None:
+    return None if x is None or y is None else np.array([x, y])
+
 
 def headings_of(gps: Gps) -> tuple[Array, Array]:
     """Return the heading, rad, and its stated variance, rad2, of each fix; infinite variance without a heading."""
@@ -147,6 +165,11 @@ class Truth(Table):
     std_x: Array | None = None
     std_y: Array | None = None
     std_theta: Array | None = None
+
+    @property
+    def std(self) -> Array | None:
+        """Standard deviations of the position, shape (2, n), m; None if unknown."""
+        return _pair(self.std_x, self.std_y)
 
     def __post_init__(self) -> None:
         super().__post_init__()

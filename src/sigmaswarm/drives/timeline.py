@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import Alignments
-from sigmaswarm.drives.drive import Array, Drive, Gps
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.gaps import gaps_before
 from sigmaswarm.drives.stale_fixes import STALE, classify_fixes
 from sigmaswarm.drives.standstill import standing
-from sigmaswarm.drives.tables import headings_of
+from sigmaswarm.drives.tables import Array, Gps, Indices, Mask, headings_of
 
 DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
 """Numbers of a step: length, scale of Q, gap, and the IMU's axes; az, gx and gy only for an IMU with six axes."""
@@ -65,9 +65,9 @@ class Timeline:
     steps: Array
     sample: NDArray[np.int32]
     driving: Array
-    updates: NDArray[np.bool_]
-    hides: NDArray[np.bool_]
-    sampled: NDArray[np.bool_]
+    updates: Mask
+    hides: Mask
+    sampled: Mask
     fixes: Array
     fix_time: Array
     has_velocity: bool
@@ -113,7 +113,7 @@ class Timeline:
         return self.driving[:, [AXES.index(axis) for axis in axes]][self.sample]
 
     @cached_property
-    def stands(self) -> NDArray[np.bool_]:
+    def stands(self) -> Mask:
         """True if the car stands at the step's end, (k,)."""
         return standing(self.drive, self.kinds)[self.sample]
 
@@ -121,13 +121,13 @@ class Timeline:
     def alignments(self) -> Alignments:
         return Alignments(self.drive, usable=self.kinds < STALE)
 
-    def hiding(self, hidden: NDArray[np.bool_]) -> "Timeline":
+    def hiding(self, hidden: Mask) -> "Timeline":
         """Return the same steps with some of the drive's fixes, (g,), hidden; other arrays are shared."""
         hides = np.zeros(len(self.end), dtype=np.bool_)
         hides[self.updates] = hidden[_usable(self.drive, self.start, self.kinds)]
         return replace(self, updates=self.updates & ~hides, hides=hides, **self._seen(hidden))
 
-    def without(self, hidden: NDArray[np.bool_]) -> "Timeline":
+    def without(self, hidden: Mask) -> "Timeline":
         """Return the steps of the drive without some fixes, (g,), bit-identical to those of `build_timeline`."""
         updates = self.updates.copy()
         updates[self.updates] = ~hidden[_usable(self.drive, self.start, self.kinds)]
@@ -151,7 +151,7 @@ class Timeline:
             **_fixes_of(seen["drive"].gps.select(_usable(seen["drive"], self.start, seen["kinds"]))),
         )
 
-    def _seen(self, hidden: NDArray[np.bool_]) -> dict[str, Any]:
+    def _seen(self, hidden: Mask) -> dict[str, Any]:
         gps = self.drive.gps.select(~hidden)
         return {"drive": replace(self.drive, gps=gps), "kinds": self.kinds[~hidden]}
 
@@ -198,12 +198,12 @@ def build_timeline(
     )
 
 
-def _usable(drive: Drive, start: float, kinds: Array) -> NDArray[np.bool_]:
+def _usable(drive: Drive, start: float, kinds: Array) -> Mask:
     time = drive.gps.time
     return (time > start) & (time <= drive.imu.time[-1]) & (kinds < STALE)
 
 
-def _driving(drive: Drive, gap_ends: NDArray[np.intp]) -> Array:
+def _driving(drive: Drive, gap_ends: Indices) -> Array:
     """Return the inputs up to each IMU sample: the sample, or the mean of the samples before and after a gap."""
     columns = [getattr(drive.imu, axis) for axis in AXES]
     columns = columns[:3] if any(column is None for column in columns) else columns
@@ -213,27 +213,25 @@ def _driving(drive: Drive, gap_ends: NDArray[np.intp]) -> Array:
 
 
 def _fixes_of(gps: Gps) -> dict[str, Any]:
-    velocity, variance = np.zeros((2, len(gps))), np.zeros((2, len(gps)))
-    has_velocity = stated = False
-    if gps.speed is not None and gps.course is not None:
-        has_velocity, velocity = True, gps.speed * np.array([np.cos(gps.course), np.sin(gps.course)])
-    if gps.std_x is not None and gps.std_y is not None:
-        squares = np.square([gps.std_x, gps.std_y])
-        stated = bool(np.isfinite(squares).all())
-        variance = squares if stated else variance
+    nothing = np.zeros((2, len(gps)))
+    motion = nothing if gps.velocity is None else gps.velocity
+    variance = nothing if gps.std is None else np.square(gps.std)
+    stated = gps.std is not None and bool(np.isfinite(variance).all())
     return {
-        "fixes": np.column_stack([gps.x, gps.y, *velocity, *variance, *headings_of(gps)]),
+        "fixes": np.column_stack(
+            [gps.x, gps.y, *motion, *(variance if stated else nothing), *headings_of(gps)]
+        ),
         "fix_time": gps.time,
-        "has_velocity": has_velocity,
+        "has_velocity": gps.velocity is not None,
         "states_accuracy": stated,
     }
 
 
-def _is_last(ends: Array) -> NDArray[np.bool_]:
+def _is_last(ends: Array) -> Mask:
     return np.append(ends[1:] != ends[:-1], True)
 
 
-def _among(times: Array, known: Array) -> NDArray[np.bool_]:
+def _among(times: Array, known: Array) -> Mask:
     """Mark the times that are among the known times, both increasing; `np.isin` would sort copies of both."""
     if not len(known):
         return np.zeros(len(times), dtype=np.bool_)

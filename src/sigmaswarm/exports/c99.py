@@ -161,12 +161,12 @@ def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
     """
     heading = heading and gps.heading is not None
     columns = [gps.time, gps.x, gps.y]
-    if gps.speed is not None and gps.course is not None:
-        columns += [gps.speed * np.cos(gps.course), gps.speed * np.sin(gps.course)]
-    elif heading or gps.std_x is not None:
+    if (velocity := gps.velocity) is not None:
+        columns += [*velocity]
+    elif heading or gps.std is not None:
         columns += [np.full(len(gps), np.nan)] * 2
-    if gps.std_x is not None and gps.std_y is not None:
-        columns += [gps.std_x, gps.std_y]
+    if (std := gps.std) is not None:
+        columns += [*std]
     elif heading:
         columns += [np.zeros(len(gps))] * 2
     if heading:

@@ -14,11 +14,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import Alignments, InitialState
-from sigmaswarm.drives.drive import Array, Drive, Gps, Imu
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.events import slot_of
+from sigmaswarm.drives.tables import Array, Gps, Imu, Indices
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.live import LEAP
 from sigmaswarm.filters.compiled.monitor import CHECK_INTERVAL, LATEST_CHECK
@@ -38,8 +38,8 @@ SPEED_STD = 10.0  # m/s per axis, after a reset to the last fix
 class CheckTimes:
     """Times at which a filter is checked."""
 
-    step: NDArray[np.intp]  # (l,), index of the step before each check; the step ends at an IMU sample
-    fix: NDArray[np.intp]  # (l,), index of the last fix before each check
+    step: Indices  # (l,), index of the step before each check; the step ends at an IMU sample
+    fix: Indices  # (l,), index of the last fix before each check
 
 
 def check_times(line: Timeline) -> CheckTimes:

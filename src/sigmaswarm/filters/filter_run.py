@@ -5,10 +5,9 @@ from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.tables import Array, Indices, Mask
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.layout import R, state_rows
 from sigmaswarm.filters.compiled.run import new_cursor
@@ -31,8 +30,8 @@ class EstimateChunk:
     time: Array  # (r,), s
     mean: Array  # (r, n), as in `Estimate`
     covariance: Array  # (r, n, n)
-    sound: NDArray[np.bool_]  # (r,), False after a failure
-    lost: NDArray[np.bool_]  # (r,), diverged and not yet reset; the estimate is the last fix
+    sound: Mask  # (r,), False after a failure
+    lost: Mask  # (r,), diverged and not yet reset; the estimate is the last fix
 
 
 def joined(pieces: Iterable[EstimateChunk]) -> EstimateChunk:
@@ -126,7 +125,7 @@ class FilterRun:
             pass
         return self
 
-    def _run(self) -> Iterator[tuple[Array, Array, NDArray[np.bool_]]]:
+    def _run(self) -> Iterator[tuple[Array, Array, Mask]]:
         line = self._replay.timeline
         ends = np.flatnonzero(line.sampled) + 1
         record = np.empty((min(self._samples, len(ends)), len(self._state) + 1, 1))
@@ -137,7 +136,7 @@ class FilterRun:
             yield line.imu_time[first : first + len(stops)], part, lost
         self._complete = True
 
-    def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
+    def _run_to(self, stops: Indices, record: Array) -> Mask:
         """Run to the last of the stops, (r,), which follow IMU samples; return where the filter is lost, (r,).
 
         Stopping for each check would take longer than the steps. So the filter first runs to the end and is then
@@ -164,7 +163,7 @@ class FilterRun:
             lost[last] = self._monitor.lost
         return lost
 
-    def _next_check(self, stops: NDArray[np.intp], row: int) -> int:
+    def _next_check(self, stops: Indices, row: int) -> int:
         assert self._checks is not None
         if self._monitor.lost:
             return row + 1
@@ -176,7 +175,7 @@ class FilterRun:
     def _steps_to(self, stop: int, record: Array) -> None:
         run_steps(self._replay, self._array, self._rows[0], self._place, stop, record, self._innovations)
 
-    def _check(self, steps: NDArray[np.intp], record: Array) -> tuple[int, InitialState | None]:
+    def _check(self, steps: Indices, record: Array) -> tuple[int, InitialState | None]:
         """Check the filter at the recorded steps, up to the first divergence.
 
         Return the row of the divergence and the state for a reset; without a divergence, the last row and None.
@@ -239,7 +238,7 @@ class FilterRun:
         fresh[added_up] = self._rows[0, added_up]
         self._rows[0] = fresh
 
-    def _piece(self, time: Array, record: Array, lost: NDArray[np.bool_]) -> EstimateChunk:
+    def _piece(self, time: Array, record: Array, lost: Mask) -> EstimateChunk:
         mean, covariance = state_estimate(record[:, :-1, 0].T, self._array.kernel)
         sound = (record[:, -1, 0] == 1.0) & np.isfinite(mean).all(axis=1) & self._array.plausible
         sound = np.logical_and.accumulate(sound & definite(covariance) & (self.failure is None))
@@ -270,14 +269,14 @@ class FilterRun:
 class InterruptibleRun(FilterRun):
     """A recording that calls `_at` after the IMU samples with the sorted indices ``_marks``, (k,)."""
 
-    _marks: NDArray[np.intp]
+    _marks: Indices
     _done = 0
 
     def _at(self, sample: int, stop: int, record: Array, *, lost: bool) -> None:
         """Change the filter after an IMU sample, before step ``stop``; ``record``: its row, of shape (s, 1)."""
         raise NotImplementedError
 
-    def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
+    def _run_to(self, stops: Indices, record: Array) -> Mask:
         first, self._done = self._done, self._done + len(stops)
         low, high = np.searchsorted(self._marks, [first, self._done])
         lost, row = np.zeros(len(stops), dtype=np.bool_), 0

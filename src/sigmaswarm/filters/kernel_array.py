@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.tables import Array, Indices, Mask
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.layout import (
     CONSTANT_ROWS,
@@ -56,7 +56,7 @@ class Sums:
     """
 
     numbers: Array
-    failed: NDArray[np.bool_]
+    failed: Mask
 
     @classmethod
     def empty(cls, n_replays: int, n_sets: int) -> "Sums":
@@ -66,7 +66,7 @@ class Sums:
     def __getitem__(self, name: str) -> Array:
         return self.numbers[SUMS.index(name)]
 
-    def put(self, replays: slice, sets: NDArray[np.intp], part: "Sums") -> None:
+    def put(self, replays: slice, sets: Indices, part: "Sums") -> None:
         self.numbers[:, replays, sets] = part.numbers
         self.failed[replays, sets] = part.failed
 
@@ -124,7 +124,7 @@ class KernelArray:
         return slice(self._first, self._first + self.blocks * self.width)
 
     @property
-    def plausible(self) -> NDArray[np.bool_]:
+    def plausible(self) -> Mask:
         """Sets with Q >= 0 and R > 0, bool of shape (size,); P of others may be indefinite long before a check."""
         own = self._constants[:, self._first : self._first + self.size]
         r = own[[R.RX - CONSTANT_ROWS.start, R.RY - CONSTANT_ROWS.start]]

@@ -4,10 +4,9 @@ import math
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.compilation import cached
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.tables import Array, Indices, Mask
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.compiled.layout import N_STATE, P0, R, state_rows
 from sigmaswarm.filters.fix_error import FILTERS, own_name
@@ -75,20 +74,20 @@ def _turned(mean: Array, covariance: Array, sign: float) -> tuple[Array, Array]:
 
 
 @cache
-def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _upper(n: int) -> tuple[Indices, Indices]:
     """Return rows and columns of the upper triangle, column by column, as the kernel packs it."""
     columns, rows = np.tril_indices(n)
     return rows, columns
 
 
-def sound_lanes(rows: Array, model: str) -> NDArray[np.bool_]:
+def sound_lanes(rows: Array, model: str) -> Mask:
     """Return True, (m, lanes), for final rows (m, N_KEPT, lanes) without a failure and with a positive definite P."""
     found = np.empty((len(rows), rows.shape[2]), dtype=np.bool_)
     _definite_prefixes(rows, P0, len(FILTERS[model].states), R.OK, found)
     return found
 
 
-def definite(covariance: Array) -> NDArray[np.bool_]:
+def definite(covariance: Array) -> Mask:
     """Return True for covariances (..., n, n) that are positive definite up to rounding.
 
     All eigenvalues of the correlation matrix are above -1e-9 if all pivots are positive after 1e-9 is added to its
@@ -102,7 +101,7 @@ def definite(covariance: Array) -> NDArray[np.bool_]:
 
 
 @cached(nogil=True, error_model="numpy")
-def _definite_prefixes(rows: Array, first: int, n: int, ok: int, found: NDArray[np.bool_]) -> None:
+def _definite_prefixes(rows: Array, first: int, n: int, ok: int, found: Mask) -> None:
     """Find definite covariances (n, n), packed in rows (m, s, lanes) from row ``first`` on, as in `_upper`.
 
     ``ok``: the row of a run that is 1 if the filter never failed; the state and sums must also be finite. -1: the rows

@@ -146,7 +146,7 @@ def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
     stated = [gyro, *[accel] * (len(p.imu_noise) - 1)]
     imu = tuple(NOT_FUSED if r == NOT_FUSED else one for r, one in zip(p.imu_noise, stated, strict=True))
     variances: dict[str, Any] = {"measurement_noise": baseline(drive).measurement_noise}
-    if drive.gps.std_x is not None and drive.gps.std_y is not None:
+    if drive.gps.std is not None:
         variances = {"measurement_noise": (SMALLEST,) * 2, "accuracy_scale": 1.0}
     wheels = p.odometer_noise if drive.odometer is not None else None
     heading, (_, of_fixes) = p.heading_noise, headings_of(drive.gps)

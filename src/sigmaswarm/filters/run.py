@@ -62,12 +62,12 @@ class Estimate:
 
         ``std``: also return standard deviations, if there is a covariance, under ``std_`` and the state's name.
         """
-        states = next(m.names for m in MODELS.values() if len(m.states) == self.mean.shape[1])
-        named = {"t": self.time} | {name: self.mean[:, i] for i, name in enumerate(states)}
+        states = MODELS["tilted12"].names  # those of the other models come first
+        named = {"t": self.time} | dict(zip(states, self.mean.T, strict=False))
         if not std or not self.covariance.size:  # dead reckoning has none
             return named
         deviations = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
-        return named | {f"std_{name}": deviations[:, i] for i, name in enumerate(states)}
+        return named | {f"std_{name}": of for name, of in zip(states, deviations.T, strict=False)}
 
     def to_pandas(self) -> "pd.DataFrame":
         """Return time, states and standard deviations, one row for each time.

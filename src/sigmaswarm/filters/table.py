@@ -8,7 +8,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.tables import Array, Indices
 from sigmaswarm.filters.models import NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import measured_by
@@ -71,7 +71,7 @@ class ParameterTable(Sequence[FilterParameters]):
         return replace(self.like, **{k: None if v == _ABSENT.get(k) else v for k, v in values.items()})
 
 
-def tables_of(parameter_sets: Sequence[FilterParameters]) -> list[tuple[NDArray[np.intp], ParameterTable]]:
+def tables_of(parameter_sets: Sequence[FilterParameters]) -> list[tuple[Indices, ParameterTable]]:
     """Return a table for each kernel and choice of measurements, and the indices of its sets."""
     if isinstance(parameter_sets, ParameterTable):
         return [(np.arange(len(parameter_sets)), parameter_sets)]

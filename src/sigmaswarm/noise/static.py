@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives import gaps
-from sigmaswarm.drives.tables import Array, Gps, Imu
+from sigmaswarm.drives.tables import Array, Gps, Imu, Mask
 from sigmaswarm.errors import InputError
 
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
@@ -81,9 +81,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
     return Stretches(tuple(parts), static / len(imu), len(begins) - 1)
 
 
-def _calm_blocks(
-    imu: Imu, starts: NDArray[np.int_], size: int, fresh: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _calm_blocks(imu: Imu, starts: NDArray[np.int_], size: int, fresh: Mask) -> Mask:
     """Return a mask of blocks that are nearly as quiet as the quietest and have the means of their neighbors."""
     calm = np.ones(len(starts), np.bool_)
     for axis in AXES:
@@ -105,7 +103,7 @@ def _calm_blocks(
     return calm
 
 
-def _runs(calm: NDArray[np.bool_], fresh: NDArray[np.bool_]) -> list[slice]:
+def _runs(calm: Mask, fresh: Mask) -> list[slice]:
     runs: list[slice] = []
     first = 0
     for i in range(1, len(calm) + 1):

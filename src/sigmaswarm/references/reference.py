@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.drives.checks import FEWEST_SHARED_FIXES
-from sigmaswarm.drives.drive import Array, Drive, Gps, Truth
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.outages import hidden_fixes, random_windows
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.sensors import suggest_filter
+from sigmaswarm.drives.tables import Array, Gps, Mask, Truth
 from sigmaswarm.errors import InputError, SigmaswarmError, SigmaswarmWarning
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
@@ -196,14 +196,13 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
     """Return the fixed solutions with a stated standard deviation of at most ``accuracy``, m."""
     gps, start, end = log.gps, drive.imu.time[0], drive.imu.time[-1]
     accuracy, fix_std = options.accuracy, options.fix_std
-    if (gps.std_x is None or gps.std_y is None) and fix_std is None:
+    if gps.std is None and fix_std is None:
         raise InputError(
             f"{name}: contains no standard deviations of its fixes; specify one for all fixes, in m per axis, with "
             "--fix-std"
         )
     if fix_std is not None:
-        stated = (0.0, 0.0) if gps.std_x is None or gps.std_y is None else (gps.std_x, gps.std_y)
-        std_x, std_y = (np.maximum(np.full(len(gps), fix_std), std) for std in stated)
+        std_x, std_y = np.maximum(np.full((2, len(gps)), fix_std), 0.0 if gps.std is None else gps.std)
         gps = replace(gps, std_x=std_x, std_y=std_y)
     within = (gps.time >= start) & (gps.time <= end)
     if np.count_nonzero(within) < FEWEST_SHARED_FIXES:
@@ -213,7 +212,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
             f"{np.count_nonzero(within)} fixes; convert both to one clock with --offset"
         )
     sure = within & log.sure
-    known = sure & np.all([std <= accuracy for std in _stated(gps)], axis=0)
+    known = sure & np.all(_stated(gps) <= accuracy, axis=0)
     if np.count_nonzero(known) < FEWEST_SHARED_FIXES:
         raise InputError(
             f"{name}: of {np.count_nonzero(within)} fixes {np.count_nonzero(sure)} are fixed solutions, and "
@@ -256,10 +255,10 @@ def _off(estimate: Estimate, gps: Gps, drive: Drive) -> Array:
     return np.concatenate(errors)
 
 
-def _stated(gps: Gps) -> tuple[Array, Array]:
-    """Return stated standard deviations, m east and north."""
-    assert gps.std_x is not None and gps.std_y is not None
-    return gps.std_x, gps.std_y
+def _stated(gps: Gps) -> Array:
+    """Return stated standard deviations, (2, n), m east and north."""
+    assert gps.std is not None
+    return gps.std
 
 
 def _antenna(mean: Array, drive: Drive) -> Array:
@@ -279,7 +278,7 @@ def _truth(estimate: Estimate, good: Gps, stretched: float, accuracy: float) -> 
         np.hypot(deviation[:, i], np.interp(time, good.time, stated))
         for i, stated in enumerate(_stated(good))
     )
-    known: NDArray[np.bool_] = (std_x <= accuracy) & (std_y <= accuracy) & np.isfinite(mean).all(axis=1)
+    known: Mask = (std_x <= accuracy) & (std_y <= accuracy) & np.isfinite(mean).all(axis=1)
     if estimate.lost is not None:
         known &= ~estimate.lost
     if np.count_nonzero(known) < 2:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from sigmaswarm.datasets.dataset import LocalDataset
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
+from sigmaswarm.drives.tables import Array, Indices, Mask
 from sigmaswarm.filters.kernel_array import KernelArray, Sums
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, run_array
@@ -44,7 +45,7 @@ class Scores:
     forecast_t: Array
     mean_nis: Array
     mean_nees: Array
-    failed: NDArray[np.bool_]
+    failed: Mask
 
     def __getitem__(self, at: tuple[int, int]) -> Score:
         return Score(**{name: values[at].item() for name, values in vars(self).items()})
@@ -174,7 +175,7 @@ class BatchScorer:
 
     def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
         workers = cores() if executor else 1
-        work: list[tuple[Job, NDArray[np.intp], KernelArray]] = []
+        work: list[tuple[Job, Indices, KernelArray]] = []
         for places, table in tables_of(parameter_sets):
             array = KernelArray(table)
             array.compute_starts(self.initial)

@@ -4,10 +4,9 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.drives.tables import Array, Indices
 from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, joined, run_replays
@@ -132,6 +131,6 @@ def _errors(ready: PreparedDrive, time: Array, places: Array) -> Array:
     return places - np.column_stack([np.interp(time, reference.time, c) for c in (reference.x, reference.y)])
 
 
-def _rows_at(ends: Array, piece: EstimateChunk) -> NDArray[np.intp]:
+def _rows_at(ends: Array, piece: EstimateChunk) -> Indices:
     """Return the rows of a piece at ends of outages; each end is the time of a sample."""
     return np.searchsorted(piece.time, ends[(ends >= piece.time[0]) & (ends <= piece.time[-1])])

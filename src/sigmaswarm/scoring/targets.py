@@ -106,9 +106,9 @@ def _truth_targets(truth: Truth | None, timeline: Timeline) -> Targets:
     weight = (truth.time - nodes[later - 1]) / (nodes[later] - nodes[later - 1])
     counts = np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE
     noise, position, heading = np.empty((0, 4)), weights_at(truth, truth.time), heading_weights(truth)
-    if position is not None and truth.std_x is not None and truth.std_y is not None:
+    if position is not None and (std := truth.std) is not None:
         heading = np.ones(len(truth)) if heading is None else heading
-        noise = np.column_stack([position, heading, truth.std_x**2, truth.std_y**2])
+        noise = np.column_stack([position, heading, *np.square(std)])
     return Targets(weight, truth.x, truth.y, truth.theta, counts, _end(timeline, truth.time), noise)
 
 

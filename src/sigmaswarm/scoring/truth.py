@@ -3,11 +3,11 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.doctor.windows import Complex
-from sigmaswarm.drives.drive import Array, Drive, Truth
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.gaps import MANY, SHORTEST
+from sigmaswarm.drives.tables import Array, Mask, Truth
 
 POSITION_FLOOR = 0.3
 """Standard deviation of truth, m per axis, below which the weight hardly increases.
@@ -28,9 +28,9 @@ def weights_at(truth: Truth, time: Array) -> Array | None:
 
     sigma^2 is the mean variance of both axes.
     """
-    if truth.std_x is None or truth.std_y is None:
+    if truth.std is None:
         return None
-    std_x, std_y = np.interp(time, truth.time, truth.std_x), np.interp(time, truth.time, truth.std_y)
+    std_x, std_y = (np.interp(time, truth.time, std) for std in truth.std)
     return POSITION_FLOOR**2 / ((std_x**2 + std_y**2) / 2 + POSITION_FLOOR**2)
 
 
@@ -46,7 +46,7 @@ def root_mean(squares: Array, weights: Array | None = None) -> float:
     return float(np.sqrt(np.mean(squares) if weights is None else np.average(squares, weights=weights)))
 
 
-def is_known(truth: Truth, time: Array) -> NDArray[np.bool_]:
+def is_known(truth: Truth, time: Array) -> Mask:
     """Return True for times, s, shape (n,), outside of gaps of truth.
 
     Truth without standard deviations has no gaps.
@@ -66,7 +66,7 @@ def share_known(truth: Truth | None, start: float, end: float) -> float:
     return float(np.sum(np.diff(edges)[~_gaps(truth)]) / (end - start))
 
 
-def _gaps(truth: Truth) -> NDArray[np.bool_]:
+def _gaps(truth: Truth) -> Mask:
     """Return True for intervals between rows, shape (m - 1,), that are much longer than the median."""
     intervals = np.diff(truth.time)
     return intervals > max(MANY * float(np.median(intervals)), SHORTEST)

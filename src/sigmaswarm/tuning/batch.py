@@ -8,11 +8,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.datasets.dataset import Dataset, datasets_of
-from sigmaswarm.drives.drive import Array, Drive, listed
+from sigmaswarm.drives.drive import Drive, listed
 from sigmaswarm.drives.sensors import Sensors, sensors_of
+from sigmaswarm.drives.tables import Array, Mask
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import BatchScorer, Passes
@@ -43,7 +43,7 @@ class BatchResult:
 
     costs: Array
     scores: tuple[tuple[Score, ...], ...]
-    failed: NDArray[np.bool_]
+    failed: Mask
 
 
 def run_batch(

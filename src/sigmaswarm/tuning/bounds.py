@@ -7,9 +7,8 @@ from functools import cached_property
 from typing import Any, Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.tables import Array, Mask
 from sigmaswarm.filters.parameters import NOISES
 from sigmaswarm.tuning.options import Scale
 
@@ -84,7 +83,7 @@ class Bounds:
         return np.array([d.highest for d in self.dimensions], dtype=np.float64)
 
     @cached_property
-    def logarithmic(self) -> NDArray[np.bool_]:
+    def logarithmic(self) -> Mask:
         return np.array([d.spread and self.scale == "log10" for d in self.dimensions])
 
     @cached_property
@@ -97,7 +96,7 @@ class Bounds:
         return self._encode(self.highest)
 
     @property
-    def noises(self) -> NDArray[np.bool_]:
+    def noises(self) -> Mask:
         return np.array([d.field in NOISES for d in self.dimensions])
 
     @property

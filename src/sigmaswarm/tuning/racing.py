@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.tables import Array, Mask
 from sigmaswarm.tuning.problem import Problem
 
 FIRST = 12
@@ -110,7 +110,7 @@ def race(
     return Raced(costs, steps, failures, leader)
 
 
-def _ahead(each: Array, costs: Array, rival: Leader, seen: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _ahead(each: Array, costs: Array, rival: Leader, seen: NDArray[np.int64]) -> Mask:
     """Select candidates that are better than the leader by more than a standard error of the difference."""
     with np.errstate(invalid="ignore"):  # a failed candidate has infinite costs
         spread = (each - rival.each[seen]).std(axis=1, ddof=1)

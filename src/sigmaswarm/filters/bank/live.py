@@ -8,11 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.gyro_seen import UP
+from sigmaswarm.drives.tables import Array, Indices
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.bank.background import Pending
 from sigmaswarm.filters.bank.mixture import Mixture, is_definite
@@ -47,7 +46,7 @@ class _Snapshot:
     fixed_at: float  # time of the last fix before the snapshot, s
     lanes: Array  # (N_KEPT, LANES)
     evidence: Array
-    ancestors: NDArray[np.intp]  # (LANES,): the snapshot's lanes from which the current lanes were copied
+    ancestors: Indices  # (LANES,): the snapshot's lanes from which the current lanes were copied
 
 
 class LiveFilterBank(LiveFilter):

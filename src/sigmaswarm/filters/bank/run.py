@@ -167,17 +167,16 @@ def _rows(columns: Sequence[Array]) -> Iterator[list[float]]:
 def _events(drive: Drive) -> Iterator[tuple[float, Any, Any]]:
     """Yield fixes (time, position, (velocity, std, heading)) and odometer readings (time, None, speed), by time."""
     gps, wheels = drive.gps, drive.odometer
-    has_velocity = gps.speed is not None and gps.course is not None
-    has_std = gps.std_x is not None and gps.std_y is not None
-    heading, variance = headings_of(gps)
+    velocity, std, (heading, variance) = gps.velocity, gps.std, headings_of(gps)
     columns = [gps.time, gps.x, gps.y, heading, np.sqrt(variance)]
-    if gps.speed is not None and gps.course is not None:
-        columns += [gps.speed * np.cos(gps.course), gps.speed * np.sin(gps.course)]
-    if gps.std_x is not None and gps.std_y is not None:
-        columns += [gps.std_x, gps.std_y]
+    columns += [*(() if velocity is None else velocity), *(() if std is None else std)]
     fixes = (
-        (t, (x, y), (more[:2] if has_velocity else None, more[-2:] if has_std else None, (theta, std)))
-        for t, x, y, theta, std, *more in _rows(columns)
+        (
+            t,
+            (x, y),
+            (None if velocity is None else more[:2], None if std is None else more[-2:], (theta, sigma)),
+        )
+        for t, x, y, theta, sigma, *more in _rows(columns)
     )
     readings = ((t, None, v) for t, v in _rows([wheels.time, wheels.speed])) if wheels else ()
     return merge(fixes, readings, key=itemgetter(0))
