@@ -98,26 +98,74 @@ def _linearize(w, *, columns):
                 w[EXTRA + OUTPUTS * i + k, l] = gamma2 * extra + spread * w[SHIFT + i, l] * w[SHIFT + k, l]
 
 
+# ---- Vectors, as tuples of numbers ----
+
+
+def cross(a, b):
+    (a0, a1, a2), (b0, b1, b2) = a, b
+    return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+
+
+def _square(a):
+    x, y, z = a
+    return x * x + y * y + z * z
+
+
+def _scaled(k, a):
+    x, y, z = a
+    return k * x, k * y, k * z
+
+
+def _added(a, b):
+    (a0, a1, a2), (b0, b1, b2) = a, b
+    return a0 + b0, a1 + b1, a2 + b2
+
+
+def _less(a, b):
+    (a0, a1, a2), (b0, b1, b2) = a, b
+    return a0 - b0, a1 - b1, a2 - b2
+
+
+def _first_of(w, l, j):
+    """Return the first three rows in column j of the root: a rate in a step, a rotation in a measurement."""
+    return w[ROOT + WIDTH + j, l], w[ROOT + WIDTH * 2 + j, l], w[ROOT + j, l]
+
+
 # ---- Prediction ----
 
 
-def _product(a0, a1, a2, a3, w, l):
-    """Return the quaternion of the point in rows POINT times a."""
+def _turn_of(w, l, j):
+    """Return the rotation in column j of the root, with the states of a step."""
+    return w[ROOT + WIDTH * 4 + j, l], w[ROOT + WIDTH * 5 + j, l], w[ROOT + WIDTH * 3 + j, l]
+
+
+def _product(scalar, vector, w, l):
+    """Return the quaternion of the point in rows POINT times another one, as scalar and vector."""
     p0, p1, p2, p3 = w[R.POINT_W, l], w[R.POINT_X, l], w[R.POINT_Y, l], w[R.POINT_Z, l]
-    return (
-        p0 * a0 - p1 * a1 - p2 * a2 - p3 * a3,
+    a0, (a1, a2, a3) = scalar, vector
+    return p0 * a0 - p1 * a1 - p2 * a2 - p3 * a3, (
         p0 * a1 + p1 * a0 + p2 * a3 - p3 * a2,
         p0 * a2 - p1 * a3 + p2 * a0 + p3 * a1,
         p0 * a3 + p1 * a2 - p2 * a1 + p3 * a0,
     )
 
 
-def _turned(x, y, z, w, l):
+def _turned(a, w, l):
     """Rotate a vector from the body at the middle of the step into the local frame, and multiply it by dt."""
+    x, y, z = a
     return (
         w[R.D11, l] * x + w[R.D12, l] * y + w[R.D13, l] * z,
         w[R.D21, l] * x + w[R.D22, l] * y + w[R.D23, l] * z,
         w[R.D31, l] * x + w[R.D32, l] * y + w[R.D33, l] * z,
+    )
+
+
+def _turned_level(x, y, w, l):
+    """Rotate a vector without a vertical part like `_turned`."""
+    return (
+        w[R.D11, l] * x + w[R.D12, l] * y,
+        w[R.D21, l] * x + w[R.D22, l] * y,
+        w[R.D31, l] * x + w[R.D32, l] * y,
     )
 
 
@@ -127,9 +175,9 @@ def _sinc_cos_far(z):
     return sine / angle, cos
 
 
-def _rotation_vector(q0, q1, q2, q3, x, y, z):
+def _rotation_vector(scalar, vector, near):
     """Return the rotation vector of a quaternion with a vector part below 1/2, by fdlibm's arcsine (e_asin.c)."""
-    z = q1 * q1 + q2 * q2 + q3 * q3
+    z = _square(vector)
     p = z * (1.66666666666666657415e-01 + z * (-3.25565818622400915405e-01 + z * 2.01212532134862925881e-01))
     z3 = z * z * z
     p += (
@@ -139,74 +187,63 @@ def _rotation_vector(q0, q1, q2, q3, x, y, z):
     )
     q = 1.0 + z * (-2.40339491173441421878e00 + z * 2.02094576023350569471e00)
     q += z3 * (-6.88283971605453293030e-01 + z * 7.70381505559019352791e-02)
-    k = 2.0 + 2.0 * p / q
-    return k * q1, k * q2, k * q3
+    return _scaled(2.0 + 2.0 * p / q, vector)
 
 
-def _rotation_vector_far(q0, q1, q2, q3, x, y, z):
-    """Return the rotation vector of a quaternion that is nearest to (x, y, z)."""
-    length = math.sqrt(q1 * q1 + q2 * q2 + q3 * q3) + TINY
+def _rotation_vector_far(scalar, vector, near):
+    """Return the rotation vector of a quaternion that is nearest to another rotation vector."""
+    (q1, q2, q3), (x, y, z) = vector, near
+    length = math.sqrt(_square(vector)) + TINY
     sine = -length if q1 * x + q2 * y + q3 * z < 0.0 else length
-    half = angle_of(sine, q0)
-    near = 0.5 * math.sqrt(x * x + y * y + z * z)
-    half += (2.0 * math.pi) * np.floor((near - half) * (0.5 / math.pi) + 0.5)
-    k = 2.0 * half / sine
-    return k * q1, k * q2, k * q3
+    half = angle_of(sine, scalar)
+    length = 0.5 * math.sqrt(_square(near))
+    half += (2.0 * math.pi) * np.floor((length - half) * (0.5 / math.pi) + 0.5)
+    return _scaled(2.0 * half / sine, vector)
 
 
 def _point(w, l, sign, quarter, per_dt, *, j, sinc_cos, rotation_vector):
     """Return r at a point of column j: acceleration times dt, east and north; and the error after the step."""
     step = 4.0 * sign * w[R.QUARTER_GAMMA, l]
-    bx, by, bz = (
-        quarter * step * w[ROOT + WIDTH + j, l],
-        quarter * step * w[ROOT + WIDTH * 2 + j, l],
-        quarter * step * w[ROOT + j, l],
-    )
+    b = _scaled(quarter * step, _first_of(w, l, j))
     # Quaternions of half the turn: v, and v0 of the center. The vector part of v0^-1 v is p + c, of v v0^-1 p - c.
-    x, y, z = w[R.HALF_X, l] - bx, w[R.HALF_Y, l] - by, w[R.HALF_Z, l] - bz
-    k, d = sinc_cos(x * x + y * y + z * z)
-    x, y, z = k * x, k * y, k * z
-    d0, x0, y0, z0 = w[R.TURN_W, l], w[R.TURN_X, l], w[R.TURN_Y, l], w[R.TURN_Z, l]
-    px, py, pz = d0 * x - d * x0, d0 * y - d * y0, d0 * z - d * z0
-    cx, cy, cz = k * (bz * y0 - by * z0), k * (bx * z0 - bz * x0), k * (by * x0 - bx * y0)
+    half = _less((w[R.HALF_X, l], w[R.HALF_Y, l], w[R.HALF_Z, l]), b)
+    k, d = sinc_cos(_square(half))
+    v = _scaled(k, half)
+    d0, v0 = w[R.TURN_W, l], (w[R.TURN_X, l], w[R.TURN_Y, l], w[R.TURN_Z, l])
+    p, c = _less(_scaled(d0, v), _scaled(d, v0)), _scaled(k, cross(v0, b))
+    (x, y, z), (x0, y0, z0) = v, v0
     m0 = d * d0 + x * x0 + y * y0 + z * z0
-    m1, m2, m3 = _turned(per_dt * (px + cx), per_dt * (py + cy), per_dt * (pz + cz), w, l)
-    twice = 2.0 * per_dt
-    q0 = 1.0 - 2.0 * (px * px + py * py + pz * pz)
-    q1, q2, q3 = _turned(
-        twice * (m0 * px + (cy * pz - cz * py)),
-        twice * (m0 * py + (cz * px - cx * pz)),
-        twice * (m0 * pz + (cx * py - cy * px)),
-        w,
-        l,
-    )
-    m0, m1, m2, m3 = _product(m0, m1, m2, m3, w, l)
-    q0, q1, q2, q3 = _product(q0, q1, q2, q3, w, l)
-    ex, ey, ez = (
-        step * w[ROOT + WIDTH * 4 + j, l],
-        step * w[ROOT + WIDTH * 5 + j, l],
-        step * w[ROOT + WIDTH * 3 + j, l],
-    )
-    east, north, up = rotation_vector(q0, q1, q2, q3, ex, ey, ez)
+    m = _turned(_scaled(per_dt, _added(p, c)), w, l)
+    q = _turned(_scaled(2.0 * per_dt, _added(_scaled(m0, p), cross(c, p))), w, l)
+    m0, m = _product(m0, m, w, l)
+    q0, q = _product(1.0 - 2.0 * _square(p), q, w, l)
+    error = _scaled(step, _turn_of(w, l, j))
+    east, north, up = _less(rotation_vector(q0, q, error), error)
     # (M - 1) a = 2 m x (m x a + m0 a)
-    fx, fy = step * w[ROOT + WIDTH * 6 + j, l], step * w[ROOT + WIDTH * 7 + j, l]
-    ax = w[R.EAST, l] - (w[R.D11, l] * fx + w[R.D12, l] * fy)
-    ay = w[R.NORTH, l] - (w[R.D21, l] * fx + w[R.D22, l] * fy)
-    az = w[R.UPWARD, l] - (w[R.D31, l] * fx + w[R.D32, l] * fy)
-    cx, cy, cz = m2 * az - m3 * ay + m0 * ax, m3 * ax - m1 * az + m0 * ay, m1 * ay - m2 * ax + m0 * az
-    return 2.0 * (m2 * cz - m3 * cy), 2.0 * (m3 * cx - m1 * cz), east - ex, north - ey, up - ez
+    force = _turned_level(step * w[ROOT + WIDTH * 6 + j, l], step * w[ROOT + WIDTH * 7 + j, l], w, l)
+    a = _less((w[R.EAST, l], w[R.NORTH, l], w[R.UPWARD, l]), force)
+    a0, a1, _ = cross(m, _added(cross(m, a), _scaled(m0, a)))
+    return 2.0 * a0, 2.0 * a1, east, north, up
 
 
-def _chosen(new, w, l, row):
-    return new if w[R.POINT_FAR, l] > 0.0 else w[row, l]
+def _store_near(w, l, place, a, b, one, two):
+    """Store slope and curvature of an output, from its values at the two points."""
+    w[SLOPE + place, l], w[BEND + place, l] = one * (a - b), two * (a + b)
 
 
-def _draw(w, u, *, j, far, point, sinc_cos):
+def _store_far(w, l, place, a, b, one, two):
+    """Store slope and curvature in lanes with a large angle only."""
+    far = w[R.POINT_FAR, l] > 0.0
+    w[SLOPE + place, l] = one * (a - b) if far else w[SLOPE + place, l]
+    w[BEND + place, l] = two * (a + b) if far else w[BEND + place, l]
+
+
+def _draw(w, u, *, j, point, sinc_cos, store):
     """Compute slopes and curvatures of column j of the root from its two points."""
     quarter, per_dt = 0.25 * u[DT], 1.0 / u[DT]
     for l in range(LANES):
         gamma = 4.0 * w[R.QUARTER_GAMMA, l]
-        x, y, z = w[ROOT + WIDTH * 4 + j, l], w[ROOT + WIDTH * 5 + j, l], w[ROOT + WIDTH * 3 + j, l]
+        x, y, z = _turn_of(w, l, j)
         k, c = sinc_cos(0.25 * gamma * gamma * (x * x + y * y + z * z))
         k = 0.5 * gamma * k
         w[R.POINT_W, l], w[R.POINT_X, l], w[R.POINT_Y, l], w[R.POINT_Z, l] = c, k * x, k * y, k * z
@@ -215,38 +252,19 @@ def _draw(w, u, *, j, far, point, sinc_cos):
         b0, b1, b2, b3, b4 = point(w, l, -1.0, quarter, per_dt)
         one = 0.5 / gamma
         two = one / gamma
-        d0, d1, d2, d3, d4 = (
-            one * (a0 - b0),
-            one * (a1 - b1),
-            one * (a2 - b2),
-            one * (a3 - b3),
-            one * (a4 - b4),
-        )
-        t0, t1, t2, t3, t4 = (
-            two * (a0 + b0),
-            two * (a1 + b1),
-            two * (a2 + b2),
-            two * (a3 + b3),
-            two * (a4 + b4),
-        )
-        if far:
-            d0, t0 = _chosen(d0, w, l, SLOPE + OUTPUTS * j), _chosen(t0, w, l, BEND + OUTPUTS * j)
-            d1, t1 = _chosen(d1, w, l, SLOPE + OUTPUTS * j + 1), _chosen(t1, w, l, BEND + OUTPUTS * j + 1)
-            d2, t2 = _chosen(d2, w, l, SLOPE + OUTPUTS * j + 2), _chosen(t2, w, l, BEND + OUTPUTS * j + 2)
-            d3, t3 = _chosen(d3, w, l, SLOPE + OUTPUTS * j + 3), _chosen(t3, w, l, BEND + OUTPUTS * j + 3)
-            d4, t4 = _chosen(d4, w, l, SLOPE + OUTPUTS * j + 4), _chosen(t4, w, l, BEND + OUTPUTS * j + 4)
-        w[SLOPE + OUTPUTS * j, l], w[BEND + OUTPUTS * j, l] = d0, t0
-        w[SLOPE + OUTPUTS * j + 1, l], w[BEND + OUTPUTS * j + 1, l] = d1, t1
-        w[SLOPE + OUTPUTS * j + 2, l], w[BEND + OUTPUTS * j + 2, l] = d2, t2
-        w[SLOPE + OUTPUTS * j + 3, l], w[BEND + OUTPUTS * j + 3, l] = d3, t3
-        w[SLOPE + OUTPUTS * j + 4, l], w[BEND + OUTPUTS * j + 4, l] = d4, t4
+        store(w, l, OUTPUTS * j, a0, b0, one, two)
+        store(w, l, OUTPUTS * j + 1, a1, b1, one, two)
+        store(w, l, OUTPUTS * j + 2, a2, b2, one, two)
+        store(w, l, OUTPUTS * j + 3, a3, b3, one, two)
+        store(w, l, OUTPUTS * j + 4, a4, b4, one, two)
 
 
 def _column(number, far):
     sinc = _sinc_cos_far if far else sinc_cos
     vector = _rotation_vector_far if far else _rotation_vector
     point = unrolled(_point, j=number, sinc_cos=sinc, rotation_vector=vector)
-    return kernel(_draw, j=number, far=far, point=point, sinc_cos=sinc)
+    store = _store_far if far else _store_near
+    return kernel(_draw, j=number, point=point, sinc_cos=sinc, store=store)
 
 
 _draw_0, _draw_1, _draw_2 = (_column(number, far=0) for number in range(3))
@@ -258,24 +276,19 @@ _linearize_step = kernel(_linearize, columns=(6, 6, 3, 3, 3))
 @kernel
 def _turn_acceleration(w):
     for l in range(LANES):
-        east, north, up = w[R.EAST, l], w[R.NORTH, l], w[R.UPWARD, l]
+        a = w[R.EAST, l], w[R.NORTH, l], w[R.UPWARD, l]
         gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
         for j in range(3, 6):
-            x, y, z = w[ROOT + WIDTH * 4 + j, l], w[ROOT + WIDTH * 5 + j, l], w[ROOT + WIDTH * 3 + j, l]
-            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], x * x + y * y + z * z)
+            turn = _turn_of(w, l, j)
+            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], _square(turn))
             q = 0.5 * quarter_sin2 / (quarter * quarter)
-            fx, fy = -w[ROOT + WIDTH * 6 + j, l], -w[ROOT + WIDTH * 7 + j, l]
-            be, bn, bu = (
-                w[R.D11, l] * fx + w[R.D12, l] * fy,
-                w[R.D21, l] * fx + w[R.D22, l] * fy,
-                w[R.D31, l] * fx + w[R.D32, l] * fy,
-            )
-            ce, cn, cu = y * up - z * north, z * east - x * up, x * north - y * east
-            de, dn, du = y * bu - z * bn, z * be - x * bu, x * bn - y * be
-            w[SLOPE + OUTPUTS * j, l] = k * ce + gamma2 * q * (y * du - z * dn)
-            w[SLOPE + OUTPUTS * j + 1, l] = k * cn + gamma2 * q * (z * de - x * du)
-            w[BEND + OUTPUTS * j, l] = q * (y * cu - z * cn) + k * de
-            w[BEND + OUTPUTS * j + 1, l] = q * (z * ce - x * cu) + k * dn
+            c = cross(turn, a)
+            d = cross(turn, _turned_level(-w[ROOT + WIDTH * 6 + j, l], -w[ROOT + WIDTH * 7 + j, l], w, l))
+            (c0, c1, _), (d0, d1, _), (e0, e1, _), (f0, f1, _) = c, d, cross(turn, c), cross(turn, d)
+            w[SLOPE + OUTPUTS * j, l] = k * c0 + gamma2 * q * f0
+            w[SLOPE + OUTPUTS * j + 1, l] = k * c1 + gamma2 * q * f1
+            w[BEND + OUTPUTS * j, l] = q * e0 + k * d0
+            w[BEND + OUTPUTS * j + 1, l] = q * e1 + k * d1
 
 
 @kernel
@@ -336,6 +349,22 @@ _linearize_fix = kernel(_linearize, columns=(3, 3))
 _linearize_along = kernel(_linearize, columns=(3,))
 
 
+def _forward(w, l):
+    """Return the forward axis of the attitude."""
+    q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+    return 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3), 2.0 * (q1 * q3 - q0 * q2)
+
+
+def _left(w, l):
+    q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+    return 2.0 * (q1 * q2 - q0 * q3), 1.0 - 2.0 * (q1 * q1 + q3 * q3), 2.0 * (q2 * q3 + q0 * q1)
+
+
+def _up(w, l):
+    q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+    return 2.0 * (q1 * q3 + q0 * q2), 2.0 * (q2 * q3 - q0 * q1), 1.0 - 2.0 * (q1 * q1 + q2 * q2)
+
+
 @kernel
 def measure_fix_unscented(w, z, lever):
     """Compute nu, H P H^T, C and R of z = p + (R lever) - latency v, like `tilted12.measure_fix_tilted`."""
@@ -343,26 +372,22 @@ def measure_fix_unscented(w, z, lever):
     lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
     _root_of_rotation(w)
     for l in range(LANES):
-        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
-        tx = q2 * lever_z - q3 * lever_y + q0 * lever_x
-        ty = q3 * lever_x - q1 * lever_z + q0 * lever_y
-        tz = q1 * lever_y - q2 * lever_x + q0 * lever_z
-        east = lever_x + 2.0 * (q2 * tz - q3 * ty)
-        north = lever_y + 2.0 * (q3 * tx - q1 * tz)
-        up = lever_z + 2.0 * (q1 * ty - q2 * tx)
+        arm, q = (lever_x, lever_y, lever_z), (w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l])
+        arm = _added(arm, _scaled(2.0, cross(q, _added(cross(q, arm), _scaled(w[R.ATT_W, l], arm)))))
+        east, north, _ = arm
         tau = w[R.LATENCY, l]
         w[R.R1, l] = w[R.RX, l] + w[R.ACCURACY, l] * var_x
         w[R.R2, l] = w[R.RY, l] + w[R.ACCURACY, l] * var_y
         w[R.N1, l] = zx - (w[R.X, l] - tau * w[R.U, l] + east)
         w[R.N2, l] = zy - (w[R.Y, l] - tau * w[R.V, l] + north)
         for j in range(3):
-            a, b, c = w[ROOT + WIDTH + j, l], w[ROOT + WIDTH * 2 + j, l], w[ROOT + j, l]
-            ce, cn, cu = b * up - c * north, c * east - a * up, a * north - b * east
-            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], a * a + b * b + c * c)
+            turn = _first_of(w, l, j)
+            c = cross(turn, arm)
+            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], _square(turn))
             q = 0.5 * quarter_sin2 / (quarter * quarter)
-            w[SLOPE + OUTPUTS * j, l], w[SLOPE + OUTPUTS * j + 1, l] = k * ce, k * cn
-            w[BEND + OUTPUTS * j, l] = q * (b * cu - c * cn)
-            w[BEND + OUTPUTS * j + 1, l] = q * (c * ce - a * cu)
+            (c0, c1, _), (d0, d1, _) = c, cross(turn, c)
+            w[SLOPE + OUTPUTS * j, l], w[SLOPE + OUTPUTS * j + 1, l] = k * c0, k * c1
+            w[BEND + OUTPUTS * j, l], w[BEND + OUTPUTS * j + 1, l] = q * d0, q * d1
     _linearize_fix(w)
     for l in range(LANES):
         tau = w[R.LATENCY, l]
@@ -391,16 +416,15 @@ def measure_heading_unscented(w):
     """Compute the prediction, C and H P H^T of z = yaw; the sigma points rotate the forward axis."""
     _root_of_rotation(w)
     for l in range(LANES):
-        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
-        e0, e1, e2 = 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3), 2.0 * (q1 * q3 - q0 * q2)
+        e = _forward(w, l)
+        e0, e1, _ = e
         gamma = 4.0 * w[R.QUARTER_GAMMA, l]
         for j in range(3):
-            x, y, z = w[ROOT + WIDTH + j, l], w[ROOT + WIDTH * 2 + j, l], w[ROOT + j, l]
-            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], x * x + y * y + z * z)
+            turn = _first_of(w, l, j)
+            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], _square(turn))
             q = 0.5 * gamma * gamma * quarter_sin2 / (quarter * quarter)
-            g = gamma * k
-            o0, o1, o2 = y * e2 - z * e1, z * e0 - x * e2, x * e1 - y * e0
-            t0, t1 = q * (y * o2 - z * o1), q * (z * o0 - x * o2)
+            g, o = gamma * k, cross(turn, e)
+            (o0, o1, _), (t0, t1, _) = o, _scaled(q, cross(turn, o))
             odd, even = 0.0, 0.0
             for i in (1, -1):
                 f0, f1 = t0 + i * (g * o0), t1 + i * (g * o1)  # change of the axis
@@ -418,7 +442,7 @@ def measure_heading_unscented(w):
         w[R.S11, l] = w[EXTRA, l] + h0 * w[C1 + R.T, l] + h1 * w[C1 + R.I, l] + h2 * w[C1 + R.J, l]
 
 
-def _measure_along(w, u, wheels, *, lateral, bias):
+def _measure_along(w, u, wheels, *, lateral, bias, axis):
     """Compute nu, C and S of the velocity to the left at the rear axle, or forward: `tilted.RearAxle`, `Wheels`."""
     if lateral:
         shown = u[GZ]
@@ -426,12 +450,8 @@ def _measure_along(w, u, wheels, *, lateral, bias):
         shown, speed, age, more = u[AX], wheels[SPEED], wheels[AGE], wheels[MORE]
     _root_with_velocity(w)
     for l in range(LANES):
-        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
-        if lateral:
-            e0, e1, e2 = 2.0 * (q1 * q2 - q0 * q3), 1.0 - 2.0 * (q1 * q1 + q3 * q3), 2.0 * (q2 * q3 + q0 * q1)
-        else:
-            e0, e1, e2 = 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3), 2.0 * (q1 * q3 - q0 * q2)
-        c0, c1, c2 = 2.0 * (q1 * q3 + q0 * q2), 2.0 * (q2 * q3 - q0 * q1), 1.0 - 2.0 * (q1 * q1 + q2 * q2)
+        e, c = axis(w, l), _up(w, l)
+        (e0, e1, e2), (c0, c1, c2) = e, c
         vx, vy, climb = w[R.U, l], w[R.V, l], e2 / c2
         d0, d1 = e0 - climb * c0, e1 - climb * c1  # factors of the velocity
         if lateral:
@@ -443,23 +463,16 @@ def _measure_along(w, u, wheels, *, lateral, bias):
             w[R.N1, l] = w[R.ODOMETER_SCALE, l] * speed + arm * gained - (d0 * vx + d1 * vy)
         gamma = 4.0 * w[R.QUARTER_GAMMA, l]
         for j in range(3):
-            x, y, z = w[ROOT + WIDTH + j, l], w[ROOT + WIDTH * 2 + j, l], w[ROOT + j, l]
-            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], x * x + y * y + z * z)
+            turn = _first_of(w, l, j)
+            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], _square(turn))
             q = 0.5 * gamma * gamma * quarter_sin2 / (quarter * quarter)
-            g = gamma * k
-            oe0, oe1, oe2 = y * e2 - z * e1, z * e0 - x * e2, x * e1 - y * e0
-            oc0, oc1, oc2 = y * c2 - z * c1, z * c0 - x * c2, x * c1 - y * c0
-            te0, te1, te2 = q * (y * oe2 - z * oe1), q * (z * oe0 - x * oe2), q * (x * oe1 - y * oe0)
-            tc0, tc1, tc2 = q * (y * oc2 - z * oc1), q * (z * oc0 - x * oc2), q * (x * oc1 - y * oc0)
+            g, oe, oc = gamma * k, cross(turn, e), cross(turn, c)
+            te, tc = _scaled(q, cross(turn, oe)), _scaled(q, cross(turn, oc))
             u1, v1 = gamma * w[ROOT + WIDTH * 3 + j, l], gamma * w[ROOT + WIDTH * 4 + j, l]
             odd, even = 0.0, 0.0
             for i in (1, -1):
-                f0, f1, f2 = (
-                    te0 + i * (g * oe0),
-                    te1 + i * (g * oe1),
-                    te2 + i * (g * oe2),
-                )  # changes of the axes
-                a0, a1, a2 = tc0 + i * (g * oc0), tc1 + i * (g * oc1), tc2 + i * (g * oc2)
+                f0, f1, f2 = _added(te, _scaled(i, _scaled(g, oe)))  # changes of the axes
+                a0, a1, a2 = _added(tc, _scaled(i, _scaled(g, oc)))
                 other = c2 + a2
                 steeper = (f2 * c2 - e2 * a2) / (c2 * other)
                 steep = climb + steeper
@@ -487,5 +500,5 @@ def _measure_along(w, u, wheels, *, lateral, bias):
         )  # fmt: skip
 
 
-measure_lateral_unscented = kernel(_measure_along, lateral=1, bias=R.W)
-measure_odometer_unscented = kernel(_measure_along, lateral=0, bias=R.A)
+measure_lateral_unscented = kernel(_measure_along, lateral=1, bias=R.W, axis=_left)
+measure_odometer_unscented = kernel(_measure_along, lateral=0, bias=R.A, axis=_forward)
