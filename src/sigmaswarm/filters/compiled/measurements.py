@@ -123,11 +123,16 @@ def forecast_fix(w, z, lever, since, *, n, fix_error):
         age_fix_error(w, z, since)
         observe_fix_error(w)
     for l in range(LANES):
-        nis = _add_likelihood(w, l)
-        w[R.SQ_FORECAST, l] += w[R.N1, l] * w[R.N1, l] + w[R.N2, l] * w[R.N2, l]
-        det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]
-        tail = math.log(1.0 + nis * (1.0 / FORECAST_SCALE))
-        w[R.FORECAST_T, l] += 0.5 * math.log(det) + 0.5 * (FORECAST_DOF + 2.0) * tail
+        add_forecast(w, l)
+
+
+def add_forecast(w, l):
+    """Add the squared error and the likelihood of the prediction of a hidden fix to the sums."""
+    nis = _add_likelihood(w, l)
+    w[R.SQ_FORECAST, l] += w[R.N1, l] * w[R.N1, l] + w[R.N2, l] * w[R.N2, l]
+    det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]
+    tail = math.log(1.0 + nis * (1.0 / FORECAST_SCALE))
+    w[R.FORECAST_T, l] += 0.5 * math.log(det) + 0.5 * (FORECAST_DOF + 2.0) * tail
 
 
 def _add_likelihood(w, l):

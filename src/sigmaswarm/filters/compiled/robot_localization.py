@@ -28,8 +28,8 @@ from sigmaswarm.drives.timeline import (
 )
 from sigmaswarm.filters.compiled.lanes import kernel, sincos
 from sigmaswarm.filters.compiled.layout import LANES, Q0, R, at
-from sigmaswarm.filters.compiled.measurements import _add_likelihood
-from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
+from sigmaswarm.filters.compiled.measurements import _add_likelihood, add_forecast
+from sigmaswarm.filters.compiled.unroll import unrolled
 
 USES_VY, USES_AY = LATERAL, STANDSTILL
 """Bits of a step: update with vy = 0 of a twist, and with the IMU's ay."""
@@ -86,42 +86,48 @@ def _predict(w, d, q):
 RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
 
 
-def _update(w, z, *, state, noise, gate):
+def _correct(w, l, off, r, use, *, state):
     """Update with one state: x += K nu; P' = P - p p' / S, and the column of this state is p R / S.
 
-    ``gate``: row of the NIS at which the measurement is rejected; 0: never.
+    ``off``: nu; ``r``: R; ``use``: 0 if the measurement is rejected, else 1.
     """
+    one = use / (w[at(state, state), l] + r)
+    nu = one * off
+    for k in range(8):
+        w[k, l] += w[at(k, state), l] * nu
+    w[R.T, l] = _wrap(w[R.T, l])
+    for i in range(8):
+        if i != state:
+            gain = one * w[at(i, state), l]
+            for k in range(i + 1):
+                if k != state:
+                    w[at(i, k), l] = w[at(i, k), l] - gain * w[at(k, state), l]
+    left = one * r if use > 0.0 else 1.0
+    for k in range(8):
+        w[at(k, state), l] = w[at(k, state), l] * left
+
+
+def _update(w, z, *, state, noise, gate, correct):
+    """Update with one state. ``gate``: row of the NIS at which the measurement is rejected; 0: never."""
     for l in range(LANES):
-        r, use = w[noise, l], 1.0
-        s, off = w[at(state, state), l] + r, z - w[state, l]
+        r, use, off = w[noise, l], 1.0, z - w[state, l]
         if state == R.T:
             off = _wrap(off)
         if gate:
-            use = 1.0 if off * off < w[gate, l] * s else 0.0
-        one = use / s
-        nu = one * off
-        for k in range(8):
-            w[k, l] += w[at(k, state), l] * nu
-        w[R.T, l] = _wrap(w[R.T, l])
-        for i in range(8):
-            if i != state:
-                gain = one * w[at(i, state), l]
-                for k in range(i + 1):
-                    if k != state:
-                        w[at(i, k), l] = w[at(i, k), l] - gain * w[at(k, state), l]
-        left = one * r
-        if gate:
-            left = left if use > 0.0 else 1.0
-        for k in range(8):
-            w[at(k, state), l] = w[at(k, state), l] * left
+            use = 1.0 if off * off < w[gate, l] * (w[at(state, state), l] + r) else 0.0
+        correct(w, l, off, r, use)
 
 
-_update_gz = kernel(_update, state=R.W, noise=R_GZ, gate=GATE_GZ)
-_update_ax = kernel(_update, state=R.A, noise=R_AX, gate=GATE_AX)
-_update_vx = kernel(_update, state=R.U, noise=R.R_ODOMETER, gate=0)
-_update_ay = kernel(_update, state=R.B, noise=R_AY, gate=0)
-_update_yaw = kernel(_update, state=R.T, noise=R.R1, gate=0)
-_update_vy = kernel(_update, state=R.V, noise=R_VY, gate=0)
+def _updated(state, noise, gate=0):
+    return kernel(_update, state=state, noise=noise, gate=gate, correct=unrolled(_correct, state=state))
+
+
+_update_gz, _update_ax, _update_ay = (
+    _updated(R.W, R_GZ, GATE_GZ),
+    _updated(R.A, R_AX, GATE_AX),
+    _updated(R.B, R_AY),
+)
+_update_vx, _update_vy, _update_yaw = _updated(R.U, R.R_ODOMETER), _updated(R.V, R_VY), _updated(R.T, R.R1)
 
 
 @kernel
@@ -150,29 +156,17 @@ def _check_fix(w):
 BEFORE = {R.X: R.C1_X, R.Y: R.C1_Y}
 
 
-def _update_axis(w, *, state, noise, innovation):
-    """Update with one axis of a fix, like `_update`, in the lanes that accept the fix."""
+def _update_axis(w, *, state, noise, innovation, correct):
+    """Update with one axis of a fix in the lanes that accept the fix."""
     for l in range(LANES):
-        r, use = w[noise, l], w[R.USE, l]
-        one = use / (w[at(state, state), l] + r)
         off = w[innovation, l] - (w[state, l] - w[BEFORE[state], l])
-        nu = one * off
-        for k in range(8):
-            w[k, l] += w[at(k, state), l] * nu
-        w[R.T, l] = _wrap(w[R.T, l])
-        for i in range(8):
-            if i != state:
-                gain = one * w[at(i, state), l]
-                for k in range(i + 1):
-                    if k != state:
-                        w[at(i, k), l] = w[at(i, k), l] - gain * w[at(k, state), l]
-        left = one * r if use > 0.0 else 1.0
-        for k in range(8):
-            w[at(k, state), l] = w[at(k, state), l] * left
+        correct(w, l, off, w[noise, l], w[R.USE, l])
 
 
-_update_x = kernel(_update_axis, state=R.X, noise=R.R1, innovation=R.N1)
-_update_y = kernel(_update_axis, state=R.Y, noise=R.R2, innovation=R.N2)
+_update_x, _update_y = (
+    kernel(_update_axis, state=i, noise=noise, innovation=nu, correct=unrolled(_correct, state=i))
+    for i, noise, nu in ((R.X, R.R1, R.N1), (R.Y, R.R2, R.N2))
+)
 
 
 @kernel
@@ -186,11 +180,7 @@ def _add_residual(w):
 @kernel
 def _add_forecast(w):
     for l in range(LANES):
-        nis = _add_likelihood(w, l)
-        det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]
-        w[R.SQ_FORECAST, l] += w[R.N1, l] * w[R.N1, l] + w[R.N2, l] * w[R.N2, l]
-        tail = math.log(1.0 + nis * (1.0 / FORECAST_SCALE))
-        w[R.FORECAST_T, l] += 0.5 * math.log(det) + 0.5 * (FORECAST_DOF + 2.0) * tail
+        add_forecast(w, l)
 
 
 @kernel
