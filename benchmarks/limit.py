@@ -103,17 +103,17 @@ def kernel_call(fixes: bool = True):
     """A call of `run_lanes` over ten minutes with one parameter set in all lanes, its steps, and the lanes."""
     drive = simulate("urban", duration=600.0, seed=1)
     replay = tracking_replay(prepared(drive))
-    steps, sample, driving, flags, *others, ends = replay.arrays(False, False, False)
+    steps, sample, driving, flags, *others, ends = replay.arrays(frozenset())
+    if not fixes:
+        flags, ends = flags & ~np.uint16(events.FIX), np.zeros_like(ends)
+    arrays = (steps, sample, driving, flags, *others, ends)
     n_lanes = layout.most_lanes("planar5")
     rows = start_replays([replay], KernelArray((baseline(drive),) * n_lanes))[0]
 
     def call():
         run.run_lanes(
             "planar5",
-            *(steps, sample, driving),
-            flags if fixes else flags & (255 - events.FIX),
-            *others,
-            ends if fixes else np.zeros_like(ends),
+            arrays,
             rows.copy(),
             run.new_cursor(),
             len(steps),

@@ -122,15 +122,17 @@ def velocity_after(driving: list[list[float]], headings: np.ndarray) -> np.ndarr
     n = len(driving)
     run.run_lanes(
         "planar5",
-        np.tile([1.0, 1.0, 0.0], (n, 1)),  # dt, Q's scale, gap
-        np.arange(n, dtype=np.int32),
-        np.array(driving),
-        np.full(n, events.IMU, dtype=np.uint16),
-        np.empty((0, 8)),
-        np.empty((0, 3)),
-        np.zeros(3),
-        run.NO_TARGETS,
-        np.zeros(n, dtype=np.int32),
+        (
+            np.tile([1.0, 1.0, 0.0], (n, 1)),  # dt, Q's scale, gap
+            np.arange(n, dtype=np.int32),
+            np.array(driving),
+            np.full(n, events.IMU, dtype=np.uint16),
+            np.empty((0, 8)),
+            np.empty((0, 3)),
+            np.zeros(3),
+            run.NO_TARGETS,
+            np.zeros(n, dtype=np.int32),
+        ),
         rows,
         run.new_cursor(),
         n,

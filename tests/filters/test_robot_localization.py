@@ -110,12 +110,11 @@ class Messages:
         flags = np.where(self.is_imu, IMU | both, FIX).astype(np.uint16)
         fixes = np.insert(self.numbers[~self.is_imu], [2, 2, 4, 4], [0.0, 0.0, 0.0, np.inf], axis=1)
         record = np.empty((k, 8 + 36 + 1, 1))
-        run.run_lanes(
-            NAME, np.column_stack([self.dt, self.dt, 0 * self.dt]), np.arange(k, dtype=np.int32),
-            self.numbers[:, :3].copy(), flags, fixes, np.empty((0, 3)), np.zeros(3), run.NO_TARGETS,
-            np.zeros(k, dtype=np.int32), rows, run.new_cursor(), k if stop is None else stop, record,
-            run.NO_INNOVATIONS,
-        )  # fmt: skip
+        steps, ends = np.column_stack([self.dt, self.dt, 0 * self.dt]), np.zeros(k, dtype=np.int32)
+        imu = np.arange(k, dtype=np.int32), self.numbers[:, :3].copy(), flags
+        drive = (steps, *imu, fixes, np.empty((0, 3)), np.zeros(3), run.NO_TARGETS, ends)
+        stop = k if stop is None else stop
+        run.run_lanes(NAME, drive, rows, run.new_cursor(), stop, record, run.NO_INNOVATIONS)
         done = record[: int(self.is_imu[:stop].sum()), :44, 0].T
         return *unpack_states(done, NAME), rows
 

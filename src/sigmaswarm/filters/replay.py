@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.events import COMPARED, events_of
+from sigmaswarm.drives.tables import Array, Indices, Mask
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled import run
 from sigmaswarm.filters.kernel_array import KernelArray, Sums
@@ -36,7 +36,7 @@ class Targets:
     x: Array  # (m,), m
     y: Array  # (m,), m
     theta: Array  # (m,), rad
-    counts: NDArray[np.bool_]  # (m,), True if the heading is compared
+    counts: Mask  # (m,), True if the heading is compared
     end: NDArray[np.int32]  # (k,), number of targets before the end of each step
     noise: Array = field(default_factory=lambda: run.NO_DEVIATIONS)
 
@@ -50,7 +50,7 @@ class Targets:
         weight, x, y, theta = (run.readonly(column) for column in (self.weight, self.x, self.y, self.theta))
         return weight, x, y, theta, self.counts, run.readonly(self.noise)
 
-    def compared(self, line: Timeline) -> NDArray[np.intp]:
+    def compared(self, line: Timeline) -> Indices:
         """Return the steps that end at an IMU sample with a target in the interval before or after it."""
         samples = np.flatnonzero(line.sampled)
         inside = np.diff(self.end[samples], prepend=0) > 0
@@ -77,14 +77,14 @@ class Replay:
     timeline: Timeline
     initial: InitialState
     targets: Targets
-    _arrays: dict[frozenset[str], "DriveArrays"] = field(default_factory=dict)
+    _arrays: dict[frozenset[str], run.DriveArrays] = field(default_factory=dict)
     readable: set[tuple[ModelName, bool, frozenset[str]]] = field(default_factory=set)
 
     @cached_property
     def n_hidden(self) -> int:
         return int(self.timeline.hides.sum())
 
-    def arrays(self, used: frozenset[str]) -> "DriveArrays":
+    def arrays(self, used: frozenset[str]) -> run.DriveArrays:
         """Return the drive as kernel arrays; the flags depend on the measurements that the filter uses."""
         if used not in self._arrays:
             line, targets = self.timeline, self.targets
@@ -93,13 +93,6 @@ class Replay:
             read = line.steps, line.sample, line.driving, flags, line.fixes, wheels, line.lever
             self._arrays[used] = *read, targets.columns, targets.end
         return self._arrays[used]
-
-
-DriveArrays = tuple[
-    *tuple[Array, NDArray[np.int32], Array, NDArray[np.uint16]],
-    *tuple[Array, Array, Array, run.TargetColumns, NDArray[np.int32]],
-]
-"""steps, samples, driving, flags, fixes, wheels, lever, targets and their ends: see `compiled.run.run_lanes`."""
 
 
 def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParameters]) -> Sums:
@@ -133,8 +126,8 @@ def run_steps(
 ) -> None:
     """Run a block of filters over the steps of a replay from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
     require_readable(replay, array)
-    arrays = replay.arrays(array.reads[-1])
-    run.run_lanes(array.kernel, *arrays, rows, place, stop, record, innovations)
+    drive = replay.arrays(array.reads[-1])
+    run.run_lanes(array.kernel, drive, rows, place, stop, record, innovations)
 
 
 def require_readable(replay: Replay, array: KernelArray) -> None:

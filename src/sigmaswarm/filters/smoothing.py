@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.events import IMU
 from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.drives.tables import Array, Indices, Mask
 from sigmaswarm.filters.compiled.run import NEXT_STEP, NO_INNOVATIONS, logging_kernel
 from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.step_log import logged_rows
@@ -82,8 +83,8 @@ class _ForwardLog:
     start: Array
     ends: NDArray[np.int64]
     started: Array
-    sampled: NDArray[np.bool_]
-    lost: NDArray[np.bool_]
+    sampled: Mask
+    lost: Mask
 
 
 class _Forward(FilterRun):
@@ -105,12 +106,12 @@ class _Forward(FilterRun):
         self._first, self._logged = 0, np.empty((0, self._width, 1))
         self._resets: list[tuple[int, Array]] = []
 
-    def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
+    def _run_to(self, stops: Indices, record: Array) -> Mask:
         at = self._rows[0, :, 0].copy(), self._place.copy(), deepcopy(self._monitor)
         self.checkpoints.append(_Checkpoint(*at))
         return self._log_to(stops, record)
 
-    def _log_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
+    def _log_to(self, stops: Indices, record: Array) -> Mask:
         self._first, self._resets = int(self._place[NEXT_STEP]), []
         self._logged = np.empty((int(stops[-1]) - self._first, self._width, 1))
         return super()._run_to(stops, record)
@@ -133,10 +134,8 @@ class _Forward(FilterRun):
         logged = self._logged[first - self._first : stop - self._first]
         steps, sample, driving, flags, *rest = self._replay.arrays(self._measured)
         # The kernel records the steps with the flag IMU: here all of them.
-        self._kernel(
-            *(steps, sample, driving, flags | IMU, *rest),
-            *(self._rows[0], self._place, stop, logged, NO_INNOVATIONS),
-        )
+        drive = (steps, sample, driving, flags | IMU, *rest)
+        self._kernel(drive, self._rows[0], self._place, stop, logged, NO_INNOVATIONS)
         at, n = np.flatnonzero(self._replay.timeline.sampled[first:stop]), len(self._state)
         record[:, :n], record[:, n] = logged[at, :n], logged[at, -1]
 
@@ -171,7 +170,7 @@ class Smoothing:
         self.restarts: list[float] = []
         self.failure = forward.failure
         self._behind: list[Array] = []  # the smoothed state after each piece
-        self._kept: tuple[int, Array, NDArray[np.bool_]] | None = None
+        self._kept: tuple[int, Array, Mask] | None = None
         self._n = parameters.n_states
         self.initial = replay.initial
         if self._sizes[0][1]:

@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.events import FIX, ODOMETER
+from sigmaswarm.drives.tables import Array, Mask
 from sigmaswarm.drives.timeline import FIRST_AXIS, Q_SCALE
 from sigmaswarm.filters.bank.spread import Spread
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, SUM_ROWS, WIDEST, R
@@ -100,7 +99,7 @@ class Steps:
         """Run the lanes from ``place`` to step ``stop``, exclusive; this changes both lanes and ``place``."""
         k = len(self.rows)
         flags, steps = self.rows[:, T_FLAGS].astype(np.uint16), self.rows[:, T_STEP]
-        arrays = (
+        drive = (
             np.ascontiguousarray(steps[:, :FIRST_AXIS]),
             np.arange(k, dtype=np.int32),
             np.ascontiguousarray(steps[:, FIRST_AXIS:]),
@@ -111,7 +110,7 @@ class Steps:
             NO_TARGETS,
             np.zeros(k, dtype=np.int32),
         )
-        run_lanes(self.kernel, *arrays, lanes, place, stop, NO_RECORD, innovations)
+        run_lanes(self.kernel, drive, lanes, place, stop, NO_RECORD, innovations)
 
     @property
     def _begins(self) -> float:
@@ -204,7 +203,7 @@ def search(
     for _ in range(GENERATIONS):
         trial = _trials(offsets, spread, rng)
         trial_cost = costs(trial)
-        better: NDArray[np.bool_] = trial_cost < cost
+        better: Mask = trial_cost < cost
         offsets[better], cost[better] = trial[better], trial_cost[better]
     best = int(np.argmin(cost))
     if not np.isfinite(cost[best]):

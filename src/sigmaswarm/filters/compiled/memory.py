@@ -10,7 +10,7 @@ from numba import config, float64, int64, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from sigmaswarm.filters.compiled.rows import CACHE_LINE
+from sigmaswarm.filters.compiled.rows import CACHE_LINE, array_at
 
 _ARRAYS = (
     types.Array(float64, 1, "C"),
@@ -72,14 +72,10 @@ def _at(typing_context, handle):
 
         parts = [number()]
         for kind in _ARRAYS:
-            array = context.make_array(kind)(context, builder)
             data = builder.inttoptr(number(), context.get_data_type(kind.dtype).as_pointer())
             shape = [number() for _ in range(kind.ndim)]
             strides = [size(8)] if kind.ndim == 1 else [builder.mul(shape[1], size(8)), size(8)]
-            context.populate_array(
-                array, data=data, shape=shape, strides=strides, itemsize=size(8), meminfo=None
-            )
-            parts.append(array._getvalue())
+            parts.append(array_at(context, builder, kind, data, shape, strides))
         return context.make_tuple(builder, _KIND, parts)
 
     return _KIND(int64), generate

@@ -17,6 +17,14 @@ from sigmaswarm.filters.compiled.layout import BLOCKS, LANES, N_ROWS
 CACHE_LINE = 64  # bytes; also the width of the widest vectors
 
 
+def array_at(context, builder, kind, data, shape, strides):
+    """Return an array of doubles on given memory, for the generator of an intrinsic; strides in bytes."""
+    array = context.make_array(kind)(context, builder)
+    size = ir.IntType(64)(8)
+    context.populate_array(array, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None)
+    return array._getvalue()
+
+
 @intrinsic
 def _on_the_stack(typing_context, lanes):
     kind = types.Array(types.float64, 2, "A")
@@ -26,16 +34,9 @@ def _on_the_stack(typing_context, lanes):
         with builder.goto_entry_block():  # not by Numba's function, which also fills it with zeros
             data = builder.alloca(ir.ArrayType(ir.DoubleType(), BLOCKS * N_ROWS * LANES))
         data.align = CACHE_LINE
-        array = context.make_array(kind)(context, builder)
-        context.populate_array(
-            array,
-            data=builder.bitcast(data, ir.DoubleType().as_pointer()),
-            shape=[size(BLOCKS * N_ROWS), arguments[0]],
-            strides=[size(8 * LANES), size(8)],
-            itemsize=size(8),
-            meminfo=None,
-        )
-        return array._getvalue()
+        data = builder.bitcast(data, ir.DoubleType().as_pointer())
+        shape = [size(BLOCKS * N_ROWS), arguments[0]]
+        return array_at(context, builder, kind, data, shape, [size(8 * LANES), size(8)])
 
     return kind(types.int64), generate
 

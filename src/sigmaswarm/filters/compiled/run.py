@@ -44,6 +44,22 @@ def readonly(column: Array) -> Array:
 TargetColumns = tuple[Array, Array, Array, Array, NDArray[np.bool_], Array]  # see `replay.Targets.columns`
 _NOTHING, NO_DEVIATIONS = readonly(np.empty(0)), readonly(np.empty((0, 4)))
 NO_TARGETS: TargetColumns = _NOTHING, _NOTHING, _NOTHING, _NOTHING, np.empty(0, dtype=np.bool_), NO_DEVIATIONS
+DriveArrays = tuple[
+    *tuple[Array, NDArray[np.int32], Array, NDArray[np.uint16]],
+    *tuple[Array, Array, Array, TargetColumns, NDArray[np.int32]],
+]
+"""k steps of a drive, its fixes and targets, as a kernel reads them:
+
+- steps (k, 3) as `Timeline.steps`
+- sample (k,), the row of ``driving`` of each step
+- driving (n, 3 or 6) as `Timeline.driving`, with all axes that the model reads
+- flags (k,), bits of each step: see `drives.events`
+- fixes (f, 8) as `Timeline.fixes`, in the order of their updates
+- wheels (o, 3) as `drives.events.Events.wheels`
+- lever (3,), m forward, left and up from the IMU to the antenna
+- targets, columns (m,) as `Targets.columns`
+- their ends (k,), number of targets before the end of each step (constant where flags lack IMU)
+"""
 
 
 def new_cursor() -> Array:
@@ -111,15 +127,28 @@ def _score_by_deviation(
 
 
 def _run(
-    w, steps, sample, driving, flags, fixes, speeds, lever, targets, target_end, place, stop, record, innovations,
-    *, step, state, n_axes, heading, score, score_there, score_by_deviation,
-):  # fmt: skip
+    w,
+    drive,
+    place,
+    stop,
+    record,
+    innovations,
+    *,
+    step,
+    state,
+    n_axes,
+    heading,
+    score,
+    score_there,
+    score_by_deviation,
+):
     """Run the steps from a place to a stop; w contains the filters, and is changed.
 
     ``state``: the recorded rows; ``heading``: the row of the scored heading. Steps and fixes are passed as tuples,
     since a row of an array would be reference-counted at each step.
     """
-    z, arm = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (lever[0], lever[1], lever[2])
+    steps, sample, driving, flags, fixes, speeds, lever, targets, target_end = drive
+    z, arm = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), tuple(lever[k] for k in range(3))
     wheels = (0.0, 0.0, 0.0)
     n_speeds = int(place[NEXT_SPEED])
     n_fixes = int(place[NEXT_FIX])
@@ -139,23 +168,13 @@ def _run(
                 w[R.BEFORE_Y, l] = w[R.Y, l]
                 w[R.BEFORE_T, l] = w[heading, l]
         m = sample[s]
-        if n_axes == 3:
-            u = (steps[s, 0], steps[s, 1], steps[s, 2], driving[m, 0], driving[m, 1], driving[m, 2])
-        else:
-            u = (
-                steps[s, 0], steps[s, 1], steps[s, 2], driving[m, 0], driving[m, 1], driving[m, 2],
-                driving[m, 3], driving[m, 4], driving[m, 5],
-            )  # fmt: skip
+        u = tuple(steps[s, k] for k in range(3)) + tuple(driving[m, k] for k in range(n_axes))
         events = int(flags[s])
         since += u[Q_SCALE]
         if events & (FIX | HIDDEN):
-            f = n_fixes
-            z = (
-                fixes[f, 0], fixes[f, 1], fixes[f, 2], fixes[f, 3],
-                fixes[f, 4], fixes[f, 5], fixes[f, 6], fixes[f, 7],
-            )  # fmt: skip
+            z = tuple(fixes[n_fixes, k] for k in range(8))
         if events & ODOMETER:
-            wheels = (speeds[n_speeds, 0], speeds[n_speeds, 1], speeds[n_speeds, 2])
+            wheels = tuple(speeds[n_speeds, k] for k in range(3))
             n_speeds += 1
         step(w, u, events, z, wheels, arm, since)
         if events & FIX:
@@ -266,43 +285,13 @@ def cached_by_sources(make, name, known=None):
 
 
 def _machine_code(sources, *, steps_to):
-    def run_model(
-        steps,
-        sample,
-        driving,
-        flags,
-        fixes,
-        speeds,
-        lever,
-        targets,
-        target_end,
-        rows,
-        place,
-        stop,
-        record,
-        innovations,
-    ):
+    def run_model(drive, rows, place, stop, record, innovations):
         if sources == "":  # never true; makes ``sources`` a part of the closure
             return
         control = exchange_control(-1)
         w = new_rows(rows.shape[1])
         _load(w, rows)
-        steps_to(
-            w,
-            steps,
-            sample,
-            driving,
-            flags,
-            fixes,
-            speeds,
-            lever,
-            targets,
-            target_end,
-            place,
-            stop,
-            record,
-            innovations,
-        )
+        steps_to(w, drive, place, stop, record, innovations)
         _store(w, rows)
         exchange_control(control)
 
@@ -337,15 +326,7 @@ def logging_kernel(model):
 
 def run_lanes(
     model: str,
-    steps: Array,
-    sample: NDArray[np.int32],
-    driving: Array,
-    flags: NDArray[np.uint16],
-    fixes: Array,
-    speeds: Array,
-    lever: Array,
-    targets: TargetColumns,
-    target_end: NDArray[np.int32],
+    drive: DriveArrays,
     rows: Array,
     place: Array,
     stop: int,
@@ -359,15 +340,7 @@ def run_lanes(
     Parameters
     ----------
     model : name of the model
-    steps : (k, 3) as `Timeline.steps`
-    sample : (k,) row of ``driving`` of each step
-    driving : (n, 3 or 6) as `Timeline.driving`, with all axes that the model reads
-    flags : (k,) bits of each step: see `drives.events`
-    fixes : (f, 8) as `Timeline.fixes`, in the order of their updates
-    speeds : (o, 3) as `drives.events.Events.wheels`
-    lever : (3,) m forward, left and up from the IMU to the antenna
-    targets : columns (m,) as `Targets.columns`
-    target_end : (k,) number of targets before the end of each step (constant where flags lack IMU)
+    drive : DriveArrays
     rows : (N_KEPT, a multiple of WIDEST), changed: state, constants, sums and memory of each lane
     place : (5,), changed: see NEXT_STEP ... NEXT_SPEED
     stop : the step before which the run stops; for k the sums are complete
@@ -376,5 +349,4 @@ def run_lanes(
     innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix of these steps, before
         the update; no rows: none
     """
-    arrays = steps, sample, driving, flags, fixes, speeds, lever, targets, target_end, rows, place, stop
-    run_kernel(model)(*arrays, record, innovations)
+    run_kernel(model)(drive, rows, place, stop, record, innovations)

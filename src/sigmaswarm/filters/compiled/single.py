@@ -38,9 +38,8 @@ def _one_step(sources, *, step, kept, step_log, logged):
         for lane in range(w.shape[1]):
             w[R.SIN_COS_VALID_ALL, lane] = v[R.SIN_COS_VALID]  # all lanes are equal
         step(
-            w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), events,
-            (z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]), (wheels[0], wheels[1], wheels[2]),
-            (lever[0], lever[1], lever[2]), since,
+            w, tuple(u[k] for k in range(9)), events, tuple(z[k] for k in range(8)),
+            tuple(wheels[k] for k in range(3)), tuple(lever[k] for k in range(3)), since,
         )  # fmt: skip
         for r in kept:
             v[r] = w[r, 0]

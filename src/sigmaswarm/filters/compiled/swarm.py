@@ -27,6 +27,7 @@ from sigmaswarm.drives.timeline import DT
 from sigmaswarm.filters.compiled.lanes import OPTIONS, exchange_control
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, N_ROWS, P0, R, state_rows
 from sigmaswarm.filters.compiled.live import BEHIND, DIMENSION, FACTOR, TIME, is_definite
+from sigmaswarm.filters.compiled.rows import array_at
 from sigmaswarm.filters.compiled.run import named_by_sources
 from sigmaswarm.filters.compiled.single import SIGNATURE, SingleStep
 from sigmaswarm.filters.compiled.step import step_of
@@ -62,16 +63,8 @@ def _rows_behind(typing_context, v):
 
     def generate(context, builder, signature, arguments):
         size = ir.IntType(64)
-        array = context.make_array(kind)(context, builder)
-        context.populate_array(
-            array,
-            data=cgutils.gep_inbounds(builder, arguments[0], size(BEHIND + NUMBERS)),
-            shape=[size(N_ROWS), size(LANES)],
-            strides=[size(8 * LANES), size(8)],
-            itemsize=size(8),
-            meminfo=None,
-        )
-        return array._getvalue()
+        data = cgutils.gep_inbounds(builder, arguments[0], size(BEHIND + NUMBERS))
+        return array_at(context, builder, kind, data, [size(N_ROWS), size(LANES)], [size(8 * LANES), size(8)])
 
     return kind(v), generate
 
@@ -163,9 +156,8 @@ def _swarm_step(sources, *, step, kept):
         if v[R.OK] == 0.0:  # set by the live filter's check
             w[R.OK, 0] = 0.0
         step(
-            w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), events,
-            (z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]), (wheels[0], wheels[1], wheels[2]),
-            (lever[0], lever[1], lever[2]), since,
+            w, tuple(u[k] for k in range(9)), events, tuple(z[k] for k in range(8)),
+            tuple(wheels[k] for k in range(3)), tuple(lever[k] for k in range(3)), since,
         )  # fmt: skip
         exchange_control(control)
         now = v[TIME] + u[DT]
