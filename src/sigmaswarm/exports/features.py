@@ -37,7 +37,7 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "LATENCY": p.latency != 0.0,
         "GATE": gate,
         "NIS": gate or rules,
-        "GATE_OR_STRETCH": gate or tracking or rules or robust,
+        "INNOVATION": gate or adaptive or tracking or rules or robust,
         "ACCURACY": p.accuracy_scale is not None,
         "FIX_ERROR": p.fix_error is not None,
         "PLANAR_FIX_ERROR": p.fix_error is not None and not has_tilts,

@@ -14,9 +14,17 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.exports.features import defined, features_of, fill, listed, values_of
 from sigmaswarm.filters import models, schedule
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.textbook import ekf
+from sigmaswarm.filters.textbook import adaptive, ekf, gaussian
 
 FILE = "run_filter.py"
+WEIGHING = {
+    "USE_ADAPTIVE": "SageHusa",
+    "USE_FUZZY": "FuzzyNoise",
+    "USE_STRONG_TRACKING": "StrongTracking",
+    "USE_ROBUST": "StudentT",
+    "USE_STRETCH": "stretched",
+}
+"""Parts of `textbook.adaptive` that a script contains, by feature."""
 
 
 def filterpy(
@@ -39,6 +47,7 @@ def filterpy(
     used += ["velocity"] if features["USE_VELOCITY_OR_STANDSTILL"] else []
     used += ["lateral_arm", "lateral_velocity"] if features["USE_LATERAL"] else []
     used += ["gyro_bias"] if stands else []
+    weighing = [name for feature, name in WEIGHING.items() if features[feature]]
     sources = [source_of(models, used), *([source_of(ekf, ["complex_step"])] if p.kind == "ekf" else [])]
     values = values_of(p, interval) | {
         "STATES": repr(model.names),
@@ -50,6 +59,9 @@ def filterpy(
         if p.kind == "ekf"
         else "MerweScaledSigmaPoints, UnscentedKalmanFilter",
         "MODEL_SOURCE": "\n\n\n".join(sources),
+        "ADAPTIVE_SOURCE": "\n\n\n".join(
+            [source_of(gaussian, ["Innovation"]), source_of(adaptive, weighing)]
+        ),
         "WRAP_SOURCE": source_of(geodesy, ["wrap_angle"]),
         "STALE_SOURCE": source_of(stale_fixes),
         "GAPS_SOURCE": source_of(gaps),

@@ -37,7 +37,11 @@ class SageHusa:
 
 @dataclass
 class FuzzyNoise:
-    """Scale Q and R by fuzzy rules on the innovations of the fixes: see `filters.fuzzy`."""
+    """Scale Q and R by fuzzy rules (Takagi and Sugeno 1985) on the innovations of the fixes: see `filters.fuzzy`.
+
+    Where NIS / 2 is small, both are divided by their gains; where it is large and rises, R is multiplied by its gain;
+    where it is large and does not rise, both are.
+    """
 
     tuned_process_noise: Array  # (n,), diagonal of Q per nominal step at a ratio of 1
     tuned_measurement_noise: Array  # (2,), diagonal of R at a ratio of 1
@@ -146,10 +150,9 @@ class StudentT:
 
 def stretched(filter: GaussianFilter, innovation: Innovation, size: float) -> Innovation:
     """Inflate the part of P that a fix observes until tr S is at least ``size``, m2; return the innovation."""
-    cross, covariance = innovation.cross, filter.covariance
-    seen = cross.T @ np.linalg.solve(covariance, cross)  # H P H^T, with H = C^T P^-1
+    cross = innovation.cross
+    seen = cross.T @ np.linalg.solve(filter.covariance, cross)  # H P H^T, with H = C^T P^-1
     factor = max(1.0, (size - np.trace(innovation.noise)) / np.trace(seen))
-    filter.covariance = covariance + (factor - 1) * cross @ np.linalg.solve(seen, cross.T)
-    filter.prediction = replace(filter.prediction, covariance=filter.covariance)  # as if Q had been larger
+    filter.inflate((factor - 1) * cross @ np.linalg.solve(seen, cross.T))
     variance = innovation.variance + (factor - 1) * seen
     return Innovation(innovation.nu, variance, factor * cross, innovation.noise)

@@ -41,12 +41,20 @@ class ExtendedKalmanFilter(GaussianFilter):
         *,
         measured_angles: Sequence[int] = (),
     ) -> None:
-        self.f, self.h, self.measured_angles = f, h, list(measured_angles)
-        self.mean, self.covariance = mean.astype(np.float64), covariance.astype(np.float64)
+        super().__init__(f, h, mean, covariance)
+        self.measured_angles = list(measured_angles)
+
+    def transition(self, mean: Array, dt: float, u: Array) -> Array:
+        """Return F, the Jacobian of the process, (n, n)."""
+        return complex_step(lambda s: self.f(s, dt, u), mean)
+
+    def sensitivity(self, h: Measurement, mean: Array) -> Array:
+        """Return H, the Jacobian of a measurement, (m, n)."""
+        return complex_step(h, mean)
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
         """Compute x' = f(x), P' = F P F^T + Q."""
-        jacobian = complex_step(lambda s: self.f(s, dt, u), self.mean)
+        jacobian = self.transition(self.mean, dt, u)
         self.mean = self.f(self.mean, dt, u)
         cross = self.covariance @ jacobian.T
         self.covariance = jacobian @ self.covariance @ jacobian.T + process_noise
@@ -58,7 +66,7 @@ class ExtendedKalmanFilter(GaussianFilter):
         """Compute nu = z - h(x), S = H P H^T + R, C = P H^T."""
         angles = self.measured_angles if h is None else []
         h = h or self.h
-        jacobian = complex_step(h, self.mean)
+        jacobian = self.sensitivity(h, self.mean)
         cross = self.covariance @ jacobian.T
         nu = wrapped_differences(measurement - h(self.mean), angles)
         return Innovation(nu, jacobian @ cross + measurement_noise, cross, measurement_noise)

@@ -1,7 +1,7 @@
 """The common part of all Kalman filters: a Gaussian state, and its update with an innovation."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,11 +71,16 @@ def wrapped_differences(values: Array, columns: Sequence[int]) -> Array:
 
 
 class GaussianFilter:
-    """A Gaussian state (``mean``, shape (n,); ``covariance``, shape (n, n)) with updates by innovations."""
+    """A Gaussian state (``mean``, shape (n,); ``covariance``, shape (n, n)) with updates by innovations.
 
-    mean: Array
-    covariance: Array
+    ``f(state, dt, u) -> state`` is the process, ``h(state) -> measurement`` the measurement; arrays (n,), (m,).
+    """
+
     prediction: Prediction  # the last one
+
+    def __init__(self, f: Process, h: Measurement, mean: Array, covariance: Array) -> None:
+        self.f, self.h = f, h
+        self.mean, self.covariance = mean.astype(np.float64), covariance.astype(np.float64)
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
         """Propagate the state by the process over ``dt`` seconds; Q, shape (n, n), is added to the covariance."""
@@ -95,6 +100,11 @@ class GaussianFilter:
         gain = innovation.gain
         self.mean = self.mean + gain @ innovation.nu
         self.covariance = self.covariance - gain @ innovation.variance @ gain.T
+
+    def inflate(self, added: Array) -> None:
+        """Add a covariance, shape (n, n), to P, as if Q of the last prediction had been larger."""
+        self.covariance = self.covariance + added
+        self.prediction = replace(self.prediction, covariance=self.covariance)
 
     def update(
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from sigmaswarm.filters.textbook.ekf import ExtendedKalmanFilter
 from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Innovation, Measurement, Process
-from sigmaswarm.filters.textbook.ukf import SigmaPoints
+from sigmaswarm.filters.textbook.ukf import SigmaPoints, UnscentedKalmanFilter
 
 Retraction = Callable[[Array, Array], Array]
 
@@ -36,11 +37,7 @@ class Manifold:
 
 
 class _OnManifold(GaussianFilter):
-    def __init__(
-        self, f: Process, h: Measurement, mean: Array, covariance: Array, manifold: Manifold
-    ) -> None:
-        self.f, self.h, self.manifold = f, h, manifold
-        self.mean, self.covariance = mean.astype(np.float64), covariance.astype(np.float64)
+    manifold: Manifold
 
     def correct(self, innovation: Innovation) -> None:
         """Update the state: x plus K nu, P - K S K^T."""
@@ -49,7 +46,7 @@ class _OnManifold(GaussianFilter):
         self.mean = self.manifold.plus(mean, innovation.gain @ innovation.nu)
 
 
-class ErrorStateKalmanFilter(_OnManifold):
+class ErrorStateKalmanFilter(_OnManifold, ExtendedKalmanFilter):
     """An extended Kalman filter whose covariance is that of a small error.
 
     ``transition(state, dt, u)`` is the Jacobian F of ``f`` for a small error, (n, n); ``h.jacobian(state)`` is the
@@ -57,35 +54,19 @@ class ErrorStateKalmanFilter(_OnManifold):
     """
 
     def __init__(
-        self,
-        f: Process,
-        transition: Process,
-        h: Any,
-        mean: Array,
-        covariance: Array,
-        manifold: Manifold,
+        self, f: Process, transition: Process, h: Any, mean: Array, covariance: Array, manifold: Manifold
     ) -> None:
-        super().__init__(f, h, mean, covariance, manifold)
-        self.transition = transition
+        super().__init__(f, h, mean, covariance)
+        self._transition, self.manifold = transition, manifold
 
-    def predict(self, dt: float, u: Array, process_noise: Array) -> None:
-        """Compute x' = f(x), P' = F P F^T + Q."""
-        f = self.transition(self.mean, dt, u)
-        self.mean = self.f(self.mean, dt, u)
-        cross = self.covariance @ f.T
-        self.covariance = f @ self.covariance @ f.T + process_noise
-        self._expect(cross)
+    def transition(self, mean: Array, dt: float, u: Array) -> Array:
+        return self._transition(mean, dt, u)
 
-    def measure(self, measurement: Array, measurement_noise: Array, h: Any = None) -> Innovation:
-        """Compute nu = z - h(x), S = H P H^T + R, C = P H^T."""
-        h = h or self.h
-        jacobian = h.jacobian(self.mean)
-        cross = self.covariance @ jacobian.T
-        nu = measurement - h(self.mean)
-        return Innovation(nu, jacobian @ cross + measurement_noise, cross, measurement_noise)
+    def sensitivity(self, h: Any, mean: Array) -> Array:
+        return h.jacobian(mean)
 
 
-class ManifoldUnscentedKalmanFilter(_OnManifold):
+class ManifoldUnscentedKalmanFilter(_OnManifold, UnscentedKalmanFilter):
     """UKF-M: sigma points are errors, added to the mean; parameters as in `ErrorStateKalmanFilter`.
 
     ``measured``: sigma points of measurements, if they differ from those of the process.
@@ -102,8 +83,8 @@ class ManifoldUnscentedKalmanFilter(_OnManifold):
         *,
         measured: SigmaPoints | None = None,
     ) -> None:
-        super().__init__(f, h, mean, covariance, manifold)
-        self.points, self.measured = points, measured or points
+        super().__init__(f, h, mean, covariance, points)
+        self.manifold, self.measured = manifold, measured or points
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
         """Compute x' = f(x) plus the mean error; P' is the covariance of the errors, plus Q."""
@@ -120,15 +101,6 @@ class ManifoldUnscentedKalmanFilter(_OnManifold):
         self.covariance = (spread.T * wc) @ spread + process_noise
         self._expect((drawn.T * wc) @ spread)
 
-    def measure(
-        self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
-    ) -> Innovation:
-        """Compute nu, S and C from the sigma points."""
-        h = h or self.h
-        wm, wc = self.measured.weights(len(self.mean))
+    def _measured_points(self) -> tuple[SigmaPoints, Array, Array]:
         drawn = self.measured.draw(np.zeros(len(self.mean)), self.covariance)
-        predicted = np.array([h(self.manifold.plus(self.mean, error)) for error in drawn])
-        centre = wm @ (predicted - predicted[0]) + predicted[0]
-        spread = predicted - centre
-        s = (spread.T * wc) @ spread + measurement_noise
-        return Innovation(measurement - centre, s, (drawn.T * wc) @ spread, measurement_noise)
+        return self.measured, np.array([self.manifold.plus(self.mean, error) for error in drawn]), drawn

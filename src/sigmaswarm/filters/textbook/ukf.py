@@ -119,9 +119,8 @@ class UnscentedKalmanFilter(GaussianFilter):
         angles: Sequence[int] = (),
         measured_angles: Sequence[int] = (),
     ) -> None:
-        self.f, self.h, self.points = f, h, points
-        self.mean, self.covariance = mean.astype(np.float64), covariance.astype(np.float64)
-        self.redraw_sigma_points = redraw_sigma_points
+        super().__init__(f, h, mean, covariance)
+        self.points, self.redraw_sigma_points = points, redraw_sigma_points
         self.angles, self.measured_angles = list(angles), list(measured_angles)
         self._propagated: Array | None = None
 
@@ -148,19 +147,23 @@ class UnscentedKalmanFilter(GaussianFilter):
         """Compute nu, S and C from the sigma points; ``h`` replaces the filter's own."""
         angles = self.measured_angles if h is None else []
         h = h or self.h
-        wm, wc = self.points.weights(len(self.mean))
-        sigmas = self._propagated
-        if self.redraw_sigma_points or sigmas is None:
-            sigmas = self.points.draw(self.mean, self.covariance)
+        points, sigmas, spread_x = self._measured_points()
+        wm, wc = points.weights(len(self.mean))
         predicted = np.array([h(s) for s in sigmas])
         offsets = wrapped_differences(predicted - predicted[0], angles)
         predicted[:, angles] = predicted[0, angles] + offsets[:, angles]
         centre = wm @ (predicted - predicted[0]) + predicted[0]
         spread_z = predicted - centre
-        spread_x = sigmas - self.mean
         s = (spread_z.T * wc) @ spread_z + measurement_noise
         nu = wrapped_differences(measurement - centre, angles)
         return Innovation(nu, s, (spread_x.T * wc) @ spread_z, measurement_noise)
+
+    def _measured_points(self) -> tuple[SigmaPoints, Array, Array]:
+        """Return the sigma points of a measurement, (2n + 1, n), and their differences from the mean."""
+        sigmas = self._propagated
+        if self.redraw_sigma_points or sigmas is None:
+            sigmas = self.points.draw(self.mean, self.covariance)
+        return self.points, sigmas, sigmas - self.mean
 
     def correct(self, innovation: Innovation) -> None:
         """Update the state: x + K nu, P - K S K^T."""
