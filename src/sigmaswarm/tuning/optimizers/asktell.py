@@ -1,5 +1,6 @@
 """Protocol and base class of optimizers."""
 
+from collections import ChainMap
 from inspect import get_annotations
 from typing import Any, ClassVar, Protocol
 
@@ -52,7 +53,7 @@ class AskTell:
     def __init__(
         self, low: Array, high: Array, population: int, rng: np.random.Generator, **options: Any
     ) -> None:
-        known = get_annotations(type(self))
+        known = dict(ChainMap(*map(get_annotations, type(self).__mro__[:-2])))  # without AskTell and object
         for option, value in options.items():
             if option not in known:
                 raise InputError(

@@ -8,17 +8,14 @@ import numpy as np
 
 from sigmaswarm.tuning.optimizers.asktell import Array, Swarm
 from sigmaswarm.tuning.optimizers.genetic import mutated, offspring
-from sigmaswarm.tuning.options import ACCELERATION, INERTIA
+from sigmaswarm.tuning.optimizers.pso import MovingSwarm
 
 
-class GeneticSwarm(Swarm):
+class GeneticSwarm(MovingSwarm):
     """A population of particles and of children of the elites."""
 
     name = "ga-pso"
     saved = ("velocities", "costs", *Swarm.saved)
-    inertia: float = INERTIA
-    cognitive: float = ACCELERATION
-    social: float = ACCELERATION
 
     def _begin(self) -> Array:
         positions = super()._begin()
@@ -34,10 +31,7 @@ class GeneticSwarm(Swarm):
         elites = np.argsort(self.costs, kind="stable")[: (n + 1) // 2]
         x, costs, v = self.positions[elites], self.costs[elites], self.velocities[elites]
         best, best_cost = self.personal_best[elites], self.personal_cost[elites]
-        r1, r2 = self.rng.random((2, *x.shape))
-        v = (
-            self.inertia * v + self.cognitive * r1 * (best - x) + self.social * r2 * (self.global_best - x)
-        )  # (the paper's eq. 2)
+        v = self._accelerated(v, x, best)
         children = mutated(offspring(x, costs, n - len(elites), box, self.rng), box, self.rng)
         # a child starts with zero velocity, and its best position is its first one
         self.velocities = np.concatenate([v, np.zeros_like(children)])

@@ -7,12 +7,26 @@ from sigmaswarm.tuning.optimizers.asktell import Array, Swarm
 from sigmaswarm.tuning.options import ACCELERATION, INERTIA
 
 
-class ParticleSwarm(Swarm):
-    name = "pso"
-    saved = ("velocities", *Swarm.saved)
+class MovingSwarm(Swarm):
+    """Particles with velocities."""
+
     inertia: float = INERTIA
     cognitive: float = ACCELERATION
     social: float = ACCELERATION
+
+    def _accelerated(self, velocities: Array, positions: Array, best: Array) -> Array:
+        """Return the next velocities of particles with the best positions ``best`` (eq. 2); all shapes are (n, d)."""
+        r1, r2 = self.rng.random((2, *positions.shape))
+        return (
+            self.inertia * velocities
+            + self.cognitive * r1 * (best - positions)
+            + self.social * r2 * (self.global_best - positions)
+        )
+
+
+class ParticleSwarm(MovingSwarm):
+    name = "pso"
+    saved = ("velocities", *Swarm.saved)
     zero_velocity_at_bounds: bool = False
     """Stop particles along the coordinates in which they reach a bound."""
 
@@ -23,12 +37,7 @@ class ParticleSwarm(Swarm):
         return positions
 
     def _next(self) -> Array:
-        r1, r2 = self.rng.random((2, *self.positions.shape))
-        self.velocities = (
-            self.inertia * self.velocities
-            + self.cognitive * r1 * (self.personal_best - self.positions)
-            + self.social * r2 * (self.global_best - self.positions)
-        )  # (eq. 2)
+        self.velocities = self._accelerated(self.velocities, self.positions, self.personal_best)
         wanted = self.positions + self.velocities  # (eq. 3)
         if self.zero_velocity_at_bounds:
             self.velocities[(wanted < self.low) | (wanted > self.high)] = 0.0
