@@ -17,6 +17,7 @@ from sigmaswarm.scoring.methods import AGAINST, BASELINE
 from sigmaswarm.versions import __version__
 
 FILE = "robot_localization.yaml"
+X, Y, VX, VY, YAW, AX, _, YAW_RATE = PLACES
 DEFAULT_PROCESS_NOISE = (
     *(0.05, 0.05, 0.06),
     *(0.03, 0.03, 0.06),
@@ -66,6 +67,7 @@ def _shared(p: FilterParameters, interval: float, mounting: Angles | None) -> di
         "TRANSFORM": " ".join(f"--{name} {angle:.9g}" for name, angle in angles),
         "FREQUENCY": yaml_number(in_range(round(1 / interval, 3) or 1 / interval, "1 / nominal_interval")),
         "REJECTION_THRESHOLD": yaml_number(math.sqrt(p.gate or 0.0)),
+        "FIX_ENTRIES": _entries("odom0", X, Y),
     }
 
 
@@ -88,6 +90,10 @@ def _configuration(p: FilterParameters, interval: float, mounting: Angles | None
     }
     values = _shared(p, interval, mounting) | {
         **{name: yaml_number(value) for name, value in numbers.items()},
+        "IMU_ENTRIES": _entries("imu0", YAW_RATE, AX),
+        "HEADING_ENTRIES": _entries("imu1", YAW),
+        "WHEEL_ENTRIES": _entries("odom1", VX),
+        "LATERAL_ENTRIES": _entries("twist0", VY),
         "VERSION": __version__,
         "REMOVE_GRAVITY": "false",
         "INITIAL_COVARIANCE": _diagonal(start),
@@ -157,6 +163,14 @@ def yaml_number(value: float) -> str:
     """Return a number with a dot, since some YAML readers read 1e-05 as text."""
     text = repr(float(value))
     return text if "." in text else text.replace("e", ".0e")
+
+
+def _entries(sensor: str, *measured: int) -> str:
+    """Return the setting that selects the states that a sensor measures, in five rows of three."""
+    head = f"    {sensor}_config: ["
+    cells = [("true," if k in measured else "false,").ljust(6) for k in range(15)]
+    rows = [" ".join(cells[k : k + 3]).rstrip() for k in range(0, 15, 3)]
+    return head + f"\n{' ' * len(head)}".join(rows).removesuffix(",") + "]"
 
 
 def _diagonal(values: list[float]) -> str:
