@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from exported import export_filter
 from fuzzing.check import limited
 from fuzzing.records import record_network
 from sigmaswarm import FilterParameters, evaluate, tune
@@ -19,7 +20,6 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.compare import compare
 from sigmaswarm.experiments.comparison import Comparison, Outcome
 from sigmaswarm.experiments.study.timings import _content
-from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.files import staged_files, whole_file, write_whole
 from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.records import load_record

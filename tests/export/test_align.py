@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exported import SANITIZERS, STRICT, build, needs_gcc, tuned
+from exported import SANITIZERS, STRICT, build, export_filter, needs_gcc, tuned
 from filter_cases import equipped
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.exports.c99 import replay_rows
-from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.geodesy import wrap_angle
 from support import DRIVES, make_drive, needs_shared, quickly

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exported import SANITIZERS, build, distance, needs_gcc, replay
+from exported import SANITIZERS, build, distance, export_filter, needs_gcc, replay
 from filter_cases import OPTIONS, equipped, parameters
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c99 import replay_rows
-from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter

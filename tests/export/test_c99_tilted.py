@@ -14,6 +14,7 @@ from exported import (
     STRICT,
     build,
     distance,
+    export_filter,
     needs_clang,
     needs_gcc,
     replay,
@@ -23,7 +24,6 @@ from exported import (
 from sigmaswarm import InputError, simulate
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.exports.c99 import replay_rows
-from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.simulation.gps import GPS_GRADES

@@ -14,7 +14,17 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from exported import OPTIMIZED, SANITIZERS, STRICT, build, distance, needs_clang, needs_gcc, write
+from exported import (
+    OPTIMIZED,
+    SANITIZERS,
+    STRICT,
+    build,
+    distance,
+    export_filter,
+    needs_clang,
+    needs_gcc,
+    write,
+)
 from exported import replay as replay_c
 from filter_cases import OPTIONS, WEIGHED, equipped, parameters, rough, straying
 from microcontroller import M4F, build_for, needs_arm, replay_on
@@ -25,7 +35,6 @@ from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.check import check_export
 from sigmaswarm.exports.lanes import Lanes
-from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.bank.live import LiveFilterBank
 from sigmaswarm.filters.bank.spread import FIXED
 from sigmaswarm.filters.compiled.layout import LANES

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import yaml
 
-from exported import STRICT, needs_gcc, tuned, write
+from exported import STRICT, export_filter, needs_gcc, tuned, write
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.targets import TARGETS, export_filter
+from sigmaswarm.exports.targets import TARGETS
 from support import some
 
 P = tuned("planar5", "ukf", 0.01)

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from exported import run_alone, tuned
+from exported import export_filter, run_alone, tuned
 from sigmaswarm.drives.writer import write_drive
-from sigmaswarm.exports.targets import export_filter
 from support import make_drive
 
 DRIVE = make_drive(duration=8.0)

@@ -6,10 +6,10 @@ from typing import get_args
 
 import pytest
 
-from exported import tuned
+from exported import export_filter, tuned
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.names import Target, next_command
-from sigmaswarm.exports.targets import TARGETS, export_filter
+from sigmaswarm.exports.targets import TARGETS
 from support import make_drive
 
 P = tuned("planar5", "ukf", 0.01, everything=False)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import f
 
-from sigmaswarm import InputError, run_filter, simulate
+from sigmaswarm import run_filter, simulate
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.scoring.evaluation import evaluate
 from sigmaswarm.scoring.radius import (
@@ -16,7 +16,6 @@ from sigmaswarm.scoring.radius import (
     TRACKING,
     factor_of,
     lasting_variance,
-    position_radius,
     radius_record,
 )
 
@@ -66,23 +65,6 @@ def test_lasting_variance_is_that_of_the_last_fix():
     switch = float(gps.time[100])
     before, after = lasting_variance(stated, baseline(stated), np.array([switch - 1e-6, switch]), np.ones(2))
     assert math.isclose(after / before, 4.0, rel_tol=1e-12)
-
-
-def test_radius_of_an_estimate():
-    drive = m8()
-    parameters = baseline(drive)
-    estimate = run_filter(drive, parameters)
-    radius = position_radius(estimate, drive, parameters, 0.999)
-    variance = (estimate.covariance[:, 0, 0] + estimate.covariance[:, 1, 1]) / 2
-    expected = factor_of(0.999) * np.sqrt(
-        variance + lasting_variance(drive, parameters, estimate.time, variance)
-    )
-    np.testing.assert_array_equal(radius, expected)
-    assert np.all(radius > position_radius(estimate, drive, parameters))
-    with pytest.raises(InputError, match="level = 1: must lie"):
-        position_radius(estimate, drive, parameters, 1.0)
-    with pytest.raises(InputError, match="has no covariance"):
-        position_radius(dataclasses.replace(estimate, covariance=np.empty(0)), drive, parameters)
 
 
 def test_an_evaluation_reports_the_radius_by_its_definition():

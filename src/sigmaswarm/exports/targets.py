@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.mounting import Angles
@@ -123,10 +122,3 @@ def write_texts(texts: Mapping[str, str], folder: str | Path, kind: str = "expor
 def kind_of(target: str) -> str:
     """Return the name of an export in the record of its folder."""
     return f"export to {target.replace('-', '_')}"
-
-
-def export_filter(
-    parameters: FilterParameters, target: AnyTarget, folder: str | Path, **options: Any
-) -> list[Path]:
-    """Write the files of a filter, with arguments as in `export_texts`. Return their paths."""
-    return write_texts(export_texts(parameters, target, **options), folder, kind_of(target))

@@ -19,14 +19,11 @@ which is the quantile of 2 F(2, DOF).
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import receiver_std, white_noise
-from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.run import Estimate
 
 DOF = 7.0
 """Degrees of freedom, chosen on parts of the development drives that tunings with seed 0 did not use."""
@@ -52,39 +49,6 @@ class RadiusRecord(BaseModel):
     lasting_m: float = 0.0
 
 
-def position_radius(
-    estimate: Estimate, drive: Drive, parameters: FilterParameters, level: float = 0.95
-) -> NDArray[np.float64]:
-    """Return the radius, m, within which the true position lies with a given probability, at each time of an estimate.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        Result of `run_filter` or `smooth`.
-    drive : Drive
-        Drive of the estimate; the fixes determine the white part of their errors.
-    parameters : FilterParameters
-        Parameters of the filter.
-    level : float
-        The probability, above 0 and below 1.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-
-    Raises
-    ------
-    InputError
-        If ``level`` is not between 0 and 1, or the estimate has no covariance.
-    """
-    if not 0.0 < level < 1.0:
-        raise InputError(f"level = {level:g}: must lie above 0 and below 1")
-    if not estimate.covariance.size:
-        raise InputError("the estimate has no covariance; use an estimate of run_filter or smooth")
-    variance = np.mean(np.diagonal(estimate.covariance[:, :2, :2], axis1=1, axis2=2), axis=1)
-    return factor_of(level) * np.sqrt(variance + lasting_variance(drive, parameters, estimate.time, variance))
-
-
 def factor_of(level: float) -> float:
     """Return the ratio of the radius to sigma per axis."""
     return math.sqrt(DOF * ((1.0 - level) ** (-2.0 / DOF) - 1.0))
@@ -93,11 +57,11 @@ def factor_of(level: float) -> float:
 def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array, variance: Array) -> Array:
     """Return the variance per axis, m2, of correlated fix errors that the filter's ``variance`` lacks, shape (n,)."""
     gps, typical = drive.gps, float(np.mean(np.square(receiver_std(drive))))
-    if gps.std_x is None or gps.std_y is None:
+    if (std := gps.std) is None:
         stated = np.full(len(time), typical)
     else:
         last = np.maximum(np.searchsorted(gps.time, time, side="right") - 1, 0)
-        stated = (gps.std_x[last] ** 2 + gps.std_y[last] ** 2) / 2
+        stated = np.mean(np.square(std[:, last]), axis=0)
     white = white_noise(gps.x + 1j * gps.y) ** 2 / typical
     modeled = np.minimum((parameters.fix_error or 0.0) * stated, variance)
     return np.maximum((1.0 - white) * stated - modeled, 0.0)
