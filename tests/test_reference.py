@@ -27,7 +27,7 @@ generate = script("generate")
 commands = cache(generate.commands)
 
 
-REACHABLE = {*sigmaswarm.__all__, *sigmaswarm._HOME_OF}
+REACHABLE = {*sigmaswarm.__all__, *sigmaswarm._modules()}
 
 
 def test_every_public_name_is_in_the_reference():

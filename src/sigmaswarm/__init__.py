@@ -23,12 +23,16 @@ scaling (Merwe); z, nu, S, K measurement, innovation, its covariance, gain; w, c
 social acceleration of the swarm.
 """
 
+import ast
 import warnings
+from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sigmaswarm.versions import __version__ as __version__
 
+# Type checkers follow these imports. At run time `__getattr__` does each of them at the first use of its name.
 if TYPE_CHECKING:
     from sigmaswarm.api import evaluate, export, import_log, inspect_log, plot, report, run
     from sigmaswarm.doctor.agreements import Agreement as Agreement
@@ -120,60 +124,6 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.store import saved_options as saved_options
     from sigmaswarm.tuning.tune import tune
 
-_HOMES = {
-    "api": "evaluate export import_log inspect_log plot report run",
-    "doctor.agreements": "Agreement agreements shown_by",
-    "doctor.diagnose": "diagnose",
-    "doctor.findings": "Diagnosis Finding",
-    "drives.alignment": "InitialState initial_state",
-    "drives.drive": "Drive Gps Imu Odometer Truth",
-    "drives.reader": "read_drive",
-    "drives.split": "clip split split_drives split_time",
-    "drives.writer": "write_drive",
-    "errors": "AlignmentError DriveError DriveWarning InputError SigmaswarmError SigmaswarmWarning TuningStopped",
-    "experiments.compare": "compare",
-    "experiments.comparison": "Comparison",
-    "experiments.study.config": "StudyConfig",
-    "experiments.study.study": "Study run_study",
-    "exports.trajectory": "time_origin_of write_estimate",
-    "filters.bank.live": "LiveFilterBank",
-    "filters.bank.run": "run_bank",
-    "filters.custom.live": "LiveModel",
-    "filters.custom.log": "Log",
-    "filters.custom.model": "Model Tunable",
-    "filters.custom.run": "ModelEstimate run_model smooth_model",
-    "filters.dating_back": "dated_back",
-    "filters.live": "LiveFilter",
-    "filters.parameters": "FilterParameters",
-    "filters.presets": "baseline preset",
-    "filters.run": "Estimate Innovations run_filter run_innovations run_textbook",
-    "filters.smoothing": "smooth",
-    "filters.textbook": "ExtendedKalmanFilter SigmaPoints UnscentedKalmanFilter",
-    "importing.inspection": "TablePreview Inspection Range",
-    "importing.mounting": "find_mount parse_mount",
-    "references.reference": "reference",
-    "reports.compare": "comparison_table",
-    "reports.evaluation": "save_evaluation",
-    "reports.study_charts": "save_study study_figures",
-    "reports.study_tables": "study_tables",
-    "scoring.consistency": "Consistency consistency",
-    "scoring.evaluation": "Evaluation",
-    "scoring.score": "Score",
-    "scoring.verified_repair": "repair",
-    "simulation.conditions": "simulate_many",
-    "simulation.scenarios": "simulate",
-    "tuning.batch": "BatchResult run_batch",
-    "tuning.config": "TuneConfig",
-    "tuning.defaults": "explain_tuning",
-    "tuning.lever_arm": "LeverArmEstimate estimate_lever_arm",
-    "tuning.options": "Option",
-    "tuning.result": "Tuning",
-    "tuning.search": "Progress",
-    "tuning.store": "saved_history saved_options",
-    "tuning.tune": "tune",
-}
-"""For each module, the names that the package exports from it; only names in ``__all__`` are public."""
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 _RENAMED = {"LiveSwarm": "LiveFilterBank", "run_swarm": "run_bank", "datasheet": "baseline"}
 """Deprecated names of version 0.3.0."""
 
@@ -212,14 +162,23 @@ __all__ = [
 ]
 
 
+@cache
+def _modules() -> dict[str, str]:
+    """Return the module of each name in the imports for type checkers; only names in ``__all__`` are public."""
+    source = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+    (block,) = (node for node in source.body if isinstance(node, ast.If))
+    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
+    return {alias.name: str(node.module) for node in imports for alias in node.names}
+
+
 def __getattr__(name: str) -> Any:
     """Import a public name at its first use, so that `sigmaswarm --help` does not wait for Numba."""
     if name in _RENAMED:
         warnings.warn(f"sigmaswarm.{name} is now {_RENAMED[name]}", DeprecationWarning, stacklevel=2)
         return __getattr__(_RENAMED[name])
-    if name not in _HOME_OF:
+    if name not in _modules():
         raise AttributeError(f"module 'sigmaswarm' has no attribute {name!r}")
-    value = getattr(import_module(f"sigmaswarm.{_HOME_OF[name]}"), name)
+    value = getattr(import_module(_modules()[name]), name)
     globals()[name] = value
     return value
 
