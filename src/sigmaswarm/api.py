@@ -42,18 +42,18 @@ class TunedFilter:
     mounting: Angles | None = None
     imu_axes: Mapping[str, str] = field(default_factory=dict[str, str])
 
+    def settings(self, *names: str, **given: Any) -> dict[str, Any]:
+        """Return settings by name; those in ``given`` take precedence."""
+        return {name: getattr(self, name) for name in names} | given
+
 
 def tuned_filter(given: Filter) -> TunedFilter:
     if isinstance(given, FilterParameters):
         return TunedFilter(given)
     if isinstance(given, str | Path):
         path = Path(given)
-        parameters, tuning, seen = (
-            FilterParameters.load(path),
-            TuningRecord.read(path),
-            training_data_of(path),
-        )
-        as_recorded = tuning.as_recorded
+        parameters, tuning = FilterParameters.load(path), TuningRecord.read(path)
+        seen, as_recorded = training_data_of(path), tuning.as_recorded
     else:
         parameters = getattr(given, "parameters", given)
         if not isinstance(parameters, FilterParameters):
@@ -163,22 +163,17 @@ def run(
     InputError
         If ``smooth`` and ``bank`` are both given.
     """
+    from sigmaswarm.filters.bank.run import run_bank
+    from sigmaswarm.filters.smoothing import smooth as run_smoother
+
     tuned = tuned_filter(parameters)
-    chosen, as_recorded = tuned.parameters, tuned.as_recorded if as_recorded is None else as_recorded
-    options: dict[str, Any] = {"initial": initial, "recover": recover, "as_recorded": as_recorded}
+    as_recorded = tuned.as_recorded if as_recorded is None else as_recorded
     if smooth and bank:
         raise InputError(
             "smooth and bank can't be combined, since a filter bank is not smoothed; leave one out"
         )
-    if smooth:
-        from sigmaswarm.filters.smoothing import smooth as run_smoother
-
-        return run_smoother(drive, chosen, **options)
-    if bank:
-        from sigmaswarm.filters.bank.run import run_bank
-
-        return run_bank(drive, chosen, **options)
-    return run_filter(drive, chosen, **options)
+    run_with = run_smoother if smooth else run_bank if bank else run_filter
+    return run_with(drive, tuned.parameters, initial=initial, recover=recover, as_recorded=as_recorded)
 
 
 def evaluate(
@@ -216,13 +211,9 @@ def evaluate(
     if isinstance(drives, FilterParameters | Tuning):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
     tuned = tuned_filter(parameters)
-    known: dict[str, Any] = {
-        "as_recorded": tuned.as_recorded,
-        "seen": tuned.seen,
-        "fixes_alone": tuned.fixes_alone,
-    }
     other = tuned_filter(against).parameters if isinstance(against, Tuning) else against
-    return evaluation.evaluate(drives, tuned.parameters, against=other, **{**known, **options})
+    settings = tuned.settings("as_recorded", "seen", "fixes_alone", **options)
+    return evaluation.evaluate(drives, tuned.parameters, against=other, **settings)
 
 
 def export(
@@ -254,12 +245,8 @@ def export(
     from sigmaswarm.exports.targets import export_texts, kind_of, write_texts
 
     tuned = tuned_filter(parameters)
-    known: dict[str, Any] = {
-        "as_recorded": tuned.as_recorded,
-        "mounting": tuned.mounting,
-        "imu_axes": tuned.imu_axes,
-    }
-    texts = export_texts(tuned.parameters, to, **{**known, **options})
+    settings = tuned.settings("as_recorded", "mounting", "imu_axes", **options)
+    texts = export_texts(tuned.parameters, to, **settings)
     if folder is not None:
         write_texts(texts, folder, kind_of(to))
     return texts

@@ -149,6 +149,14 @@ def print_json(content: Any) -> None:
     print(json.dumps(finite(content), indent=2))
 
 
+def print_result(as_json: bool, content: Any, *lines: object) -> None:
+    """Print the content as JSON, or else the lines."""
+    if as_json:
+        print_json(content)
+    else:
+        say(*lines)
+
+
 def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "Iterable[str]" = ()) -> None:
     """Print the mean scores and the first remarks; with ``verbose`` print all tables and remarks.
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import sigmaswarm
-from sigmaswarm.cli.common import cluster_at, print_json, read_datasets, require_result_folder, say
+from sigmaswarm.cli.common import cluster_at, print_result, read_datasets, require_result_folder
 from sigmaswarm.cli.options import MORE, Cluster, Json, Places, Workers, options_of
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.tuning.config import DECIDED_LATER, TuneConfig
@@ -73,8 +73,6 @@ def compare(
         with progress_bar("comparing", "tunings, remaining") as show:
             found = sigmaswarm.compare(read, validation=held_out, progress=show, **asked, **options)
     written = save_comparison(found, out)
-    if json:
-        print_json({"comparison": found.frame.to_dicts(), "written": [str(path) for path in written]})
-    else:
-        say(*([f"model: {chosen}"] if chosen else []), comparison_table(found).to_markdown())
-        say(*(f"wrote {path}" for path in written))
+    content = {"comparison": found.frame.to_dicts(), "written": [str(path) for path in written]}
+    lines = [*([f"model: {chosen}"] if chosen else []), comparison_table(found).to_markdown()]
+    print_result(json, content, *lines, *(f"wrote {path}" for path in written))

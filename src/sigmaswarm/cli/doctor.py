@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_drives, require_writable, say
+from sigmaswarm.cli.common import print_result, read_drives, require_writable, say
 from sigmaswarm.cli.findings import next_steps, print_diagnosis
 from sigmaswarm.cli.options import Json, Overwrite
 from sigmaswarm.errors import AlignmentError, DriveWarning, InputError, SigmaswarmWarning
@@ -80,10 +80,8 @@ def doctor(
         folder = fix / drive.name if fix else drives[0]
         if len(read) == 1 and (folder / "drive.toml").exists():
             following = [*next_steps(diagnosis, folder)]
-    if json:
-        print_json({"drives": result, "serious": serious, **({"lever_arm": arm.to_dict()} if arm else {})})
-    else:
-        say(*([f"lever arm: {arm}"] if arm else []), *following)
+    content = {"drives": result, "serious": serious, **({"lever_arm": arm.to_dict()} if arm else {})}
+    print_result(json, content, *([f"lever arm: {arm}"] if arm else []), *following)
     if serious:
         raise SystemExit(1)
 

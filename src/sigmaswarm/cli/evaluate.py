@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-import sigmaswarm
 from sigmaswarm.cli.common import (
     cluster_at,
     print_evaluation,
@@ -25,8 +24,8 @@ from sigmaswarm.errors import InputError, SigmaswarmWarning
 
 if TYPE_CHECKING:
     from sigmaswarm import Evaluation
+    from sigmaswarm.api import TunedFilter
     from sigmaswarm.learned.folder import Learned
-    from sigmaswarm.tuning.record import TuningRecord
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class EvaluateOptions:
     as_recorded: AsRecorded = False
     trust_log: TrustLog = False
     smooth: bool = False
-    bank: Annotated[bool, Parameter(name=["--bank", "--swarm"])] = False
+    bank: Annotated[bool, Parameter(alias="--swarm")] = False
     cluster: Cluster = None
     verbose: bool = False
     json: Json = False
@@ -95,6 +94,7 @@ def evaluate(
         sigmaswarm evaluate tuned drives/friday --bank
         sigmaswarm evaluate tuned drives/friday --json
     """
+    from sigmaswarm.api import tuned_filter
     from sigmaswarm.filters.robot_yaml import YAML
     from sigmaswarm.learned.folder import load_learned
     from sigmaswarm.reports.evaluation import save_evaluation
@@ -106,20 +106,18 @@ def evaluate(
             f"{tuning}: is a configuration of robot_localization, not a tuning; evaluate a tuning and add --against "
             f"{tuning}, or use `sigmaswarm run`"
         )
-    learned, out = load_learned(tuning), options.out
-    parameters = sigmaswarm.FilterParameters.load(tuning)
-    record = TuningRecord.read(tuning)
+    learned, tuned, out = load_learned(tuning), tuned_filter(tuning), options.out
     if out:
         require_result_folder(out, [tuning, options.against], EVALUATION, EVALUATION_FILE)
     remedies: list[Remedy] = []
-    result = _evaluated(tuning, parameters, drives, options, learned, record, remedies)
+    result = _evaluated(tuning, tuned, drives, options, learned, remedies)
     _warn_of_training_drives(result)
     written = save_evaluation(result, out, tuning, learned) if out else []
     if options.json:
         print_json(result.to_dict())
         return
-    tuned = record.result
-    print_evaluation(result, verbose=options.verbose, more=tuned.warnings if tuned else ())
+    record = TuningRecord.read(tuning).result
+    print_evaluation(result, verbose=options.verbose, more=record.warnings if record else ())
     if written:
         names = ", ".join(path.name for path in written) if options.verbose else f"{len(written)} files"
         say(f"wrote {names} to {out}")
@@ -136,35 +134,33 @@ def evaluate(
 
 def _evaluated(
     tuning: Path,
-    parameters: "sigmaswarm.FilterParameters",
+    tuned: "TunedFilter",
     drives: Sequence[str],
     options: EvaluateOptions,
     learned: "Learned | None",
-    record: "TuningRecord",
     remedies: list[Remedy],
 ) -> "Evaluation":
     """Evaluate; the remedies of serious faults of the drives are added to ``remedies``."""
     from sigmaswarm.learned.folder import seen_in
     from sigmaswarm.scoring.evaluation import evaluate as evaluate_drives
-    from sigmaswarm.tuning.record import training_data_of
 
     if not 0 < options.outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {options.outage_length:g})")
-    run = learned and partial(learned.run, parameters=parameters, recover=True)
+    run = learned and partial(learned.run, parameters=tuned.parameters, recover=True)
     with cluster_at(options.cluster) as client:
         (read,) = read_datasets(drives, cluster=client, remedies=None if options.trust_log else remedies)
         return evaluate_drives(
             read,
-            parameters,
+            tuned.parameters,
             against=options.against,
             outage_length=options.outage_length,
             outage_seed=options.outage_seed,
-            as_recorded=options.as_recorded or record.as_recorded,
-            seen=[*training_data_of(tuning), *seen_in(tuning)] or None,
+            as_recorded=options.as_recorded or tuned.as_recorded,
+            seen=[*(tuned.seen or ()), *seen_in(tuning)] or None,
             smooth=options.smooth,
             bank=options.bank,
             more={learned.kind: run} if learned and run else {},
-            fixes_alone=record.fixes_alone,
+            fixes_alone=tuned.fixes_alone,
         )
 
 

@@ -3,7 +3,7 @@
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -13,9 +13,6 @@ from sigmaswarm.cli.options import FIELDS, Json
 from sigmaswarm.exports.names import AnyTarget, next_command
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from sigmaswarm import Drive
     from sigmaswarm.exports.check import Checked
 
 
@@ -70,13 +67,16 @@ def export(
         sigmaswarm export tuned --to robot_localization --out filter-ros
         sigmaswarm export tuned --to robot_localization --out ekf --check drives/friday --against tuned-tilted12
     """
+    from sigmaswarm.api import tuned_filter
     from sigmaswarm.exports.check import check_export
+    from sigmaswarm.exports.robot_localization import accuracy_section
     from sigmaswarm.exports.targets import export_texts, kind_of, write_texts
     from sigmaswarm.filters.models import MODELS
+    from sigmaswarm.scoring.evaluation import evaluate
     from sigmaswarm.tuning.record import TuningRecord
 
-    to, out, lanes, seed = options.to, options.out, options.lanes, options.seed
-    parameters = sigmaswarm.FilterParameters.load(tuning)
+    to, out, tuned = options.to, options.out, tuned_filter(tuning)
+    parameters, mounting = tuned.parameters, tuned.mounting
     ros = to != "c99" and MODELS[parameters.model].measures_imu
     if options.check and to != "c99" and not ros:
         raise sigmaswarm.InputError(
@@ -88,13 +88,11 @@ def export(
         )
     drive = read_known(options.replay) if options.replay else None
     drives = read_drives(options.check or [])
-    record = TuningRecord.read(tuning)
-    mounting = record.mounting
-    settings: dict[str, Any] = {"as_recorded": record.as_recorded, "lanes": lanes, "seed": seed}
-    axes = record.imu_axes
-    texts = export_texts(parameters, to, replay=drive, mounting=mounting, imu_axes=axes, **settings)
+    settings = tuned.settings("as_recorded", lanes=options.lanes, seed=options.seed)
+    texts = export_texts(parameters, to, replay=drive, **tuned.settings("mounting", "imu_axes", **settings))
     if drives and ros:
-        texts["README.md"] += _accuracy(parameters, drives, tuning, options.against)
+        found = evaluate(drives, parameters, against=options.against, seen=tuned.seen)
+        texts["README.md"] += accuracy_section(found)
     written = write_texts(texts, out, kind_of(to))
     checked: list[Checked] = []
     if drives and not ros:
@@ -103,30 +101,19 @@ def export(
         found = {"checked": [asdict(each) for each in checked]} if checked else {}
         print_json({"written": [str(path) for path in written], **found})
         return
-    say(*(f"wrote {path}" for path in written), *(_found(each, lanes) for each in checked))
+    say(*(f"wrote {path}" for path in written), *(_found(each, options.lanes) for each in checked))
     if mounting and to == "c99":
         angles = ", ".join(f"{angle:g}" for angle in mounting)
         say(
             "ins_gps_turn_imu() rotates samples from the imported axes by the mounting of the training drives "
             f"({angles} deg)"
         )
-    if to != "filterpy" and record.mountings_differ:
+    if to != "filterpy" and TuningRecord.read(tuning).mountings_differ:
         say(
             "note: the training drives state different mountings, so the export contains no rotation; rotate raw "
             "samples to x forward, y left, z up before the filter, or tune on drives with one mounting"
         )
     say(f"next: {next_command(to, out, texts)}")
-
-
-def _accuracy(
-    parameters: "sigmaswarm.FilterParameters", drives: "Sequence[Drive]", tuning: Path, against: Path | None
-) -> str:
-    from sigmaswarm.exports.robot_localization import accuracy_section
-    from sigmaswarm.scoring.evaluation import evaluate
-    from sigmaswarm.tuning.record import training_data_of
-
-    seen = training_data_of(tuning) or None
-    return accuracy_section(evaluate(drives, parameters, against=against, seen=seen))
 
 
 def _found(checked: "Checked", lanes: int) -> str:

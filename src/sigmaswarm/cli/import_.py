@@ -111,16 +111,12 @@ class ImportOptions:
     time: str | None = None
     recipe: Path | None = None
     save_recipe: Annotated[Path | None, MORE] = None
-    imu_topic: Annotated[str | None, Parameter(name=("--imu-topic", "--imu-table"))] = None
-    gps_topic: Annotated[str | None, Parameter(name=("--gps-topic", "--gps-table"))] = None
-    velocity_topic: Annotated[str | None, MORE, Parameter(name=("--velocity-topic", "--velocity-table"))] = (
-        None
-    )
-    truth_topic: Annotated[str | None, MORE, Parameter(name=("--truth-topic", "--truth-table"))] = None
-    odometer_topic: Annotated[str | None, MORE, Parameter(name=("--odometer-topic", "--odometer-table"))] = (
-        None
-    )
-    mag_topic: Annotated[str | None, MORE, Parameter(name=("--mag-topic", "--mag-table"))] = None
+    imu_topic: Annotated[str | None, Parameter(alias="--imu-table")] = None
+    gps_topic: Annotated[str | None, Parameter(alias="--gps-table")] = None
+    velocity_topic: Annotated[str | None, MORE, Parameter(alias="--velocity-table")] = None
+    truth_topic: Annotated[str | None, MORE, Parameter(alias="--truth-table")] = None
+    odometer_topic: Annotated[str | None, MORE, Parameter(alias="--odometer-table")] = None
+    mag_topic: Annotated[str | None, MORE, Parameter(alias="--mag-table")] = None
     declination: Annotated[float | None, MORE, Parameter(allow_leading_hyphen=True)] = None
     receive_times: Annotated[bool, MORE] = False
     part: int | None = None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_drives, require_result_folder, say
+from sigmaswarm.cli.common import print_result, read_drives, require_result_folder
 from sigmaswarm.cli.options import FIELDS, Seed
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.filters.names import NetworkName
@@ -74,10 +74,7 @@ def learn(
     """
     require_result_folder(options.out, [tuning], "network", "config.json")
     record = _learn(network, tuning, drives, options)
-    if options.json:
-        print_json(record.model_dump(mode="json"))
-    else:
-        say(*_summary(record, options.out))
+    print_result(options.json, record.model_dump(mode="json"), *_summary(record, options.out))
 
 
 def _learn(network: NetworkName, tuning: Path, drives: list[str], options: LearnOptions) -> "LearnedRecord":

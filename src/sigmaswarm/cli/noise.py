@@ -46,7 +46,7 @@ class NoiseOptions:
     recipe: Path | None = None
     map: list[str] | None = None
     time: str | None = None
-    imu_topic: Annotated[str | None, Parameter(name=("--imu-topic", "--imu-table"))] = None
+    imu_topic: Annotated[str | None, Parameter(alias="--imu-table")] = None
     json: Json = False
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.common import print_json, read_known, say
+from sigmaswarm.cli.common import print_result, read_known
 from sigmaswarm.cli.options import Json
 
 
@@ -41,7 +41,4 @@ def plot(
     picture = out or Path(f"{read.name.replace('/', '-')}.png")
     check_file(picture)
     save(drive_figure(read), picture)
-    if json:
-        print_json({"out": str(picture)})
-    else:
-        say(f"wrote {picture}")
+    print_result(json, {"out": str(picture)}, f"wrote {picture}")

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import numbers_of, print_json, read_known, say, stdout
+from sigmaswarm.cli.common import numbers_of, print_result, read_known
 from sigmaswarm.cli.options import FIELDS, Hyphened, Json, Overwrite
 from sigmaswarm.cli.terminal import tuning_progress
 
@@ -69,9 +69,7 @@ def reference(
     from sigmaswarm.drives.writer import require_replaceable, write_drive
 
     out = options.out
-    given: dict[str, Any] = {
-        name: getattr(options, name) for name in ("offset", "accuracy", "fix_std", "seed")
-    }
+    given = {name: getattr(options, name) for name in ("offset", "accuracy", "fix_std", "seed")}
     arm: Any = numbers_of(options.lever_arm, 3, "--lever-arm", "0.9,-0.4,1.2")
     require_replaceable(out.resolve(), options.overwrite, "add --overwrite, or choose another folder")
     read = read_known(drive)
@@ -79,18 +77,15 @@ def reference(
         made = sigmaswarm.reference(read, options.fixes, lever_arm=arm, progress=progress, **given)
     write_drive(made, out, overwrite=options.overwrite)
     about = made.metadata["reference"]
-    if options.json:
-        print_json({"drive": str(out), "truth_samples": len(made.truth or ()), **about})
-        return
-    for note in about["notes"]:
-        stdout().print(f"note: {note}", markup=False)
-    say(
+    lines = [f"note: {note}" for note in about["notes"]]
+    lines.append(
         f"used {about['fixes_taken']} of {about['fixes_given']} fixes; over {about['share']:.0%} of the drive "
         f"the standard deviation of the truth is at most {options.accuracy:g} m"
     )
     if about["stretched"] > 1:
-        say(
+        lines.append(
             "the errors at hidden fixes exceeded the smoother's standard deviations, which were therefore multiplied "
             f"by {about['stretched']:.2g}"
         )
-    say(f"wrote {out}", f"next: sigmaswarm tune {quote(str(out))} --out tuned")
+    lines += [f"wrote {out}", f"next: sigmaswarm tune {quote(str(out))} --out tuned"]
+    print_result(options.json, {"drive": str(out), "truth_samples": len(made.truth or ()), **about}, *lines)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.common import print_json, say
+from sigmaswarm.cli.common import print_result
 from sigmaswarm.cli.options import Json
 
 
@@ -35,7 +35,4 @@ def report(
     from sigmaswarm.reports.folders import save_page
 
     file = save_page(folder, out)
-    if json:
-        print_json({"out": str(file)})
-    else:
-        say(f"wrote {file}")
+    print_result(json, {"out": str(file)}, f"wrote {file}")

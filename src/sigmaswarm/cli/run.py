@@ -1,14 +1,13 @@
 """`sigmaswarm run`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_known, say
+from sigmaswarm.cli.common import print_result, read_known
 from sigmaswarm.cli.options import FIELDS, AsRecorded
 from sigmaswarm.errors import InputError
 
@@ -44,11 +43,11 @@ class RunOptions:
     out: Path
     origin: str | None = None
     truth: Path | None = None
-    merge: Annotated[Path | None, Parameter(name=["--merge", "--beside"])] = None
+    merge: Annotated[Path | None, Parameter(alias="--beside")] = None
     before: Path | None = None
     as_recorded: AsRecorded = False
     smooth: bool = False
-    bank: Annotated[bool, Parameter(name=["--bank", "--swarm"])] = False
+    bank: Annotated[bool, Parameter(alias="--swarm")] = False
     json: bool = False
 
 
@@ -88,14 +87,12 @@ def run(
         sigmaswarm run tuned drives/friday --out estimate.csv --bank
     """
     read, summary, fixes = _run(tuning, drive, options)
-    if options.json:
-        print_json(summary)
-    else:
-        _print(summary, read, options, fixes)
+    print_result(options.json, summary, *_lines(summary, read, options, fixes))
 
 
 def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[str, Any], int]":
     """Write the estimates. Return the drive, a summary and the number of fixes that were written."""
+    from sigmaswarm.api import tuned_filter
     from sigmaswarm.drives.writer import FILES
     from sigmaswarm.exports.trajectory import (
         BAG,
@@ -112,7 +109,6 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     from sigmaswarm.filters.run import estimates_of, replay_of
     from sigmaswarm.filters.smoothing import Smoothing
     from sigmaswarm.learned.folder import load_learned
-    from sigmaswarm.tuning.record import TuningRecord
 
     out, smooth, before, truth = options.out, options.smooth, options.before, options.truth
     for file in filter(None, (out, before, truth)):
@@ -124,8 +120,8 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
         )
     learned = None if smooth or options.bank else load_learned(tuning)
     place = _place(options.origin) if options.origin else None
-    parameters = sigmaswarm.FilterParameters.load(tuning)
-    read = read_known(drive)
+    tuned, read = tuned_filter(tuning), read_known(drive)
+    parameters = tuned.parameters
     if place and read.origin:
         raise InputError(f"{drive}: already has an origin; leave --origin out")
     target: dict[str, Any] = {"origin": place or read.origin, "time_origin": time_origin_of(read)}
@@ -135,7 +131,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
         check_target(truth, target["origin"])
     if before:
         check_fixes_target(before, target["origin"])
-    as_recorded = options.as_recorded or TuningRecord.read(tuning).as_recorded
+    as_recorded = options.as_recorded or tuned.as_recorded
     replay = replay_of(read, as_recorded=as_recorded)
     found: Run
     if options.bank:
@@ -163,25 +159,25 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     return read, summary, fixes
 
 
-def _print(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixes: int) -> None:
+def _lines(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixes: int) -> Iterator[str]:
     from sigmaswarm.drives.fingerprint import START_RULE
     from sigmaswarm.exports.foxglove import LAYOUT_FILE
 
     first, last, out = summary["start_s"], summary["end_s"], options.out
     if restarts := summary["restarts_s"]:
-        say(f"the filter diverged and was reset at t = {', '.join(f'{t:.2f}' for t in restarts)} s")
+        yield f"the filter diverged and was reset at t = {', '.join(f'{t:.2f}' for t in restarts)} s"
     what = "smoothed estimates" if options.smooth else "estimates"
-    say(f"wrote {summary['estimates']} {what} from {first:.2f} s to {last:.2f} s to {out}")
+    yield f"wrote {summary['estimates']} {what} from {first:.2f} s to {last:.2f} s to {out}"
     if (layout := out / LAYOUT_FILE).exists():
-        say(f"Foxglove: import {layout} as a layout")
+        yield f"Foxglove: import {layout} as a layout"
     if options.bank:
-        say(*(f"the filter bank: {sentence}" for sentence in summary["said"]))
-        say(f"wrote {summary['swarm']}", f"wrote {summary['settled']}")
+        yield from (f"the filter bank: {sentence}" for sentence in summary["said"])
+        yield from (f"wrote {summary['swarm']}", f"wrote {summary['settled']}")
     earlier = first - float(drive.imu.time[0])
     if earlier > 5.0:  # s; shorter times are usual, since a start in motion needs some seconds
         rest = f"wrote the {fixes} earlier fixes to {options.before}"
         rest = rest if options.before else "--before NAME.csv writes the fixes before the start"
-        say(f"the first {earlier:.1f} s have no estimate, since a filter starts at {START_RULE}; {rest}")
+        yield f"the first {earlier:.1f} s have no estimate, since a filter starts at {START_RULE}; {rest}"
 
 
 def _bank_files(out: Path) -> tuple[Path, Path]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import sigmaswarm
-from sigmaswarm.cli.common import cluster_at, print_json, say
+from sigmaswarm.cli.common import cluster_at, print_result
 from sigmaswarm.cli.options import AT_LEAST_1, FIELDS, MORE, Cluster, Json, Seed, Workers
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.errors import InputError
@@ -118,13 +118,11 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
         )
         for written, _ in enumerate(made, 1):
             show(written, len(names) - len(kept))
-    if options.json:
-        print_json({"drives": [str(out / name) for name in names], "written": written, "kept": len(kept)})
-        return
-    say(f"wrote {counted(written, 'drive')} to {out}" + (f", kept {len(kept)}" if kept else ""))
+    lines = [f"wrote {counted(written, 'drive')} to {out}" + (f", kept {len(kept)}" if kept else "")]
     if len({"clear", "night", "fog"} & set(environments)) > 1:
-        say("note: clear, night and fog have the same physics; only their random numbers differ")
-    say(f"next: sigmaswarm plot {out / names[0]}")
+        lines.append("note: clear, night and fog have the same physics; only their random numbers differ")
+    content = {"drives": [str(out / name) for name in names], "written": written, "kept": len(kept)}
+    print_result(options.json, content, *lines, f"next: sigmaswarm plot {out / names[0]}")
 
 
 def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str, Any]) -> set[str]:

@@ -12,10 +12,9 @@ import sigmaswarm
 from sigmaswarm.cli.common import (
     MOST_SENTENCES,
     cluster_at,
-    print_json,
+    print_result,
     read_datasets,
     require_result_folder,
-    say,
 )
 from sigmaswarm.cli.findings import Remedy
 from sigmaswarm.cli.options import MORE, Cluster, Json, Places, TrustLog, Workers, options_of
@@ -96,11 +95,9 @@ def tune(
             f"          then {then}, since the faults of the log distort this filter",
         ]
     pictures = save_tuning_figures(tuning, track.picture, out)
-    if json:
-        print_json(tuning.to_dict())
-    else:  # printed last, so that an error is a single line
-        files = f"filter:   {out / 'tuning.toml'}", f"pictures: {', '.join(map(str, pictures))}"
-        say(*before, *_costs(tuning), *_remarks(tuning, track), *files, *after)
+    files = f"filter:   {out / 'tuning.toml'}", f"pictures: {', '.join(map(str, pictures))}"
+    lines = [*before, *_costs(tuning), *_remarks(tuning, track), *files, *after]
+    print_result(json, tuning.to_dict(), *lines)  # printed last, so that an error is a single line
 
 
 def _tune(
