@@ -46,6 +46,14 @@ def load_record(
         raise InputError(f"{path}: {key or 'the file'}: {message}; {remedy}") from None
 
 
+def content_if_readable(path: Path) -> dict[str, Any]:
+    """Read the keys of a file as `read_content` does; return no keys if it is missing or damaged."""
+    try:
+        return read_content(path)
+    except InputError:
+        return {}
+
+
 def read_content(
     path: Path, remedy: str = DAMAGED, *, missing: str = MISSING, infinite: bool = False
 ) -> dict[str, Any]:

@@ -19,10 +19,9 @@ from sigmaswarm.datasets.cluster import _scheduler
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.compare import compare
 from sigmaswarm.experiments.comparison import Comparison, Outcome
-from sigmaswarm.experiments.study.timings import _content
 from sigmaswarm.files import staged_files, whole_file, write_whole
 from sigmaswarm.learned.folder import load_learned
-from sigmaswarm.records import load_record
+from sigmaswarm.records import content_if_readable, load_record
 from sigmaswarm.reports.compare import save_comparison
 from sigmaswarm.reports.evaluation import save_evaluation
 from sigmaswarm.reports.folders import read_report
@@ -389,7 +388,7 @@ def test_a_damaged_scheduler_file_is_one_line(how: str, tmp_path: Path):
 @pytest.mark.parametrize("how", NESTED)
 def test_damaged_timings_are_taken_anew(how: str, tmp_path: Path):
     (tmp_path / "timings.json").write_bytes(NESTED[how])
-    assert _content(tmp_path / "timings.json") == {}
+    assert content_if_readable(tmp_path / "timings.json") == {}
 
 
 DRIVES = {

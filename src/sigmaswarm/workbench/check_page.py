@@ -8,7 +8,7 @@ from nicegui import ui
 import sigmaswarm
 from sigmaswarm import Agreement, Diagnosis, Drive, Finding, agreements, shown_by
 from sigmaswarm.wording import counted
-from sigmaswarm.workbench.parts import Page, button, card, line, link, message, select, text
+from sigmaswarm.workbench.parts import Page, box, button, card, line, link, message, select, text
 from sigmaswarm.workbench.plots import agreement_plot, show_map, time_plot
 from sigmaswarm.workbench.state import CHECKED, LEFT_OUT, Workbench
 
@@ -136,7 +136,7 @@ class CheckPage(Page):
 
     def _findings(self) -> None:
         findings = self.diagnosis.findings if self.diagnosis else ()
-        with ui.element("div").classes("section"):
+        with box("section"):
             serious = sum(finding.severity == "serious" for finding in findings)
             with line("between"):
                 text("h2", f"{counted(serious, 'serious finding')}" if serious else "No serious finding")
@@ -206,8 +206,8 @@ class CheckPage(Page):
         with card():
             text("h2", "Cut")
             text("p", "Drag over a part, or enter its start and end.", "soft")
-            with ui.element("div").classes("grid"):
-                with ui.element("div"):
+            with box("grid"):
+                with box():
                     with line():
                         begin = ui.number("from, s", value=round(low, 2)).classes("grow")
                         end = ui.number("to, s", value=round(high + 0.01, 2)).classes("grow")

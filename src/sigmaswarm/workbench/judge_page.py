@@ -6,7 +6,7 @@ from nicegui import ui
 
 import sigmaswarm
 from sigmaswarm import Tuning, save_evaluation
-from sigmaswarm.workbench.parts import Page, button, card, line, link, select, text
+from sigmaswarm.workbench.parts import Page, box, button, card, line, link, select, text
 from sigmaswarm.workbench.state import Workbench, attempt
 
 
@@ -90,7 +90,7 @@ class JudgePage(Page):
             return
         chosen = self.bench.choices.get("evaluation")
         shown = chosen if chosen in names else names[-1]
-        with ui.element("div").classes("section"):
+        with box("section"):
             with line():
                 select("Evaluation", names, shown, self._show)
                 link("Open the report on a separate page", f"report/evaluations/{shown}")

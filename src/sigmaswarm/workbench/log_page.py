@@ -11,7 +11,7 @@ from sigmaswarm import write_drive
 from sigmaswarm.importing import choices as columns
 from sigmaswarm.workbench.mounting_panel import FIND, MountingPanel
 from sigmaswarm.workbench.open_log import OpenLog
-from sigmaswarm.workbench.parts import button, card, command, line, link, select, text
+from sigmaswarm.workbench.parts import box, button, card, command, line, link, select, text
 from sigmaswarm.workbench.plots import agreement_plot, show_map
 from sigmaswarm.workbench.state import CHECKED, MOST_UPLOADED, NAME, Workbench, attempt
 from sigmaswarm.workbench.table_panel import TablePanel
@@ -116,7 +116,7 @@ class LogPage(OpenLog):
     def _notes(self) -> None:
         if (inspection := self.inspection) is None:
             return
-        with ui.element("div").classes("section"):
+        with box("section"):
             text("h2", "Contents of the log")
             for note in self.notes:
                 text("p", note, "soft")
@@ -142,10 +142,10 @@ class LogPage(OpenLog):
     def _agreement(self) -> None:
         if (drive := self.drive) is None:
             return
-        with ui.element("div").classes("section"):
+        with box("section"):
             text("h2", "Agreement of the IMU with the fixes")
             text("p", "Solid: measured by the IMU. Dashed: expected. Zoom with the mouse.", "soft")
-            with ui.element("div").classes("grid"):
+            with box("grid"):
                 for found in self.found:
                     if found.key in ("gravity", "turning", "forward"):
                         agreement_plot(found)

@@ -12,7 +12,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.geodesy import roll_pitch_yaw
 from sigmaswarm.reports.style import BLUE, GREEN, VERMILION
 from sigmaswarm.workbench.open_log import OpenLog
-from sigmaswarm.workbench.parts import button, card, line, message, text
+from sigmaswarm.workbench.parts import box, button, card, line, message, text
 from sigmaswarm.workbench.state import attempt
 
 FIND = "Find the mounting in the log"
@@ -51,13 +51,13 @@ class MountingPanel:
         with card():
             text("h2", "Mounting of the IMU in the vehicle")
             message(wrong, "bad")
-            with ui.element("div").classes("message good").props('role="status"') as found:
+            with box("message good").props('role="status"') as found:
                 ui.label().bind_text_from(self.page, "mounted")
             found.bind_visibility_from(self.page, "mounted")
-            with ui.element("div").classes("grid"):
+            with box("grid"):
                 picture = ui.html(sketch(rotation), sanitize=False)
-                with ui.element("div"):
-                    sliders = ui.element("div")
+                with box():
+                    sliders = box()
                     with line("end"):
                         field = ui.input("Mounting (--mount)", value=mount).props(
                             'hint="90, or 0,10,90, or x=-y,y=x"'

@@ -66,14 +66,14 @@ def text(tag: str, content: str, classes: str = "") -> None:
 def message(content: str, kind: str) -> None:
     """Show a sentence of kind bad, good or wait (with a spinner). Screen readers announce the sentence."""
     if content:
-        with ui.element("div").classes(f"message {kind}").props('role="status"'):
+        with box(f"message {kind}").props('role="status"'):
             if kind == "wait":
                 ui.spinner(size="1.3em").props('aria-hidden="true"')
             ui.label(content)
 
 
 def command(line: str) -> None:
-    with ui.element("div").classes("command"):
+    with box("command"):
         text("pre", line)
         copy = ui.button("Copy as command", icon="content_copy").props("outline no-caps")
         quoted = json.dumps(line).replace("<", "\\u003c")
@@ -87,13 +87,17 @@ def card(kind: str = ""):
         yield element
 
 
+def box(classes: str = "") -> ui.element:
+    return ui.element("div").classes(classes)
+
+
 def line(classes: str = "") -> ui.element:
-    return ui.element("div").classes(f"line {classes}")
+    return box(f"line {classes}")
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[str]], classes: str = "") -> None:
     """Make a table that scrolls sideways; with the class "stacks" a narrow page shows its cells one below the other."""
-    scrolled = ui.element("div").classes("wide").props('tabindex="0" role="region" aria-label="table"')
+    scrolled = box("wide").props('tabindex="0" role="region" aria-label="table"')
     with scrolled, ui.element("table").classes(f"plain {classes}"):
         with ui.element("thead"), ui.element("tr"):
             for head in heads:

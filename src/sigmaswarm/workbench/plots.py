@@ -10,6 +10,7 @@ from nicegui.events import GenericEventArguments
 from sigmaswarm import Agreement, Drive
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.reports.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from sigmaswarm.workbench.parts import box
 
 PIXELS = 600  # columns of a plot, with two points each
 EAST = "east, m"
@@ -152,7 +153,7 @@ def agreement_plot(
     with ui.element("figure"):
         with ui.element("figcaption"):
             ui.label(f"{found.title}{'; pale: before the repair' if changed else ''}")
-            with ui.element("div").classes("legend"):
+            with box("legend"):
                 for one in lines(
                     {label: (x[:0], y[:0]) for label, (x, y) in both.items()}, dashed=shown.expected
                 ):

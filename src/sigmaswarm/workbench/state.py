@@ -1,16 +1,16 @@
 """Folder of the workbench: drives, tunings and evaluations by name, and the user's choices."""
 
-import json
 import re
 import shutil
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import sigmaswarm
 from sigmaswarm import Drive, InputError
 from sigmaswarm.files import make_folder, write_json
+from sigmaswarm.records import content_if_readable
 
 KINDS = ("logs", "drives", "tunings", "evaluations", "exports")
 DRIVE, TUNING = "drive.toml", "tuning.toml"
@@ -35,7 +35,7 @@ class Workbench:
             make_folder(self.folder / kind)
         self.named = tuple(log.resolve() for log in logs)
         self._file = self.folder / "workbench.json"
-        self.choices: dict[str, Any] = _read_choices(self._file)
+        self.choices = content_if_readable(self._file)
         self._cached = lru_cache(6)(_read_version)
         if self.named:
             self.choices["log"] = str(self.named[0])
@@ -119,14 +119,6 @@ class Workbench:
 
 def _read_version(path: Path, _: int) -> Drive:
     return sigmaswarm.read_drive(path)
-
-
-def _read_choices(file: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):  # missing or damaged
-        return {}
-    return cast("dict[str, Any]", content) if isinstance(content, dict) else {}
 
 
 def attempt(work: Callable[..., T], *arguments: Any, **options: Any) -> tuple[T | None, str]:

@@ -10,7 +10,7 @@ from sigmaswarm import Inspection, Range, TablePreview
 from sigmaswarm.importing import choices as columns
 from sigmaswarm.importing.choices import CUSTOM, NAMES, TARGETS, UNUSED, Uses
 from sigmaswarm.workbench.open_log import OpenLog
-from sigmaswarm.workbench.parts import number, select, table, text
+from sigmaswarm.workbench.parts import box, number, select, table, text
 from sigmaswarm.workbench.plots import sparkline
 
 MOST_COLUMNS = 30
@@ -58,7 +58,7 @@ class TablePanel:
         fold = ui.expansion(caption=about).classes("card").bind_value(self, "unfolded")
         fold.bind_text_from(self, "heading")
         with fold:
-            inside = ui.element("div")
+            inside = box()
 
         def unfold() -> None:
             if self.unfolded and not inside.default_slot.children:
@@ -69,7 +69,7 @@ class TablePanel:
         unfold()
 
     def _content(self) -> None:
-        with ui.element("div").classes("columns"):
+        with box("columns"):
             for row in self.rows:
                 row.show()
         if (left := len(self.preview.ranges) - MOST_COLUMNS) > 0:
@@ -98,8 +98,8 @@ class ColumnRow:
         self.shown = found, faults = self.state()
         page, about, table_ = self.panel.page, self.about, self.panel.preview.table
         target, expression = found[0] if found else (UNUSED, "")
-        with ui.element("div").classes("column-row"):
-            with ui.element("div"):
+        with box("column-row"):
+            with box():
                 ui.label(about.column).classes("column-name")
                 span = f"{number(about.low)} to {number(about.high)}"
                 ui.label(span if about.low is not None else about.example[:40] or "empty").classes("range")
@@ -113,7 +113,7 @@ class ColumnRow:
             for also, sentence in found[1:]:
                 ui.label(f"also {TARGETS[also]} = {sentence}").classes("about")
             for sentence in faults:
-                with ui.element("div").classes("wrong").props('role="alert"'):
+                with box("wrong").props('role="alert"'):
                     ui.label(sentence)
 
     def _unit(self, target: str, expression: str) -> None:

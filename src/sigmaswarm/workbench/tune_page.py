@@ -10,7 +10,19 @@ from nicegui import ui
 import sigmaswarm
 from sigmaswarm import Drive, FilterParameters, Option, TuneConfig, Tuning, explain_tuning, saved_history
 from sigmaswarm.wording import counted
-from sigmaswarm.workbench.parts import Page, button, card, line, link, message, number, select, table, text
+from sigmaswarm.workbench.parts import (
+    Page,
+    box,
+    button,
+    card,
+    line,
+    link,
+    message,
+    number,
+    select,
+    table,
+    text,
+)
 from sigmaswarm.workbench.plots import lines, map_lines, redraw, show_map, show_plot
 from sigmaswarm.workbench.runs import Run, Runs, best_so_far
 from sigmaswarm.workbench.state import CHECKED, LEFT_OUT, Workbench, attempt
@@ -39,7 +51,7 @@ class TunePage(Page):
         if self.plan and not self.why and not self.waiting:
             self._explain()
         self._setup()
-        cards = ui.element("div")
+        cards = box()
         self._finished()
         updates: dict[str, Update] = {}
         shown: list[Any] = [None]
@@ -197,13 +209,13 @@ class TunePage(Page):
                 return lambda: None
             bar = ui.linear_progress(value=0.0, show_value=False, size="10px")
             bar.props('aria-label="generations" rounded')
-            with ui.element("div").classes("figures"):
+            with box("figures"):
                 figures = [_figure(label) for label in ("generation", "trial", "best cost")]
-            with ui.element("div").classes("grid"):
+            with box("grid"):
                 cost = show_plot("Lowest cost", "generation", "cost", [])
                 track = show_map(run.shown_on, f"Track over {run.shown_on.name}")
             with ui.expansion("Parameters").classes("soft"):
-                parameters = ui.element("div")
+                parameters = box()
         shown = [-1]
 
         def update() -> None:
@@ -233,7 +245,7 @@ class TunePage(Page):
             return
         found = {name: attempt(Tuning.load, self.bench.path("tunings", name)) for name in names}
         tunings = {name: tuning for name, (tuning, _) in found.items() if tuning}
-        with ui.element("div").classes("section"):
+        with box("section"):
             text("h2", "Tunings")
             rows = [[name, *_row(tuning)] for name, tuning in tunings.items()]
             table(["name", "filter", "objective", "cost", "held out", "drives"], rows, "stacks")
@@ -256,7 +268,7 @@ class TunePage(Page):
 
 
 def _figure(label: str) -> ui.label:
-    with ui.element("div"):
+    with box():
         ui.label(label).classes("soft")
         return ui.label("-").classes("value")
 

@@ -6,20 +6,19 @@ from collections import deque
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.networks import Trained, Training
+from sigmaswarm.experiments.study.record import Times
 from sigmaswarm.files import write_json
 from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.parameters import FilterKind, FilterParameters, ModelName
 from sigmaswarm.filters.presets import DEFAULTS
-from sigmaswarm.records import read_content
+from sigmaswarm.records import content_if_readable
 from sigmaswarm.scoring.targets import tracking_replay
 
 LIVE: dict[str, tuple[FilterKind, ModelName]] = {
@@ -34,7 +33,7 @@ class Stopwatch:
     """Wall and processor time of each lap, s, including child processes after their end."""
 
     def __init__(self) -> None:
-        self.laps: dict[str, dict[str, float]] = {}
+        self.laps: Times = {}
         self._began = self._now()
 
     @staticmethod
@@ -56,7 +55,7 @@ def stored_time(file: Path) -> Generator[None]:
 
 def rival_times(
     out: Path, design: Design, parameters: Mapping[Task, FilterParameters], networks: Mapping[Task, Trained]
-) -> dict[str, dict[str, float]]:
+) -> Times:
     """Return the processor times of every tuned or trained variant, by names such as ``honest-pso-ukf``.
 
     ``training_s`` is the time of a trial, s; the time of a network does not include the tuning of its filter.
@@ -64,11 +63,11 @@ def rival_times(
     """
     ready = design.prepared[design.split(0)[1][0]]
     spent: dict[str, list[float]] = {}
-    found: dict[str, dict[str, float]] = {}
+    found: Times = {}
     for task, own in {**parameters, **networks}.items():
         trial = f"trials/{task.folder}/trial-{task.trial:03d}"
         folder = Training(task.method, task.trial).folder if isinstance(own, Trained) else trial  # pyright: ignore
-        times = _content(out / folder / "timings.json").get("processor_s")
+        times = content_if_readable(out / folder / "timings.json").get("processor_s")
         if isinstance(times, float) and np.isfinite(times):
             spent.setdefault(task.folder, []).append(times)
         if task.trial == 0:
@@ -76,13 +75,6 @@ def rival_times(
     for name, seconds in spent.items():
         found[name] = {"training_s": float(np.mean(seconds)), **found[name]}
     return found
-
-
-def _content(file: Path) -> dict[str, Any]:
-    try:
-        return read_content(file)
-    except InputError:
-        return {}
 
 
 def _sample_us(own: Trained | FilterParameters, ready: PreparedDrive) -> float:
@@ -97,11 +89,9 @@ def _sample_us(own: Trained | FilterParameters, ready: PreparedDrive) -> float:
     return took
 
 
-def write_timings(
-    out: Path, design: Design, watch: Stopwatch, rivals: Mapping[str, Mapping[str, float]]
-) -> dict[str, dict[str, float]]:
+def write_timings(out: Path, design: Design, watch: Stopwatch, rivals: Times) -> Times:
     """Append this run's laps to timings.json; return the times of the live filters, ms."""
-    runs = _content(out / "timings.json").get("runs")
+    runs = content_if_readable(out / "timings.json").get("runs")
     (live,) = design.of_each(_live_times, [0])
     more = {"rivals": rivals} if rivals else {}
     runs = [*(runs if isinstance(runs, list) else []), watch.laps]
@@ -109,7 +99,7 @@ def write_timings(
     return live
 
 
-def _live_times(ready: PreparedDrive) -> dict[str, dict[str, float]]:
+def _live_times(ready: PreparedDrive) -> Times:
     return {name: _live_time(ready, kind, model) for name, (kind, model) in LIVE.items()}
 
 
