@@ -2,7 +2,9 @@
 
 import inspect
 import re
+import sys
 from pathlib import Path
+from unittest.mock import patch
 
 DOCS = Path(__file__).parent
 COMMANDS = DOCS / "reference" / "generated" / "commands"
@@ -17,9 +19,9 @@ def commands() -> dict[str, str]:
 
 def _page(name: str) -> str:
     from sigmaswarm.cli.app import app
-    from sigmaswarm.cli.options import full_help
+    from sigmaswarm.cli.options import HELP_ALL
 
-    with full_help():
+    with patch.object(sys, "argv", [HELP_ALL]):
         text = app[name].generate_docs(output_format="markdown", usage_name=f"sigmaswarm {name}")
     body = text[text.index("```console") :].replace("```console", "```text", 1)
     # Indented examples become blocks that can be copied.

@@ -6,6 +6,7 @@ import sys
 import traceback
 import warnings
 from collections import Counter
+from importlib import import_module
 from tempfile import NamedTemporaryFile
 from typing import Any, Literal, NoReturn
 
@@ -20,26 +21,7 @@ from cyclopts import (
 
 import sigmaswarm
 from sigmaswarm.cli import terminal
-from sigmaswarm.cli.compare import compare
-from sigmaswarm.cli.convert import convert
-from sigmaswarm.cli.demo import demo
-from sigmaswarm.cli.doctor import doctor
-from sigmaswarm.cli.evaluate import evaluate
-from sigmaswarm.cli.export import export
-from sigmaswarm.cli.import_ import import_
-from sigmaswarm.cli.learn import learn
-from sigmaswarm.cli.noise import noise
 from sigmaswarm.cli.options import HELP_ALL, MORE
-from sigmaswarm.cli.plot import plot
-from sigmaswarm.cli.record_carla import record_carla
-from sigmaswarm.cli.reference import reference
-from sigmaswarm.cli.report import report
-from sigmaswarm.cli.run import run
-from sigmaswarm.cli.simulate import simulate
-from sigmaswarm.cli.split import split
-from sigmaswarm.cli.study import study
-from sigmaswarm.cli.tune import tune
-from sigmaswarm.cli.workbench import workbench
 from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
 from sigmaswarm.wording import counted, shown
 
@@ -69,13 +51,17 @@ paper's experiment.
     suppress_keyboard_interrupt=False,
 )
 PLAIN = Parameter(negative=(), consume_multiple=1)
-for command in (
-    doctor, noise, tune, learn, compare, evaluate, report, study, run, export, split, convert, reference, simulate,
-    record_carla, plot, demo, import_, workbench,
-):  # fmt: skip
-    name = command.__name__.strip("_").replace("_", "-")
-    shortened = command in (tune, compare, simulate, import_)  # with options outside the short help
-    more = f"`sigmaswarm {name} {HELP_ALL}` shows all options." if shortened else None
+COMMANDS = (
+    *("doctor", "noise", "tune", "learn", "compare", "evaluate", "report", "study", "run", "export"),
+    *("split", "convert", "reference", "simulate", "record-carla", "plot", "demo", "import", "workbench"),
+)
+"""Each command is the function of the same name in a file of this folder."""
+SHORTENED = ("tune", "compare", "simulate", "import")
+"""Commands with options that the short help omits."""
+for name in COMMANDS:
+    function = "import_" if name == "import" else name.replace("-", "_")
+    command = getattr(import_module(f"sigmaswarm.cli.{function}"), function)
+    more = f"`sigmaswarm {name} {HELP_ALL}` shows all options." if name in SHORTENED else None
     app.command(command, name=name, default_parameter=PLAIN, help_epilogue=more)
 
 

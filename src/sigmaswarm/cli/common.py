@@ -2,8 +2,8 @@
 
 import json
 import warnings
-from collections.abc import Generator, Iterable, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,16 +69,11 @@ def require_result_folder(out: Path, sources: "Iterable[Location | None]", kind:
     earlier_result(out, kind, mark)
 
 
-@contextmanager
-def cluster_at(address: str | None) -> "Generator[Client | None]":
-    """Connect to a cluster until the block ends. Yield None without an address."""
-    if address is None:
-        yield None
-        return
+def cluster_at(address: str | None) -> "AbstractContextManager[Client | None]":
+    """Connect to a cluster until the block ends; the client is None without an address."""
     from sigmaswarm.datasets.cluster import connected
 
-    with connected(address) as client:
-        yield client
+    return connected(address) if address is not None else nullcontext()
 
 
 def read_datasets(

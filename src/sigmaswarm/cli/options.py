@@ -2,9 +2,7 @@
 
 import inspect
 import sys
-from collections.abc import Callable, Collection, Generator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable, Collection, Mapping
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
@@ -12,17 +10,6 @@ from cyclopts import Group, Parameter, validators
 from pydantic.fields import FieldInfo
 
 HELP_ALL = "--help-all"
-_full = ContextVar("full help", default=False)
-
-
-@contextmanager
-def full_help() -> Generator[None]:
-    """Show all options in the help of commands until the block ends."""
-    token = _full.set(True)
-    try:
-        yield
-    finally:
-        _full.reset(token)
 
 
 class _MoreOptions(Group):
@@ -30,7 +17,7 @@ class _MoreOptions(Group):
 
     @property
     def show(self) -> bool:
-        return _full.get() or HELP_ALL in sys.argv
+        return HELP_ALL in sys.argv
 
 
 MORE = Parameter(group=_MoreOptions("More options"))
