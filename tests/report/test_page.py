@@ -25,14 +25,13 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter, run_imu_only, run_innovations
 from sigmaswarm.records import load_record
-from sigmaswarm.reports.commands import DEFAULTS, STATED, tune_command
 from sigmaswarm.reports.evaluation import copy_tuning
 from sigmaswarm.reports.evaluation_page import read_view
 from sigmaswarm.reports.figures import Chart, figure_of, hover_id
 from sigmaswarm.reports.folders import read_report
 from sigmaswarm.reports.page import Report, Section
 from sigmaswarm.reports.page import page as html_page
-from sigmaswarm.reports.tuning import save_tuning_figures
+from sigmaswarm.reports.tuning import DEFAULTS, STATED, save_tuning_figures, tune_command
 from sigmaswarm.scoring.evaluation import Evaluation, evaluate
 from sigmaswarm.scoring.measures import MEASURES
 from sigmaswarm.scoring.methods import METHODS

@@ -17,8 +17,8 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import StudyConfig
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.record import read_spreads
+from sigmaswarm.experiments.study.scores import MOST_POINTS, shown_drives
 from sigmaswarm.experiments.study.study import Study, run_study, shown_trial
-from sigmaswarm.experiments.study.tracks import MOST_POINTS, shown_drives
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.reports.figures import Chart, figure_of

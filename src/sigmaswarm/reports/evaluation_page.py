@@ -1,12 +1,13 @@
 """Page of an evaluation: scores of the tuned filter and of other methods."""
 
+import shlex
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.records import load_record
-from sigmaswarm.reports.commands import evaluate_command
 from sigmaswarm.reports.evaluation import method_bars, swarm_charts
-from sigmaswarm.reports.page import Report, Section, TrackView
+from sigmaswarm.reports.page import KeyFigure, Report, Section, TrackView
 from sigmaswarm.reports.style import LABELS, STYLES
 from sigmaswarm.reports.tuning import (
     convergence_section,
@@ -16,7 +17,7 @@ from sigmaswarm.reports.tuning import (
     shown_config,
     what_was_tuned,
 )
-from sigmaswarm.scoring.methods import AGAINST, ALSO, BASELINE, FIXES, method_names
+from sigmaswarm.scoring.methods import AGAINST, ALSO, BANK, BASELINE, FIXES, SMOOTHED, method_names
 from sigmaswarm.scoring.records import (
     EVALUATION_FILE,
     SCORES_FILE,
@@ -40,7 +41,7 @@ LINES = ("truth", *ALSO, "tuned", AGAINST, BASELINE, FIXES, "imu_only", "raw_gps
 SHOWN = ("truth", "tuned", *ALSO, AGAINST, BASELINE, "raw_gps")
 VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
 """Verdicts on the consistency that the page shows as warnings."""
-BANK = (
+BANK_TEXT = (
     "A filter bank has sixteen filters with different parameters. The weight of a filter in the estimate depends on "
     "how well this filter predicted the fixes of the last minute. Every 10 s while the vehicle moves, a search over "
     "the last minute replaces the filters with the lowest weights. If the parameters move far from the tuned values, "
@@ -76,7 +77,7 @@ def evaluation_report(folder: Path) -> Report:
         sections=(
             Section("Tracks and errors over time" if nees else "Tracks over time", tracks=tracks),
             _comparison(view),
-            *((Section("Filter bank", (BANK,), charts=swarm),) if swarm else ()),
+            *((Section("Filter bank", (BANK_TEXT,), charts=swarm),) if swarm else ()),
             Section("Consistency", (explained_consistency(nees),), (view.consistency_table(),)),
             *(
                 (Section("Position radius", (explained_radius(),), (view.radius_table(),)),)
@@ -108,8 +109,8 @@ def read_view(folder: Path, file: TuningRecord) -> EvaluationView:
     return EvaluationView(scores, setup.model_copy(update={"data": data}), names)
 
 
-def _figures(view: EvaluationView) -> tuple[tuple[str, str, str], ...]:
-    figures: list[tuple[str, str, str]] = []
+def _figures(view: EvaluationView) -> tuple[KeyFigure, ...]:
+    figures: list[KeyFigure] = []
     for name, measure in view.measures.items():
         rival = AGAINST if AGAINST in view.scores.mean else view.best_baseline(name) or BASELINE
         tuned, other = view.scores.mean_of("tuned", name), view.scores.mean_of(rival, name)
@@ -128,3 +129,15 @@ def _comparison(view: EvaluationView) -> Section:
     coverage = () if view.blind else view.coverage()
     text = (*coverage, explained_scores(view), *view.explanations())
     return Section("Comparison", text, tuple(tables), method_bars(view))
+
+
+def evaluate_command(
+    drives: Sequence[str], setup: EvaluationRecord, *, also: Collection[str] = ()
+) -> tuple[str, str]:
+    words = ["sigmaswarm", "evaluate", "tuning.toml", *drives, "--out", "again"]
+    words += ["--outage-length", f"{setup.outage_length_s:g}", "--outage-seed", str(setup.outage_seed)]
+    words += ["--as-recorded"] if setup.as_recorded else []
+    options = {AGAINST: ["--against", "against.toml"], SMOOTHED: ["--smooth"], BANK: ["--bank"]}
+    words += [word for method in also for word in options.get(method, ())]  # the folder contains a network
+    note = "tuning.toml is in the folder of this page. Replace the names of the drives by the paths of their folders."
+    return shlex.join(words), note

@@ -71,6 +71,10 @@ class TrackView:
     main: str
 
 
+KeyFigure = tuple[str, str, str]
+"""Label, number with unit, and note."""
+
+
 @dataclass(frozen=True)
 class Section:
     title: str
@@ -82,11 +86,11 @@ class Section:
 
 @dataclass(frozen=True)
 class Report:
-    """Content of a page. ``figures`` are labels, numbers with units, and notes. At most one section has tracks."""
+    """Content of a page. At most one section has tracks."""
 
     title: str
     lead: tuple[str, ...]
-    figures: tuple[tuple[str, str, str], ...] = ()
+    figures: tuple[KeyFigure, ...] = ()
     remarks: tuple[str, ...] = ()
     sections: tuple[Section, ...] = ()
     config: Mapping[str, Any] = field(default_factory=dict[str, Any])

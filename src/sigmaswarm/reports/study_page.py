@@ -8,7 +8,7 @@ from sigmaswarm.experiments.study.config import MAIN
 from sigmaswarm.experiments.study.record import Results, StudyRecord
 from sigmaswarm.reports import study_tables as tables
 from sigmaswarm.reports.figures import Chart
-from sigmaswarm.reports.page import Report, Section, TrackView
+from sigmaswarm.reports.page import KeyFigure, Report, Section, TrackView
 from sigmaswarm.reports.study_charts import convergence_chart, curve_charts, means_chart, spread_chart
 from sigmaswarm.reports.study_tables import DRIFT, ERRORS, HEADING, POSITION, comparison
 from sigmaswarm.reports.style import STUDY_STYLES
@@ -84,11 +84,11 @@ def _result(results: Results, protocol: str) -> str:
     return f"{start} {rmse}{': ' if against else ''}{'; '.join(against)}."
 
 
-def _figures(results: Results) -> tuple[tuple[str, str, str], ...]:
+def _figures(results: Results) -> tuple[KeyFigure, ...]:
     shown = [(p, POSITION, "position RMSE", "m", "table_2", "rmse_m") for p in reversed(results.protocols)]
     shown += [("honest", HEADING, "heading error", "deg", "table_3", "heading_deg")]
     shown += [("honest", DRIFT, "drift over 5 s", "m", "table_3", "outage_drift_m")]
-    figures: list[tuple[str, str, str]] = []
+    figures: list[KeyFigure] = []
     for protocol, measure, what, unit, table, key in shown:
         found = results.summary(protocol, MAIN, measure)
         if found is not None and found.mean is not None:

@@ -1,7 +1,7 @@
 """Tables of a study: the paper's results and its own, comparisons, conditions, search results and rivals."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from statistics import median
 from typing import Any
 
@@ -11,6 +11,7 @@ from sigmaswarm.experiments.study.record import (
     PairedComparison,
     Results,
     RivalResults,
+    Times,
     TrialTuning,
     Variant,
     VariantSummary,
@@ -187,7 +188,7 @@ def table_3(results: Results) -> Table:
     return _table(caption, columns, rows, results, note)
 
 
-def runtime_table(results: Results, live: Mapping[str, Mapping[str, float]]) -> Table:
+def runtime_table(results: Results, live: Times) -> Table:
     """Tabulate the time of an update of the live filter: the last column of the paper's Table III."""
     paper = results.paper["table_3"]
     rows: list[Row] = []
@@ -334,9 +335,7 @@ def optimum_table(results: Results, methods: Sequence[str] = ()) -> Table:
     return _by_group("Parameters found by the PSO, best trial", columns, rows, results)
 
 
-def rivals_tables(
-    results: Results, times: Mapping[str, Mapping[str, float]] | None = None
-) -> dict[str, Table]:
+def rivals_tables(results: Results, times: Times | None = None) -> dict[str, Table]:
     if results.rivals is None:
         return {}
     places = dict.fromkeys(row.place for row in results.rivals.elsewhere)
@@ -351,7 +350,7 @@ def rivals_tables(
     }
 
 
-def rivals_table(results: Results, times: Mapping[str, Mapping[str, float]]) -> Table:
+def rivals_table(results: Results, times: Times) -> Table:
     """Tabulate data, number of free parameters, drift and processor ``times`` of each tuned or trained method."""
     columns = [Column("method"), *(_figures(title, 0) for title in ("labeled, s", "learned, s", "numbers"))]
     columns += [_figures("training, s", 1), _figures("per sample, us", 2)] if times else []

@@ -1,6 +1,8 @@
 """Page and pictures of a tuning: cost, parameters with ranges, convergence and drives."""
 
-from collections.abc import Collection, Iterator, Sequence
+import shlex
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,12 +11,12 @@ import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from pydantic import ValidationError
 
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.models import MODELS
-from sigmaswarm.reports.commands import tune_command
 from sigmaswarm.reports.evaluation import tracks
 from sigmaswarm.reports.figures import Chart, curve, figure_of, logarithmic, save
 from sigmaswarm.reports.page import Report, Section
@@ -22,13 +24,19 @@ from sigmaswarm.reports.style import BLUE, LABELS, ORANGE, Look
 from sigmaswarm.scoring.methods import method_names
 from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tables import Cell, Column, Table
-from sigmaswarm.tuning.config import SWARM
+from sigmaswarm.tuning.config import RENAMED, SWARM, TuneConfig
+from sigmaswarm.tuning.defaults import with_default_guards
 from sigmaswarm.tuning.diagnostics import describe_forecasts
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, TuningRecord, history_of, load_history
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
 from sigmaswarm.wording import counted
 
+STATED = ("objective", "particles", "generations", "trials", "seed", "model", "use")
+"""Options that the command contains even at their defaults."""
+DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.items()}
+GUARDS = ("prior", "inflation")
+"""Options of `tune` with a default that depends on the objective."""
 MEANINGS = {
     "latency": (
         "delay of the fixes for which this filter predicts best; the doctor estimates this delay in another way, as a "
@@ -257,3 +265,45 @@ def shown_config(config: dict[str, Any]) -> dict[str, Any]:
     if isinstance(model, dict):
         return config | {"model": {k: model[k] for k in ("name", "sha256") if k in model}}
     return config
+
+
+def tune_command(
+    config: Mapping[str, Any], drives: Sequence[str], validation: Sequence[str]
+) -> tuple[str, str]:
+    """Return the command of a tuning run and a note. For a custom model the command is empty."""
+    if isinstance(config.get("model"), dict):
+        return "", "The tuning has a custom model: repeat it in Python with sigmaswarm.tune."
+    config = {RENAMED.get(name, name): value for name, value in config.items()}
+    options = {name: config[name] for name in STATED if name in config}
+    usual = _usual(config)
+    config = dict.fromkeys(GUARDS, 0.0) | config  # older versions tuned without a prior and without inflation
+    for name in DEFAULTS:
+        value = config.get(name)
+        if name not in STATED and value is not None:
+            same = tuple(value) == usual[name] if isinstance(value, list) else value == usual[name]
+            options |= {} if same else {name: value}
+    words = ["sigmaswarm", "tune", *drives, "--out", "again"]
+    for name, value in options.items():
+        words += _option(f"--{name.replace('_', '-')}", value)
+    words += ["--validation", *validation] if validation else []
+    return shlex.join(words), "Replace the names of the drives by the paths of their folders."
+
+
+def _usual(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the defaults of `tune` for the model and the objective of a configuration."""
+    usual = DEFAULTS | dict.fromkeys(GUARDS, 0.0)
+    with suppress(ValidationError, KeyError):  # a model of another version
+        usual["kind"] = TuneConfig.model_validate({"model": config["model"]}).kind
+    asked = {name: config[name] for name in DEFAULTS if name in config and name not in GUARDS}
+    with suppress(ValidationError, InputError):  # an objective of another version
+        settled = with_default_guards(TuneConfig.model_validate(asked))
+        usual |= {name: getattr(settled, name) for name in GUARDS}
+    return usual
+
+
+def _option(name: str, value: Any) -> list[str]:
+    if value is True:
+        return [name]
+    if isinstance(value, list | tuple):
+        return [name, *map(str, value)] if value else [f"{name}-nothing"]
+    return [name, str(value)]
