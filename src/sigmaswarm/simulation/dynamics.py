@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from sigmaswarm.compilation import cached
 
 Array = NDArray[np.float64]
+compiled = cached(nogil=True, error_model="numpy")
 
 GRAVITY = 9.81  # m/s2, as in CARLA
 STEP = 0.001  # s, step of the integration
@@ -92,7 +93,7 @@ class Drivetrain(NamedTuple):
     friction: float
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def _lookup(x: float, knots: Array, values: Array) -> float:
     """Interpolate linearly, constant beyond both ends."""
     if x <= knots[0]:
@@ -105,12 +106,12 @@ def _lookup(x: float, knots: Array, values: Array) -> float:
     return values[-1]
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def _clip(x: float, low: float, high: float) -> float:
     return min(max(x, low), high)
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def _wheel_loads(car: Vehicle, ax: float, ay: float) -> tuple[float, float, float, float]:
     """Return the vertical load of each wheel, N; ``ax`` and ``ay``, m/s2, are transmitted by the suspension."""
     front = car.mass * (GRAVITY * car.rear - car.height * ax) / (car.front + car.rear)
@@ -126,7 +127,7 @@ def _wheel_loads(car: Vehicle, ax: float, ay: float) -> tuple[float, float, floa
     )
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def _tire(
     kappa: float,
     alpha: float,
@@ -150,13 +151,13 @@ def _tire(
     return force * slip_x, force * slip_y, slip_x, slip
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def _relax(rate: float, deflection: float, sliding: bool) -> float:
     """Return the rate of a tire's deflection. A sliding tire does not deflect further."""
     return 0.0 if sliding and rate * deflection > 0.0 else rate
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def _torques(s: Array, car: Vehicle) -> tuple[float, float]:
     """Return the total torques, N m, of all motors and all brakes. A pedal at 0 is coasting."""
     speed = max(s[VX], 0.0)
@@ -168,7 +169,7 @@ def _torques(s: Array, car: Vehicle) -> tuple[float, float]:
     return drive * lever, brake * lever
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def _spin_up(
     spin: float, slip: float, load: float, force: float, drive: float, brake: float, car: Vehicle
 ) -> float:
@@ -184,7 +185,7 @@ def _spin_up(
     return (torque - car.wheel_radius * force) / car.wheel_inertia
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def _wheel(
     i: int, s: Array, rate: Array, load: float, shared: Drivetrain, car: Vehicle
 ) -> tuple[float, float, float]:
@@ -231,12 +232,12 @@ def _wheel(
     return force_x, force_y, along * force_y - across * force_x
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def _swing(target: float, value: float, rate: float, frequency: float, damping: float) -> float:
     return frequency**2 * (target - value) - 2.0 * damping * frequency * rate
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def _derivative(
     s: Array, rate: Array, steer: float, pedal: float, friction: float, car: Vehicle
 ) -> tuple[float, float, float]:
@@ -282,7 +283,7 @@ def _derivative(
     return ax, ay, math.hypot(force_x, force_y) / (friction * car.mass * GRAVITY)
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def _record(row: Array, s: Array, rate: Array, ax: float, ay: float, use: float) -> None:
     row[:12] = s[:12]
     row[AX], row[AY], row[FRICTION_USE] = ax, ay, use
@@ -294,7 +295,7 @@ def _record(row: Array, s: Array, rate: Array, ax: float, ay: float, use: float)
         row[PEAK_ALPHA] = max(row[PEAK_ALPHA], abs(s[ALPHA + i]))
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def _advance(
     s: Array, k: Array, row: Array, steer: float, pedal: float, friction: float, car: Vehicle
 ) -> None:
@@ -314,7 +315,7 @@ def _advance(
     s[STEER] = _clip(s[STEER], -car.steer_max, car.steer_max)
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def start_state(x: float, y: float, yaw: float, speed: float, car: Vehicle) -> Array:
     """Return the state (24,) of a car that rolls straight ahead at `speed`, m/s."""
     s = np.zeros(STATES)
@@ -323,7 +324,7 @@ def start_state(x: float, y: float, yaw: float, speed: float, car: Vehicle) -> A
     return s
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, pedal: Array) -> Array:
     """Drive from a `start_state` with commands at each millisecond. Return the record (n, 21).
 
@@ -336,7 +337,7 @@ def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, ped
     return record
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) -> tuple[float, int, float]:
     """Return the desired steering angle, rad, the index of the nearest point, and the distance along the path, m.
 
@@ -369,7 +370,7 @@ def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) ->
     return _clip(math.atan(angle), -car.steer_max, car.steer_max), nearest, nearest * spacing + beyond
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> float:
     """Return the desired pedal, -1 to 1. ``now`` and ``soon`` are rows of the plan."""
     if soon[0] < 0.02 and abs(s[VX]) < 0.3:
@@ -383,7 +384,7 @@ def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> floa
     return max((wanted - coast) / (coast - _lookup(speed, car.pedal_speed, car.full_brake)), -1.0)
 
 
-@cached(nogil=True, error_model="numpy")
+@compiled
 def run_closed_loop(
     car: Vehicle, friction: float, start: Array, path: Array, spacing: float, plan: Array
 ) -> Array:

@@ -5,11 +5,22 @@ fog have the same physics, and three of the paper's five environments differ.
 """
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from sigmaswarm.errors import InputError
 
+
+class _Named(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
 T = TypeVar("T")
+N = TypeVar("N", bound=_Named)
+
+
+def by_name(*records: N) -> dict[str, N]:
+    return {record.name: record for record in records}
 
 
 @dataclass(frozen=True)
@@ -40,16 +51,13 @@ class Environment:
 
 _DRY = "Bosch Automotive Handbook: new tires, dry, 50 km/h"
 
-ENVIRONMENTS = {
-    e.name: e
-    for e in (
-        Environment("clear", 0.85, 1.0, _DRY),
-        Environment("night", 0.85, 1.0, _DRY),
-        Environment("rain", 0.65, 1.3, "Bosch Automotive Handbook: new tires, wet, 50 km/h"),
-        Environment("fog", 0.85, 1.1, _DRY),
-        Environment("slippery", 0.25, 1.2, "packed snow, 0.2-0.3: from memory, not verified"),
-    )
-}
+ENVIRONMENTS = by_name(
+    Environment("clear", 0.85, 1.0, _DRY),
+    Environment("night", 0.85, 1.0, _DRY),
+    Environment("rain", 0.65, 1.3, "Bosch Automotive Handbook: new tires, wet, 50 km/h"),
+    Environment("fog", 0.85, 1.1, _DRY),
+    Environment("slippery", 0.25, 1.2, "packed snow, 0.2-0.3: from memory, not verified"),
+)
 """Environments by name, in the paper's order."""
 
 

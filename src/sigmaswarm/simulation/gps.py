@@ -12,6 +12,7 @@ import numpy as np
 from sigmaswarm.drives.drive import Array, Drive, Gps
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.simulation.environments import by_name
 from sigmaswarm.simulation.imu import gauss_markov
 from sigmaswarm.simulation.motion import LeverArm, Motion
 
@@ -63,31 +64,28 @@ class GpsGrade:
         return math.hypot(self.white_std, self.markov_std)
 
 
-GPS_GRADES = {
-    g.name: g
-    for g in (
-        GpsGrade("ideal", 0.0, velocity_std=0.0, source="no errors"),
-        GpsGrade(
-            "ublox-m8",
-            0.5,
-            math.sqrt(2.1**2 - 0.5**2),
-            velocity_std=0.05,
-            source="u-blox M8 data sheet; the split into 0.5 m of white noise and a correlated rest is from the "
-            "author's memory, not verified",
-        ),
-        GpsGrade("white-1m", 1.0, source="1 m of white noise: the simplest comparison"),
-        GpsGrade("gnss-ins-sim", 5.0, velocity_std=0.05, source="gnss-ins-sim: 5 m, 0.05 m/s, white"),
-        GpsGrade(
-            "f9p-rtk",
-            0.01,
-            velocity_std=0.05,
-            source="u-blox ZED-F9P with RTK, from the author's memory, not verified",
-        ),
-        GpsGrade(
-            "carla", 5e-6 * METERS_PER_DEGREE, carla=True, source="CARLA Leaderboard sensor set-up (5e-6 deg)"
-        ),
-    )
-}
+GPS_GRADES = by_name(
+    GpsGrade("ideal", 0.0, velocity_std=0.0, source="no errors"),
+    GpsGrade(
+        "ublox-m8",
+        0.5,
+        math.sqrt(2.1**2 - 0.5**2),
+        velocity_std=0.05,
+        source="u-blox M8 data sheet; the split into 0.5 m of white noise and a correlated rest is from the "
+        "author's memory, not verified",
+    ),
+    GpsGrade("white-1m", 1.0, source="1 m of white noise: the simplest comparison"),
+    GpsGrade("gnss-ins-sim", 5.0, velocity_std=0.05, source="gnss-ins-sim: 5 m, 0.05 m/s, white"),
+    GpsGrade(
+        "f9p-rtk",
+        0.01,
+        velocity_std=0.05,
+        source="u-blox ZED-F9P with RTK, from the author's memory, not verified",
+    ),
+    GpsGrade(
+        "carla", 5e-6 * METERS_PER_DEGREE, carla=True, source="CARLA Leaderboard sensor set-up (5e-6 deg)"
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -112,19 +110,16 @@ class HeadingGrade:
     source: str = ""
 
 
-HEADING_GRADES = {
-    g.name: g
-    for g in (
-        HeadingGrade("ideal", 0.0, source="no errors"),
-        HeadingGrade(
-            "dual-antenna",
-            math.radians(0.3),
-            math.sqrt(math.radians(0.4) ** 2 - math.radians(0.3) ** 2),
-            source="u-blox ZED-F9P data sheet: 0.4 deg at a baseline of 1 m; the split into white and correlated noise "
-            "is an assumption",
-        ),
-    )
-}
+HEADING_GRADES = by_name(
+    HeadingGrade("ideal", 0.0, source="no errors"),
+    HeadingGrade(
+        "dual-antenna",
+        math.radians(0.3),
+        math.sqrt(math.radians(0.4) ** 2 - math.radians(0.3) ** 2),
+        source="u-blox ZED-F9P data sheet: 0.4 deg at a baseline of 1 m; the split into white and correlated noise "
+        "is an assumption",
+    ),
+)
 
 
 def with_heading(fixes: Gps, time: Array, yaw: Array, grade: HeadingGrade, rng: np.random.Generator) -> Gps:

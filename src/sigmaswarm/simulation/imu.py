@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from sigmaswarm.drives.drive import Array, Imu
 from sigmaswarm.simulation.dynamics import GRAVITY
+from sigmaswarm.simulation.environments import by_name
 from sigmaswarm.simulation.motion import Motion
 
 _DEG = math.pi / 180
@@ -70,55 +71,52 @@ def _gyro(per_sqrt_hour: float, bias_per_hour: float, **more: float) -> Triad:
 
 _MPU = {"scale": 0.03, "misalignment": 0.02}  # [T] sensitivity tolerance, cross-axis sensitivity
 
-IMU_GRADES = {
-    g.name: g
-    for g in (
-        ImuGrade("ideal", source="no errors"),
-        ImuGrade(
-            "mpu-6050",
-            _accel(0.24, 0.0, turn_on=0.050 * _G, reach=4 * _G, resolution=_G / 8192, **_MPU),
-            _gyro(0.3, 0.0, turn_on=20 * _DEG, reach=500 * _DEG, resolution=_DEG / 65.5, **_MPU),
-            source="InvenSense PS-MPU-6000A: uncalibrated, as shipped from the factory, +-4 g and +-500 deg/s",
-        ),
-        ImuGrade(
-            "icm-20602",  # reach and resolution [R]
-            _accel(0.2, 1000e-5, reach=4 * _G, resolution=_G / 8192),
-            _gyro(0.2, 200, reach=500 * _DEG, resolution=_DEG / 65.5),
-            bias_time=3600.0,
-            source="i2Nav awesome-gins-datasets, tuned on a car",
-        ),
-        ImuGrade(
-            "adis16465",  # reach and resolution [R]
-            _accel(0.1, 200e-5, reach=8 * _G, resolution=8 * _G / 2**31),
-            _gyro(0.1, 25, reach=500 * _DEG, resolution=500 * _DEG / 2**31),
-            bias_time=3600.0,
-            source="i2Nav awesome-gins-datasets, tuned on a car",
-        ),
-        ImuGrade(
-            "adis16405",  # reach and resolution [R]
-            _accel(0.2, 0.2e-3 * _G, turn_on=0.050 * _G, reach=18 * _G, resolution=3.33e-3 * _G),
-            _gyro(2.0, 0.007 * 3600, turn_on=3 * _DEG, reach=300 * _DEG, resolution=0.05 * _DEG),
-            source="NaveGo",
-        ),
-        ImuGrade(
-            "adis16488",  # reach and resolution [R]
-            _accel(0.029, 0.1e-3 * _G, turn_on=0.016 * _G, reach=18 * _G, resolution=18 * _G / 2**31),
-            _gyro(0.3, 6.5, turn_on=0.2 * _DEG, reach=450 * _DEG, resolution=450 * _DEG / 2**31),
-            source="NaveGo",
-        ),
-        ImuGrade("gnss-ins-sim-low", _accel(0.05, 2e-4), _gyro(0.75, 10), source="gnss-ins-sim"),
-        ImuGrade("gnss-ins-sim-mid", _accel(0.03, 5e-5), _gyro(0.25, 3.5), source="gnss-ins-sim"),
-        ImuGrade("gnss-ins-sim-high", _accel(2.5e-5, 3.6e-6), _gyro(2e-3, 0.1), source="gnss-ins-sim"),
-        ImuGrade(
-            "carla",
-            # 0.001 per sample at 100 Hz in both units [L], as a density. The bias is an assumption.
-            Triad(1e-4),
-            Triad(1e-4, turn_on=1e-3),
-            carla=True,
-            source="CARLA Leaderboard sensor set-up (0.001 m/s2, 0.001 rad/s per sample at 100 Hz)",
-        ),
-    )
-}
+IMU_GRADES = by_name(
+    ImuGrade("ideal", source="no errors"),
+    ImuGrade(
+        "mpu-6050",
+        _accel(0.24, 0.0, turn_on=0.050 * _G, reach=4 * _G, resolution=_G / 8192, **_MPU),
+        _gyro(0.3, 0.0, turn_on=20 * _DEG, reach=500 * _DEG, resolution=_DEG / 65.5, **_MPU),
+        source="InvenSense PS-MPU-6000A: uncalibrated, as shipped from the factory, +-4 g and +-500 deg/s",
+    ),
+    ImuGrade(
+        "icm-20602",  # reach and resolution [R]
+        _accel(0.2, 1000e-5, reach=4 * _G, resolution=_G / 8192),
+        _gyro(0.2, 200, reach=500 * _DEG, resolution=_DEG / 65.5),
+        bias_time=3600.0,
+        source="i2Nav awesome-gins-datasets, tuned on a car",
+    ),
+    ImuGrade(
+        "adis16465",  # reach and resolution [R]
+        _accel(0.1, 200e-5, reach=8 * _G, resolution=8 * _G / 2**31),
+        _gyro(0.1, 25, reach=500 * _DEG, resolution=500 * _DEG / 2**31),
+        bias_time=3600.0,
+        source="i2Nav awesome-gins-datasets, tuned on a car",
+    ),
+    ImuGrade(
+        "adis16405",  # reach and resolution [R]
+        _accel(0.2, 0.2e-3 * _G, turn_on=0.050 * _G, reach=18 * _G, resolution=3.33e-3 * _G),
+        _gyro(2.0, 0.007 * 3600, turn_on=3 * _DEG, reach=300 * _DEG, resolution=0.05 * _DEG),
+        source="NaveGo",
+    ),
+    ImuGrade(
+        "adis16488",  # reach and resolution [R]
+        _accel(0.029, 0.1e-3 * _G, turn_on=0.016 * _G, reach=18 * _G, resolution=18 * _G / 2**31),
+        _gyro(0.3, 6.5, turn_on=0.2 * _DEG, reach=450 * _DEG, resolution=450 * _DEG / 2**31),
+        source="NaveGo",
+    ),
+    ImuGrade("gnss-ins-sim-low", _accel(0.05, 2e-4), _gyro(0.75, 10), source="gnss-ins-sim"),
+    ImuGrade("gnss-ins-sim-mid", _accel(0.03, 5e-5), _gyro(0.25, 3.5), source="gnss-ins-sim"),
+    ImuGrade("gnss-ins-sim-high", _accel(2.5e-5, 3.6e-6), _gyro(2e-3, 0.1), source="gnss-ins-sim"),
+    ImuGrade(
+        "carla",
+        # 0.001 per sample at 100 Hz in both units [L], as a density. The bias is an assumption.
+        Triad(1e-4),
+        Triad(1e-4, turn_on=1e-3),
+        carla=True,
+        source="CARLA Leaderboard sensor set-up (0.001 m/s2, 0.001 rad/s per sample at 100 Hz)",
+    ),
+)
 """Grades by name, from the worst to the best real sensor, then simulated sensors."""
 
 

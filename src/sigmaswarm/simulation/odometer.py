@@ -6,6 +6,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array, Odometer
 from sigmaswarm.simulation.dynamics import REAR_SPIN, STEP, Vehicle
+from sigmaswarm.simulation.environments import by_name
 
 
 @dataclass(frozen=True)
@@ -38,28 +39,23 @@ class OdometerGrade:
     source: str = ""
 
 
-ODOMETER_GRADES = {
-    grade.name: grade
-    for grade in (
-        OdometerGrade(
-            "ideal", 100.0, 0.002, 1_000_000, 0.0, source="exact wheel speed; the only error is slip"
-        ),
-        OdometerGrade(
-            "pulses",
-            50.0,
-            0.1,
-            96,
-            source="a ring of 48 teeth on each rear wheel; from the author's memory, not verified",
-        ),
-        OdometerGrade(
-            *("can", 83.0, 0.05, 10_000),
-            resolution=0.01 / 3.6,
-            slowest=0.3,
-            source="CAN speed as in comma2k19: 83 Hz, fine resolution, from the times between pulses; the lowest speed "
-            "is from the author's memory, not verified",
-        ),
-    )
-}
+ODOMETER_GRADES = by_name(
+    OdometerGrade("ideal", 100.0, 0.002, 1_000_000, 0.0, source="exact wheel speed; the only error is slip"),
+    OdometerGrade(
+        "pulses",
+        50.0,
+        0.1,
+        96,
+        source="a ring of 48 teeth on each rear wheel; from the author's memory, not verified",
+    ),
+    OdometerGrade(
+        *("can", 83.0, 0.05, 10_000),
+        resolution=0.01 / 3.6,
+        slowest=0.3,
+        source="CAN speed as in comma2k19: 83 Hz, fine resolution, from the times between pulses; the lowest speed "
+        "is from the author's memory, not verified",
+    ),
+)
 """Grades by name. The scale error of 1% (wear and pressure of tires) is from the author's memory. The car of comma2k19
 measures 0.8% too little."""
 

@@ -42,6 +42,7 @@ from sigmaswarm.simulation.dynamics import (
     YAW_RATE,
     Vehicle,
 )
+from sigmaswarm.simulation.environments import by_name
 from sigmaswarm.simulation.planning import SPACING
 
 # Columns after the record of the car: roll and pitch (rad) of the road and its height (m), with two derivatives.
@@ -83,36 +84,33 @@ class Terrain:
     source: str = ""
 
 
-TERRAINS = {
-    t.name: t
-    for t in (
-        Terrain("flat", source="a plane"),
-        Terrain(
-            "rolling",
-            grade_std=0.025,  # [M] kitti-09-30-0018 1.7%, colorado-1 3.3%
-            grade_length=50.0,  # [M] 56 m, colorado-1
-            grade_limit=0.08,  # [M] 8.1%, colorado-1
-            bank_std=0.018,  # [M] 1.8-2.0%
-            bank_length=18.0,  # [M] 10-20 m
-            bank_limit=0.06,  # [M] 5.8%, colorado-1
-            crossfall=0.02,  # [A]
-            superelevation=0.04,  # [A] in towns
-            source="colorado-1 and kitti-09-30-0018, measured; AASHTO",
-        ),
-        Terrain(
-            "hilly",
-            grade_std=0.055,  # [M] kitti-09-30-0034 4.9%, -0033 6.6%
-            grade_length=60.0,  # [M] 34 and 82 m
-            grade_limit=0.14,  # [M] 13.6 and 14.9%
-            bank_std=0.024,  # [M] 2.3 and 2.6%
-            bank_length=18.0,  # [M] 14 and 20 m
-            bank_limit=0.09,  # [M] 4.9 and 11.4%
-            crossfall=0.02,  # [A]
-            superelevation=0.06,  # [A] where it snows
-            source="kitti-09-30-0033 and -0034, measured; AASHTO",
-        ),
-    )
-}
+TERRAINS = by_name(
+    Terrain("flat", source="a plane"),
+    Terrain(
+        "rolling",
+        grade_std=0.025,  # [M] kitti-09-30-0018 1.7%, colorado-1 3.3%
+        grade_length=50.0,  # [M] 56 m, colorado-1
+        grade_limit=0.08,  # [M] 8.1%, colorado-1
+        bank_std=0.018,  # [M] 1.8-2.0%
+        bank_length=18.0,  # [M] 10-20 m
+        bank_limit=0.06,  # [M] 5.8%, colorado-1
+        crossfall=0.02,  # [A]
+        superelevation=0.04,  # [A] in towns
+        source="colorado-1 and kitti-09-30-0018, measured; AASHTO",
+    ),
+    Terrain(
+        "hilly",
+        grade_std=0.055,  # [M] kitti-09-30-0034 4.9%, -0033 6.6%
+        grade_length=60.0,  # [M] 34 and 82 m
+        grade_limit=0.14,  # [M] 13.6 and 14.9%
+        bank_std=0.024,  # [M] 2.3 and 2.6%
+        bank_length=18.0,  # [M] 14 and 20 m
+        bank_limit=0.09,  # [M] 4.9 and 11.4%
+        crossfall=0.02,  # [A]
+        superelevation=0.06,  # [A] where it snows
+        source="kitti-09-30-0033 and -0034, measured; AASHTO",
+    ),
+)
 """Terrains by name, from the easiest for a planar filter. `banked_radius` is [R]."""
 
 
