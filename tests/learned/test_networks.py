@@ -16,7 +16,7 @@ from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.filters.run import replay_of, run_filter
 from sigmaswarm.filters.textbook.car import TextbookCar
-from sigmaswarm.learned import outages
+from sigmaswarm.learned import outage_lstm
 from sigmaswarm.learned.cells import gru, head, lstm, new_weights
 from sigmaswarm.learned.noise_gru import FEATURES, MOST_SCALE, NoiseRun
 from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun, untrained
@@ -35,7 +35,7 @@ def silent() -> Drive:
 def network(seed: int = 0, **more) -> OutageLstm:
     rng = np.random.default_rng(seed)
     moved = rng.normal([9.0, 0.0], [3.0, 0.3], (50, 2))
-    made = untrained(rng, AXES, 6.0, 5, rng.normal(size=(50, outages.STEPS, 12)), moved)
+    made = untrained(rng, AXES, 6.0, 5, rng.normal(size=(50, outage_lstm.STEPS, 12)), moved)
     return replace(made, **more)
 
 
@@ -185,10 +185,10 @@ def test_features_are_means_and_shakes():
     drive = make_drive(duration=40.0)
     line = replay_of(drive).timeline
     end = np.array([2000, 2500])
-    found = outages.features_at(line, end, axes=("ay", "gz"), window=8.0)
+    found = outage_lstm.features_at(line, end, axes=("ay", "gz"), window=8.0)
     for k, sample in enumerate(end):
-        edges = line.imu_time[sample] + np.linspace(-8.0, 0.0, outages.STEPS + 1)
-        for j in (0, 20, outages.STEPS - 1):
+        edges = line.imu_time[sample] + np.linspace(-8.0, 0.0, outage_lstm.STEPS + 1)
+        for j in (0, 20, outage_lstm.STEPS - 1):
             fine = np.linspace(edges[j], edges[j + 1], 2001)
             for column, axis in enumerate(("ay", "gz")):
                 values = np.interp(fine, drive.imu.time, getattr(drive.imu, axis))
@@ -198,11 +198,11 @@ def test_features_are_means_and_shakes():
 
 def test_outages_are_told_in_time():
     line = replay_of(silent()).timeline
-    found = outages.outage_windows(line, axes=AXES, window=6.0)
+    found = outage_lstm.outage_windows(line, axes=AXES, window=6.0)
     time, last = line.imu_time, line.end[line.updates]
     before = last[np.searchsorted(last, time[found.end], side="right") - 1]
-    assert (time[found.end] - before >= outages.OUTAGE_AFTER).all()
-    np.testing.assert_allclose(time[found.end] - time[found.begin], outages.HORIZON, atol=0.0101)
+    assert (time[found.end] - before >= outage_lstm.OUTAGE_AFTER).all()
+    np.testing.assert_allclose(time[found.end] - time[found.begin], outage_lstm.HORIZON, atol=0.0101)
     assert (found.begin[1:] == found.end[:-1]).all()
     assert len(found.over) == 1
     assert time[found.over[0]] >= 40.0

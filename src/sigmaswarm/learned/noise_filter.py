@@ -125,9 +125,9 @@ def _take_fix(settings: Settings, state: tuple[Any, ...], u: Any, scale: Any) ->
     cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
     lx, ly = settings.lever
     arm = jnp.array([cos * lx - sin * ly, sin * lx + cos * ly])
-    jacobian = jnp.zeros((2, len(m))).at[0, 0].set(1.0).at[1, 1].set(1.0)
-    jacobian = jacobian.at[0, 2].set(-p.latency).at[1, 3].set(-p.latency)
-    jacobian = jacobian.at[0, THETA].set(-arm[1]).at[1, THETA].set(arm[0])
+    identity = jnp.eye(len(m))
+    jacobian = identity[:2] - p.latency * identity[2:4]
+    jacobian = jacobian.at[:, THETA].set(jnp.array([-arm[1], arm[0]]))
     nu = u[10:12] - (m[:2] - p.latency * m[2:4] + arm)
     noise = jnp.exp(scale) * np.array(p.measurement_noise) + (p.accuracy_scale or 0.0) * u[12:14]
     seen = jacobian @ c @ jacobian.T
@@ -152,13 +152,10 @@ def _take_lateral(p: FilterParameters, m: Any, c: Any, u: Any) -> tuple[Any, Any
 
 def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
     """Update with a velocity of zero, and with the gyro's reading at rest as its bias."""
-    n = len(m)
-    still = jnp.zeros((2, n)).at[0, 2].set(1.0).at[1, 3].set(1.0)
-    m, c = _update(m, c, still, -m[2:4], noise * jnp.eye(2), u[9])
-    if n > GYRO_BIAS:
-        row = jnp.zeros((1, n)).at[0, GYRO_BIAS].set(1.0)
-        off = jnp.array([u[GZ] - m[GYRO_BIAS]])
-        m, c = _update(m, c, row, off, jnp.array([[STANDSTILL_RATE_NOISE]]), u[9])
+    identity, bias = jnp.eye(len(m)), slice(GYRO_BIAS, GYRO_BIAS + 1)
+    m, c = _update(m, c, identity[2:4], -m[2:4], noise * jnp.eye(2), u[9])
+    if len(m) > GYRO_BIAS:
+        m, c = _update(m, c, identity[bias], u[GZ] - m[bias], jnp.array([[STANDSTILL_RATE_NOISE]]), u[9])
     return m, c
 
 

@@ -22,8 +22,16 @@ from sigmaswarm.filters.run import replay_of
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
 from sigmaswarm.learned.fitting import HELD_BACK, Examples, Lesson
-from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun, outputs_of, untrained
-from sigmaswarm.learned.outages import Windows, features_at, outage_windows, pairs_of
+from sigmaswarm.learned.outage_lstm import (
+    OutageLstm,
+    OutageRun,
+    Windows,
+    features_at,
+    outage_windows,
+    outputs_of,
+    pairs_of,
+    untrained,
+)
 from sigmaswarm.learned.relative import body_displacement
 from sigmaswarm.scoring.score import negative_log_t
 from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER
