@@ -112,6 +112,13 @@ class Design:
         passes = Passes(outages=outages, outage_seed=seed, as_recorded=True)
         return RemoteBatchScorer(self.remote, passes, _accept)
 
+    @cached_property
+    def configs(self) -> dict[tuple[ProtocolName, str], TuneConfig]:
+        """Configuration of the tuning of each pair of protocol and method."""
+        return {
+            (protocol, method): self.tune_config(method, protocol) for protocol, method in self.config.tuned
+        }
+
     def tune_config(self, method: str, protocol: str) -> TuneConfig:
         c, particles, generations = self.config, self.config.particles, self.config.generations
         options: dict[str, Any] = self._default_options

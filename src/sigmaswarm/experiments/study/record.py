@@ -17,7 +17,7 @@ results.json contains (unknown numbers are null):
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -269,12 +269,12 @@ def read_spreads(folder: Path) -> list[Spread]:
         raise InputError(f"{path}: not readable; repeat `sigmaswarm study` with --resume") from None
 
 
-Times = Mapping[str, Mapping[str, float]]
+Times = dict[str, dict[str, float]]
 
 
 class _Timings(BaseModel):
-    live_filter: dict[str, dict[str, float]] = Field(default_factory=dict[str, dict[str, float]])
-    rivals: dict[str, dict[str, float]] = Field(default_factory=dict[str, dict[str, float]])
+    live_filter: Times = {}
+    rivals: Times = {}
 
 
 class _TuningConfig(BaseModel):
@@ -291,10 +291,10 @@ class StudyRecord:
 
     results: Results
     spreads: list[Spread]
-    live: Times = field(default_factory=dict[str, dict[str, float]])
-    rival_times: Times = field(default_factory=dict[str, dict[str, float]])
-    tracks: list[Tracks] = field(default_factory=list[Tracks])
-    versions: Mapping[str, str] = field(default_factory=dict[str, str])
+    live: Times
+    rival_times: Times
+    tracks: list[Tracks]
+    versions: Mapping[str, str]
 
     @classmethod
     def read(cls, folder: Path) -> "StudyRecord":

@@ -1,4 +1,4 @@
-"""Scores of all methods in each trial, on the test drives of the trial."""
+"""Scores of all methods in each trial, on the test drives of the trial, and tracks on a few of these drives."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -10,9 +10,9 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.experiments.study.config import BASELINE
+from sigmaswarm.experiments.study.config import ALL, BASELINE, MAIN, ProtocolName
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.networks import Trained, score_networks
 from sigmaswarm.experiments.study.record import Variant
@@ -26,6 +26,7 @@ from sigmaswarm.scoring.drifts import rms_drift
 from sigmaswarm.scoring.remote import AnyBatchScorer
 from sigmaswarm.scoring.score import score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_windows, tracking_replay
+from sigmaswarm.scoring.tracks import Picture, Tracker, Tracks
 from sigmaswarm.scoring.truth import root_mean
 
 TAKEN: dict[str, Callable[[Scores], Array]] = {
@@ -60,34 +61,28 @@ class ScoreTable:
         for protocol, method, measure, values in self.columns():
             trial, drive = np.nonzero(~np.isnan(values))
             columns = {
+                "protocol": protocol,
                 "trial": trial,
+                "method": method,
                 "drive": names[drive],
                 "maneuver": maneuvers[drive],
                 "environment": environments[drive],
+                "measure": measure,
                 "value": values[trial, drive],
             }
-            parts.append(
-                pl.DataFrame(columns).select(
-                    pl.lit(protocol).alias("protocol"),
-                    "trial",
-                    pl.lit(method).alias("method"),
-                    *("drive", "maneuver", "environment"),
-                    pl.lit(measure).alias("measure"),
-                    "value",
-                )
-            )
+            parts += [pl.DataFrame(columns)] if len(trial) else []
         return pl.concat(parts)
 
     def write(self, folder: Path) -> None:
         write_whole(folder / "scores.csv", self.to_frame().write_csv())
 
 
-def manual(method: str, drive: Drive) -> FilterParameters:
+def manual(ready: PreparedDrive, method: str) -> FilterParameters:
     """Return the parameters of a method without tuning for a drive."""
     if method == "ukf-paper":
         return PAPER
     kind, _, preset = method.rpartition("-")
-    chosen = baseline(drive) if preset == "datasheet" else DEFAULTS
+    chosen = baseline(ready.drive) if preset == "datasheet" else DEFAULTS
     return replace(chosen, kind=kind)
 
 
@@ -163,13 +158,9 @@ def _score_sets(
 def _manual_jobs(method: str, design: Design) -> list[tuple[list[int], list[FilterParameters]]]:
     """Return the distinct parameter sets of a method without tuning, each with its drives."""
     drives: dict[FilterParameters, list[int]] = {}
-    for i, parameters in enumerate(design.of_each(partial(_manual, method=method))):
+    for i, parameters in enumerate(design.of_each(partial(manual, method=method))):
         drives.setdefault(parameters, []).append(i)
     return [(own, [parameters]) for parameters, own in drives.items()]
-
-
-def _manual(ready: PreparedDrive, method: str) -> FilterParameters:
-    return manual(method, ready.drive)
 
 
 def _unfiltered(method: str, design: Design) -> dict[str, Array]:
@@ -211,3 +202,59 @@ def _score_unfiltered(
         "heading_rmse_deg": float(np.degrees(score.heading_rmse)),
         **drifts,
     }
+
+
+MANUAL = ("ukf-datasheet", "ukf-defaults")
+FOLLOWED: tuple[tuple[ProtocolName, str], ...] = (
+    ("honest", MAIN),
+    ("paper", MAIN),
+    ("honest", "pso-ekf"),
+    ("honest", "pso-planar8"),
+)
+"""Tuned filters with saved tracks, in series such as ``honest-pso-ukf``."""
+MOST_DRIVES = 10
+MOST_POINTS = 700  # largest number of points of a series, to limit the size of the page
+
+
+def follow(
+    design: Design, parameters: Mapping[Task, FilterParameters], trial: int
+) -> tuple[list[Tracks], Picture]:
+    """Record tracks on some test drives of a trial, and the data of the figures on the first drive."""
+    tracks: list[Tracks] = []
+    pictures: list[Picture] = []
+    for i in shown_drives(design, trial):
+        tuned = {f"{p}-{m}": parameters[Task(p, m, design.group_of(i), trial)] for p, m in FOLLOWED}
+        ((found, picture),) = design.of_each(partial(_followed, tuned=tuned, drawn=not pictures), [i])
+        tracks.append(found)
+        pictures += [picture] if picture else []
+    return tracks, pictures[0]
+
+
+def _followed(
+    ready: PreparedDrive, tuned: Mapping[str, FilterParameters], *, drawn: bool
+) -> tuple[Tracks, Picture | None]:
+    name = ready.drive.name
+    replay, tracker = tracking_replay(ready), Tracker(ready, MOST_POINTS, picture=drawn)
+    by_hand = {method: manual(ready, method) for method in MANUAL}
+    for series, one in {**tuned, **by_hand}.items():
+        tracker.record(series, replay, one)
+    tracker.keep_estimate("imu_only", run_imu_only(ready))
+    return tracker.tracks(name), tracker.picture(name) if drawn else None
+
+
+def shown_drives(design: Design, trial: int) -> list[int]:
+    """Choose test drives of a trial: one of each condition, or of each maneuver if there are many conditions.
+
+    The chosen drives are from different parts of the lists of drives, so that environments differ. A drive with turns
+    is first. Without conditions, the first test drives are chosen.
+    """
+    _, test = design.split(trial)
+    named = {i: design.conditions[i] for i in test}
+    if len(set(named.values())) > MOST_DRIVES:
+        named = {i: (maneuver, ALL) for i, (maneuver, _) in named.items()}
+    groups = list(dict.fromkeys(named.values()))[:MOST_DRIVES]
+    if len(groups) == 1:
+        return test[:MOST_DRIVES]
+    members = [[i for i in test if named[i] == group] for group in groups]
+    chosen = [own[k * len(own) // len(groups)] for k, own in enumerate(members)]
+    return sorted(chosen, key=lambda i: design.conditions[i][0] != "turns")

@@ -28,14 +28,13 @@ import numpy as np
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.grid import Report, run_grid
-from sigmaswarm.experiments.study.config import MAIN, StudyConfig, read_config
+from sigmaswarm.experiments.study.config import MAIN, ProtocolName, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, Task, designs_elsewhere, make_design
 from sigmaswarm.experiments.study.networks import score_networks, train_all, trainings
 from sigmaswarm.experiments.study.record import Results, StudyRecord, spreads_of
 from sigmaswarm.experiments.study.results import results_of, rival_results
-from sigmaswarm.experiments.study.scores import score_all
+from sigmaswarm.experiments.study.scores import follow, score_all
 from sigmaswarm.experiments.study.timings import Stopwatch, rival_times, stored_time, write_timings
-from sigmaswarm.experiments.study.tracks import follow
 from sigmaswarm.files import locked_folder, make_folder, staged_files, write_whole
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
@@ -187,7 +186,7 @@ def _run(
     watch: Stopwatch,
 ) -> Study:
     elsewhere = designs_elsewhere(design, pool)
-    spaces = {(p, m): car_space(design.tune_config(m, p), design.drives) for p, m in design.config.tuned}
+    spaces = {variant: car_space(config, design.drives) for variant, config in design.configs.items()}
     total = len(list(design.tasks)) * design.config.generations + sum(t.epochs for t in trainings(design))
 
     def report(done: int, task: Task) -> None:
@@ -238,13 +237,13 @@ def _write_best(
 
 def _tune_all(
     design: Design,
-    spaces: Mapping[tuple[str, str], SearchSpace],
+    spaces: Mapping[tuple[ProtocolName, str], SearchSpace],
     out: Path,
     pool: Executor,
     progress: Callable[[int, Task], None],
     processes: int,
 ) -> dict[Task, Trial]:
-    configs = {(p, m): design.tune_config(m, p) for p, m in design.config.tuned}
+    configs = design.configs
     outages = {v: parse_objective(config.objective).needs_outages for v, config in configs.items()}
     replays = {needed: design.replays(outages=needed) for needed in set(outages.values())}
     problems = {v: CarProblem(configs[v], spaces[v], [], replays[outages[v]]) for v in configs}
@@ -293,7 +292,7 @@ def _result_folders(design: Design, out: Path) -> dict[str, ResultFolder]:
     for task in design.tasks:
         if task.folder not in folders:
             config = {
-                **design.tune_config(task.method, task.protocol).model_dump(mode="json"),
+                **design.configs[task.variant].model_dump(mode="json"),
                 "group": task.group,
                 "train_fraction": design.config.train_fraction,
                 "drives": data,
