@@ -24,7 +24,7 @@ import numpy as np
 from sigmaswarm import Comparison, Drive, SigmaswarmWarning, compare, read_drive, simulate, split_time
 from sigmaswarm.drives.sensors import sensors_of
 from sigmaswarm.drives.split import clip
-from sigmaswarm.experiments.comparison import COMPARED
+from sigmaswarm.experiments.comparison import MEASURES
 from sigmaswarm.reports.compare import comparison_table, save_comparison
 from sigmaswarm.tuning.config import TuneConfig, validated_config
 from sigmaswarm.tuning.defaults import default_filter_options, settled
@@ -217,7 +217,7 @@ def held_out(found: Found, scale: str) -> str:
 def ways(found: dict[str, Comparison]) -> str:
     """Tabulate ways to spend a budget: cost in training and RMSE on held-out drives, for each model."""
     measures = ("cost", "held_out_rmse")
-    titles = ["optimizer", *(f"{model}: {COMPARED[m]}" for model in found for m in measures)]
+    titles = ["optimizer", *(f"{model}: {MEASURES[m]}" for model in found for m in measures)]
     rows = zip(*(comparison.frame.to_dicts() for comparison in found.values()), strict=True)
     rows = (
         row for row in rows if row[0]["optimizer"] not in BASE[3:]

@@ -94,7 +94,7 @@ def quick_study() -> Iterator[None]:
     from sigmaswarm.experiments.study import timings
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(timings, "LIVE", {"UKF": timings.LIVE["UKF"]})
+        patch.setattr(timings, "LIVE_FILTERS", {"UKF": timings.LIVE_FILTERS["UKF"]})
         patch.setattr(statistics, "RESAMPLES", 200)
         yield
 

@@ -113,7 +113,7 @@ def test_a_long_track_is_thinned_and_keeps_its_ends():
     x = np.linspace(0, 1000, 100_001)
     (line,) = Page(notebook.track("long", {"estimate": (x, 0 * x)})).named("polyline")
     points = str(line["points"]).split()
-    assert len(points) == notebook.MOST_POINTS
+    assert len(points) == notebook.MAX_POINTS
     low, high = notebook.MARGIN, notebook.WIDTH - notebook.MARGIN
     assert [float(points[i].split(",")[0]) for i in (0, -1)] == [low, high]
 

@@ -13,14 +13,14 @@ from typing import Any, NamedTuple
 
 from .driver import Driver
 from .geometry import axial, heading_of, polar
-from .options import GPS_EVERY, RATE, STAND, TICK, FailedRun, RecorderError
+from .options import GPS_EVERY, RATE, STANDSTILL_TIME, TICK, FailedRun, RecorderError
 from .plans import Plan
 from .server import Session
 from .vehicle import Physics, control
 
-GARBAGE = 3
+DISCARDED_SAMPLES = 3
 """Number of samples to discard after listen() (carla#8970)."""
-STUCK = 20.0
+STUCK_TIME = 20.0
 """Time without 1 m of progress after which the car counts as stuck, s."""
 
 
@@ -90,7 +90,7 @@ class Sensors:
             if time.monotonic() > end:
                 raise self._silence(silent[0], frame)
             wait *= 2
-        for _ in range(GARBAGE):
+        for _ in range(DISCARDED_SAMPLES):
             frame = tick()
             self.read(frame)
         return frame
@@ -165,11 +165,11 @@ def drive(
         hidden = began is not None and any(0 <= t - began - at < long for at, long in plan.outages)
         if (frame - recording.first_frame) % GPS_EVERY == 0 and not hidden:
             recording.fixes.append((t, *session.geodesy.place(fix.latitude, fix.longitude)))
-            if len(recording.fixes) == STAND * RATE / GPS_EVERY:
+            if len(recording.fixes) == STANDSTILL_TIME * RATE / GPS_EVERY:
                 check_fixes(recording, session.options.gps_noise)
         if driver.way > furthest + 1.0:
             furthest, since = driver.way, t
-        stuck = t - since > STUCK
+        stuck = t - since > STUCK_TIME
         if abs(driver.off) > 4.0 or stuck:
             trouble = "got stuck" if stuck else "left its route"
             raise FailedRun(

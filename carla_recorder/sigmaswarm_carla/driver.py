@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from .geometry import interpolate, wrap
-from .options import BRAKE_GAIN, STAND, TICK
+from .options import BRAKE_GAIN, STANDSTILL_TIME, TICK
 from .plans import Plan, allowed_speed
 from .routes import SPACING
 
@@ -56,7 +56,7 @@ class Driver:
         self._leg, self._leg_end = 0, plan.legs[0].length
         self._nearest = 0
         self._speed = self._acceleration = self._missing = 0.0
-        self._hold = STAND
+        self._hold = STANDSTILL_TIME
         self.way = self.off = 0.0
 
     @property

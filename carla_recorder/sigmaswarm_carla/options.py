@@ -14,7 +14,7 @@ RATE = 100
 TICK = 1.0 / RATE
 GPS_EVERY = 20
 """Ticks from fix to fix (5 Hz), since CARLA's sensor_tick does not stay synchronous (carla#3653)."""
-STAND = 1.0
+STANDSTILL_TIME = 1.0
 """Standstill at the beginning of a drive, s."""
 GRAVITY = 9.81
 KMH = 1 / 3.6
@@ -50,7 +50,7 @@ ENVIRONMENTS = {
     "slippery": Environment(0.25, "snow", {"cloudiness": 80.0, "wetness": 30.0, "sun_altitude_angle": 30.0}),
 }
 MANEUVERS = ("cruise", "turns", "accelerate", "brake", "outages")
-NOISE = ("accel_noise", "gyro_noise", "gyro_bias", "gps_noise")
+NOISE_OPTIONS = ("accel_noise", "gyro_noise", "gyro_bias", "gps_noise")
 
 
 class RecorderError(Exception):
@@ -114,7 +114,7 @@ class Options:
 
     def figures(self) -> dict[str, Any]:
         """Return the options that all drives in one folder must share."""
-        return {name: getattr(self, name) for name in ("seed", *NOISE)}
+        return {name: getattr(self, name) for name in ("seed", *NOISE_OPTIONS)}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -150,7 +150,7 @@ def options_of(arguments: Sequence[str]) -> Options:
     options = Options(**given)
     if options.runs < 1:
         raise RecorderError(f"--runs is {options.runs}; choose 1 or more")
-    for name in NOISE:
+    for name in NOISE_OPTIONS:
         if not 0 <= getattr(options, name) < math.inf:
             raise RecorderError(f"--{name.replace('_', '-')} is {getattr(options, name)}; choose 0 or more")
     if not (options.timeout > 0 and options.patience >= 0):

@@ -169,7 +169,7 @@ def record_one(session: Session, journal: Journal, progress: Progress, condition
             raise
 
 
-SWEEP = (3.5, 2.0, 1.0, 0.5, 0.25)
+SWEEP_FRICTIONS = (3.5, 2.0, 1.0, 0.5, 0.25)
 """Values of tire_friction, the same for all wheels. The resulting friction depends on CARLA's road and version."""
 
 
@@ -177,7 +177,7 @@ def sweep_brakes(session: Session, say: Callable[[str], None]) -> list[list[floa
     """Brake hard with each tire_friction. Return pairs of tire_friction and measured friction."""
     found: list[list[float]] = []
     guess = 0.4
-    for tire_friction in SWEEP:
+    for tire_friction in SWEEP_FRICTIONS:
         easy = min(0.4 * guess * GRAVITY, 2.5)
         speed = max(min(10.0, 15.0 * easy), 3.0)  # reached within 15 s
         away = 1.2 * speed**2 / 2 / easy + 10.0

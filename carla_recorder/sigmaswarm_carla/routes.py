@@ -17,7 +17,7 @@ RUN_OUT = 30.0
 """Length of road after the end of a maneuver, m, for the driver's preview and for longer braking."""
 STRAIGHT = math.radians(3.0)
 """Largest change of heading on a straight stretch, rad."""
-WALKS = 4000
+MAX_WALKS = 4000
 """Number of random walks after which a search for a path fails."""
 
 
@@ -100,13 +100,13 @@ def find_path(town: Any, need: Need, rng: random.Random) -> Path2D:
     Raises
     ------
     RecorderError
-        If `WALKS` walks find no path.
+        If `MAX_WALKS` walks find no path.
     """
     starts = [w for w in town.generate_waypoints(10.0) if not w.is_junction]
     rng.shuffle(starts)
     walks = 1 if need.straight else 6
     longest = 0.0
-    for start in starts[: WALKS // walks]:
+    for start in starts[: MAX_WALKS // walks]:
         for _ in range(walks):
             path = _walk(start, need, rng)
             longest = max(longest, path.length)

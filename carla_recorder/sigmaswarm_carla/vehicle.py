@@ -13,7 +13,7 @@ from .routes import Path2D
 from .server import Session, one_line
 
 CAR = "vehicle.tesla.model3"
-SETTLE = 100
+SETTLE_TICKS = 100
 """Number of ticks until the car is at rest on its springs."""
 
 
@@ -40,7 +40,7 @@ def edit_physics(session: Session, car: Any, tire_friction: float | None, share:
     physics.wheels = wheels
     physics.steering_curve = [session.carla.Vector2D(0.0, 1.0), session.carla.Vector2D(200.0, 1.0)]
     car.apply_physics_control(physics)
-    settle(session, car, SETTLE // 5)
+    settle(session, car, SETTLE_TICKS // 5)
     found = car.get_physics_control()
     for wanted, got in zip(wheels, found.wheels):
         for name in ("tire_friction", "max_brake_torque"):
@@ -93,7 +93,7 @@ def place_car(session: Session, path: Path2D) -> Any:
         ) from None
 
 
-def settle(session: Session, car: Any, ticks: int = SETTLE) -> None:
+def settle(session: Session, car: Any, ticks: int = SETTLE_TICKS) -> None:
     """Tick with full brakes until the car is at rest."""
     for _ in range(ticks):
         car.apply_control(session.carla.VehicleControl(brake=1.0))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 WIDTH, HEIGHT, MARGIN = 360.0, 240.0, 10.0  # px
-MOST_POINTS = 400  # largest number on a line, since a notebook stores its pictures
+MAX_POINTS = 400  # largest number on a line, since a notebook stores its pictures
 COLORS = {"truth": "#000000", "fixes": "#009e73", "estimate": "#0072b2"}
 """Colors that are also distinguishable with color blindness."""
 
@@ -88,9 +88,9 @@ def _thinned(x: ArrayLike, y: ArrayLike) -> np.ndarray[Any, np.dtype[np.float64]
     """Thin the finite points, shape (m, 2), except the first and the last."""
     points = np.stack([np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)], axis=1)
     points = points[np.isfinite(points).all(axis=1)]
-    if len(points) <= MOST_POINTS:
+    if len(points) <= MAX_POINTS:
         return points
-    return points[np.linspace(0, len(points) - 1, MOST_POINTS).round().astype(np.int64)]
+    return points[np.linspace(0, len(points) - 1, MAX_POINTS).round().astype(np.int64)]
 
 
 def _shape(name: str, path: Any, low: Any, high: Any, scale: float) -> str:

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 Range = tuple[float | None, float | None]  # such as an interval; sorted by its lower end
 Cell = str | float | Range | None  # None: unknown
 UNKNOWN = "-"
-WIDEST = 20  # characters of a name that a column of a terminal shows without a break
-MOST_PRINTED = 10  # rows in `repr`
+MAX_NAME_WIDTH = 20  # characters of a name that a column of a terminal shows without a break
+MAX_REPR_ROWS = 10  # rows in `repr`
 
 
 @dataclass(frozen=True)
@@ -62,10 +62,10 @@ class Table:
     _repr_markdown_ = to_markdown
 
     def __repr__(self) -> str:
-        more = len(self.rows) - MOST_PRINTED
+        more = len(self.rows) - MAX_REPR_ROWS
         if more <= 0:
             return replace(self, note="").to_markdown()
-        few = replace(self, rows=self.rows[:MOST_PRINTED], note=f"{more} more rows; to_markdown() has all")
+        few = replace(self, rows=self.rows[:MAX_REPR_ROWS], note=f"{more} more rows; to_markdown() has all")
         return few.to_markdown()
 
     def to_html(self) -> str:
@@ -109,7 +109,7 @@ class Table:
             heading = "\n".join(wrap(column.heading, 8, break_long_words=False))
             least = max(map(len, heading.split("\n")))
             if words and self.rows:
-                least = max(least, min(WIDEST, *(len(str(row[i])) for row in self.rows)))
+                least = max(least, min(MAX_NAME_WIDTH, *(len(str(row[i])) for row in self.rows)))
             justify = "left" if words else "right"
             drawn.add_column(heading, justify=justify, overflow="fold", min_width=least, no_wrap=not words)
         for i, cells in enumerate(self.rows):

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
-MOST_CHARACTERS = 60  # largest length of a name or a cell
-MOST_NAMES = 12
+MAX_CHARACTERS = 60  # largest length of a name or a cell
+MAX_NAMES = 12
 TO_DO = "TO DO: "  # begins remarks that require action
 
 
@@ -36,13 +36,13 @@ def visible(text: str, kept: str = "\n\t") -> str:
     return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in text)
 
 
-def shown(text: object, most: int = MOST_CHARACTERS) -> str:
+def shown(text: object, most: int = MAX_CHARACTERS) -> str:
     """Show a name or a cell in a message: escape control characters, and cut it."""
     whole = str(text)
     return visible(whole[:most], kept="") + ("..." if len(whole) > most else "")
 
 
-def quoted(text: object, most: int = MOST_CHARACTERS) -> str:
+def quoted(text: object, most: int = MAX_CHARACTERS) -> str:
     whole = str(text)
     return repr(whole[:most]) + ("..." if len(whole) > most else "")
 
@@ -77,5 +77,5 @@ def first_mistake(error: "ValidationError") -> Mistake:
 def names_shown(names: Iterable[object], mark: str = "") -> str:
     """Show the first names of a list, each between two ``mark``, and the number of others."""
     every = [f"{mark}{shown(name)}{mark}" for name in names]
-    more = f" and {len(every) - MOST_NAMES} more" if len(every) > MOST_NAMES else ""
-    return ", ".join(every[:MOST_NAMES]) + more
+    more = f" and {len(every) - MAX_NAMES} more" if len(every) > MAX_NAMES else ""
+    return ", ".join(every[:MAX_NAMES]) + more

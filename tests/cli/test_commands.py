@@ -386,7 +386,7 @@ def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest
     """With a smaller swarm and fewer drives than at home; a second demo continues the first."""
     small = {"maneuvers": ("turns", "brake"), "environments": ("clear",)}
     small |= {"particles": 6, "generations": 3, "trials": 2}
-    monkeypatch.setattr("sigmaswarm.cli.study.QUICK", study_config.QUICK | small)
+    monkeypatch.setattr("sigmaswarm.cli.study.QUICK_STUDY", study_config.QUICK_STUDY | small)
     ended = sigmaswarm("demo", "--out", "show")
     assert ended.code == 0
     for words in (

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from sigmaswarm.cli.terminal import LONGEST_LINE
+from sigmaswarm.cli.terminal import MAX_LINE_LENGTH
 from support import no_pictures, quickly
 
 PROGRAM = "from sigmaswarm.cli import main; main()"
@@ -85,7 +85,7 @@ def test_a_control_character_of_a_file_is_told_as_an_escape(sigmaswarm, drive):
 def test_a_long_error_is_cut_in_the_middle(sigmaswarm):
     ended = sigmaswarm("run", "n" * 100 + "/" + "m" * 3000, "d", "--out", "x.csv")
     assert ended.code == 2
-    assert len(ended.err) < LONGEST_LINE + 40
+    assert len(ended.err) < MAX_LINE_LENGTH + 40
     assert " ... " in ended.err
 
 

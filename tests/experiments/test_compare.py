@@ -12,7 +12,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.compare import compare
-from sigmaswarm.experiments.comparison import FEWEST_SEEDS, Comparison
+from sigmaswarm.experiments.comparison import MIN_SEEDS, Comparison
 from sigmaswarm.experiments.statistics import holm, signed_rank
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, noise_of
 from sigmaswarm.filters.run import estimate_of
@@ -145,12 +145,12 @@ def test_the_fixes_alone_are_fitted_to_the_training_drives(whole):
 def test_with_enough_seeds_the_table_has_tests(whole):
     few = whole[0]
     enough = replace(few, runs={label: runs * 2 for label, runs in few.runs.items()})
-    assert enough.seeds == 6 == FEWEST_SEEDS
+    assert enough.seeds == 6 == MIN_SEEDS
     table = comparison_table(enough)
     assert "too few" not in table.to_markdown()
     assert [row[5] for row in table.rows] == enough.frame["cost_p"].to_list()
-    assert signed_rank(np.arange(1.0, FEWEST_SEEDS + 1), np.zeros(FEWEST_SEEDS)) < 0.05
-    assert signed_rank(np.arange(1.0, FEWEST_SEEDS), np.zeros(FEWEST_SEEDS - 1)) > 0.05
+    assert signed_rank(np.arange(1.0, MIN_SEEDS + 1), np.zeros(MIN_SEEDS)) < 0.05
+    assert signed_rank(np.arange(1.0, MIN_SEEDS), np.zeros(MIN_SEEDS - 1)) > 0.05
 
 
 def test_the_curves_are_a_naive_count(whole):

@@ -21,7 +21,7 @@ from sigmaswarm.experiments.statistics import Draws
 from sigmaswarm.experiments.study import study
 from sigmaswarm.experiments.study.config import METHODS, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Task, designs_elsewhere, make_design
-from sigmaswarm.experiments.study.networks import LEAST, Training, lessons, trainings
+from sigmaswarm.experiments.study.networks import MIN_DRIVING_TIME, Training, lessons, trainings
 from sigmaswarm.experiments.study.results import _gains
 from sigmaswarm.experiments.study.scores import ScoreTable
 from sigmaswarm.experiments.study.study import Study, StudyProgress, run_study
@@ -191,7 +191,7 @@ def test_lessons_are_minutes_of_the_trial_s_own_training_drives(whole: Study):
         few, more = (lessons(whole.design, trial, minutes) for minutes in (1.2, 2.4))
         for of, seconds in ((few, 72.0), (more, 144.0)):
             assert {d.name for d in (*of.shown, *of.held_back)} <= ours
-            assert of.driven == pytest.approx(seconds, abs=LEAST + 1.0)
+            assert of.driven == pytest.approx(seconds, abs=MIN_DRIVING_TIME + 1.0)
             assert len(of.held_back) == len((*of.shown, *of.held_back)) // 3
             assert sum(
                 d.imu.time[-1] - PreparedDrive(d).initial.time for d in (*of.shown, *of.held_back)

@@ -19,7 +19,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study import study as study_run
-from sigmaswarm.experiments.study.config import BY_DEFAULT, StudyConfig, read_config
+from sigmaswarm.experiments.study.config import DEFAULT_METHOD, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, make_design
 from sigmaswarm.experiments.study.study import Study, run_study
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, noise_of
@@ -127,7 +127,7 @@ def test_a_trial_is_what_tune_finds(whole: Study, design: Design):
     train = [design.drives[i] for i in design.split(0)[0]]
     asked = {
         "pso-planar8": design.tune_config("pso-planar8", "honest").model_dump() | {"trials": 1},
-        BY_DEFAULT: {"particles": 4, "generations": 3, "as_recorded": True, "inflation": 0.0},
+        DEFAULT_METHOD: {"particles": 4, "generations": 3, "as_recorded": True, "inflation": 0.0},
     }
     for method, options in asked.items():
         tuning = tune(train, **options)

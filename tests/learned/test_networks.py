@@ -18,7 +18,7 @@ from sigmaswarm.filters.run import replay_of, run_filter
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.learned import outage_lstm
 from sigmaswarm.learned.cells import gru, head, lstm, new_weights
-from sigmaswarm.learned.noise_gru import FEATURES, MOST_SCALE, NoiseRun
+from sigmaswarm.learned.noise_gru import FEATURES, MAX_SCALE, NoiseRun
 from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun, untrained
 from sigmaswarm.learned.relative import Begin, Displacements, body_displacement
 from support import hide_fixes, make_drive, quickly
@@ -35,7 +35,7 @@ def silent() -> Drive:
 def network(seed: int = 0, **more) -> OutageLstm:
     rng = np.random.default_rng(seed)
     moved = rng.normal([9.0, 0.0], [3.0, 0.3], (50, 2))
-    made = untrained(rng, AXES, 6.0, 5, rng.normal(size=(50, outage_lstm.STEPS, 12)), moved)
+    made = untrained(rng, AXES, 6.0, 5, rng.normal(size=(50, outage_lstm.WINDOW_STEPS, 12)), moved)
     return replace(made, **more)
 
 
@@ -187,8 +187,8 @@ def test_features_are_means_and_shakes():
     end = np.array([2000, 2500])
     found = outage_lstm.features_at(line, end, axes=("ay", "gz"), window=8.0)
     for k, sample in enumerate(end):
-        edges = line.imu_time[sample] + np.linspace(-8.0, 0.0, outage_lstm.STEPS + 1)
-        for j in (0, 20, outage_lstm.STEPS - 1):
+        edges = line.imu_time[sample] + np.linspace(-8.0, 0.0, outage_lstm.WINDOW_STEPS + 1)
+        for j in (0, 20, outage_lstm.WINDOW_STEPS - 1):
             fine = np.linspace(edges[j], edges[j + 1], 2001)
             for column, axis in enumerate(("ay", "gz")):
                 values = np.interp(fine, drive.imu.time, getattr(drive.imu, axis))
@@ -225,8 +225,8 @@ def test_scales_hold_from_the_sample_behind_a_fix_and_lie_in_bounds():
     run = NoiseRun(replay_of(drive), p, weights).finished()
     scales = np.array(run.scales)
     assert len(scales) == len(run.innovations.time)
-    assert (scales >= 1 / MOST_SCALE).all()
-    assert (scales <= MOST_SCALE * (1 + 1e-12)).all()
+    assert (scales >= 1 / MAX_SCALE).all()
+    assert (scales <= MAX_SCALE * (1 + 1e-12)).all()
     assert np.ptp(np.log(scales)) > 0.3
     plain = FilterRun(replay_of(drive), p).finished().innovations
     assert run.innovations.covariance[0].tobytes() == plain.covariance[0].tobytes()

@@ -31,7 +31,7 @@ from sigmaswarm.reports.figures import Chart, figure_of, hover_id
 from sigmaswarm.reports.folders import read_report
 from sigmaswarm.reports.page import Report, Section
 from sigmaswarm.reports.page import page as html_page
-from sigmaswarm.reports.tuning import DEFAULTS, STATED, save_tuning_figures, tune_command
+from sigmaswarm.reports.tuning import STATED_OPTIONS, TUNE_DEFAULTS, save_tuning_figures, tune_command
 from sigmaswarm.scoring.evaluation import Evaluation, evaluate
 from sigmaswarm.scoring.measures import MEASURES
 from sigmaswarm.scoring.methods import METHODS
@@ -385,14 +385,14 @@ OTHER_THAN_USUAL = {
     "scale": "linear", "optimizer": "pso", "seed": 3, "model": "planar8", "kind": "ekf", "use": ["lateral", "gate"],
     "outage_seed": 4, "as_recorded": True, "prior": 0.5, "inflation": 0.2,
 }  # fmt: skip
-USUAL = {**DEFAULTS, **SETTLED, "objective": "truth-rmse", "prior": 0.0, "inflation": 0.0}
+USUAL = {**TUNE_DEFAULTS, **SETTLED, "objective": "truth-rmse", "prior": 0.0, "inflation": 0.0}
 
 
-@pytest.mark.parametrize("name", DEFAULTS)
+@pytest.mark.parametrize("name", TUNE_DEFAULTS)
 def test_a_command_names_an_option_that_is_not_at_its_default(name: str):
     asked = OTHER_THAN_USUAL[name]
     said = parsed(tune_command({**USUAL, name: asked}, ["a b"], [])[0])
-    assert said == {option: USUAL[option] for option in STATED} | {name: asked}
+    assert said == {option: USUAL[option] for option in STATED_OPTIONS} | {name: asked}
 
 
 @pytest.mark.parametrize(
@@ -425,7 +425,7 @@ def test_no_command_can_repeat_a_model_of_the_user_s_own():
 def parsed(line: str) -> dict:
     """The options that the command line makes of it."""
     _, bound, _ = app.parse_args(shlex.split(line)[1:], exit_on_error=False, print_error=False)
-    return {name: value for name, value in bound.arguments.items() if name in DEFAULTS}
+    return {name: value for name, value in bound.arguments.items() if name in TUNE_DEFAULTS}
 
 
 def unpacked(page: str) -> str:

@@ -17,7 +17,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import StudyConfig
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.record import read_spreads
-from sigmaswarm.experiments.study.scores import MOST_POINTS, shown_drives
+from sigmaswarm.experiments.study.scores import MAX_TRACK_POINTS, shown_drives
 from sigmaswarm.experiments.study.study import Study, run_study, shown_trial
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.run import run_filter
@@ -75,7 +75,7 @@ def test_tracks_are_of_drives_that_their_filters_never_saw(study: Study):
         at = np.searchsorted(estimate.time, kept["time"])
         np.testing.assert_array_equal(estimate.time[at], kept["time"])
         np.testing.assert_allclose(kept["x"], estimate.mean[at, 0], rtol=1e-6, atol=1e-4)
-        assert len(kept["time"]) <= MOST_POINTS
+        assert len(kept["time"]) <= MAX_TRACK_POINTS
 
 
 def test_one_drive_of_each_condition_or_maneuver_is_shown():

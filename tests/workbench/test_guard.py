@@ -11,7 +11,7 @@ import pytest
 import sigmaswarm
 from sigmaswarm import InputError
 from sigmaswarm.cli.workbench import workbench
-from sigmaswarm.workbench.state import MOST_UPLOADED, Workbench
+from sigmaswarm.workbench.state import MAX_UPLOAD_SIZE, Workbench
 from support import make_drive
 
 UPGRADE = {
@@ -63,7 +63,7 @@ def test_guard(tmp_path: Path, serve: Any):
     assert ask(port, page, Host="evil.example")[0] == 403
     assert ask(port, page, Origin="http://evil.example")[0] == 403
     assert ask(port, f"/{token}/{socket}", **UPGRADE, Origin=f"http://127.0.0.1:{port + 1}")[0] == 403
-    assert ask(port, f"/{token}/x", "POST", Content_Length=str(MOST_UPLOADED + 1))[0] == 413
+    assert ask(port, f"/{token}/x", "POST", Content_Length=str(MAX_UPLOAD_SIZE + 1))[0] == 413
     for name in ("stolen", "..%2fdrives%2fmonday", "%2e%2e", "..", ".hidden", "none"):
         status, body = ask(port, f"/{token}/download/drives/{name}")
         assert status == 404, name
@@ -85,7 +85,7 @@ def test_a_body_without_a_length_is_bounded(monkeypatch: pytest.MonkeyPatch):
         receive = server.Guard._bounded(chunk)
         return [(await receive())["type"] for _ in range(3)]
 
-    monkeypatch.setattr(server, "MOST_UPLOADED", 10)
+    monkeypatch.setattr(server, "MAX_UPLOAD_SIZE", 10)
     with ThreadPoolExecutor(1) as pool:  # a browser's test may have left an event loop in this thread
         ended = pool.submit(lambda: asyncio.run(taken())).result()
     assert ended == ["http.request", "http.request", "http.disconnect"]

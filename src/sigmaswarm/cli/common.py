@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sigmaswarm.drives.reader import Location
     from sigmaswarm.errors import SigmaswarmWarning
 
-MOST_SENTENCES = 3
+MAX_REMARKS = 3
 """Number of remarks on an evaluation or a tuning that the terminal shows by default."""
 
 
@@ -178,9 +178,9 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
             *sentences,
         )
         return
-    left = [f"{len(sentences) - MOST_SENTENCES} more remarks"] if len(sentences) > MOST_SENTENCES else []
+    left = [f"{len(sentences) - MAX_REMARKS} more remarks"] if len(sentences) > MAX_REMARKS else []
     *adds, last = [*(["each drive"] if several else []), "the consistency", *left]
     say(
-        *sentences[:MOST_SENTENCES],
+        *sentences[:MAX_REMARKS],
         f"--verbose also shows {' and '.join(filter(None, [', '.join(adds), last]))}",
     )

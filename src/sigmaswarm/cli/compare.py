@@ -10,12 +10,12 @@ from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.tuning.config import DECIDED_LATER, TuneConfig
 from sigmaswarm.tuning.options import SEEDS, Scale
 
-APART = ("seed", "optimizer", "scale", "prior", "inflation")
+EXCLUDED_OPTIONS = ("seed", "optimizer", "scale", "prior", "inflation")
 """Options of `tune` that `compare` does not have."""
-SHOWN = ("objective", "particles", "generations", "model")
+SHORT_HELP = ("objective", "particles", "generations", "model")
 
 
-@options_of(TuneConfig.model_fields, shown=SHOWN, apart=APART, by_data=DECIDED_LATER)
+@options_of(TuneConfig.model_fields, shown=SHORT_HELP, apart=EXCLUDED_OPTIONS, by_data=DECIDED_LATER)
 def compare(
     drives: Places,
     /,

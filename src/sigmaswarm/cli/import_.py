@@ -22,9 +22,12 @@ if TYPE_CHECKING:
     from sigmaswarm.importing.convert import Imported, Request
     from sigmaswarm.importing.inspection import Inspection, TablePreview
 
-ASSUMED = "the IMU's axes are assumed to be x forward, y left, z up; if wrong, add --mount auto, or state the mounting"
-NOT_READY = "The log cannot be imported yet: repeat --show with the options that are named above"
-MOST_UNREAD = 100
+AXES_NOTE = (
+    "the IMU's axes are assumed to be x forward, y left, z up; "
+    "if wrong, add --mount auto, or state the mounting"
+)
+NOT_READY_NOTE = "The log cannot be imported yet: repeat --show with the options that are named above"
+MAX_UNUSED_COLUMNS = 100
 """Number of unused columns that are named per table."""
 
 
@@ -257,7 +260,7 @@ def _report(imported: "Imported", out: Path, diagnosis: "Diagnosis") -> Iterator
     wheels = f", {len(drive.odometer)} of the odometer" if drive.odometer else ""
     yield from (f"read: {shown(read, 1000)}" for read in imported.recipe.said())
     # a finding about the axes has a better remedy than an assumption
-    assumed = () if turns(diagnosis) else imported.assumed or (() if imported.recipe.mount else (ASSUMED,))
+    assumed = () if turns(diagnosis) else imported.assumed or (() if imported.recipe.mount else (AXES_NOTE,))
     yield from (f"note: {shown(note, 1000)}" for note in (*imported.notes, *assumed))
     rate = 1 / drive.nominal_interval
     yield (
@@ -303,9 +306,9 @@ def _print_inspection(seen: "Inspection", options: ImportOptions) -> None:
     if seen.unread:
         console.print("\nColumns that neither the recipe nor the proposal uses:", style="bold")
     for table, columns in (seen.unread or {}).items():
-        more = f" and {len(columns) - MOST_UNREAD} more" if len(columns) > MOST_UNREAD else ""
-        say(f"{shown(table)}: {', '.join(map(shown, columns[:MOST_UNREAD]))}{more}")
-    ready = f"next: {_command(seen, options)}" if seen.works else NOT_READY
+        more = f" and {len(columns) - MAX_UNUSED_COLUMNS} more" if len(columns) > MAX_UNUSED_COLUMNS else ""
+        say(f"{shown(table)}: {', '.join(map(shown, columns[:MAX_UNUSED_COLUMNS]))}{more}")
+    ready = f"next: {_command(seen, options)}" if seen.works else NOT_READY_NOTE
     say(f"\n{ready}")
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sigmaswarm.noise import Noise
 
 
-NOISE = "noise of an IMU"
+RESULT_KIND = "noise of an IMU"
 """Name of the result in its folder and in messages."""
 
 
@@ -73,7 +73,7 @@ def noise(
     from sigmaswarm.exports.imu_noise import noise_texts
 
     if options.out is not None:
-        require_result_folder(options.out, [log, options.tuned], NOISE)
+        require_result_folder(options.out, [log, options.tuned], RESULT_KIND)
     found = _found(log, options)
     texts = {file: text for target in options.to or () for file, text in noise_texts(found, target).items()}
     written = [] if options.out is None else _write(found, texts, options.out, figure=log is not None)
@@ -111,7 +111,7 @@ def _write(found: "Noise", texts: dict[str, str], out: Path, *, figure: bool) ->
 
     if figure:
         texts = {**texts, "noise.json": json.dumps(finite(found.to_dict()), indent=1)}
-    with staged_files(out, NOISE) as new:
+    with staged_files(out, RESULT_KIND) as new:
         for file, text in texts.items():
             write_whole(new / file, text)
         drawn = save_both(noise_figure(found), new / "noise") if figure else []

@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING, Any
 from sigmaswarm.cli.common import cluster_at, print_json, require_result_folder, say
 from sigmaswarm.cli.options import Cluster, Count, Json, options_of
 from sigmaswarm.cli.terminal import progress_bar
-from sigmaswarm.experiments.study.config import QUICK, StudyConfig, read_config
+from sigmaswarm.experiments.study.config import QUICK_STUDY, StudyConfig, read_config
 
 if TYPE_CHECKING:
     from sigmaswarm.experiments.study.study import Study
 
 
-APART = ("maneuvers", "environments", "imu", "gps", "vibration", "terrain", "train_fraction")
+EXCLUDED_OPTIONS = ("maneuvers", "environments", "imu", "gps", "vibration", "terrain", "train_fraction")
 """Fields of the configuration that are not options."""
 
 
-@options_of(StudyConfig.model_fields, apart=APART, by_data=("racing",))
+@options_of(StudyConfig.model_fields, apart=EXCLUDED_OPTIONS, by_data=("racing",))
 def study(
     *,
     out: Path,
@@ -76,7 +76,7 @@ def study(
     require_result_folder(out, [], "study", "study.toml")
     started = out / "study.toml"
     file = config or (started if resume and started.exists() else None)
-    asked = read_config(file, **(QUICK if quick else {}) | options)
+    asked = read_config(file, **(QUICK_STUDY if quick else {}) | options)
     counted = "generations and epochs, remaining" if asked.rivals else "generations, remaining"
     with cluster_at(cluster) as client, progress_bar("study", counted) as show:
         done = run_study(
@@ -96,13 +96,13 @@ def study(
 
 
 def _print(done: "Study", out: Path, page: Path) -> None:
-    from sigmaswarm.experiments.study.config import BY_DEFAULT
+    from sigmaswarm.experiments.study.config import DEFAULT_METHOD
     from sigmaswarm.experiments.study.design import tuning_name
     from sigmaswarm.reports.study_tables import UNPRINTED, objectives_compared, runtime_table, study_tables
 
     tables = [table for name, table in study_tables(done.results).items() if not name.startswith(UNPRINTED)]
     say(*(f"{t.to_markdown()}\n" for t in (*tables, runtime_table(done.results, done.record.live))))
-    name = tuning_name("honest", BY_DEFAULT, done.design.group_of(0))
+    name = tuning_name("honest", DEFAULT_METHOD, done.design.group_of(0))
     say(
         f"{objectives_compared(done.results)}\n",
         f"results: {out / 'results.json'}, {out / 'scores.csv'}",

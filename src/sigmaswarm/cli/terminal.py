@@ -14,19 +14,19 @@ if TYPE_CHECKING:
 
     from sigmaswarm.tuning.search import Progress as TuningProgress
 
-LONGEST_LINE = 600
+MAX_LINE_LENGTH = 600
 """Maximum number of characters of an error or warning; longer messages are shortened."""
-NARROWEST = 20
+MIN_COLUMNS = 20
 """Minimum number of columns of a table."""
 
 
 def prepare() -> None:
-    """Escape characters that the streams cannot encode, and ignore COLUMNS below `NARROWEST`."""
+    """Escape characters that the streams cannot encode, and ignore COLUMNS below `MIN_COLUMNS`."""
     for stream in (sys.stdout, sys.stderr):
         if reconfigure := getattr(stream, "reconfigure", None):  # a closed stream is None
             reconfigure(errors="backslashreplace")
     columns = os.environ.get("COLUMNS", "")
-    if columns.isdecimal() and int(columns) < NARROWEST:
+    if columns.isdecimal() and int(columns) < MIN_COLUMNS:
         del os.environ["COLUMNS"]
 
 
@@ -60,10 +60,10 @@ def console(**options: Any) -> "Console":
 
 
 def one_line(text: object) -> str:
-    """Write a message in one line of at most `LONGEST_LINE` characters, without control characters."""
+    """Write a message in one line of at most `MAX_LINE_LENGTH` characters, without control characters."""
     line = visible(" ".join(str(text).split()))
-    half = LONGEST_LINE // 2
-    return line if len(line) <= LONGEST_LINE else f"{line[:half]} ... {line[-half:]}"
+    half = MAX_LINE_LENGTH // 2
+    return line if len(line) <= MAX_LINE_LENGTH else f"{line[:half]} ... {line[-half:]}"
 
 
 def mute() -> None:

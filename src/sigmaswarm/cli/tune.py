@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import sigmaswarm
 from sigmaswarm.cli.common import (
-    MOST_SENTENCES,
+    MAX_REMARKS,
     cluster_at,
     print_result,
     read_datasets,
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from sigmaswarm.datasets.dataset import Dataset
     from sigmaswarm.scoring.tracks import FirstTrack
 
-SHOWN = ("objective", "model", "use", "particles", "generations", "trials", "seed")
+SHORT_HELP = ("objective", "model", "use", "particles", "generations", "trials", "seed")
 
 
-@options_of(TuneConfig.model_fields, shown=SHOWN, by_data=DECIDED_LATER, renamed=RENAMED)
+@options_of(TuneConfig.model_fields, shown=SHORT_HELP, by_data=DECIDED_LATER, renamed=RENAMED)
 def tune(
     drives: Places,
     /,
@@ -141,9 +141,9 @@ def _remarks(tuning: "Tuning[Any]", track: "FirstTrack") -> Iterable[str]:
 
     if position := describe_first_track(track):
         yield f"position: {position.removeprefix('Position ')}"
-    for remark in tuning.remarks[:MOST_SENTENCES]:
+    for remark in tuning.remarks[:MAX_REMARKS]:
         yield remark if remark.startswith(TO_DO) else f"note: {remark}"
-    if (left := len(tuning.remarks) - MOST_SENTENCES) > 0:
+    if (left := len(tuning.remarks) - MAX_REMARKS) > 0:
         yield f"note: {counted(left, 'more remark')} in tuning.toml"
 
 

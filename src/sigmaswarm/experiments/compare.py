@@ -49,12 +49,12 @@ if TYPE_CHECKING:
     from sigmaswarm.drives.reader import Location
 
 
-OWN = (
+CONTENDER_OPTIONS = (
     *("particles", "generations", "trials", "polish", "racing"),
     *("inertia", "cognitive", "social", "zero_velocity_at_bounds"),
 )
 """Options in which contenders may differ, in addition to optimizer and scale."""
-REFUSED = {
+REJECTED_OPTIONS = {
     **{name: f"varies in a comparison; use {name}s instead" for name in ("seed", "optimizer", "scale")},
     **dict.fromkeys(
         ("prior", "inflation", "margin"),
@@ -194,8 +194,8 @@ def _grid(options: GridOptions, training: "Dataset", held_out: "Dataset") -> _Gr
     seeds = options.get("seeds", SEEDS)
     if seeds < 1:
         raise InputError(f"seeds = {seeds}: at least 1 is needed")
-    for name in set(REFUSED).intersection(options):
-        raise InputError(f"{name}: {REFUSED[name]}")
+    for name in set(REJECTED_OPTIONS).intersection(options):
+        raise InputError(f"{name}: {REJECTED_OPTIONS[name]}")
     rivals = _contenders(options, [*training.map(sensors_of), *held_out.map(sensors_of)])
     problem = car_problem(training, rivals[0].config)
     test = problem.on(held_out) if len(held_out) else None
@@ -237,10 +237,10 @@ def _contender(name: str, scale: str, shared: Mapping[str, Any]) -> Contender:
     own: dict[str, Any] = {}
     for setting in settings.split(",") if settings else []:
         key, _, value = setting.partition("=")
-        if key not in OWN or not value:
+        if key not in CONTENDER_OPTIONS or not value:
             raise InputError(
                 f"{name}: {setting!r} is not a setting; write NAME=VALUE after the colon, where NAME is one "
-                f"of {', '.join(OWN)}"
+                f"of {', '.join(CONTENDER_OPTIONS)}"
             )
         own[key] = value
     config = validated_config(TuneConfig, {**shared, "optimizer": optimizer, "scale": scale, **own})

@@ -17,10 +17,10 @@ from sigmaswarm.files import write_whole
 from sigmaswarm.records import load_record
 from sigmaswarm.tuning.config import TuneConfig
 
-FEWEST_SEEDS = 6
+MIN_SEEDS = 6
 """Number of seeds below which a two-sided signed-rank test can't reach p = 5%: its lowest p is 2^(1 - seeds)."""
 
-COMPARED = {
+MEASURES = {
     "cost": "training cost",
     "held_out_cost": "held-out cost",
     "held_out_rmse": "held-out RMSE, m",
@@ -132,7 +132,7 @@ class Comparison:
     def measures(self) -> tuple[str, ...]:
         """Measures with a value in at least one run."""
         every = [run for runs in self.runs.values() for run in runs]
-        return tuple(m for m in COMPARED if any(getattr(run, m) is not None for run in every))
+        return tuple(m for m in MEASURES if any(getattr(run, m) is not None for run in every))
 
     @cached_property
     def frame(self) -> pl.DataFrame:
@@ -171,14 +171,14 @@ class Comparison:
         rows = [
             {
                 **{"optimizer": c.name, "scale": c.scale, "seed": seed},
-                **{name: getattr(run, name) for name in (*COMPARED, "evaluations", "failures")},
+                **{name: getattr(run, name) for name in (*MEASURES, "evaluations", "failures")},
                 "filter_steps": run.history_steps[-1],
                 "touched_bounds": " ".join(run.touched),
             }
             for c in self.contenders
             for seed, run in enumerate(self.runs[c.label])
         ]
-        return pl.DataFrame(rows, schema_overrides=dict.fromkeys(COMPARED, pl.Float64))
+        return pl.DataFrame(rows, schema_overrides=dict.fromkeys(MEASURES, pl.Float64))
 
     @cached_property
     def curves(self) -> pl.DataFrame:

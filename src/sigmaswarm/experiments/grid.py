@@ -28,8 +28,8 @@ Report = Callable[[int], None]
 """Function that receives the number of finished rounds; it raises `InterruptedError` after an interrupt."""
 PR_SET_PDEATHSIG = 1
 """Option of prctl(2): the signal that Linux sends to a process when its parent dies."""
-POLL = 0.05  # s, interval at which the progress of the tasks is read
-KILLED = "a process of this experiment was killed, perhaps for lack of memory; continue with --resume"
+POLL_INTERVAL = 0.05  # s, interval at which the progress of the tasks is read
+KILLED_MESSAGE = "a process of this experiment was killed, perhaps for lack of memory; continue with --resume"
 _run: Callable[[int], Any] | None = None
 """Function of a forked process that runs a task by its index."""
 
@@ -62,7 +62,7 @@ def run_grid(
         futures |= _submitted(pool, _in_fork if processes else one, order)
         left = set(futures.values())
         while left:
-            finished, left = wait(futures.values(), POLL, FIRST_EXCEPTION)
+            finished, left = wait(futures.values(), POLL_INTERVAL, FIRST_EXCEPTION)
             for future in finished:
                 future.result()  # raises the error of its task
             for k, task in enumerate(tasks):
@@ -76,7 +76,7 @@ def run_grid(
             for future in futures.values():
                 future.cancel()
         if isinstance(error, BrokenProcessPool):
-            raise SigmaswarmError(KILLED) from None
+            raise SigmaswarmError(KILLED_MESSAGE) from None
         raise
     finally:
         if processes:
@@ -121,7 +121,7 @@ def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
 
     def watch() -> None:
         while not stop[0] and os.getppid() == parent:
-            time.sleep(POLL)
+            time.sleep(POLL_INTERVAL)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

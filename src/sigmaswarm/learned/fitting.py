@@ -20,11 +20,13 @@ from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
 
 Loss = Callable[[Any, tuple[Any, ...]], Any]
 """Function of weights and a batch."""
-DECAY = 1e-4
+Settings = Mapping[str, float]
+"""Units, window (s) and learning rate of a network."""
+WEIGHT_DECAY = 1e-4
 """Weight decay per step, relative to the learning rate: I. Loshchilov and F. Hutter, ICLR 2019."""
-LARGEST_GRADIENT = 1.0
+MAX_GRADIENT_NORM = 1.0
 """Largest norm of a gradient; larger gradients are scaled down: R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013."""
-HELD_BACK = 0.25
+VALIDATION_SHARE = 0.25
 """Share of each drive, at its end, that is validation data if no validation drives are given."""
 
 
@@ -142,8 +144,8 @@ def _compiled(loss: Loss, learning_rate: float) -> tuple[Any, Any, Any]:
     import jax
     import optax
 
-    adam = optax.adamw(learning_rate, weight_decay=DECAY)
-    steps = optax.chain(optax.clip_by_global_norm(LARGEST_GRADIENT), adam)
+    adam = optax.adamw(learning_rate, weight_decay=WEIGHT_DECAY)
+    steps = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), adam)
     # updates that are not finite are skipped
     optimizer = optax.apply_if_finite(steps, max_consecutive_errors=np.iinfo(np.int32).max)
     return optimizer, jax.jit(loss), jax.jit(partial(_epoch, loss, optimizer))

@@ -20,7 +20,7 @@ from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned import noise_gru, outage_lstm
 from sigmaswarm.learned.cells import n_weights
-from sigmaswarm.learned.fitting import Fit, Schedule, exact, fit, part_of
+from sigmaswarm.learned.fitting import Fit, Schedule, Settings, exact, fit, part_of
 from sigmaswarm.learned.folder import LEARNED_SEEN, Learned, LearnedRecord, NetworkRecord, TrainingRecord
 from sigmaswarm.learned.noise_training import NoiseLearner
 from sigmaswarm.learned.outage_training import OutageLearner
@@ -31,7 +31,6 @@ from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.versions import versions
 
 POPULATION = 4  # settings in a batch of the search
-Settings = Mapping[str, float]
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,12 @@ from sigmaswarm.learned.cells import Weights, gru, head
 
 NAME = "noise-gru"
 FEATURES = 4
-MOST_SCALE = 30.0  # largest factor of R and Q; the smallest is its inverse
+MAX_SCALE = 30.0  # largest factor of R and Q; the smallest is its inverse
 
 
 def log_scales(xp: Any, weights: Weights, h: Any) -> Any:
     """Return ln of the factors of R and Q, (..., 2)."""
-    return float(np.log(MOST_SCALE)) * xp.tanh(head(weights, h))
+    return float(np.log(MAX_SCALE)) * xp.tanh(head(weights, h))
 
 
 def features_of(xp: Any, nu: Any, s: Any, theta: Any, since: Any) -> Any:

@@ -3,7 +3,7 @@
 Each segment of a drive starts from the state of the filter without a network.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.learned.cells import new_weights
-from sigmaswarm.learned.fitting import HELD_BACK, Examples, Lesson
+from sigmaswarm.learned.fitting import VALIDATION_SHARE, Examples, Lesson, Loss, Settings
 from sigmaswarm.learned.noise_gru import FEATURES
 
 
@@ -51,7 +51,7 @@ def segments_of(
             columns, ends = columns_of(replay, twin)
             estimate = FilterRun(replay, twin).whole()
             last = float(estimate.time[-1])
-            since = last - HELD_BACK * (last - replay.initial.time)
+            since = last - VALIDATION_SHARE * (last - replay.initial.time)
             for start in np.arange(replay.initial.time, last - length, length):
                 sample = int(np.searchsorted(estimate.time, start))
                 span = [estimate.time[sample], estimate.time[sample] + length]
@@ -70,7 +70,7 @@ def segments_of(
     return Examples(tuple(np.array(column) for column in zip(*padded, strict=True)), np.array(held))
 
 
-def loss(parameters: FilterParameters) -> Callable[[Any, tuple[Any, ...]], Any]:
+def loss(parameters: FilterParameters) -> Loss:
     """Return the loss of a batch of segments: the mean negative log-likelihood of a fix, nats."""
     import jax
     import jax.numpy as jnp
@@ -102,7 +102,7 @@ class NoiseLearner:
         require_supported(parameters)
         self._drives, self._validation, self._parameters = drives, validation, parameters
 
-    def lesson(self, settings: Mapping[str, float], seed: int) -> Lesson:
+    def lesson(self, settings: Settings, seed: int) -> Lesson:
         segments = segments_of(self._drives, self._parameters, settings["window"], self._validation)
         rng = np.random.default_rng([seed, 2])
         weights = new_weights(rng, 3, FEATURES, int(settings["units"]), 2)
@@ -110,7 +110,7 @@ class NoiseLearner:
         return Lesson(loss(self._parameters), weights, shown, test)
 
     def finish(
-        self, settings: Mapping[str, float], weights: Mapping[str, Array]
+        self, settings: Settings, weights: Mapping[str, Array]
     ) -> tuple[Mapping[str, Array], dict[str, Any]]:
         """Return the weights; no calibration is needed, since the loss is a likelihood."""
         del settings

@@ -28,11 +28,12 @@ from sigmaswarm.filters.replay import Replay
 from sigmaswarm.learned.cells import Weights, head, lstm, new_weights
 from sigmaswarm.learned.relative import Begin, Displacements, in_body
 
+Indices = NDArray[np.intp]
 HORIZON = 1.0  # s, duration of a displacement
 OUTAGE_AFTER = 2.0
 """Time since the last fix after which an outage begins, s; a working receiver has 1 Hz or more."""
-STEPS = 40  # number of steps of a resampled window
-_QUIET = 1e-3
+WINDOW_STEPS = 40  # number of steps of a resampled window
+_VIBRATION_OFFSET = 1e-3
 """Offset that is added to the vibration of an axis before the logarithm, m/s2; the offset for a gyro is 1e-4 rad/s."""
 _GRAVITY = 9.80665
 
@@ -42,19 +43,19 @@ class Windows:
     """Times in the outages of a drive, and the inputs at them.
 
     - ``begin``, ``end``: IMU samples, counted from the filter's start, of a displacement (k,).
-    - ``features``, ``features_at_first``: inputs at ``end`` and ``first`` (k, STEPS, f), see `features_at`.
+    - ``features``, ``features_at_first``: inputs at ``end`` and ``first`` (k, WINDOW_STEPS, f), see `features_at`.
     - ``first``: sample after the last fix (k,).
     - ``age``: time from ``first`` to ``end``, s (k,).
     - ``over``: samples after the fixes that end the outages.
     """
 
-    begin: NDArray[np.intp]
-    end: NDArray[np.intp]
+    begin: Indices
+    end: Indices
     features: Array
-    first: NDArray[np.intp]
+    first: Indices
     features_at_first: Array
     age: Array
-    over: NDArray[np.intp]
+    over: Indices
 
 
 def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Windows:
@@ -90,9 +91,7 @@ def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Win
     )
 
 
-def pairs_of(
-    time: Array, after: float, until: float, every: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def pairs_of(time: Array, after: float, until: float, every: float) -> tuple[Indices, Indices]:
     """Return indices of pairs of samples, `HORIZON` apart, between two times, (k,) each."""
     first, stop = np.searchsorted(time, [after, until])
     grid = np.arange(float(time[first]), float(time[stop - 1]) + 1e-9, every) if stop > first else np.empty(0)
@@ -103,14 +102,14 @@ def pairs_of(
     return begin[near], end[near]
 
 
-def features_at(line: Timeline, end: NDArray[np.intp], *, axes: Sequence[str], window: float) -> Array:
-    """Return the inputs from the last ``window`` s before some samples, (k, STEPS, 2 axes).
+def features_at(line: Timeline, end: Indices, *, axes: Sequence[str], window: float) -> Array:
+    """Return the inputs from the last ``window`` s before some samples, (k, WINDOW_STEPS, 2 axes).
 
     The inputs are the mean (m/s2, rad/s) and the logarithm of the standard deviation, which grows with the speed of a
     car.
     """
     time = line.drive.imu.time
-    edges = line.imu_time[end][:, np.newaxis] + np.linspace(-window, 0.0, STEPS + 1)
+    edges = line.imu_time[end][:, np.newaxis] + np.linspace(-window, 0.0, WINDOW_STEPS + 1)
     means: list[Array] = []
     shakes: list[Array] = []
     for axis in axes:
@@ -124,7 +123,7 @@ def features_at(line: Timeline, end: NDArray[np.intp], *, axes: Sequence[str], w
         mean = _means(time, values, edges)
         variance = _means(time, values**2, edges) - mean**2
         means.append(mean)
-        quiet = _QUIET if axis.startswith("a") else 0.1 * _QUIET
+        quiet = _VIBRATION_OFFSET if axis.startswith("a") else 0.1 * _VIBRATION_OFFSET
         shakes.append(np.log(np.sqrt(np.maximum(variance, 0.0)) + quiet))
     return np.stack([*means, *shakes], axis=-1)
 
@@ -140,7 +139,7 @@ def _means(time: Array, values: Array, edges: Array) -> Array:
 
 NAME = "outage-lstm"
 VELOCITY_Q = [R.Q_U, R.Q_V]
-LEAST_STD, MOST_STD = 0.02, 20.0
+MIN_STD, MAX_STD = 0.02, 20.0
 """Bounds of the standard deviation of a displacement over a second, m."""
 
 
@@ -180,7 +179,7 @@ class OutageLstm:
     def displacements(self, features: Array) -> tuple[Array, Array]:
         """Estimate displacements (k, 2), m forward and left, and variances (k, 2), m2, from the IMU alone."""
         raw = outputs_of(np, self.weights, features)
-        std = np.clip(np.exp(raw[:, 2:]) * self.weights["scale"], LEAST_STD, MOST_STD)
+        std = np.clip(np.exp(raw[:, 2:]) * self.weights["scale"], MIN_STD, MAX_STD)
         return self.weights["usual"] + raw[:, :2] * self.weights["scale"], std**2
 
     def remains(self, age: Any) -> Any:
@@ -197,11 +196,11 @@ class OutageLstm:
         """Return a displacement (2,), m, and its variance (2,), m2, corrected by the velocity at the last fix."""
         left = self.remains(forecast.age)
         moved = forecast.moved + left * (HORIZON * velocity - forecast.before)
-        return moved, self.inflation * (forecast.variance * (1.0 - left**2) + LEAST_STD**2)
+        return moved, self.inflation * (forecast.variance * (1.0 - left**2) + MIN_STD**2)
 
 
 def outputs_of(xp: Any, weights: Weights, features: Any) -> Any:
-    """Return scaled displacements and ln std, (k, 4), for features (k, STEPS, f)."""
+    """Return scaled displacements and ln std, (k, 4), for features (k, WINDOW_STEPS, f)."""
     inputs = (features - weights["center"]) / weights["spread"]
     units = weights["hidden"].shape[0]
     state = xp.zeros((len(inputs), units)), xp.zeros((len(inputs), units))
@@ -218,7 +217,7 @@ def outputs_of(xp: Any, weights: Weights, features: Any) -> Any:
 def untrained(
     rng: np.random.Generator, axes: tuple[str, ...], window: float, units: int, features: Array, moved: Array
 ) -> OutageLstm:
-    """Make a new network; ``features`` (k, STEPS, f) and ``moved`` (k, 2), m, determine its scales."""
+    """Make a new network; ``features`` (k, WINDOW_STEPS, f) and ``moved`` (k, 2), m, determine its scales."""
     flat = features.reshape(-1, features.shape[-1])
     scales = {
         "center": flat.mean(axis=0),

@@ -4,7 +4,7 @@ The network learns the displacements of the smoothed filter with all fixes. Hidd
 data calibrate the variances.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -21,7 +21,7 @@ from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
-from sigmaswarm.learned.fitting import HELD_BACK, Examples, Lesson
+from sigmaswarm.learned.fitting import VALIDATION_SHARE, Examples, Lesson, Loss, Settings
 from sigmaswarm.learned.outage_lstm import (
     OutageLstm,
     OutageRun,
@@ -38,13 +38,13 @@ from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER
 
 LENGTHS = (10.0, 40.0)  # s, shortest and longest calibration outage
 PLACEMENTS = 4  # number of placements of outages in each drive
-EVERY = 0.25  # s, between examples
-BORDER = 5.0  # s, gap between the training and validation data
+EXAMPLE_INTERVAL = 0.25  # s, between examples
+VALIDATION_GAP = 5.0  # s, gap between the training and validation data
 INFLATIONS, UNSURE = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0), (1.0, 10.0, 100.0)
 """Values that the calibration tries: see `OutageLstm`."""
 LAGS = (2, 4, 8, 12, 20, 40, 80, 120)
-"""Lags of the autocorrelation of errors, in units of `EVERY`."""
-FIXED = ("center", "spread", "usual", "scale", "kept", "lasts")
+"""Lags of the autocorrelation of errors, in units of `EXAMPLE_INTERVAL`."""
+FIXED_WEIGHTS = ("center", "spread", "usual", "scale", "kept", "lasts")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ def tracks_of(
         ready = PreparedDrive(drive)
         mean = np.concatenate([p.mean[:, :5] for p in Smoothing(replay_of(ready), parameters, recover=True)])
         start, end = ready.initial.time, float(drive.imu.time[-1])
-        since = end - HELD_BACK * (end - start)
+        since = end - VALIDATION_SHARE * (end - start)
         if validation:
             since = np.inf if len(tracks) < len(drives) else -np.inf
         tracks.append(Track(ready, mean, since))
@@ -98,7 +98,7 @@ def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[Replay, float]]:
 def _windows_of(track: Track, axes: Sequence[str], window: float) -> tuple[Array, Array, Array]:
     """Return windows of a whole drive: their ends (k,), s, their features, and the displacements (k, 2), m."""
     line = track.ready.timeline()
-    begins, ends = pairs_of(line.imu_time, line.start, np.inf, EVERY)
+    begins, ends = pairs_of(line.imu_time, line.start, np.inf, EXAMPLE_INTERVAL)
     features = features_at(line, ends, axes=axes, window=window)
     return line.imu_time[ends], features, body_displacement(track.mean[begins], track.mean[ends])
 
@@ -108,14 +108,14 @@ def examples_of(tracks: Sequence[Track], axes: Sequence[str], window: float) -> 
     parts: list[tuple[Array, Array, NDArray[np.bool_]]] = []
     for track in tracks:
         end, features, moved = _windows_of(track, axes, window)
-        late, clear = end > track.held_back_from, end - BORDER > track.held_back_from
+        late, clear = end > track.held_back_from, end - VALIDATION_GAP > track.held_back_from
         sound = (late == clear) & np.isfinite(moved).all(axis=1) & np.isfinite(features).all(axis=(1, 2))
         parts.append((features[sound], moved[sound], late[sound]))
     features, moved, held = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Examples((features, moved), held)
 
 
-def _loss(fixed: dict[str, Array]) -> Callable[[Any, tuple[Any, ...]], Any]:
+def _loss(fixed: dict[str, Array]) -> Loss:
     """Return the loss: -ln N(moved; output, std^2) in units of the scale."""
     import jax.numpy as jnp
 
@@ -133,8 +133,8 @@ def lesson(
 ) -> tuple[OutageLstm, Lesson]:
     shown = examples.part(held_back=False)
     network = untrained(np.random.default_rng([seed, 1]), axes, window, units, *shown)
-    fixed = {name: network.weights[name] for name in FIXED}
-    moving = {name: w for name, w in network.weights.items() if name not in FIXED}
+    fixed = {name: network.weights[name] for name in FIXED_WEIGHTS}
+    moving = {name: w for name, w in network.weights.items() if name not in FIXED_WEIGHTS}
     return network, Lesson(_loss(fixed), moving, shown, examples.part(held_back=True), fixed)
 
 
@@ -152,7 +152,7 @@ class OutageLearner:
         self._tracks = tracks_of(drives, parameters, validation)
         self._examples: dict[float, Examples] = {}
 
-    def lesson(self, settings: Mapping[str, float], seed: int) -> Lesson:
+    def lesson(self, settings: Settings, seed: int) -> Lesson:
         window = settings["window"]
         if window not in self._examples:
             self._examples = {window: examples_of(self._tracks, self._axes, window)}
@@ -160,7 +160,7 @@ class OutageLearner:
         return lesson(examples, self._axes, window=window, units=int(settings["units"]), seed=seed)[1]
 
     def finish(
-        self, settings: Mapping[str, float], weights: Mapping[str, Array]
+        self, settings: Settings, weights: Mapping[str, Array]
     ) -> tuple[Mapping[str, Array], dict[str, Any]]:
         network = with_lasting(OutageLstm(self._axes, settings["window"], weights), self._tracks)
         cases = cases_of(self._tracks, self._seed)
@@ -180,7 +180,7 @@ def with_lasting(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm:
         end, features, moved = _windows_of(track, network.axes, network.window)
         if (late := end > track.held_back_from).any():
             parts.append(moved[late] - network.displacements(features[late])[0])
-    t = EVERY * np.array(LAGS)
+    t = EXAMPLE_INTERVAL * np.array(LAGS)
     found = {"kept": np.zeros(2), "lasts": np.ones(2)}
     for i in range(2):
         each = [part[np.isfinite(part[:, i]), i] for part in parts]

@@ -22,7 +22,7 @@ from sigmaswarm.filters.packing import definite, pack_states, unpack_states
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, run_steps
 
-_SMALL = 1e-3
+_DIFFERENCE_STEP = 1e-3
 """Step of the finite differences, in standard deviations."""
 GATE = 13.8
 """Largest NIS of a displacement; this limit rejects one in a thousand (chi-square, two degrees of freedom)."""
@@ -55,7 +55,7 @@ class Displacements:
         x1, p1 = self._state(rows)
         crossed = self._transported(begin, x0, p0, stop) @ p0  # Cov(e1, e0)
         expected = body_displacement(x0, x1)
-        step0, step1 = (_SMALL * np.sqrt(np.diag(p)) for p in (p0, p1))
+        step0, step1 = (_DIFFERENCE_STEP * np.sqrt(np.diag(p)) for p in (p0, p1))
         h0 = np.array([body_displacement(self._plus(x0, e), x1) - expected for e in np.diag(step0)]).T / step0
         h1 = np.array([body_displacement(x0, self._plus(x1, e)) - expected for e in np.diag(step1)]).T / step1
         c = p1 @ h1.T + crossed @ h0.T
@@ -92,7 +92,7 @@ class Displacements:
 
     def _transported(self, begin: Begin, x0: Array, p0: Array, stop: int) -> Array:
         """Return A, the transition of an error since the start of the displacement, (n, n)."""
-        n, step = len(x0), _SMALL * np.sqrt(np.diag(p0))
+        n, step = len(x0), _DIFFERENCE_STEP * np.sqrt(np.diag(p0))
         moved = np.array([x0, *(self._plus(x0, e) for e in np.diag(step))])
         moved = np.vstack([moved, np.broadcast_to(x0, (LANES - n - 1, n))])
         rows = np.repeat(begin.rows[:, :1], LANES, axis=1)

@@ -7,7 +7,7 @@ import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sigmaswarm.experiments.comparison import COMPARED, FEWEST_SEEDS, Comparison
+from sigmaswarm.experiments.comparison import MEASURES, MIN_SEEDS, Comparison
 from sigmaswarm.files import staged_files, write_whole
 from sigmaswarm.reports.figures import Chart, band, curve, figure_of, name_rows, save
 from sigmaswarm.reports.style import NO_LINE, Look, many_styles
@@ -28,11 +28,11 @@ def comparison_table(comparison: Comparison) -> Table:
     same = all(c.config.objective == "truth-rmse" for c in comparison.contenders)
     # with this objective the cost is the RMSE
     shown = [m for m in comparison.measures if not (same and m == "held_out_cost")]
-    tested = comparison.seeds >= FEWEST_SEEDS
+    tested = comparison.seeds >= MIN_SEEDS
     digits = "{:.4g}".format
     columns = [Column("optimizer"), Column("scale")]
     for measure in shown:
-        columns += [Column(COMPARED[measure], number=digits), Column("95%", number=digits, joined=True)]
+        columns += [Column(MEASURES[measure], number=digits), Column("95%", number=digits, joined=True)]
         columns += [
             Column("worst", number=digits),
             Column("p", number=lambda p: "< 0.001" if p < 0.001 else f"{p:.3f}"),
@@ -51,7 +51,7 @@ def comparison_table(comparison: Comparison) -> Table:
         if alone
         else ""
     )
-    few = "" if tested else f"\n\nThere are too few seeds for a test, which needs {FEWEST_SEEDS} or more."
+    few = "" if tested else f"\n\nThere are too few seeds for a test, which needs {MIN_SEEDS} or more."
     note = (
         f"{comparison.seeds} seeds, {comparison.budget} evaluations each. Values: median [95% interval of the median] "
         f"and worst run. p: paired Wilcoxon test against {comparison.contenders[0].label}, with Holm's correction over "
@@ -91,7 +91,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
             ax.plot(values, np.full(len(values), i), **ring, mfc="none", mec=look.color)
             if len(values):
                 curve(ax, [float(np.median(values))], [i], Look(look.color, 2.0, NO_LINE, "|", 16.0))
-        ax.set_xlabel(COMPARED[last])
+        ax.set_xlabel(MEASURES[last])
         name_rows(ax, [c.label for c in contenders])
 
     charts = (

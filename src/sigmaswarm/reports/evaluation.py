@@ -49,9 +49,9 @@ from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, tuning_file
 from sigmaswarm.wording import names_shown
 
-DRAWN = ("raw_gps", BASELINE, AGAINST, "tuned", *LEARNED, "swarm", "smoothed", "truth")
+DRAWING_ORDER = ("raw_gps", BASELINE, AGAINST, "tuned", *LEARNED, "swarm", "smoothed", "truth")
 """Series of a track from bottom to top. The truth is drawn above the tuned filter, whose line is wider."""
-HEADING_SHOWN = (1.0, 30.0)
+HEADING_LIMITS = (1.0, 30.0)
 """Limits of the range of the heading axis, deg, since a diverged filter has large errors."""
 
 
@@ -195,7 +195,7 @@ def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
     half, (x, y) = CLOSE_UP / 2, picture.turn
 
     def paths(ax: Axes, series: Mapping[str, Columns]) -> None:
-        for name in (name for name in DRAWN if name in series):
+        for name in (name for name in DRAWING_ORDER if name in series):
             curve(ax, series[name]["x"], series[name]["y"], STYLES[name], labels[name])
 
     def whole(ax: Axes) -> None:
@@ -222,7 +222,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
     series = picture.whole.series
     if "position_error" not in series["tuned"]:
         return None
-    methods = [name for name in DRAWN if "heading_error" in series.get(name, {})]
+    methods = [name for name in DRAWING_ORDER if "heading_error" in series.get(name, {})]
     bounds = [name for name in ("tuned", "smoothed") if name in series]
 
     def position(ax: Axes) -> None:
@@ -244,7 +244,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
         values = [np.abs(series[name]["heading_error"]) for name in methods]
         shown = np.concatenate([*values, series["tuned"]["heading_3sigma"]])
         known = np.isfinite(shown).any()
-        most = float(np.clip(1.2 * np.nanquantile(shown, 0.98), *HEADING_SHOWN)) if known else 30.0
+        most = float(np.clip(1.2 * np.nanquantile(shown, 0.98), *HEADING_LIMITS)) if known else 30.0
         ax.set(xlabel="time, s", ylabel="heading error, deg", ylim=(-most, most))
 
     charts = Chart(f"{picture.whole.name}: error against truth", position), Chart("", heading)

@@ -36,10 +36,10 @@ from sigmaswarm.scoring.view import (
 from sigmaswarm.tuning.record import NOT_VALIDATED_TEXTS, TuningRecord
 from sigmaswarm.wording import in_order
 
-LINES = ("truth", *ALSO, "tuned", AGAINST, BASELINE, FIXES, "imu_only", "raw_gps")
+TRACK_SERIES = ("truth", *ALSO, "tuned", AGAINST, BASELINE, FIXES, "imu_only", "raw_gps")
 """Series of the tracks, from top to bottom."""
-SHOWN = ("truth", "tuned", *ALSO, AGAINST, BASELINE, "raw_gps")
-VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
+VISIBLE_SERIES = ("truth", "tuned", *ALSO, AGAINST, BASELINE, "raw_gps")
+WARNING_VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
 """Verdicts on the consistency that the page shows as warnings."""
 BANK_TEXT = (
     "A filter bank has sixteen filters with different parameters. The weight of a filter in the estimate depends on "
@@ -62,12 +62,18 @@ def evaluation_report(folder: Path) -> Report:
         )
     absent = {AGAINST, FIXES, *ALSO} - {*scores.mean}
     labels = LABELS | dict(view.names)
-    tracks = TrackView(drives, {m: labels[m] for m in LINES if m not in absent}, STYLES, SHOWN, "tuned")
+    tracks = TrackView(
+        drives, {m: labels[m] for m in TRACK_SERIES if m not in absent}, STYLES, VISIBLE_SERIES, "tuned"
+    )
     swarm = tuple(chart for drive in drives for chart in swarm_charts(drive))
     also = [method for method in (AGAINST, *ALSO) if method in scores.mean]
     command, note = evaluate_command(list(scores.drives), setup, also=also)
     verdicts = view.verdicts()
-    remarks = [*view.warnings(), *view.findings(), *(verdicts[kind] for kind in VERDICTS if kind in verdicts)]
+    remarks = [
+        *view.warnings(),
+        *view.findings(),
+        *(verdicts[kind] for kind in WARNING_VERDICTS if kind in verdicts),
+    ]
     remarks += [r for r in (file.result.remarks if file.result else ()) if r not in NOT_VALIDATED_TEXTS]
     return Report(
         title=f"Evaluation of {filter_name(file)}",

@@ -26,7 +26,7 @@ from sigmaswarm.scoring.tracks import Tracks
 from sigmaswarm.tables import Cell, Column, Table, numbers_of, shown
 from sigmaswarm.versions import __version__
 
-LONG = 24
+LONG_CELL = 24
 """Number of characters of a cell above which the column gets a minimum width."""
 TERMS = {
     "NIS": "normalized innovation squared: deviation of a fix from the prediction, relative to the covariance",
@@ -48,11 +48,11 @@ TERMS = {
     "cost": "value of the objective; lower is better",
     "density": "noise density that corresponds to the variance",
 }
-DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot", "none": "none"}
+PLOTLY_DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot", "none": "none"}
 _TERM = re.compile(
     "|".join(rf"(?<!\w){re.escape(term)}(?!\w)" for term in sorted(TERMS, key=len, reverse=True))
 )
-MOST_NUMBERS = 250_000
+MAX_NUMBERS = 250_000
 """Maximum number of values of all tracks of a page, so that the page stays below 2 MB. Longer tracks are thinned."""
 
 
@@ -147,14 +147,14 @@ def _view(view: TrackView) -> dict[str, Any]:
             "label": label,
             "shown": name in view.shown,
             "color": view.looks[name].color,
-            "dash": DASHES[view.looks[name].style],
+            "dash": PLOTLY_DASHES[view.looks[name].style],
             "width": max(view.looks[name].width, 1.2),
         }
         for name, label in view.labels.items()
         if name in present
     ]
     size = sum(len(v) for drive in view.drives for of in drive.series.values() for v in of.values())
-    share = min(1.0, MOST_NUMBERS / max(size, 1))
+    share = min(1.0, MAX_NUMBERS / max(size, 1))
     drives = [_tracks(drive, share) for drive in view.drives]
     return {"drives": drives, "lines": lines, "main": view.main, "gate": GATE_95}
 
@@ -180,7 +180,7 @@ def _tracks(tracks: Tracks, share: float) -> dict[str, Any]:
 
 def _cell(cell: Cell, column: Column) -> dict[str, Any]:
     if isinstance(cell, str):
-        return {"text": cell, "style": "long" if len(cell) > LONG else "", "key": None}
+        return {"text": cell, "style": "long" if len(cell) > LONG_CELL else "", "key": None}
     known = numbers_of(cell)
     return {"text": shown(cell, column, "–"), "style": "number", "key": known and repr(known[0])}
 

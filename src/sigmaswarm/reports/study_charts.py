@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sigmaswarm.experiments.study.config import ALL, BASELINE, MAIN
+from sigmaswarm.experiments.study.config import ALL, BASELINE, MAIN_METHOD
 from sigmaswarm.experiments.study.record import Convergence, CurvePoint, Results, Spread
 from sigmaswarm.experiments.study.study import Study
 from sigmaswarm.files import make_folder, staged_files, write_whole
@@ -26,28 +26,28 @@ from sigmaswarm.reports.figures import (
     save_both,
     short_number,
 )
-from sigmaswarm.reports.study_tables import AWAY, curve_points
+from sigmaswarm.reports.study_tables import ELSEWHERE_MEASURES, curve_points
 from sigmaswarm.reports.style import CHARCOAL, GREEN, MIST, NO_LINE, ORANGE, SLATE, STUDY_STYLES, STYLES, Look
 from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.scoring.tracks import CLOSE_UP, NIS, Columns, Picture
 
-COLORS = {
+PROTOCOL_COLORS = {
     BASELINE: SLATE,
     "paper": STUDY_STYLES["paper-pso-ukf"].color,
     "honest": STUDY_STYLES["honest-pso-ukf"].color,
 }
-REACH = 12
+SCALE_RATIO = 12
 """End of the scale as a multiple of the lowest mean, so that good methods can be distinguished."""
-DRAWN: dict[str, tuple[str, Look]] = {
+DRAWN_FILTERS: dict[str, tuple[str, Look]] = {
     "ukf-defaults": ("UKF, manual: defaults", Look(ORANGE, 1.0, "--")),
-    f"paper-{MAIN}": ("PSO-UKF (paper: against the GPS)", STUDY_STYLES[f"paper-{MAIN}"]),
-    f"honest-{MAIN}": ("PSO-UKF (honest: against truth)", STUDY_STYLES[f"honest-{MAIN}"]),
+    f"paper-{MAIN_METHOD}": ("PSO-UKF (paper: against the GPS)", STUDY_STYLES[f"paper-{MAIN_METHOD}"]),
+    f"honest-{MAIN_METHOD}": ("PSO-UKF (honest: against truth)", STUDY_STYLES[f"honest-{MAIN_METHOD}"]),
 }
-RULE = Look(SLATE, 1.0, "--")
+MARK_STYLE = Look(SLATE, 1.0, "--")
 
 
 def means_chart(
-    results: Results, measure: str, reach: float = REACH, mark: float | None = None
+    results: Results, measure: str, reach: float = SCALE_RATIO, mark: float | None = None
 ) -> Chart | None:
     """Draw the mean of every method with two intervals, on a logarithmic scale.
 
@@ -62,7 +62,7 @@ def means_chart(
 
     def draw(ax: Axes) -> None:
         if mark is not None:
-            ax.axvline(mark, **RULE.line)
+            ax.axvline(mark, **MARK_STYLE.line)
         for name, width, opacity, label in (
             ("trial_interval", 7.0, 0.4, "95% over trials, as in the paper"),
             ("bootstrap_interval", 1.5, 1.0, "95% for new drives (bootstrap)"),
@@ -74,7 +74,7 @@ def means_chart(
             ax.hlines(range(len(rows)), *ends.T, color=SLATE, lw=width, alpha=opacity, label=label)
         for i, (row, mean) in enumerate(rows):
             beyond, x = mean > most, min(mean, most)
-            look = Look(COLORS[row.protocol], 1.2, NO_LINE, ">" if beyond else "o", 6.75)
+            look = Look(PROTOCOL_COLORS[row.protocol], 1.2, NO_LINE, ">" if beyond else "o", 6.75)
             hover = (
                 f"{names[i]}: {mean:.3g}\n95% for new drives: {_ends(row.bootstrap_interval)}"
                 f"\n95% over trials: {_ends(row.trial_interval)}"
@@ -114,7 +114,7 @@ def spread_chart(
 
     def draw(ax: Axes) -> None:
         if mark is not None:
-            ax.axvline(mark, **RULE.line)
+            ax.axvline(mark, **MARK_STYLE.line)
         for protocol in dict.fromkeys(s.protocol for s in rows):
             own = [s for s in rows if s.protocol == protocol]
             ax.bxp(
@@ -128,7 +128,7 @@ def spread_chart(
                 showfliers=False,
                 patch_artist=True,
                 medianprops={"color": "k"},
-                boxprops={"facecolor": COLORS[protocol], "alpha": 0.6},
+                boxprops={"facecolor": PROTOCOL_COLORS[protocol], "alpha": 0.6},
                 manage_ticks=False,
             )
         logarithmic(ax.xaxis)
@@ -197,7 +197,7 @@ def curve_charts(results: Results) -> tuple[Chart, ...]:
         return Chart(results.measures[measure], draw, broad=True)
 
     charts: list[Chart] = []
-    for measure in AWAY:
+    for measure in ELSEWHERE_MEASURES:
         methods = dict.fromkeys(point.method for point in rivals.curve)
         known = [
             [p for p in curve_points(rivals, method, measure) if p.mean is not None] for method in methods
@@ -210,7 +210,7 @@ def curve_charts(results: Results) -> tuple[Chart, ...]:
 def trajectory_chart(picture: Picture) -> Chart:
 
     def draw(ax: Axes) -> None:
-        named = {"raw_gps": ("GPS", STYLES["raw_gps"]), **DRAWN, "truth": ("truth", STYLES["truth"])}
+        named = {"raw_gps": ("GPS", STYLES["raw_gps"]), **DRAWN_FILTERS, "truth": ("truth", STYLES["truth"])}
         for series, (name, look) in named.items():
             curve(ax, picture.close[series]["x"], picture.close[series]["y"], look, name)
         (x, y), half = picture.turn, CLOSE_UP / 2
@@ -236,8 +236,8 @@ def error_charts(picture: Picture) -> tuple[Chart, ...]:
         return Chart(title, draw)
 
     charts: list[Chart] = []
-    for series, (name, look) in DRAWN.items():
-        columns, last = picture.whole.series[series], series == list(DRAWN)[-1]
+    for series, (name, look) in DRAWN_FILTERS.items():
+        columns, last = picture.whole.series[series], series == list(DRAWN_FILTERS)[-1]
         title = "" if charts else f"{picture.whole.name}: errors and 3 sigma"
         charts.append(chart(name, columns, look, "position", last=last))
         charts.append(chart(title, columns, look, "heading", last=last))
@@ -257,8 +257,10 @@ def nis_charts(picture: Picture) -> tuple[Chart, ...]:
         inside = float(np.mean(nis < GATE_95))
         return Chart(f"{name}\nmean {np.mean(nis):.2f}, {inside:.0%} inside the 95% gate", draw)
 
-    known = {series: picture.whole.series.get(series + NIS) for series in DRAWN}  # None: the filter failed
-    return tuple(chart(*DRAWN[series], columns) for series, columns in known.items() if columns)
+    known = {
+        series: picture.whole.series.get(series + NIS) for series in DRAWN_FILTERS
+    }  # None: the filter failed
+    return tuple(chart(*DRAWN_FILTERS[series], columns) for series, columns in known.items() if columns)
 
 
 def save_study(study: Study, folder: Path) -> list[Path]:
@@ -296,7 +298,9 @@ def study_figures(study: Study) -> dict[str, Figure]:
         ``errors`` (over time) and ``nis``. With rivals also ``learning-curve``.
     """
     results, spreads, picture = study.results, study.record.spreads, study.picture
-    courses = [convergence_chart(results, protocol, [MAIN], log=False) for protocol in results.protocols]
+    courses = [
+        convergence_chart(results, protocol, [MAIN_METHOD], log=False) for protocol in results.protocols
+    ]
     boxes = [spread_chart(results, spreads, measure, all_rows=True) for measure in tables.ERRORS]
     curves = curve_charts(results)
     return {

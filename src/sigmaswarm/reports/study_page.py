@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from math import inf
 from pathlib import Path
 
-from sigmaswarm.experiments.study.config import MAIN
+from sigmaswarm.experiments.study.config import MAIN_METHOD
 from sigmaswarm.experiments.study.record import Results, StudyRecord
 from sigmaswarm.reports import study_tables as tables
 from sigmaswarm.reports.figures import Chart
@@ -13,22 +13,22 @@ from sigmaswarm.reports.study_charts import convergence_chart, curve_charts, mea
 from sigmaswarm.reports.study_tables import DRIFT, ERRORS, HEADING, POSITION, comparison
 from sigmaswarm.reports.style import STUDY_STYLES
 
-RIVALS = ("ukf-datasheet", "ukf-defaults", "raw-gps")
-CONSISTENT = 2.0  # mean NIS of a consistent filter
-BEYOND_CHANCE = (1.0, 4.0)
+COMPARED_METHODS = ("ukf-datasheet", "ukf-defaults", "raw-gps")
+CONSISTENT_NIS = 2.0  # mean NIS of a consistent filter
+NIS_LIMITS = (1.0, 4.0)
 """A mean NIS outside of these bounds shows wrong covariances, for any number of fixes."""
-UNLUCKY = 1.2
+MAX_COST_RATIO = 1.2
 """Ratio of highest to lowest cost of the trials above which the page warns."""
-IN_CONDITIONS = (
+CONDITION_VARIANTS = (
     ("untuned", "raw-gps"),
     ("untuned", "ukf-defaults"),
     ("untuned", "ukf-datasheet"),
-    ("paper", MAIN),
-    ("honest", MAIN),
+    ("paper", MAIN_METHOD),
+    ("honest", MAIN_METHOD),
     ("honest", "pso-ekf"),
     ("honest", "pso-planar8"),
 )
-SHOWN = ("truth", "honest-pso-ukf", "paper-pso-ukf", "raw_gps")
+VISIBLE_SERIES = ("truth", "honest-pso-ukf", "paper-pso-ukf", "raw_gps")
 
 
 def study_report(folder: Path) -> Report:
@@ -66,15 +66,15 @@ def study_report(folder: Path) -> Report:
 
 
 def _result(results: Results, protocol: str) -> str:
-    found, objective = results.summary(protocol, MAIN, POSITION), results.protocols[protocol].objective
-    start = f"Tuned for {objective} (the {protocol} protocol), {results.label(MAIN)}"
+    found, objective = results.summary(protocol, MAIN_METHOD, POSITION), results.protocols[protocol].objective
+    start = f"Tuned for {objective} (the {protocol} protocol), {results.label(MAIN_METHOD)}"
     if found is None or found.mean is None:
         return f"{start} failed on held-out drives."
     low, high = found.bootstrap_interval
     known = low is not None and high is not None
     interval = f" (95% interval for new drives {low:.3g} to {high:.3g})" if known else ""
     against: list[str] = []
-    for c in (comparison(results, protocol, POSITION, rival) for rival in RIVALS):
+    for c in (comparison(results, protocol, POSITION, rival) for rival in COMPARED_METHODS):
         if c is not None and c.improvement is None:
             against.append(f"no comparison with {results.label(c.against)}")
         elif c is not None and c.improvement is not None:
@@ -90,31 +90,31 @@ def _figures(results: Results) -> tuple[KeyFigure, ...]:
     shown += [("honest", DRIFT, "drift over 5 s", "m", "table_3", "outage_drift_m")]
     figures: list[KeyFigure] = []
     for protocol, measure, what, unit, table, key in shown:
-        found = results.summary(protocol, MAIN, measure)
+        found = results.summary(protocol, MAIN_METHOD, measure)
         if found is not None and found.mean is not None:
-            theirs = results.paper.get(table, {}).get(MAIN, {}).get(key)
+            theirs = results.paper.get(table, {}).get(MAIN_METHOD, {}).get(key)
             note = f"the paper: {theirs:.3g} {unit}" if theirs is not None else ""
             figures.append((f"{what}, {protocol}", f"{found.mean:.3g} {unit}", note))
     return (*figures, ("drives", str(results.drives.count), f"{results.drives.strata} conditions"))
 
 
 def _remarks(results: Results, protocol: str) -> Iterable[str]:
-    main = results.label(MAIN)
-    mine = [t for t in results.tunings if (t.protocol, t.method) == (protocol, MAIN)]
+    main = results.label(MAIN_METHOD)
+    mine = [t for t in results.tunings if (t.protocol, t.method) == (protocol, MAIN_METHOD)]
     if touching := sum(bool(t.touched_bounds) for t in mine):
         yield (
             f"{protocol}: {touching} of {len(mine)} tunings of {main} ended at a bound, "
             "so the optimum may be outside of the search space"
         )
     costs = [t.cost for t in mine]
-    if costs and max(costs) > UNLUCKY * min(costs):
+    if costs and max(costs) > MAX_COST_RATIO * min(costs):
         yield (
             f"{protocol}: the training costs of the tunings of {main} differ, "
             f"from {min(costs):.3g} to {max(costs):.3g} m; tune several times and use the best result"
         )
-    nis = results.summary(protocol, MAIN, "nis")
-    if nis is not None and nis.mean is not None and not BEYOND_CHANCE[0] < nis.mean < BEYOND_CHANCE[1]:
-        wrong = "overconfident" if nis.mean > BEYOND_CHANCE[1] else "underconfident"
+    nis = results.summary(protocol, MAIN_METHOD, "nis")
+    if nis is not None and nis.mean is not None and not NIS_LIMITS[0] < nis.mean < NIS_LIMITS[1]:
+        wrong = "overconfident" if nis.mean > NIS_LIMITS[1] else "underconfident"
         yield (
             f"{protocol}: {main} is {wrong}, since its mean NIS is {nis.mean:.3g}, "
             "but 2 for a consistent filter; do not rely on its covariances"
@@ -132,7 +132,7 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
 
 
 def _tables(results: Results) -> Section:
-    theirs = results.paper.get("table_1", {}).get(MAIN, {}).get("improvement_percent")
+    theirs = results.paper.get("table_1", {}).get(MAIN_METHOD, {}).get("improvement_percent")
     improvements = [f"the paper {theirs:.0f}%"] if theirs else []
     improvements += [
         f"{c.improvement:.0f}% over {results.label(rival)} ({protocol})"
@@ -161,7 +161,7 @@ def _intervals(results: Results) -> Section:
         "trials contains this mean in 95% of the cases in a full study, and in 85 to 95% in a small study.",
         "An arrow means that the mean is beyond the scale.",
     )
-    charts = _known((*charts, means_chart(results, "nis", inf, mark=CONSISTENT)))
+    charts = _known((*charts, means_chart(results, "nis", inf, mark=CONSISTENT_NIS)))
     return Section("Intervals of the means", text, charts=charts)
 
 
@@ -179,7 +179,7 @@ def _spread(record: StudyRecord) -> Section:
         "value underconfident. "
         "Position errors alone do not determine the scale of the covariances.",
     )
-    charts = _known((*charts, spread_chart(results, spreads, "nis", mark=CONSISTENT)))
+    charts = _known((*charts, spread_chart(results, spreads, "nis", mark=CONSISTENT_NIS)))
     return Section("Spread over drives, and consistency", text, (tables.consistency_table(results),), charts)
 
 
@@ -190,13 +190,13 @@ def _tracks(record: StudyRecord) -> tuple[Section, ...]:
         tuned = protocol in results.protocols
         labels[series] = results.label(method, protocol) if tuned else results.label(series.replace("_", "-"))
     text = "Held-out drives and filters of the trial with the lowest training cost."
-    view = TrackView(record.tracks, labels, STUDY_STYLES, SHOWN, f"honest-{MAIN}")
+    view = TrackView(record.tracks, labels, STUDY_STYLES, VISIBLE_SERIES, f"honest-{MAIN_METHOD}")
     return (Section("Tracks and errors over time", (text,), tracks=view),) if record.tracks else ()
 
 
 def _comparisons(results: Results) -> Section:
     text = (
-        f"{results.label(MAIN)} compared with every other method, drive by drive. Improvement (equation 5): the "
+        f"{results.label(MAIN_METHOD)} compared with every other method, drive by drive. Improvement (equation 5): the "
         "relative reduction of the mean error, with a bootstrap interval over drives.",
         "p: Wilcoxon's signed-rank test, with Holm's correction over the methods. The rank-biserial correlation is the "
         "effect size: 1 means better on every drive, -1 worse on every drive.",
@@ -217,7 +217,7 @@ def _rivals(record: StudyRecord) -> tuple[Section, ...]:
 
 
 def _conditions(results: Results) -> tuple[Section, ...]:
-    table = tables.conditions_table(results, POSITION, IN_CONDITIONS)
+    table = tables.conditions_table(results, POSITION, CONDITION_VARIANTS)
     text = ("The folder tables/ next to this page contains other measures and methods.",)
     return (Section("Conditions", text, (table,)),) if len(table.rows) > 2 else ()
 

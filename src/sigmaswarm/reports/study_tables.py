@@ -5,7 +5,14 @@ from collections.abc import Iterable, Sequence
 from statistics import median
 from typing import Any
 
-from sigmaswarm.experiments.study.config import ALL, BASELINE, HELPED, LONG_OUTAGES, MAIN, METHODS
+from sigmaswarm.experiments.study.config import (
+    ALL,
+    BASELINE,
+    LONG_OUTAGES,
+    MAIN_METHOD,
+    METHODS,
+    NETWORK_FILTER,
+)
 from sigmaswarm.experiments.study.record import (
     CurvePoint,
     PairedComparison,
@@ -27,33 +34,33 @@ ROWS = [
 ]
 """Protocol, method and the corresponding row of the paper, for each row of a table."""
 LIVE_NAMES = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf"}
-MANUAL = "ukf-datasheet"
+MANUAL_METHOD = "ukf-datasheet"
 """Manually tuned filter that equation 5 refers to."""
-LENGTHS = {DRIFT: "5 s", **{measure: f"{length:g} s" for measure, length in LONG_OUTAGES.items()}}
-AWAY = {
+OUTAGE_LENGTHS = {DRIFT: "5 s", **{measure: f"{length:g} s" for measure, length in LONG_OUTAGES.items()}}
+ELSEWHERE_MEASURES = {
     POSITION: "position, m",
     HEADING: "heading, deg",
     DRIFT: "drift over 5 s, m",
     "outage_drift_30_s_m": "drift over 30 s, m",
 }
 NEW_DRIVES = "95% for new drives"
-PAIRED = (
+PAIRED_NOTE = (
     "Each drive has one value, the mean over its trials. Drives on which one of the two methods failed are left out. "
     "95% intervals: bootstrap over drives. Negative differences and positive improvements favor the {}."
 )
-INTERVALS = (
+INTERVALS_NOTE = (
     "The interval over trials (as in the paper) is the uncertainty from optimizer and split. It contains the mean "
     "over new drives in only about half of the cases. The other two intervals are for new drives. The bootstrap "
     "interval contains this mean in 95% of the cases in a full study, and in 85 to 95% in a small study. The "
     "interval from the corrected t contains this mean at least as often, and is too wide if the results of the "
     "optimizer vary much."
 )
-EFFORT = (
+EFFORT_NOTE = (
     "Labeled: driving time with truth, for tuning. Learned: driving time without truth, for training a "
     "network. Numbers: number of free parameters of tuning and training. Drifts: one outage per drive, with the 95% "
     "interval for new drives (bootstrap over drives and trials); -: no drive is long enough."
 )
-TIMES = (
+TIMES_NOTE = (
     "Training: processor time of a trial (for a network, excluding the tuning of its filter). Per sample: processor "
     "time per IMU sample of a run over a whole drive from Python."
 )
@@ -85,7 +92,7 @@ def _table(
     caption: str, columns: Sequence[Column], rows: Sequence[Row], results: Results, note: str = ""
 ) -> Table:
     """Make a table that emphasizes the rows of the main method."""
-    main = {results.label(MAIN, protocol) for protocol in results.protocols}
+    main = {results.label(MAIN_METHOD, protocol) for protocol in results.protocols}
     strong = frozenset(i for i, row in enumerate(rows) if row[0] in main)
     return Table(caption, tuple(columns), tuple(rows), strong, note)
 
@@ -118,7 +125,7 @@ def study_tables(results: Results) -> dict[str, Table]:
         "conditions-position-rmse": conditions_table(results, POSITION),
         "conditions-heading-rmse": conditions_table(results, HEADING),
         "conditions-outage-drift": conditions_table(results, DRIFT),
-        "optimum": optimum_table(results, [MAIN]),
+        "optimum": optimum_table(results, [MAIN_METHOD]),
         "trials": trials_table(results),
         **rivals_tables(results),
     }
@@ -137,7 +144,7 @@ def table_1(results: Results) -> Table:
             continue
         theirs = paper.get(paper_row, {})
         copied, true = (_mean_cells(results.summary(protocol, method, m)) for m in ("gps_rmse_m", POSITION))
-        over = comparison(results, protocol, POSITION, MANUAL) if method == MAIN else None
+        over = comparison(results, protocol, POSITION, MANUAL_METHOD) if method == MAIN_METHOD else None
         ours = (over.improvement, over.improvement_interval) if over else (None, None)
         said = (theirs.get("rmse_m"), copied[0], *true, theirs.get("improvement_percent"), *ours)
         rows.append((results.label(method, protocol), *said))
@@ -146,7 +153,8 @@ def table_1(results: Results) -> Table:
     columns += [_figures("improvement (eq. 5), %: paper"), *_with_intervals(["ours"])]
     note = (
         "Mean over trials on held-out drives, with the 95% interval for new drives. The paper's RMSE is against the "
-        f"GPS after the update. Our improvement (equation 5) is against truth, relative to {results.label(MANUAL)}."
+        "GPS after the update. Our improvement (equation 5) is against truth, relative to "
+        f"{results.label(MANUAL_METHOD)}."
     )
     return _table("Table I. RMSE, m", columns, rows, results, note)
 
@@ -165,7 +173,7 @@ def table_2(results: Results) -> Table:
             said = (theirs.get("rmse_m"), low_high and tuple(low_high), found.mean, found.sd, *intervals)
             rows.append((results.label(method, protocol), *said))
     caption = "Table II. Position RMSE against truth, m, on held-out drives"
-    return _table(caption, columns, rows, results, INTERVALS)
+    return _table(caption, columns, rows, results, INTERVALS_NOTE)
 
 
 def table_3(results: Results) -> Table:
@@ -219,7 +227,9 @@ def comparison(results: Results, protocol: str, measure: str, against: str) -> P
 def objectives_compared(results: Results) -> str:
     """Explain with numbers of the study why the paper's objective is misleading."""
     wanted = (("paper", "gps_rmse_m"), ("paper", POSITION), (BASELINE, POSITION), ("honest", POSITION))
-    found = [results.summary(p, "raw-gps" if p == BASELINE else MAIN, measure) for p, measure in wanted]
+    found = [
+        results.summary(p, "raw-gps" if p == BASELINE else MAIN_METHOD, measure) for p, measure in wanted
+    ]
     if None in (means := [each and each.mean for each in found]):
         return ""
     return (
@@ -248,9 +258,9 @@ def comparison_table(results: Results, protocol: str, measure: str) -> Table:
         for c in results.comparisons
         if (c.protocol, c.measure) == (protocol, measure)
     )
-    methods = f"{results.label(MAIN)} under the protocol {protocol}, compared with every other method"
+    methods = f"{results.label(MAIN_METHOD)} under the protocol {protocol}, compared with every other method"
     caption = f"{methods}: {ERRORS[measure]}"
-    return Table(caption, columns, rows, note=PAIRED.format("PSO-UKF"))
+    return Table(caption, columns, rows, note=PAIRED_NOTE.format("PSO-UKF"))
 
 
 def _paired_columns(difference: str, p: str) -> list[Column]:
@@ -354,15 +364,15 @@ def rivals_table(results: Results, times: Times) -> Table:
     """Tabulate data, number of free parameters, drift and processor ``times`` of each tuned or trained method."""
     columns = [Column("method"), *(_figures(title, 0) for title in ("labeled, s", "learned, s", "numbers"))]
     columns += [_figures("training, s", 1), _figures("per sample, us", 2)] if times else []
-    columns += _with_intervals(f"drift over {length}, m" for length in LENGTHS.values())
+    columns += _with_intervals(f"drift over {length}, m" for length in OUTAGE_LENGTHS.values())
     rows: list[Row] = []
     for e in results.rivals.efforts if results.rivals else ():
         took = times.get(f"{e.protocol}-{e.method}", {})
         row = [results.label(e.method, e.protocol), e.labelled_s, e.learned_s, e.numbers]
         row += [took.get("training_s"), took.get("sample_us")] if times else []
-        drifts = (_mean_cells(results.summary(e.protocol, e.method, m)) for m in LENGTHS)
+        drifts = (_mean_cells(results.summary(e.protocol, e.method, m)) for m in OUTAGE_LENGTHS)
         rows.append((*row, *(cell for cells in drifts for cell in cells)))
-    note = f"{EFFORT} {TIMES if times else 'Times are in runtime-rivals.md.'}"
+    note = f"{EFFORT_NOTE} {TIMES_NOTE if times else 'Times are in runtime-rivals.md.'}"
     return _table("Rivals: training data, parameters, and drift over outages", columns, rows, results, note)
 
 
@@ -371,11 +381,11 @@ def _gains_table(results: Results, rivals: RivalResults) -> Table:
     rows = tuple(
         (results.label(c.method), results.measures[c.measure], *_paired_cells(c)) for c in rivals.gains
     )
-    caption = f"Networks compared with {results.label(HELPED, 'honest')} without a network"
+    caption = f"Networks compared with {results.label(NETWORK_FILTER, 'honest')} without a network"
     kept = (
         "Measures that a network does not change are omitted, such as the position error while fixes arrive."
     )
-    return Table(caption, columns, rows, note=f"{PAIRED.format('network')} {kept}")
+    return Table(caption, columns, rows, note=f"{PAIRED_NOTE.format('network')} {kept}")
 
 
 def _elsewhere_table(results: Results, rivals: RivalResults, place: str) -> Table:
@@ -383,7 +393,7 @@ def _elsewhere_table(results: Results, rivals: RivalResults, place: str) -> Tabl
     rows = [
         (
             results.label(method, protocol),
-            *(cell for m in AWAY for cell in _mean_cells(by.get((protocol, method, m)))),
+            *(cell for m in ELSEWHERE_MEASURES for cell in _mean_cells(by.get((protocol, method, m)))),
         )
         for protocol, method in dict.fromkeys(variant[:2] for variant in by)
     ]
@@ -391,7 +401,7 @@ def _elsewhere_table(results: Results, rivals: RivalResults, place: str) -> Tabl
         "Filters and networks of all trials, tuned and trained on the drives of the study. 95% intervals for new "
         f"drives: bootstrap over drives and trials. Drives: {max(row.n_drives for row in by.values())}."
     )
-    columns = [Column("method"), *_with_intervals(AWAY.values())]
+    columns = [Column("method"), *_with_intervals(ELSEWHERE_MEASURES.values())]
     return _table(f"Other drives: {place}", columns, rows, results, note)
 
 
@@ -400,11 +410,11 @@ def curve_points(rivals: RivalResults, method: str, measure: str) -> list[CurveP
 
 
 def _curve_table(results: Results, rivals: RivalResults) -> Table:
-    columns = [Column("method"), _digits("minutes", 3), *_with_intervals(AWAY.values())]
+    columns = [Column("method"), _digits("minutes", 3), *_with_intervals(ELSEWHERE_MEASURES.values())]
     rows: list[Row] = []
     for method, minutes in dict.fromkeys((p.method, p.minutes) for p in rivals.curve):
         row: list[Cell] = [results.label(method), minutes]
-        for measure in AWAY:
+        for measure in ELSEWHERE_MEASURES:
             point = next((p for p in curve_points(rivals, method, measure) if p.minutes == minutes), None)
             row += [point.mean, point.interval] if point else [None, None]
         rows.append(tuple(row))

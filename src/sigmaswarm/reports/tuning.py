@@ -32,12 +32,12 @@ from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
 from sigmaswarm.wording import counted
 
-STATED = ("objective", "particles", "generations", "trials", "seed", "model", "use")
+STATED_OPTIONS = ("objective", "particles", "generations", "trials", "seed", "model", "use")
 """Options that the command contains even at their defaults."""
-DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.items()}
-GUARDS = ("prior", "inflation")
+TUNE_DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.items()}
+GUARD_OPTIONS = ("prior", "inflation")
 """Options of `tune` with a default that depends on the objective."""
-MEANINGS = {
+PARAMETER_MEANINGS = {
     "latency": (
         "delay of the fixes for which this filter predicts best; the doctor estimates this delay in another way, as a "
         "clock offset, from turns and accelerations"
@@ -163,7 +163,7 @@ def parameters_section(file: TuningRecord) -> Section:
         low, high = ranges.get(_searched_as(name, ranges, file), (None, None))
         free = (low, high) == ("-", "-")
         found = "no effect within the bounds" if free else touched.get(_searched_as(name, touched, file), "")
-        remark = "; ".join(said for said in (MEANINGS.get(name, ""), found) if said)
+        remark = "; ".join(said for said in (PARAMETER_MEANINGS.get(name, ""), found) if said)
         rows.append((name, value, unit, _end(low), _end(high), density, remark))
     if NOISE_SCALE in ranges:
         ends = map(_end, ranges[NOISE_SCALE])
@@ -274,12 +274,14 @@ def tune_command(
     if isinstance(config.get("model"), dict):
         return "", "The tuning has a custom model: repeat it in Python with sigmaswarm.tune."
     config = {RENAMED.get(name, name): value for name, value in config.items()}
-    options = {name: config[name] for name in STATED if name in config}
+    options = {name: config[name] for name in STATED_OPTIONS if name in config}
     usual = _usual(config)
-    config = dict.fromkeys(GUARDS, 0.0) | config  # older versions tuned without a prior and without inflation
-    for name in DEFAULTS:
+    config = (
+        dict.fromkeys(GUARD_OPTIONS, 0.0) | config
+    )  # older versions tuned without a prior and without inflation
+    for name in TUNE_DEFAULTS:
         value = config.get(name)
-        if name not in STATED and value is not None:
+        if name not in STATED_OPTIONS and value is not None:
             same = tuple(value) == usual[name] if isinstance(value, list) else value == usual[name]
             options |= {} if same else {name: value}
     words = ["sigmaswarm", "tune", *drives, "--out", "again"]
@@ -291,13 +293,13 @@ def tune_command(
 
 def _usual(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return the defaults of `tune` for the model and the objective of a configuration."""
-    usual = DEFAULTS | dict.fromkeys(GUARDS, 0.0)
+    usual = TUNE_DEFAULTS | dict.fromkeys(GUARD_OPTIONS, 0.0)
     with suppress(ValidationError, KeyError):  # a model of another version
         usual["kind"] = TuneConfig.model_validate({"model": config["model"]}).kind
-    asked = {name: config[name] for name in DEFAULTS if name in config and name not in GUARDS}
+    asked = {name: config[name] for name in TUNE_DEFAULTS if name in config and name not in GUARD_OPTIONS}
     with suppress(ValidationError, InputError):  # an objective of another version
         settled = with_default_guards(TuneConfig.model_validate(asked))
-        usual |= {name: getattr(settled, name) for name in GUARDS}
+        usual |= {name: getattr(settled, name) for name in GUARD_OPTIONS}
     return usual
 
 

@@ -26,7 +26,7 @@ compiled = cached(nogil=True, error_model="numpy")
 
 GRAVITY = 9.81  # m/s2, as in CARLA
 STEP = 0.001  # s, step of the integration
-STEPS_PER_LOOK = 10  # integration steps per step of the driver
+STEPS_PER_DRIVER_STEP = 10  # integration steps per step of the driver
 AIR_DENSITY = 1.204  # kg/m3, at 20 degrees and sea level
 
 # Indices of the state. Each of WHEEL, KAPPA and ALPHA is the first of four wheels.
@@ -38,7 +38,7 @@ AX, AY, YAW_ACCEL, ROLL_ACCEL, PITCH_ACCEL, PEAK_KAPPA, PEAK_ALPHA, FRICTION_USE
 RECORDED = 21
 
 _LOW_SPEED = 3.0  # m/s; at lower speeds, a damper prevents oscillations of a standing car on its tires [P]
-_NOTHING = 1e-60  # smaller states become zero, since subnormal numbers are slow
+_SMALLEST_STATE = 1e-60  # smaller states become zero, since subnormal numbers are slow
 _LOW_SPEED_DAMPING = 0.15  # slip per m/s of sliding
 _BRAKE_VISCOSITY = 1000.0  # N m s/rad; makes the dry friction of a brake continuous at standstill
 
@@ -310,7 +310,7 @@ def _advance(
         _derivative(trial, k[stage], steer, pedal, friction, car)
     for i in range(STATES):
         s[i] += STEP / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
-        if abs(s[i]) < _NOTHING:
+        if abs(s[i]) < _SMALLEST_STATE:
             s[i] = 0.0
     s[STEER] = _clip(s[STEER], -car.steer_max, car.steer_max)
 
@@ -397,12 +397,12 @@ def run_closed_loop(
     plan : ndarray, shape (m, 3)
         Speed m/s, acceleration m/s2 and distance along the path m, every 10 ms.
     """
-    record = np.empty((len(plan) * STEPS_PER_LOOK, RECORDED))
+    record = np.empty((len(plan) * STEPS_PER_DRIVER_STEP, RECORDED))
     k, s, nearest = np.zeros((5, STATES)), start.copy(), 0
-    lead = round(car.pedal_lag / (STEP * STEPS_PER_LOOK))
+    lead = round(car.pedal_lag / (STEP * STEPS_PER_DRIVER_STEP))
     for look in range(len(plan)):
         steer, nearest, gone = _steer(s, path, spacing, nearest, car)
         pedal = _press(s, plan[look], plan[min(look + lead, len(plan) - 1)], gone, car)
-        for i in range(STEPS_PER_LOOK):
-            _advance(s, k, record[look * STEPS_PER_LOOK + i], steer, pedal, friction, car)
+        for i in range(STEPS_PER_DRIVER_STEP):
+            _advance(s, k, record[look * STEPS_PER_DRIVER_STEP + i], steer, pedal, friction, car)
     return record

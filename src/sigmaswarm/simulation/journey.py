@@ -24,9 +24,9 @@ from sigmaswarm.simulation.dynamics import (
 )
 from sigmaswarm.simulation.environments import Environment, named
 from sigmaswarm.simulation.maneuvers import KMH, MANEUVERS, Maneuver, Road, urban
-from sigmaswarm.simulation.planning import LOOK, SPACING, draw_sway, lay_path, plan_speed
+from sigmaswarm.simulation.planning import DRIVER_STEP, SPACING, draw_sway, lay_path, plan_speed
 
-STAND = 1.0  # s of standstill at the beginning
+STANDSTILL_TIME = 1.0  # s of standstill at the beginning
 URBAN_DURATION = 180.0  # s, default
 
 
@@ -54,10 +54,10 @@ def take_journey(
     heading, sway = float(rng.uniform(-np.pi, np.pi)), draw_sway(rng)
     legs, first = (drawn.legs, drawn.first) if warm_up else (drawn.legs[drawn.first :], 0)
     path = lay_path(legs, heading, sway)
-    plan = plan_speed(legs, sway, stand=STAND if warm_up else None)
+    plan = plan_speed(legs, sway, stand=STANDSTILL_TIME if warm_up else None)
     if name == "urban":
-        plan = plan[: round(seconds / LOOK)]
-    own = int(np.searchsorted(plan[:, 2], sum(leg.length for leg in legs[:first]))) * LOOK
+        plan = plan[: round(seconds / DRIVER_STEP)]
+    own = int(np.searchsorted(plan[:, 2], sum(leg.length for leg in legs[:first]))) * DRIVER_STEP
     start = start_state(path[0, 0], path[0, 1], path[0, 2], plan[0, 0], car)
     record = run_closed_loop(car, where.friction, start, path, SPACING, plan)
     outages = [(round(own + begin, 3), round(own + end, 3)) for begin, end in drawn.outages]

@@ -13,7 +13,7 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array
 
 SPACING = 0.1  # m, between points of a path
-LOOK = 0.01  # s, between steps of the driver
+DRIVER_STEP = 0.01  # s, between steps of the driver
 RUN_OUT = 60.0
 """Straight road after the last leg, m, for the driver's preview and for longer stops."""
 SWAY_OFFSET, SWAY_SPEED = 0.10, 0.006
@@ -83,7 +83,7 @@ def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
 
 
 def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
-    """Return the fastest plan, shape (m, 3): speed m/s, acceleration m/s2, distance m, every `LOOK` s.
+    """Return the fastest plan, shape (m, 3): speed m/s, acceleration m/s2, distance m, every `DRIVER_STEP` s.
 
     The car first stands for ``stand`` s; with None it starts in motion at the speed of the first leg.
     """
@@ -110,19 +110,19 @@ def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
 
 
 def _in_time(way: Array, speed: Array, waits: Array, ease: Array) -> Array:
-    """Sample the speed along the path every `LOOK` s, and smooth it by a moving average."""
+    """Sample the speed along the path every `DRIVER_STEP` s, and smooth it by a moving average."""
     step = 2 * np.diff(way) / (speed[1:] + speed[:-1])  # exact for constant acceleration
     arrival = np.concatenate([[0.0], np.cumsum(step + waits[:-1])])
     times = np.column_stack([arrival, arrival + waits]).ravel()
-    looks = np.arange(0.0, times[-1], LOOK)
+    looks = np.arange(0.0, times[-1], DRIVER_STEP)
     planned = np.interp(looks, times, np.repeat(speed, 2))
     # The legs set the width of the average; the small width of a hard leg also applies to 1 s before and after this
     # leg.
-    width = minimum_filter1d(np.interp(looks, times, np.repeat(ease, 2)), round(2.0 / LOOK))
-    half = uniform_filter1d(width, round(0.5 / LOOK), mode="nearest") / 2
+    width = minimum_filter1d(np.interp(looks, times, np.repeat(ease, 2)), round(2.0 / DRIVER_STEP))
+    half = uniform_filter1d(width, round(0.5 / DRIVER_STEP), mode="nearest") / 2
     far = np.concatenate([[looks[0] - 2], looks, [looks[-1] + 2]])
     flat = np.concatenate([[planned[0]], planned, [planned[-1]]])
     covered = np.concatenate([[0.0], np.cumsum((flat[1:] + flat[:-1]) / 2 * np.diff(far))])
     eased = (np.interp(looks + half, far, covered) - np.interp(looks - half, far, covered)) / (2 * half)
-    travelled = np.concatenate([[0.0], np.cumsum((eased[1:] + eased[:-1]) / 2) * LOOK])
-    return np.column_stack([eased, np.gradient(eased, LOOK), travelled])
+    travelled = np.concatenate([[0.0], np.cumsum((eased[1:] + eased[:-1]) / 2) * DRIVER_STEP])
+    return np.column_stack([eased, np.gradient(eased, DRIVER_STEP), travelled])

@@ -50,9 +50,9 @@ ROAD_ROLL, ROAD_ROLL_RATE, ROAD_ROLL_ACCEL = range(RECORDED, RECORDED + 3)
 ROAD_PITCH, ROAD_PITCH_RATE, ROAD_PITCH_ACCEL = range(RECORDED + 3, RECORDED + 6)
 HEIGHT, CLIMB, CLIMB_ACCEL = range(RECORDED + 6, RECORDED + 9)
 
-_KNOTS = 2.0  # m, between the knots of the splines
-_BEYOND = 50.0  # m, length of the profiles beyond both ends of the path
-_EASED = 10.0  # m, standard deviation of the smoothing of the curvature for the bank
+_KNOT_SPACING = 2.0  # m, between the knots of the splines
+_PROFILE_MARGIN = 50.0  # m, length of the profiles beyond both ends of the path
+_CURVATURE_SMOOTHING = 10.0  # m, standard deviation of the smoothing of the curvature for the bank
 
 
 @dataclass(frozen=True)
@@ -124,8 +124,8 @@ class Road:
 
 def _wander(rng: np.random.Generator, count: int, std: float, length: float, limit: float) -> Array:
     """Draw a second-order Gauss-Markov sequence at the knots, with smooth saturation near the limit."""
-    keep = np.exp(-_KNOTS / length)
-    settled = int(10 * length / _KNOTS)
+    keep = np.exp(-_KNOT_SPACING / length)
+    settled = int(10 * length / _KNOT_SPACING)
     drawn = lfilter([1.0], [1.0, -2 * keep, keep**2], rng.standard_normal(settled + count))
     of_filter = np.sqrt((1 + keep**2) / (1 - keep**2) ** 3)  # stationary standard deviation
     values = np.asarray(drawn)[settled:] * (std / of_filter)
@@ -142,11 +142,13 @@ def _wander(rng: np.random.Generator, count: int, std: float, length: float, lim
 def lay_road(curvature: Array, terrain: Terrain, rng: np.random.Generator) -> Road:
     """Draw the slopes of a road; ``curvature`` (p,), 1/m, is that of the path at each `SPACING` m."""
     length = len(curvature) * SPACING
-    at = np.arange(-_BEYOND, length + _BEYOND, _KNOTS)
+    at = np.arange(-_PROFILE_MARGIN, length + _PROFILE_MARGIN, _KNOT_SPACING)
     grade = _wander(rng, len(at), terrain.grade_std, terrain.grade_length, terrain.grade_limit)
     bank = _wander(rng, len(at), terrain.bank_std, terrain.bank_length, terrain.bank_limit)
     # Positive left side up; in a left bend the left side is lower.
-    sharp = terrain.banked_radius * gaussian_filter1d(curvature, _EASED / SPACING, mode="nearest")
+    sharp = terrain.banked_radius * gaussian_filter1d(
+        curvature, _CURVATURE_SMOOTHING / SPACING, mode="nearest"
+    )
     lean = -terrain.superelevation * 2 * sharp / (1 + sharp**2)
     bank += terrain.crossfall + np.interp(at, np.arange(len(curvature)) * SPACING, lean)
     pitch = -np.arctan(grade)

@@ -12,10 +12,12 @@ from sigmaswarm.workbench.parts import Page, box, button, card, line, link, mess
 from sigmaswarm.workbench.plots import agreement_plot, show_map, time_plot
 from sigmaswarm.workbench.state import CHECKED, LEFT_OUT, Workbench
 
-SHORTEST = 30.0  # s, shortest part that a button keeps
+MIN_PART_LENGTH = 30.0  # s, shortest part that a button keeps
 Step = dict[str, Any]
 """``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s."""
 Agreements = dict[str, Agreement]
+Repaired = dict[str, tuple[Agreements, str]]
+"""By code of a finding: the agreements after its repair, and a sentence if the repair is withheld."""
 Checked = tuple[list[Drive], list[Step], Diagnosis, Agreements]
 """Drive before and after each step, the steps, and diagnosis and agreements of the last drive."""
 
@@ -27,7 +29,7 @@ class CheckPage(Page):
         self.steps: list[Step] = []
         self.diagnosis: Diagnosis | None = None
         self.before: Agreements = {}
-        self.after: dict[str, tuple[Agreements, str]] = {}
+        self.after: Repaired = {}
         self.done = self._opened = ""
 
     @property
@@ -98,7 +100,7 @@ class CheckPage(Page):
             self.start("", _look_ahead, self.stages[-1], self.diagnosis, then=self._looked_ahead)
         self.refresh()
 
-    def _looked_ahead(self, after: dict[str, tuple[Agreements, str]] | None) -> None:
+    def _looked_ahead(self, after: Repaired | None) -> None:
         self.after = after or {}
         if self.after:
             self._evidence.refresh()  # without the buttons, since the user may click one at this moment
@@ -180,7 +182,7 @@ class CheckPage(Page):
         steps: dict[str, Step] = {"Mend": {"repair": [finding.code]}} if finding.repair else {}
         if (at := finding.cut) is not None:
             steps |= {f"Keep from {at:g} s": {"keep": [at, last + 1]}}
-            if at - first > SHORTEST:
+            if at - first > MIN_PART_LENGTH:
                 steps |= {f"Keep until {at:g} s": {"keep": [first, at]}}
         with line():
             for label, step in steps.items():
@@ -234,9 +236,9 @@ def _apply(drive: Drive, step: Step) -> Drive:
     return sigmaswarm.repair(drive, sigmaswarm.diagnose(drive), only=step["repair"])
 
 
-def _look_ahead(drive: Drive, diagnosis: Diagnosis) -> dict[str, tuple[Agreements, str]]:
+def _look_ahead(drive: Drive, diagnosis: Diagnosis) -> Repaired:
     """Try each repair. Return the agreements after the repair, and a sentence if the repair is withheld."""
-    after: dict[str, tuple[Agreements, str]] = {}
+    after: Repaired = {}
     description = (
         "The doctor withholds this repair, since it makes a filter's predictions of the fixes worse. Check "
         "the log yourself."

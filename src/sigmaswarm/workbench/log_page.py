@@ -13,7 +13,7 @@ from sigmaswarm.workbench.mounting_panel import FIND, MountingPanel
 from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.parts import box, button, card, command, line, link, select, text
 from sigmaswarm.workbench.plots import agreement_plot, show_map
-from sigmaswarm.workbench.state import CHECKED, MOST_UPLOADED, NAME, Workbench, attempt
+from sigmaswarm.workbench.state import CHECKED, MAX_UPLOAD_SIZE, NAME, Workbench, attempt
 from sigmaswarm.workbench.table_panel import TablePanel
 
 
@@ -72,7 +72,7 @@ class LogPage(OpenLog):
             drop = ui.upload(
                 multiple=True,
                 auto_upload=True,
-                max_total_size=MOST_UPLOADED,
+                max_total_size=MAX_UPLOAD_SIZE,
                 on_multi_upload=self._dropped,
                 on_rejected=lambda: ui.notify(
                     "larger than 2 GB; open it from the command line: sigmaswarm workbench LOG"

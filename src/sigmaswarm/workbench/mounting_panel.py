@@ -17,7 +17,7 @@ from sigmaswarm.workbench.state import attempt
 
 FIND = "Find the mounting in the log"
 ANGLES = ("roll", "pitch", "yaw")
-SETTLED = 0.6
+SLIDER_DELAY = 0.6
 """Time after the last change until the log is read again, s."""
 
 CENTER, SCALE = np.array([170.0, 136.0]), 46
@@ -99,7 +99,7 @@ class MountingPanel:
                 # With step 0 a slider keeps fractions of a degree, and a key changes the angle by 1 degree.
                 slider = ui.slider(min=-180, max=180, step=0, value=angle).classes("grow")
                 slider.props(f'aria-label="{name}, degrees"').on_value_change(moved)
-                slider.on("change", partial(rested, number), throttle=SETTLED, leading_events=False)
+                slider.on("change", partial(rested, number), throttle=SLIDER_DELAY, leading_events=False)
                 label.bind_text_from(slider, "value", lambda value, name=name: f"{name} {round(value, 1):g}°")
                 sliders.append(slider)
 

@@ -12,7 +12,7 @@ from nicegui import background_tasks, run, ui
 from sigmaswarm.workbench.state import Workbench, attempt
 
 T = TypeVar("T")
-SETTLED = 0.1
+REQUEST_DELAY = 0.1
 """Time within which a new request replaces the previous request, s."""
 
 
@@ -45,7 +45,7 @@ class Page:
         background_tasks.create(self._work(self._latest, work, arguments, then))
 
     async def _work(self, number: int, work: Callable[..., T], arguments: Any, then: Any) -> None:
-        await asyncio.sleep(SETTLED)
+        await asyncio.sleep(REQUEST_DELAY)
         if number != self._latest:
             return
         result, wrong = await run.io_bound(attempt, work, *arguments) or (None, "")

@@ -15,7 +15,7 @@ from sigmaswarm.workbench.parts import box
 PIXELS = 600  # columns of a plot, with two points each
 EAST = "east, m"
 """Label of the horizontal axis of a map, which marks a plot with equal scales."""
-MOST_PLACES, MOST_POINTS = 3000, 600
+MAX_LINE_POINTS, MAX_MARKERS = 3000, 600
 """Maximum number of points of a line on a map, and of markers (each is an element of the page)."""
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, BLACK)
 Series = tuple[Array, Array]
@@ -53,7 +53,7 @@ def envelope(series: Series, start: float = -np.inf, end: float = np.inf) -> Ser
     return np.column_stack([time[edges], time[middle]]).ravel(), ends.ravel()
 
 
-def thinned(x: Array, y: Array, most: int = MOST_PLACES) -> Series:
+def thinned(x: Array, y: Array, most: int = MAX_LINE_POINTS) -> Series:
     step = max(-(-len(x) // most), 1)
     return x[::step], y[::step]
 
@@ -169,7 +169,7 @@ def _same(a: Series | None, b: Series) -> bool:
 
 def map_lines(drive: Drive, tracks: Mapping[str, Series] | None = None) -> Lines:
     truth = {"truth": thinned(drive.truth.x, drive.truth.y)} if drive.truth else {}
-    shown = {"fixes": thinned(drive.gps.x, drive.gps.y, MOST_POINTS)} | truth | {**(tracks or {})}
+    shown = {"fixes": thinned(drive.gps.x, drive.gps.y, MAX_MARKERS)} | truth | {**(tracks or {})}
     return lines(shown, points=("fixes",))
 
 

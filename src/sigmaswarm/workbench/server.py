@@ -27,7 +27,7 @@ from sigmaswarm.workbench.judge_page import JudgePage
 from sigmaswarm.workbench.log_page import LogPage
 from sigmaswarm.workbench.parts import Page, box, text
 from sigmaswarm.workbench.runs import Runs
-from sigmaswarm.workbench.state import MOST_UPLOADED, Workbench, attempt
+from sigmaswarm.workbench.state import MAX_UPLOAD_SIZE, Workbench, attempt
 from sigmaswarm.workbench.take_page import TakePage
 from sigmaswarm.workbench.tune_page import TunePage
 
@@ -128,7 +128,7 @@ Send = Callable[[Scope], Awaitable[None]]
 
 
 class Guard:
-    """Refuse requests without the token, from pages of other hosts, or with a body above `MOST_UPLOADED`."""
+    """Refuse requests without the token, from pages of other hosts, or with a body above `MAX_UPLOAD_SIZE`."""
 
     def __init__(self, app: Any, token: str, port: int) -> None:
         self.app, self.prefix, self.hosts = app, f"/{token}/", {f"{HOST}:{port}", f"localhost:{port}"}
@@ -143,7 +143,7 @@ class Guard:
         if not known or headers.get(b"host") not in self.hosts or (origin and origin not in self.hosts):
             refusal = PlainTextResponse("403: the address needs the workbench's token", 403)
             await refusal(scope, receive, send)
-        elif int(headers.get(b"content-length", "0") or 0) > MOST_UPLOADED:
+        elif int(headers.get(b"content-length", "0") or 0) > MAX_UPLOAD_SIZE:
             refusal = PlainTextResponse(
                 "413: the upload is larger than 2 GB; open the log from the command line: sigmaswarm workbench LOG",
                 413,
@@ -154,14 +154,14 @@ class Guard:
 
     @staticmethod
     def _bounded(receive: Receive) -> Receive:
-        """Disconnect after `MOST_UPLOADED` bytes, since a header may state another length."""
+        """Disconnect after `MAX_UPLOAD_SIZE` bytes, since a header may state another length."""
         taken = 0
 
         async def counted() -> Scope:
             nonlocal taken
             message = await receive()
             taken += len(message.get("body", b""))
-            return {"type": "http.disconnect"} if taken > MOST_UPLOADED else message
+            return {"type": "http.disconnect"} if taken > MAX_UPLOAD_SIZE else message
 
         return counted
 

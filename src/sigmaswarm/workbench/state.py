@@ -18,7 +18,7 @@ LEFT_OUT = "leave it out"
 CHECKED = "-checked"
 """Suffix of the name of a repaired or cut copy; its drive.toml lists the ``steps``."""
 NAME = re.compile(r"[\w][\w .()+-]{0,99}")
-MOST_UPLOADED = 2_000_000_000
+MAX_UPLOAD_SIZE = 2_000_000_000
 """Maximum size of an upload, bytes; the command line opens larger logs."""
 T = TypeVar("T")
 

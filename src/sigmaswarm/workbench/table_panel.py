@@ -13,7 +13,7 @@ from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.parts import box, number, select, table, text
 from sigmaswarm.workbench.plots import sparkline
 
-MOST_COLUMNS = 30
+MAX_COLUMNS = 30
 """Maximum number of columns of a table on the page; columns in use are first."""
 
 
@@ -28,7 +28,7 @@ class TablePanel:
             columns.uses_of(inspection),
         )
         shown = sorted(preview.ranges, key=lambda r: (preview.table, r.column) not in self.uses)
-        self.rows = [ColumnRow(self, one) for one in shown[:MOST_COLUMNS]]
+        self.rows = [ColumnRow(self, one) for one in shown[:MAX_COLUMNS]]
         used = (preview.table, shown[0].column) in self.uses if shown else False
         # Until a drive can be made, tables in use are unfolded; in a log with few tables, all tables are unfolded.
         self.unfolded = page.drive is None and (used or len(inspection.tables) <= 4)
@@ -72,7 +72,7 @@ class TablePanel:
         with box("columns"):
             for row in self.rows:
                 row.show()
-        if (left := len(self.preview.ranges) - MOST_COLUMNS) > 0:
+        if (left := len(self.preview.ranges) - MAX_COLUMNS) > 0:
             text("p", f"and {left} more columns, which expressions can also use", "soft")
         first = self.inspection.rows[self.preview.table].head(5)
         if len(first) and (names := first.columns[:12]):

@@ -36,7 +36,7 @@ MODELS = {
 }
 STARTING = "reading the training drives"
 """Work that continues if the user changes a choice."""
-COMPARED = 6
+MAX_COMPARED_TUNINGS = 6
 Update = Callable[[], None]
 
 
@@ -253,7 +253,7 @@ class TunePage(Page):
                 message(wrong, "bad")
             costs = {
                 name if len(t.trials) == 1 else f"{name}, trial {i + 1}": best_so_far(trial.best.tolist())
-                for name, t in list(tunings.items())[-COMPARED:]
+                for name, t in list(tunings.items())[-MAX_COMPARED_TUNINGS:]
                 for i, trial in enumerate(t.trials)
             }
             if costs:

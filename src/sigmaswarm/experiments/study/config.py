@@ -58,12 +58,12 @@ class Method:
     rival: bool = False
 
 
-MAIN = "pso-ukf"
+MAIN_METHOD = "pso-ukf"
 """The paper's method, with which all others are compared."""
-BY_DEFAULT = "default"
+DEFAULT_METHOD = "default"
 """Method with the filter, objective and optimizer that `tune` chooses by default."""
-BY_BO = "bo-ukf"
-HELPED = "pso-planar8"
+BAYESIAN_METHOD = "bo-ukf"
+NETWORK_FILTER = "pso-planar8"
 """Method whose filter the networks support; `noise-gru` does not support tilted12, and planar5 has no biases."""
 HONEST: tuple[ProtocolName, ...] = ("honest",)
 METHODS: dict[str, Method] = {
@@ -77,13 +77,13 @@ METHODS: dict[str, Method] = {
     "ukf-defaults": Method("UKF, manual: defaults", paper="ukf"),
     "ukf-datasheet": Method("UKF, manual: data sheet", paper="ukf"),
     "ukf-paper": Method("UKF, the paper's optimum"),
-    MAIN: Method("PSO-UKF", ("paper", "honest"), ("ukf", "planar5"), MAIN),
+    MAIN_METHOD: Method("PSO-UKF", ("paper", "honest"), ("ukf", "planar5"), MAIN_METHOD),
     "pso-ekf": Method("PSO-EKF", HONEST, ("ekf", "planar5")),
     "pso-adaptive-ukf": Method("PSO-adaptive UKF", HONEST, ("adaptive-ukf", "planar5")),
-    HELPED: Method("PSO-UKF, planar8", HONEST, ("ukf", "planar8")),
-    BY_DEFAULT: Method("default filter of tune", HONEST),
+    NETWORK_FILTER: Method("PSO-UKF, planar8", HONEST, ("ukf", "planar8")),
+    DEFAULT_METHOD: Method("default filter of tune", HONEST),
     "pso-fuzzy-ukf": Method("PSO-fuzzy UKF", HONEST, ("fuzzy-ukf", "planar5"), rival=True),
-    BY_BO: Method("UKF by Bayesian optimization", HONEST, ("ukf", "planar5"), rival=True),
+    BAYESIAN_METHOD: Method("UKF by Bayesian optimization", HONEST, ("ukf", "planar5"), rival=True),
     "outage-lstm": Method("planar8 with outage-lstm", HONEST, rival=True),
     "noise-gru": Method("planar8 with noise-gru", HONEST, rival=True),
 }
@@ -99,9 +99,9 @@ MEASURES = {
     "outage_drift_m": "drift over a 5 s outage, m",
     "nis": "mean NIS, 2 if the filter is consistent",
 }
-QUICK = {"runs": 2, "trials": 3}
+QUICK_STUDY = {"runs": 2, "trials": 3}
 """Options of the study in `sigmaswarm demo`: 50 drives, half a minute on two cores."""
-RIVALS_OPTIONS = ("rivals", "learn_minutes", "elsewhere")
+RIVAL_OPTIONS = ("rivals", "learn_minutes", "elsewhere")
 
 
 PAPER_RESULTS: dict[str, Any] = {
@@ -216,7 +216,7 @@ class StudyConfig(BaseModel):
     def _without_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Omit None, which TOML does not have, and unused options of rivals."""
         values: dict[str, Any] = dump(self)
-        left_out = () if self.rivals else RIVALS_OPTIONS
+        left_out = () if self.rivals else RIVAL_OPTIONS
         return {name: value for name, value in values.items() if value is not None and name not in left_out}
 
     def to_toml(self) -> str:

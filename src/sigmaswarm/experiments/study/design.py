@@ -3,7 +3,7 @@
 import hashlib
 import warnings
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -26,19 +26,21 @@ from sigmaswarm.drives.split import split_drives
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import (
     ALL,
+    BAYESIAN_METHOD,
     BO_EVALUATIONS,
-    BY_BO,
     METHODS,
     PROTOCOLS,
     ProtocolName,
     StudyConfig,
 )
+from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import BatchScorer, Passes
 from sigmaswarm.scoring.remote import AnyBatchScorer, RemoteBatchScorer, map_prepared
 from sigmaswarm.simulation.conditions import simulate_many, simulated_source
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.defaults import default_filter_options, objective_for
 from sigmaswarm.tuning.racing import MANY
+from sigmaswarm.tuning.search import Trial
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -65,6 +67,10 @@ class Task:
     @property
     def folder(self) -> str:
         return tuning_name(self.protocol, self.method, self.group)
+
+
+Trials = Mapping[Task, Trial]
+Filters = Mapping[Task, FilterParameters]
 
 
 def tuning_name(protocol: str, method: str, group: str) -> str:
@@ -125,7 +131,7 @@ class Design:
         if chosen := METHODS[method].filter:
             kind, model = chosen
             options = {"optimizer": "pso", "kind": kind, "model": model, **PROTOCOLS[protocol].model_dump()}
-        if method == BY_BO:
+        if method == BAYESIAN_METHOD:
             particles = min(particles, BO_EVALUATIONS)
             generations = min(generations, BO_EVALUATIONS // particles)
             options["optimizer"] = "bo"
@@ -136,7 +142,7 @@ class Design:
             trials=c.trials,
             seed=c.seed,
             outage_seed=c.seed,
-            racing=self._races and method != BY_BO,
+            racing=self._races and method != BAYESIAN_METHOD,
             as_recorded=True,
         )
 

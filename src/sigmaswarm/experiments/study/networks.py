@@ -16,8 +16,8 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.study.config import ALL, HELPED, NETWORKS
-from sigmaswarm.experiments.study.design import Design, Task
+from sigmaswarm.experiments.study.config import ALL, NETWORK_FILTER, NETWORKS
+from sigmaswarm.experiments.study.design import Design, Filters, Task
 from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned.folder import Learned, load_learned
@@ -27,11 +27,11 @@ from sigmaswarm.scoring.drifts import rms_drift
 from sigmaswarm.scoring.score import PieceErrors
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_windows, tracking_replay
 
-LEAST = 21.0
+MIN_DRIVING_TIME = 21.0
 """Shortest usable drive, s after the filter's start: for segments of 20 s, and outages of 10 s that begin at 10 s."""
-ALONE = 80.0
+MIN_TIME_OF_ONLY_DRIVE = 80.0
 """Shortest drive, s after the filter's start, that suffices as the only training drive."""
-FEWEST = 3
+MIN_DRIVES_TO_SPLIT = 3
 """Smallest number of drives of which whole drives, the last third, are held back for early stopping and calibration."""
 
 
@@ -73,6 +73,9 @@ class Trained:
     driven: float  # s
 
 
+Networks = Mapping[Task, Trained]
+
+
 def lessons(design: Design, trial: int, minutes: float) -> Lessons:
     """Draw minutes of driving from a trial's training drives: complete drives, and the beginning of one more.
 
@@ -82,26 +85,27 @@ def lessons(design: Design, trial: int, minutes: float) -> Lessons:
     order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()
     for ready in (design.prepared[i] for i in order):
         drive, start = ready.drive, ready.initial.time
-        if (length := float(drive.imu.time[-1]) - start) < LEAST:
+        if (length := float(drive.imu.time[-1]) - start) < MIN_DRIVING_TIME:
             continue
-        sound = len(whole) >= FEWEST or longest >= ALONE
-        if left <= 0 or (left < LEAST and sound):
+        sound = len(whole) >= MIN_DRIVES_TO_SPLIT or longest >= MIN_TIME_OF_ONLY_DRIVE
+        if left <= 0 or (left < MIN_DRIVING_TIME and sound):
             if sound:
                 break
             left = 0.0  # one more complete drive
-        took = min(length, left) if left >= LEAST else length
+        took = min(length, left) if left >= MIN_DRIVING_TIME else length
         if took == length:
             whole.append(drive)
         else:
             begun.append(clip(drive, end=start + took))
         longest, driven, left = max(longest, took), driven + took, left - took
     chosen = begun + whole  # the last drives are held back, and these should be complete
-    if len(chosen) < FEWEST and longest < ALONE:
+    if len(chosen) < MIN_DRIVES_TO_SPLIT and longest < MIN_TIME_OF_ONLY_DRIVE:
         raise InputError(
-            f"trial {trial} has too little data to train networks, which need {FEWEST} drives of {LEAST:g} s after the "
-            f"start of the filter, or one drive of {ALONE:g} s; add drives, or the maneuver urban"
+            f"trial {trial} has too little data to train networks, which need {MIN_DRIVES_TO_SPLIT} drives of "
+            f"{MIN_DRIVING_TIME:g} s after the start of the filter, or one drive of {MIN_TIME_OF_ONLY_DRIVE:g} s; "
+            "add drives, or the maneuver urban"
         )
-    shown = len(chosen) - len(chosen) // FEWEST
+    shown = len(chosen) - len(chosen) // MIN_DRIVES_TO_SPLIT
     return Lessons(tuple(chosen[:shown]), tuple(chosen[shown:]), driven)
 
 
@@ -119,7 +123,7 @@ def trainings(design: Design) -> list[Training]:
 
 def train_all(
     design: Design,
-    parameters: Mapping[Task, FilterParameters],
+    parameters: Filters,
     folder: Path,
     progress: Callable[[int, Task], None],
 ) -> dict[Training, Trained]:
@@ -131,7 +135,10 @@ def train_all(
     trained: dict[Training, Trained] = {}
     for training in trainings(design):
         drives = lessons(design, training.trial, training.minutes or design.config.learn_minutes)
-        out, helped = folder / training.folder, parameters[Task("honest", HELPED, ALL, training.trial)]
+        out, helped = (
+            folder / training.folder,
+            parameters[Task("honest", NETWORK_FILTER, ALL, training.trial)],
+        )
         finished = (out / "timings.json").exists()  # the last file that `learn` writes
         learned = load_learned(out) if finished else None
         seed = design.config.seed + training.trial

@@ -19,9 +19,16 @@ from sigmaswarm.experiments.statistics import (
     trial_interval,
     trial_means,
 )
-from sigmaswarm.experiments.study.config import ALL, BASELINE, HELPED, MAIN, PAPER_RESULTS, PROTOCOLS
-from sigmaswarm.experiments.study.design import Design, Task
-from sigmaswarm.experiments.study.networks import Trained, Training
+from sigmaswarm.experiments.study.config import (
+    ALL,
+    BASELINE,
+    MAIN_METHOD,
+    NETWORK_FILTER,
+    PAPER_RESULTS,
+    PROTOCOLS,
+)
+from sigmaswarm.experiments.study.design import Design, Filters, Task, Trials
+from sigmaswarm.experiments.study.networks import Networks, Trained, Training
 from sigmaswarm.experiments.study.record import (
     Convergence,
     CurvePoint,
@@ -38,14 +45,12 @@ from sigmaswarm.experiments.study.record import (
     VariantSummary,
 )
 from sigmaswarm.experiments.study.scores import ScoreTable
-from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.bounds import TouchedBound
-from sigmaswarm.tuning.search import Trial
 
 
 def results_of(
-    trials: Mapping[Task, Trial],
-    parameters: Mapping[Task, FilterParameters],
+    trials: Trials,
+    parameters: Filters,
     touched: Mapping[Task, list[TouchedBound]],
     scores: ScoreTable,
     rivals: RivalResults | None = None,
@@ -111,9 +116,9 @@ def summarize(values: Array, strata: Sequence[str], test_per_train: float, draws
 def _comparisons(scores: ScoreTable, draws: Draws) -> Iterator[PairedComparison]:
     """Compare PSO-UKF with the methods without tuning and those tuned under the same protocol."""
     for protocol in PROTOCOLS:
-        others = [v for v in scores.values if v[0] in (BASELINE, protocol) and v[1] != MAIN]
+        others = [v for v in scores.values if v[0] in (BASELINE, protocol) and v[1] != MAIN_METHOD]
         for measure in _compared(scores):
-            yield from _against(scores, (protocol, MAIN), measure, others, draws)
+            yield from _against(scores, (protocol, MAIN_METHOD), measure, others, draws)
 
 
 def _compared(scores: ScoreTable) -> list[str]:
@@ -155,7 +160,7 @@ def compare_paired(method: Array, other: Array, strata: Sequence[str], draws: Dr
     )
 
 
-def _convergences(trials: Mapping[Task, Trial]) -> Iterator[Convergence]:
+def _convergences(trials: Trials) -> Iterator[Convergence]:
     best: dict[tuple[str, str, str], list[Array]] = {}
     for task, trial in trials.items():
         best.setdefault((task.protocol, task.method, task.group), []).append(trial.best)
@@ -174,8 +179,8 @@ def _convergences(trials: Mapping[Task, Trial]) -> Iterator[Convergence]:
 
 
 def rival_results(
-    trials: Mapping[Task, Trial],
-    networks: Mapping[Task, Trained],
+    trials: Trials,
+    networks: Networks,
     less: Mapping[Training, Trained],
     scores: ScoreTable,
     elsewhere: Mapping[str, ScoreTable],
@@ -194,9 +199,7 @@ def rival_results(
     )
 
 
-def _efforts(
-    design: Design, trials: Mapping[Task, Trial], networks: Mapping[Task, Trained]
-) -> Iterator[Effort]:
+def _efforts(design: Design, trials: Trials, networks: Networks) -> Iterator[Effort]:
     """Compute the data and free parameters of each variant; numbers of a network include those of its filter."""
     durations = [ready.drive.duration for ready in design.prepared]
     splits = [design.split(trial)[0] for trial in range(design.config.trials)]
@@ -207,7 +210,7 @@ def _efforts(
         own = [network for task, network in networks.items() if task.variant == variant]
         learned[variant] = float(np.mean([network.driven for network in own]))
         trained = float(np.mean([network.learned.record.network.numbers for network in own]))
-        numbers[variant] = numbers[variant[0], HELPED] + trained
+        numbers[variant] = numbers[variant[0], NETWORK_FILTER] + trained
     for (protocol, method), count in numbers.items():
         yield Effort(
             protocol=protocol,
@@ -221,10 +224,10 @@ def _efforts(
 def _gains(scores: ScoreTable, networks: Iterable[Task], draws: Draws) -> Iterator[PairedComparison]:
     for protocol, method in dict.fromkeys(task.variant for task in networks):
         for measure in _compared(scores):
-            own, alone = (scores.values[protocol, m].get(measure) for m in (method, HELPED))
+            own, alone = (scores.values[protocol, m].get(measure) for m in (method, NETWORK_FILTER))
             if own is None or alone is None or np.allclose(own, alone, rtol=1e-9, atol=0.0, equal_nan=True):
                 continue
-            yield from _against(scores, (protocol, method), measure, [(protocol, HELPED)], draws)
+            yield from _against(scores, (protocol, method), measure, [(protocol, NETWORK_FILTER)], draws)
 
 
 def _elsewhere(tables: Mapping[str, ScoreTable], home: Design, draws: Draws) -> Iterator[ElsewhereSummary]:
@@ -239,7 +242,7 @@ def _elsewhere(tables: Mapping[str, ScoreTable], home: Design, draws: Draws) -> 
 
 def _curve(
     scores: ScoreTable,
-    networks: Mapping[Task, Trained],
+    networks: Networks,
     less: Mapping[Training, Trained],
     curve: Mapping[str, Array],
     draws: Draws,
@@ -250,7 +253,7 @@ def _curve(
             continue
         alone, own = (
             {measure: values[0] for measure, values in scores.values[task.protocol, method].items()}
-            for method in (HELPED, task.method)
+            for method in (NETWORK_FILTER, task.method)
         )
         parts = [
             (found.driven, {measure: values[k] for measure, values in curve.items()})

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.experiments.study.config import ALL, BASELINE, MAIN, ProtocolName
-from sigmaswarm.experiments.study.design import Design, Task
-from sigmaswarm.experiments.study.networks import Trained, score_networks
+from sigmaswarm.experiments.study.config import ALL, BASELINE, MAIN_METHOD, ProtocolName
+from sigmaswarm.experiments.study.design import Design, Filters, Task
+from sigmaswarm.experiments.study.networks import Networks, score_networks
 from sigmaswarm.experiments.study.record import Variant
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, noise_of
@@ -29,7 +29,7 @@ from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_wind
 from sigmaswarm.scoring.tracks import Picture, Tracker, Tracks
 from sigmaswarm.scoring.truth import root_mean
 
-TAKEN: dict[str, Callable[[Scores], Array]] = {
+SCORE_OF_MEASURE: dict[str, Callable[[Scores], Array]] = {
     "position_rmse_m": lambda s: s.position_rmse,
     "gps_rmse_m": lambda s: s.fix_rmse,
     "heading_rmse_deg": lambda s: np.degrees(s.heading_rmse),
@@ -88,9 +88,9 @@ def manual(ready: PreparedDrive, method: str) -> FilterParameters:
 
 def score_all(
     design: Design,
-    parameters: Mapping[Task, FilterParameters],
+    parameters: Filters,
     executor: Executor | None = None,
-    networks: Mapping[Task, Trained] | None = None,
+    networks: Networks | None = None,
 ) -> ScoreTable:
     test = [design.split(trial)[1] for trial in range(design.config.trials)]
     tested = np.array([np.isin(np.arange(len(design.drives)), drives) for drives in test])
@@ -124,14 +124,16 @@ class _Pass:
 
 def _passes(design: Design) -> list[_Pass]:
     """Prepare the drives of each pass; longer outages are measured only on local drives."""
-    passes = [_Pass(design.replays(outages=True), np.ones(len(design.drives), dtype=np.bool_), TAKEN)]
+    passes = [
+        _Pass(design.replays(outages=True), np.ones(len(design.drives), dtype=np.bool_), SCORE_OF_MEASURE)
+    ]
     seed = design.config.seed
     for measure, length in design.config.long_outages.items():
         replays = BatchScorer(design.prepared, outages=True, outage_length=length, outage_seed=seed)
         fits = [
             len(outage_windows(r.drive, r.initial, length=length, seed=seed)) > 0 for r in design.prepared
         ]
-        passes.append(_Pass(replays, np.array(fits), {measure: TAKEN["outage_drift_m"]}))
+        passes.append(_Pass(replays, np.array(fits), {measure: SCORE_OF_MEASURE["outage_drift_m"]}))
     return passes
 
 
@@ -204,26 +206,24 @@ def _score_unfiltered(
     }
 
 
-MANUAL = ("ukf-datasheet", "ukf-defaults")
-FOLLOWED: tuple[tuple[ProtocolName, str], ...] = (
-    ("honest", MAIN),
-    ("paper", MAIN),
+MANUAL_FILTERS = ("ukf-datasheet", "ukf-defaults")
+TRACKED_FILTERS: tuple[tuple[ProtocolName, str], ...] = (
+    ("honest", MAIN_METHOD),
+    ("paper", MAIN_METHOD),
     ("honest", "pso-ekf"),
     ("honest", "pso-planar8"),
 )
 """Tuned filters with saved tracks, in series such as ``honest-pso-ukf``."""
-MOST_DRIVES = 10
-MOST_POINTS = 700  # largest number of points of a series, to limit the size of the page
+MAX_TRACKED_DRIVES = 10
+MAX_TRACK_POINTS = 700  # largest number of points of a series, to limit the size of the page
 
 
-def follow(
-    design: Design, parameters: Mapping[Task, FilterParameters], trial: int
-) -> tuple[list[Tracks], Picture]:
+def follow(design: Design, parameters: Filters, trial: int) -> tuple[list[Tracks], Picture]:
     """Record tracks on some test drives of a trial, and the data of the figures on the first drive."""
     tracks: list[Tracks] = []
     pictures: list[Picture] = []
     for i in shown_drives(design, trial):
-        tuned = {f"{p}-{m}": parameters[Task(p, m, design.group_of(i), trial)] for p, m in FOLLOWED}
+        tuned = {f"{p}-{m}": parameters[Task(p, m, design.group_of(i), trial)] for p, m in TRACKED_FILTERS}
         ((found, picture),) = design.of_each(partial(_followed, tuned=tuned, drawn=not pictures), [i])
         tracks.append(found)
         pictures += [picture] if picture else []
@@ -234,8 +234,8 @@ def _followed(
     ready: PreparedDrive, tuned: Mapping[str, FilterParameters], *, drawn: bool
 ) -> tuple[Tracks, Picture | None]:
     name = ready.drive.name
-    replay, tracker = tracking_replay(ready), Tracker(ready, MOST_POINTS, picture=drawn)
-    by_hand = {method: manual(ready, method) for method in MANUAL}
+    replay, tracker = tracking_replay(ready), Tracker(ready, MAX_TRACK_POINTS, picture=drawn)
+    by_hand = {method: manual(ready, method) for method in MANUAL_FILTERS}
     for series, one in {**tuned, **by_hand}.items():
         tracker.record(series, replay, one)
     tracker.keep_estimate("imu_only", run_imu_only(ready))
@@ -250,11 +250,11 @@ def shown_drives(design: Design, trial: int) -> list[int]:
     """
     _, test = design.split(trial)
     named = {i: design.conditions[i] for i in test}
-    if len(set(named.values())) > MOST_DRIVES:
+    if len(set(named.values())) > MAX_TRACKED_DRIVES:
         named = {i: (maneuver, ALL) for i, (maneuver, _) in named.items()}
-    groups = list(dict.fromkeys(named.values()))[:MOST_DRIVES]
+    groups = list(dict.fromkeys(named.values()))[:MAX_TRACKED_DRIVES]
     if len(groups) == 1:
-        return test[:MOST_DRIVES]
+        return test[:MAX_TRACKED_DRIVES]
     members = [[i for i in test if named[i] == group] for group in groups]
     chosen = [own[k * len(own) // len(groups)] for k, own in enumerate(members)]
     return sorted(chosen, key=lambda i: design.conditions[i][0] != "turns")

@@ -28,8 +28,8 @@ import numpy as np
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.grid import Report, run_grid
-from sigmaswarm.experiments.study.config import MAIN, ProtocolName, StudyConfig, read_config
-from sigmaswarm.experiments.study.design import Design, Task, designs_elsewhere, make_design
+from sigmaswarm.experiments.study.config import MAIN_METHOD, ProtocolName, StudyConfig, read_config
+from sigmaswarm.experiments.study.design import Design, Filters, Task, Trials, designs_elsewhere, make_design
 from sigmaswarm.experiments.study.networks import score_networks, train_all, trainings
 from sigmaswarm.experiments.study.record import Results, StudyRecord, spreads_of
 from sigmaswarm.experiments.study.results import results_of, rival_results
@@ -82,8 +82,8 @@ class Study:
 
     folder: Path
     design: Design
-    trials: dict[Task, Trial]
-    parameters: dict[Task, FilterParameters]
+    trials: Trials
+    parameters: Filters
     best: dict[str, FilterParameters]
     record: StudyRecord
     picture: Picture
@@ -93,11 +93,11 @@ class Study:
         return self.record.results
 
 
-def shown_trial(trials: Mapping[Task, Trial]) -> int:
+def shown_trial(trials: Trials) -> int:
     """Return the trial that is plotted: the one with the lowest training cost of the honest PSO-UKF."""
     cost: dict[int, float] = {}
     for task, trial in trials.items():
-        if task.variant == ("honest", MAIN):
+        if task.variant == ("honest", MAIN_METHOD):
             cost[task.trial] = cost.get(task.trial, 0.0) + trial.cost
     return min(cost, key=cost.__getitem__)
 
@@ -222,9 +222,7 @@ def _run(
     return Study(folder, design, trials, points, _write_best(folder, trials, points), record, picture)
 
 
-def _write_best(
-    out: Path, trials: Mapping[Task, Trial], points: Mapping[Task, FilterParameters]
-) -> dict[str, FilterParameters]:
+def _write_best(out: Path, trials: Trials, points: Filters) -> dict[str, FilterParameters]:
     best: dict[str, Task] = {}
     for task, trial in trials.items():
         if task.folder not in best or trial.cost < trials[best[task.folder]].cost:
@@ -242,7 +240,7 @@ def _tune_all(
     pool: Executor,
     progress: Callable[[int, Task], None],
     processes: int,
-) -> dict[Task, Trial]:
+) -> Trials:
     configs = design.configs
     outages = {v: parse_objective(config.objective).needs_outages for v, config in configs.items()}
     replays = {needed: design.replays(outages=needed) for needed in set(outages.values())}

@@ -3,15 +3,15 @@
 import os
 import time
 from collections import deque
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.experiments.study.design import Design, Task
-from sigmaswarm.experiments.study.networks import Trained, Training
+from sigmaswarm.experiments.study.design import Design, Filters
+from sigmaswarm.experiments.study.networks import Networks, Trained, Training
 from sigmaswarm.experiments.study.record import Times
 from sigmaswarm.files import write_json
 from sigmaswarm.filters.filter_run import FilterRun
@@ -21,7 +21,7 @@ from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.records import content_if_readable
 from sigmaswarm.scoring.targets import tracking_replay
 
-LIVE: dict[str, tuple[FilterKind, ModelName]] = {
+LIVE_FILTERS: dict[str, tuple[FilterKind, ModelName]] = {
     "EKF": ("ekf", "planar5"),
     "adaptive UKF": ("adaptive-ukf", "planar5"),
     "UKF": ("ukf", "planar5"),
@@ -53,9 +53,7 @@ def stored_time(file: Path) -> Generator[None]:
     write_json(file, {"processor_s": time.thread_time() - began})
 
 
-def rival_times(
-    out: Path, design: Design, parameters: Mapping[Task, FilterParameters], networks: Mapping[Task, Trained]
-) -> Times:
+def rival_times(out: Path, design: Design, parameters: Filters, networks: Networks) -> Times:
     """Return the processor times of every tuned or trained variant, by names such as ``honest-pso-ukf``.
 
     ``training_s`` is the time of a trial, s; the time of a network does not include the tuning of its filter.
@@ -100,7 +98,7 @@ def write_timings(out: Path, design: Design, watch: Stopwatch, rivals: Times) ->
 
 
 def _live_times(ready: PreparedDrive) -> Times:
-    return {name: _live_time(ready, kind, model) for name, (kind, model) in LIVE.items()}
+    return {name: _live_time(ready, kind, model) for name, (kind, model) in LIVE_FILTERS.items()}
 
 
 def _live_time(ready: PreparedDrive, kind: FilterKind, model: ModelName) -> dict[str, float]:
