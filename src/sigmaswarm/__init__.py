@@ -27,7 +27,7 @@ import ast
 import warnings
 from functools import cache
 from importlib import import_module
-from pathlib import Path
+from pkgutil import get_data
 from typing import TYPE_CHECKING, Any
 
 from sigmaswarm.versions import __version__ as __version__
@@ -165,7 +165,7 @@ __all__ = [
 @cache
 def _modules() -> dict[str, str]:
     """Return the module of each name in the imports for type checkers; only names in ``__all__`` are public."""
-    source = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+    source = ast.parse(get_data(__name__, "__init__.py") or b"")
     (block,) = (node for node in source.body if isinstance(node, ast.If))
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
     return {alias.name: str(node.module) for node in imports for alias in node.names}
