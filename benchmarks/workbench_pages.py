@@ -128,7 +128,7 @@ def main() -> None:
                 clock.measure("log: drawn again", lambda: opened("log"))
             zoom(page, clock)
             page.get_by_role("button", name="Make the drive").click()
-            page.get_by_role("link", name="Next: check it").wait_for()
+            page.get_by_role("link", name="Next: check the drive").wait_for()
             clock.measure("check: read, checked and drawn", lambda: opened("check"))
             clock.measure("check: drawn again", lambda: opened("check"))
             zoom(page, clock)

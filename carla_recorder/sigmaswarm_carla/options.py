@@ -21,7 +21,7 @@ KMH = 1 / 3.6
 DRY = 0.85
 """Friction of stock tires without --brake-sweep."""
 BRAKE_GAIN = 2.0
-"""Factor of max_brake_torque: stock brakes stop the car from 50 km/h in 2.7 s, in the paper it takes 2 s."""
+"""Factor of max_brake_torque: stock brakes stop the car from 50 km/h in 2.7 s, but the paper's car needs 2 s."""
 
 
 class Environment(NamedTuple):
@@ -104,9 +104,7 @@ class Options:
     )
     gps_noise: float = _option(0.56, "Standard deviation of each fix, m per axis.")
     timeout: float = _option(20.0, "Longest time to wait for an answer of the server, s.")
-    patience: float = _option(
-        120.0, "Longest time to wait until a server that stopped answering answers again, s."
-    )
+    patience: float = _option(120.0, "Longest time to wait for a server that stopped answering, s.")
     brake_sweep: bool = _option(
         False, "First measure the friction for several values of CARLA's tire_friction, and use the result."
     )

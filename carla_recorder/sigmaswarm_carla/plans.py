@@ -43,8 +43,8 @@ class Plan:
 def plan_maneuver(name: str, friction: float, town: Any, rng: random.Random) -> Plan:
     """Draw the random values of one of the paper's maneuvers, and find a path for it.
 
-    The values are those of `sigmaswarm.simulation.maneuvers`: those of the paper, or the largest that friction allows.
-    Each maneuver begins with at least 30 m at 5 m/s or more, so that a filter can find its heading.
+    The values are those of `sigmaswarm.simulation.maneuvers`: values of the paper, or the largest values that friction
+    allows. Each maneuver begins with at least 30 m at 5 m/s or more, so that a filter can find its heading.
     """
     hard = 0.9 * friction * GRAVITY
     easy = min(2.5, 0.5 * friction * GRAVITY)

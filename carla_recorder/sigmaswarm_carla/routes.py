@@ -94,7 +94,7 @@ def straight(length: float) -> Need:
 def find_path(town: Any, need: Need, rng: random.Random) -> Path2D:
     """Find a random path in a `carla.Map` that meets the requirements.
 
-    Walks begin at the waypoints of the map, in random order. If the path must be straight, they go straight ahead.
+    Walks begin at the waypoints of the map, in random order. If the path must be straight, the walks go straight ahead.
     Otherwise six walks from each waypoint choose at random at each junction.
 
     Raises

@@ -223,7 +223,7 @@ class Session:
         """Restore the world. Return a message about failures, or an empty string."""
         if not reachable(self.options.host, self.options.port, 2.0):
             _KEEP.extend([self, *self.actors])
-            return "the server does not answer: its settings and weather could not be restored"
+            return "the server does not answer, so its settings and weather could not be restored"
         failed: list[str] = []
         for what, step in (
             ("actors", self.clear),

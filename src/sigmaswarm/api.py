@@ -133,7 +133,7 @@ def run(
     recover: bool = True,
     as_recorded: bool | None = None,
 ) -> Estimate:
-    """Run a filter over a drive; its truth, if any, is not used.
+    """Run a filter over a drive; the truth of the drive, if any, is not used.
 
     Parameters
     ----------
@@ -186,8 +186,8 @@ def evaluate(
     drives : Drive or sequence of Drive
         Without truth the scores are the consistency and the drift over outages, relative to the fixes.
     parameters : FilterParameters, Tuning, or the path of a tuning
-        A tuning also identifies its training drives: the evaluation warns if ``drives`` contain parts of them.
-    against : the same, optional
+        A tuning also identifies its training drives: the evaluation warns if ``drives`` contain parts of these drives.
+    against : FilterParameters, Tuning, or the path of a tuning, optional
         A second filter of any model, or the path of an ekf.yaml of robot_localization.
     **options
         ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``bank`` (a filter bank), ``seen``,

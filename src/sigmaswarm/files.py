@@ -189,9 +189,9 @@ def _result_in(folder: Path) -> dict[str, Any]:
 def staged_files(folder: Path, kind: str = "", mark: str = "") -> Generator[Path]:
     """Yield a hidden folder for files; when the block ends, all or none of them are moved into ``folder``.
 
-    The next run that writes into the folder restores the old files if this one is killed between two replacements.
-    With ``kind`` the files are a whole result. It replaces the files of an earlier result (see `earlier_result`),
-    removes those that the new result lacks, and replaces no other file.
+    The next run that writes into the folder restores the old files if this run is killed between two replacements.
+    With ``kind`` the files are a whole result. The new result replaces the files of an earlier result (see
+    `earlier_result`); surplus files of the earlier result are removed, and no other file is replaced.
     """
     before = earlier_result(folder, kind, mark, alone=False) if kind else None
     make_folder(folder)
@@ -201,7 +201,7 @@ def staged_files(folder: Path, kind: str = "", mark: str = "") -> Generator[Path
         (hidden / "old").mkdir()
         try:
             yield new
-        except InputError as error:  # it names a hidden file
+        except InputError as error:  # the error names a hidden file
             raise InputError(str(error).replace(str(new), str(folder))) from None
         names = {file.relative_to(new).as_posix() for file in new.rglob("*") if file.is_file()}
         if before is not None:

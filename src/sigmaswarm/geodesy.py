@@ -21,7 +21,7 @@ def wrap_angle(angle: ArrayLike) -> float | Array:
     return float(wrapped) if wrapped.ndim == 0 else wrapped
 
 
-@np.errstate(all="ignore")  # places that can't be become NaN
+@np.errstate(all="ignore")  # impossible places become NaN
 def geodetic_to_enu(latitude: ArrayLike, longitude: ArrayLike, altitude: ArrayLike, origin: Origin) -> Array:
     """Convert latitudes (deg), longitudes (deg) and altitudes (m) to m east, north and up, shape (..., 3)."""
     import pymap3d  # not needed for drives in m

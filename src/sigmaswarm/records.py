@@ -74,7 +74,7 @@ def read_content(
     # A damaged archive can raise any error, a nested text RecursionError, a long number ValueError.
     except Exception as error:
         reason = shown(" ".join(str(error).split()) or type(error).__name__, 160)
-        raise InputError(f"{path}: not readable: {reason}; {remedy}") from None
+        raise InputError(f"{path}: not readable ({reason}); {remedy}") from None
     if not isinstance(content, dict):
         raise InputError(f"{path}: the file should be a table of keys; {remedy}")
     return cast("dict[str, Any]", content)

@@ -27,8 +27,8 @@ class Column:
     """A column of a table.
 
     ``number`` formats a number and both ends of a range; by default with four digits, three for the ends of a range.
-    ``printed`` replaces it in Markdown, LaTeX and CSV. There a ``joined`` column is printed in the cell before it:
-    ``1.28 [1.26, 1.30]``.
+    ``printed`` replaces ``number`` in Markdown, LaTeX and CSV. In these formats, a ``joined`` column is part of the
+    previous cell: ``1.28 [1.26, 1.30]``.
     """
 
     title: str

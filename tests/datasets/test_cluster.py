@@ -210,7 +210,7 @@ def test_a_worker_drops_what_was_used_last_and_reads_it_again(folders):
     assert cache.get({"3": sources["3"]})
     assert cache.get({"0": None}) is None  # the oldest
     assert cache.get({"1": None, "3": None})[0] is first[1]
-    with pytest.raises(ClusterError, match=r"here:1: its 4 drives need about .* GB of memory, and it has"):
+    with pytest.raises(ClusterError, match=r"here:1: its 4 drives need about .* GB of memory, but it has"):
         cache.get(sources)
 
 

@@ -215,7 +215,7 @@ def test_a_gyro_that_does_not_follow_the_course_is_no_straight_road():
     rng = np.random.default_rng(0)
     still = {n: 0.01 * rng.standard_normal(len(drive.imu)) for n in ("gx", "gy", "gz")}
     found = {f.code: f for f in sigmaswarm.diagnose(replace(drive, imu=replace(drive.imu, **still))).findings}
-    assert "no column of the gyro follows it" in found["unseen-yaw"].what
+    assert "no column of the gyro follows this" in found["unseen-yaw"].what
     assert "slower turns" not in found["unseen-yaw"].what
 
 
@@ -501,7 +501,7 @@ def test_no_jump_is_made_up_wherever_the_gap_lies(jumped: bool, every: int):
             for t in (drive.imu, drive.gps)
         )
         for found in clock_jumps(imu.time, gps):
-            unsure = "does not show which" in found.what
+            unsure = "does not distinguish" in found.what
             named += not unsure
             wrong += not unsure and (found.code == "clock-jump") != jumped
     assert wrong == 0

@@ -102,7 +102,7 @@ def test_exchanged_axes(level: str, sign: int, has_az: bool):
     exchanged = {level: sign * drive.imu.az, "az": getattr(drive.imu, level) if has_az else None}
     messages = warnings_of(imu_with(drive, **exchanged))
     assert (
-        f"imu.csv: column {level} has median {sign * GRAVITY:.2f} m/s2: this is gravity, which must be in az"
+        f"imu.csv: column {level} has median {sign * GRAVITY:.2f} m/s2, which is gravity and must be in az"
         in messages[0]
     )
     assert "to x forward, y left, z up: import with --mount auto" in messages[0]

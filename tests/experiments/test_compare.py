@@ -215,7 +215,7 @@ def test_another_comparison_is_not_gone_on_with(whole, tmp_path: Path):
     with pytest.raises(InputError, match="seeds = 3, but this command has seeds = 4"):
         compare(DRIVES, resume=True, **(asked | {"seeds": 4}))
     (tmp_path / "out/runs/random-log10-001/run.json").write_text("{")
-    with pytest.raises(InputError, match=r"run\.json: not readable: .*; delete it"):
+    with pytest.raises(InputError, match=r"run\.json: not readable \(.*\); delete it"):
         compare(DRIVES, resume=True, **asked)
 
 

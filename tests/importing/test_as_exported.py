@@ -142,7 +142,7 @@ def test_a_clock_that_restarts_before_the_first_fix(tmp_path: Path, head: str, f
 def test_recordings_of_a_minute_are_no_seconds_of_the_minute(tmp_path: Path):
     write(tmp_path, clock=lambda t: 3 * t % 60)
     with pytest.raises(
-        InputError, match=r"2 recordings .*; import each one separately: --part 1 to --part 2"
+        InputError, match=r"2 recordings .*; import each recording separately: --part 1 to --part 2"
     ):
         imported(tmp_path)
 

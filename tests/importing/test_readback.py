@@ -49,7 +49,7 @@ def test_values_that_can_not_be_read_back(tmp_path: Path, changed: dict[str, np.
     log, out = table(tmp_path, **changed), tmp_path / "out" / "d"
     with pytest.raises(InputError) as caught:
         write_drive(imported(log).drive, out)
-    assert str(caught.value).startswith(f"{out}: the drive could not be read back: {said}")
+    assert str(caught.value).startswith(f"{out}: the drive could not be read back ({said}")
     assert not list(out.parent.iterdir())
 
 

@@ -160,7 +160,7 @@ def _local(address: str, count: str) -> Generator[Any]:
     if not count.isdecimal() or int(count) < 1:
         raise InputError(f"--cluster {address}: specify the number of processes, for example local:4")
     with TemporaryDirectory(prefix="sigmaswarm-", ignore_cleanup_errors=True) as scratch:
-        local: Any = distributed.LocalCluster  # its type stubs lack dashboard_address=None
+        local: Any = distributed.LocalCluster  # the type stubs lack dashboard_address=None
         cluster = local(
             n_workers=int(count),
             threads_per_worker=1,

@@ -1,4 +1,4 @@
-"""A dataset: drives in this process or on the workers of a cluster, and functions applied to them there."""
+"""A dataset: drives in this process or on the workers of a cluster, and functions that are applied to these drives."""
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence

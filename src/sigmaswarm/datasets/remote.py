@@ -2,7 +2,7 @@
 
 A call sends each worker one task: the function, its arguments and the keys of the drives. Results do not depend on the
 distribution of the drives. Tasks are bound to workers: other workers take over the drives of a lost worker, and only
-its tasks run again. New workers get a share of the drives.
+its tasks run again. New workers receive a share of the drives.
 """
 
 import threading

@@ -81,7 +81,7 @@ class DriveCache:
                 total -= self._drives.pop(next(iter(self._drives))).size
         if needed > self._memory:
             raise ClusterError(
-                f"worker {self._worker}: its {len(sources)} drives need about {in_gb(needed)} of memory, and it has "
+                f"worker {self._worker}: its {len(sources)} drives need about {in_gb(needed)} of memory, but it has "
                 f"{in_gb(max(self._memory, 0.0))} for drives; start more workers, or increase their memory"
             )
         return [known[key] for key in sources]

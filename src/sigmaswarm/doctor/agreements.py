@@ -66,7 +66,7 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
     Returns
     -------
     tuple of Agreement
-        Without a course, those that need a moving vehicle are missing.
+        Without a course, agreements that need a moving vehicle are missing.
     """
     steps = {
         name: (table.time[1:], np.diff(table.time))

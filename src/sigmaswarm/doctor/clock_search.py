@@ -13,7 +13,7 @@ STEP = 0.1
 NEAR = 4.0  # s, distance from the best offset within which other offsets belong to the same peak
 SPAN = 5.0  # s, interval over which turns are compared
 LEAST, CLEARLY = 0.8, 0.15
-"""Share of the turns that an offset must explain, and its smallest lead over any other offset."""
+"""LEAST: share of the turns that an offset must explain. CLEARLY: smallest lead of this share over any other offset."""
 FEWER = 4.0
 """Alternative to the lead: the share of turns that any other offset leaves unexplained is larger by this factor.
 

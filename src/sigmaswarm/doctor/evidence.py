@@ -31,7 +31,7 @@ distinguishes mirrored fixes from an IMU with other axes."""
 CLEAR_SCALE = 4.0  # standard deviations of the scale of ax and ay if they agree with the exchanged fixes
 FEWEST = 20  # smallest number of fixes for the checks that need motion
 KEPT = 256
-"""Largest number of drives whose scatter is cached; each repetition of a tuning needs it."""
+"""Largest number of drives whose scatter is cached; each repetition of a tuning needs the scatter."""
 _scatters: dict[str, float] = {}
 
 
@@ -73,7 +73,7 @@ def gather(drive: Drive) -> Evidence:
     """Fit the gyro to the course and the accelerometers to the path, and interpret the fits.
 
     If the gyro as recorded does not follow the course within a second, first search for a clock offset up to 40 s. If
-    the IMU as recorded agrees only with a mirror image of the fixes, all evidence is that of the mirror image.
+    the IMU as recorded agrees only with a mirror image of the fixes, all evidence refers to the mirror image.
     """
     evidence = _read(drive)
     evidence = _mirrored(evidence, drive) or evidence
@@ -116,7 +116,7 @@ def _read(drive: Drive) -> Evidence:
 
 
 def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
-    """Return the evidence after an exchange of x and y of the fixes; None unless it explains the IMU as recorded.
+    """Return the evidence after an exchange of x and y of the fixes; None unless the exchange explains the IMU data.
 
     With gravity upright on az, gz and ay cannot both be reversed while ax agrees with the motion: no rotation does
     this. For an IMU on its side or upside down, reversed accelerometers look the same.

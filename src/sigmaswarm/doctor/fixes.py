@@ -14,7 +14,7 @@ Mask = NDArray[np.bool_]
 
 NEIGHBORS = 3
 """Number of fixes on each side from which the position of a fix is predicted."""
-HARDEST = 8.0  # m/s2, largest acceleration of a car, which is not a jump
+HARDEST = 8.0  # m/s2, largest acceleration of a car; a larger one is a jump of the fixes
 SPAN = (3.0, 6.0)  # s, shortest and longest time over which one velocity is computed
 SPEED_STD = 0.5  # m/s, intended standard deviation of the velocity
 SLOWEST = 3.0  # m/s; at lower speeds the course is noise
@@ -55,7 +55,7 @@ def jumps(time: Array, position: Complex) -> Mask:
         return np.zeros(len(time), bool)
     for _ in range(
         20
-    ):  # one jump at a time, the largest among its neighbors, since a jump also distorts the lines of these
+    ):  # one jump at a time, the largest among its neighbors, since a jump distorts the lines of its neighbors
         off = np.abs(_off_line(time[kept], position[kept]))
         limit = 12 * float(np.median(off)) + 0.5 * HARDEST * (NEIGHBORS * np.gradient(time[kept])) ** 2
         worst = np.lib.stride_tricks.sliding_window_view(np.pad(off, NEIGHBORS), 2 * NEIGHBORS + 1).max(

@@ -25,7 +25,8 @@ from sigmaswarm.drives.mounting import NOT_TURNED
 from sigmaswarm.geodesy import rotation_of
 
 ROUNDS = 16
-"""Each round leaves up to 0.7 of the error; after six rounds, it is still up to a degree in a few logs."""
+"""Number of rounds. A round leaves up to 0.7 of the error; after six rounds, errors of up to a degree remain in a few
+logs."""
 SURE, LIKELY = math.radians(3.0), math.radians(8.0)
 """Largest total standard deviation, rad, with confidence "sure", and with "likely"."""
 LEAST_SHARE = 0.5
@@ -43,7 +44,7 @@ GYRO_WINDOW = 10.0  # s, window over which the axis of turning is fitted
 LEANS = 0.5
 """Agreement of the body's leaning with springs, -1 to 1, above which accelerometers count as reversed.
 
-Below -LEANS, a mounting rotated by more than 90 degrees is refused: an axis is reversed.
+Below -LEANS, a mounting rotated by more than 90 degrees is refused, since an axis is reversed.
 """
 UPRIGHT = math.radians(15.0)  # rad, largest angle of the specific force to the vertical axis that is found
 WANDERS = math.radians(8.0)  # rad, change of gravity between windows if the mounting is not constant
@@ -79,7 +80,7 @@ class Mounting:
     def mount(self) -> Array:
         """The rotation (3, 3) from the raw samples, which does not depend on `before`.
 
-        It is the estimate, or an exchange of the raw axes with which the estimate agrees.
+        The result is the estimate, or an exchange of the raw axes with which the estimate agrees.
         """
         found = self.rotation @ self.before
         exchanged = max(AXES, key=lambda axes: float(np.trace(found @ axes.T)))
@@ -153,7 +154,8 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
     imu, yaw_fit = found
     rotation, seen = _converged(drive, course, imu, yaw_fit)
     if seen and seen.yaw_fit.gain < 0 and _follows(seen.yaw_fit) and seen.mirrored > CLEARLY:
-        # The leveled IMU is upside down: its accelerometers report the opposite of specific force, or only some do.
+        # The leveled IMU is upside down: its accelerometers report the opposite of specific force, or only some axes
+        # do.
         opposite = _scaled(imu, "a", -1.0)
         upright = _converged(drive, course, opposite)
         if np.min(_leaning(turned(opposite, upright[0]))) > LEANS:
@@ -168,13 +170,13 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
         )
     far = confidence != "no" and angle_of(rotation) > math.pi / 2
     if far and np.min(_leaning(turned(imu, rotation))) < -LEANS:
-        confidence, reason = "no", "the body would lean into its turns, or forward while it gains speed"
+        confidence, reason = "no", "the body would lean into turns, or forward while it gains speed"
     before = rotation_of(*(drive.mounting or NOT_TURNED))
     return Mounting(rotation, seen.std, confidence, reason, before)
 
 
 def _leaning(imu: Imu) -> Array:
-    """Return how the body leans outward in turns, and backward when it gains speed, (2,), each from -1 to 1.
+    """Return how much the body leans outward in turns, and backward when it gains speed, (2,), from -1 to 1.
 
     On springs both are positive. A reversed axis makes one negative, although turns and accelerations agree with the
     fixes.

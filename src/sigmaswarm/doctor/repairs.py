@@ -210,4 +210,4 @@ ACTIONS: dict[str, Callable[..., Drive]] = {
     "cut-ends": _cut_ends,
     "close-jump": _close_jump,
 }
-"""Actions in the order of application. They refer to rows by recorded times, and to fixes by corrected times."""
+"""Actions in the order of application. The actions refer to rows by recorded times, and to fixes by corrected times."""

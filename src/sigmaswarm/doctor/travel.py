@@ -19,10 +19,10 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Imu
 
 WINDOW, DEGREE = 20.0, 2
-"""Duration of a window, s, and degree of its polynomial in time."""
+"""WINDOW: duration of a window, s. DEGREE: degree of a window's polynomial in time."""
 FORWARD = 4.0
 """Ratio of the velocity's noise along and across the direction of travel."""
-ROUNDS = 2  # fits with the speed by the IMU, as far as the fit before shows it
+ROUNDS = 2  # fits; each has the speed by the IMU from the previous fit
 LEAST_STRAIGHT = 0.5
 """Smallest assumed ratio of mean velocity to speed, which sharp turns lower."""
 
@@ -79,6 +79,6 @@ def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, A
 
     found = fit(speed)
     for _ in range(ROUNDS):
-        # Noise in a column would make its factor smaller: the IMU's speed has none.
+        # Noise in a column would reduce its factor; the speed by the IMU has little noise.
         found = fit(speed + found.residual[:, : at.shape[1]].real)
     return found.solution[:2], np.sqrt(np.diag(found.covariance)[:2])

@@ -20,8 +20,8 @@ LEAST_SHARE = 0.2
 LEAST_TURN = 0.05
 """RMS change of the course within 20 s above which the course determines the mounting, rad.
 
-Below it, the course is mostly noise. Another column, sign or unit than the recorded one must then exceed `CERTAIN` or
-`LARGE_SHARE`.
+Below this limit, the course is mostly noise. Another column, sign or unit than the recorded one must then exceed
+`CERTAIN` or `LARGE_SHARE`.
 """
 LARGE_SHARE = 0.5
 CERTAIN = 12.0
@@ -57,7 +57,7 @@ class Yaw:
 
 
 def yaw_of(fit: YawFit | None) -> Yaw:
-    """Find column, sign and unit of the gyro by the course; without evidence, return those that drives should have."""
+    """Find column, sign and unit of the gyro by the course; without evidence, return gz in rad/s."""
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < LEAST_SHARE and size < CERTAIN):
         return Yaw()

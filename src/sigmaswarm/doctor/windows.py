@@ -116,15 +116,15 @@ def _solve(
 
 
 def pinv(gram: Array) -> Array:
-    """Invert a symmetric matrix (k, k); directions that it does not determine give 0."""
+    """Invert a symmetric matrix (k, k); directions that the matrix does not determine give 0."""
     return np.asarray(np.linalg.pinv(gram, rcond=1e-12, hermitian=True), np.float64)
 
 
 def _covariance(a: Array, left: Array, own: int) -> Array:
     """Return the covariance of the solution, from the columns (w, k, n) and the residuals (w, n).
 
-    It is that of white residuals, but at least the sandwich estimate of White (1980) with windows as clusters, which is
-    doubled since each fix is in two windows.
+    The result is the covariance for white residuals, but at least the sandwich estimate of White (1980) with windows as
+    clusters, which is doubled since each fix is in two windows.
     """
     inverse = pinv(np.sum(a @ a.transpose(0, 2, 1), axis=0))
     white = inverse * float(np.sum(left**2)) / max(left.size - 2 * own * len(left), 1)

@@ -27,14 +27,14 @@ ALIGNMENT_FIXES = 4  # smallest number within `MAX_DURATION`; one fix every 3 s 
 WORTH_TRAVEL = 0.5 * MIN_TRAVEL  # m from the first to the last fix, a cheap test before the fit
 MAX_MISFIT = 0.3
 """Largest residual of an alignment, as a share of the travel; larger residuals are due to jumps of the fixes."""
-MAX_HEADING_STD = np.radians(6.0)  # rad; above it, the next fix is tried
+MAX_HEADING_STD = np.radians(6.0)  # rad; with a larger deviation, the next fix is tried
 REFITS = 3  # largest number of repeated fits, until the gyro bias has converged
 
 SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0
 """Longer windows, s, for a vehicle that never travels `MIN_TRAVEL` within `MAX_DURATION`."""
 SLOW_TRAVEL, SLOW_SPEED = 10.0, 0.15
 """Smallest travel (m) and mean speed (m/s) in these windows; the fixes of a parked receiver drift less."""
-SLOW_CHORD = 1.5 * MIN_TRAVEL  # m between two fixes within `MAX_DURATION`; above it, a drive is not slow
+SLOW_CHORD = 1.5 * MIN_TRAVEL  # m between two fixes within `MAX_DURATION`; with more, a drive is not slow
 SLOW_HEADING_STD = np.radians(12.0)  # rad, largest in these windows, including the effect of the gyro's bias
 SLOW_FIXES, SLOW_INTERVAL, SLOW_STEP = 8, 1.0, 2.0
 """In these windows: smallest number of fixes; smallest interval of used fixes, s, since errors of closer fixes are
@@ -113,11 +113,11 @@ def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
 
 
 def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoStart:
-    """Start at the first usable fix, with its heading or that of the first IMU sample, and an unknown speed."""
+    """Start at the first usable fix with an unknown speed and the heading of the fix or of the first IMU sample."""
     gps, imu = drive.gps, drive.imu
     fixes = np.flatnonzero(usable & np.isfinite(gps.x + gps.y))
     if not len(fixes):
-        return NoStart("no filter can start: no fix lies within the IMU's time span", "use a longer drive")
+        return NoStart("no fix lies within the IMU's time span, so no filter can start", "use a longer drive")
     first, time = fixes[0], float(gps.time[fixes[0]])
     std = STATED_HEADING_STD
     if drive.heading is not None:
@@ -178,7 +178,7 @@ class Alignments:
             if np.any(self._chord[self._many] >= MIN_TRAVEL):
                 return NoStart(
                     f"its fixes move {travel} within {time}, but the motion never agrees with the IMU, so the "
-                    "heading can't be found: the fixes scatter or jump, or an axis, a unit or the clock of the "
+                    "heading can't be found; the fixes scatter or jump, or an axis, a unit or the clock of the "
                     "IMU is wrong",
                     "repair what `sigmaswarm doctor` finds",
                 )
@@ -192,7 +192,7 @@ class Alignments:
         every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
         if every > MAX_DURATION / (ALIGNMENT_FIXES - 1):
             what = f"its fixes come every {every:.3g} s, but the heading needs {ALIGNMENT_FIXES} fixes within {time}"
-            return NoStart(f"no filter can start: {what}", "record fixes at 1 Hz or faster")
+            return NoStart(f"no filter can start, since {what}", "record fixes at 1 Hz or faster")
         span = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
         usable = f"{len(self.time)} of {len(self._drive.gps.time)} fixes can be used, {span:.3g} s from first to last"
         needs = (
@@ -200,7 +200,7 @@ class Alignments:
             f"at least {MIN_DURATION:g} s from first to last"
         )
         return NoStart(
-            f"no filter can start: only {usable}, and {needs}",
+            f"no filter can start, since only {usable}, and {needs}",
             "use a longer drive with fixes at 1 Hz or faster, without gaps or repeated positions",
         )
 
@@ -256,8 +256,8 @@ class Alignments:
     def course(self) -> Array:
         """Rough heading at each fix, rad, shape (m,); NaN without an alignment.
 
-        It is the direction of the chord of the last few seconds, corrected for turns. Changes of speed in a turn cause
-        errors of a few degrees.
+        The heading is the direction of the chord of the last few seconds, corrected for turns. Changes of speed in a
+        turn cause errors of a few degrees.
         """
         imu, turned = self._drive.imu, self._integrals[0]
         direction = np.exp(1j * turned)

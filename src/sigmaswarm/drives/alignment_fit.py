@@ -55,7 +55,8 @@ class Fit:
     """A fit to the fixes of the last few seconds; unknowns east, north, theta, v, b at ``time``.
 
     ``taken`` is the subtracted gyro bias, rad/s. ``yaw_bias`` and ``yaw_std`` are the estimated bias and its standard
-    deviation; ``bias_std`` is that from the fit alone. ``turns`` is the change of the unknowns per rad/s of bias.
+    deviation; ``bias_std`` is the deviation from the fit alone. ``turns`` is the change of the unknowns per rad/s of
+    bias.
     """
 
     time: float
@@ -89,7 +90,7 @@ class Fit:
         inside = slice(*np.searchsorted(imu.time, [time[0]], side="right"), *np.searchsorted(imu.time, [end]))
         grid = np.concatenate([[time[0]], imu.time[inside], [end]])
         psi, gained = np.interp(grid, imu.time, turned), np.interp(grid, imu.time, sped)
-        # The filter on board has no sample after the last one before the last fix, so this sample is repeated.
+        # A live filter has no sample after the last fix, so the last sample before the fix is repeated.
         last = int(np.searchsorted(imu.time, end, side="right")) - 1
         psi[-1] = turned[last] + imu.gz[last] * (end - imu.time[last])
         gained[-1] = sped[last] + imu.ax[last] * (end - imu.time[last])
@@ -193,7 +194,7 @@ def _real(column: Complex) -> Array:
 def _one_more(jacobian: Array, residual: Array, column: Array) -> tuple[float, float, Array]:
     """Add an unknown with the Jacobian ``column`` (m,) to a solved least-squares problem (m, n).
 
-    Return its value, its standard deviation, and the change of the other unknowns per unit of it, (n,).
+    Return its value, its standard deviation, and the change of the other unknowns per unit of this unknown, (n,).
     """
     others = np.linalg.lstsq(jacobian, column, rcond=None)[0]
     alone = column - jacobian @ others

@@ -23,12 +23,12 @@ GPS_GAP = (5.0, 2.0)
 UNSHARED = 10.0
 """Shortest reported time without the other sensor at the start or end, s."""
 UNSHARED_IMU = 0.1
-"""The same as a share of the IMU's time span; many logs begin before the receiver has its first fix."""
+"""Shortest such time as a share of the IMU's time span; many logs begin before the receiver has its first fix."""
 GRAVITY = 9.80665  # m/s2, standard gravity; filters and their exported C have 9.81: see `filters.tilted`
 IMPOSSIBLE_RATE = 3.0  # rad/s; no car makes half a turn in a second
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units per second
 _SLOWEST = (2.0, 60.0)  # s between samples and between fixes; longer intervals suggest another unit
-_USUAL = (0.5, 20.0)  # s between samples and between fixes; a unit that gives more is wrong
+_USUAL = (0.5, 20.0)  # s between samples and between fixes; a unit with longer intervals is wrong
 _JUMP = 3600.0  # s; a longer interval is due to a corrupt time stamp or to a clock that was set
 _WINDOW = 5.0
 """Time over which fixes give speed and course, s: long enough for noise of meters, short enough for turns."""
@@ -73,8 +73,8 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
     first, last = imu.time[[0, -1]]
     if first > gps.time[-1] or gps.time[0] > last:
         return (
-            f"imu.csv: column t covers {first:g} to {last:g} s, gps.csv {gps.time[0]:g} to {gps.time[-1]:g} s: "
-            "they do not overlap; convert both to one clock"
+            f"imu.csv: column t covers {first:g} to {last:g} s, but gps.csv covers {gps.time[0]:g} to "
+            f"{gps.time[-1]:g} s, so they do not overlap; convert both to one clock"
         )
     if len(imu) < FEWEST_SAMPLES:
         return f"imu.csv: {len(imu)} samples are too few; record at least {FEWEST_SAMPLES}"
@@ -140,7 +140,7 @@ def gravity_on(imu: Imu) -> Remark | None:
     axis = max(median, key=lambda name: abs(median[name]))
     if abs(median[axis]) <= 0.7 * GRAVITY:
         return None
-    what = f"column {axis} has median {median[axis]:.2f} m/s2: this is gravity, which must be in az"
+    what = f"column {axis} has median {median[axis]:.2f} m/s2, which is gravity and must be in az"
     remedy = (
         "turn the axes to x forward, y left, z up: import with --mount auto (six axes), or exchange columns"
     )

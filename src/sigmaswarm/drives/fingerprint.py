@@ -34,7 +34,7 @@ class DriveRecord(BaseModel):
     seen_s: float | None = None
     """Duration of the part of an evaluated drive that the training drives contain, s."""
     seen_in: list[str] = Field(default_factory=list)
-    """Names of these training drives."""
+    """Names of the training drives that contain parts of an evaluated drive."""
 
 
 def record_of(drive: Drive) -> dict[str, Any]:

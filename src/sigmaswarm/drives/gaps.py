@@ -5,8 +5,8 @@ import numpy as np
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array
 
-MANY = 5.0  # usual intervals, which a gap exceeds
-SHORTEST = 0.05  # s, which a gap also exceeds
+MANY = 5.0  # usual intervals; a gap is longer
+SHORTEST = 0.05  # s; a gap is also longer than this time
 OVER = 32.0
 """Approximate number of intervals over which the usual interval is averaged."""
 MOST = 3.0

@@ -16,7 +16,7 @@ UP = 2  # axis of the rate about the vertical
 CONTRADICTS = 5.0
 """Number of standard deviations above which an alignment subtracts a bias about the vertical axis."""
 STRANGE = 1e-5
-"""Prior probability that the gyro is far worse than that used for tuning; a bias of five sigmas confirms it.
+"""Prior probability that the gyro is far worse than that used for tuning; a bias of five sigmas confirms such a gyro.
 
 A probability of 1e-3 would increase the standard deviation of a good gyro's bias by 0.07 deg/s.
 """
@@ -28,7 +28,7 @@ TURN_SHARE = 0.3
 """Share of the mean rate of a turn that may look like a bias, since fixes lag and the car slips."""
 LEAN_STD = np.radians(8.0)
 """Standard deviation of changes of roll and pitch within a few seconds, rad, as at the beginning of a climb."""
-MOST_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that suggest more have jumped
+MOST_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that suggest a larger bias have jumped
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,13 +46,13 @@ def axes_of(metadata: Mapping[str, Any]) -> dict[str, str]:
 
 
 def common_axes(stated: Iterable[Mapping[str, str]]) -> dict[str, str]:
-    """Return the expressions of the IMU's axes if all drives state the same; else empty."""
+    """Return the expressions of the IMU's axes if all drives state the same expressions; else empty."""
     first, *others = [*stated] or [{}]
     return {**first} if all(other == first for other in others) else {}
 
 
 def common_mounting(stated: Iterable[Angles | None]) -> Angles | None:
-    """Return the mean mounting if each drive's is within `AGREE` of it, else None; None if no drive states one.
+    """Return the mean mounting if the mounting of each drive is within `AGREE` of the mean; else, or without any, None.
 
     A drive without a mounting counts as not rotated.
     """

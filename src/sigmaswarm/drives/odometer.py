@@ -1,7 +1,7 @@
 """Odometer measurements of a filter: readings averaged over at least a tenth of a second.
 
-Errors of readings are not white (scale, quantization, tires). So this mean contains as much information as readings at
-83 Hz, with less quantization error. At low speed there are few pulses, and the odometer may read zero while the car
+Errors of readings are not white (scale, quantization, tires). So such a mean contains as much information as readings
+at 83 Hz, with less quantization error. At low speed there are few pulses, and the odometer may read zero while the car
 moves.
 """
 

@@ -85,7 +85,8 @@ def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) ->
     """Shift windows (k, 2), sorted by time, so that each ends exactly at an IMU sample (n,), s.
 
     An end moves to the first sample at or after it, or later to keep ``apart`` s from the previous window; the length
-    does not change. An end after the last sample moves back to it; a window that is then too close is left out.
+    does not change. An end after the last sample moves back to this sample; a window that is then too close is left
+    out.
     """
     samples = np.asarray(imu_time, dtype=np.float64)
     snapped: list[list[float]] = []

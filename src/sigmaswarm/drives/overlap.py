@@ -34,7 +34,7 @@ SAME_RATE = 2e-4
 """Largest difference between the logarithms of equal yaw rates that were written with 8 decimals in two units."""
 MOVING = 1.5  # m/s, smallest speed between a landmark and a neighboring fix
 UNITS = math.log(180 / math.pi)
-"""ln of the ratio of rad/s to deg/s; landmarks are the logarithms of yaw rates modulo this."""
+"""ln of the ratio of rad/s to deg/s; landmarks are the logarithms of yaw rates modulo this number."""
 WIDTH = 0.4
 """Width of the part of `UNITS` that contains landmarks: a tenth of all samples, about those of 1 to 1.5 deg/s."""
 MOST = 20_000

@@ -111,7 +111,8 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
 
     - **tilted12** if every IMU has six axes, with gravity on az. It estimates roll and pitch, so hills and braking are
       not mistaken for motion. Otherwise **planar8**.
-    - **lateral** and **standstill** always. They determine the heading, which position fixes do not.
+    - **lateral** and **standstill** always. These constraints determine the heading, which position fixes alone do not
+      determine.
     - **odometer** if every log has one.
     - **accuracy** if every receiver states standard deviations, and these vary.
     - **robust** always. It hardly changes results without outliers, and is needed with outliers.
@@ -163,7 +164,7 @@ def stated_spread(drive: Drive) -> tuple[float, float] | None:
 def stated_std(drive: Drive) -> tuple[float, float] | None:
     """Return the standard deviation east and north that the receiver states, m; None if the log has none.
 
-    It is the median over the fixes or, if the fixes have none, ``gps_std_m`` of drive.toml.
+    The result is the median over the fixes or, if the fixes have no standard deviation, ``gps_std_m`` of drive.toml.
     """
     if (std := drive.gps.std) is not None:
         return float(np.median(std[0])), float(np.median(std[1]))
@@ -174,7 +175,8 @@ def stated_std(drive: Drive) -> tuple[float, float] | None:
 def receiver_std(drive: Drive) -> tuple[float, float]:
     """Return the standard deviation of the fixes of a drive's receiver, m east and north.
 
-    It is the stated one; without one, the white noise of the fixes if it is large, else that of a u-blox M8.
+    The result is the stated deviation. If none is stated, it is the white noise of the fixes if large, else the
+    deviation of a u-blox M8.
     """
     if stated := stated_std(drive):
         return stated
@@ -206,7 +208,7 @@ def has_white_errors(drive: Drive) -> bool:
 
 
 def has_lasting_errors(drive: Drive) -> bool:
-    """Return True if white errors of size `receiver_std` would be visible from fix to fix, but are not.
+    """Return True if white errors of size `receiver_std` would be visible from fix to fix, but are not visible.
 
     Then the errors are correlated, or the receiver is more accurate than it states. False if motion between fixes would
     hide such errors, as with RTK. A repeated fix counts once.

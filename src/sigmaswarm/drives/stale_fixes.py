@@ -15,7 +15,7 @@ from sigmaswarm.drives.drive import Array, Gps
 NEW, HELD, STALE, STALE_MOVING = range(4)
 """Kinds of fixes: a new position; a repeat at rest; a repeat while the car may move.
 
-STALE: speed below `NO_REST`; STALE_MOVING: above it, so that the repeat is not evidence of a standstill.
+STALE: speed below `NO_REST`; STALE_MOVING: speed above `NO_REST`, so that the repeat is not evidence of a standstill.
 """
 
 BEFORE = 3.0  # s; an equal fix is searched over this time; the previous fix is always compared
@@ -24,7 +24,7 @@ SPEED_WINDOW = 2.5
 REST = 0.8  # m/s, largest speed at rest, the same as at a standstill
 NO_REST = 2.0
 """Speed above which the first repeat is not evidence of a standstill, m/s."""
-BRAKING = 4.0  # m/s2, largest deceleration of a car; more is noise
+BRAKING = 4.0  # m/s2, largest deceleration of a car; a larger one is noise
 ENOUGH = 3.0  # smallest number of new fixes that show braking; fewer give only a mean speed
 
 
@@ -110,5 +110,5 @@ def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
     along1 = ((x1 - x0 * t1 / n) * sx + (y1 - y0 * t1 / n) * sy) / line
     along2 = ((x2 - x0 * t2 / n) * sx + (y2 - y0 * t2 / n) * sy) / line
     slope, bend = (s22 * along1 - s12 * along2) / det, (s11 * along2 - s12 * along1) / det
-    slowest = line - BRAKING * (now - origin - t1 / n)  # the speed of the line is that at the mean time
+    slowest = line - BRAKING * (now - origin - t1 / n)  # the line has the speed at the mean time
     return min(line, max(slowest, slope + 2.0 * bend * (now - origin)))

@@ -2,14 +2,14 @@
 
 At constant speed on a smooth road, the IMU is as calm as at a standstill, so the fixes must also be constant. Fixes
 show a departure late, so the IMU must also be calm. During a gentle departure, the IMU is calm but the acceleration
-changes, so it must agree with that at the beginning of the stop.
+changes, so the acceleration must agree with that at the beginning of the stop.
 
 Samples are summed in blocks of 50 ms (count, means, squares), so cost and memory do not depend on the IMU's rate. The
 last second consists of the current block and the 20 before it, the last quarter of a second of the current block and
 the 5 before it. Blocks are merged as in Chan, Golub and LeVeque (Updating formulae and a pairwise algorithm for
-computing sample variances, 1979). They are never subtracted, since rounding errors would accumulate. They form two
-stacks of 20. Each block of the older stack is merged with the later blocks of this stack. Blocks of the newer stack are
-single; FRESH is their total.
+computing sample variances, 1979). Blocks are never subtracted, since rounding errors would accumulate. The blocks form
+two stacks of 20. Each block of the older stack is merged with the later blocks of this stack. Blocks of the newer stack
+are single; FRESH is their total.
 """
 
 import math
@@ -29,7 +29,8 @@ CALM = 2.5
 """Largest ratio of the standard deviations in a calm second to the usual standard deviations at rest."""
 SETTLES = 0.5  # s, time constant with which the estimated noise at rest falls
 RISES = 0.1
-"""Increase of the estimated noise at rest while the car is nearly calm, per s; one second is too short to estimate it.
+"""Increase of the estimated noise at rest while the car is nearly calm, per s; one second is too short to estimate the
+noise.
 """
 DEPARTS = 0.12  # m/s2, change of the forward or left acceleration of a departing car
 FOLLOWS = 1.0
@@ -44,7 +45,7 @@ CLOSE = 1e-5
 """The line is fitted again this long before a fix leaves the window, s."""
 TURNING = math.radians(1.5)  # rad/s, largest yaw rate at a standstill, due to the gyro's bias
 
-# Rows of a detector's memory, shape (N_MEMORY, 8). First the stacks, from row PLACE on the older one.
+# Rows of a detector's memory, shape (N_MEMORY, 8). The stacks come first; rows from PLACE on are the older stack.
 NOW = SECOND  # row: the current block
 FRESH = SECOND + 1  # row: the newer stack, merged
 WHOLE = SECOND + 2  # row: the complete blocks of the last second, merged

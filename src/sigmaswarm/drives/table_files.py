@@ -40,7 +40,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
 """Lowest and highest allowed value of a column, and the remedy."""
 
 _LONGEST_LEAP = 1e12
-"""Longest interval, in usual intervals: 300 years at 100 Hz. When a clock is set, its times jump by less."""
+"""Longest interval, in usual intervals: 300 years at 100 Hz. The jump of a clock that is set is shorter."""
 
 CSV, PARQUET = FORMS = ".csv", ".parquet"
 TABLES = tuple(f"{name}{form}" for name in RECORDS for form in FORMS)

@@ -89,7 +89,7 @@ class Gps(Table):
     lat, lon, alt : deg, deg, m: the recorded fixes, if the log has them in WGS-84
     std_x, std_y : m, the receiver's stated standard deviation
     speed, course : m/s; rad, counter-clockwise from east
-    heading : rad, counter-clockwise from east, of two antennas or a compass; with it, a filter starts without travel
+    heading : rad, counter-clockwise from east, of two antennas or a compass; filters then start without travel
     std_heading : rad, stated standard deviation of the heading; `NO_HEADING` or more if the fix has no heading
     """
 

@@ -58,7 +58,7 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
             read_with_warnings(new)
         except DriveError as error:
             reason = str(error).removeprefix(f"{new}/").replace(str(new), str(folder))
-            raise DriveError(f"{folder}: the drive could not be read back: {reason}") from None
+            raise DriveError(f"{folder}: the drive could not be read back ({reason})") from None
     return folder
 
 

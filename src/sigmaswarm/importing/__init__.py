@@ -4,7 +4,7 @@ A table of a `Log` becomes part of a drive in these steps:
 
 1. `readers/` decode a format to tables; ``readers/dialect.py`` finds separator, header and units of a text table.
 2. ``names.py`` reads the names of columns, ``units.py`` their units; ``quantities.py`` makes expressions in SI units.
-3. ``guess.py`` assigns columns to IMU, fixes, truth and odometer, and ``times.py`` finds the time of each.
+3. ``guess.py`` assigns columns to IMU, fixes, truth and odometer, and ``times.py`` finds the time of each table.
 4. ``gather.py`` evaluates the expressions in batches (``expressions.py``, ``dates.py``).
 5. ``timeline.py`` unwraps, spreads and sorts times and chooses a recording; ``joining.py`` joins the tables of a role.
 6. ``places.py`` checks positions, ``mounting.py`` rotates the IMU, and ``assemble.py`` makes the drive; ``rates.py``

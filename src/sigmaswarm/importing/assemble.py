@@ -33,7 +33,7 @@ from sigmaswarm.importing.times import FASTEST_IMU, LEAST_INTERVAL, LONGEST_STEP
 from sigmaswarm.importing.velocities import without_wrong_velocity
 
 SEED, MOST_FIXES = 0, 10_000_000
-"""Seed of the noise, and largest number, of fixes that are made from the truth."""
+"""SEED: seed of the noise of fixes that are made from the truth. MOST_FIXES: largest number of such fixes."""
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 WITHOUT_POSITION = "gps: no column contains a position; map lat and lon (deg), or x and y (m east, north)"
 
@@ -143,9 +143,9 @@ def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[G
 def _in_one_turn(
     times: Mapping[Role, Nanoseconds], gathered: Mapping[Role, Sequence[Gathered]], say: Say
 ) -> dict[Role, Nanoseconds]:
-    """Move times by whole periods to those of the IMU, if their clock restarts: a table may begin after a restart.
+    """Move times of a clock that restarts by whole periods to those of the IMU; a table may begin after a restart.
 
-    If several moves place a table within the IMU's times, use the one with which both tables end together.
+    If several moves place a table within the IMU's times, use the move with which both tables end together.
     """
     moved, imu = dict(times), times["imu"]
     clocks = {role: (parts[0].part.columns["t"], parts[0].period) for role, parts in gathered.items()}
@@ -161,7 +161,10 @@ def _in_one_turn(
         moved[role] = time + best[0]
         if len(best) > 1 and role in ("gps", "truth", "odometer"):
             other = (best[1] - best[0]) / SECOND
-            message = f"the clock restarts every {period / SECOND:.6g} s; assumed to end with the IMU samples"
+            message = (
+                f"the clock restarts every {period / SECOND:.6g} s; the table is assumed to end with the IMU "
+                "samples"
+            )
             say(f"{role}: {message}; otherwise write --{role}-offset {other:.10g}")
     return moved
 
@@ -173,9 +176,9 @@ def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, st
     short, dated = min(imu[0], gps[0]), max(imu[0], gps[0]) * SECOND > LONG_AGO
     reasons = (
         (900, 0.0, "the local times differ by this", short * SECOND > LONG_AGO),
-        (86_400, 0.0, "one counts from midnight, UTC", dated and short < 2 * 86_400),
-        (WEEK, GPS_EPOCH % WEEK - leap, "one is the GPS time of week", dated and short < WEEK),
-        (1e12, GPS_EPOCH - leap, "one is GPS time", short * SECOND > LONG_AGO),
+        (86_400, 0.0, "one clock counts from midnight, UTC", dated and short < 2 * 86_400),
+        (WEEK, GPS_EPOCH % WEEK - leap, "one clock is the GPS time of week", dated and short < WEEK),
+        (1e12, GPS_EPOCH - leap, "one clock is GPS time", short * SECOND > LONG_AGO),
         (2**32 * 1e-6, 0.0, "a counter of microseconds, 2^32, wrapped", not dated),
     )
     for period, begin, why, fits in reasons:
@@ -210,7 +213,7 @@ def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[G
         if FASTEST_IMU < steps[0] < SLOWEST_IMU and LEAST_INTERVAL < steps[1] < LONGEST_STEP["gps"]:
             maps = " ".join(f'"{role}.t={column}*1e-{k}"' for role, (column, _) in columns.items())
             options.append(f"{maps} for {1 / steps[0]:.4g} Hz and {1 / steps[1]:.4g} Hz")
-    message = "; their numbers do, so they have one unit, "
+    message = "; without units both overlap, so both have one unit, "
     return (
         f"{message}not {' and '.join(texts.values())} in s: write --map {', or '.join(options)}"
         if options
@@ -300,7 +303,7 @@ def _first_place(values: Values) -> Origin:
 
 
 def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[Values, Origin | None]:
-    """Return the truth with x and y, m, and the origin; it is the truth's first position if the fixes have none.
+    """Return the truth with x and y, m, and the origin: the truth's first position if the fixes have none.
 
     If the fixes have no altitude, the truth also gets the origin's altitude, since a difference of 1000 m would stretch
     one track by 16 cm per kilometer.
@@ -348,9 +351,7 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
         say("truth: the velocity is computed from the differences of the positions")
         values["vx"], values["vy"] = np.gradient(values["x"], time), np.gradient(values["y"], time)
     if "theta" not in values:
-        say(
-            "truth: the heading is that of the course, and is constant while the vehicle is slower than 1 m/s"
-        )
+        say("truth: the heading is the course, and is constant while the vehicle is slower than 1 m/s")
         values["theta"] = _held_course(values["vx"], values["vy"])
     else:
         course, rows = course_of(time, values["x"], values["y"])
@@ -366,7 +367,7 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
 
 
 def _held_course(vx: Array, vy: Array) -> Array:
-    """Return the course (n,), rad; at low speed, hold that of the last row in motion or, at the start, of the first."""
+    """Return the course (n,), rad; at low speed, that of the last (at the start, the first) row in motion."""
     moving = np.hypot(vx, vy) > MOVING
     if not moving.any():
         return np.zeros(len(vx))

@@ -82,7 +82,7 @@ def units_of(target: str) -> dict[str, str]:
 
 
 def unit_in(target: str, column: str, expression: str) -> str:
-    """Return the unit that an expression converts from; `CUSTOM` if it is not one of `units_of`."""
+    """Return the unit that an expression converts from; `CUSTOM` for a unit outside of `units_of`."""
     plain = expression.replace(" ", "")
     for unit, text in units_of(target).items():
         if plain in (text.format(written(column)).replace(" ", ""), text.format(column)):

@@ -137,7 +137,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
 
 
 def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
-    """Read the IMU of a log, with or without fixes; return it and the assumptions of the import."""
+    """Read the IMU of a log, with or without fixes; return the IMU and the assumptions of the import."""
     recipe, gathered, notes, *_ = _read(request, ("imu",), lambda done: None)
     try:
         imu = assemble_imu(gathered["imu"], recipe, notes.append, request.part)
@@ -180,7 +180,7 @@ def opened(request: Request) -> Generator[tuple[dict[Path, Log], dict[Path, Gues
 
 
 def _guess(log: Log, request: Request) -> Guess:
-    """Return the reader's guess; if a log is given for a role and has only one table, the table gets this role."""
+    """Return the reader's guess; if a log is given for a role and has only one table, the table has this role."""
     tables = dict(request.choice.tables)
     for role, path in (("truth", request.truth), ("odometer", request.odometer)):
         if log.path == path and len(log.tables) == 1:
@@ -274,7 +274,7 @@ def missing_sensor(
     guesses: Guesses,
     roles: Sequence[Role],
 ) -> str:
-    """Describe a sensor without a table, with the remedy; return "" if IMU and fixes have one."""
+    """Describe a sensor without a table, with the remedy; return "" if IMU and fixes have tables."""
     wanted: tuple[tuple[Role, str, str], ...] = (
         ("imu", "IMU samples", "name the log that contains them as SOURCE"),
         ("gps", "position fixes", "name a log that contains them with --gps"),

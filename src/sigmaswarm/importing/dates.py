@@ -22,7 +22,7 @@ LEAP_DAYS = (
     *("1992-07-01", "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01"),
     *("2009-01-01", "2012-07-01", "2015-07-01", "2017-01-01"),
 )
-"""Days that follow a leap second (IERS Bulletin C); none has been announced since."""
+"""Days that follow a leap second (IERS Bulletin C); no later leap second has been announced."""
 LEAP_SECONDS = np.array(LEAP_DAYS, dtype="datetime64[s]").astype(np.int64)
 _HOURS = {
     **{0: "Z UTC GMT WET", 1: "CET BST WEST", 2: "CEST EET", 3: "EEST", 9: "JST", 10: "AEST", 11: "AEDT"},

@@ -44,7 +44,7 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
     Times (``time_origin_s``) and plane (``origin``) are those of ``drive``; ``offset``, s, is added to the times.
     """
     if has_table(path, "gps"):
-        return _of_drive(read_with_warnings(path)[0], drive, offset)  # its import has printed the warnings
+        return _of_drive(read_with_warnings(path)[0], drive, offset)  # the import has printed the warnings
     notes: list[str] = []
     time, values, sure = _gathered(path, notes.append)
     counted = bool(time[len(time) // 2] >= LONG_AGO)

@@ -40,10 +40,11 @@ _SINGLE = ("mcap", "rtklib", "ubx", "nmea", "px4", "ardupilot", "matlab", "gnss-
 _MIXED = ("nmea", "gnss-logger")
 _TEXTS = (*_MIXED, "rtklib", "csv")
 _LINES_OF_ROW, _TITLES = 10, 1000
-"""For a text of several kinds of lines: most lines per row of a table, and most lines above the rows."""
+"""_LINES_OF_ROW: most lines per row of a table, in a text of several kinds of lines. _TITLES: most lines above the
+rows."""
 NOT_READ = {
     ".xlsx .xls .ods": "a spreadsheet; save it as CSV",
-    ".tlog": "a MAVLink log; run: mavlogdump.py --format csv --types SCALED_IMU,GPS_RAW_INT, or take the .bin",
+    ".tlog": "a MAVLink log; run: mavlogdump.py --format csv --types SCALED_IMU,GPS_RAW_INT, or import the .bin file",
     ".bbl .bfl": "a blackbox log; run: blackbox_decode --merge-gps --unit-acceleration m/s2 --unit-rotation deg/s, and "
     "import the .csv",
     ".mf4 .mdf": "an ASAM measurement file; export it as CSV, for example with asammdf",

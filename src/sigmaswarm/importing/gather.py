@@ -34,8 +34,8 @@ class Gathered:
     rows : list of chunks
     seen, unkept, timeless : numbers of rows: all, those with a false ``keep``, those without a time
     placeholders : by column of the table, the marker of missing values and its count
-    period : time after which the clock restarts, ns, once the times are unwrapped; 0 if it does not
-    set_back : time, ns, by which the clock was set back before the chosen recording; 0 if it does not restart
+    period : time after which the clock restarts, ns, once the times are unwrapped; 0 without a restart
+    set_back : time, ns, by which the clock was set back before the chosen recording; 0 without a restart
     """
 
     part: Part
@@ -68,7 +68,7 @@ class Gathered:
         except pl.exceptions.PolarsError as error:  # a list instead of a number, a text that is not a date
             said = shown(" ".join(str(error).split("\n")[0].split()), 160)
             raise InputError(
-                f"{log.path}, {self.part.table}: its columns can't be converted to numbers ({said}); map others"
+                f"{log.path}, {self.part.table}: the columns can't be converted to numbers ({said}); map other columns"
             ) from None
         usable = rows.filter(pl.col("t").is_not_null())
         self.timeless += len(rows) - len(usable)

@@ -27,9 +27,9 @@ Z_DOWN = "x=x,y=-y"
 SAMPLE = 2000
 """Number of first rows from which units are guessed if the rows of a format are decoded one by one."""
 BLOCKS, BLOCK = 16, 500
-"""Number and length of blocks of rows from which units are guessed. They are spread over the table, since a log may
-begin without fixes and at standstill. Rows of a block are consecutive, so most time steps are those of the log, even if
-only 1 of 200 rows has a fix."""
+"""Number and length of blocks of rows from which units are guessed. The blocks are spread over the table, since a log
+may begin without fixes and at standstill. Rows of a block are consecutive, so most time steps are those of the log,
+even if only 1 of 200 rows has a fix."""
 _WHEELS = re.compile(r"odo|wheel|(?:^|[^a-z])can(?:[^a-z]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
 _FORCES = re.compile(r"acc", re.IGNORECASE)
@@ -44,7 +44,7 @@ _ESTIMATE = re.compile(
 )
 """Names of tables whose positions are estimates, not measurements."""
 _FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok|status)?|(?:(?:gps|gnss)_?)?valid|(?:gps|gnss)_?quality"
-"""Names of columns that state whether a row has a fix: 0 means none, or -1 where 0 means a fix, as in ROS."""
+"""Names of columns that state whether a row has a fix: 0 means no fix, or -1 if 0 means a fix, as in ROS."""
 _SATELLITES = "(?:gps_|gnss_)?(?:(?:num|n|no|number_of)_?)?(?:sats?|sv|satellites)(?:_used)?"
 """Names of numbers of satellites, which are 0 without a fix."""
 _STATUS = (
@@ -52,7 +52,7 @@ _STATUS = (
 )
 """Names of columns that state in words whether a row has a fix."""
 _PILOT = "state|mode|type"
-"""Such names that may also be of an autopilot, whose words resemble those of a receiver: AUTO, FOLLOW_GPS, ACTIVE."""
+"""Such names that an autopilot may also use. Its words resemble those of a receiver: AUTO, FOLLOW_GPS, ACTIVE."""
 _NO_FIX = (
     r"(?:no|not|un|in)_?(?:\w+_)?(?:valid|fix|fixed|solution|gps|gnss|signal|available)|no|none|false|void|bad|lost|"
     r"searching|acquiring|insufficient.*|cold_start"
@@ -62,14 +62,14 @@ _FIX = (
     r"available|psr).*"
 )
 _SURE_FIX = r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|psr|valid).*"
-"""Words, in lower case and joined by "_", for rows without and with a fix, and for a fix only of a receiver."""
+"""Words in lower case, joined by "_": _NO_FIX without a fix, _FIX with a fix, _SURE_FIX with a fix of a receiver."""
 MOST_WORDS = 20
 """Largest number of different words in a column of flags."""
 _DIMENSIONS = ".*(?:type|mode)"
-"""Names of columns in which 3 means a fix in three dimensions: 1 then means none."""
+"""Names of columns in which 3 means a fix in three dimensions, and 1 means no fix."""
 MOST_DROPPED, JUMP = 0.2, 5.0
-"""Largest share of the likely fixes that a flag may exclude if the positions do not jump there; smallest ratio of a
-jump to the 90% quantile of the other steps."""
+"""MOST_DROPPED: largest share of the likely fixes that a flag may exclude if the positions do not jump there. JUMP:
+smallest ratio of a jump to the 90% quantile of the other steps."""
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
     "gps": (
@@ -157,7 +157,7 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
             if axis in columns:
                 columns.names.setdefault(f"{letter}{axis}", columns.names.pop(axis))
     dropped = {"x", "y"} if _NO_PLACES.search(table) or "q" in columns or letter else set[str]()
-    if "ax" in columns and columns.names["ax"].plain == "linear_x":  # velocities have this name, too
+    if "ax" in columns and columns.names["ax"].plain == "linear_x":  # velocities also have this name
         size = median_of(columns.norms(["ax", "ay", "az"])) if columns.has("ax", "ay", "az") else 0.0
         dropped |= set() if 8.0 < size < 12.0 or 0.85 < size < 1.15 else {"ax", "ay", "az"}
     columns.names = {what: name for what, name in columns.names.items() if what not in dropped}
@@ -222,7 +222,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
 
 
 def _with_fix(columns: Columns) -> Found | None:
-    """Select rows with a fix by a column of flags, unless it would exclude many rows that look like fixes.
+    """Select rows with a fix by a column of flags, unless the flags exclude many rows that look like fixes.
 
     In some codes 0 is a fix without fixed ambiguities, and flags and positions may be in different rows.
     """

@@ -26,7 +26,7 @@ from sigmaswarm.importing.times import numbers_of, time_of
 SAMPLE = 5000
 """Number of rows of a table from which ranges are computed."""
 LOOKED_AT = 25_000
-"""Rows that are read if the rows of tables alternate; a table that does not occur in them has no values."""
+"""Rows that are read if the rows of tables alternate; a table without rows among these has no values."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,10 @@ class Inspection:
     """Content of the logs of a request, the recipe that an import would use, and its assumptions.
 
     ``proposal``: options of `sigmaswarm import` for unrecognized columns, the same as ``settings`` of `import_log`,
-    with their ``evidence``. ``works``: True if the import with these options succeeds; without a proposal, if tables
-    and columns have no fault, which a note would state. ``unread``: columns, by table, that neither recipe nor proposal
-    reads. ``faults``: reasons not to read a column unchanged. ``rows``: first rows of each table. ``mount``: mounting
-    that a note recommends.
+    with their ``evidence``. ``works``: True if the import with these options succeeds; without a proposal, if no note
+    states a fault of tables or columns. ``unread``: columns, by table, that neither recipe nor proposal reads.
+    ``faults``: reasons not to read a column unchanged. ``rows``: first rows of each table. ``mount``: mounting that a
+    note recommends.
     """
 
     tables: tuple[TablePreview, ...]

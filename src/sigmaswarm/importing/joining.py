@@ -22,7 +22,8 @@ LEAST_STD = 1e-6
 TURNS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
 """A full turn of each angle column, rad or deg."""
 SPARSE = 0.1
-"""Largest share of empty cells in an optional column. With more, the column is left out; with fewer, the rows are."""
+"""Largest share of empty cells in an optional column: a column with more is left out, with fewer the rows are left
+out."""
 POSITIONS = ("lat", "lon", "x", "y")
 TOGETHER = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
 
@@ -30,7 +31,7 @@ TOGETHER = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "
 def join(
     parts: Sequence[Gathered], role: Role, required: Sequence[str], say: Say, recording: int | None = None
 ) -> tuple[Nanoseconds, Values]:
-    """Join a role's parts at the first part's times; the others are interpolated linearly.
+    """Join a role's parts at the times of the first part; other parts are interpolated linearly.
 
     ``recording`` is the number of the recording, from 1, if a clock restarts within a table.
     """
@@ -42,7 +43,7 @@ def join(
         if left := int(np.count_nonzero(~inside)):
             say(f"{role}: {left_out(left)}, since not all tables of the sensor cover the time")
         if not inside.any():
-            raise InputError(f"{role}: its tables do not overlap in time; convert them to one clock")
+            raise InputError(f"{role}: the tables do not overlap in time; convert them to one clock")
         time, values = time[inside], {k: v[inside] for k, v in values.items()}
         at, known_at = ((t - other_time[0]) / SECOND for t in (time, other_time))
         for name, column in other.items():
@@ -129,7 +130,7 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
 
 
 def _copies(time: Nanoseconds, values: Values) -> NDArray[np.bool_] | None:
-    """Mark rows that repeat an earlier one; None if any row has the time, but not the values, of another."""
+    """Mark rows that repeat an earlier row; None if two rows of one time have different values."""
     times = np.unique(time)
     if len(times) == len(time):
         return None
@@ -177,7 +178,7 @@ def _complete_rows(
     full = _finite(values, len(time)).all(axis=0)
     if not full.any():
         raise InputError(
-            f"{role}: no row has all of {', '.join(values)}; leave one out with --map {role}.NAME="
+            f"{role}: no row has all of {', '.join(values)}; leave a column out with --map {role}.NAME="
         )
     sparse = role == "gps" and np.mean(placed) < 0.5
     if (left := int(np.count_nonzero(~full))) and not sparse:
@@ -189,6 +190,6 @@ def _complete_rows(
     changed = np.append(True, np.any([np.diff(p) != 0 for p in position], axis=0))
     if np.mean(changed) > 0.5:
         return time, values
-    # fixes that are repeated until the next one comes (a table at the IMU's rate) count once
+    # a fix that is repeated up to the next fix (a table at the IMU's rate) counts once
     say(f"gps: {left_out(int(np.count_nonzero(~changed)))}, since the previous position is repeated")
     return time[changed], _rows(values, changed)

@@ -35,9 +35,10 @@ STEEL = 4.0, 0.03
 """Largest deviation of the field's magnitude (relative) or direction (rad) without steel nearby: in robust standard
 deviations, and its lower limit."""
 AROUND = 1.0
-"""Time before and after such a deviation in which fixes get no heading, s."""
+"""Time before and after such a deviation in which fixes have no heading, s."""
 WORST = np.radians(20)
-"""Largest standard deviation of the heading, rad; with more, the magnetometer is not fixed to the vehicle."""
+"""Largest standard deviation of the heading, rad; a larger one shows a magnetometer that is not fixed to the
+vehicle."""
 LEAST_STD = np.radians(0.5)
 """Smallest stated standard deviation, rad."""
 LONGEST_GAP = 1.0
@@ -127,7 +128,7 @@ def with_magnetometer(
     heading, known = _at(drive.gps.time - late, time, vector, near_steel)
     say(_in_words(calibration, recipe.declination_deg))
     when = f", at the moment of the positions, {late:.2f} s before the fixes" if late else ""
-    none = f"{np.count_nonzero(~known)} of {len(known)} fixes have none (steel nearby, or no sample)"
+    none = f"{np.count_nonzero(~known)} of {len(known)} fixes have no heading (steel nearby, or no sample)"
     say(f"mag: heading with a standard deviation of {np.degrees(std):.1f} deg{when}; {none}")
     heading = np.where(known, wrap_angle(heading + turn), 0.0)
     return replace(
@@ -139,7 +140,7 @@ def _in_vehicle(values: Values, mount: str) -> Array:
     """Return the field (n, 2) forward and left; the calibration corrects a constant tilt."""
     rotation = parse_mount(mount) if mount else np.eye(3)
     if "mz" not in values and np.any(rotation[:2, 2]):
-        raise InputError("mag: the mounting needs mz; map it, as in --map mag.mz=mag_z")
+        raise InputError("mag: the mounting needs mz; map mz, as in --map mag.mz=mag_z")
     axes = [values[name] for name in ("mx", "my", "mz") if name in values]
     return np.column_stack(axes) @ rotation[:2, : len(axes)].T
 
@@ -187,7 +188,7 @@ def calibrate(heading: Array, field: Array) -> Calibration:
 
 
 def _near_steel(time: Array, size: Array, off: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark samples (n,) within `AROUND` of a field of another magnitude, or one that turns without the vehicle."""
+    """Mark samples (n,) within `AROUND` of a field of another magnitude, or of a turn without the vehicle."""
     odd = _odd(size / float(np.median(size[moving])), moving) | (moving & _odd(off, moving))
     wrong = time[odd]
     return np.searchsorted(wrong, time - AROUND) < np.searchsorted(wrong, time + AROUND, side="right")
@@ -231,8 +232,8 @@ def _in_words(calibration: Calibration, stated: float | None) -> str:
     fitted = f"mag: hard iron {x:.4g}, {y:.4g}, soft iron {calibration.soft_iron:.1%}"
     if calibration.mirrored:
         return (
-            f"{fitted}; mx and my rotate in the wrong direction for x forward and y left; the course shows "
-            "this, and the import corrects it"
+            f"{fitted}; mx and my rotate in the wrong direction for x forward and y left; the course shows this "
+            "error, and the import corrects the heading"
         )
     total = (
         f"{np.degrees(calibration.declination):+.1f} deg for declination plus the sensor's rotation about z"

@@ -28,7 +28,7 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
     if mounting is None or mounting.confidence == "no":
         reason = mounting.reason if mounting else "required: ax, ay, az, gx, gy, gz and a moving vehicle"
         raise InputError(
-            f"mount auto: the log does not show the mounting ({reason}); specify it, for example mount 0,10,90"
+            f"mount auto: the log does not show the mounting ({reason}); specify the mounting, for example 0,10,90"
         )
     mount = ",".join(f"{angle:g}" for angle in roll_pitch_yaw(mounting.repair, 1))
     total = math.degrees(float(np.linalg.norm(mounting.std)))
@@ -67,7 +67,7 @@ def parse_mount(text: str) -> Array:
 
 
 def _from_axes(text: str, parts: list[str]) -> Array:
-    """Make the matrix from one to three axes; with one, z (or x) is unchanged; the last is the cross product."""
+    """Make the matrix from one to three axes; one axis leaves z (or x) unchanged; the last is a cross product."""
     unit = dict(zip(_AXES, np.eye(3), strict=True))
     rows: dict[str, Array] = {}
     for part in parts:
@@ -98,7 +98,8 @@ def rotate(imu: dict[str, Array], rotation: Array) -> dict[str, Array]:
             if lost := [n for n in used if n not in imu]:
                 if name in ("ax", "ay", "gz"):
                     raise InputError(
-                        f"mount: the vehicle's {name} needs the {sensor}'s {lost[0]}, which the log lacks; map it"
+                        f"mount: the vehicle's {name} needs the {sensor}'s {lost[0]}, which the log lacks; map this "
+                        "column"
                     )
                 turned.pop(name, None)
                 continue

@@ -167,9 +167,10 @@ def meaning_of_plain(plain: str) -> str | None:
 def read_names(columns: Sequence[str]) -> list[Name]:
     """Read the names of a table's columns, without a prefix that all share: "Car.ax", "vehicle/imu/ax".
 
-    Positions and speeds are read only if the prefix names a receiver, accelerations and rates only if it names another
-    device. If the prefix names a vehicle or a logger and the table has an IMU and positions in degrees, both are read:
-    a table of estimates would have no accelerations. Positions in meters and speeds of such a table are not read.
+    Positions and speeds are read only if the prefix names a receiver, accelerations and rates only if the prefix names
+    another device. If the prefix names a vehicle or a logger and the table has an IMU and positions in degrees, both
+    are read: a table of estimates would have no accelerations. Positions in meters and speeds of such a table are not
+    read.
     """
     pairs = zip(min(columns, default=""), max(columns, default=""), strict=False)
     shared = "".join(a for a, _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
@@ -195,7 +196,7 @@ def _one_sensor(names: list[Name]) -> list[Name]:
     """Keep the axes of one family of names for each vector; some names have a meaning only together."""
     plains = {n.plain for n in names}
     forces = {n.plain for n in names if n.meaning in _AXES[:3] and not _family(n)}
-    if plains >= _TOTAL and forces <= {*_AXES[:3]}:  # its ax, ay, az are without gravity
+    if plains >= _TOTAL and forces <= {*_AXES[:3]}:  # ax, ay, az are then without gravity
         g = parse_unit("g")
         kept = [n if n.plain not in forces else replace(n, plain="") for n in names]
         names = [Name(n.column, f"acc_{n.plain[-1]}", n.unit or g) if n.plain in _TOTAL else n for n in kept]
@@ -203,7 +204,7 @@ def _one_sensor(names: list[Name]) -> list[Name]:
         names = [n if n.plain not in _MPU else replace(n, plain=_MPU[n.plain]) for n in names]
     turns = {
         n.meaning for n in names if not n.is_one("(?:roll|pitch)_?rate")
-    }  # a rate of attitude may be another one
+    }  # a rate of attitude may be another rate
     names = [
         replace(n, plain="") if n.is_one("(?:roll|pitch)_?rate") and n.meaning in turns else n for n in names
     ]
@@ -269,7 +270,7 @@ def _read(column: str, text: str) -> Name:
 
 
 def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
-    """Return a name whose unit is in the last words, or the last words before an axis; else one without a unit."""
+    """Return a name whose unit is in the last words, or the last words before an axis; else a name without a unit."""
     for count in (3, 2, 1):
         unit = unit_of(words[-count:]) if len(words) > count else None
         rest = "_".join([*words[:-count], *axis])

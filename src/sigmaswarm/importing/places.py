@@ -90,7 +90,7 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
     if errors[0] <= FIT or errors[best] > FIT:
         if errors[0] > FIT and "heading" in what:
             apart = np.degrees(errors[0])
-            say(f"{what} differs from the course by {apart:.0f} deg (median); check it, or map it")
+            say(f"{what} differs from the course by {apart:.0f} deg (median); check or map the column")
         return angle
     say(f"{what} converted from {conventions[best][0]}, as the course shows")
     return np.asarray(wrap_angle(conventions[best][1]))
@@ -102,7 +102,7 @@ def level(values: Values, altitude: Array | float, origin: tuple[float, float, f
         wrong = values[name][np.abs(values[name]) > most]
         if len(wrong):
             raise InputError(
-                f"{role}: {name} = {wrong[0]:g} is not in degrees; map it, for example --map {name}={name}*1e-7"
+                f"{role}: {name} = {wrong[0]:g} is not in degrees; map the column, for example --map {name}={name}*1e-7"
             )
     enu = geodetic_to_enu(values["lat"], values["lon"], altitude, origin)
     return {**values, "x": enu[:, 0], "y": enu[:, 1]}

@@ -49,7 +49,7 @@ NO_PLACE = {
     *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
     *("heading", "bearing", "course", "roll", "pitch"),
 }
-"""Words that mark an accuracy as that of a quantity other than the position."""
+"""Words in the names of accuracies of other quantities than the position."""
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
 """Repairs that change expressions; other repairs change the drive."""
 EXCHANGED = 0.2
@@ -67,7 +67,7 @@ class Meaning:
 
 
 def meaning_of(name: str) -> Meaning | None:
-    """Interpret the name of a column word by word; None if it is not that of a drive's column."""
+    """Interpret the name of a column word by word; None without a drive's column of this meaning."""
     words = re.findall(r"[a-z]+|\d+", re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower())
     sign = math.prod(CLOCKWISE[w] for w in words if w in CLOCKWISE)
     turns = not CLOCKWISE.keys().isdisjoint(words)
@@ -152,7 +152,7 @@ def proposed(
 
 
 def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str, bool]:
-    """Correct a proposal by the doctor; return it, the evidence, and True if ``make`` can make a drive from it."""
+    """Correct a proposal by the doctor; return the proposal, the evidence, and True if ``make`` can make a drive."""
     try:
         drive = _plausible(make(proposal))
         first = diagnose(drive)

@@ -25,7 +25,7 @@ DIMENSIONS: dict[str, Dimension] = {
     **dict.fromkeys(("speed", "wheel_speed", "vx", "vy"), "speed"),
 }
 REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta", "wheel_speed")
-"""Columns that need a known unit; other columns without one are left out."""
+"""Columns that need a known unit; other columns without a unit are left out."""
 FEW_ODD = 0.02
 """Largest share of rows, presumably damaged, that may contradict the form of the others."""
 STEADY = 1.5
@@ -37,7 +37,7 @@ FASTEST = 250.0
 HIGHEST = 9000.0
 """Largest altitude, m; another unit would stretch the track by 0.15% or more."""
 RADIUS, EDGE = 6_378_137.0, 2.01e7
-"""Radius of Web Mercator's sphere, and the edge of its map, m."""
+"""RADIUS: radius of Web Mercator's sphere, m. EDGE: edge of its map, m."""
 _PER_G = (16384, 8192, 4096, 2048, 1024, 256, 1000, 100, 1e6, 9806.65, 980.665, 9.80665 / 0.3048)
 """Scales of common sensors per g; mg, cg, ug, mm/s2, cm/s2, ft/s2."""
 _ACCELEROMETERS = "common 16-bit sensors: 16384 counts per g at +-2 g, 8192 at 4, 4096 at 8, 2048 at 16"
@@ -328,7 +328,7 @@ def _place_form(columns: Columns, role: Role) -> Found:
         other = f"; if they are milliarcseconds, write {_maps(columns, role, both, '{}/3.6e6')}"
         note = "latitude and longitude are read as 1e-7 degrees"
         return Found("{}*1e-7", note + (other if low <= 90 * 3.6e6 and high <= 180 * 3.6e6 else ""))
-    # of the units with possible degrees, those with the largest
+    # among the units with possible degrees, the unit with the largest degrees
     fitting = [
         k for k in ("3600", "1e5", "1e6", "3.6e6", "1e7") if low <= 90 * float(k) and high <= 360 * float(k)
     ]

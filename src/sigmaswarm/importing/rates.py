@@ -1,4 +1,4 @@
-"""The unit of angular rates without one, from the turns of the fixes."""
+"""The unit of angular rates without a stated unit, from the turns of the fixes."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,15 +27,17 @@ UNITS = {
     **COUNTS,
 }
 WITHIN, OTHER = 0.08, 1.4
-"""Largest relative difference from the factor of a unit; smallest ratio to the assumed one that contradicts it."""
+"""WITHIN: largest relative difference from the factor of a unit. OTHER: smallest ratio that contradicts the assumed
+unit."""
 APART, GAP = (1.5, 6.0, 24.0), 1.4
-"""Times, s, over which changes of course are compared; largest ratio of an actual to such a time."""
+"""APART: times, s, over which changes of course are compared. GAP: largest ratio of an actual time to these."""
 DELAYS = (-1.0, -0.5, -0.25, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
 """Tried delays of the fixes, s."""
 EXPLAINED, CONFIRMS = 0.9, 0.5
-"""Smallest share of the changes of course that the rates must explain: to show another unit; to confirm the assumed."""
+"""Share of the changes of course that the rates must explain: EXPLAINED shows another unit, CONFIRMS the assumed
+unit."""
 LEAST_TURN, FEWEST = 0.1, 20
-"""Smallest standard deviation, rad, and number of the changes of course."""
+"""LEAST_TURN: smallest standard deviation of the changes of course, rad. FEWEST: smallest number of changes."""
 OUTLYING = 3.0
 """Number of standard deviations above which a change of course is an outlier, as when a robot spins on the spot."""
 SMALL = 0.2
@@ -101,11 +103,11 @@ def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
         return ""
     maps = " ".join(f'"{role}.t={text}*1e{power}"' for role, text in times.items())
     message = f"the fixes turn {ratio:.3g} times as far as {columns}"
-    return f"{message}: the unit of the times is likely {10.0**power:g} times the assumed one; write --map {maps}"
+    return f"{message}: the unit of the times is likely {10.0**power:g} times the assumed unit; write --map {maps}"
 
 
 def _ratio(drive: Drive) -> tuple[float, float]:
-    """Return the share of the turns of the fixes that those of the IMU about any axis explain, and their ratio."""
+    """Return the share of the turns of the fixes that turns of the IMU about any axis explain, and their ratio."""
     time, x, y, imu = drive.gps.time, drive.gps.x, drive.gps.y, drive.imu
     axes = np.array([v for v in (imu.gx, imu.gy, imu.gz) if v is not None])
     steps = 0.5 * (axes[:, 1:] + axes[:, :-1]) * np.diff(imu.time)

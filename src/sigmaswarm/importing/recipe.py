@@ -191,7 +191,7 @@ def _entry(text: str) -> tuple[Role, str, str]:
             f"--map {text!r}: {prefix!r} is not one of {', '.join(ROLES)}; write for example gps.t=stamp"
         )
     roles: list[Role] = [role for role in ROLES if prefix in ("", role)]
-    for role in roles:  # without a role, x and y are those of the fixes, t and keep those of the IMU
+    for role in roles:  # without a role, x and y belong to the fixes, t and keep to the IMU
         if column in COLUMNS[role]:
             return role, column, expression.strip()
     there = dict.fromkeys(c for role in roles for c in COLUMNS[role])

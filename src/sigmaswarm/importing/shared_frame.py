@@ -1,4 +1,4 @@
-"""The frame of a truth in meters, compared with that of the fixes: its axes and its origin."""
+"""Compare axes and origin of a truth in meters with those of the fixes."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,13 +12,13 @@ from sigmaswarm.importing.places import FARTHEST, Values
 from sigmaswarm.importing.source import Part, Role
 
 EXPLAINED, TURNED, STRETCHED = 0.9, np.radians(5), 0.05
-"""Smallest share of the fixes' variance that a turned truth must explain; smallest angle, rad, and relative difference
-of scale that are reported."""
+"""EXPLAINED: smallest share of the fixes' variance that a turned truth must explain. TURNED, STRETCHED: smallest angle,
+rad, and relative difference of scale that are reported."""
 LAGS, CLEARLY = np.arange(-20.0, 20.1, 0.5), 4.0
-"""Delays, s, of the truth; on a circle, a delay looks like a turn. Smallest ratio of the fixes' variance that the truth
-as it is leaves, at any of them, to that which the turned truth leaves."""
+"""LAGS: tried delays of the truth, s; on a circle, a delay looks like a turn. CLEARLY: smallest ratio of the residual
+variance with the unchanged truth, at the best delay, to that with the turned truth."""
 EXACT = 0.02
-"""Angle, rad, within which axes are taken as exactly exchanged or reversed."""
+"""Angle, rad, within which axes count as exactly exchanged or reversed."""
 LATEST = 2.5
 """Largest delay of a receiver, s."""
 FEWEST = 10
@@ -49,7 +49,10 @@ def require_same_axes(
     best = int(np.argmin(late))
     if late[best] < min(unexplained / CLEARLY, (1 - EXPLAINED) * power, left) and abs(LAGS[best]) > LATEST:
         lag, when = LAGS[best], "later" if LAGS[best] > 0 else "earlier"
-        message = f"truth: its track is that of the fixes about {abs(lag):g} s {when}; write --truth-offset {-lag:g}"
+        message = (
+            f"truth: the track equals that of the fixes about {abs(lag):g} s {when}; write --truth-offset "
+            f"{-lag:g}"
+        )
         return f"{message}, or --gps-offset {lag:g} if the fixes have the wrong clock"
     if "lat" in truth:
         return ""

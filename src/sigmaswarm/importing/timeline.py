@@ -32,7 +32,8 @@ WRAPS: tuple[tuple[int, str], ...] = (
 FEWEST_ROWS = 20
 """Smallest number of rows of a separate recording; shorter runs of rows out of order are sorted."""
 FAR, MOST_JUMPS = 10.0, 100
-"""Least distance, s, of a wrong time from those of the rows around it; most jumps of the clock that are checked."""
+"""FAR: least distance, s, of a wrong time from the times of the rows around it. MOST_JUMPS: most checked clock
+jumps."""
 MOST_SECONDS = 5
 """Largest number of recordings of a second each."""
 LEAST_FALL, STEPS = 0.2, 2
@@ -44,7 +45,7 @@ UNEVEN = 0.1
 
 
 def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
-    """Convert times of day with digits hhmmss (115959.98) to seconds; return them, and a sentence or "".
+    """Convert times of day with digits hhmmss (115959.98) to seconds; return the times, and a sentence or "".
 
     Only such digits jump by 40 at each minute.
     """
@@ -57,11 +58,11 @@ def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
     limit = max(2 * SECOND, 2 * float(np.median(np.abs(steps))))
     if (minute >= 60).any() or (second >= 60).any() or not new.any() or np.abs(steps[new]).max() > limit:
         return time, ""
-    return fine, "its times are hours, minutes and seconds (hhmmss) and are converted"
+    return fine, "the times are hours, minutes and seconds (hhmmss) and are converted"
 
 
 def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, int, str]:
-    """Unwrap a counter that restarted; return the times, its period, ns, and a sentence; 0 and "" if it did not."""
+    """Unwrap a counter that restarted; return the times, its period, ns, and a sentence; 0 and "" without a restart."""
     steps = np.diff(time)
     ahead = steps[steps > 0]
     if not len(ahead) or not 0 < np.mean(steps < 0) < DISORDERED:
@@ -107,7 +108,7 @@ def recordings(time: Nanoseconds) -> list[slice]:
 
 
 def _rate_by_rows(time: Nanoseconds, parts: list[slice]) -> float:
-    """Return the rows per second of a clock whose fractions are wrong; 0 if the recordings are no seconds."""
+    """Return the rows per second of a clock whose fractions are wrong; 0 if the recordings do not last a second."""
     inner = parts[1:-1]
     first = np.array([int(time[p].min()) for p in inner])
     rows = float(np.median([p.stop - p.start for p in inner]))
@@ -138,7 +139,7 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
     """Return the rows of the chosen recording, and a sentence or ""; refuse several recordings without a choice."""
     parts = recordings(time)
     if len(parts) == 1:
-        return parts[0], f"{where}: its clock does not restart; all its rows are used" if part else ""
+        return parts[0], f"{where}: the clock does not restart; all rows are used" if part else ""
     if part is None and len(parts) > MOST_SECONDS and (rate := _rate_by_rows(time, parts)):
         raise InputError(
             f"{where}: the clock goes back {len(parts) - 1} times, about once per second; if fractions of seconds are "
@@ -148,7 +149,7 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
     many = f"{len(parts)} recordings ({names_shown(lengths)})"
     message = f"{where}: the clock restarts at row {parts[1].start + 1}: {many}"
     if part is None:
-        raise InputError(f"{message}; import each one separately: --part 1 to --part {len(parts)}")
+        raise InputError(f"{message}; import each recording separately: --part 1 to --part {len(parts)}")
     if not 1 <= part <= len(parts):
         raise InputError(f"{message}; there is no recording {part}; choose --part 1 to --part {len(parts)}")
     return parts[part - 1], f"{message}; recording {part} is used"
@@ -190,7 +191,7 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
         size[0] = usual
     size[-1] = max(size[-1], usual)
     fine = time + np.round(place / size[group] * length[group]).astype(np.int64)
-    return fine, f"{usual:g} rows share a stamp of {step / SECOND:g} s: spread evenly"
+    return fine, f"{usual:g} rows share a stamp of {step / SECOND:g} s and are spread evenly"
 
 
 def in_order(

@@ -30,13 +30,13 @@ from sigmaswarm.wording import quoted, shown
 LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0, "mag": 5.0}
 """Largest plausible sample interval, s."""
 SHORTEST_STEP, LEAST_INTERVAL = 1e-4, 0.04
-"""Shortest sample interval of a car's sensor, and shortest usual interval of fixes, s."""
+"""SHORTEST_STEP: shortest sample interval of a car's sensor, s. LEAST_INTERVAL: shortest usual interval of fixes, s."""
 FASTEST_IMU, SLOWEST_IMU = 4e-4, 0.15
 """Intervals of an IMU, s, outside which the unit of its time is not guessed."""
 DISORDERED = 0.4
 """Share of decreasing steps above which rows are in no order; of a counter that wraps, fewer steps decrease."""
 LEAST_COUNT = 4
-"""Smallest step of whole numbers that are taken as ms: smaller ones may be the numbers of rows, or 0.01 s."""
+"""Smallest step of whole numbers that count as ms; smaller steps may be numbers of rows, or 0.01 s."""
 _DAYS_FIRST = (
     *("%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%Y/%m/%d", "%d.%m.%Y", "%d.%m.%y"),
     *("%m/%d/%Y", "%d/%m/%Y", "%m/%d/%y", "%d/%m/%y", "%y/%m/%d"),
@@ -290,7 +290,7 @@ def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
 
 
 def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
-    """Read dates in text by the format that fits most; refuse those that fit two formats or hardly any."""
+    """Read dates in text by the format that fits most of them; refuse texts that fit two formats, or no format well."""
     texts = frame.select(as_text(columns).alias("date"))["date"].drop_nulls()
     texts = texts.filter(texts.str.contains(r"\d")).unique(maintain_order=True)  # a placeholder counts once
     read = {form: _read_by(texts, form).count() for form in DATE_FORMATS}

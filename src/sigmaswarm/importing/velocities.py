@@ -1,4 +1,4 @@
-"""Compare the stated speed and course with the positions, and leave out columns that contradict these."""
+"""Compare the stated speed and course with the positions, and leave out columns that contradict the positions."""
 
 import re
 from collections.abc import Iterable
@@ -15,15 +15,15 @@ UNITS = (("mm/s", 1e3, "*1e-3"), ("cm/s", 100.0, "*1e-2"), ("km/h", 3.6, "/3.6")
          ("mph", 2.23694, "*0.44704"), ("knots", 1.94384, "*0.514444444444"))  # fmt: skip
 """Units of speed: the name, the number per m/s, and the conversion in an expression."""
 ALIKE, CONSTANT = 1.5, 2.0
-"""Ratio of the stated speed to that of the positions above which the speed is wrong; largest 90% quantile of this ratio
-relative to its 10% quantile. A wrong unit changes the speed by a constant factor."""
+"""ALIKE: ratio of the stated speed to that of the positions above which the speed is wrong. CONSTANT: largest ratio of
+the 90% quantile of this ratio to its 10% quantile. A wrong unit changes the speed by a constant factor."""
 SLOWEST = 0.2
 """Lowest speed, m/s, at which positions are compared with a stated speed: robots are slow."""
 MOVED = 0.3
 """Smallest share of the rows in motion that the compared stretches must contain."""
 ACROSS = np.radians(40)
 """Median difference, rad, from the course of the positions at which a stated course contradicts them. A course that
-lags in turns, and one from noisy positions, differ by less."""
+lags in turns, or that is computed from noisy positions, differs by less."""
 FEWEST = 5
 """Smallest number of stretches for a contradiction."""
 _SPEED = ("speed", "course", "vx", "vy")
@@ -54,7 +54,7 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
         usual = float(np.median(np.abs(speed))) if len(speed) else 0.0
         wrong = f"{usual:.4g} m/s (median) is not the speed of a vehicle" if usual > FASTEST else ""
     elif speed is not None and (ratio := _ratio(time, values, speed, begin, end)) > ALIKE:
-        wrong = f"{ratio:.3g} times the speed of the positions (median){_remedy(ratio, texts, role)}"
+        wrong = f"it is {ratio:.3g} times the speed of the positions (median){_remedy(ratio, texts, role)}"
     elif course is not None and len(begin) >= FEWEST:
         dx, dy = (values[n][end] - values[n][begin] for n in ("x", "y"))
         apart = np.abs(wrap_angle(course[(begin + end) // 2] - np.arctan2(dy, dx)))
@@ -63,7 +63,7 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
     if not wrong:
         return values
     stated = ", ".join(f"{name}={text}" for name, text in texts.items())
-    say(f"{role}: {stated or 'speed and course'} left out: {wrong}")
+    say(f"{role}: {stated or 'speed and course'} left out, since {wrong}")
     return {name: column for name, column in values.items() if name not in _SPEED}
 
 

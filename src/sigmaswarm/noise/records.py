@@ -106,7 +106,7 @@ class Noise:
 
     @property
     def longest(self) -> float:
-        """Length of the longest stretch, s; an hour if there is none."""
+        """Length of the longest stretch, s; an hour without a stretch."""
         return max((length for _, length in self.stretches), default=HOUR)
 
     def of(self, sensor: str, value: Callable[[AxisNoise], float]) -> list[float]:
@@ -133,7 +133,7 @@ class Noise:
             )
             for axis in self.axes
             for i, (name, scale, unit) in zip(axis.terms.values(), UNITS[axis.axis[0]], strict=True)
-            if i.high > 0  # a filter has no flicker noise, and some have no bias
+            if i.high > 0  # a filter has no flicker noise, and some filters have no bias
         ]
         return Table(f"Noise of the IMU, {self.name}", columns, tuple(rows))
 

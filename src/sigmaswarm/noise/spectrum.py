@@ -31,7 +31,7 @@ TAPER = 1.5  # number of neighboring frequencies that the sine taper correlates
 CERTAIN = 5.99
 """Largest excess deviance inside a 95% interval: chi-square with two degrees of freedom.
 
-The unknown correlation time widens the intervals of the other parameters. They cover 93 to 100%
+The unknown correlation time widens the intervals of the other parameters. These intervals cover 93 to 100%
 (benchmarks/imu_noise.py).
 """
 POINTS = 11  # number of values of a parameter in a pass of its profile
@@ -170,7 +170,7 @@ def _interval(s: Spectrum, shapes: Array, k: int, variance: float, limit: float)
 
 
 def _crossing(profile: Callable[[Array], Array], grid: Array, limit: float) -> float:
-    """Return the first place on a grid at which a profile exceeds a limit; it begins below the limit."""
+    """Return the first place on a grid at which a profile exceeds a limit; the profile begins below the limit."""
     first, last, share = grid[0], grid[0], 0.0
     for _ in range(PASSES):
         excess = profile(grid) - limit

@@ -17,7 +17,8 @@ BLOCK = 1.0  # s, length of the blocks whose mean and standard deviation show mo
 SMALLEST = 20  # samples of a block; the standard deviation of fewer samples scatters too much
 JUMP = {"a": 0.1, "g": np.radians(0.5)}  # m/s2, rad/s: change of the mean between blocks that shows motion
 RESTLESS = 3.0
-"""A block is in motion if its standard deviation exceeds `CALM` and this multiple of that of the quietest blocks."""
+"""A block is in motion if its standard deviation exceeds `CALM` and this multiple of the deviation of the quietest
+blocks."""
 CALM = {"a": 0.02, "g": np.radians(0.1)}  # m/s2, rad/s: standard deviation without motion
 ROUGH = 0.3  # m/s2, standard deviation of an accelerometer in motion
 FIX_SPEED = 0.5  # m/s, speed of the line through a stretch's fixes that shows motion
@@ -134,7 +135,7 @@ def step_of(values: Array) -> float:
 
 
 def fault_of(values: Sequence[Array]) -> str | None:
-    """Return why the samples of an axis do not show its noise, or None."""
+    """Return the reason if the samples of an axis do not show its noise, else None."""
     low, high = min(np.min(v) for v in values), max(np.max(v) for v in values)
     if low == high:
         return f"constant at {low + 0.0:.6g}: defective, or quantized in steps that are larger than its noise"

@@ -34,7 +34,7 @@ from sigmaswarm.tuning.tune import tune
 
 ACCURACY = 0.1  # m per axis, largest standard deviation of the truth
 HIDDEN = (2.0, 20.0)
-"""Durations of hidden fixes, s; in the shorter one, IMUs of cars drift by a decimeter."""
+"""Durations of hidden fixes, s; in the shorter time, IMUs of cars drift by a decimeter."""
 HIDDEN_FIRST = 10.0  # s from the start to the first window, and between windows
 PLACEMENTS = 3  # number of placements of the hidden windows
 COVERED = 0.95, 1.96
@@ -106,8 +106,8 @@ def reference(
     Returns
     -------
     Drive
-        The drive with truth at the IMU's times, its standard deviations, and gaps where it is not known. ``metadata``
-        describes the computation under ``reference``.
+        The drive with truth at the IMU's times, its standard deviations, and gaps where the truth is not known.
+        ``metadata`` describes the computation under ``reference``.
 
     Raises
     ------
@@ -208,8 +208,8 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
     if np.count_nonzero(within) < FEWEST_SHARED_FIXES:
         there = f"t = {gps.time[0]:.1f} to {gps.time[-1]:.1f} s" if len(gps) else "nothing"
         raise InputError(
-            f"{name}: covers {there} on the drive's clock, the IMU t = {start:.1f} to {end:.1f} s: they share "
-            f"{np.count_nonzero(within)} fixes; convert both to one clock with --offset"
+            f"{name}: covers {there} on the drive's clock, but the IMU covers t = {start:.1f} to {end:.1f} s, with "
+            f"{np.count_nonzero(within)} common fixes; convert both to one clock with --offset"
         )
     sure = within & log.sure
     known = sure & np.all(_stated(gps) <= accuracy, axis=0)

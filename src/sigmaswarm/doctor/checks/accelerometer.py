@@ -25,7 +25,7 @@ SIZE = (0.3, 1.0)
 Errors of cheap sensors reach 0.8 m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
 """
 LIKELY, CLEAR = 2.5, 3.5
-"""Ratios of a rotation to its standard deviation above which it is reported, or repaired."""
+"""Ratios of a rotation to its standard deviation above which it is reported (LIKELY) or repaired (CLEAR)."""
 WRONG_SCALE = 0.4
 LEAST_PUSH = 0.4  # m/s2, smallest spread of the acceleration that determines its scale
 WHERE = "imu.csv, ax, ay"
@@ -57,7 +57,7 @@ def _axes(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
             what = f"{what} (the drive shows only {'forward' if mount.known[0] else 'sideways'} acceleration)"
         remedy = f"read ax as {forward} and ay as {left}" + (" and change the sign of az" if opposite else "")
         if (opposite and evidence.mounted) or (evidence.yaw.factor < 0 and np.linalg.det(axes) < 0):
-            remedy += "; fixes with exchanged x and y (lat and lon) look the same: check these first"
+            remedy += "; fixes with exchanged x and y (lat and lon) look the same, so check these first"
         yield Finding(
             "accelerometer-axes" if axes[0, 0] == 0 else "accelerometer-sign", "serious", what, WHERE, span, confidence,
             remedy, Repair("accelerometer", (*axes.ravel().tolist(), -1.0 if opposite else 1.0)),
@@ -126,9 +126,9 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
     severity, confidence = "warning", 0.95
     if size > TILT[1] + margin:
         severity, confidence = "serious", 0.99
-        what = f"{what}: this is gravity, since the IMU is tilted by about {tilt:.0f} deg"
+        what = f"{what}; this is gravity, since the IMU is tilted by about {tilt:.0f} deg"
     else:
-        what = f"{what}: the IMU has a bias, or is tilted by about {tilt:.0f} deg"
+        what = f"{what}; the IMU has a bias, or is tilted by about {tilt:.0f} deg"
     remedy = "level the IMU, or subtract the offsets; --model planar8 estimates the remaining bias"
     repair = _leveled(evidence.drive.imu, leak)
     yield Finding("gravity", severity, what, WHERE, evidence.span, confidence, remedy, repair)

@@ -136,8 +136,8 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
     if unseen := [k for k, axis in enumerate(follows) if axis is None]:
         columns, motion = ([names[k] for k in unseen] for names in (("gx", "gy"), ("rolls", "pitches")))
         what = (
-            f"the body hardly {' or '.join(motion)} according to the specific force: "
-            f"the sign of {' and '.join(columns)} can't be checked"
+            f"the body hardly {' or '.join(motion)} according to the specific force, so the sign of "
+            f"{' and '.join(columns)} can't be checked"
         )
         remedy = "use a drive with turns, starts and stops to check the sign"
         yield Finding("unseen-tilt", "note", what, f"imu.csv, {', '.join(columns)}", span, 0.95, remedy)

@@ -24,7 +24,7 @@ HEADINGS: dict[str, Callable[[Array], Array]] = {
 ALIKE = math.radians(15)  # rad, largest median difference from the course, apart from a constant
 TURNED = math.radians(2), math.radians(10)  # rad from the course, for a warning and for a serious finding
 LATE, WORSE = 0.15, 0.8
-"""Delay above which there is a warning, s, and largest ratio of the misfits with and without this delay."""
+"""LATE: delay above which there is a warning, s. WORSE: largest ratio of the misfits with and without this delay."""
 WINDOW = 5.0  # s, over which turns of the heading and of the gyro are compared
 FEWEST = 30
 WHERE = "gps.csv, heading"
@@ -44,7 +44,10 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
     if np.count_nonzero(known) >= FEWEST and (late := _delay(evidence, theta, known, best)):
         way = "later" if late > 0 else "earlier"
         what = f"the heading is {abs(late):.2f} s {way} than the positions of the same rows"
-        remedy = "a filter assumes the same time for both: map headings with their own times, or leave the column out"
+        remedy = (
+            "a filter assumes the same time for both, so map headings with their own times, or leave the column "
+            "out"
+        )
         yield Finding("heading-delay", "warning", what, WHERE, evidence.span, 0.95, remedy)
 
 

@@ -33,14 +33,12 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
         return
     if not evidence.yaw.known:
         what, remedy = _unseen_yaw(evidence)
-        what += (
-            ": sign and unit of gz can't be checked, and errors of heading and gyro bias are hardly visible"
-        )
+        what += ", so sign and unit of gz can't be checked, and errors of heading and gyro bias are hardly visible"
         yield Finding("unseen-yaw", "warning", what, "imu.csv, gz", span, 0.95, remedy)
     known = evidence.mount.known if evidence.mount else (False, False)
     for axis, seen, motion in zip(("ax", "ay"), known, ("changes of speed", "cornering"), strict=True):
         if not seen:
-            what = f"the fixes hardly show {motion}: sign, unit and bias of {axis} can't be checked"
+            what = f"the fixes hardly show {motion}, so sign, unit and bias of {axis} can't be checked"
             yield Finding(f"unseen-{axis}", "note", what, f"imu.csv, {axis}", span, 0.95, MORE)
 
 
@@ -61,7 +59,7 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
         LEAST_TURN, ABOVE_NOISE * course.std / np.median(np.abs(course.velocity[moving]))
     ):
         return (
-            f"the course changes by {change:.0f} deg within 20 s, and no column of the gyro follows it",
+            f"the course changes by {change:.0f} deg within 20 s, and no column of the gyro follows this change",
             f"check the gyro's unit and the clocks; offsets beyond {WIDEST:.0f} s are not searched",
         )
     if np.ptp(course.angle[moving]) > CIRCLE:

@@ -27,12 +27,13 @@ LEAST_DIFFERENCE = math.radians(
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 
 ENDS, HANDLED, UNLIKE = 15.0, 0.5, 4.0
-"""Time, s, at each end of a log in which an IMU may be handled; smallest mean rate of tilting over half a second in
-this case, rad/s and relative to the largest of the rest. In fault-free drives it was below 0.2 rad/s.
+"""ENDS: time, s, at each end of a log in which an IMU may be handled. HANDLED, UNLIKE: smallest mean rate of tilting
+over half a second in this case, rad/s, and relative to the largest rate in the rest of the log. In fault-free drives
+the rate was below 0.2 rad/s.
 """
 STANDS, OF_USUAL = 1.0, 0.3
-"""Speed below which a vehicle may change between forward and reverse: at most, m/s, and relative to its 90% quantile,
-since robots are slow."""
+"""Speed below which a vehicle may change between forward and reverse: STANDS, m/s, at most OF_USUAL times the 90%
+quantile of the speed, since robots are slow."""
 STEP = 2.0  # s, for changes of speed and the integral of ax
 CLEAR, LEAST = 3.0, 0.4
 """Smallest slope, in standard deviations and absolute, with which a regression of speed changes on the integral of ax
@@ -76,7 +77,7 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
-    """Report the rotation that is needed, and a mounting of drive.toml that differs from the log's by less."""
+    """Report a needed rotation; otherwise report a smaller difference from the mounting in drive.toml."""
     mount = ",".join(f"{degrees:g}" for degrees in roll_pitch_yaw(mounting.mount, 1))
     total, angle = float(np.linalg.norm(mounting.std)), angle_of(mounting.repair)
     sure = f"(standard deviation {math.degrees(total):.1f} deg in total, {mounting.confidence})"
@@ -90,7 +91,7 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
             Repair("rotate", tuple(mounting.repair.ravel().tolist())),
         )  # fmt: skip
     elif (apart := angle_of(mounting.mount @ mounting.before.T)) > LEAST_DIFFERENCE:
-        what = f"the log shows the mounting {mount} deg {sure}; that of drive.toml differs by "
+        what = f"the log shows the mounting {mount} deg {sure}; the mounting in drive.toml differs by "
         what += f"{math.degrees(apart):.1f} deg, which is not significant"
         remedy = f"keep a measured mounting; otherwise import with --mount {mount}"
         yield Finding("mounting", "note", what, WHERE, evidence.span, confidence_of(apart / total), remedy)
@@ -149,7 +150,7 @@ def check_handled(evidence: Evidence) -> Iterator[Finding]:
 
 
 def steady(drive: Drive) -> tuple[float, float]:
-    """Return the first and last time, s, of the part without an end at which the IMU tilts as no vehicle does."""
+    """Return the first and last time, s, of the part in which the IMU tilts like a vehicle."""
     imu, step = drive.imu, 0.5
     first, last = float(imu.time[0]), float(imu.time[-1])
     if imu.az is None or imu.gx is None or imu.gy is None or last - first < 4 * ENDS:

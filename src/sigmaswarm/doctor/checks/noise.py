@@ -14,16 +14,18 @@ TOO_SMALL = 2.0
 LEAST_STATED = 0.003
 """Standard deviation, m, that no receiver reaches in motion (data sheets of RTK state 0.006 to 0.01 m).
 
-A smaller one is compared with the noise from fix to fix, since the scatter about a path of 10 s includes IMU errors.
+A smaller deviation is compared with the noise from fix to fix, since the scatter about a path of 10 s includes IMU
+errors.
 """
 TOO_LARGE = 6.5
-"""Largest ratio of stated noise to observed white noise; it is high, since slow errors are not observed."""
+"""Largest ratio of stated noise to observed white noise; the limit is high, since slow errors are not observed."""
 LASTS = 2.5
 """Ratio of the stated noise to the scatter about a path of 10 s above which most of the error lasts longer."""
 FAR_FIRST = 1000.0
 """Distance of the first fix from the others, m, above which it is an outlier that displaces the drive's origin."""
 WHITE = 0.7
-"""Ratio of the noise from fix to fix to the scatter about a path of 10 s: 1 for white noise, less for correlated."""
+"""Ratio of the noise from fix to fix to the scatter about a path of 10 s: 1 for white noise, less for correlated
+noise."""
 
 
 def check_noise(evidence: Evidence) -> Iterator[Finding]:

@@ -13,7 +13,7 @@ from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Array, Odometer
 
 SPAN = (6.0, 20.0)
-"""Bounds of the duration of the compared paths, s, which is otherwise a tenth of the drive's duration.
+"""Bounds of the duration of the compared paths, s; the duration is a tenth of the drive's duration.
 
 Longer paths are less sensitive to noise, and the gyro's bias has little effect within 20 s.
 """
@@ -37,7 +37,7 @@ JUMP = 2.5
 A slope of 10% looks like a change of 1 m/s, a delay of 0.3 s like a change of 2 m/s during full braking.
 """
 WITHIN, LASTS_AT_MOST = 1.0, 10.0  # s: longest jump, longest time until the wheels return
-AGREE = 0.5  # m/s, largest median difference of speed changes; above it, slip cannot be checked
+AGREE = 0.5  # m/s, largest median difference of speed changes; with a larger one, slip cannot be checked
 
 Spans = list[tuple[float, float]]  # start and end, s
 SPEED = "odometer.csv, speed"
@@ -52,7 +52,7 @@ def check_odometer(evidence: Evidence) -> Iterator[Finding]:
         (
             "slip",
             0.9,
-            "the wheel speed jumps without acceleration: the wheels spin or lock",
+            "the wheel speed jumps without acceleration, so the wheels spin or lock",
             _slips,
         ),
     ):
@@ -169,7 +169,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Return ratios of displacements, by odometer and gyro to those by fixes, and the latter displacements, m."""
+    """Return ratios of the displacements by odometer and gyro to those by fixes, and the displacements by fixes, m."""
     imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)

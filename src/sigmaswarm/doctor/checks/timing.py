@@ -48,8 +48,8 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             f"the fixes {'are' if clear else 'may be'} {size} {way} relative to the IMU "
             f"(standard deviation {std:.2f} s)",
             where, span, confidence_of(late / std),
-            f"{move} the fixes' times{'' if clear else ' if other drives show it too'}, or let the tuning find it "
-            "(--use latency); the tuned value leads to the best forecasts, and may differ from this offset by a few "
+            f"{move} the fixes' times{'' if clear else ' if other drives also show it'}, or tune the delay with --use "
+            "latency; the tuned value leads to the best forecasts, and may differ from this offset by a few "
             "standard deviations",
             Repair("shift-fixes", (-late,)) if clear else None,
         )  # fmt: skip
@@ -85,7 +85,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     if same.mean() > HELD:
         share, fresh = 100 * same.mean(), (1 - same.mean()) / float(np.median(np.diff(imu.time)))
         what = (
-            f"{share:.0f}% of the samples repeat the previous one: the sensor measures about {fresh:.0f} "
+            f"{share:.0f}% of the samples repeat the previous one, so the sensor measures about {fresh:.0f} "
             "times per second"
         )
         repair = Repair("drop-samples", tuple(imu.time[same].tolist()))
@@ -145,9 +145,12 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
             None,
         )
         if 0.5 * fix_missed < SIGMAS * std:
-            what = "the logger paused, or its clock jumped: the car's speed does not show which of the two"
+            what = "the logger paused, or its clock jumped (the car's speed does not distinguish the two)"
         elif passed < fix_usual + 0.5 * fix_missed:
-            what = f"the logger's clock jumped: the car needs only {passed:.1f} s for the distance between these fixes"
+            what = (
+                f"the logger's clock jumped, since the car needs only {passed:.1f} s for the distance between "
+                "these fixes"
+            )
             code, severity, remedy = (
                 "clock-jump",
                 "warning",

@@ -23,7 +23,7 @@ ALIKE = math.radians(15)
 LATE = 0.2  # s, delay for a warning
 FEWEST = 30
 REMEDY = (
-    "a filter assumes the same time for both: leave speed and course out, or map them with their own times (in "
+    "a filter assumes the same time for both. Leave speed and course out, or map them with their own times (in "
     "a recipe, by a second [[gps]] for the same table, with a shifted t), and test this on another drive"
 )
 

@@ -72,7 +72,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     log = kind.__new__(kind)  # so that its files can be closed if __init__ fails
     log.init_arrays_fast = log.init_arrays  # the output of the compiled function can't be caught
     try:
-        with whole(path), redirect_stderr(_Skipped()), redirect_stdout(StringIO()):  # it prints skipped data
+        with whole(path), redirect_stderr(_Skipped()), redirect_stdout(StringIO()):  # its reports
             log.__init__(str(path), zero_time_base=True)
             rows = _rows(log, path, limits)
     finally:
@@ -87,7 +87,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     }
     if not frames:
         raise InputError(
-            f"{path}: contains none of {', '.join(_COLUMNS)}; enable them (LOG_BITMASK), and record again"
+            f"{path}: contains none of {', '.join(_COLUMNS)}; enable these messages (LOG_BITMASK), and record again"
         )
     parts = [part for part in PARTS if part[1] != "GPA" or "GPS" in frames]
     guess = Guess(

@@ -41,7 +41,7 @@ LONGEST_BREAK = 10.0
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a table file, by name or first lines, a zip or folder of table files, and one like EuRoC's."""
+    """Return True for a table file, by name or first lines, a zip or folder of table files, or an EuRoC folder."""
     return bool(_files(path) or _packed(path)) or (path.is_file() and is_table(path))
 
 
@@ -72,7 +72,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         if len(outer) > 1:
             raise InputError(
                 f"{path}: contains tables in several folders ({names_shown(map(str, outer))}); unpack it, then import "
-                "one folder, or one file with the others named by --gps, --truth and --odometer"
+                "one folder, or one file, and name other files with --gps, --truth and --odometer"
             )
         names = [*dict.fromkeys(file.name for file in packed)]
         return of_names(path, names, limits, stack, None)
@@ -370,7 +370,7 @@ def collect(
     table: str,
     read: Callable[[pl.LazyFrame], pl.DataFrame] = pl.LazyFrame.collect,
 ) -> pl.DataFrame:
-    """Return the rows that ``read`` takes, by default all; errors of polars become one-line errors."""
+    """Return the rows that ``read`` selects, by default all; errors of polars become one-line errors."""
     try:
         return read(rows)
     except BROKEN as error:

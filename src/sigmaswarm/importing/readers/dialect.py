@@ -20,7 +20,7 @@ from sigmaswarm.wording import names_shown
 HEAD = 4_000_000
 """Number of bytes in which a header is searched."""
 SAMPLE, MOST_LINES = 200_000, 300
-"""Largest number of characters, and of lines, that are examined below the header."""
+"""SAMPLE: largest number of characters that are examined below the header. MOST_LINES: largest number of lines."""
 SEPARATORS = (";", "\t", "|", ",")
 """Separators in order of preference if two fit equally well; commas may be decimal."""
 BLANKS = " "
@@ -133,7 +133,7 @@ def _of_message(row: Sequence[str]) -> list[str]:
 def _require_one_kind(rows: Rows, shown_as: Path) -> None:
     """Refuse rows that begin with the name of their kind if the kinds differ in the number of cells."""
     last = [max(k for k, cell in enumerate(row) if k == 0 or cell.strip()) for row in rows]
-    # A row of only a name and a time, as of an invalid fix, is not a kind of its own.
+    # A row of only a name and a time, as of an invalid fix, is not a separate kind.
     kinds = {(row[0].strip(), end) for row, end in zip(rows, last, strict=True) if end > 1}
     names = sorted({name for name, _ in kinds})
     named = all(re.fullmatch(r"\$?[A-Za-z]\w*", name) for name in names)
@@ -178,7 +178,7 @@ def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
         )
     if b"\r" in head and b"\n" not in head:
         raise InputError(
-            f"{shown_as}: its lines end in a carriage return alone; convert it, for example with: "
+            f"{shown_as}: the lines end in a carriage return alone; convert the file, for example with: "
             f"tr '\\r' '\\n' < {quote(shown_as.name)} > new.csv"
         )
     cut = head if len(head) < HEAD else head[: head.rfind(b"\n") + 1]
@@ -219,7 +219,7 @@ def is_value(cell: str) -> bool:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """Return the separator with the most rows of equal length; without such rows, that of the first line."""
+    """Return the separator with the most rows of equal length; without such rows, the separator of the first line."""
     best, most = "", 0.0
     for separator in (*SEPARATORS, BLANKS):
         if separator == BLANKS and best:

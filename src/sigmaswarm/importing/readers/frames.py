@@ -24,7 +24,7 @@ def static_topic(tables: Mapping[str, Table]) -> str | None:
 
 
 def frame_of(message: Any) -> str:
-    """Return the frame of a message's header; for an Odometry that of the body, by default the vehicle's."""
+    """Return the frame of a message's header; for an Odometry the frame of the body, by default the vehicle's frame."""
     child = getattr(message, "child_frame_id", None)
     name = child if child is not None else getattr(getattr(message, "header", None), "frame_id", "")
     return name.strip("/") or (BASES[0] if child is not None else "")

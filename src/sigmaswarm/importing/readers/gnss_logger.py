@@ -35,7 +35,7 @@ _FIX: dict[str, str | tuple[str, ...]] = {
     "course": ("radians(90 - BearingDegrees)",),
     "std_x": (f"AccuracyMeters/{RADIUS_68}",),
     "std_y": (f"AccuracyMeters/{RADIUS_68}",),
-    "keep": "Provider == 'GPS' or Provider == 'gps'",  # not fused fixes or those from the network
+    "keep": "Provider == 'GPS' or Provider == 'gps'",  # no fused fixes, and no fixes of the network
 }
 
 
@@ -45,7 +45,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read the comments, and find which of the kinds that they name were logged."""
+    """Read the comments, and find the logged kinds among the named kinds."""
     columns: dict[str, list[str]] = {}
     with path.open(encoding="utf-8", errors="replace") as file:
         for line in file:
@@ -86,7 +86,7 @@ def _require_one_clock(columns: Wanted, path: Path) -> None:
     if any(clock.values()) and not all(clock.values()):
         kind = next(kind for kind, found in clock.items() if not found)
         raise InputError(
-            f"{path}: the comment on {kind} names no {_CLOCK}, as others do; correct the comment"
+            f"{path}: the comment on {kind} names no {_CLOCK}, unlike other comments; correct the comment"
         )
 
 

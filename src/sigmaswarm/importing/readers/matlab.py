@@ -1,6 +1,6 @@
 """MATLAB files, ``.mat`` up to version 7, through SciPy.
 
-Each struct is a table; so are the other vectors of equal length.
+Each struct is a table. Other vectors of equal length also form tables.
 """
 
 import io
@@ -53,7 +53,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     with whole(path):
         _require_known_elements(path, limits)
         for name, shape, kind in whosmat(path):
-            if kind in ("struct", "cell") and math.prod(shape) > MOST_STRUCTS:  # SciPy creates all of them
+            if kind in ("struct", "cell") and math.prod(shape) > MOST_STRUCTS:  # SciPy creates all elements
                 raise InputError(
                     f"{path}: {shown(name)} has more than {MOST_STRUCTS} structs; save vectors in one struct"
                 )
@@ -135,7 +135,7 @@ def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int
         elif inner not in _NUMBERS:
             raise ValueError(f"an element of type {inner} instead of numbers")
     if array in _OF_ARRAYS:
-        lacks = depth > 0 and count > MOST_STRUCTS  # `open_log` names a variable with too many of them
+        lacks = depth > 0 and count > MOST_STRUCTS  # `open_log` names a variable with too many structs
     elif array == _SPARSE:
         lacks = parts < 4 + bool(flags & _COMPLEX)  # a name, rows, columns, values
     else:

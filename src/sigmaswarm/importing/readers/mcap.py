@@ -111,7 +111,7 @@ def _decoder(
 
 
 def _json(data: bytes) -> dict[str, Any]:
-    """Decode a message; return an empty one if it is not an object."""
+    """Decode a message; return an empty message if the JSON is not an object."""
     content = json.loads(data)
     return cast("dict[str, Any]", content) if isinstance(content, dict) else {}
 

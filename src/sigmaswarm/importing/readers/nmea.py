@@ -16,7 +16,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, library, of_rows
 
 KNOT, STILL = 1852 / 3600, 0.5
-"""A knot, and the speed below which the course has no meaning, m/s."""
+"""KNOT: a knot, m/s. STILL: speed, m/s, below which the course has no meaning."""
 COLUMNS = (
     *("t", "lat", "lon", "alt", "quality", "hdop", "speed", "course", "std_lat", "std_lon"),
     *("heading", "std_heading"),
@@ -62,7 +62,7 @@ def _rows(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[tupl
     if not any(_day(message) for message, _ in _messages(path, pynmeagps, [])):
         day = date(1970, 1, 1)
         remarks.append(
-            f"{path.name}: no sentence (RMC, ZDA) contains the date: times count from midnight UTC; "
+            f"{path.name}: no sentence (RMC, ZDA) contains the date, so times count from midnight UTC; "
             "--gps-offset changes the times"
         )
     clock: time | None = None
@@ -159,6 +159,6 @@ def _values(message: Any) -> dict[str, float]:
 
 
 def _row(day: date, clock: time, fix: dict[str, float]) -> tuple[float, ...]:
-    """Return the row of a fix; the position is that of RMC or GLL if no other sentence has one."""
+    """Return the row of a fix; the position is that of RMC or GLL if no other sentence has a position."""
     seconds = datetime.combine(day, clock, UTC).timestamp()
     return (seconds, *(fix.get(name, fix.get(f"rmc_{name}", math.nan)) for name in COLUMNS[1:]))

@@ -1,4 +1,4 @@
-"""Files in a folder, or in a zip of one."""
+"""Files in a folder, or in a zip of a folder."""
 
 import shutil
 import tempfile
@@ -13,7 +13,7 @@ from sigmaswarm.limits import require_text
 
 
 def names_in(path: Path) -> set[str]:
-    """Return the names of the files in a folder, or in a zip; none for other files."""
+    """Return the names of the files in a folder or a zip; empty for other files."""
     if path.is_dir():
         return {file.name for file in path.iterdir() if file.is_file()}
     return {inside.name for inside in paths_in(path)}

@@ -35,7 +35,7 @@ _IMU = _T | {
 }
 _FIX: dict[str, str | tuple[str, ...]] = {
     **_T,
-    "lat": ("latitude_deg", "lat*1e-7"),  # since PX4 1.14; before
+    "lat": ("latitude_deg", "lat*1e-7"),  # since PX4 1.14, and before
     "lon": ("longitude_deg", "lon*1e-7"),
     "alt": ("altitude_ellipsoid_m", "alt_ellipsoid*1e-3"),
     "std_x": ("eph/sqrt(2)",),
@@ -64,7 +64,7 @@ def recognizes(path: Path) -> bool:
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     core = library("pyulog.core", "logs")
-    with whole(path), _Log(io.FileIO(path)) as file, redirect_stdout(io.StringIO()):  # it prints its findings
+    with whole(path), _Log(io.FileIO(path)) as file, redirect_stdout(io.StringIO()):  # its reports
         log = core.ULog(file, message_name_filter_list=list(_TOPICS))
     if log.file_corruption or file.stopped < path.stat().st_size:
         raise InputError(f"{path}: is cut short or broken before byte {file.stopped}; copy the log again")
@@ -74,7 +74,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     }
     if not frames:
         raise InputError(
-            f"{path}: contains none of {', '.join(_TOPICS)}; enable them (SDLOG_PROFILE), and record again"
+            f"{path}: contains none of {', '.join(_TOPICS)}; enable these topics (SDLOG_PROFILE), and record again"
         )
     guess = _guess(frames)
     return of_frames(path, frames, "uORB topic", lambda _: guess)
@@ -96,7 +96,7 @@ class _Log(io.BufferedReader):
         return content
 
     def seek(self, offset: int, whence: int = 0, /) -> int:
-        # pyulog seeks back over a valid message at the end of the definitions, and over that of an unknown one
+        # pyulog seeks back over a valid message at the end of the definitions, and over a message of unknown kind
         if whence == io.SEEK_CUR and -offset not in (self._last, self._last + 3):
             raise EOFError(f"at byte {self.tell()}")
         return super().seek(offset, whence)

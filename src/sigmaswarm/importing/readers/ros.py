@@ -22,7 +22,7 @@ def recognizes(path: Path) -> bool:
 
 
 def bag_paths(path: Path) -> list[Path]:
-    """Return the paths for rosbags: a folder with metadata, or the files of a folder without."""
+    """Return the paths for rosbags: a folder with metadata, or the files of a folder without metadata."""
     if path.is_file() or (path / "metadata.yaml").exists():
         return [path]
     return sorted(f for f in path.iterdir() if f.suffix in _FILES)
@@ -76,7 +76,7 @@ def _bound_chunks(reader: Any, limits: Limits, path: Path) -> None:
     lz4 = library("lz4.frame", "ros")
     streams = {bz2.decompress: bz2.BZ2Decompressor, lz4.decompress: lz4.LZ4FrameDecompressor}
     for bag in reader.readers:
-        chunks = getattr(bag, "chunks", {})  # a ROS 2 bag has none
+        chunks = getattr(bag, "chunks", {})  # a ROS 2 bag has no chunks
         for place, chunk in chunks.items():
             if stream := streams.get(chunk.decompressor):
                 chunks[place] = chunk._replace(decompressor=_bounded(stream, limits, path))

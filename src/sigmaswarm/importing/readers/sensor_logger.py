@@ -48,7 +48,9 @@ def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:
     if _TOTAL in log.tables:
         return {_TOTAL: {"ax": "y", "ay": "-x", "az": "z"}}
     if not {_MOVED, _GRAVITY} <= log.tables.keys():
-        notes.append("Accelerometer.csv does not contain gravity, and Gravity.csv is missing: az is left out")
+        notes.append(
+            "Accelerometer.csv does not contain gravity, and Gravity.csv is missing, so az is left out"
+        )
         return {_MOVED: {"ax": "y", "ay": "-x"}} if _MOVED in log.tables else {}
     z = [rows["z"].cast(pl.Float64, strict=False) for _, rows, _ in log.batches({_GRAVITY: ["z"]})]
     down = pl.concat(z).median() if z else None

@@ -204,13 +204,13 @@ class Topics:
         """Make a part with its time: the header stamp, unless it is not set or the user chose receive times."""
         time = "received*1e-9"
         if "stamp" not in self.tables[topic].columns:
-            self.notes.append(f"{topic}: messages have no header; receive times used")
+            self.notes.append(f"{topic}: messages have no header; receive times are used")
         elif not self.choice.receive_times:
             message = self.first(topic)
             if message and stamp_of(message[2]):
                 time = "stamp*1e-9"
             else:
-                self.notes.append(f"{topic}: header stamps are not set; receive times used")
+                self.notes.append(f"{topic}: header stamps are not set; receive times are used")
         return Part(topic, {"t": time, **columns})
 
     def _downward(self, topic: str) -> str:

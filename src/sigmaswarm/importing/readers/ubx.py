@@ -151,7 +151,8 @@ def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple
         remarks.append(f"{path.name}: {broken} damaged messages skipped")
     if not week:
         remarks.append(
-            f"{path.name}: no NAV-SOL or NAV-TIMEUTC message contains the GPS week: times count from the start of the "
+            f"{path.name}: no NAV-SOL or NAV-TIMEUTC message contains the GPS week, so times count from the start of "
+            "the "
             "week; --gps-offset changes the times"
         )
 
