@@ -141,7 +141,7 @@ def whole_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
 
 
 def earlier_result(folder: Path, kind: str, mark: str = "", *, alone: bool = True) -> frozenset[str] | None:
-    """Return the files of an earlier result of the same kind in a folder; none if it is missing or empty.
+    """Return the files of an earlier result of the same kind in a folder; none if the folder is missing or empty.
 
     None: the result has the file ``mark`` but no list of files, as in version 0.3.0. If ``alone`` is False, the folder
     may contain files of the user, for example the program that uses an exported filter.

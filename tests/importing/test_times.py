@@ -275,7 +275,7 @@ def test_other_clocks_apart_get_the_remedy_of_an_offset(tmp_path: Path, begin: f
 def test_numbers_with_two_guessed_units_are_one_clock(tmp_path: Path, heads: tuple[str, str]):
     """Hundredths of a second: steps of 4 look like ms of an IMU, steps of 10 like seconds of fixes."""
     write(tmp_path, heads[0], lambda t: f"{round(t * 100) * 4}", heads[1], lambda t: f"{round(t * 50)}")
-    with pytest.raises(InputError, match="their numbers do, so they have one unit") as caught:
+    with pytest.raises(InputError, match="without units both overlap, so both have one unit") as caught:
         imported(tmp_path)
     options = str(caught.value).split("write --map ")[1].split(", or ")
     (maps,) = (maps_in(o) for o in options if "for 25 Hz and 10 Hz" in o)

@@ -266,7 +266,7 @@ def test_settings_of_an_import_are_for_logs_of_other_formats(tmp_path):
     write_drive(make_drive(duration=20.0), tmp_path / "drive")
     with pytest.raises(InputError, match="import settings do not apply"):
         imu_noise(tmp_path / "drive", time="stamp")
-    with pytest.raises(InputError, match="no setting of an import is called 'tim'"):
+    with pytest.raises(InputError, match="the import has no setting 'tim'"):
         imu_noise(tmp_path, tim="stamp")
 
 

@@ -19,7 +19,7 @@ from sigmaswarm.drives.sensors import white_noise
 from sigmaswarm.drives.stale_fixes import stale_fixes
 
 SEARCHED = 2.3
-"""Largest offset that the fit determines, s; it tries delays up to 2.5 s."""
+"""Largest offset that the fit determines, s; the fit tries delays up to 2.5 s."""
 LEAST_SEARCHED = 0.3  # s, smallest offset that the search determines
 USUAL = 1.0
 """Largest usual delay of a receiver, s. A larger delay is accepted only if the search finds no other offset."""

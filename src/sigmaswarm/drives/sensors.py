@@ -162,7 +162,7 @@ def stated_spread(drive: Drive) -> tuple[float, float] | None:
 
 
 def stated_std(drive: Drive) -> tuple[float, float] | None:
-    """Return the standard deviation east and north that the receiver states, m; None if the log has none.
+    """Return the standard deviation east and north that the receiver states, m; None if the log states none.
 
     The result is the median over the fixes or, if the fixes have no standard deviation, ``gps_std_m`` of drive.toml.
     """

@@ -25,7 +25,7 @@ from sigmaswarm.errors import SigmaswarmError
 T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
 Report = Callable[[int], None]
-"""Function that receives the number of finished rounds; it raises `InterruptedError` after an interrupt."""
+"""Function that receives the number of finished rounds, and raises `InterruptedError` after an interrupt."""
 PR_SET_PDEATHSIG = 1
 """Option of prctl(2): the signal that Linux sends to a process when its parent dies."""
 POLL_INTERVAL = 0.05  # s, interval at which the progress of the tasks is read

@@ -2,8 +2,9 @@
 
 The ratio d of the actual to the theoretical innovation covariance is NIS / 2, on average 1 for a consistent filter. The
 rules use two moving averages of d over the fixes; the time constant of the slow one is `SLOWER` times that of the quick
-one. They give two inputs in (-1, 1), ``ratio = (quick - 1) / (quick + 1)`` and ``trend = (quick - slow) / (quick +
-slow)``. Linear edges with tuned widths give the memberships "small", "right", "large" and "rises" between 0 and 1:
+one. The averages give two inputs in (-1, 1), ``ratio = (quick - 1) / (quick + 1)`` and ``trend = (quick - slow) /
+(quick + slow)``. Linear edges with tuned widths give the memberships "small", "right", "large" and "rises" between 0
+and 1:
 
     ratio is small                       R / g_R    Q / g_Q     the covariance is too large
     ratio is right                       R          Q

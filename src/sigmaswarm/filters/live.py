@@ -177,7 +177,7 @@ class LiveFilter:
         self._lag = None if lag is None else FixedLag(kernel, lag, most_steps=MOST_WAITING + seen + samples)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
-        """Process an IMU sample; ignore it if it is not after the last one; defer it if it is more than 10 s ahead.
+        """Process an IMU sample; ignore a repeated or earlier time; defer a time that is more than 10 s ahead.
 
         Samples before the start only determine the noise at rest, for the detection of standstills.
 

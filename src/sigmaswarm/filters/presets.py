@@ -67,9 +67,9 @@ ACCURACY_FLOOR = 0.1**2  # m2, added to the stated variance of each fix
 def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParameters:
     """Set a filter's parameters from the data sheets of a drive's sensors, without tuning.
 
-    The receiver's accuracy is the stated one or, without one, an estimate from the fixes. The IMU's densities are
-    ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml, plus
-    `MODEL_NOISE`. The random walks of the biases are ``accel_bias_walk`` (m/s2/sqrt(s)) and ``gyro_bias_walk``
+    The receiver's accuracy is the stated accuracy or, if none is stated, an estimate from the fixes. The IMU's
+    densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml,
+    plus `MODEL_NOISE`. The random walks of the biases are ``accel_bias_walk`` (m/s2/sqrt(s)) and ``gyro_bias_walk``
     (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures. Values that no data sheet states are in `BY_HAND`.
 
     Parameters

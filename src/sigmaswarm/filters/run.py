@@ -62,9 +62,9 @@ class Estimate:
 
         ``std``: also return standard deviations, if there is a covariance, under ``std_`` and the state's name.
         """
-        states = MODELS["tilted12"].names  # those of the other models come first
+        states = MODELS["tilted12"].names  # the states of other models come first
         named = {"t": self.time} | dict(zip(states, self.mean.T, strict=False))
-        if not std or not self.covariance.size:  # dead reckoning has none
+        if not std or not self.covariance.size:  # dead reckoning has no covariance
             return named
         deviations = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
         return named | {f"std_{name}": of for name, of in zip(states, deviations.T, strict=False)}

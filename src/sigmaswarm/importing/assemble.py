@@ -252,7 +252,8 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
             raise InputError(f"--{role}-offset {offset:g}: must be a number of seconds")
         if role in times:
             moved[role] = times[role] + round(offset * SECOND)
-    # A time stamp years before the others is wrong; with it as the origin, the others would lose their last digits.
+    # A time stamp years before the others is wrong; with this stamp as the origin, the others would lose their last
+    # digits.
     begins = {role: int(t[np.searchsorted(t, t[len(t) // 2] - LONG_AGO)]) for role, t in moved.items()}
     begin = min(t for role, t in begins.items() if role in ("imu", "gps") or "gps" not in moved)
     zero = begin // SECOND if begin >= LONG_AGO else 0

@@ -93,9 +93,7 @@ def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
         settings["maps"] = [f"{column}={expression}" for column, expression in maps.items()]
     own = {f.name for f in fields(Request)} - {"source", "recipe"}
     if unknown := [key for key in settings if key not in own | {f.name for f in fields(Recipe)}]:
-        raise InputError(
-            f"no setting of an import is called {unknown[0]!r}; choose from {names_shown(sorted(own))}"
-        )
+        raise InputError(f"the import has no setting {unknown[0]!r}; choose from {names_shown(sorted(own))}")
     logs = {key: Path(settings[key]) for key in ("gps", "truth", "odometer") if settings.get(key)}
     given: dict[str, Any] = {key: value for key, value in settings.items() if key in own} | logs
     changed: dict[str, Any] = {key: value for key, value in settings.items() if key not in own}

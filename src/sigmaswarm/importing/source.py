@@ -274,7 +274,7 @@ def first_bytes(path: Path, count: int = 4096) -> bytes:
 
 
 def no_log(folder: Path) -> InputError:
-    """Return the error for a folder without a log; it names the files in the folder."""
+    """Return the error for a folder without a log; the message names the files in the folder."""
     remedy = "name a log file or the folder of a log"
     if not (files := sorted(entry.name for entry in folder.iterdir())):
         return InputError(f"{folder}: is an empty folder; {remedy}")

@@ -54,7 +54,7 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
         usual = float(np.median(np.abs(speed))) if len(speed) else 0.0
         wrong = f"{usual:.4g} m/s (median) is not the speed of a vehicle" if usual > FASTEST else ""
     elif speed is not None and (ratio := _ratio(time, values, speed, begin, end)) > ALIKE:
-        wrong = f"it is {ratio:.3g} times the speed of the positions (median){_remedy(ratio, texts, role)}"
+        wrong = f"the speed is {ratio:.3g} times that of the positions (median){_remedy(ratio, texts, role)}"
     elif course is not None and len(begin) >= FEWEST:
         dx, dy = (values[n][end] - values[n][begin] for n in ("x", "y"))
         apart = np.abs(wrap_angle(course[(begin + end) // 2] - np.arctan2(dy, dx)))

@@ -29,7 +29,7 @@ Runs = Mapping[str, Callable[[Replay], Run]]
 class Outages:
     """Outages of one length on a drive in several placements, and the drifts of methods over them.
 
-    ``seeds`` contains one seed per placement; it is empty if no outage fits. ``failed``: methods that failed in any
+    ``seeds`` contains one seed per placement, none if no outage fits. ``failed``: methods that failed in any
     placement.
     """
 

@@ -169,8 +169,8 @@ OBJECTIVES = {
             "the paper's equation 4: RMSE against the fixes after their update, m",
             lambda scores: scores.fix_rmse,
             warning=(
-                "gps-rmse compares the filter with the fix of the last update, so it is lowest for a filter "
-                "that copies the fixes; it is only for repeating the paper. Without truth, use innovation-nll"
+                "gps-rmse compares the filter with the fix of the last update, so this cost is lowest for a filter "
+                "that copies the fixes. Use gps-rmse only to repeat the paper. Without truth, use innovation-nll"
             ),
         ),
     )

@@ -2,8 +2,8 @@
 
 Many receivers smooth their fixes. The likelihood of the next fix is then largest for an R of centimeters, with which
 the filter copies the fixes. The prior penalizes only a smaller R, since receivers in cities state deviations that are
-too small. It is counted once per fix; otherwise it would lose its weight with more fixes, although their errors are
-correlated.
+too small. The prior is counted once per fix; otherwise it would lose its weight with more fixes, although their errors
+are correlated.
 """
 
 from collections.abc import Sequence

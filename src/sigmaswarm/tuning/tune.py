@@ -117,8 +117,8 @@ def tune(
         uses the paper's settings, `PAPER`, and rejects options that contradict them. ``start`` is a filter from which
         the search starts, or its file: a tuning.toml, or an ekf.yaml of robot_localization. The other options are
         fields of `TuneConfig`: objective, particles, generations, trials, seed, ... Without ``model`` and ``use`` the
-        filter depends on the drives' sensors; the result's ``config`` states it. ``model`` may be a custom `Model`, and
-        ``optimizer`` a custom class: see `tuning.optimizers`.
+        filter depends on the drives' sensors; the result's ``config`` states the chosen filter. ``model`` may be a
+        custom `Model`, and ``optimizer`` a custom class: see `tuning.optimizers`.
 
     Raises
     ------

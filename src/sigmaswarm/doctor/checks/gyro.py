@@ -29,7 +29,7 @@ Longer windows contain more of the car's acceleration, shorter windows more vibr
 sign is significant by 9.5 standard deviations or more.
 """
 CLEAR = 7.0
-"""Number of standard deviations of a significant sign; it is high, since neighboring changes share samples."""
+"""Number of standard deviations of a significant sign; the limit is high, since neighboring changes share samples."""
 CLEARER = 2.0
 """Smallest ratio of the significance of a column to that of the other column."""
 OUTLYING = 3.0  # standard deviations from which a change is an outlier

@@ -89,7 +89,7 @@ def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) ->
 
 
 def _delay(evidence: Evidence, theta: Array, known: Mask, best: int) -> float:
-    """Estimate the delay relative to the positions, s, from the gyro; 0 if it is not significant."""
+    """Estimate the delay relative to the positions, s, from the gyro; 0 if the delay is not significant."""
     course, imu, yaw = evidence.course, evidence.drive.imu, evidence.yaw
     assert course is not None
     if not yaw.known:

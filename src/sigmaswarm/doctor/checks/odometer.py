@@ -20,7 +20,7 @@ Longer paths are less sensitive to noise, and the gyro's bias has little effect 
 SHORTEST = 15.0  # m, shortest straight distance of a compared path
 FEWEST = 6  # smallest number of compared paths
 WRONG = 0.02
-"""Smallest reported error of the scale; it must also exceed three standard deviations."""
+"""Smallest reported error of the scale; the error must also exceed three standard deviations."""
 FAMILIAR = 1.25
 """Ratio of the speeds, or its inverse, above which the unit is wrong rather than the tire size."""
 

@@ -150,7 +150,7 @@ def _draw(mean, covariance, gamma, root, sigmas):
 
 @_kernel
 def _root(a, root):
-    """Write the Cholesky factor of ``a`` to the lower half of ``root``; return False if it does not exist."""
+    """Write the Cholesky factor of ``a`` to the lower half of ``root``; return False if the factor does not exist."""
     for j in range(a.shape[0]):
         for i in range(j, a.shape[0]):
             s = a[i, j]

@@ -55,7 +55,7 @@ CONSTANTS = (
     "ACCURACY",  # factor of the stated variance of a fix in its R, 0: none; a fuzzy filter also writes this row
     "R_HEADING", "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: reciprocal of odometer_scale
     "DOF", "PATIENCE",  # DOF: of Student's t, 0: Gaussian. PATIENCE: nominal steps of outliers before recovery
-    "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal interval / tau; variance of a fix that states none
+    "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal interval / tau; variance of a fix if none is stated
 )  # fmt: skip
 SUMS = (
     "SQ_POSITION", "SQ_HEADING",  # sums of squared errors over the targets: position, weighted, m2; heading, rad2

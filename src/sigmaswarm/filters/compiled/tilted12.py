@@ -1,8 +1,8 @@
 """tilted12's extended filter; compare `filters.tilted` and `textbook.ErrorStateKalmanFilter`.
 
 The attitude of the mean is the quaternion in rows ATT_W ... ATT_Z. Rows I, J and T of the mean are the error about
-east, north and up. It is 0 except between a measurement and `fold`, which rotates the quaternion by the error. All
-other rows are those of planar8; K and L are the biases of gx and gy.
+east, north and up. This error is 0 except between a measurement and `fold`, which rotates the quaternion by the error.
+All other rows are those of planar8; K and L are the biases of gx and gy.
 
 A changes seven rows (see transition.py), so P' = A P A^T is computed in two parts: first A P, with these seven rows in
 scratch rows, then (A P) A^T. The columns of A, B, W, K and L are computed last.

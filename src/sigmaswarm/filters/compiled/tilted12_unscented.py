@@ -59,7 +59,7 @@ WIDTH = 6
 
 
 def _root(w, *, order, columns):
-    """Compute the first columns of the square root of P with the states in ``order``; it is lower triangular."""
+    """Compute the first columns of the square root of P with the states in ``order``; the root is lower triangular."""
     for l in range(LANES):
         for j in range(columns):
             for i in range(j, len(order)):

@@ -191,7 +191,7 @@ def _seconds(t: float) -> float:
 
 
 def _store(stored: list[Timed], t: float, z: Array) -> bool:
-    """Insert a measurement by time, or into one of the same time; return False if it has no new element."""
+    """Insert a measurement by time, or into a measurement of the same time; return False without a new element."""
     for k, (time, known) in enumerate(stored):
         if time == t:
             both = np.where(np.isnan(known), z, known)

@@ -250,6 +250,6 @@ def build_steps(log: Log) -> Steps:
 
 
 def _rows(times: Array, ends: Array) -> NDArray[np.int64]:
-    """Return the index in ``times`` of each of ``ends``; -1 if it is not among them."""
+    """Return the index in ``times`` of each of ``ends``; -1 if there is no such time."""
     found = np.isin(ends, times)
     return np.where(found, np.cumsum(found) - 1, -1).astype(np.int64)

@@ -71,7 +71,7 @@ def square_root(covariance: Array, first: Sequence[int] = ()) -> Array:
         factor = np.linalg.cholesky(covariance[order][:, order])
     except np.linalg.LinAlgError:
         raise NotPositiveDefiniteError(
-            "the covariance is not positive definite: the filter has failed; check that all process and "
+            "the covariance is not positive definite, so the filter has failed; check that all process and "
             "measurement variances are positive"
         ) from None
     root = np.empty((n, n))
