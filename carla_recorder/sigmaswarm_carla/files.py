@@ -186,7 +186,7 @@ def _passed(row: Row, plan: Plan) -> bool:
 def velocity_check(rows: Sequence[Row]) -> float:
     """Return the RMS difference between velocities and central differences of positions, m/s.
 
-    It is large if CARLA gives the velocity of the center of mass but the position of the car's origin.
+    The difference is large if CARLA returns the velocity of the center of mass but the position of the car's origin.
     """
     total = 0.0
     for a, b, c in zip(rows, rows[1:], rows[2:]):
