@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 
 from sigmaswarm.learned.cells import new_weights
-from sigmaswarm.learned.fitting import Lesson
+from sigmaswarm.learned.fitting import TrainingProblem
 from sigmaswarm.learned.noise_gru import FEATURES
 from sigmaswarm.learned.outage_lstm import untrained
 
@@ -24,10 +24,10 @@ class Quick:
         self.seen = [drive.name for drive in (*drives, *validation)]
         self.seed = seed
 
-    def lesson(self, settings, seed):
+    def training_problem(self, settings, seed):
         x = np.random.default_rng(seed).normal(size=(30, 3))
         examples = x[:20], x[:20] @ [1.0, -2.0, 0.5]
-        return Lesson(square, {"w": np.zeros(3)}, examples, examples)
+        return TrainingProblem(square, {"w": np.zeros(3)}, examples, examples)
 
 
 class QuickOutages(Quick):

@@ -21,7 +21,7 @@ from sigmaswarm.experiments.statistics import Draws
 from sigmaswarm.experiments.study import study
 from sigmaswarm.experiments.study.config import METHODS, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Task, designs_elsewhere, make_design
-from sigmaswarm.experiments.study.networks import MIN_DRIVING_TIME, Training, lessons, trainings
+from sigmaswarm.experiments.study.networks import MIN_DRIVING_TIME, Training, training_drives, trainings
 from sigmaswarm.experiments.study.results import _gains
 from sigmaswarm.experiments.study.scores import ScoreTable
 from sigmaswarm.experiments.study.study import Study, StudyProgress, run_study
@@ -188,7 +188,7 @@ def test_a_filter_s_drift_over_longer_outages_is_told_of_the_same_ones(whole: St
 def test_lessons_are_minutes_of_the_trial_s_own_training_drives(whole: Study):
     for trial in range(2):
         ours = {whole.design.drives[i].name for i in whole.design.split(trial)[0]}
-        few, more = (lessons(whole.design, trial, minutes) for minutes in (1.2, 2.4))
+        few, more = (training_drives(whole.design, trial, minutes) for minutes in (1.2, 2.4))
         for of, seconds in ((few, 72.0), (more, 144.0)):
             assert {d.name for d in (*of.shown, *of.held_back)} <= ours
             assert of.driven == pytest.approx(seconds, abs=MIN_DRIVING_TIME + 1.0)
@@ -199,9 +199,9 @@ def test_lessons_are_minutes_of_the_trial_s_own_training_drives(whole: Study):
         assert {d.name for d in (*few.shown, *few.held_back)} <= {
             d.name for d in (*more.shown, *more.held_back)
         }
-    names = [[d.name for d in lessons(whole.design, trial, 2.0).shown] for trial in range(2)]
+    names = [[d.name for d in training_drives(whole.design, trial, 2.0).shown] for trial in range(2)]
     assert names[0] != names[1]
-    everything = lessons(whole.design, 0, 1000.0)
+    everything = training_drives(whole.design, 0, 1000.0)
     assert len(everything.shown) + len(everything.held_back) == len(whole.design.split(0)[0])
 
 
@@ -210,7 +210,7 @@ def test_what_a_network_saw_is_in_its_folder(whole: Study):
         for trial in range(2):
             learned = load_learned(whole.folder / f"learned/{network}/trial-{trial:03d}")
             assert learned is not None
-            of = lessons(whole.design, trial, 2.4)
+            of = training_drives(whole.design, trial, 2.4)
             assert [entry.name for entry in learned.record.data] == [drive.name for drive in of.shown]
             assert learned.record.training.held_back == ", ".join(drive.name for drive in of.held_back)
             assert learned.record.training.seed == trial
@@ -244,7 +244,7 @@ def test_the_rivals_stand_in_the_tables(whole: Study):
     assert cells[7] == "-"  # no outage of 60 s fits
     training = [whole.design.drives[i] for i in whole.design.split(0)[0]]
     assert float(cells[1]) == pytest.approx(sum(d.duration for d in training), abs=1.0)
-    driven = np.mean([lessons(whole.design, trial, 2.4).driven for trial in range(2)])
+    driven = np.mean([training_drives(whole.design, trial, 2.4).driven for trial in range(2)])
     weights = load_learned(whole.folder / "learned/outage-lstm/trial-000").record.network.numbers
     tuned = len(whole.trials[Task("honest", "pso-planar8", "all", 0)].point)
     assert (cells[2], cells[3]) == (f"{driven:.0f}", f"{tuned + weights}")

@@ -19,7 +19,7 @@ from sigmaswarm.filters.schedule import start_of
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.learned import noise_training, outage_training
 from sigmaswarm.learned.cells import new_weights
-from sigmaswarm.learned.fitting import Lesson, Schedule, exact, fit
+from sigmaswarm.learned.fitting import Schedule, TrainingProblem, double_precision, fit
 from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.learned.learn import LEARNERS, LearnConfig, learn
 from sigmaswarm.learned.noise_gru import FEATURES, NoiseRun
@@ -50,7 +50,7 @@ def test_the_filter_that_is_trained_through_is_the_compiled_one(model: str, opti
         weights["head"] = head * np.random.default_rng(1).normal(size=(5, 2))
         compiled = NoiseRun(replay, p, weights)
         mean = compiled.whole().mean
-        with exact():
+        with double_precision():
             columns, _ = columns_of(replay, p)
             told = through(weights, *start_of(replay.initial, p), columns)
         said, means = (np.asarray(array) for array in told)
@@ -84,7 +84,10 @@ def test_a_fit_that_is_interrupted_ends_in_the_same_bits(tmp_path: Path):
     rng = np.random.default_rng(0)
     x = rng.normal(size=(60, 3))
     examples = (x[:40], x[:40] @ [1.0, -2.0, 0.5]), (x[40:], x[40:] @ [1.0, -2.0, 0.5])
-    asked = Lesson(square, {"w": np.zeros(3)}, *examples), Schedule(0.1, 30, batch=8, patience=30, seed=4)
+    asked = (
+        TrainingProblem(square, {"w": np.zeros(3)}, *examples),
+        Schedule(0.1, 30, batch=8, patience=30, seed=4),
+    )
     whole = fit(*asked)
     assert whole.best < 0.01 * whole.losses[0, 1]
 
@@ -103,7 +106,7 @@ def test_a_fit_that_is_interrupted_ends_in_the_same_bits(tmp_path: Path):
 def test_one_step_of_adam_is_that_of_the_paper():
     x = np.array([[1.0, 2.0]])
     example = x, np.array([1.7])
-    found = fit(Lesson(square, {"w": np.array([0.5, 0.5])}, example, example), ONE_STEP)
+    found = fit(TrainingProblem(square, {"w": np.array([0.5, 0.5])}, example, example), ONE_STEP)
     gradient = 2 * (1.5 - 1.7) * x[0]
     step = gradient / np.abs(gradient)  # m / sqrt(v), both corrected, after one step
     np.testing.assert_allclose(found.weights["w"], 0.5 - 0.01 * (step + 1e-4 * 0.5), rtol=1e-6)
@@ -113,8 +116,8 @@ def test_a_step_that_is_not_finite_is_not_taken():
     x = np.array([[1.0, 2.0], [np.inf, 0.0]])
     example = (x[:1], np.array([1.7]))
     start = {"w": np.array([0.5, 0.5])}
-    both = fit(Lesson(square, start, (x, np.array([1.7, 0.0])), example), ONE_STEP)
-    alone = fit(Lesson(square, start, example, example), ONE_STEP)
+    both = fit(TrainingProblem(square, start, (x, np.array([1.7, 0.0])), example), ONE_STEP)
+    alone = fit(TrainingProblem(square, start, example, example), ONE_STEP)
     np.testing.assert_array_equal(both.weights["w"], alone.weights["w"])
 
 
@@ -168,7 +171,7 @@ def test_the_noise_network_learns_downhill():
     batch = tuple(array[:2] for array in segments.arrays)
     weights = new_weights(np.random.default_rng(0), 3, FEATURES, 2, 2)
     weights["head"] = np.random.default_rng(1).normal(size=(2, 2))
-    with exact():
+    with double_precision():
         import jax
 
         loss = jax.jit(jax.value_and_grad(noise_training.loss(p)))
@@ -187,11 +190,13 @@ def test_the_outage_network_learns_how_fast_the_car_is():
     p = parameters("planar8", lateral_noise=0.05)
     tracks = outage_training.tracks_of(drives(), p)
     examples = outage_training.examples_of(tracks, ("ax", "ay", "gz"), 6.0)
-    network, lesson = outage_training.lesson(examples, ("ax", "ay", "gz"), window=6.0, units=6, seed=3)
-    found, again = (fit(lesson, Schedule(0.01, epochs, batch=128, patience=15, seed=3)) for epochs in (8, 2))
+    network, problem = outage_training.training_problem(
+        examples, ("ax", "ay", "gz"), window=6.0, units=6, seed=3
+    )
+    found, again = (fit(problem, Schedule(0.01, epochs, batch=128, patience=15, seed=3)) for epochs in (8, 2))
     assert found.best < found.losses[0, 1]
     assert again.losses.tobytes() == found.losses[: len(again.losses)].tobytes()
-    network = replace(network, weights={**found.weights, **lesson.fixed})
+    network = replace(network, weights={**found.weights, **problem.fixed})
     moved, variance = network.displacements(examples.arrays[0])
     assert moved.shape == variance.shape == examples.arrays[1].shape
     assert (variance > 0).all()

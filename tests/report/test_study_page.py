@@ -17,7 +17,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import StudyConfig
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.record import read_spreads
-from sigmaswarm.experiments.study.scores import MAX_TRACK_POINTS, shown_drives
+from sigmaswarm.experiments.study.scores import MAX_TRACK_POINTS, tracked_drives
 from sigmaswarm.experiments.study.study import Study, run_study, shown_trial
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.run import run_filter
@@ -83,7 +83,7 @@ def test_one_drive_of_each_condition_or_maneuver_is_shown():
         drives = tuple(make_drive(duration=1.0, name=f"{i:03d}") for i in range(len(conditions)))
         strata = tuple("-".join(c) for c in conditions)
         design = Design(drives, tuple(conditions), strata, CONFIG)
-        chosen = shown_drives(design, 1)
+        chosen = tracked_drives(design, 1)
         assert set(chosen) <= set(design.split(1)[1])
         return [conditions[i] for i in chosen]
 

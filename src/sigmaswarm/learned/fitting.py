@@ -42,7 +42,7 @@ class Examples:
 
 
 @dataclass(frozen=True, eq=False)
-class Lesson:
+class TrainingProblem:
     """Loss, initial weights and examples of a training run; ``fixed``: weights that are not trained."""
 
     loss: Loss
@@ -81,7 +81,7 @@ class Fit:
         return float(np.min(self.losses[:, 1]))
 
 
-def exact() -> AbstractContextManager[Any]:
+def double_precision() -> AbstractContextManager[Any]:
     """Use JAX with double precision in a block; raise `InputError` if JAX or Optax is not installed."""
     try:
         import jax
@@ -93,7 +93,7 @@ def exact() -> AbstractContextManager[Any]:
 
 
 def fit(
-    lesson: Lesson,
+    problem: TrainingProblem,
     schedule: Schedule,
     *,
     checkpoint: Path | None = None,
@@ -104,12 +104,12 @@ def fit(
     A stopped training continues from the file ``checkpoint``. ``progress`` is called after each epoch with its number
     and the least loss so far.
     """
-    with exact():
+    with double_precision():
         import jax
 
-        optimizer, test, run = _compiled(lesson.loss, schedule.learning_rate)
-        weights: dict[str, Any] = {name: np.asarray(w, np.float64) for name, w in lesson.weights.items()}
-        before = [[np.nan, float(test(weights, lesson.held_back))]]
+        optimizer, test, run = _compiled(problem.loss, schedule.learning_rate)
+        weights: dict[str, Any] = {name: np.asarray(w, np.float64) for name, w in problem.weights.items()}
+        before = [[np.nan, float(test(weights, problem.held_back))]]
         state = _State(weights, optimizer.init(weights), weights, np.array(before))
         saved = load_checkpoint(checkpoint) if checkpoint else None
         if saved:
@@ -119,16 +119,16 @@ def fit(
                 raise InputError(
                     f"{checkpoint}: not a checkpoint of this training; delete it to redo the training"
                 ) from None
-        count = len(lesson.examples[0])
+        count = len(problem.examples[0])
         size = min(schedule.batch, count)
         while (epoch := len(state.losses) - 1) < schedule.epochs:
             if epoch - int(np.argmin(state.losses[:, 1])) >= schedule.patience:
                 break
             order = np.random.default_rng([schedule.seed, epoch]).permutation(count)
             order = order[: count // size * size].reshape(-1, size)
-            batches = tuple(e[order] for e in lesson.examples)
+            batches = tuple(e[order] for e in problem.examples)
             weights, moments, mean = run(state.weights, state.moments, batches)
-            losses = float(mean), float(test(weights, lesson.held_back))
+            losses = float(mean), float(test(weights, problem.held_back))
             weights, moments = jax.tree.map(np.asarray, (weights, moments))
             state = state.after(weights, moments, losses)
             if checkpoint:

@@ -20,7 +20,7 @@ from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned import noise_gru, outage_lstm
 from sigmaswarm.learned.cells import n_weights
-from sigmaswarm.learned.fitting import Fit, Schedule, Settings, exact, fit, part_of
+from sigmaswarm.learned.fitting import Fit, Schedule, Settings, double_precision, fit, part_of
 from sigmaswarm.learned.folder import LEARNED_SEEN, Learned, LearnedRecord, NetworkRecord, TrainingRecord
 from sigmaswarm.learned.noise_training import NoiseLearner
 from sigmaswarm.learned.outage_training import OutageLearner
@@ -48,8 +48,9 @@ Learner = OutageLearner | NoiseLearner
 LEARNERS: Mapping[str, type[Learner]] = {outage_lstm.NAME: OutageLearner, noise_gru.NAME: NoiseLearner}
 """Training of each type of network.
 
-``start``: settings of the first training. ``bounds``: bounds of the search, as logarithms to the base of 2. ``lesson``
-prepares the input of `fit`. ``finish`` returns the weights of the best network and further entries of its record.
+``start``: settings of the first training. ``box``: bounds of the search, as logarithms to the base of 2.
+``training_problem`` prepares the input of `fit`. ``finish`` returns the weights of the best network and further entries
+of its record.
 """
 
 
@@ -128,7 +129,7 @@ def learn(
     """
     if config.kind not in LEARNERS:
         raise InputError(f"there is no network {config.kind!r}; choose one of {', '.join(LEARNERS)}")
-    with exact():  # raises at once where JAX is missing
+    with double_precision():  # raises at once where JAX is missing
         began, record = time.process_time(), config.record()
     folder = ResultFolder(out, record, resume=resume)
     shown, held_back = config.split()
@@ -229,10 +230,10 @@ def _trained(
 ) -> Fit:
     if (done := folder.finished(number, FinishedRecord, FinishedHistoryRecord)) is not None:
         return Fit(part_of(done[1], "weights"), done[1]["losses"])
-    lesson = learner.lesson(settings, seed)
+    problem = learner.training_problem(settings, seed)
     schedule = Schedule(settings["learning_rate"], learner.epochs, learner.batch, learner.patience, seed)
-    found = fit(lesson, schedule, checkpoint=folder.checkpoint(number), progress=progress)
-    found = Fit({**found.weights, **lesson.fixed}, found.losses)
+    found = fit(problem, schedule, checkpoint=folder.checkpoint(number), progress=progress)
+    found = Fit({**found.weights, **problem.fixed}, found.losses)
     history = {f"weights/{name}": array for name, array in found.weights.items()}
     result = {"cost": found.best, "settings": dict(settings)}
     folder.finish(number, result, history | {"losses": found.losses})

@@ -15,7 +15,7 @@ from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.learned.cells import new_weights
-from sigmaswarm.learned.fitting import VALIDATION_SHARE, Examples, Lesson, Loss, Settings
+from sigmaswarm.learned.fitting import VALIDATION_SHARE, Examples, Loss, Settings, TrainingProblem
 from sigmaswarm.learned.noise_gru import FEATURES
 
 
@@ -102,12 +102,12 @@ class NoiseLearner:
         require_supported(parameters)
         self._drives, self._validation, self._parameters = drives, validation, parameters
 
-    def lesson(self, settings: Settings, seed: int) -> Lesson:
+    def training_problem(self, settings: Settings, seed: int) -> TrainingProblem:
         segments = segments_of(self._drives, self._parameters, settings["window"], self._validation)
         rng = np.random.default_rng([seed, 2])
         weights = new_weights(rng, 3, FEATURES, int(settings["units"]), 2)
         shown, test = segments.part(held_back=False), segments.part(held_back=True)
-        return Lesson(loss(self._parameters), weights, shown, test)
+        return TrainingProblem(loss(self._parameters), weights, shown, test)
 
     def finish(
         self, settings: Settings, weights: Mapping[str, Array]

@@ -21,7 +21,7 @@ from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
-from sigmaswarm.learned.fitting import VALIDATION_SHARE, Examples, Lesson, Loss, Settings
+from sigmaswarm.learned.fitting import VALIDATION_SHARE, Examples, Loss, Settings, TrainingProblem
 from sigmaswarm.learned.outage_lstm import (
     OutageLstm,
     OutageRun,
@@ -128,14 +128,14 @@ def _loss(fixed: dict[str, Array]) -> Loss:
     return of
 
 
-def lesson(
+def training_problem(
     examples: Examples, axes: tuple[str, ...], *, window: float, units: int, seed: int
-) -> tuple[OutageLstm, Lesson]:
+) -> tuple[OutageLstm, TrainingProblem]:
     shown = examples.part(held_back=False)
     network = untrained(np.random.default_rng([seed, 1]), axes, window, units, *shown)
     fixed = {name: network.weights[name] for name in FIXED_WEIGHTS}
     moving = {name: w for name, w in network.weights.items() if name not in FIXED_WEIGHTS}
-    return network, Lesson(_loss(fixed), moving, shown, examples.part(held_back=True), fixed)
+    return network, TrainingProblem(_loss(fixed), moving, shown, examples.part(held_back=True), fixed)
 
 
 class OutageLearner:
@@ -152,12 +152,14 @@ class OutageLearner:
         self._tracks = tracks_of(drives, parameters, validation)
         self._examples: dict[float, Examples] = {}
 
-    def lesson(self, settings: Settings, seed: int) -> Lesson:
+    def training_problem(self, settings: Settings, seed: int) -> TrainingProblem:
         window = settings["window"]
         if window not in self._examples:
             self._examples = {window: examples_of(self._tracks, self._axes, window)}
         examples = self._examples[window]
-        return lesson(examples, self._axes, window=window, units=int(settings["units"]), seed=seed)[1]
+        units = int(settings["units"])
+        _, problem = training_problem(examples, self._axes, window=window, units=units, seed=seed)
+        return problem
 
     def finish(
         self, settings: Settings, weights: Mapping[str, Array]

@@ -22,6 +22,8 @@ from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned.folder import Learned, load_learned
 from sigmaswarm.learned.learn import LEARNERS, LearnConfig, learn
+from sigmaswarm.learned.noise_gru import NoiseRun
+from sigmaswarm.learned.outage_lstm import OutageRun
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.drifts import rms_drift
 from sigmaswarm.scoring.score import PieceErrors
@@ -36,7 +38,7 @@ MIN_DRIVES_TO_SPLIT = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Lessons:
+class TrainingDrives:
     """Training and validation drives of a network, and their time after the filters' start, s."""
 
     shown: tuple[Drive, ...]
@@ -67,16 +69,21 @@ class Training:
 
 
 @dataclass(frozen=True, eq=False)
-class Trained:
+class TrainedNetwork:
     parameters: FilterParameters
     learned: Learned
     driven: float  # s
 
+    @property
+    def run(self) -> Callable[..., OutageRun | NoiseRun]:
+        """Function that runs the filter with its network over a replay."""
+        return partial(self.learned.run, parameters=self.parameters)
 
-Networks = Mapping[Task, Trained]
+
+Networks = Mapping[Task, TrainedNetwork]
 
 
-def lessons(design: Design, trial: int, minutes: float) -> Lessons:
+def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrives:
     """Draw minutes of driving from a trial's training drives: complete drives, and the beginning of one more.
 
     The drives for more minutes include those for fewer minutes. If too few are drawn for training, drives are added.
@@ -106,7 +113,7 @@ def lessons(design: Design, trial: int, minutes: float) -> Lessons:
             "add drives, or the maneuver urban"
         )
     shown = len(chosen) - len(chosen) // MIN_DRIVES_TO_SPLIT
-    return Lessons(tuple(chosen[:shown]), tuple(chosen[shown:]), driven)
+    return TrainingDrives(tuple(chosen[:shown]), tuple(chosen[shown:]), driven)
 
 
 def trainings(design: Design) -> list[Training]:
@@ -114,7 +121,7 @@ def trainings(design: Design) -> list[Training]:
     if not design.config.rivals:
         return []
     trials = range(design.config.trials)
-    driven = [lessons(design, trial, design.config.learn_minutes).driven for trial in trials]
+    driven = [training_drives(design, trial, design.config.learn_minutes).driven for trial in trials]
     of_trials = [Training(network, trial) for trial in trials for network in NETWORKS]
     doubled = (2.0 * 2.0 ** np.arange(12)).tolist()  # minutes
     curve = [minutes for minutes in doubled if minutes < 0.9 * (driven[0] / 60.0)]
@@ -126,15 +133,15 @@ def train_all(
     parameters: Filters,
     folder: Path,
     progress: Callable[[int, Task], None],
-) -> dict[Training, Trained]:
+) -> dict[Training, TrainedNetwork]:
     """Run, continue or read all trainings, one after the other.
 
     ``progress`` is called with the finished generations and epochs, and the task.
     """
     done = len(list(design.tasks)) * design.config.generations
-    trained: dict[Training, Trained] = {}
+    trained: dict[Training, TrainedNetwork] = {}
     for training in trainings(design):
-        drives = lessons(design, training.trial, training.minutes or design.config.learn_minutes)
+        drives = training_drives(design, training.trial, training.minutes or design.config.learn_minutes)
         out, helped = (
             folder / training.folder,
             parameters[Task("honest", NETWORK_FILTER, ALL, training.trial)],
@@ -148,7 +155,7 @@ def train_all(
             resume=True,
             progress=lambda now, before=done, task=training.task: progress(before + now.epoch, task),
         )
-        trained[training] = Trained(helped, learned, drives.driven)
+        trained[training] = TrainedNetwork(helped, learned, drives.driven)
         done += training.epochs
         progress(done, training.task)
     return trained
@@ -156,7 +163,7 @@ def train_all(
 
 def score_networks(
     design: Design,
-    networks: Sequence[Trained],
+    networks: Sequence[TrainedNetwork],
     drives: Sequence[Sequence[int]],
     executor: Executor | None = None,
 ) -> dict[str, Array]:
@@ -173,11 +180,13 @@ def score_networks(
     return found
 
 
-def _score(trained: Trained, ready: PreparedDrive, long: Mapping[str, float], seed: int) -> dict[str, float]:
+def _score(
+    trained: TrainedNetwork, ready: PreparedDrive, long: Mapping[str, float], seed: int
+) -> dict[str, float]:
     """Score a network on one drive, without resets of the filter."""
     replay, truth = tracking_replay(ready), ready.drive.truth
     assert truth is not None
-    run = trained.learned.run(replay, trained.parameters)
+    run = trained.run(replay)
     errors = PieceErrors(truth, ready.initial)
     for piece in run:
         errors.add(piece.time, piece.mean)
@@ -193,7 +202,7 @@ def _score(trained: Trained, ready: PreparedDrive, long: Mapping[str, float], se
         ends = outage_windows(ready.drive, ready.initial, length=length, seed=seed)[:, 1]
         found[measure] = np.nan
         if len(ends):
-            run = trained.learned.run(outage_replay(ready, length=length, seed=seed), trained.parameters)
+            run = trained.run(outage_replay(ready, length=length, seed=seed))
             whole = run.whole()
             found[measure] = np.inf if run.failure else rms_drift(ready, whole, ends)
     return found

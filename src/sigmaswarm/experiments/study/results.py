@@ -28,7 +28,7 @@ from sigmaswarm.experiments.study.config import (
     PROTOCOLS,
 )
 from sigmaswarm.experiments.study.design import Design, Filters, Task, Trials
-from sigmaswarm.experiments.study.networks import Networks, Trained, Training
+from sigmaswarm.experiments.study.networks import Networks, TrainedNetwork, Training
 from sigmaswarm.experiments.study.record import (
     Convergence,
     CurvePoint,
@@ -181,7 +181,7 @@ def _convergences(trials: Trials) -> Iterator[Convergence]:
 def rival_results(
     trials: Trials,
     networks: Networks,
-    less: Mapping[Training, Trained],
+    less: Mapping[Training, TrainedNetwork],
     scores: ScoreTable,
     elsewhere: Mapping[str, ScoreTable],
     curve: Mapping[str, Array],
@@ -243,7 +243,7 @@ def _elsewhere(tables: Mapping[str, ScoreTable], home: Design, draws: Draws) -> 
 def _curve(
     scores: ScoreTable,
     networks: Networks,
-    less: Mapping[Training, Trained],
+    less: Mapping[Training, TrainedNetwork],
     curve: Mapping[str, Array],
     draws: Draws,
 ) -> Iterator[CurvePoint]:

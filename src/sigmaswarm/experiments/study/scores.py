@@ -218,11 +218,11 @@ MAX_TRACKED_DRIVES = 10
 MAX_TRACK_POINTS = 700  # largest number of points of a series, to limit the size of the page
 
 
-def follow(design: Design, parameters: Filters, trial: int) -> tuple[list[Tracks], Picture]:
+def record_tracks(design: Design, parameters: Filters, trial: int) -> tuple[list[Tracks], Picture]:
     """Record tracks on some test drives of a trial, and the data of the figures on the first drive."""
     tracks: list[Tracks] = []
     pictures: list[Picture] = []
-    for i in shown_drives(design, trial):
+    for i in tracked_drives(design, trial):
         tuned = {f"{p}-{m}": parameters[Task(p, m, design.group_of(i), trial)] for p, m in TRACKED_FILTERS}
         ((found, picture),) = design.of_each(partial(_followed, tuned=tuned, drawn=not pictures), [i])
         tracks.append(found)
@@ -242,7 +242,7 @@ def _followed(
     return tracker.tracks(name), tracker.picture(name) if drawn else None
 
 
-def shown_drives(design: Design, trial: int) -> list[int]:
+def tracked_drives(design: Design, trial: int) -> list[int]:
     """Choose test drives of a trial: one of each condition, or of each maneuver if there are many conditions.
 
     The chosen drives are from different parts of the lists of drives, so that environments differ. A drive with turns

@@ -33,12 +33,12 @@ from sigmaswarm.experiments.study.design import Design, Filters, Task, Trials, d
 from sigmaswarm.experiments.study.networks import score_networks, train_all, trainings
 from sigmaswarm.experiments.study.record import Results, StudyRecord, spreads_of
 from sigmaswarm.experiments.study.results import results_of, rival_results
-from sigmaswarm.experiments.study.scores import follow, score_all
+from sigmaswarm.experiments.study.scores import record_tracks, score_all
 from sigmaswarm.experiments.study.timings import Stopwatch, rival_times, stored_time, write_timings
 from sigmaswarm.files import locked_folder, make_folder, staged_files, write_whole
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.learned.fitting import exact
+from sigmaswarm.learned.fitting import double_precision
 from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.scoring.tracks import Picture, save_tracks
 from sigmaswarm.tuning.objectives import parse_objective
@@ -139,7 +139,7 @@ def run_study(
         If a drive never moves far enough to start a filter.
     """
     if config.rivals:
-        with exact():  # raises where JAX is missing
+        with double_precision():  # raises where JAX is missing
             require_packages("bo")
         if cluster is not None:
             raise InputError("rivals = True: networks are trained on local drives; leave the cluster out")
@@ -208,7 +208,7 @@ def _run(
         rivals = rival_results(trials, whole, less, scores, away, curve)
     touched = {task: spaces[task.variant].touched(trial.point) for task, trial in trials.items()}
     results = results_of(trials, points, touched, scores, rivals)
-    tracks, picture = follow(design, points, shown_trial(trials))
+    tracks, picture = record_tracks(design, points, shown_trial(trials))
     with staged_files(folder) as new:
         scores.write(new)
         for place, table in away.items():

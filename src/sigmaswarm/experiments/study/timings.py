@@ -11,7 +11,7 @@ import numpy as np
 
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.experiments.study.design import Design, Filters
-from sigmaswarm.experiments.study.networks import Networks, Trained, Training
+from sigmaswarm.experiments.study.networks import Networks, TrainedNetwork, Training
 from sigmaswarm.experiments.study.record import Times
 from sigmaswarm.files import write_json
 from sigmaswarm.filters.filter_run import FilterRun
@@ -64,7 +64,7 @@ def rival_times(out: Path, design: Design, parameters: Filters, networks: Networ
     found: Times = {}
     for task, own in {**parameters, **networks}.items():
         trial = f"trials/{task.folder}/trial-{task.trial:03d}"
-        folder = Training(task.method, task.trial).folder if isinstance(own, Trained) else trial  # pyright: ignore
+        folder = Training(task.method, task.trial).folder if isinstance(own, TrainedNetwork) else trial  # pyright: ignore
         times = content_if_readable(out / folder / "timings.json").get("processor_s")
         if isinstance(times, float) and np.isfinite(times):
             spent.setdefault(task.folder, []).append(times)
@@ -75,13 +75,13 @@ def rival_times(out: Path, design: Design, parameters: Filters, networks: Networ
     return found
 
 
-def _sample_us(own: Trained | FilterParameters, ready: PreparedDrive) -> float:
+def _sample_us(own: TrainedNetwork | FilterParameters, ready: PreparedDrive) -> float:
     """Measure the processor time per IMU sample, us, in the second of two runs."""
     took = 0.0
     for _ in range(2):
         replay = tracking_replay(ready)
         began = time.process_time()
-        run = own.learned.run(replay, own.parameters) if isinstance(own, Trained) else FilterRun(replay, own)
+        run = own.run(replay) if isinstance(own, TrainedNetwork) else FilterRun(replay, own)
         run.finished()
         took = 1e6 * (time.process_time() - began) / len(replay.timeline.imu_time)
     return took
