@@ -74,8 +74,8 @@ def tune(
         Filter from which the search starts: a tuning, or an ekf.yaml of robot_localization (select its inputs with
         --use).
     paper
-        Use the paper's settings: pso, 30 particles, 50 generations, linear scale, gps-rmse, planar5, ukf. Contradicting
-        options are errors.
+        Use the paper's settings: pso, 30 particles, 50 generations, linear scale, gps-rmse, planar5, ukf. Conflicting
+        options are refused.
     resume
         Continue an interrupted tuning; the result is the same as without the interruption.
     """

@@ -85,8 +85,8 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
         raise InputError(f"there is no export target {target!r}; choose one of {', '.join(TARGETS)}")
     if MODELS[parameters.model].tilts and not DESCRIPTIONS[target].tilts:
         raise InputError(
-            f"{target} does not support {parameters.model}; run it with `sigmaswarm run` or LiveFilter, or export "
-            "planar8"
+            f"{target} does not support {parameters.model}; run the filter with `sigmaswarm run` or LiveFilter, "
+            "or tune planar8"
         )
     used = {"fix-error": parameters.fix_error, "heading": parameters.heading_noise}
     absent = [option for option in DESCRIPTIONS[target].lacks if used[option] is not None]
