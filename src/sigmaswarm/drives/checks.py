@@ -168,15 +168,27 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
     return Remark(code, "imu.csv", columns, what, remedy)
 
 
-def gaps_in(time: Array, limit: tuple[float, float]) -> Gaps | None:
-    """Find the gaps of ``time`` (n,), s, by a limit such as `IMU_GAP`; None if there are none."""
+def gaps_in(time: Array, limit: tuple[float, float], imu: Array | None = None) -> Gaps | None:
+    """Find the gaps of ``time`` (n,), s, by a limit such as `IMU_GAP`; None if there are none.
+
+    Gaps that consist mostly of a gap in the times of the IMU ``imu``, s, are not counted: the logger paused.
+    """
     interval = np.diff(time)
     usual = float(np.median(interval)) if interval.size else 0.0
-    count = int(np.count_nonzero(interval > max(limit[0] * usual, limit[1])))
-    if not count:
+    gap = interval > max(limit[0] * usual, limit[1])
+    if imu is not None and gap.any():
+        missing = np.where(_is_gap(imu, IMU_GAP), np.diff(imu), 0.0)
+        passed = np.interp(time, imu, np.append(0.0, np.cumsum(missing)))  # s of gaps until each time
+        gap &= np.diff(passed) < interval / 2
+    if not gap.any():
         return None
-    i = int(np.argmax(interval))
-    return Gaps(count, float(time[i]), float(interval[i]), usual)
+    i = int(np.argmax(np.where(gap, interval, 0.0)))
+    return Gaps(int(np.count_nonzero(gap)), float(time[i]), float(interval[i]), usual)
+
+
+def _is_gap(time: Array, limit: tuple[float, float]) -> NDArray[np.bool_]:
+    interval = np.diff(time)
+    return interval > max(limit[0] * float(np.median(interval)), limit[1])
 
 
 def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
@@ -190,7 +202,7 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
     sensors += [("truth", truth, GPS_GAP, unscored)] if truth is not None else []
     found: list[tuple[str, str, str]] = []
     for name, table, limit, remedy in sensors:
-        if g := gaps_in(table.time, limit):
+        if g := gaps_in(table.time, limit, imu.time if name == "gps" else None):
             longest = (
                 f"the longest {g.length:.2f} s after t = {g.start:.2f} s (usual interval {g.usual:.3f} s)"
             )

@@ -8,7 +8,7 @@ from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, finding_of
 from sigmaswarm.doctor.mounting import LEAST_SHARE
 from sigmaswarm.doctor.verdicts import CLEAR_OFFSET, LEAST_TURN
-from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, gaps_in, unshared_times
+from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, Gaps, gaps_in, unshared_times
 from sigmaswarm.drives.drive import Array, Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
@@ -75,9 +75,9 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     yield _rate("imu", "samples", imu.time)
     yield _rate("gps", "fixes", gps.time)
     remedy = "a filter uses the mean of the samples around a gap, and increases its covariance"
-    yield from _gaps("imu", imu.time, IMU_GAP, remedy)
+    yield from _gaps("imu", gaps_in(imu.time, IMU_GAP), remedy)
     remedy = "during this time a filter uses only the IMU; no action is needed if this is intended"
-    yield from _gaps("gps", gps.time, GPS_GAP, remedy)
+    yield from _gaps("gps", gaps_in(gps.time, GPS_GAP, imu.time), remedy)
     if remark := unshared_times(imu.time, gps.time):
         yield finding_of(remark, "note", _ends(imu.time), 1.0)
     yield from clock_jumps(imu.time, gps)
@@ -116,8 +116,8 @@ def _rate(sensor: str, counted: str, time: Array) -> Finding:
     return Finding(f"{sensor}-rate", severity, what, f"{sensor}.csv, t", _ends(time), 1.0, remedy)
 
 
-def _gaps(sensor: str, time: Array, limit: tuple[float, float], remedy: str) -> Iterator[Finding]:
-    if gaps := gaps_in(time, limit):
+def _gaps(sensor: str, gaps: Gaps | None, remedy: str) -> Iterator[Finding]:
+    if gaps:
         many = f"{gaps.count} gaps, the longest" if gaps.count > 1 else "a gap of"
         what = f"{many} {gaps.length:.2g} s (usual interval {gaps.usual:.3g} s)"
         severity = "warning" if sensor == "imu" and gaps.length > LONG_GAP else "note"
