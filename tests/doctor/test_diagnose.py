@@ -58,6 +58,23 @@ def test_fixes_in_a_gap_of_the_imu_are_no_outliers(missing: float):
     assert "gps-outliers" not in found.codes
 
 
+@pytest.mark.parametrize(("before", "after"), [(0.0, 0.0), (1.0, 2.0)])
+def test_a_pause_of_the_logger_is_no_gap_of_the_fixes_too(before: float, after: float):
+    drive = simulated("icm-20602")
+    kept = (drive.imu.time <= 25.0) | (drive.imu.time >= 31.0)
+    seen = (drive.gps.time <= 25.0 - before) | (drive.gps.time >= 31.0 + after)
+    paused = replace(drive, imu=drive.imu.select(kept), gps=drive.gps.select(seen))
+    codes = sigmaswarm.diagnose(paused).codes
+    assert "imu-gap" in codes and "gps-gap" not in codes
+    outage = seen & ((drive.gps.time < 40.0) | (drive.gps.time > 45.0))
+    (gap,) = [
+        f.what
+        for f in sigmaswarm.diagnose(replace(paused, gps=drive.gps.select(outage))).findings
+        if f.code == "gps-gap"
+    ]
+    assert gap.startswith("a gap of 5")
+
+
 def test_one_circle_is_said_to_hide_the_scale_of_the_gyro():
     rng, t, rate = np.random.default_rng(0), np.arange(0, 60, 0.01), 0.26
     noise = 0.01 * rng.standard_normal((3, len(t)))
@@ -570,3 +587,37 @@ def test_steady_circles_show_no_gravity_no_unit_and_no_rotation(speed: float, ra
     imu = Imu(t, *force[:2], gyro[2], az=force[2], gx=gyro[0], gy=gyro[1])
     found = sigmaswarm.diagnose(Drive("circle", imu, Gps(t[::10], fixes.real, fixes.imag)))
     assert {f.code for f in found.findings if f.severity != "note"} <= {"unseen-yaw", "no-start"}
+
+
+def circle(speed: float, rate: float, *, noise: float, turned_by: float, ahead: float) -> Drive:
+    """90 s on a circle at constant speed: m/s, rad/s; noise of the fixes, rotation about z and lever arm, m."""
+    rng, t = np.random.default_rng(1), np.arange(0, 90, 0.025)
+    heading = np.exp(1j * rate * t)
+    place = (speed / (1j * rate) + ahead) * heading
+    force = 1j * speed * rate * np.exp(-1j * turned_by) + 0.1 * (rng.standard_normal((2, len(t))).T @ [1, 1j])
+    gyro = 0.003 * rng.standard_normal((3, len(t))) + np.array([0.0, 0.0, rate])[:, None]
+    up = 9.81 + 0.1 * rng.standard_normal(len(t))
+    imu = Imu(t, force.real, force.imag, gyro[2], az=up, gx=gyro[0], gy=gyro[1])
+    fixes = place[::40] + noise * (rng.standard_normal((2, 90)).T @ [1, 1j])
+    return Drive("circle", imu, Gps(t[::40], fixes.real, fixes.imag))
+
+
+@pytest.mark.parametrize("speed", [1.0, 2.5, 8.0])
+@pytest.mark.parametrize(
+    ("rate", "noise", "turned_by", "ahead"), [(0.1, 0.05, 0.05, 0.4), (-0.5, 0.3, -0.07, -0.8)]
+)
+def test_on_a_circle_at_constant_speed_no_delay_of_the_fixes_is_noted(
+    speed: float, rate: float, noise: float, turned_by: float, ahead: float
+):
+    """There a delay, a rotation about z and a lever arm look alike."""
+    drive = circle(speed, rate, noise=noise, turned_by=turned_by, ahead=ahead)
+    found = {f.code: f for f in sigmaswarm.diagnose(drive).findings}
+    assert "clock-offset" not in found
+    assert "of any size can't be detected" in found["unseen-clock"].what
+
+
+@needs_shared
+def test_a_recording_in_circles_proposes_no_delay():
+    source = DRIVES.parent / "cases/data/ros1-own-message/Circles.bag"
+    drive = sigmaswarm.import_log(source, say=lambda _: None, mount="x=x,y=-y")
+    assert "clock-offset" not in sigmaswarm.diagnose(drive).codes

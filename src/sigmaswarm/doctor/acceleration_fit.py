@@ -42,6 +42,7 @@ class AccelerationFit:
     bias: Array  # (k, 2) m/s2, forward and left, of each window: residuals of the recorded accelerations
     rows: NDArray[np.intp]  # (k, n), the fixes of each window
     residual: Complex  # (k, n) m, east + i north
+    varied: float  # m/s, RMS of the velocity that no other unknown explains; 0 on a circle at constant speed
 
 
 def _off_course(time: Array, course: Course, rate: Array, late: float) -> tuple[Array, Array]:
@@ -111,7 +112,9 @@ def fit_acceleration(
     solution, covariance = fit.solved(found, late)
     matrix = solution[:4].reshape(2, 2)
     bias_std = np.sqrt(np.diag(covariance)[5:])
-    return AccelerationFit(matrix, covariance[:5, :5], late, bias_std, fit.bias, rows, found.residual[:, :-1])
+    rest = found.residual[:, :-1]
+    varied = found.unexplained(4) / np.sqrt(rest.size)
+    return AccelerationFit(matrix, covariance[:5, :5], late, bias_std, fit.bias, rows, rest, varied)
 
 
 def usable_windows(imu: Array, course: Course, longest: float) -> NDArray[np.intp]:

@@ -40,6 +40,8 @@ SHOWN = 0.25
 """Standard deviation of an element of M below which the drive determines it."""
 LEAST_OFFSET = 0.1
 """Smallest reported offset, s; the receiver's noise hides smaller offsets."""
+LEAST_VARIED = 0.1
+"""Smallest `AccelerationFit.varied`, m/s, that determines the delay. Noise of the IMU causes up to 0.04 m/s."""
 CLEAR_OFFSET = (2.5, 3.3, 4.5)
 """Ratios of an offset to its standard deviation above which there is a note, a warning with a repair, or a serious
 finding."""
@@ -171,7 +173,7 @@ def clock_of(
     """Combine the delays of accelerometers and gyro; their disagreement increases the standard deviation."""
     found: list[tuple[float, float]] = []
     searched = float(acceleration_fit.LATENESS[-1])
-    if acceleration is not None and mount is not None:
+    if acceleration is not None and mount is not None and acceleration.varied > LEAST_VARIED:
         # The delay and its standard deviation, given M: the conditional Gaussian of the fit.
         (expected,), slack = _expected(mount.axes, mount.unit, np.array([mount.angle]))
         covariance = acceleration.covariance

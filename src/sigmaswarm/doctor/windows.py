@@ -69,6 +69,13 @@ class Regression:
         """The covariance (k, k) of the solution, for overlapping windows and correlated residuals."""
         return _covariance(self.columns, self.left, self.own)
 
+    def unexplained(self, k: int) -> float:
+        """Return the norm of a column less what the other columns explain of it."""
+        column, others = self.columns[:, k], np.delete(self.columns, k, axis=1)
+        gram = np.sum(others @ others.transpose(0, 2, 1), axis=0)
+        along = np.einsum("wkn,wn->k", others, column)
+        return float(np.sqrt(max(np.sum(column**2) - along @ pinv(gram) @ along, 0.0)))
+
 
 def regress(
     y: Complex, columns: Sequence[Complex], own: Sequence[Complex], weight: Array, rounds: int
