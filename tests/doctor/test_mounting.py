@@ -91,6 +91,17 @@ def test_the_mounting_reported_is_the_same_for_every_mounting_of_the_import(
         np.testing.assert_allclose(other.repair @ before, plain.mount if other.needed else before, atol=1e-9)
 
 
+@pytest.mark.parametrize("yaw", [3.9, 4.9, 5.1])
+def test_a_clear_rotation_is_not_rounded_in_a_whole_log_and_kept_in_a_part(yaw: float):
+    """Within the tolerance of `needed`, a mounting upside down was reported without its rotation about z."""
+    std, down = np.radians([1.1, 0.7, 0.8]), rotation_of(180, 0, 0)
+    found = Mounting(rotation_of(180, 0.3, yaw), std, "sure", "", np.eye(3))
+    assert found.needed and np.degrees(angle_of(found.mount @ found.rotation.T)) < 1e-5
+    exact = Mounting(rotation_of(180, 0.3, 2.0), std, "sure", "", np.eye(3))
+    np.testing.assert_allclose(exact.mount, down, atol=1e-12)
+    assert not Mounting(rotation_of(0, 0.3, min(yaw, 4.9)), std, "sure", "", np.eye(3)).needed
+
+
 @pytest.mark.parametrize("start", quickly([(a,) for a in WRONG], lambda a: a == (0, -60, 30)))
 def test_a_wrong_mounting_of_the_import_changes_no_answer(start: tuple[float, float, float]):
     drive = drive_of("mpu-6050")

@@ -74,13 +74,14 @@ class Mounting:
     @property
     def needed(self) -> bool:
         """True if the rotation is known, and exceeds a tolerance and a multiple of its standard deviation."""
-        return self.confidence != "no" and not self._agrees(self.rotation)
+        return self.confidence != "no" and not self._agrees(self.rotation, LEAST_TILT, LEAST_YAW)
 
     @property
     def mount(self) -> Array:
         """The rotation (3, 3) from the raw samples, which does not depend on `before`.
 
-        The result is the estimate, or an exchange of the raw axes with which the estimate agrees.
+        The result is the estimate, or an exchange of the raw axes from which the estimate does not differ significantly.
+        A tolerance like that of `needed` would round a rotation of 4 deg to 0, and one of 5 deg in a part of a log not.
         """
         found = self.rotation @ self.before
         exchanged = max(AXES, key=lambda axes: float(np.trace(found @ axes.T)))
@@ -91,12 +92,12 @@ class Mounting:
         """The rotation (3, 3) of the drive's axes that leads to `mount`; the identity if none is needed."""
         return self.mount @ self.before.T if self.needed else np.eye(3)
 
-    def _agrees(self, rest: Array) -> bool:
-        """Check that tilt and rotation about the vertical of a remaining rotation (3, 3) are not significant."""
+    def _agrees(self, rest: Array, least_tilt: float = 0.0, least_yaw: float = 0.0) -> bool:
+        """Check that tilt and rotation about the vertical of a rotation (3, 3) are small or not significant."""
         tilt, about = np.arccos(np.clip(rest[2, 2], -1.0, 1.0)), rest @ levelling(rest[2]).T
-        level = tilt <= max(LEAST_TILT, CLEAR * np.max(self.std[:2]))
+        level = tilt <= max(least_tilt, CLEAR * np.max(self.std[:2]))
         yaw = abs(math.atan2(about[1, 0], about[0, 0]))
-        return bool(level and yaw <= max(LEAST_YAW, CLEAR * self.std[2]))
+        return bool(level and yaw <= max(least_yaw, CLEAR * self.std[2]))
 
 
 @dataclass(frozen=True, eq=False)

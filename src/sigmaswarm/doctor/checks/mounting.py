@@ -90,9 +90,11 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
             f"turn all six axes: import with --mount {mount}",
             Repair("rotate", tuple(mounting.repair.ravel().tolist())),
         )  # fmt: skip
-    elif (apart := angle_of(mounting.mount @ mounting.before.T)) > LEAST_DIFFERENCE:
+    elif (
+        evidence.drive.mounting and (apart := angle_of(mounting.mount @ mounting.before.T)) > LEAST_DIFFERENCE
+    ):
         what = f"the log shows the mounting {mount} deg {sure}; the mounting in drive.toml differs by "
-        what += f"{math.degrees(apart):.1f} deg, which is not significant"
+        what += f"{math.degrees(apart):.1f} deg, which needs no repair"
         remedy = f"keep a measured mounting; otherwise import with --mount {mount}"
         yield Finding("mounting", "note", what, WHERE, evidence.span, confidence_of(apart / total), remedy)
 
