@@ -42,7 +42,7 @@ def to_dos(tuning: Tuning[Any], about: str) -> list[str]:
 @pytest.mark.long
 def test_gps_std_m_brings_the_nis_of_a_smooth_receiver_up():
     plain, stated = (tune(smooth(std), model="planar8", use=["lateral"], **FEW) for std in (None, 0.3))
-    assert "write gps_std_m at the top of drive.toml" in to_dos(plain, "gps_std_m")[0]
+    assert "write the line `gps_std_m = 1.5` at the top of drive.toml" in to_dos(plain, "gps_std_m")[0]
     assert not to_dos(stated, "gps_std_m")
     nis = [evaluate(smooth(), t.parameters).consistency[town().name].mean_nis for t in (plain, stated)]
     r = [np.sqrt(np.mean(t.parameters.measurement_noise)) for t in (plain, stated)]
@@ -54,9 +54,7 @@ def test_a_deviation_in_drive_toml_or_the_accuracy_answers_an_r_that_copies_the_
     copying = replace(tune(smooth(0.05), model="planar8", use=["lateral"], **FEW).parameters)
     copying = replace(copying, measurement_noise=(0.01**2, 0.01**2))
     (said,) = noise_warnings(copying, [FixNoise(float("nan"), 0.1)], ["lateral"])
-    assert (
-        "write the standard deviation of the receiver's fixes, m per axis, to drive.toml as gps_std_m" in said
-    )
+    assert "write the line `gps_std_m = 1.5` at the top of drive.toml" in said
     assert "--use" not in said
     assert fix_noise(smooth(1.5)).stated == 1.5
     (said,) = noise_warnings(copying, [FixNoise(1.5, 0.1)], ["lateral"])

@@ -73,7 +73,8 @@ def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tu
         known = {
             m: (tuned, other)
             for m in ("position_rmse_m", "heading_rmse_deg", *DRIFTS)
-            if (tuned := scores.mean_of("tuned", m)) is not None
+            if m in shown
+            and (tuned := scores.mean_of("tuned", m)) is not None
             and (other := scores.mean_of(method, m)) is not None
         }
         worse = {m: pair for m, pair in known.items() if pair[1] < NOTABLE * pair[0]}

@@ -128,7 +128,9 @@ class EvaluationView:
                 known = float(of.n), 100 * of.inside_95, 100 * of.inside_999, size_of(of.sigma_ratio)
             return (of.radius_95_m, of.radius_999_m, of.lasting_m, *known)[: len(columns)]
 
-        where = {TRACKING: "all fixes"} | {m: self.measures[m].title.removesuffix(" drift") for m in DRIFTS}
+        shown = self.measures
+        where = {m: shown[m].title.removesuffix(" drift") for m in DRIFTS if m in shown}
+        where = {TRACKING: "all fixes"} | where
         rows = tuple(
             (drive, where[key], *cells(record))
             for drive, records in self.scores.radius.items()
@@ -168,7 +170,8 @@ class EvaluationView:
             lost = [
                 f"{self.measures[m].title} ({tuned:.3g} m; {other:.3g} m)"
                 for m in DRIFTS
-                if (tuned := mean_of("tuned", m)) is not None
+                if m in self.measures
+                and (tuned := mean_of("tuned", m)) is not None
                 and (other := mean_of(method, m)) is not None
                 and tuned >= other
             ]

@@ -35,7 +35,10 @@ PRIOR_DECIDED = 0.02
 SMOOTH = 0.5
 """Scatter of the fixes, m, below which the receiver smooths them or uses RTK."""
 UNKNOWN = "without truth a log does not show the error that all fixes have in common"
-STATE = "write the standard deviation of the receiver's fixes, m per axis, to drive.toml as gps_std_m"
+STATE = (
+    "write the line `gps_std_m = 1.5` at the top of drive.toml, with the standard deviation of the receiver's fixes, "
+    "m per axis, in place of 1.5"
+)
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
@@ -141,12 +144,7 @@ def prior_warnings(
                 f"{name} does not state the accuracy of its fixes, so R was kept near that of a typical receiver, "
                 f"{std:.2g} m per axis. NIS will be low if the receiver smooths its fixes"
             )
-            return [
-                to_do(
-                    "if you know the deviation of the fixes (m per axis), write gps_std_m at the top of drive.toml",
-                    why,
-                )
-            ]
+            return [to_do(f"if you know the receiver, {STATE}", why)]
         return [f"{name}: R was kept near the {std:.2g} m per axis of white noise that the fixes show"]
     return []
 
