@@ -97,7 +97,7 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
     "no-such-folder": (shutil.rmtree, ["good", "does not exist", "name a folder"]),
     "path-is-a-file": (
         lambda f: (shutil.rmtree(f), f.write_text("")),
-        ["good", "is a file, not a folder", "name a folder"],
+        ["good", "is a file, not a folder", "a drive is a folder"],
     ),
     "imu-missing": (delete("imu.csv"), ["imu.csv", "is missing", "needs this file"]),
     "gps-missing": (delete("gps.csv"), ["gps.csv", "is missing", "needs this file"]),

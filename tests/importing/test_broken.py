@@ -636,3 +636,13 @@ def test_times_in_another_unit_cost_nothing(tmp_path: Path, unit: float):
     folder = write_drive(type(good)("d", imu, gps), tmp_path / "d")
     with pytest.warns(DriveWarning, match="as if t were in"):
         assert len(read_drive(folder).imu) == len(imu)
+
+
+@pytest.mark.parametrize("content", [b"", b"\n\n \n", b"\xef\xbb\xbf\r\n"])
+def test_an_empty_file_is_named(tmp_path: Path, content: bytes):
+    log = tmp_path / "log"
+    log.mkdir()
+    imu_csv(log)
+    (log / "gps.csv").write_bytes(content)
+    refused("no position fixes found in imu.csv; gps.csv is empty; copy it again", lambda: imported(log))
+    refused("gps.csv is empty; copy the log again", lambda: imported(log / "imu.csv", gps=log / "gps.csv"))

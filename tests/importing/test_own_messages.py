@@ -26,6 +26,7 @@ SENSOR = "uint64 timestamp\nfloat32[3] gyro_rad\nfloat32[3] accelerometer_m_s2\n
 FIX = "uint64 timestamp\nfloat64 latitude_deg\nfloat64 longitude_deg\nuint8 fix_type\nfloat32 eph\n"
 DEFINED = {
     "own_msgs/msg/Wrapped": "std_msgs/Header header\nstd_msgs/Float64 latitude\nstd_msgs/Float64 longitude\n",
+    "own_msgs/msg/Bare": "std_msgs/Float64 latitude\nstd_msgs/Float64 longitude\n",
     "own_msgs/msg/Plain": "int64 time_us\nfloat64 lat\nfloat64 lon\n",
     "own_msgs/msg/Stamped": "float64 stamp\nfloat64 lat\nfloat64 lon\n",
     "own_msgs/msg/Arrays": "std_msgs/Header header\nfloat64[3] accel_m_s2\nfloat64[3] gyro_deg_s\n",
@@ -86,6 +87,27 @@ def test_numbers_are_known_by_their_names(tmp_path: Path, kind: str, pair: tuple
     assert_close(got.gps, GPS, "lat lon", 1e-9)
     np.testing.assert_allclose(got.imu.time - got.imu.time[0], IMU.time - IMU.time[0], atol=2e-6)
     np.testing.assert_allclose(got.gps.time[0] - got.imu.time[0], GPS.time[0] - IMU.time[0], atol=2e-6)
+
+
+@pytest.mark.parametrize("kind", ["Wrapped", "Bare"])
+def test_receive_times_are_told(tmp_path: Path, kind: str):
+    """The header is not set, or the message has none."""
+    zero = ROS1.types["std_msgs/msg/Header"](
+        stamp=ROS1.types["builtin_interfaces/msg/Time"](0, 0), frame_id="", seq=0
+    )
+    number = ROS1.types["std_msgs/msg/Float64"]
+    make = ROS1.types[f"own_msgs/msg/{kind}"]
+
+    def sent() -> Iterator[Message]:
+        yield from (("/imu", time, one(ROS1, "own_msgs/msg/Arrays", i)) for i, time in enumerate(IMU.time))
+        for i, time in enumerate(GPS.time):
+            place = number(GPS.lat[i]), number(GPS.lon[i])
+            yield "/fix", time, make(*(zero, *place) if kind == "Wrapped" else place)
+
+    notes = imported(write_ros(tmp_path / "log.bag", sent(), "ros1")).notes
+    why = {"Wrapped": "header stamps are not set", "Bare": "messages have no header"}[kind]
+    assert f"/fix: {why}; receive times used" in notes
+    assert not any("/imu: " in note and "receive times used" in note for note in notes)
 
 
 def test_an_axis_that_points_down_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

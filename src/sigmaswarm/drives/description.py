@@ -13,6 +13,7 @@ from sigmaswarm.geodesy import Origin, geodetic_to_enu
 from sigmaswarm.limits import read_toml_text
 from sigmaswarm.wording import names_shown, quoted, shown, value_shown
 
+WRITE_IT = 'write this file with the line frame = "enu" (x, y) or frame = "wgs84" (lat, lon)'
 Frame = Literal["enu", "wgs84"]
 
 POSITIONS: dict[Frame, tuple[str, str]] = {"enu": ("x", "y"), "wgs84": ("lat", "lon")}
@@ -42,9 +43,7 @@ _ANGLES = {
 def read_description(path: Path) -> dict[str, Any]:
     """Read drive.toml; ``frame`` is not checked, since it depends on gps.csv."""
     if not path.is_file():
-        raise DriveError(
-            f'{path} is missing; write this file with the line frame = "enu" (x, y) or frame = "wgs84" (lat, lon)'
-        )
+        raise DriveError(f"{path} is missing; {WRITE_IT}")
     try:
         about = tomllib.loads(read_toml_text(path))
     except OSError as error:

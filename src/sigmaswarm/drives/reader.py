@@ -6,11 +6,17 @@ from pathlib import Path
 from typing import Any
 
 from sigmaswarm.drives.checks import checked
-from sigmaswarm.drives.description import frame_of, ineffective_keys, place_on_plane, read_description
+from sigmaswarm.drives.description import (
+    WRITE_IT,
+    frame_of,
+    ineffective_keys,
+    place_on_plane,
+    read_description,
+)
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.table_files import CSV, FORMS, TableFile
 from sigmaswarm.drives.tables import COLUMNS, RECORDS
-from sigmaswarm.drives.urls import A_DRIVE, drive_urls, is_url, local_copy, without_secrets
+from sigmaswarm.drives.urls import A_DRIVE, drive_urls, importing, is_url, local_copy, without_secrets
 from sigmaswarm.errors import DriveError, SigmaswarmWarning
 
 Location = str | Path
@@ -31,7 +37,8 @@ def drive_folders(path: Path) -> list[Path]:
         return [path]  # read_drive reports its faults
     inside = sorted(folder for folder in path.iterdir() if has_table(folder, "imu"))
     if not inside:
-        raise DriveError(f"{path}: contains no drive; {A_DRIVE}")
+        remedy = f"{A_DRIVE}; {importing(path)}" if any(path.iterdir()) else A_DRIVE
+        raise DriveError(f"{path}: contains no drive; {remedy}")
     return inside
 
 
@@ -85,7 +92,10 @@ def read_drive(path: str | Path) -> Drive:
 def read_with_warnings(location: Location) -> tuple[Drive, list[SigmaswarmWarning]]:
     """Read a drive and return its warnings, since `warnings.catch_warnings` acts on all threads."""
     if not is_url(location):
-        return _read_folder(Path(location))
+        folder, about = Path(location), Path(location) / "drive.toml"
+        if folder.is_dir() and not (about.exists() or _drives_in(folder)) and any(folder.iterdir()):
+            raise DriveError(f"{about} is missing; {WRITE_IT}; {importing(folder)}")
+        return _read_folder(folder)
     url = str(location).rstrip("/")
     with local_copy(url) as folder:
 
@@ -101,11 +111,18 @@ def read_with_warnings(location: Location) -> tuple[Drive, list[SigmaswarmWarnin
     return drive, warned
 
 
+def _drives_in(folder: Path) -> list[str]:
+    return [f.name for f in folder.iterdir() if has_table(f, "imu")]
+
+
 def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     if not folder.is_dir():
-        what = "is a file, not a folder" if folder.exists() else "does not exist"
-        raise DriveError(f"{folder} {what}; name a folder that contains imu.csv, gps.csv and drive.toml")
-    inside = [f.name for f in folder.iterdir() if has_table(f, "imu")]
+        if folder.is_file():
+            raise DriveError(f"{folder} is a file, not a folder; {A_DRIVE}; {importing(folder)}")
+        raise DriveError(
+            f"{folder} does not exist; name a folder that contains imu.csv, gps.csv and drive.toml"
+        )
+    inside = _drives_in(folder)
     if inside and not has_table(folder, "imu"):
         raise DriveError(
             f"{folder} is not a drive but contains {len(inside)}; name one of them, for example {min(inside)}"

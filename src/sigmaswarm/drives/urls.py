@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
+from shlex import quote
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -13,6 +14,12 @@ from sigmaswarm.errors import DriveError, InputError, not_installed
 from sigmaswarm.wording import shown
 
 A_DRIVE = "a drive is a folder with imu.csv, gps.csv and drive.toml"
+
+
+def importing(log: Path) -> str:
+    """Return the remedy for a log of another format: the command that makes a drive of it."""
+    out = Path("drives") / log.resolve().name.removesuffix(log.suffix)
+    return f"to make one from a log: sigmaswarm import {quote(str(log))} --out {quote(str(out))}"
 
 
 def is_url(location: str | Path) -> bool:

@@ -285,7 +285,8 @@ def missing_sensor(
         if example := _unnamed(logs[path], role):
             remedy = f"{example}; or {remedy}"
         texts = (*logs[path].remarks, *guesses[path].notes)
-        if why := [s for s in texts if "has no header" in s or "can't be decoded" in s]:
+        reasons = "has no header", "can't be decoded", "is empty"
+        if why := [s for s in texts if any(reason in s for reason in reasons)]:
             there = there or "what can be decoded"
             return f"{path}: no {what} found in {there}; {why[0]}; or {remedy}"
         columns = [name.meaning for table in logs[path].tables.values() for name in read_names(table.columns)]

@@ -9,7 +9,7 @@ from shlex import quote
 from typing import Any
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.source import Limits, Log, first_bytes, no_log
+from sigmaswarm.importing.source import Limits, Log, first_bytes, is_empty, no_log
 from sigmaswarm.limits import require_regular, require_text
 from sigmaswarm.wording import names_shown
 
@@ -85,7 +85,7 @@ def open_log(
     """
     if not path.exists():
         raise InputError(f"{path} does not exist; name a log file or its folder")
-    if path.is_file() and not path.stat().st_size:
+    if is_empty(path):
         raise InputError(f"{path} is empty; copy the log again")
     if path.is_dir() and not any(path.iterdir()):
         raise no_log(path)

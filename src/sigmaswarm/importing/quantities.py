@@ -322,6 +322,10 @@ def _place_form(columns: Columns, role: Role) -> Found:
         return Found("", fault=fault)
     if low <= 90 and high <= 360:
         return Found("{}")
+    if low <= 180 and high <= 90:
+        exchanged = f'--map "{role}.lat={columns.text("lon")}" "{role}.lon={columns.text("lat")}"'
+        fault = f"the latitude of about {low:.6g} exceeds 90: latitude and longitude are exchanged; write {exchanged}"
+        return Found("", fault=fault)
     if low <= 9000 and high <= 18060 and all((v % 100 >= 60).sum() <= FEW_ODD * len(v) for v in (lat, lon)):
         return Found("ddmm({})", "latitude and longitude are read as degrees and minutes, ddmm.mmmm")
     if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 180e6):

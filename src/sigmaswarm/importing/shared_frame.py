@@ -19,6 +19,18 @@ LAGS, CLEARLY = np.arange(-20.0, 20.1, 0.5), 4.0
 variance with the unchanged truth, at the best delay, to that with the turned truth."""
 EXACT = 0.02
 """Angle, rad, within which axes count as exactly exchanged or reversed."""
+STEP = 0.01  # s, resolution of a reported delay
+LENGTHS = {
+    "mm": 1e-3,
+    "cm": 0.01,
+    "dm": 0.1,
+    "ft": 0.3048,
+    "yd": 0.9144,
+    "km": 1e3,
+    "mi": 1609.344,
+    "nmi": 1852.0,
+}
+"""m per unit of length."""
 LATEST = 2.5
 """Largest delay of a receiver, s."""
 FEWEST = 10
@@ -48,7 +60,9 @@ def require_same_axes(
     late = [_apart(fixes, seconds, truth, lag) for lag in LAGS]
     best = int(np.argmin(late))
     if late[best] < min(unexplained / CLEARLY, (1 - EXPLAINED) * power, left) and abs(LAGS[best]) > LATEST:
-        lag, when = LAGS[best], "later" if LAGS[best] > 0 else "earlier"
+        near = LAGS[best] + np.arange(LAGS[0] - LAGS[1], LAGS[1] - LAGS[0] + STEP / 2, STEP)
+        lag = round(float(min(near, key=lambda lag: _apart(fixes, seconds, truth, float(lag)))), 2)
+        when = "later" if lag > 0 else "earlier"
         message = (
             f"truth: the track equals that of the fixes about {abs(lag):g} s {when}; write --truth-offset "
             f"{-lag:g}"
@@ -61,16 +75,18 @@ def require_same_axes(
         return ""
     if min(unexplained, *late) < CLEARLY * left:
         return ""
-    size = 10.0 ** np.round(np.log10(abs(factor))) if stretched else 1.0
-    size = size if abs(np.log(abs(factor) / size)) < STRETCHED else abs(factor)
+    unit = min(LENGTHS, key=lambda name: abs(np.log(abs(factor) / LENGTHS[name])))
+    known = abs(np.log(abs(factor) / LENGTHS[unit])) < STRETCHED
+    size = 1.0 if not stretched else LENGTHS[unit] if known else abs(factor)
     a, side = factor / abs(factor), -1 if mirrored else 1
     if abs(a - (quarter := 1j ** np.round(np.angle(a) / (np.pi / 2)))) < EXACT:
         a = complex(np.round(quarter))
     x, y = ({n: t for part in parts for n, t in part.columns.items()}[n] for n in ("x", "y"))
     rows = (a.real, x, -side * a.imag, y), (a.imag, x, side * a.real, y)
     maps = " ".join(f'"truth.{n}={_combined(size, *row)}"' for n, row in zip("xy", rows, strict=True))
+    seem = f" (they seem to be in {unit})" if stretched and known else ""
     raise InputError(
-        f"the truth's x and y are not m east and north of the same track as the fixes; write --map {maps}"
+        f"the truth's x and y are not m east and north of the same track as the fixes{seem}; write --map {maps}"
     )
 
 

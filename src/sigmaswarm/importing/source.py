@@ -273,6 +273,14 @@ def first_bytes(path: Path, count: int = 4096) -> bytes:
         return file.read(count)
 
 
+def is_empty(path: Path) -> bool:
+    """Return True for a file of no bytes, or of blank lines."""
+    head = first_bytes(path)
+    return (
+        path.is_file() and path.stat().st_size == len(head) and not head.removeprefix(b"\xef\xbb\xbf").strip()
+    )
+
+
 def no_log(folder: Path) -> InputError:
     """Return the error for a folder without a log; the message names the files in the folder."""
     remedy = "name a log file or the folder of a log"

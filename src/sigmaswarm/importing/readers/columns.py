@@ -29,6 +29,7 @@ from sigmaswarm.importing.source import (
     Table,
     Wanted,
     first_bytes,
+    is_empty,
     no_log,
 )
 from sigmaswarm.importing.times import time_of
@@ -53,7 +54,7 @@ def _packed(path: Path) -> list[PurePosixPath]:
 
 def _files(path: Path) -> list[Path]:
     if path.is_dir():
-        here = [f for f in path.iterdir() if f.suffix.lower() in SUFFIXES and f.stat().st_size]
+        here = [f for f in path.iterdir() if f.suffix.lower() in SUFFIXES and not is_empty(f)]
         return sorted(here) or below(path)
     return [path] if path.suffix.lower() in SUFFIXES else []
 
@@ -82,6 +83,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         folder, found = path, _files(path)
         files = [file for file in found if not _is_prose(file)]
         remarks += [f"{file.name}: is not a table, and is not read" for file in found if file not in files]
+        empty = sorted(f.name for f in path.iterdir() if f.suffix.lower() in SUFFIXES and is_empty(f))
+        remarks += [f"{name} is empty; copy it again" for name in empty]
         if not files:
             raise no_log(path)
     scans = {f.relative_to(folder).as_posix(): scan(f, f, limits, remarks) for f in files}

@@ -3,7 +3,7 @@
 ``received`` is the receive time and ``stamp`` the time in the header, both in ns.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -96,11 +96,18 @@ class _Messages:
                     guess = replace(
                         guess,
                         roles={**guess.roles, role: other.roles[role]},
-                        notes=guess.notes + other.notes,
+                        notes=guess.notes + other.notes + self._received(other.roles[role]),
                         downward=other.downward if role == "imu" else guess.downward,
                         faults=guess.faults + tuple(f for f in other.faults if f.role == role),
                     )
         return replace(guess, placed=self._placement(guess))
+
+    def _received(self, parts: Iterable[Part]) -> tuple[str, ...]:
+        """Return a sentence on each part whose times are those at which the recorder received the messages."""
+        topics = [part.table for part in parts if "received" in part.columns.get("t", "")]
+        no_stamp = {True: "header stamps are not set", False: "messages have no header"}
+        why = {topic: no_stamp["stamp" in self.tables[topic].columns] for topic in topics}
+        return tuple(f"{topic}: {reason}; receive times used" for topic, reason in why.items())
 
     def _placement(self, guess: Guess) -> Placement | None:
         static = static_topic(self.tables)
