@@ -7,6 +7,7 @@ import shutil
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import polars as pl
@@ -21,6 +22,8 @@ from sigmaswarm.experiments.study import config as study_config
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.tuning.diagnostics import Forecast, describe_forecasts
+from sigmaswarm.tuning.objectives import OBJECTIVES
+from sigmaswarm.tuning.options import Option
 from support import make_drive, no_pictures
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -75,6 +78,48 @@ def test_options_are_explained_in_twenty_words(command: str):
         assert 0 < len((argument.parameter.help or "").split()) <= 20, argument.name
     summary = app[command].help.splitlines()[0]
     assert re.fullmatch(r"[A-Z][^:;]*\.", summary), summary
+
+
+def test_the_help_of_tune_explains_each_objective_and_each_value_of_use(sigmaswarm):
+    said = sigmaswarm("tune", "--help").out
+    for name in (*OBJECTIVES, *get_args(Option)):
+        assert re.search(rf"^ ({name}|nis, {name}|{name}, nees) +\S+ \S+", said, re.MULTILINE), name
+
+
+@pytest.mark.parametrize("command", [name for name in app if not name.startswith("-")])
+def test_the_help_states_what_happens_to_earlier_results(command: str):
+    arguments = {
+        a.name: a.parameter.help or ""
+        for a in app[command].assemble_argument_collection(parse_docstring=True)
+    }
+    if "--out" in arguments and command not in ("demo", "workbench"):
+        rules = ("is replaced", "must not contain")
+        assert "--overwrite" in arguments or any(rule in arguments["--out"] for rule in rules)
+
+
+def test_an_outage_length_that_is_always_measured_has_one_column(
+    sigmaswarm, tuned: Path, drives: Path, here: Path
+):
+    drive = drives / "urban-clear-00"
+    ended = sigmaswarm("evaluate", tuned, drive, "--outage-length", 1, "--verbose", "--out", "e", "--json")
+    assert ended.code == 0
+    table = sigmaswarm("evaluate", tuned, drive, "--outage-length", 1, "--verbose")
+    assert table.code == 0
+    heading = table.out[: table.out.index("tuned UKF")]
+    assert heading.count("outage") == 1, heading
+    assert table.out.count("1 s outage drift of the tuned filter") == 1
+
+
+def test_a_remedy_in_drive_toml_names_the_file_and_the_line(sigmaswarm, drives: Path, here: Path):
+    drive = read_drive(drives / "urban-clear-00")
+    smooth = {name: np.interp(drive.gps.time, drive.truth.time, getattr(drive.truth, name)) for name in "xy"}
+    gps = replace(drive.gps, std_x=None, std_y=None, **smooth)
+    write_drive(replace(drive, name="car", truth=None, gps=gps, metadata={}), here / "logs/car")
+    said = sigmaswarm("tune", "logs/car", "--out", "t", *QUICK, "--model", "planar8").out
+    assert "write the line `gps_std_m = 1.5` at the top of logs/car/drive.toml" in said
+    about = Path("logs/car/drive.toml")
+    about.write_text("gps_std_m = 1.5\n" + about.read_text())
+    assert "gps_std_m" not in sigmaswarm("tune", "logs/car", "--out", "u", *QUICK, "--model", "planar8").out
 
 
 def test_version(sigmaswarm):

@@ -48,6 +48,20 @@ def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
     assert "\nthen: sigmaswarm tune mended/urban-clear-00 --out tuned\n" in mended.out
 
 
+def test_a_held_out_part_is_evaluated_and_never_tuned_on(sigmaswarm, good, here: Path):
+    write_drive(good, here / "log")
+    assert sigmaswarm("split", "log", "--out", "parts", "--train-fraction", "0.5").code == 0
+    held = sigmaswarm("doctor", "parts/urban-clear-00-test").out
+    assert "\nthen: sigmaswarm evaluate TUNING parts/urban-clear-00-test\n" in held
+    assert "sigmaswarm tune" not in held and "Tune uses" not in held and "split" not in held
+    other = sigmaswarm("doctor", "parts/urban-clear-00-train").out
+    assert "\nthen: sigmaswarm tune parts/urban-clear-00-train --out tuned\n" in other
+    assert "split" not in other
+    write_drive(flipped_yaw(read_drive("parts/urban-clear-00-test")), here / "sick-test")
+    mended = sigmaswarm("doctor", "sick-test", "--fix", "mended").out
+    assert "sigmaswarm evaluate TUNING mended/urban-clear-00-test" in mended
+
+
 def test_no_tuning_is_proposed_if_no_filter_can_start(sigmaswarm, good, here: Path):
     parked = replace(good.gps, x=0 * good.gps.x, y=0 * good.gps.y)
     write_drive(replace(good, gps=parked, truth=None), here / "parked")

@@ -495,3 +495,63 @@ def test_what_is_next_follows_the_findings(sigmaswarm: Command, here: Path, doct
     assert "next:     sigmaswarm doctor drive --fix mended\n" in told and "evaluate" not in told
     told = sigmaswarm("evaluate", "t", "drive").out
     assert "next: sigmaswarm doctor drive --fix mended " in told
+
+
+@pytest.mark.parametrize(
+    "command", ["tune {} --out q", "doctor {}", "evaluate {filter} {}", "split {} --out q"]
+)
+def test_a_log_in_place_of_a_drive_is_answered_with_the_import_to_type(
+    sigmaswarm: Command, here: Path, tuned: Path, command: str
+):
+    """A file, a folder of a log, and one whose tables are named like a drive's."""
+    drive = library.simulate("urban", run=3, duration=40.0, imu_rate=50.0, gps="white-1m")
+    Path("log").mkdir()
+    pl.DataFrame({n: v for n, v in vars(drive.imu).items() if v is not None}).write_csv("log/imu.csv")
+    pl.DataFrame({"time": drive.gps.time, "x": drive.gps.x, "y": drive.gps.y}).write_csv("log/gps.csv")
+    write_mcap(here / "log.mcap", messages(simulated()))
+    write_ros(here / "monday", messages(simulated()), "mcap")
+    for log in ("log", "log.mcap", "monday"):
+        said = sigmaswarm(*command.format(log, filter=tuned).split())
+        (typed,) = re.findall(r"to make one from a log: sigmaswarm (import .*)$", said.err, re.MULTILINE)
+        assert said.code == 2
+        assert sigmaswarm(*shlex.split(typed), "--overwrite").code == 0
+        assert len(library.read_drive(shlex.split(typed)[-1]).gps) > 10
+
+
+def test_what_the_diagnosis_of_an_import_states_is_printed_once(sigmaswarm: Command, here: Path):
+    drive = library.simulate("urban", run=3, duration=40.0, imu_rate=50.0, gps="white-1m")
+    kept = drive.imu.select(drive.imu.time < 18.0)
+    pl.DataFrame({n: v for n, v in vars(kept).items() if v is not None}).write_csv("imu.csv")
+    pl.DataFrame({"time": drive.gps.time, "x": drive.gps.x, "y": drive.gps.y}).write_csv("gps.csv")
+    ended = sigmaswarm("import", "imu.csv", "--gps", "gps.csv", "--out", "drive")
+    assert " ".join((ended.out + ended.err).split()).count("lie outside of the IMU's time span") == 1
+
+
+@pytest.mark.parametrize("origin", [(48.0, 11.0, 0.0), (-23.0, -46.0, 0.0), (37.0, -122.0, 0.0)])
+def test_exchanged_latitude_and_longitude_end_in_a_command_that_helps(
+    sigmaswarm: Command, here: Path, origin: tuple[float, float, float]
+):
+    """From the import and from the doctor; a latitude beyond 90 degrees is refused."""
+    drive = library.simulate("urban", run=3, duration=60.0, imu_rate=50.0, gps="white-1m")
+    pl.DataFrame({n: v for n, v in vars(drive.imu).items() if v is not None}).write_csv("imu.csv")
+    place = np.column_stack([drive.gps.x, drive.gps.y, 0 * drive.gps.x])
+    lat, lon, _ = enu_to_geodetic(place, origin).T
+    pl.DataFrame({"time": drive.gps.time, "lat": lon, "lon": lat}).write_csv("gps.csv")
+    first = sigmaswarm("import", "imu.csv", "--gps", "gps.csv", "--out", "drive")
+    if abs(origin[1]) > 90:
+        assert first.code == 2 and "exceeds 90: latitude and longitude are exchanged" in first.err
+        options = shlex.split(re.search(r"write (--map .*)$", first.err, re.MULTILINE)[1])
+        typed = [["import", "imu.csv", "--gps", "gps.csv", "--out", "drive", *options]]
+    else:
+        doctor = sigmaswarm("doctor", "drive").out
+        lines = [
+            re.search(r"^next: sigmaswarm (.*?)(?:    .*)?$", out, re.MULTILINE)[1]
+            for out in (first.out, doctor)
+        ]
+        typed = [shlex.split(line) for line in lines]
+        assert lines[1].startswith("import drive --out mended/drive --map gps.lat=lon")
+    for words in reversed(typed):
+        ended = sigmaswarm(*words)
+        assert ended.code == 0 and "mirrored" not in ended.out
+        got = library.read_drive(words[words.index("--out") + 1])
+        np.testing.assert_allclose(got.gps.lat, lat, atol=1e-9)

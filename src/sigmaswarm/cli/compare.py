@@ -46,7 +46,7 @@ def compare(
     Parameters
     ----------
     out
-        Folder for the tables, the figure and all runs.
+        Folder for the tables, the figure and all runs. It must not contain a comparison, except with --resume.
     optimizers
         Names of optimizers. Settings follow a colon, as in pso:polish=300. Each optimizer is compared with the first.
     scales

@@ -48,6 +48,8 @@ def doctor(
     lever_arm_within
         Estimate one lever arm from all drives; --fix writes axes whose 95% interval is at most +- this value, m.
     """
+    from sigmaswarm.drives.split import part_of
+
     read = _read(drives)
     if fix is not None:
         _check_names(read)
@@ -79,7 +81,7 @@ def doctor(
         serious |= diagnosis.serious
         folder = fix / drive.name if fix else drives[0]
         if len(read) == 1 and (folder / "drive.toml").exists():
-            following = [*next_steps(diagnosis, folder)]
+            following = [*next_steps(diagnosis, folder, part_of(drive))]
     content = {"drives": result, "serious": serious, **({"lever_arm": arm.to_dict()} if arm else {})}
     print_result(json, content, *([f"lever arm: {arm}"] if arm else []), *following)
     if serious:

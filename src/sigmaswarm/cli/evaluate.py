@@ -37,7 +37,7 @@ class EvaluateOptions:
     against
         Second filter: a tuning, a TOML file with parameters in [filter], or an ekf.yaml of robot_localization.
     out
-        Folder for scores.csv, scores.json, figures and the data for `sigmaswarm report`.
+        Folder for scores.csv, scores.json, figures and the data of the page; an earlier evaluation is replaced.
     outage_length
         Length of the outages, s. The drift is the error at the end of an outage.
     outage_seed

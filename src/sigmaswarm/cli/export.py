@@ -26,7 +26,7 @@ class ExportOptions:
         filterpy: a Python script. c99: a C library. robot_localization: parameters, which are a starting point unless
         tuned with --model robot-localization.
     out
-        Folder to write to; created if missing.
+        Folder to write to; an earlier export in it is replaced, your other files are kept.
     replay
         c99: also write this drive as the input of the replay program.
     check

@@ -117,29 +117,51 @@ def mending(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
     command = _doctor(folder)
     if not repairable(diagnosis) or unrepairable(diagnosis):
         return command, None
-    folders = (Path("mended" if i == 1 else f"mended-{i}") for i in count(1))
-    out = next(out for out in folders if not (out / diagnosis.drive).exists())
-    return f"{command} --fix {out}", out / diagnosis.drive
+    out = _free(diagnosis)
+    return f"{command} --fix {out.parent}", out
+
+
+def exchanging(diagnosis: "Diagnosis", folder: "Location") -> Remedy | None:
+    """Return the command that copies a drive with exchanged coordinates of its fixes, and the folder of the copy."""
+    found = next((f for f in diagnosis.findings if f.code == "mirrored-fixes" and not f.repair), None)
+    if found is None:
+        return None
+    one, other = found.where.removeprefix("gps.csv, ").split(", ")
+    out, maps = _free(diagnosis), (f"gps.{one}={other}", f"gps.{other}={one}")
+    return shlex.join(["sigmaswarm", "import", str(folder), "--out", str(out), "--map", *maps]), out
+
+
+def _free(diagnosis: "Diagnosis") -> Path:
+    """Return a path for a copy of the drive that does not exist."""
+    folders = (Path("mended" if i == 1 else f"mended-{i}") / diagnosis.drive for i in count(1))
+    return next(out for out in folders if not out.exists())
 
 
 def _doctor(folder: "Location") -> str:
     return f"sigmaswarm doctor {shlex.quote(str(folder))}"
 
 
-def next_steps(diagnosis: "Diagnosis", out: Path) -> Iterator[str]:
-    """Yield the next steps after a printed diagnosis of the drive in the folder ``out``."""
+def next_steps(diagnosis: "Diagnosis", out: Path, part: str = "") -> Iterator[str]:
+    """Yield the next steps after a printed diagnosis of the drive in the folder ``out``.
+
+    ``part``: "train" or "test" for a part of a drive.
+    """
     ready, following = out, f"sigmaswarm plot {shlex.quote(str(out))}"
     if cut := cutting(diagnosis, out):
         yield from (f"next: {cut}", "then: sigmaswarm doctor parts --fix mended")
         return
     if diagnosis.serious or repairable(diagnosis):
-        command, mended = mending(diagnosis, out)
+        command, mended = exchanging(diagnosis, out) or mending(diagnosis, out)
         go_on = f"{command}    (then continue with {mended}, not with {out})"
         following, ready = (go_on, mended) if mended else ("correct the serious faults in the log", out)
     elif no_start := next((finding for finding in diagnosis.findings if finding.code == "no-start"), None):
         yield f"next: {no_start.remedy}"
         return
     yield f"next: {following}"
+    if part == "test":
+        yield f"then: sigmaswarm evaluate TUNING {shlex.quote(str(ready))}"
+        yield "      (this part is held out: TUNING is a filter that was tuned on the other part)"
+        return
     yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned"
-    part = f"sigmaswarm split {shlex.quote(str(ready))} --out parts"
-    yield f"      (for an evaluation keep another drive, or first split this drive: {part})"
+    split = f"or first split this drive: sigmaswarm split {shlex.quote(str(ready))} --out parts"
+    yield f"      (for an evaluation keep {'the other part' if part else f'another drive, {split}'})"

@@ -3,6 +3,7 @@
 import re
 import shlex
 import sys
+import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from sigmaswarm.cli.common import numbers_of, print_json, say, stdout
 from sigmaswarm.cli.findings import next_steps, print_diagnosis, turns
 from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json, Overwrite
 from sigmaswarm.cli.terminal import progress_bar
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import DriveWarning, InputError
 from sigmaswarm.wording import shown
 
 if TYPE_CHECKING:
@@ -212,7 +213,8 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
     if any(out.resolve() in (place, place.parent) for place in read) and out.exists():
         raise InputError(f"{out}: contains a log that this command reads; choose another folder")
     require_replaceable(out.resolve(), options.overwrite, "add --overwrite, or choose another folder")
-    with progress_bar("importing") as show:
+    with progress_bar("importing") as show, warnings.catch_warnings():
+        warnings.simplefilter("ignore", DriveWarning)  # the diagnosis repeats these checks in more detail
         imported = import_drive(request, options.name or out.resolve().name, lambda share: show(share, 1.0))
     if (heading := options.heading_from_north) is not None:
         stated = {**imported.drive.metadata, "heading_deg": (90.0 - heading) % 360.0}
@@ -226,7 +228,18 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
         return
     say(*_report(imported, out, diagnosis))
     print_diagnosis(diagnosis)
-    say(*next_steps(diagnosis, out))
+    again = _with_exchanged_fixes(diagnosis)
+    say(*([f"next: {again}"] if again else next_steps(diagnosis, out)))
+
+
+def _with_exchanged_fixes(diagnosis: "Diagnosis") -> str:
+    """Return the user's command with the mapping that exchanges the coordinates of the fixes; "" if none is needed."""
+    found = next((f for f in diagnosis.findings if f.code == "mirrored-fixes" and not f.repair), None)
+    maps = re.findall(r'"(gps\.\w+=[^"]*)"', found.remedy) if found else []
+    if not maps or "--map" in sys.argv:
+        return ""
+    typed = [word for word in sys.argv[1:] if word != "--overwrite"]
+    return shown(shlex.join(["sigmaswarm", *typed, "--map", *maps, "--overwrite"]), 4000)
 
 
 def _with_columns(diagnosis: "Diagnosis", imported: "Imported") -> "Diagnosis":

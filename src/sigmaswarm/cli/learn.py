@@ -25,7 +25,7 @@ class LearnOptions:
     Attributes
     ----------
     out
-        Folder for learned.toml, weights.npz and the filter.
+        Folder for learned.toml, weights.npz and the filter. It must not contain a network, except with --resume.
     validation
         Drives for early stopping and calibration, which the training does not use; by default a part of the drives.
     search

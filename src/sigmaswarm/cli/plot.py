@@ -30,7 +30,7 @@ def plot(
     drive
         A drive folder.
     out
-        File to write, NAME.png; by default the name of the drive, in the current folder.
+        File to write, NAME.png, by default named after the drive; an existing file is replaced.
     """
     from sigmaswarm.reports.drive import drive_figure
     from sigmaswarm.reports.figures import check_file, save

@@ -30,7 +30,7 @@ def report(
     folder
         A folder that `sigmaswarm tune`, `evaluate` or `study` wrote.
     out
-        File to write, NAME.html; by default page.html in FOLDER.
+        File to write, NAME.html; by default page.html in FOLDER. An existing file is replaced.
     """
     from sigmaswarm.reports.folders import save_page
 

@@ -23,7 +23,7 @@ class RunOptions:
     Attributes
     ----------
     out
-        File to write: NAME.csv, .mat, .tum, .kitti, .geojson, .gpx, .kml or .ros2.
+        File to write: NAME.csv, .mat, .tum, .kitti, .geojson, .gpx, .kml or .ros2; an existing file is replaced.
     origin
         LAT,LON of x = y = 0 in degrees, for a map of a drive without an origin.
     truth

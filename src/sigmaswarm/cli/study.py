@@ -59,7 +59,8 @@ def study(
     Parameters
     ----------
     out
-        Folder for study.toml, results.json, scores.csv, tables, figures and the tunings of all trials.
+        Folder for scores, tables, figures and the tunings of all trials. It must not contain a study, except with
+        --resume.
     config
         A study.toml whose values the other options override; by default the paper's study.
     quick

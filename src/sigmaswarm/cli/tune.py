@@ -64,10 +64,36 @@ def tune(
         sigmaswarm tune drives/training --out tuned --resume
         sigmaswarm tune s3://fleet/training --out tuned --cluster tcp://scheduler:8786
 
+    Objectives (by default truth-pose + 0.2 nees with truth, else innovation-t):
+
+        truth-rmse      position error against truth
+        truth-pose      errors of position and heading, and drift in outages
+        innovation-nll  likelihood of each fix before its update, normal
+        innovation-t    the same with Student's t, for outliers
+        forecast-t      likelihood of fixes that were hidden for 3 to 5 s
+        outage-rmse     error at fixes that were hidden for 3 to 5 s
+        nis, nees       scale of the covariance, as a term of a sum
+        gps-rmse        distance to the fixes after the update (paper)
+
+    Values of --use:
+
+        velocity        speed and course of the receiver
+        lateral         a car does not move sideways
+        slip            tire slip in lateral
+        standstill      zero velocity while the car stands
+        odometer        wheel speed
+        heading         heading of two antennas or a compass
+        gate            reject fixes that are far from the prediction
+        imu-gate        robot-localization: reject IMU messages with a large NIS
+        latency         tune the delay of the fixes
+        accuracy        the receiver's stated accuracy of each fix
+        robust          Student's t for fix errors, instead of gate
+        fix-error       fix errors that last for many fixes
+
     Parameters
     ----------
     out
-        Folder for tuning.toml, the convergence history and figures.
+        Folder for tuning.toml, the convergence history and figures. It must not contain a tuning, except with --resume.
     validation
         Drives that the search does not use; the tuned filter is also evaluated on these drives.
     start
@@ -96,7 +122,7 @@ def tune(
         ]
     pictures = save_tuning_figures(tuning, track.picture, out)
     files = f"filter:   {out / 'tuning.toml'}", f"pictures: {', '.join(map(str, pictures))}"
-    lines = [*before, *_costs(tuning), *_remarks(tuning, track), *files, *after]
+    lines = [*before, *_costs(tuning), *_remarks(tuning, track, drives), *files, *after]
     print_result(json, tuning.to_dict(), *lines)  # printed last, so that an error is a single line
 
 
@@ -136,15 +162,31 @@ def _tune(
     return tuning, track, [f"model:    {chosen}"] if chosen else [], lines
 
 
-def _remarks(tuning: "Tuning[Any]", track: "FirstTrack") -> Iterable[str]:
+def _remarks(tuning: "Tuning[Any]", track: "FirstTrack", given: Places) -> Iterable[str]:
     from sigmaswarm.scoring.remarks import describe_first_track
+
+    described = _descriptions(given)
 
     if position := describe_first_track(track):
         yield f"position: {position.removeprefix('Position ')}"
     for remark in tuning.remarks[:MAX_REMARKS]:
+        remark = remark.replace("drive.toml", described)
         yield remark if remark.startswith(TO_DO) else f"note: {remark}"
     if (left := len(tuning.remarks) - MAX_REMARKS) > 0:
         yield f"note: {counted(left, 'more remark')} in tuning.toml"
+
+
+def _descriptions(given: Places) -> str:
+    """Return the path of the drives' drive.toml, with a placeholder for several drives."""
+    from sigmaswarm.drives.reader import drive_folders
+    from sigmaswarm.drives.urls import is_url
+
+    local = [Path(place) for place in given if not is_url(place)]
+    folders = [folder for place in local for folder in drive_folders(place)]
+    if len(local) < len(given) or not folders:
+        return "drive.toml"
+    first = quote(str(folders[0] / "drive.toml"))
+    return first if len(folders) == 1 else f"{first} and of the other drives"
 
 
 def _is_part(drive: "Drive") -> bool:

@@ -95,6 +95,12 @@ def split_time(
     )
 
 
+def part_of(drive: Drive) -> str:
+    """Return "train" or "test" for a part of `split_time` with a default name, else ""."""
+    ends = [name for name in ("train", "test") if drive.name.endswith(f"-{name}")]
+    return ends[0] if ends and "cut_from" in drive.metadata else ""
+
+
 split = split_time
 """The name of `split_time` in the short API."""
 

@@ -11,6 +11,7 @@ from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding
 from sigmaswarm.drives.alignment import NoStart, find_start
 from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, stated_spread, suggest_filter
+from sigmaswarm.drives.split import part_of
 from sigmaswarm.wording import counted
 
 CIRCLE = 2 * np.pi
@@ -70,9 +71,9 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
 
 def check_use(evidence: Evidence) -> Iterator[Finding]:
     """Report the default filter of `tune` with its reasons, and possible additions."""
-    if not evidence.drives:
-        return
     drive = evidence.drive
+    if not evidence.drives or part_of(drive) == "test":
+        return
     chosen = suggest_filter([drive])
     reasons = dict.fromkeys(chosen.use, "")  # filters for cars have this model, unless the log gives a reason
     if drive.odometer is not None:
