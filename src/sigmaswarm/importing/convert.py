@@ -285,7 +285,7 @@ def missing_sensor(
         if example := _unnamed(logs[path], role):
             remedy = f"{example}; or {remedy}"
         texts = (*logs[path].remarks, *guesses[path].notes)
-        reasons = "has no header", "can't be decoded", "is empty"
+        reasons = "has no header", "can't be decoded", "is empty", "cells contain"
         if why := [s for s in texts if any(reason in s for reason in reasons)]:
             there = there or "what can be decoded"
             return f"{path}: no {what} found in {there}; {why[0]}; or {remedy}"

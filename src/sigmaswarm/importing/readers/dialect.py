@@ -13,6 +13,7 @@ from shlex import quote
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.quantities import NO_NUMBER, NO_VALUE
+from sigmaswarm.importing.readers.packed_cells import packed_cells
 from sigmaswarm.importing.source import first_bytes
 from sigmaswarm.importing.units import COUNTS, parse_unit
 from sigmaswarm.wording import names_shown
@@ -75,13 +76,15 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     rows = [
         i for i in _first_lines(lines, begin) if lines[i].strip() and lines[i].lstrip()[:1] not in COMMENTS
     ]
+    packed = packed_cells([lines[i] for i in rows], shown_as)
     separator = stated[1] if stated else _separator([lines[i] for i in rows])
     cells = {i: split(lines[i], separator) for i in rows}
     numeric = _numeric_columns([cells[i] for i in rows[-40:]])
     first = next((i for i in rows if _is_data(cells[i], numeric)), None)
     if first is None:  # only texts: the first line is the header
         names = _titles(lines[rows[0]], separator) if rows else []
-        return Dialect(separator, tuple(names), rows[0] + 1 if rows else 0, encoding)
+        skip, remarks = rows[0] + 1 if rows else 0, (packed,) if packed else ()
+        return Dialect(separator, tuple(names), skip, encoding, remarks=remarks)
     data = [cells[i] for i in rows if i >= first]
     above = [i for i in range(begin, first) if lines[i].strip()]
     width, most = Counter(map(len, data)).most_common(1)[0][0], max(map(len, data))
@@ -91,7 +94,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     empty = width - max(filled)
     names = _header([lines[i] for i in above], separator, width, most, empty)
     surplus = width - len(names) if 0 < width - len(names) <= empty else 0
-    remarks: list[str] = []
+    notes = [packed] if packed else []
     if not names:
         last = lines[above[-1]] if above else "#"
         if last.lstrip()[:1] not in COMMENTS and len(found := _titles(last, separator)) > 1:
@@ -104,20 +107,20 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
             )
         _require_one_kind(data, shown_as)
         if names := _of_message(data[0]):
-            remarks.append(
+            notes.append(
                 f"{shown_as.name}: is read as a message of {width} values, in the format of `ros2 topic echo --csv`"
             )
         names = names or [""] * most
     if not any(name and not name.startswith(" [") for name in names):
-        remarks.append(
+        notes.append(
             f"{shown_as.name}: has no header; its columns are called c1 to c{len(names)}: write a header line such as "
             "t,ax,ay,az,gx,gy,gz, or map them with --map"
         )
     names = [f"c{k}{name}" if name[:1] in ("", " ") else name for k, name in enumerate(names, 1)]
     commas = tuple(k for k in numeric if _has_decimal_commas([row[k] for row in data if k < len(row)]))
     if commas:
-        remarks.append(f"{shown_as.name}: numbers have decimal commas")
-    return Dialect(separator, tuple(names), first, encoding, tuple(numeric), commas, surplus, tuple(remarks))
+        notes.append(f"{shown_as.name}: numbers have decimal commas")
+    return Dialect(separator, tuple(names), first, encoding, tuple(numeric), commas, surplus, tuple(notes))
 
 
 def _of_message(row: Sequence[str]) -> list[str]:

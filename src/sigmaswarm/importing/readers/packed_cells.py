@@ -1,0 +1,105 @@
+"""Rows whose cells contain a name or several numbers: `ax:0.1, ay:0.2`, `[0.1, 0.2]`, or `"0.1 0.2"`."""
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from shlex import quote
+
+from sigmaswarm.errors import InputError
+
+_VALUE = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan"
+_NAMED = re.compile(rf"([A-Za-z_]\w*) *[:=] *(?:{_VALUE})(?= *[,;\s]|$)")
+_POINT = r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?"
+_VECTOR = re.compile(
+    rf"[\[({{] *((?:{_VALUE})(?: *[,; ] *(?:{_VALUE})){{2,}}) *[\])}}]|\" *({_POINT}(?: *[,; ] *{_POINT}){{2,}}) *\""
+)
+"""Three or more numbers in brackets, or in quotes, where all have a point: "1,234,567" and dates are single values."""
+_OUTER = re.compile(r"\"(?=[\[({])|(?<=[\])}])\"")  # quotes around brackets
+_CELL = re.compile(rf"{_VALUE}|[\w.:+-]*\d[\w.:+-]*")
+_NO_NAMES, _NO_BRACKETS = r"s/[A-Za-z_][A-Za-z0-9_]* *[:=] *//g", r"s/[]\"(){}[]//g"
+_SEPARATED = "s/ *[,; ] */,/g"
+PARTS = {2: "xy", 3: "xyz", 4: "xyzw"}
+FEWEST_NAMED = 3
+LOOKED_AT = 20  # rows
+
+
+def packed_cells(lines: Sequence[str], shown_as: Path) -> str:
+    """Describe rows with names or several numbers in a cell; the remedy is a command that was tried on these rows.
+
+    Return "" for other rows. Raise `InputError` if the rows can't be split at their separators.
+    """
+    rows = [_OUTER.sub("", line.strip()) for line in lines if line.strip()]
+    if not rows:
+        return ""
+    last = rows[-1]
+    named = [found[1] for found in _NAMED.finditer(last)]
+    if len(named) >= max(FEWEST_NAMED, len(_cells(_NAMED.sub("1", last))) / 2) and len({*named}) == len(
+        named
+    ):
+        before = [f"c{k + 1}" for k in range(len(_cells(last[: _start(last)])))]
+        header = [*(["t"] if len(before) == 1 and "t" not in named else before), *named]
+        what, edit = f"cells contain names ({named[0]}, {named[1]} ...)", f"{_NO_NAMES}; {_SEPARATED}"
+        if all([found[1] for found in _NAMED.finditer(row)] == named for row in rows[-LOOKED_AT:]):
+            raise InputError(_sentence(shown_as, rows, what, header, edit, named=True, titles=0))
+    elif vectors := _vectors(last):
+        what = f"cells contain several numbers ({vectors[0][:40]})"
+        titles = 0 if _VECTOR.search(rows[0]) else 1
+        header = [*_titles(rows[0], last)] if titles else []
+        edit = f"{_NO_BRACKETS}; {_SEPARATED}"
+        message = _sentence(shown_as, rows, what, header, edit, named=False, titles=titles)
+        if ";" in vectors[0] or ("," in vectors[0] and '"' not in lines[-1]):
+            raise InputError(message)
+        return message
+    return ""
+
+
+def _vectors(row: str) -> list[str]:
+    return [found[1] or found[2] for found in _VECTOR.finditer(row)]
+
+
+def _start(row: str) -> int:
+    found = _NAMED.search(row)
+    return found.start() if found else 0
+
+
+def _cells(text: str) -> list[str]:
+    return [cell for cell in re.split(r" *[,; ] *", text.strip(" ,;")) if cell]
+
+
+def _titles(header: str, row: str) -> Iterator[str]:
+    """Yield the names of the columns, one for each number of a vector: acc becomes acc_x, acc_y, acc_z."""
+    names = [name.strip(' "') for name in re.split(r"[,;\t]", header)]
+    counts = [len(_cells(found)) for found in _vectors(row)]
+    plain = len(_cells(_VECTOR.sub("", row)))
+    if len(names) == plain + sum(counts):
+        yield from names
+        return
+    found = re.finditer(rf"{_VECTOR.pattern}|[^,;\s]+", row)
+    sizes = [len(_cells(one[1] or one[2] or "1")) for one in found]
+    if len(sizes) != len(names):
+        return
+    for name, size in zip(names, sizes, strict=True):
+        yield from (
+            [f"{name}_{part}" for part in PARTS.get(size, map(str, range(size)))] if size > 1 else [name]
+        )
+
+
+def _sentence(
+    shown_as: Path,
+    rows: Sequence[str],
+    what: str,
+    header: Sequence[str],
+    edit: str,
+    *,
+    named: bool,
+    titles: int,
+) -> str:
+    remove = r"[A-Za-z_][A-Za-z0-9_]* *[:=] *" if named else r"[\]\"(){}\[]"
+    edited = [_cells(re.sub(remove, "", row)) for row in rows[titles:][-LOOKED_AT:]]
+    works = header and all(len(cells) == len(header) and all(map(_CELL.fullmatch, cells)) for cells in edited)
+    remedy = "write one number in each cell, below a header such as t,ax,ay,az,gx,gy,gz"
+    if works:
+        first = "1d; " * titles
+        command = f"(echo {','.join(header)}; sed -E '{first}{edit}' {quote(shown_as.name)}) > new.csv"
+        remedy = f"write one number in each cell, for example with: {command}"
+    return f"{shown_as}: {what}; {remedy}"
