@@ -7,6 +7,7 @@ import shutil
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import get_args
 
 import numpy as np
@@ -15,12 +16,14 @@ import pytest
 
 import sigmaswarm as library
 from sigmaswarm.cli.app import app
+from sigmaswarm.cli.tune import _costs
 from sigmaswarm.drives.drive import Imu
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.experiments.study import config as study_config
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
+from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.diagnostics import Forecast, describe_forecasts
 from sigmaswarm.tuning.objectives import OBJECTIVES
 from sigmaswarm.tuning.options import Option
@@ -95,6 +98,29 @@ def test_the_help_states_what_happens_to_earlier_results(command: str):
     if "--out" in arguments and command not in ("demo", "workbench"):
         rules = ("is replaced", "must not contain")
         assert "--overwrite" in arguments or any(rule in arguments["--out"] for rule in rules)
+
+
+@pytest.mark.parametrize(
+    ("particles", "inflation", "remedy"),
+    [(4, 5.0, "the default --particles"), (30, 5.0, "--inflation 0"), (30, 1.0, "--trials 5")],
+)
+def test_a_drift_larger_than_the_baseline_s_names_a_step(particles: int, inflation: float, remedy: str):
+    forecasts = [Forecast(5.0, 1.0, 2.0, 9.0), Forecast(30.0, 7.13, 6.36, 59.4)]
+    config = TuneConfig(particles=particles)
+    tuned = SimpleNamespace(
+        **{"forecasts": forecasts, "inflation_factor": inflation, "config": config, "trial_costs": [1.0]},
+        **{
+            "best_trial": 0,
+            "cost": 1.0,
+            "start_cost": None,
+            "data": [{"duration_s": 60.0}],
+            "validation": None,
+        },
+    )
+    (said,) = (line for line in _costs(tuned) if "larger than that of the baseline" in line)
+    assert f"; to lower it, tune with {remedy}" in said
+    tuned.forecasts = forecasts[:1]
+    assert "to lower it" not in " ".join(_costs(tuned))
 
 
 def test_an_outage_length_that_is_always_measured_has_one_column(

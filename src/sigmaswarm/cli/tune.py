@@ -210,7 +210,19 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
         change = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
         on = counted(len(tuning.validation.drives), "validation drive")
         yield f"cost {tuning.validation.cost:.4f} on {on}: {change}"
-    yield from describe_forecasts(tuning.forecasts, [one["duration_s"] for one in tuning.data])
+    drifts, *worse = describe_forecasts(tuning.forecasts, [one["duration_s"] for one in tuning.data]) or [""]
+    yield from [drifts] * bool(drifts)
+    yield from (f"{sentence}; to lower it, {_remedy(tuning)}" for sentence in worse)
+
+
+def _remedy(tuning: "Tuning[Any]") -> str:
+    """Return the option that lowers the drift of a filter that drifts farther than the baseline."""
+    usual, config = TuneConfig.model_fields, tuning.config
+    if config.particles * config.generations < usual["particles"].default * usual["generations"].default:
+        return "tune with the default --particles and --generations"
+    if tuning.inflation_factor != 1.0:
+        return "tune with --inflation 0"
+    return "tune with --trials 5, or on more drives"
 
 
 def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
