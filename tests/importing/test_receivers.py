@@ -237,9 +237,11 @@ def test_ublox_6_with_utc_instead_of_the_week(tmp_path: Path):
     np.testing.assert_allclose(got.time, GPS.time, atol=1e-3)
 
 
-def test_nmea_sentences_behind_the_time_of_a_computer(tmp_path: Path):
-    sentences = [line for i in range(len(GPS)) for line in nmea(i)]
-    (tmp_path / "gps.txt").write_bytes(b"".join(b"1714000000.25," + line for line in sentences))
+@pytest.mark.parametrize("row", [b"1714000000.25,%s", b'3.5,"%s"', b"3.5;GGA;%s;7"])
+def test_nmea_sentences_behind_the_time_of_a_computer(tmp_path: Path, row: bytes):
+    """In a text or in a column of a table, also in quotes or with cells after it."""
+    sentences = [line.strip() for i in range(len(GPS)) for line in nmea(i)]
+    (tmp_path / "gps.txt").write_bytes(b"".join(row % line + b"\r\n" for line in sentences))
     got = imported(imu_csv(tmp_path), gps=tmp_path / "gps.txt").drive.gps
     np.testing.assert_allclose(got.lat, GPS.lat, atol=1e-6)
 

@@ -40,8 +40,9 @@ GUESS = Guess(
     ),
     fixed="quality == 4",
 )
-_SENTENCE = re.compile(rb"(?:^|[\d\s,;:])\$..(?:GGA|RMC|GSA|GSV|GLL|VTG|GNS|TXT|ZDA),")
+_SENTENCE = re.compile(rb"(?:^|[\d\s,;:\"])\$..(?:GGA|RMC|GSA|GSV|GLL|VTG|GNS|TXT|ZDA),")
 """A sentence, perhaps after the time at which a computer received it."""
+_WHOLE = re.compile(rb"\$[^*]*\*[0-9A-Fa-f]{2}")  # further cells of a table may follow
 
 
 def recognizes(path: Path) -> bool:
@@ -97,7 +98,9 @@ def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[
             message = None
             if begin >= 0:
                 try:
-                    message = pynmeagps.NMEAReader.parse(line[begin:].rstrip() + b"\r\n", msgmode=0)
+                    whole = _WHOLE.match(line, begin)
+                    text = whole[0] if whole else line[begin:].rstrip()
+                    message = pynmeagps.NMEAReader.parse(text + b"\r\n", msgmode=0)
                 except Exception:  # a damaged sentence; the next line is another sentence
                     message = None
             if message is None:
