@@ -70,12 +70,21 @@ def test_no_tuning_is_proposed_if_no_filter_can_start(sigmaswarm, good, here: Pa
     assert "\nnext: use a longer or a faster drive (" in ended.out
 
 
-def test_a_fault_without_a_repair_is_to_be_corrected_in_the_log(sigmaswarm, good, here: Path):
+def test_exchanged_fixes_beside_a_truth_are_exchanged_by_the_command_that_is_named(
+    sigmaswarm, good, here: Path
+):
     mirrored = replace(good.gps, x=good.gps.y, y=good.gps.x)
     write_drive(replace(good, gps=mirrored), here / "mirrored")
     ended = sigmaswarm("doctor", "mirrored")
     assert "[mirrored-fixes]" in ended.out
-    assert "\nnext: correct the serious faults in the log\n" in ended.out
+    name = good.name
+    command = f"import mirrored --out mended/{name} --map gps.x=y gps.y=x"
+    assert (
+        f"\nnext: sigmaswarm {command}    (then continue with mended/{name}, not with mirrored)\n"
+        in ended.out
+    )
+    assert sigmaswarm(*command.split()).code == 0
+    assert sigmaswarm("doctor", f"mended/{name}").code == 0
 
 
 def test_tune_and_evaluate_warn_of_what_is_serious_in_a_line_and_trust_log_silences(
