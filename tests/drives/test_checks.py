@@ -137,12 +137,14 @@ def test_gaps_in_each_file():
 
 
 def test_a_drive_s_gaps_are_told_in_one_sentence():
-    message = only(
-        without(without(without(make_drive(), "imu", 10.0, 13.0), "gps", 10.0, 13.0), "truth", 10.0, 13.0)
+    paused = without(
+        without(without(make_drive(), "imu", 10.0, 13.0), "gps", 10.0, 13.0), "truth", 10.0, 13.0
     )
+    message = only(without(paused, "gps", 20.0, 24.0))
     for file in ("imu", "gps", "truth"):
         assert message.count(f"{file}.csv: 1 gap") == 1
     assert message.endswith("if the car maneuvered during the gap, split the drive")
+    assert "gps.csv" not in only(paused)  # the logger paused: the gap of the IMU is reported
 
 
 @pytest.mark.parametrize(("table", "length"), [("imu", 0.085), ("gps", 1.7), ("truth", 1.9)])

@@ -83,7 +83,7 @@ def test_errors_that_are_only_assumed_to_be_correlated_are_reported():
     """Where the receiver states nothing, no log shows whether it smooths or is precise."""
     p = FilterParameters(1.0, 2.0, 0.0, (1e-3,) * 5, (1.0, 1.0), kind="ekf", fix_error=0.5)
     (said,) = noise_warnings(p, [FixNoise(np.nan, 0.1)])
-    assert said.startswith("TO DO: write the standard deviation of the receiver's fixes")
+    assert said.startswith("TO DO: write the line `gps_std_m = 1.5` at the top of drive.toml")
     assert "modeled as correlated, 2.1 m per axis" in said
     assert noise_warnings(p, [FixNoise(2.0, 0.1)]) == noise_warnings(p, [FixNoise(np.nan, 1.0)]) == []
 
