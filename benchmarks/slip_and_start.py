@@ -4,9 +4,11 @@
     python benchmarks/slip_and_start.py ../shared/drives --out slip.jsonl --table
 
 The cases are the 13 held-out ones of `defaults.py`. Every tuning is by default, with truth (T) and without (B), from
-the alignments' starts, with `tire_slip` searched and with 0. Each is tested from the alignment's start and from
-`dated_back`. Each tuning and each row of scores is a line of the file, and is not repeated. Prints Markdown: medians
-over the seeds; then their geometric mean over the cases, relative to the default, and the largest ratio of a case.
+the alignments' starts, with `tire_slip` 0 ("no slip"), with `--use slip` ("slip"), and with a fixed `tire_slip` (its
+value). Each is tested from the alignment's start and from `dated_back`. With `--fresh N`, drives with simulated white
+fix errors are also tested with N other realizations of these errors, since one realization hides effects below 5%.
+Each tuning and each row of scores is a line of the file, and is not repeated. Prints Markdown: medians over the seeds;
+then the geometric mean of the ratios to the default with the same seed and fixes, and the largest mean ratio of a case.
 Drifts are RMS over all placements of the outages.
 """
 
@@ -19,6 +21,7 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
@@ -32,11 +35,13 @@ from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.batch import BatchScorer
 from sigmaswarm.scoring.drifts import Outages
 from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE
+from sigmaswarm.tuning import problem
 from sigmaswarm.tuning.defaults import default_filter_options
 from switches import quantities
 
-MORE: dict[str, tuple[str, ...]] = {"no slip": (), "slip": ("slip",)}
-"""Options in addition to the default ones."""
+TUNINGS = ("no slip", "slip", "0.003", "0.005")
+WHITE = ("kitti-09-26", "kitti-09-30-0018", "kitti-09-30-0033", "colorado-1", "white-1m")
+"""Parts of the names of cases whose fixes are truth with white errors of 1 m per axis."""
 COLUMNS = (
     *("RMSE, m", "50%, m", "95%, m", "heading, deg", "5 s, m", "30 s, m", "NIS", "NEES"),
     *("smoothed RMSE, m", "smoothed heading, deg"),
@@ -50,36 +55,73 @@ def main() -> None:
     parser.add_argument("drives", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--only", nargs="+", help="parts of cases' names")
+    parser.add_argument("--tunings", nargs="+", default=TUNINGS[:2], choices=TUNINGS)
+    parser.add_argument("--fresh", type=int, default=0, help="realizations of the fix errors")
     parser.add_argument("--table", action="store_true")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
     if not options.table:
         with ThreadPoolExecutor() as pool:
             parts = {name: of for name, of in cases(options.drives).items() if not stranger(name)}
-            for seed, name, known, slip in product(range(options.seeds), parts, "TB", MORE):
-                score(options.out, (name, *cached(name, parts[name])), known, slip, seed, pool)
+            names = [name for name in parts if any(part in name for part in options.only or [""])]
+            for seed, name, known, slip in product(range(options.seeds), names, "TB", options.tunings):
+                case = (name, *cached(name, parts[name]))
+                tuned = tuning(options.out, case, known, slip, seed, pool)
+                score(options.out, case, (known, slip, seed), tuned, options.fresh)
     table(lines(options.out))
 
 
-def score(out: Path, case: Any, known: str, slip: str, seed: int, pool: ThreadPoolExecutor) -> None:
-    """Tune, or read the tuning, and score it."""
+def tuning(
+    out: Path, case: Any, known: str, slip: str, seed: int, pool: ThreadPoolExecutor
+) -> FilterParameters:
+    """Tune, or read the tuning."""
     name, training, test = case
-    done = lines(out)
-    key = (name, known, slip, seed)
-    if (*key, "tuning") not in done:
-        drives = training if known == "T" else [replace(drive, truth=None) for drive in training]
-        chosen, _ = default_filter_options({}, [*drives, *test])
-        use = (*chosen["use"], *MORE[slip])
+    done, key = lines(out), (name, known, slip, seed, "tuning")
+    if key in done:
+        return FilterParameters(**done[key])
+    drives = training if known == "T" else [replace(drive, truth=None) for drive in training]
+    chosen, _ = default_filter_options({}, [*drives, *test])
+    use = (*chosen["use"], *(("slip",) if slip == "slip" else ()))
+    search_space = problem.search_space
+
+    def fixed(*args: Any, **options: Any) -> Any:
+        space = search_space(*args, **options)
+        return replace(space, fixed={**space.fixed, "tire_slip": float(slip)})
+
+    with mock.patch.object(problem, "search_space", fixed if "slip" not in slip else search_space):
         tuned = tune(drives, seed=seed, executor=pool, model=chosen["model"], use=use).parameters
-        note(out, (*key, "tuning"), tuned.to_dict())
-    else:
-        tuned = FilterParameters(**done[*key, "tuning"])
-    if (*key, "window") not in done:
-        note(out, (*key, "window"), figures([PreparedDrive(drive) for drive in test], tuned))
-    if (*key, "dated back") not in done:
-        starts = [dated_back(drive, tuned) for drive in test]
-        ready = [PreparedDrive(drive, start) for drive, start in zip(test, starts, strict=True)]
-        note(out, (*key, "dated back"), figures(ready, tuned))
+    note(out, key, tuned.to_dict())
+    return tuned
+
+
+def score(
+    out: Path, case: Any, which: tuple[str, str, int], parameters: FilterParameters, fresh: int
+) -> None:
+    """Score a tuning from both starts, with the fixes of the drives and with other realizations."""
+    name, _, test = case
+    done = lines(out)
+    for i in range(1 + (fresh if any(part in name for part in WHITE) and "outliers" not in name else 0)):
+        drives = [renewed(drive, i) for drive in test] if i else test
+        for start in ("window", "dated back"):
+            key = (name, *which, f"{start}, fresh {i}" if i else start)
+            if key not in done:
+                back = [dated_back(drive, parameters) if start != "window" else None for drive in drives]
+                ready = [PreparedDrive(drive, one) for drive, one in zip(drives, back, strict=True)]
+                note(out, key, figures(ready, parameters))
+
+
+def renewed(drive: Drive, seed: int) -> Drive:
+    """Return the drive with other white errors of its fixes, 1 m per axis."""
+    gps, truth = drive.gps, drive.truth
+    assert truth is not None
+    inside = (gps.time >= truth.time[0]) & (gps.time <= truth.time[-1])
+    theta = np.interp(gps.time, truth.time, np.unwrap(truth.theta))
+    (forward, left), c, s = drive.lever_arm, np.cos(theta), np.sin(theta)
+    x = np.interp(gps.time, truth.time, truth.x) + c * forward - s * left
+    y = np.interp(gps.time, truth.time, truth.y) + s * forward + c * left
+    x, y = np.array([x, y]) + np.random.default_rng(1000 + seed).normal(size=(2, len(x)))
+    return replace(drive, gps=replace(gps, x=np.where(inside, x, gps.x), y=np.where(inside, y, gps.y)))
 
 
 def figures(test: Sequence[PreparedDrive], parameters: FilterParameters) -> list[float]:
@@ -135,25 +177,28 @@ def note(out: Path, key: tuple[Any, ...], value: Any) -> None:
 
 
 def table(done: dict[tuple[Any, ...], Any]) -> None:
-    """Medians over the seeds, and their ratios to the default."""
-    rows: dict[tuple[str, ...], list[list[float]]] = {}
-    for (name, known, slip, _, what), value in done.items():
+    """Print medians over seeds and realizations, and geometric means of paired ratios to the default."""
+    rows: dict[tuple[str, ...], dict[tuple[int, str], Any]] = {}
+    for (name, known, slip, seed, what), value in done.items():
         if what != "tuning":
-            rows.setdefault((known, slip, what, name), []).append(value)
-    median = {key: np.median(np.array(each), axis=0) for key, each in rows.items()}
+            start, _, realization = what.partition(", ")
+            kind = f"{start}, fresh" if realization else start
+            rows.setdefault((known, slip, kind, name), {})[seed, realization] = np.array(value)
     print("| truth | tuning | start | tested on | " + " | ".join(COLUMNS) + " |")
     print("|---" * (len(COLUMNS) + 4) + "|")
-    for key, row in sorted(median.items()):
-        print("| " + " | ".join(key) + " | " + " | ".join(f"{v:.3f}" for v in row) + " |")
-    for known, slip, what in dict.fromkeys(key[:3] for key in median):
-        share = [
-            row / median[known, "no slip", "window", name]
-            for (*which, name), row in median.items()
-            if which == [known, slip, what]
-        ]
-        mean, most = np.exp(np.nanmean(np.log(share), axis=0)), np.nanmax(share, axis=0)
+    for key, row in sorted(rows.items()):
+        median = np.median([*row.values()], axis=0)
+        print("| " + " | ".join(key) + " | " + " | ".join(f"{v:.3f}" for v in median) + " |")
+    for known, slip, kind in dict.fromkeys(key[:3] for key in rows):
+        share = []
+        for (*which, name), row in rows.items():
+            if which == [known, slip, kind]:
+                default = rows.get((known, "no slip", kind.replace("dated back", "window"), name), {})
+                paired = [np.log(row[one] / default[one]) for one in row if one in default]
+                share += [np.mean(paired, axis=0)] if paired else []
+        mean, most = np.exp(np.nanmean(share, axis=0)), np.exp(np.nanmax(share, axis=0))
         cells = " | ".join(f"{m:.3f}, {w:.2f}" for m, w in zip(mean, most, strict=True))
-        print(f"| {known} | {slip} | {what} | {len(share)} cases | {cells} |")
+        print(f"| {known} | {slip} | {kind} | {len(share)} cases | {cells} |")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.bounds import TouchedBound
-from sigmaswarm.tuning.space import search_space
+from sigmaswarm.tuning.space import TYPICAL_SLIP, search_space
 
 LOWEST = [1e-3, 0.0, 0.0] + [1e-5] * 7
 HIGHEST = [1.0, 3.0, 5.0] + [10.0] * 7
@@ -157,9 +157,12 @@ def test_the_interval_is_passed_on():
 
 def test_tire_slip_is_searched_where_it_is_chosen():
     assert "tire_slip" not in search_space("planar8", "log10", use=("lateral",)).names
-    space = search_space("planar8", "log10", use=("lateral", "slip"))
+    space = search_space("planar8", "log10", use=("lateral", "slip"), has_truth=True)
     at = space.names.index("tire_slip")
     assert (space.lowest[at], space.highest[at], bool(space.logarithmic[at])) == (0.0, 0.02, False)
+    blind = search_space("planar8", "log10", use=("lateral", "slip"))
+    assert "tire_slip" not in blind.names
+    assert blind.decode(blind.low[None])[0].tire_slip == TYPICAL_SLIP
     with pytest.raises(InputError, match="also use lateral"):
         search_space("planar8", "log10", use=("slip",))
 
