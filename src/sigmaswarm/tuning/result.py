@@ -309,6 +309,8 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     yield from t.warnings
     if factor != 1.0:
         inflated = f"all process noise variances by {factor:.3g}"
+        if car and MODELS[car.model].gyro_bias is not None:
+            inflated = f"all process noise variances except that of the gyro's bias by {factor:.3g}"
         if car and MODELS[car.model].measures_imu:
             inflated = f"the noise variances of position, velocity and acceleration by {factor:.3g}"
         if car and MODELS[car.model].tilts:

@@ -207,7 +207,7 @@ def _dimensions(
         if described.tilts:  # `tuning.inflation` states the measurements behind these numbers
             least = scale * LEAST.get(name, 0.0)
             inflation = 1.0 if alike[0].bias_of else 0.0 if alike[0].unit == "rad" else 0.5
-        elif described.measures_imu and alike[0].unit.startswith("rad"):
+        elif alike[0].bias_of == "gyro" or (described.measures_imu and alike[0].unit.startswith("rad")):
             inflation = 0.0
         yield Dimension(f"q_{name}", "process_noise", len(alike), *box, inflation=inflation, least=least)
     fixes = ACCURACY_FLOOR if "accuracy" in use else described.fix_variance
