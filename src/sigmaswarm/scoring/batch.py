@@ -74,7 +74,7 @@ class Passes:  # options of BatchScorer and PreparedDrive
 class BatchScorer:
     """Drives that are prepared once and replayed with any number of parameter sets.
 
-    ``outages`` and ``forecasts`` each add a pass over every drive: with outages of ``outage_length`` s, or with fixes
+    ``outages`` adds a pass over every drive with outages of ``outage_length`` s. ``forecasts`` adds a pass with fixes
     hidden in windows of 3 to 5 s.
     """
 
@@ -107,7 +107,6 @@ class BatchScorer:
         return whole
 
     def subset(self, drives: Sequence[int]) -> "BatchScorer":
-        """Return a scorer of some of the drives, by index."""
         if list(drives) == list(range(len(self._ready))):
             return self
         part = BatchScorer.__new__(BatchScorer)
@@ -138,7 +137,7 @@ class BatchScorer:
 
     @property
     def steps(self) -> NDArray[np.int64]:
-        """Number of filter steps of one parameter set over all passes, shape (n_drives,)."""
+        """Number of filter steps of one parameter set on each drive, summed over all passes, shape (n_drives,)."""
         return np.sum(np.array([*self._steps.values()], dtype=np.int64), axis=0)
 
     @cached_property
@@ -151,11 +150,11 @@ class BatchScorer:
 
     @cached_property
     def _jobs(self) -> dict[tuple[int, str, int], list[Job]]:
-        """Cache of `jobs_for`, since all generations of a search have the same jobs."""
+        """Cache the results of `jobs_for`, since all generations of a search have the same jobs."""
         return {}
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
-        """Score the parameter sets; the result does not depend on the executor."""
+        """Return the scores of the parameter sets, which do not depend on the executor."""
         if not parameter_sets or not self.drives:
             empty = np.full((len(parameter_sets), len(self.drives)), np.nan)
             return Scores(*[empty] * len(_NUMBERS), failed=np.zeros(empty.shape, dtype=np.bool_))
@@ -167,7 +166,7 @@ class BatchScorer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """Score the parameter sets and apply ``take``, which returns shape (n_sets, n_drives)."""
+        """Score the parameter sets; return the result of ``take``, shape (n_sets, n_drives)."""
         return np.asfortranarray(take(self.scores(parameter_sets, executor)))
 
     def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
@@ -197,15 +196,14 @@ class BatchScorer:
 
 
 def scores_of(passes: Mapping[str, Sequence[Replay]], sums: Mapping[str, Sums]) -> Scores:
-    """Compute scores from the sums of each pass."""
     return _scores_by({name: _divisors_of(passes[name]) for name in sums}, sums)
 
 
 def _divisors_of(replays: Sequence[Replay]) -> Array:
-    """Return the divisors of the sums of each replay, shape (5, n_drives, 1), with NaN in place of 0.
+    """Return the divisors of the sums of each replay, shape (5, n_drives, 1); NaN replaces 0.
 
-    The divisors are the number of positions, the weights of positions and headings, and the numbers of fixes and hidden
-    fixes.
+    Divisors in this order: number of positions, weight of all positions, weight of all headings, number of fixes,
+    number of hidden fixes.
     """
     counts = np.array(
         [
@@ -230,7 +228,7 @@ def _scores_by(divisors: Mapping[str, Array], sums: Mapping[str, Sums]) -> Score
 
 
 def _scores_in(name: str, divisors: Array, sums: Sums) -> dict[str, Array]:
-    """Compute the scores of a pass, shape (n_drives, n_sets)."""
+    """Return the scores of a pass by name; each array has shape (n_drives, n_sets)."""
     moments, positions, headings, fixes, hidden = divisors
     if name == "outages":
         return {"outage_drift": np.sqrt(sums["SQ_POSITION"] / positions)}

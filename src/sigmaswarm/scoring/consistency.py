@@ -16,12 +16,9 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Innovations, run_innovations
 
-GATE_95 = -2 * math.log(0.05)
-"""95% quantile of NIS for a consistent filter: 5.99."""
-FAR_NEES = 4.0
-"""Mean NEES above which errors are clearly larger than expected; a constant, since NEES has no band."""
-RIGHT_NEES = 1.5
-"""Lowest mean NEES of a consistent position covariance; the highest is `FAR_NEES`."""
+GATE_95 = -2 * math.log(0.05)  # 95% quantile of NIS for a consistent filter: 5.99
+FAR_NEES = 4.0  # mean NEES that is clearly too large; NEES has no band, since position errors are correlated
+RIGHT_NEES = 1.5  # smallest mean NEES of a consistent position covariance; the largest is FAR_NEES
 LAGS = 10  # fixes, largest lag of the autocorrelation
 _KEYS = {  # in scores.json
     "nis_band": "nis_band_95",
@@ -58,10 +55,10 @@ class Consistency(BaseModel):
     white_p : float
         p-value of the test for whiteness of G. M. Ljung and G. E. P. Box (1978).
     mean_nees : float or None
-        Mean NEES of the position at truth times: 2 for a consistent filter, None without truth. A band is not known,
-        since position errors are correlated over time.
+        Mean NEES of the position at truth times: 2 for a consistent filter, None if the drive has no truth. The band is
+        unknown, since position errors are correlated over time.
     missed, expected : float or None
-        RMS of the innovations, m: actual, and according to their covariances.
+        Actual RMS of the innovations, and the RMS that their covariances predict, m.
     own_sigma : float or None
         RMS of the filter's position standard deviation, m; None if not computed.
     """
@@ -137,10 +134,8 @@ Kind = Literal[
 - ``lasting``: smaller, but errors against truth agree with the covariances, since predictions share the fixes' errors.
 - ``correlated``: of the expected size, but correlated; only without truth.
 """
-ALIKE = 0.5
-"""Lag-1 correlation above which consecutive innovations are nearly equal."""
-CORRELATED = 0.2
-"""Lag-1 correlation above which a mean NIS of 2 does not prove consistency."""
+ALIKE = 0.5  # lag-1 correlation above which consecutive innovations are nearly equal
+CORRELATED = 0.2  # lag-1 correlation above which a mean NIS of 2 does not prove consistency
 FORECASTS = "this result is for predictions of the fixes; without truth, position errors can't be assessed"
 
 VERDICTS: dict[Kind, str] = {
@@ -205,7 +200,7 @@ def _kinds(one: Consistency) -> Iterator[Kind]:
 
 
 def _size(mean_squares: Sequence[float], what: str) -> str:
-    """Compare sigmas with the correct values, from the mean NIS or NEES, which should be 2."""
+    """Describe the size of sigmas, from the mean NIS or NEES on each drive (2 if sigmas are correct)."""
     mean = sum(mean_squares) / max(len(mean_squares), 1)
     return f"{size_of(math.sqrt(2 / mean) if mean > 0 else math.inf)} (mean {what} {mean:.2g}, should be 2)"
 

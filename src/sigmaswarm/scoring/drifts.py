@@ -27,9 +27,9 @@ Runs = Mapping[str, Callable[[Replay], Run]]
 
 
 class Outages:
-    """Outages of one length on a drive in several placements, and the drifts of methods over them.
+    """Outages of one length on a drive, in several placements, and the drift of each method.
 
-    ``seeds`` contains one seed per placement, none if no outage fits. ``failed``: methods that failed in any
+    ``seeds`` has one seed per placement, and is empty if no outage fits. ``failed`` has the methods that failed in any
     placement.
     """
 
@@ -46,7 +46,7 @@ class Outages:
 
     @property
     def stated(self) -> tuple[Array, Array, Array]:
-        """Ends of the outages (s), with position variances (m2 per axis) and errors (m) of the tuned filter."""
+        """Ends of the outages (s), with the tuned filter's position variances (m2 per axis) and errors (m) there."""
         return tuple(np.hstack([np.empty((3, 0)), *self._stated]))
 
     def add_estimate(self, method: str, estimate: Estimate) -> None:
@@ -61,7 +61,7 @@ class Outages:
     ) -> None:
         """Run methods with the fixes hidden, without storing their estimates.
 
-        If ``monitored``, the filters are monitored, and reset after divergence. Otherwise they run as one batch.
+        If ``monitored``, a filter is reset after divergence. Otherwise all filters run as one batch.
         """
         for seed in self.seeds:
             self._ready.forget()
@@ -71,7 +71,7 @@ class Outages:
     def _run_placed(
         self, seed: Seed, filters: Mapping[str, FilterParameters], also: Runs, *, monitored: bool
     ) -> None:
-        """Run one placement; in a separate function, so that its memory is freed before the next placement."""
+        """Run one placement; a separate function frees its memory before the next placement."""
         outages = outage_replay(self._ready, length=self._length, seed=seed)
         ends = self._ends[self.seeds.index(seed)]
         if monitored:
@@ -87,7 +87,7 @@ class Outages:
             self._add(method, _drift(self._ready, ends, np.vstack(places)), failed=bool(run.failure))
 
     def _recorded(self, method: str, outages: Replay, parameters: FilterParameters, ends: Array) -> FilterRun:
-        """Run a filter; for the tuned filter, store variances and errors at the ends of the outages."""
+        """Run a filter; store variances and errors at the ends of the outages if it is the tuned filter."""
         recording = FilterRun(outages, parameters, recover=True)
         if method != "tuned":
             return recording.finished()
@@ -117,7 +117,7 @@ class Outages:
 
 
 def rms_drift(ready: PreparedDrive, estimate: Estimate | EstimateChunk, ends: Array) -> float:
-    """Return the RMS position error at the ends of outages, m."""
+    """Return the RMS position error at the ends of the outages, m."""
     places = [np.interp(ends, estimate.time, estimate.mean[:, i]) for i in (0, 1)]
     return _drift(ready, ends, np.column_stack(places))
 
@@ -132,5 +132,5 @@ def _errors(ready: PreparedDrive, time: Array, places: Array) -> Array:
 
 
 def _rows_at(ends: Array, piece: EstimateChunk) -> Indices:
-    """Return the rows of a piece at ends of outages; each end is the time of a sample."""
+    """Return the rows of a piece at the ends of outages; each end is the time of an IMU sample."""
     return np.searchsorted(piece.time, ends[(ends >= piece.time[0]) & (ends <= piece.time[-1])])

@@ -76,7 +76,7 @@ class Options:
     outage_length : float
         Length of the medium outages, s; the others last 1 s and 30 s.
     outage_seed : int
-        Seed of the outages, which are the same for all methods.
+        Seed of the outages; all methods have the same outages.
     as_recorded : bool
         Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     smooth : bool
@@ -86,8 +86,8 @@ class Options:
     more : mapping of str to callable
         Further methods, with names from `ALSO`: functions that run a method on a replay, such as a trained network.
     fixes_alone : MotionNoise, optional
-        Noise parameters of the filter that uses only the fixes, as in ``tuning.fixes_alone``. By default, they are
-        fitted to each evaluated drive, so the errors of this filter are lower bounds.
+        Noise parameters of the filter that uses only the fixes, as in ``tuning.fixes_alone``. By default, the
+        parameters are fitted to each evaluated drive, so the errors of this filter are lower bounds.
     """
 
     against: FilterParameters | None = None
@@ -113,9 +113,8 @@ class Options:
 class DriveResult:
     """Results of all methods on a drive.
 
-    ``restarts`` are times of resets, s, by method; ``drifts`` are by measure. ``consistency`` and ``innovations`` are
-    those of the tuned filter. ``picture`` has more points than ``tracks``. ``stale_fixes`` is the number of stale
-    fixes.
+    ``restarts`` has the times of resets, s, by method; ``drifts`` has records by measure. ``consistency`` and
+    ``innovations`` are those of the tuned filter. ``picture`` has more points than ``tracks``.
     """
 
     scores: Mapping[str, Score]
@@ -141,7 +140,7 @@ class DriveResult:
         )
 
     def seen_in(self, overlap: Overlap) -> "DriveResult":
-        """Return a copy that records the part of the drive that was used for tuning."""
+        """Return a copy that records the overlap with the training drives."""
         part = {"seen_s": overlap.seconds, "seen_in": list(overlap.of)}
         return replace(self, record=self.record.model_copy(update=part))
 
@@ -156,7 +155,7 @@ class Evaluation:
     names : mapping of method to str
         Display names.
     outage_length, outage_seed : float, int
-        Length of the medium outages, s (the others last 1 s and 30 s), and seed of the placements.
+        Length of the medium outages, s (the others last 1 s and 30 s), and seed of all outages.
     against : FilterParameters or None
         Other filter in the comparison.
     parameters : FilterParameters or None
@@ -185,7 +184,7 @@ class Evaluation:
         return {name: found.consistency for name, found in self.drives.items()}
 
     def mean(self, method: str, measure: str) -> float | None:
-        """Return the mean of a measure over the drives; None without values or if the method failed.
+        """Return the mean of a measure over the drives; None if there is no value or the method failed.
 
         ``method`` is a key of scores.json (``untuned``) or a display name (``baseline``).
         """
@@ -204,7 +203,7 @@ class Evaluation:
         return next((key for key, name in self.names.items() if name == method), method)
 
     def improvement(self, over: str = BASELINE, measure: str = "position_rmse_m") -> float | None:
-        """Return 100 (manual - tuned) / manual, % (the paper's equation 5), of the means over drives."""
+        """Return the improvement 100 (method - tuned) / method, %, of means over drives (the paper's equation 5)."""
         manual, tuned = self.mean(over, measure), self.mean("tuned", measure)
         return None if not manual or tuned is None else 100 * (manual - tuned) / manual
 
@@ -318,11 +317,9 @@ def evaluate(
 ) -> Evaluation:
     """Compare a tuned filter with the baseline, raw GPS, fixes alone and IMU only: see `sigmaswarm.evaluate`.
 
-    With ``seen``, landmarks of the training drives, the evaluation reports the part of each drive that was used for
-    training, even if the drive was renamed, cut or repaired. These landmarks are ``tuning.seen``, or the result of
-    `tuning.record.training_data_of`; without seen.npz, only complete drives are recognized. With ``cluster``, the
-    workers of the cluster read the drives (also given as paths or URLs) and run the filters. ``options`` are attributes
-    of `Options`.
+    ``seen``: landmarks of the training drives, by which parts of training drives are recognized. ``cluster``: Dask
+    cluster whose workers read the drives (also given as paths or URLs) and run the filters. ``options``: attributes of
+    `Options`.
     """
     if isinstance(drives, FilterParameters):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
@@ -361,7 +358,7 @@ def evaluate(
 def _evaluated(
     drive: Drive, parameters: FilterParameters, options: Options, marked: bool
 ) -> tuple[str, DriveResult, Landmarks | None]:
-    """Run every method over a drive; return its name, the results and, if ``marked``, its landmarks."""
+    """Run every method over a drive; return the drive's name, the results and, if ``marked``, the landmarks."""
     marks = landmarks(drive) if marked else None
     own = {} if options.against is None else {AGAINST: options.against}
     filters = compared(drive, parameters) | own
@@ -422,9 +419,9 @@ def _radius(
 def _tracked(
     ready: PreparedDrive, tracker: Tracker, filters: Mapping[str, FilterParameters], options: Options
 ) -> tuple[DriveResult, Runs]:
-    """Run every method over all fixes; return the results, and functions for the methods that are not single filters.
+    """Run every method over all fixes; return the results, and a function for each method that is not a single filter.
 
-    This is a separate function, so that its memory is freed before the next pass.
+    A separate function frees the memory of this pass before the next one.
     """
     replay = tracking_replay(ready)
     further = options.further(filters["tuned"])

@@ -60,7 +60,6 @@ def _parts(steps: Mapping[str, Sequence[int]], least: float) -> Iterator[Job]:
 
 
 def cores() -> int:
-    """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

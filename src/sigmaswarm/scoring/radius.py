@@ -25,16 +25,14 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import receiver_std, white_noise
 from sigmaswarm.filters.parameters import FilterParameters
 
-DOF = 7.0
-"""Degrees of freedom, chosen on parts of the development drives that tunings with seed 0 did not use."""
+DOF = 7.0  # degrees of freedom; chosen on parts of development drives that tunings with seed 0 did not use
 LEVELS = 0.95, 0.999  # probabilities
 TRACKING = "tracking"  # key of the radii with all fixes
-LOW = 0.85
-"""Share of errors inside the 95% radius below which a warning is given."""
+LOW = 0.85  # share of errors inside the 95% radius below which a warning is given
 
 
 class RadiusRecord(BaseModel):
-    """Radii of a filter's position on a drive (medians), and the share of errors inside them.
+    """Median radii of a filter's position on a drive, and the share of errors inside the radii.
 
     ``n``: number of errors, or of estimates without truth. ``sigma_ratio``: RMS of the filter's sigma divided by the
     RMS error, per axis. ``lasting_m``: RMS of the correlated errors, m per axis.
@@ -68,7 +66,7 @@ def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array, va
 
 
 def radius_record(variance: Array, lasting: Array, error: Array | None) -> RadiusRecord | None:
-    """Summarize variances of the filter and of correlated errors (m2), and position errors (m); None if invalid."""
+    """Summarize variances of the filter and of correlated errors (m2), and position errors (m); None if not finite."""
     total = variance + lasting
     if not len(total) or not np.isfinite(total).all():
         return None

@@ -16,8 +16,7 @@ from sigmaswarm.scoring.radius import RadiusRecord
 
 SCORES_FILE, EVALUATION_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
 Measured = dict[str, float | None]
-FEW = 4
-"""Outages per placement below which all placements hide nearly the same fixes."""
+FEW = 4  # number of outages in a placement; with fewer, all placements hide nearly the same fixes
 
 
 class DriftRecord(BaseModel):
@@ -48,7 +47,7 @@ class ScoresRecord(BaseModel):
     stale_fixes: dict[str, int] = Field(default_factory=dict)
 
     def describe_drift(self, measure: str, method: str = "tuned") -> str:
-        """Describe the outages behind a drift, and the range of single placements; empty if unknown."""
+        """Describe the outages of a drift, and the range over placements; return "" if unknown."""
         found = [of[measure] for of in self.drifts.values() if measure in of]
         drawn = [one.each.get(method, []) for one in found]
         count = min(map(len, drawn), default=0)
@@ -66,15 +65,14 @@ class ScoresRecord(BaseModel):
         return self.mean.get(method, {}).get(measure)
 
     def known(self, methods: Iterable[str], measures: Iterable[str]) -> tuple[list[str], list[str]]:
-        """Return the methods and measures with any value; raw GPS needs truth."""
+        """Return the methods and measures that have a value; raw GPS is omitted if there is no truth."""
         methods, measures = [*methods], [*measures]
         known = [m for m in measures if any(self.mean_of(method, m) is not None for method in methods)]
         raw = any(self.mean_of("raw_gps", m) is not None for m in known)
         return [m for m in methods if m != "raw_gps" or raw], known or measures
 
 
-EVALUATION = "evaluation"
-"""Kind of a result in its folder."""
+EVALUATION = "evaluation"  # kind of result, in the record of its folder
 
 
 class AgainstRecord(BaseModel):  # another filter in the comparison

@@ -13,12 +13,9 @@ from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import FirstTrack
 from sigmaswarm.wording import counted
 
-ALL_OF_IT = 0.99
-"""Share of the time with truth above which gaps are not reported."""
-FAR_BELOW = 1.0
-"""Mean NIS below which predictions of the fixes do not measure the position error."""
-NOTABLE = 0.9
-"""Ratio to the tuned filter's error below which a method without tuning is reported as better."""
+ALL_OF_IT = 0.99  # share of the time with truth above which gaps are not reported
+FAR_BELOW = 1.0  # mean NIS below which predicted fixes do not measure the position error
+NOTABLE = 0.9  # ratio to the tuned filter's error below which a method without tuning is reported as better
 
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:
@@ -27,7 +24,7 @@ def restarted(scores: ScoresRecord) -> tuple[str, ...]:
 
 
 def describe_training_drives(drive: DriveRecord) -> str:
-    """Return how much of a drive the tuning used, and the training drives if their names differ."""
+    """Return a sentence on the part of a drive that the tuning used; name the training drives if their names differ."""
     used, whole = drive.seen_s or 0.0, drive.duration_s or 0.0
     part = "all" if round(used) >= round(whole) else f"{used:.0f}"
     others = [name for name in drive.seen_in if name != drive.name]
@@ -98,7 +95,7 @@ def estimate_position_errors(scores: ScoresRecord, data: Sequence[DriveRecord]) 
 
 
 def describe_first_track(track: FirstTrack) -> str:
-    """Return a sentence on the position error on a training drive; empty if unknown."""
+    """Return a sentence on the position error on a training drive; return "" if unknown."""
     name, rmse = track.picture.whole.name, track.position_rmse
     if np.isfinite(rmse["tuned"]):
         others = ", ".join(
@@ -120,8 +117,8 @@ def _without_truth(drive: str, found: Consistency) -> str:
 def describe_position(found: Consistency) -> str:
     """Return a sentence that estimates a filter's position error on a drive without truth.
 
-    The estimate is the RMS of the filter's position sigmas. If the innovations are far smaller than expected, the fixes
-    are smoothed or their errors are correlated, and the position error may be as large as that of the fixes.
+    The estimate is the RMS of the filter's position sigmas. If the innovations are far smaller than expected, the error
+    may be as large as that of the fixes.
     """
     own, missed, expected = found.own_sigma or 0.0, found.missed or 0.0, found.expected or 0.0
     (low, high), nis = found.nis_band, f"mean NIS {found.mean_nis:.2g}, should be 2"

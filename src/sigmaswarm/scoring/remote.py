@@ -43,7 +43,7 @@ def _scorer(drives: Sequence[PreparedDrive], passes: Passes, check: Check) -> Ba
 
 @dataclass(frozen=True)
 class RemoteBatchScorer:
-    """A `BatchScorer` of a remote dataset; executors are ignored, since the workers of the cluster run the filters."""
+    """A `BatchScorer` of a remote dataset. It ignores executors, since the cluster's workers run the filters."""
 
     dataset: RemoteDataset
     passes: Passes
@@ -68,7 +68,7 @@ class RemoteBatchScorer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """Score the sets on the workers, where ``take``, which returns shape (..., n_sets, n_drives), is applied."""
+        """Score the sets on the workers, which also apply ``take``; return shape (..., n_sets, n_drives)."""
         sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
         answers = self.dataset.call(_taken, self.passes, self.check, take, sets)
         shape = len(self.dataset), *answers[0][1].shape[-2::-1]

@@ -59,7 +59,7 @@ class Score:
 
 
 def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: float) -> Array:
-    """Return the negative log-likelihood, nats, of innovations under a distribution that tolerates outliers.
+    """Return the negative log-likelihood (nats) of innovations under a heavy-tailed distribution.
 
     The value is ln 2 pi + ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c), shape (f,), where v is ``dof`` and c is
     ``scale``. Innovations have shape (f, 2), m, and S has shape (f, 2, 2), m2. With c = v, this is Student's t in two
@@ -71,7 +71,7 @@ def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: floa
 
 
 class PieceErrors:
-    """Errors of estimates that arrive in pieces; ``initial`` is the start of the method."""
+    """Errors of estimates that arrive in pieces; ``initial`` is the initial state of the method."""
 
     def __init__(self, truth: Truth, initial: InitialState) -> None:
         self._truth = truth
@@ -97,7 +97,7 @@ class PieceErrors:
 
     @property
     def errors(self) -> tuple[Array, Array, Array]:
-        """Truth times so far (s), with the corresponding variances (m2) and position errors (m)."""
+        """Truth times so far (s), and the variances (m2) and position errors (m) at these times."""
         none = np.empty(0)
         variance, off = (np.concatenate([none, *of]) for of in (self._variance, self._off))
         return self._truth.time[self._first : self._next], variance, off
@@ -129,7 +129,7 @@ def distance_from(truth: Truth, time: Array, x: Array, y: Array) -> Array:
 
 
 def score_estimate(drive: Drive, estimate: Estimate) -> Score:
-    """Score position and heading; NaN without truth or after a failure."""
+    """Score position and heading; NaN if there is no truth or the method failed."""
     failed = estimate.failure is not None
     if drive.truth is None:
         return Score(failed=failed)
@@ -151,6 +151,6 @@ def score_raw_gps(drive: Drive, initial: InitialState) -> Score:
 
 
 def _position_score(errors: Array, weights: Array | None) -> Score:
-    """Return RMSE and quantiles (linear between ranks) of errors, m, shape (m,); NaN without errors."""
+    """Return RMSE and quantiles (linear between ranks) of errors, m, shape (m,); NaN if there are no errors."""
     median, most = np.quantile(errors, [0.5, 0.95]).tolist() if errors.size else (math.nan, math.nan)
     return Score(root_mean(errors**2, weights), position_median=median, position_95=most)

@@ -30,7 +30,7 @@ def tracking_replay(ready: PreparedDrive) -> Replay:
 
 
 def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: Seed = 0) -> Replay:
-    """Create a replay with fixes hidden in random outages, whose ends are compared with truth, else with the fixes."""
+    """Create a replay with random outages; the errors at their ends are relative to truth, else to the fixes."""
     windows = outage_windows(ready.drive, ready.initial, length=length, seed=seed)
     timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows), removed=True)
     ends, reference = windows[:, 1], drift_reference(ready)
@@ -43,7 +43,7 @@ def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: 
 
 
 def drift_reference(ready: PreparedDrive) -> Gps | Truth:
-    """Return the truth or, without it, the fixes without stale ones."""
+    """Return the truth; if there is none, return the fixes that are not stale."""
     drive = ready.drive
     return drive.gps.select(~ready.stale) if drive.truth is None else drive.truth
 
@@ -113,6 +113,6 @@ def _truth_targets(truth: Truth | None, timeline: Timeline) -> Targets:
 
 
 def _end(timeline: Timeline, times: Array) -> NDArray[np.int32]:
-    """Return the number of target times before the end of each step."""
+    """Return how many target times precede the end of each step."""
     done = np.searchsorted(times, timeline.imu_time, side="right")
     return np.concatenate([[0], done]).astype(np.int32)[np.cumsum(timeline.sampled, dtype=np.int32)]

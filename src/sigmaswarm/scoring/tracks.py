@@ -57,7 +57,7 @@ class Tracks:
 class Picture:
     """Data of a static plot of the tracks on a drive.
 
-    ``close`` has all x and y of each series around the sharpest turn, and NaN outside. ``start`` and ``turn``, shape
+    ``close`` has all x and y of each series near the sharpest turn, and NaN elsewhere. ``start`` and ``turn``, shape
     (2,), are the positions of the filters' start and of the turn, m east and north. ``frame``, shape (2, 2), has the
     smallest and the largest x and y of the fixes.
     """
@@ -77,9 +77,9 @@ def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameter
 class Tracker:
     """Recorder of thinned tracks of methods that run over a drive; complete estimates are not stored.
 
-    ``own_sigma``: RMS of each filter's position standard deviation, m. ``stated``: times (s), position variances per
-    axis (m2) and errors (m) of the tuned filter at the times of truth; without truth, times and variances of all
-    estimates. With ``picture``, the data of a static plot are also recorded.
+    ``own_sigma``: RMS of each filter's position standard deviation, m. ``stated``: times of truth (s), and the tuned
+    filter's position variances per axis (m2) and errors (m) at these times. If there is no truth, ``stated`` has the
+    times and variances of all estimates. With ``picture``, the data of a static plot are also recorded.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class Tracker:
         self._keep(series, [self._columns(estimate)], len(estimate.time))
 
     def _columns(self, found: Estimate | EstimateChunk) -> Columns:
-        """Compute position, errors against truth, and 3 sigma."""
+        """Return position, errors relative to truth, and 3 sigma."""
         time, mean, truth = found.time, found.mean, self._ready.drive.truth
         columns = {"time": time, "x": mean[:, 0], "y": mean[:, 1]}
         if truth is not None:
@@ -201,7 +201,7 @@ class Tracker:
 class FirstTrack:
     """Result of a tuned filter on a training drive.
 
-    ``position_rmse``, m: tuned filter, baseline and raw fixes; NaN without truth.
+    ``position_rmse``, m: of the tuned filter, the baseline and the raw fixes; NaN if there is no truth.
     """
 
     picture: Picture
@@ -223,7 +223,7 @@ def first_track(drive: Drive, parameters: FilterParameters, *, as_recorded: bool
 
 
 def sharpest_turn(ready: PreparedDrive) -> Array:
-    """Return the position, m east and north, of the largest turn within 4 s, as a median of five fixes."""
+    """Return the position, m east and north, of the largest turn within 4 s (median of five fixes)."""
     imu, gps = ready.drive.imu, ready.drive.gps
     turned = np.concatenate([[0.0], np.cumsum(imu.gz[1:] * np.diff(imu.time))])
     t = imu.time[imu.time > ready.initial.time]

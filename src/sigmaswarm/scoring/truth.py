@@ -1,4 +1,4 @@
-"""Weights of truth, times at which it is known, and its constant offset from the fixes."""
+"""Weights of truth, known parts of truth, and a constant offset between truth and fixes."""
 
 import math
 
@@ -12,14 +12,12 @@ from sigmaswarm.drives.tables import Array, Mask, Truth
 POSITION_FLOOR = 0.3
 """Standard deviation of truth, m per axis, below which the weight hardly increases.
 
-This is the accuracy of the best filters with cheap receivers. Without a limit, parts under open sky, where every filter
-is accurate, would have nearly all the weight.
+This is the accuracy of the best filters with cheap receivers. If the weight had no limit, nearly all weight would be on
+parts under open sky, where every filter is accurate.
 """
 HEADING_FLOOR = math.radians(0.3)  # rad, the same limit for the true heading
-BLOCKS = 8
-"""Parts of a drive; the spread of their means shows the effect of correlated errors."""
-CLEAR = 5.0
-"""Ratio of an offset to its standard deviation above which it is reported."""
+BLOCKS = 8  # parts of a drive; the spread of their means shows the effect of correlated errors
+CLEAR = 5.0  # smallest ratio of a reported offset to its standard deviation
 LEAST = 0.3, 0.3  # smallest reported offset: m, and share of the scatter of the fixes
 
 
@@ -40,7 +38,7 @@ def heading_weights(truth: Truth) -> Array | None:
 
 
 def root_mean(squares: Array, weights: Array | None = None) -> float:
-    """Return the weighted RMS from squared errors; NaN without errors."""
+    """Return the weighted RMS from squared errors; NaN if there are no errors."""
     if not squares.size:
         return float("nan")
     return float(np.sqrt(np.mean(squares) if weights is None else np.average(squares, weights=weights)))
@@ -49,7 +47,7 @@ def root_mean(squares: Array, weights: Array | None = None) -> float:
 def is_known(truth: Truth, time: Array) -> Mask:
     """Return True for times, s, shape (n,), outside of gaps of truth.
 
-    Truth without standard deviations has no gaps.
+    If truth has no standard deviations, it has no gaps.
     """
     inside = (time >= truth.time[0]) & (time <= truth.time[-1])
     if truth.std_x is None or len(truth) < 2:
@@ -59,7 +57,7 @@ def is_known(truth: Truth, time: Array) -> Mask:
 
 
 def share_known(truth: Truth | None, start: float, end: float) -> float:
-    """Return the share of the time from ``start`` to ``end``, s, without gaps of truth."""
+    """Return the share of the time from ``start`` to ``end``, s, at which truth is known."""
     if truth is None or len(truth) < 2 or end <= start:
         return 0.0
     edges = np.clip(truth.time, start, end)
@@ -114,7 +112,7 @@ def truth_offset(drive: Drive) -> str:
 
 
 def _constant(error: Complex) -> tuple[complex, float]:
-    """Return the mean over the parts' medians, m, and the ratio of its size to its standard deviation."""
+    """Return the mean of the parts' medians, m, and the ratio of this mean to its standard deviation."""
     if len(error) < 2 * BLOCKS:
         return 0j, 0.0
     means = np.array(

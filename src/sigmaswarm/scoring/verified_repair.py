@@ -1,4 +1,4 @@
-"""Repair a log without repairs that increase the errors of predicted fixes."""
+"""Repair a log, but skip repairs that increase the errors of predicted fixes."""
 
 import warnings
 from collections.abc import Collection
@@ -18,12 +18,12 @@ from sigmaswarm.scoring.batch import BatchScorer
 
 CLOCKS = {"shift-clock", "shift-fixes"}
 VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
-"""Repairs of axes, signs, units and clocks, which change a filter's motion."""
+"""Repairs of axes, signs, units and clocks, which change the motion that a filter computes."""
 WORSE = 1.05
-"""Ratio of forecast errors after and before a repair above which the repair is withheld.
+"""Smallest ratio (after / before) of forecast errors at which a repair is withheld.
 
-After the rotation of a tilted phone one error of planar8, which models no tilt, was 10% larger; the other three errors
-were smaller by 28 to 58%.
+A rotation is judged by the geometric mean of four errors. After the rotation of a tilted phone, one error of planar8,
+which models no tilt, was 10% larger. The other three errors were 28 to 58% smaller.
 """
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
 """Noise densities of planar8's states, unit/sqrt(s).
@@ -52,7 +52,7 @@ def checking_filter(drive: Drive) -> FilterParameters:
 
 
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
-    """Return a copy of the drive without the repairable faults, except repairs that increase prediction errors.
+    """Return a repaired copy of the drive; skip repairs that increase prediction errors.
 
     A filter with fixed noise, and for clocks and rotations also the baseline of the default filter, runs over the log
     before and after the repairs. These filters forecast the next fix, and fixes that are hidden for 3 to 5 s. If a
@@ -116,7 +116,6 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
 
 
 def _without(diagnosis: Diagnosis, codes: Collection[str]) -> Diagnosis:
-    """Remove the repairs of some findings."""
     findings = tuple(replace(f, repair=None) if f.code in codes else f for f in diagnosis.findings)
     return replace(diagnosis, findings=findings)
 

@@ -66,7 +66,7 @@ class EvaluationView:
         return self._table("Each drive", rows)
 
     def _table(self, caption: str, rows: Sequence[tuple[str, str, str, Measured]]) -> Table:
-        """Return a table of all known scores (drive, method, remark, scores)."""
+        """Return a table of all known scores, from rows (drive, method, remark, scores)."""
         methods, known = self.scores.known(self.names, self.measures)
         rows = [(d, m, r, with_outages(m, of)) for d, m, r, of in rows if m in methods]
         rows = [row for row in rows if row[1] != "imu_only" or any(row[3].get(m) is not None for m in known)]
@@ -142,7 +142,7 @@ class EvaluationView:
     # ---- sentences ----
 
     def result(self) -> str:
-        """Return a sentence on the position error with truth, else on the drift over outages."""
+        """Return a sentence on the position error, or on the drift over outages if there is no truth."""
         drives, mean_of = describe_drives(self.setup.data), self.scores.mean_of
         for measure, what in (
             ("position_rmse_m", "has a position RMSE of {} m"),
@@ -163,7 +163,7 @@ class EvaluationView:
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
     def _not_beaten(self) -> str:
-        """Return a sentence each on the fixes alone and on the baseline if their drift over an outage is not larger."""
+        """Return sentences on fixes alone and baseline, if their drifts do not exceed that of the tuned filter."""
         mean_of = self.scores.mean_of
         sentences = ""
         for method, name in ((FIXES, "fixes alone"), (BASELINE, "baseline")):
@@ -253,7 +253,7 @@ class EvaluationView:
         return tuple(_sentence(message) for found in self.setup.findings.values() for message in found)
 
     def sentences(self, more: Iterable[str] = ()) -> tuple[str, ...]:
-        """Return all sentences, the most important first; ``more`` is placed after the warnings."""
+        """Return all sentences, the most important first; ``more`` follows the warnings."""
         positions = map(_sentence, estimate_position_errors(self.scores, self.setup.data))
         sentences = (
             self.result(),

@@ -26,7 +26,7 @@ from sigmaswarm.wording import shown
 
 @dataclass(frozen=True, eq=False)
 class BatchResult:
-    """Costs and scores of a batch.
+    """Costs and scores of parameter sets on drives.
 
     Drifts and forecasts are NaN unless the objective needs them. Medians, and drifts over longer outages, are always
     NaN; `evaluate` computes them.
@@ -112,7 +112,6 @@ def check_drives(drives: Sequence[Drive | Sensors], objective: Objective) -> Non
 
 
 def replays_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded: bool) -> AnyBatchScorer:
-    """Prepare the drives for the passes that an objective needs."""
     passes = Passes(objective.needs_outages, objective.needs_forecasts, seed, as_recorded)
     return replays_on(dataset, passes, partial(require_fit, objective=objective.name, seed=seed))
 

@@ -32,7 +32,7 @@ class TouchedBound:
 
     @classmethod
     def read(cls, text: Any) -> "TouchedBound":
-        """Parse the text that ``str`` returns."""
+        """Parse the text that ``str`` of an object returns."""
         if isinstance(text, cls):
             return text
         found = re.fullmatch(r"(.+) at its (lower|upper) bound \((\S+)\)", str(text))
@@ -48,7 +48,7 @@ class Dimension:
 
     - ``entries``: number of entries of a tuple that the parameter sets; 0 if the field is a number.
     - ``spread``: True if the range spans powers of ten.
-    - ``inflation``: decades that `tuning.inflation` adds per decade of the inflation factor.
+    - ``inflation``: decades by which the parameter grows per decade of the inflation factor (`tuning.inflation`).
     - ``least``: lower limit after inflation.
     """
 

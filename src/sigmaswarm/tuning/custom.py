@@ -41,7 +41,7 @@ class ModelProblem(Problem[dict[str, float]]):
         return dict(zip(self.space.names, self.space.values(point).tolist(), strict=True))
 
     def failure_reason(self, point: Array) -> str | None:
-        """Return the reason for a failure of the filter at a point, shape (d,), on a log; None without a failure."""
+        """Return why the filter at a point, shape (d,), failed on a log; None if it did not fail."""
         parameters = self.parameters(point)
         failures = (run_model(log, self.model, parameters).failure for log in self.logs)
         return next((f"model {failure}" for failure in failures if failure), None)
@@ -84,9 +84,10 @@ def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> Mo
 
 
 def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
-    """Return a function that computes the RMSE of the model's ``scored`` states, by default of every state with truth.
+    """Return a function that computes the RMSE of a model's ``scored`` states; by default, of every state with truth.
 
-    Its argument is the state means at the log's times, shape (k, n), which it interpolates at the truth times.
+    The function's argument is the state means at the log's times, shape (k, n). The means are interpolated at the truth
+    times.
     """
     names = model.scored or tuple(log.truth)
     missing = [name for name in names if name not in log.truth]
@@ -119,7 +120,6 @@ def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
 
 
 def _described(log: Log) -> dict[str, Any]:
-    """Describe a log by name, size and hash, as `record_of` describes a drive."""
     columns = (log.time, log.inputs, log.measurement_time, log.measurements, log.mean, log.covariance)
     return {
         "name": log.name,

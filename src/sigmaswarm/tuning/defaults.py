@@ -22,9 +22,9 @@ OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
 WITH_FORECASTS = "0.5 innovation-t + 0.5 forecast-t"
 """Objective without truth, for a model with roll and pitch and receivers with white errors.
 
-If errors are correlated, tuned forecasts reproduce them: with a u-blox M8, the error of the tuned filter was 11 m
-instead of 4 m. A planar filter overfits to its training roads: on roads of another car, its error was 3.6 times that of
-the fixes.
+If the fix errors are correlated, a filter tuned by forecasts reproduces these errors: with a u-blox M8, the filter's
+error was 11 m instead of 4 m. A planar filter overfits to the training roads: on roads of another car, the filter's
+error was 3.6 times that of the fixes.
 """
 WITH_FIX_ERROR = "innovation-t + 0.2 truth-pose + 0.2 nees"
 """Objective with truth and fix-error: mainly the likelihood, since a drive has few independent position errors.
@@ -41,7 +41,7 @@ def default_filter_options(
 ) -> tuple[dict[str, Any], str]:
     """Add missing ``model`` and ``use``; return the options and one line that explains them, or "" if none was missing.
 
-    For the paper's model, planar5, no measurements are added. Measurements that conflict with ``kind`` or the objective
+    For planar5, the paper's model, no measurements are added. Measurements that conflict with ``kind`` or the objective
     are omitted. ``fix-error`` does not change the model: on roads that need tilted12, planar8 with ``fix-error`` drifts
     twice as far over 30 s.
     """
@@ -90,7 +90,6 @@ def _described(model: str, use: Sequence[str]) -> str:
 
 
 def _fits(name: str, options: dict[str, Any]) -> bool:
-    """Check that a measurement is compatible with the filter type and the objective."""
     if name == "robust" and "innovation-nll" in str(options.get("objective")):
         return False  # innovation-nll does not reduce the weight of outliers
     kind = options.get("kind")

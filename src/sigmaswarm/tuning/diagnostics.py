@@ -28,31 +28,26 @@ from sigmaswarm.scoring.targets import FORECAST_LENGTHS, LONG_OUTAGE_LENGTH
 from sigmaswarm.tuning.objectives import Objective
 from sigmaswarm.wording import to_do
 
-NAMED = 3
-"""Number of drives named in one message, and checked for drift."""
+NAMED = 3  # drives named in one message, and checked for drift
 MONITORED = 3600.0  # s of a drive that are checked for divergence; a longer check needs more memory
-FAR = 1.5
-"""Ratio to the baseline's drift above which a warning is given."""
-FEW = 2
-"""Number of outage placements checked first."""
+FAR = 1.5  # ratio to the baseline's drift above which a warning is given
+FEW = 2  # outage placements checked first
 NEAR = 1.2
-"""Ratio of the filter's drift to the baseline's, over `FEW` placements, above which all placements are measured.
+"""Ratio of the filter's drift to the baseline's above which all placements are measured, not only `FEW`.
 
-For few placements the ratio is accurate to 10%.
+With `FEW` placements the ratio is accurate to 10%.
 """
 LOOK = 600.0  # s in the middle of a drive that are checked for drift
 REMEDY = "DO NOT USE THIS FILTER; check the drive with `sigmaswarm doctor`, or tune with more trials or on more drives"
 CORRELATED = 0.3
 """Lag-1 autocorrelation of innovations above which a warning is given.
 
-The medians of three filters tuned without truth were -0.05 and 0.12 with white errors, 0.15 with a simulated u-blox M8,
-and 0.33 to 0.91 with real receivers.
+For three filters tuned without truth, the median autocorrelations were -0.05 and 0.12 with white errors, 0.15 with a
+simulated u-blox M8, and 0.33 to 0.91 with real receivers.
 """
 SCALE_REMEDY = "tune with '{objective} + 0.2 {measure}'"
-SCALE_MOVED = 0.02
-"""Largest relative change of the position RMSE for which the factor is suggested."""
-SCALE_NEAR = 0.2
-"""Largest deviation of mean NIS / 2 from 1, after scaling, for which the factor is suggested."""
+SCALE_MOVED = 0.02  # largest relative change of the position RMSE for which the factor is suggested
+SCALE_NEAR = 0.2  # largest difference of the scaled mean NIS / 2 from 1 for which the factor is suggested
 
 
 @dataclass(frozen=True)
@@ -73,7 +68,7 @@ class Forecast:
 def describe_forecasts(forecasts: Sequence[Forecast], durations: Sequence[float] = ()) -> list[str]:
     """Return a sentence on the drifts, and a second one if a drift is larger than that of the baseline.
 
-    ``durations`` of the training drives, s: only a part of many or long drives is measured.
+    ``durations``: durations of the training drives, s, since only a part of many or long drives is measured.
     """
     if not forecasts:
         return []
@@ -97,7 +92,7 @@ def forecasts_of(
 ) -> Iterator[Forecast]:
     """Measure the drift over outages of several lengths, in the middle of the first drives.
 
-    The placements are those of an evaluation, so that the drifts are the same on the same drive.
+    The outages are those of an evaluation, so an evaluation of the same drive reports the same drift.
     """
     some = replays.subset(range(min(len(replays.dataset), NAMED)))
     for length in FORECAST_LENGTHS:
@@ -205,7 +200,6 @@ def drifts_of(
 
 
 def _together(found: Iterable[tuple[float, ...]]) -> list[float]:
-    """Return the mean of each drift over the drives, as an evaluation does."""
     known = np.array([drifts for drifts in found if np.isfinite(drifts).all()])
     return np.mean(known, axis=0).tolist() if len(known) else [0.0, 0.0]
 

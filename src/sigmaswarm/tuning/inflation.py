@@ -14,11 +14,13 @@ heading and yaw rate in robot-localization are not inflated, since they do not d
 A factor has no effect on a noise near zero. A filter with roll and pitch therefore has lower limits (`space.LEAST`),
 also if it is tuned with truth: with the limits, the error of a filter tuned on one drive is 0.8 instead of 1.7 m on
 another car's drive. On drives of the same car the limits change the error by -5 to +2%. Three drives with truth
-determine the deviations of the initial biases, which then have no limit: a limit would raise the heading error by 10%.
+determine the deviations of the initial biases. With three or more, these deviations have no limit, since a limit would
+increase the heading error by 10%.
 
 The gyro's initial bias has another limit if the starts of the training drives show biases: a filter subtracts a bias of
-many standard deviations at any start (`gyro_seen`), so the cost hardly depends on this deviation. The deviation was
-5e-5 rad/s for a gyro with biases of 0.2 rad/s, and the filter diverged on drives with a smaller bias.
+many standard deviations at any start (`gyro_seen`), so the cost hardly depends on the initial deviation of this bias.
+For a gyro with biases of 0.2 rad/s, the tuned deviation was 5e-5 rad/s, and the filter diverged on drives with a
+smaller bias.
 """
 
 from collections.abc import Sequence
@@ -35,11 +37,10 @@ from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.problem import Problem
 
 INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
-"""Default relative cost increases: planar models without truth, other models without truth, tilted12 with truth."""
-ENOUGH_DRIVES = 3
-"""Number of drives with truth that determine the deviations of the initial biases."""
+"""Default relative cost increases: planar without truth, other models without truth, tilted12 with truth."""
+ENOUGH_DRIVES = 3  # drives with truth that determine the deviations of the initial biases
 REFERENCE_DURATION, TILTED_DURATION = 100.0, 150.0
-"""Driving times, s, for which the whole cost increase is allowed: with roll and pitch the second one.
+"""Driving times, s, for which the whole cost increase is allowed: for planar models, and with roll and pitch.
 
 Twice the time allows half of the increase. On the 72 pairs of drives of `benchmarks/road_matrix.py`, planar8 has a
 position RMSE 1 to 2% lower and a 5 s drift 3 to 4% lower with 100 than with 150 s. With roll and pitch, a filter was
@@ -62,7 +63,8 @@ def inflated(
 ) -> tuple[Array, float, float]:
     """Inflate the process noise of a point, shape (d,), within the bounds, until its cost has increased by ``allowed``.
 
-    ``allowed`` is a relative increase. Returns the point after applying lower limits, its cost, and the factor.
+    ``allowed`` is a relative increase. Return the inflated point, within the lower limits, its cost, and the inflation
+    factor.
     """
     space = problem.space
     decades = np.arange(0.0, DECADES + STEP / 2, STEP)
@@ -80,7 +82,6 @@ def inflated(
 
 
 def _limits(problem: Problem[Any]) -> Array:
-    """Return the lower limits of the coordinates, shape (d,)."""
     space, objective = problem.space, parse_objective(problem.config.objective)
     least = space.least
     if len(problem.data) >= ENOUGH_DRIVES and objective.needs_truth:

@@ -31,26 +31,25 @@ from sigmaswarm.tuning.search import Search
 
 ARM = ("forward", "left")
 UNKNOWN_STD, STATED_STD = 2.0, 1.0
-"""Prior standard deviations, m. UNKNOWN_STD: no lever arm in drive.toml. STATED_STD: no ``gps_lever_arm_std_m``."""
+"""Prior standard deviations, m, if drive.toml has no lever arm, and if it has no ``gps_lever_arm_std_m``."""
 SCALES = ("scale_ax", "scale_ay", "scale_gz")
 ROLLING = 0.1
-"""Prior standard deviation of accelerometer scales in a planar filter; they include effects of roll and pitch."""
+"""Prior standard deviation of a planar filter's accelerometer scales, which include effects of roll and pitch."""
 PRIOR_STD = dict.fromkeys(SCALES, 0.03) | {"latency": 0.02, "rear_axle": 1.0, "tire_slip": 0.01}
 """Prior standard deviations of scales (no unit), latency (s), rear axle (m) and tire slip (s2/m)."""
 STEP = {"forward": 0.1, "left": 0.1, "latency": 0.01, "rear_axle": 0.1, "tire_slip": 1e-3} | dict.fromkeys(
     SCALES, 0.005
 )
-"""Steps of finite differences."""
+"""Steps of finite differences: lever arm in m, the others in the units of `PRIOR_STD`."""
 DOF = 8.0  # degrees of freedom of Student's t, which reduces the weight of outliers
-BLOCK = 20.0
-"""Length of a block, s: fix errors may be correlated within a block."""
+BLOCK = 20.0  # s, length of a block; fix errors may be correlated within a block
 FITTED = 1.2
 """Factor on the standard deviations: the noise is fitted to the same fixes, and tire slip is not exactly linear.
 
 Without it, 93% of the errors on 65 simulated drives were within 1.96 standard deviations.
 """
 ROUNDS, CONVERGED = 8, 0.005
-"""ROUNDS: largest number of Gauss-Newton steps. CONVERGED: size of the last step, m."""
+"""Largest number of Gauss-Newton steps, and size of the last step (m)."""
 SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
 """Options for tuning the noise; without tuning, the standard deviations are two to six times as large."""
 Values = dict[str, float]
@@ -69,7 +68,7 @@ class LeverArmEstimate:
     std : (float, float)
         Standard deviations of forward and left, m.
     stated : (float, float)
-        Lever arm in drive.toml, m; zeros if drive.toml states none.
+        Lever arm in drive.toml, m; zeros if there is none.
     within : float
         Required accuracy, m: an axis is observable if 1.96 standard deviations are at most this.
     """
@@ -130,8 +129,8 @@ def estimate_lever_arm(
     """Estimate the antenna's lever arm, forward and left, from drives of one vehicle.
 
     The prior mean is ``gps_lever_arm_m`` of drive.toml, and its standard deviation is ``gps_lever_arm_std_m`` (1 m if
-    not stated; 2 m without a lever arm). The delay of the fixes, whose effect is similar to that of ``forward``, has a
-    prior standard deviation of 0.02 s.
+    not stated; 2 m if no lever arm is stated). The delay of the fixes, whose effect is similar to that of ``forward``,
+    has a prior standard deviation of 0.02 s.
 
     Parameters
     ----------
@@ -210,7 +209,7 @@ def _maximum(
     arm: Mapping[str, tuple[float, float]],
     start: Mapping[str, float] | None = None,
 ) -> tuple[Values, tuple[float, float]]:
-    """Return the unknowns with the highest posterior density, and the standard deviations of the lever arm, m."""
+    """Return the unknowns with the largest posterior density, and the lever arm's standard deviations, m."""
     prior = {**arm, **_others(parameters)}
     values = {name: mean for name, (mean, _) in prior.items()} | dict(start or {})
     values = {name: getattr(parameters, name, values[name]) for name in prior}
@@ -275,7 +274,6 @@ def _others(p: FilterParameters) -> dict[str, tuple[float, float]]:
 
 
 def _whitened(ready: PreparedDrive, parameters: FilterParameters, values: Values) -> Whitened:
-    """Return the whitened arrays at given unknowns."""
     run = partial(_run, ready, parameters, values)
     found = run(values)
     if not np.isfinite(found.nis).all():
@@ -290,7 +288,7 @@ def _whitened(ready: PreparedDrive, parameters: FilterParameters, values: Values
 
 
 def _run(ready: PreparedDrive, p: FilterParameters, at: Values, values: Values) -> Innovations:
-    """Return the innovations of a filter with unknowns ``values``; the drive was prepared with unknowns ``at``."""
+    """Return the innovations of a filter with the unknowns ``values``, on a drive prepared with the unknowns ``at``."""
     start, line = ready.initial, ready.timeline()
     c, s = math.cos(start.mean[THETA]), math.sin(start.mean[THETA])
     x, y = (values[name] - at[name] for name in ARM)

@@ -78,8 +78,8 @@ def mean_cost(each: Array, worst: float = 1.0) -> Array:
 def conditional_value_at_risk(costs: Array, share: float) -> Array:
     """Return the mean over the worst ``share`` of each row of costs, shape (n, m), as an array of shape (n,).
 
-    If the share is not a whole number of values, the last one has a smaller weight (conditional value at risk: R. T.
-    Rockafellar and S. Uryasev, J. Risk 2, 2000).
+    If the share is not a whole number of values, the smallest of these values has a smaller weight (conditional value
+    at risk: R. T. Rockafellar and S. Uryasev, J. Risk 2, 2000).
     """
     if not 0 < share <= 1:
         raise InputError(f"worst = {share:g}: specify a share of the drives above 0 and at most 1")
@@ -100,7 +100,7 @@ def _pose(scores: Scores) -> Array:
 
 
 def _off(mean: Array) -> Array:
-    """Return the absolute logarithm of a mean NIS or NEES relative to its expected value, 2."""
+    """Return the absolute logarithm of mean NIS / 2 or mean NEES / 2; both ratios are 1 for a consistent filter."""
     return np.abs(np.log(mean / 2))
 
 

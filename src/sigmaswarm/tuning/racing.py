@@ -5,8 +5,8 @@ et al., GECCO 2002) it drops a fixed share, so the number of steps is known in a
 
 A single filter takes as long as eight filters in one vector, so the last candidate of a race is expensive. With many
 drives, a batch therefore also races against the best candidate so far, the leader. The leader's costs are a control
-variate for the costs of dropped candidates. A race that starts with 1/32 of the drives is faster, but then these costs
-mislead the search.
+variate for the costs of dropped candidates. A race that starts with 1/32 of the drives is faster, but the resulting
+costs mislead the search.
 """
 
 from collections.abc import Sequence
@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.tables import Array, Mask
 from sigmaswarm.tuning.problem import Problem
 
-FIRST = 12
-"""A race starts with 1 / FIRST of the drives."""
+FIRST = 12  # a race starts with 1 / FIRST of the drives
 MANY = 96
 """Smallest number of drives for a race against the leader; 1/12 of fewer drives is too few for a test."""
 Order = Sequence[int] | NDArray[np.int64]
@@ -37,7 +36,7 @@ class Leader:
 
 @dataclass(frozen=True, eq=False)
 class Raced:
-    """Costs of a batch, shape (n,), and numbers of filter steps and failures.
+    """Costs of a batch, shape (n,), number of filter steps, and number of failures.
 
     Costs are exact for candidates that were evaluated on all drives.
     """
@@ -125,7 +124,7 @@ def _in_order(each: Array, order: NDArray[np.int64]) -> Array:
 def _behind(
     costs: Array, finished: NDArray[np.int64], dropped: list[NDArray[np.int64]], otherwise: float
 ) -> Array:
-    """Raise the costs of dropped candidates above those of finished ones, or ``otherwise`` if none finished."""
+    """Return costs with each dropped candidate above all finished ones, or above ``otherwise`` if none finished."""
     shifted, floor = costs.copy(), _highest(costs[finished], otherwise)
     for group in reversed(dropped):
         best = float(costs[group].min(initial=np.inf))

@@ -1,7 +1,7 @@
 """Compare R with the receiver's accuracy: a prior for logs without truth, and warnings of an implausible R.
 
-Many receivers smooth their fixes. The likelihood of the next fix is then largest for an R of centimeters, with which
-the filter copies the fixes. The prior penalizes only a smaller R, since receivers in cities state deviations that are
+Many receivers smooth their fixes. For smoothed fixes, the likelihood is largest with an R of centimeters, and a filter
+with this R copies the fixes. The prior penalizes only a smaller R, since receivers in cities state deviations that are
 too small. The prior is counted once per fix; otherwise it would lose its weight with more fixes, although their errors
 are correlated.
 """
@@ -21,19 +21,13 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.table import ParameterTable
 from sigmaswarm.wording import to_do
 
-DECADES = 0.5
-"""Prior standard deviation of log10 R below the receiver's variance."""
-DECADES_ABOVE = 0.25
-"""Prior standard deviation of log10 R above the receiver's variance; only for fix-error, which needs a small R."""
-FAR_BELOW = 3.0
-"""Ratio of the receiver's standard deviation to that of R above which a warning is given."""
-NO_PART = 0.05
-"""Share of R from stated variances below which the stated variances have no effect."""
+DECADES = 0.5  # prior standard deviation of log10 R below the receiver's variance
+DECADES_ABOVE = 0.25  # the same for R above that variance; only for fix-error, which needs a small R
+FAR_BELOW = 3.0  # ratio of the receiver's standard deviation to that of R above which a warning is given
+NO_PART = 0.05  # smallest share of R from stated variances at which these have an effect
 LOOK = 600.0  # s of a drive in which the scatter of the fixes is measured; a longer part does not change the result
-PRIOR_DECIDED = 0.02
-"""Cost of the prior, nats per fix, above which a remark is made."""
-SMOOTH = 0.5
-"""Scatter of the fixes, m, below which the receiver smooths them or uses RTK."""
+PRIOR_DECIDED = 0.02  # nats per fix; a larger cost of the prior leads to a remark
+SMOOTH = 0.5  # m; if fixes scatter less, the receiver smooths them or uses RTK
 UNKNOWN = "without truth a log does not show the error that all fixes have in common"
 STATE = (
     "write the line `gps_std_m = 1.5` at the top of drive.toml, with the standard deviation of the receiver's fixes, "
@@ -90,7 +84,7 @@ def stated(drive: Drive) -> float:
 def noise_warnings(
     parameters: FilterParameters, drives: Sequence[FixNoise], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn if R contradicts the fixes of the training drives; ``use``: values for the proposed command."""
+    """Warn if R contradicts the fixes of the training drives; ``use``: values of ``--use`` in the proposed command."""
     if parameters.accuracy_scale is not None or not drives:
         return []
     r = float(np.mean(parameters.measurement_noise)) ** 0.5
@@ -152,7 +146,7 @@ def prior_warnings(
 def accuracy_warnings(
     parameters: FilterParameters, each: Sequence[float], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn if the stated accuracies, m, have no effect; ``use``: values for the proposed command."""
+    """Warn if the stated accuracies, m, have no effect; ``use``: values of ``--use`` in the proposed command."""
     std = _median(each)
     if parameters.accuracy_scale is None or not np.isfinite(std):
         return []

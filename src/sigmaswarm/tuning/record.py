@@ -21,23 +21,22 @@ from sigmaswarm.tuning.diagnostics import Forecast
 from sigmaswarm.tuning.search import Trial
 
 End = float | Literal["-"]
-"""End of the range in which the cost increases by less than 1%; ``-`` if the range reaches the bound."""
+"""End of the range in which the cost increases by less than 1%; ``-`` if the range ends at the bound."""
 NOT_VALIDATED = (
     "the cost is that of the training drives; evaluate the filter on other drives, or pass validation drives"
 )
-"""Remark in files. An evaluation recognizes this text and omits the remark."""
+"""Remark in files, which an evaluation omits."""
 NOT_VALIDATED_TEXTS = (
     NOT_VALIDATED,
     "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation",
 )
-"""Texts of this remark in files of this version and of 0.3.0."""
+"""Texts of the remark in files of this version and of 0.3.0."""
 FILE = "tuning.toml"
 HISTORY_FILE = "convergence.csv"
 CONVERGENCE = {
     **dict.fromkeys(("trial", "generation"), pl.Int64()),
     **dict.fromkeys(("best_cost", "median_cost"), pl.Float64()),
 }
-"""Columns of convergence.csv."""
 
 
 class ResultRecord(BaseModel):
@@ -96,7 +95,7 @@ class TuningRecord(BaseModel):
 
     @property
     def mounting(self) -> Angles | None:
-        """The mounting on which the training drives agree; None for parameters without a tuning."""
+        """Mounting of all training drives, deg; None if it is unknown or the drives have different mountings."""
         return common_mounting(drive.imu_mounting_deg for drive in self.data)
 
     @property
@@ -117,7 +116,7 @@ def tuning_file(path: Path) -> Path:
 def training_data_of(path: Path) -> list[Landmarks]:
     """Return the landmarks of the training drives of a tuning.toml or its folder, from seen.npz next to it.
 
-    If seen.npz is missing or from an earlier version, only whole drives are recognized.
+    If seen.npz is missing or was written by an earlier version, only whole drives are recognized.
     """
     data = TuningRecord.read(path).data
     kept = load_landmarks(tuning_file(path).parent / TRAINING_DATA_FILE)

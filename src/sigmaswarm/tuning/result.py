@@ -52,7 +52,7 @@ LARGE_GAP = 0.2  # relative increase of the errors on validation drives
 
 @dataclass(frozen=True)
 class Validation:
-    """Cost on drives that the search did not use; ``gap``: relative increase of the errors."""
+    """Cost on drives that the search did not use; ``gap``: relative increase of errors over the training drives."""
 
     cost: float
     gap: float
@@ -78,22 +78,22 @@ class Tuning(Generic[P]):
     trials : tuple of Trial
         Empty if the folders of the trials are missing.
     evaluations, failures : int
-        Numbers of parameter sets that were evaluated and that failed.
+        Number of evaluated parameter sets, and number of failed ones.
     steps, full_steps : int
-        Numbers of filter steps of the search, and of the same evaluations without racing.
+        Number of filter steps of the search, and the number that the same evaluations without racing would take.
     data : list of dict
         Name, length and fingerprint of each drive.
     seen : sequence of Landmarks
         Landmarks by which `evaluate` recognizes training drives or parts of them.
     warnings : tuple of str
-        Faults that the objective does not show, on the training drives.
+        Faults on the training drives that the objective does not show.
     sensitivities : tuple of Sensitivity
         Range of each parameter in which the cost increases by less than 1%.
     validation : Validation or None
     inflation_factor : float
         Factor of the process-noise inflation, 1 without inflation: see `tuning.inflation`.
     start_cost : float or None
-        Cost of the start filter on the training drives; None without a start.
+        Cost of the start filter on the training drives; None if no ``start`` was given.
     fixes_alone : MotionNoise or None
         Noise parameters of a constant-velocity filter of fixes alone, fitted to the training drives by likelihood.
     forecasts : tuple of Forecast

@@ -35,8 +35,8 @@ HISTORY: dict[str, type] = {"best": np.float64, "median": np.float64, "steps": n
 class Progress:
     """Progress of a tuning run, passed to the callback after every generation.
 
-    ``done`` and ``total`` count the generations of all trials. ``parameters`` are the best of this trial so far; None
-    if no cost was finite.
+    ``done`` and ``total`` count the generations of all trials. ``parameters`` are the best parameters of this trial so
+    far, or None if no cost was finite.
     """
 
     trial: int
@@ -63,7 +63,7 @@ class Trial:
     steps : ndarray of int, shape (generations,)
         Number of filter steps so far.
     evaluations, failures : int
-        Numbers of parameter sets that were evaluated and that failed.
+        Number of evaluated parameter sets, and number of failed ones.
     """
 
     cost: float
@@ -76,7 +76,7 @@ class Trial:
 
 
 def saved_trials(folder: Path, count: int) -> tuple[Trial, ...]:
-    """Read the trials of a finished tuning; empty if one is missing."""
+    """Read the trials of a finished tuning; return an empty tuple if one is missing."""
     found = [finished_trial(folder, number) for number in range(count)]
     trials = tuple(_trial(*done) for done in found if done)
     return trials if len(trials) == count else ()
@@ -152,7 +152,7 @@ class Search:
         )
 
     def _generation(self, number: int, optimizer: Budgeted, best: Array, leader: Leader | None) -> Raced:
-        """Run one generation; return no costs after the end of the trial."""
+        """Run one generation; the costs are empty after the end of the trial."""
         found = Raced(np.empty(0), 0, 0, leader)
         patience = self.config.patience
         stalled = patience is not None and len(best) > patience and best[-1] >= best[-1 - patience]

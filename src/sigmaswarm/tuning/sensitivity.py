@@ -76,7 +76,7 @@ def sensitivities(
 
 
 def _crossing(shares: Array, rise: Array) -> float | None:
-    """Interpolate the share of the distance at which the cost has increased by 1%."""
+    """Return the share of the distance at which the cost has increased by 1%, interpolated; None if it never does."""
     above = np.flatnonzero(~(rise < RISE))
     if not len(above):
         return None

@@ -28,12 +28,12 @@ SCALING = (
     Dimension("beta", "beta", 0, 0.0, 3.0, spread=False),
     Dimension("kappa", "kappa", 0, 0.0, 5.0, spread=False),
 )
-"""Scaling of the sigma points, with the paper's bounds."""
+"""Scaling parameters of the sigma points, with the paper's bounds."""
 TIME = "fix_error_time"
 """Parameter that is searched only with truth, for models with roll and pitch.
 
-Without truth, the likelihood hardly depends on this time. On slopes, a planar filter also has correlated errors: on
-kingston-1, its position RMSE with truth was 3.1 m with a searched time and 2.2 m with a fixed time.
+Without truth, the likelihood hardly depends on this time. In a planar filter, slopes also cause correlated errors.
+After tuning with truth on kingston-1, the position RMSE was 3.1 m with a searched time and 2.2 m with a fixed time.
 """
 TYPICAL_SLIP = 0.005
 """Tire slip of passenger cars, s2/m, used without truth.
@@ -95,7 +95,7 @@ class SearchSpace(Bounds):
     def point_of(self, parameters: FilterParameters) -> Array:
         """Return the point of a filter, shape (d,), clipped to the bounds.
 
-        Parameters that the filter does not have are set to the middle of their bounds.
+        A parameter that the filter lacks is set to the middle of its bounds.
         """
         own, here = parameters.nominal_interval, self.fixed["nominal_interval"]
         if own and here:

@@ -28,13 +28,11 @@ LONGEST = 120  # characters of a value in a message
 
 
 class ConfigRecord(BaseModel, extra="allow"):
-    """config.json of a tuning run."""
-
     versions: dict[str, str] = Field(default_factory=dict)
 
 
 class CountsRecord(BaseModel, extra="forbid"):
-    """Numbers of parameter sets that were evaluated and that failed."""
+    """Number of evaluated parameter sets, and number of failed ones."""
 
     evaluations: int
     failures: int
@@ -110,7 +108,6 @@ def finished_trial(
     result_type: type[BaseModel] = TrialRecord,
     history_type: type[BaseModel] = TrialHistoryRecord,
 ) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """Read the result and the history of a finished trial."""
     folder = path / f"trial-{trial:03d}"
     if not folder.exists():
         return None
@@ -148,8 +145,8 @@ def _short(key: str, value: Any) -> str:
 class ResultFolder:
     """The folder of a tuning run, created if missing.
 
-    With ``resume`` it may contain an unfinished run with the same configuration. Raises `InputError` if it contains
-    another tuning, or any tuning without ``resume``.
+    With ``resume`` the folder may contain an unfinished run with the same configuration. Raises `InputError` if the
+    folder contains another tuning, or if it contains any tuning and ``resume`` is False.
     """
 
     def __init__(self, path: Path, config: dict[str, Any], *, resume: bool) -> None:

@@ -105,7 +105,7 @@ def tune(
     validation : Drive or sequence of Drive
         Drives that the search does not use. The result reports the cost on these drives.
     out : path, optional
-        Folder for results. Every generation is saved in it, so that a stopped run can be resumed.
+        Folder for results. Every generation is saved, so a stopped run can be resumed.
     executor : concurrent.futures.Executor, optional
         Executor that runs the filters; by default threads on all cores. The result is the same with every executor.
     cluster : distributed.Client, optional
@@ -206,7 +206,6 @@ def _problem_of(
 
 
 def start_point(space: SearchSpace, given: FilterParameters) -> Array:
-    """Return the point of a filter, clipped to the bounds."""
     wanted = space.fixed["model"], space.fixed["kind"]
     if (given.model, given.kind) != wanted:
         raise InputError(
@@ -218,7 +217,6 @@ def start_point(space: SearchSpace, given: FilterParameters) -> Array:
 def tuning_folder(
     path: Path, problem: Problem[Any], *, resume: bool, start: Array | None = None
 ) -> ResultFolder:
-    """Open or create the folder of a tuning run."""
     wanted = {**problem.config.model_dump(mode="json"), "data": problem.data, "versions": versions()}
     if start is not None:
         wanted["start"] = dict(zip(problem.space.names, start.tolist(), strict=True))

@@ -41,14 +41,15 @@ class Optimizer(Protocol):
 
 
 class AskTell:
-    """Base of the built-in optimizers; a child implements `_next` and may implement `_begin` and `_learn`.
+    """Base of the built-in optimizers; a subclass implements `_next` and may implement `_begin` and `_learn`.
 
-    ``options`` are values for annotated class attributes of the child. ``positions`` are the last points, shape (n, d).
+    ``options`` are values for annotated class attributes of the subclass. ``positions`` are the last points, shape (n,
+    d).
     """
 
     name: ClassVar[str] = ""
     saved: ClassVar[tuple[str, ...]] = ()
-    """Names of the child's attributes that belong to the state."""
+    """Names of the subclass's attributes that belong to the state."""
 
     def __init__(
         self, low: Array, high: Array, population: int, rng: np.random.Generator, **options: Any
@@ -89,7 +90,7 @@ class AskTell:
         self.told = True
 
     def _begin(self) -> Array:
-        """Initialize the child's state and return the first points; random ones by default."""
+        """Initialize the subclass's state; return the first points, by default random ones."""
         return self.rng.uniform(self.low, self.high, (self.population, len(self.low)))
 
     def _next(self) -> Array:

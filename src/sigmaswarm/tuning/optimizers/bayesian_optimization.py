@@ -17,18 +17,14 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 from sigmaswarm.tuning.optimizers.sampling import SobolSearch
 from sigmaswarm.tuning.options import require_packages
 
-MOST = 200
-"""Largest number n of costs in a fit; the time of a fit is proportional to n^3."""
+MOST = 200  # largest number n of costs in a fit, which takes a time proportional to n^3
 NOISE = 1e-6  # variance of the noise of a cost, relative to the variance of all costs
-LEAST = 1e-12
-"""Smallest variance of a predicted cost, relative to the variance of all costs."""
+LEAST = 1e-12  # smallest variance of a predicted cost, relative to the variance of all costs
 FEW_BEST, NEAR = 5, 0.02
-"""FEW_BEST: number of best points around which half of the candidates are drawn. NEAR: standard deviation of these
-draws, in widths of the bounds."""
-SHORTEST, LONGEST = 0.2, 10.0
-"""Range of the length scales, in widths of the bounds."""
+"""Number of best points near which half of the candidates are drawn; standard deviation in widths of the bounds."""
+SHORTEST, LONGEST = 0.2, 10.0  # smallest and largest length scale, in widths of the bounds
 _ALONE = threading.Lock()
-"""Lock for fits, since warning filters and thread limits are settings of the whole process."""
+"""Lock for fits, since warning filters and thread limits apply to the whole process."""
 
 
 class BayesianOptimization(AskTell):
@@ -134,7 +130,7 @@ class Improvement:
         self.weights = self._solved(self.factor, y)
 
     def _alike(self, at: Array) -> tuple[Array, Array, Array]:
-        """Return the Matern 5/2 kernel of m candidates and n points, and exp(-r) (1 + r) and offsets for its slope."""
+        """Return the Matern 5/2 kernel of m candidates and n points, and factors and offsets for its gradient."""
         offsets = (at[:, np.newaxis] - self.points) / self.lengths
         r = np.sqrt(5 * np.sum(offsets**2, axis=2))
         fading = np.exp(-r)

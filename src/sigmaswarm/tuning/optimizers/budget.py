@@ -66,7 +66,7 @@ class Budgeted:
         self.spent += len(costs)
 
     def settle(self) -> bool:
-        """End the search of the whole space; return True if a polish follows or has begun."""
+        """End the search of the whole space; return True if the local search follows or has begun."""
         if self.local is None:
             if not self.polish or not np.isfinite(self.global_cost):
                 return False

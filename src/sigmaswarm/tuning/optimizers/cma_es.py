@@ -14,7 +14,7 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 INITIAL_STEP = 0.3  # in widths of the bounds, as the tutorial recommends
 NARROWEST, WIDEST, LARGEST_CONDITION = 1e-12, 10.0, 1e14
-"""Limits of width (in widths of the bounds) and condition number, beyond which the search restarts."""
+"""Limits of the width, in widths of the bounds, and of the condition number; beyond them the search restarts."""
 
 
 class CmaEs(AskTell):
@@ -74,7 +74,7 @@ class CmaEs(AskTell):
         return self.mean + self.step * (z * np.sqrt(variances)) @ axes.T  # (39, 40)
 
     def _penalized(self, costs: Array) -> Array:
-        """Add the mean squared distance from the bounds, in steps, times the spread of the costs."""
+        """Add to the costs the mean squared distance from the bounds, in steps, times the spread of the costs."""
         outside = np.mean((self.samples - np.clip(self.samples, 0.0, 1.0)) ** 2, axis=1)
         lower, upper = np.percentile(costs[np.isfinite(costs)], [25, 75])
         return costs + (upper - lower) * outside / (self.step**2 * np.mean(np.diag(self.covariance)))

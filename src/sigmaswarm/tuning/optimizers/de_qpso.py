@@ -12,12 +12,10 @@ from sigmaswarm.tuning.optimizers.asktell import Array, Swarm
 EXPANSION = (1.0, 0.5)
 """Contraction-expansion coefficient at the start and in the last generation."""
 DIFFERENTIAL, SCALE, CROSSOVER = 0.5, (0.5, 1.0), 0.7
-"""Probability of a differential move, range of its factor F, and its probability CR."""
+"""Probability of a differential move, range of its scale factor F, and crossover probability CR."""
 
 
 class QuantumSwarm(Swarm):
-    """Particles that are drawn about attractors, or move by differences of best positions."""
-
     name = "de-qpso"
     saved = (*Swarm.saved, "generation")
     generations: int = 50

@@ -12,8 +12,6 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 
 class DifferentialEvolution(AskTell):
-    """A population whose members are replaced by trial points with the same or a lower cost."""
-
     name = "de"
     saved = ("members", "member_costs")
     base: Literal["best", "rand"] = "best"

@@ -12,8 +12,6 @@ from sigmaswarm.tuning.optimizers.pso import MovingSwarm
 
 
 class GeneticSwarm(MovingSwarm):
-    """A population of particles and of children of the elites."""
-
     name = "ga-pso"
     saved = ("velocities", "costs", *Swarm.saved)
 

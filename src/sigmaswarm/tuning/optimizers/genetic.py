@@ -64,7 +64,7 @@ def offspring(
 ) -> Array:
     """Return children, shape (n, d), of parents that won tournaments of two.
 
-    ``parents``, shape (m, d), have ``costs``, shape (m,). ``bounds`` has the lower and upper bounds.
+    ``parents``, shape (m, d), have ``costs``, shape (m,). ``box`` has the lower and upper bounds.
     """
     pairs = (n + 1) // 2
     # Winners of the same round are paired, so that a member is rarely paired with itself.
@@ -89,7 +89,7 @@ def _winners(costs: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]
 
 
 def _spread(u: Array, room: Array, distance: Array, eta: float) -> Array:
-    """Return the distance between two children: beta times that between their parents."""
+    """Return the distance between two children: beta times the distance between their parents."""
     alpha = 2 - (1 + 2 * room / np.maximum(distance, 1e-200)) ** -(eta + 1)
     ua = u * alpha
     beta = np.where(ua <= 1, ua, 1 / (2 - np.minimum(ua, 2 - 1e-15))) ** (1 / (eta + 1))

@@ -8,14 +8,12 @@ from sigmaswarm.tuning.options import ACCELERATION, INERTIA
 
 
 class MovingSwarm(Swarm):
-    """Particles with velocities."""
-
     inertia: float = INERTIA
     cognitive: float = ACCELERATION
     social: float = ACCELERATION
 
     def _accelerated(self, velocities: Array, positions: Array, best: Array) -> Array:
-        """Return the next velocities of particles with the best positions ``best`` (eq. 2); all shapes are (n, d)."""
+        """Return the next velocities (eq. 2); ``best`` are the particles' best positions; all shapes are (n, d)."""
         r1, r2 = self.rng.random((2, *positions.shape))
         return (
             self.inertia * velocities

@@ -12,8 +12,6 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 
 class RandomSearch(AskTell):
-    """Points drawn uniformly within the bounds."""
-
     name = "random"
 
     def _next(self) -> Array:
