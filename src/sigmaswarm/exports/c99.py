@@ -51,8 +51,7 @@ FILES = (
     "ins_gps.py",
     "ins_gps_shared.c",
 )
-SHORTEST_INTERVAL = 1e-4
-"""Shortest IMU interval, s. With a shorter interval the history of one second would take megabytes."""
+SHORTEST_INTERVAL = 1e-4  # s; with a shorter IMU interval, the history of one second would take megabytes
 ALONE = Lanes()
 
 
@@ -64,9 +63,9 @@ def c99(
     lanes: Lanes = ALONE,
     imu_axes: Mapping[str, str] | None = None,
 ) -> dict[str, str]:
-    """Return the files by name. Q refers to steps of ``interval`` s; ``as_recorded`` is as in `PreparedDrive`.
+    """Return the text of each file by name. Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`.
 
-    ``mounting``: roll, pitch and yaw of the IMU, deg; the files then have a function that rotates raw samples.
+    ``mounting``: roll, pitch and yaw of the IMU, deg, for a function in the files that rotates raw samples.
     ``imu_axes``: expressions with which the import read the IMU's axes, for the README.
 
     Raises
@@ -119,7 +118,7 @@ def replay_rows(
 def replay_events(
     drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
 ) -> list[tuple[str, list[float]]]:
-    """Return the events of a drive by time: ``start``, then ``imu``, ``fix`` and ``odometer``.
+    """Return the events of a drive, sorted by time: ``start``, followed by ``imu``, ``fix`` and ``odometer``.
 
     Each event has the numbers of a row of the input of replay.c. ``model`` determines the axes of IMU and lever arm.
     ``heading`` includes headings of fixes. Fixes and readings after the last IMU sample are left out.
@@ -156,8 +155,8 @@ def replay_events(
 def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
     """Return rows of time (s), position (m) and, if logged, velocity (m/s) and standard deviations (m), east and north.
 
-    With ``heading`` the rows have all these columns (NaN without velocity, 0 without standard deviation), and heading
-    and its standard deviation, rad.
+    With ``heading`` the rows have all these columns, and also the heading and its standard deviation, rad. A missing
+    velocity is NaN, and a missing standard deviation is 0.
     """
     heading = heading and gps.heading is not None
     columns = [gps.time, gps.x, gps.y]

@@ -27,7 +27,7 @@ class Emitter:
     Parameters
     ----------
     rows : dict
-        C text of the rows of parameters, a number, or None if C does not have the row.
+        For each row of parameters: C text, a number, or None if C does not have the row.
     states : sequence of str
         C names of the filter's states.
     """
@@ -38,7 +38,7 @@ class Emitter:
         self.signatures: dict[str, tuple[str, list[list[str]]]] = {}  # by name in Python
 
     def add(self, function: Any, name: str = "", **known: Any) -> None:
-        """Translate a kernel or a plain function; ``name`` renames it."""
+        """Translate a kernel or a plain function; ``name`` is the name in C, by default that in Python."""
         if isinstance(function, Kernel):
             function, known = function.source, {**function.known, **known}
         self.texts.append(_Function(self, function, name or function.__name__.lstrip("_"), known).text())

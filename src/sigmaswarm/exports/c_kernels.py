@@ -33,7 +33,7 @@ EVENTS = ("FIX", *map(str.upper, MEASURED))
 def kernels_of(
     p: FilterParameters, features: Mapping[str, bool], values: Mapping[str, str]
 ) -> dict[str, str]:
-    """Return values of the template: C text of prediction, measurements and step."""
+    """Return the C text of prediction, measurements and step, as values of the template."""
     model = FILTERS[p.kernel]
     n, tilted = len(model.states), int(model.tilts is not None)
     states = STATES if not model.fix_error else (*STATES[: n - 2], *FIX_ERROR)

@@ -36,7 +36,7 @@ INPUTS = {
     "wheels": {odometer.SPEED: "wheels->speed", odometer.AGE: "wheels->age", odometer.MORE: "wheels->more"},
     "lever": {k: f"lever[{k}]" for k in range(3)},
 }
-"""C text of the elements of a step, a fix, a reading and the lever arm."""
+"""C text of the elements of a step, a fix, an odometer reading and the lever arm."""
 CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS", "angle_of": "ATAN2"}
 RENAMED = {"_": "again", "b": "b0", "since": "b->steps_since_fix", "near": "is_near", "far": "is_far"}
 """C names of Python names that are reserved or stored elsewhere in C."""

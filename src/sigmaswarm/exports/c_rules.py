@@ -55,7 +55,7 @@ _CASTS = {"int": "(int)", "float": "(real)"}
 
 
 def rules_of(features: Mapping[str, bool], used: int) -> dict[str, str]:
-    """Return values of the template: the rules, and the call of `sample_events`; ``used``: see `events.bits_of`."""
+    """Return the C text of the rules and of the call of `sample_events`, by name; ``used``: see `events.bits_of`."""
     stands, wheels = features["USE_STANDSTILL"], features["USE_ODOMETER"]
     functions = [*ALWAYS, *(STANDSTILL if stands else ()), *([odometer.mean_reading] if wheels else [])]
     functions += [odometer.wheels_turn] if stands and wheels else []
@@ -76,7 +76,7 @@ def rules_of(features: Mapping[str, bool], used: int) -> dict[str, str]:
 
 @cache
 def _described(module: Any) -> dict[str, str]:
-    """Descriptions of a module's constants: the string below, or the comment at the end of the line."""
+    """Return the description of each constant of a module: the string below it, or the comment in its line."""
     found = re.findall(r'^(\w+) = .*?(?:  # (.*)|\n"""([^"]*)""")$', inspect.getsource(module), re.MULTILINE)
     return {name: " ".join((comment or text).split()) for name, comment, text in found}
 

@@ -1,4 +1,4 @@
-"""Text of C: numbers, names, wrapped lines and comments; and the syntax tree of the Python that is translated."""
+"""Text of C (numbers, names, wrapped lines, comments), and syntax trees of the Python source."""
 
 import ast
 import inspect
@@ -66,7 +66,7 @@ def wrapped(lines: list[str]) -> list[str]:
 
 
 def in_c(comment: str) -> str:
-    """Return a comment without the marks and values of Python."""
+    """Return a comment without Python's markup and constants."""
     return re.sub(r"\b(True|False)\b", lambda match: match[0].lower(), comment.replace("`", ""))
 
 

@@ -38,7 +38,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Checked:
-    """Differences on a drive in double and in float, None if the filter exceeds the range of float."""
+    """Differences on a drive in double and in float; None in float if the filter exceeds the range of float."""
 
     drive: str
     double: Difference
@@ -56,7 +56,7 @@ def check_export(
 ) -> list[Checked]:
     """Compile the exported C library in ``folder`` and compare it on drives, with arguments as in `export_texts`.
 
-    Several lanes are compared with a `LiveFilterBank` without searches.
+    If ``lanes`` exceeds 1, the reference is a `LiveFilterBank` without searches.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def check_export(
 
 
 def _of_library(drive: Drive, parameters: FilterParameters, lanes: Lanes, *, as_recorded: bool) -> Array:
-    """Compute reference means (k, n)."""
+    """Return the means (k, n) that the library computes."""
     if lanes.n == 1:
         return run_filter(drive, parameters, recover=False, as_recorded=as_recorded).mean
     replay = replay_of(drive, as_recorded=as_recorded)
@@ -126,7 +126,7 @@ def _shared_object(folder: Path, name: str, *flags: str) -> Path:
 def _replay(
     folder: Path, library: Path, parameters: FilterParameters, events: Sequence[tuple[str, list[float]]]
 ) -> Array:
-    """Compute the means (k, n) after each sample with the exported Python module."""
+    """Return the means (k, n) after each sample that the exported Python module computes."""
     spec = importlib.util.spec_from_file_location("ins_gps", folder / "ins_gps.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -103,7 +103,7 @@ NUMBERS = {
 
 
 def defined(text: str, numbers: Mapping[str, str], form: str) -> str:
-    """Replace ``@NUMBERS@`` by definitions of the `NUMBERS` that the text uses and does not define."""
+    """Replace ``@NUMBERS@`` by definitions of those `NUMBERS` that the text uses but does not define."""
     names = set(re.findall(r"\w+", text)) - set(re.findall(r"#define (\w+)", text))
     used = [name for name in NUMBERS if name in names and name in numbers]
     return text.replace("@NUMBERS@", "\n".join(form.format(n, numbers[n], NUMBERS[n]) for n in used))
@@ -124,7 +124,7 @@ CONSTANTS: Mapping[ModuleType, str] = {
 
 
 def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
-    """Return parameters and constants as text. Q refers to steps of ``interval`` s."""
+    """Return parameters and constants as text, by name. Q refers to steps of ``interval`` s."""
     constants = {name: getattr(module, name) for module, names in CONSTANTS.items() for name in names.split()}
     states = "INS_GPS_STATES" if p.fix_error is None else "INS_GPS_STATES + 2"
     texts = {"VERSION": __version__, "DESCRIPTION": f"{p.model}, {p.kind}", "MODEL": p.model}
@@ -147,7 +147,7 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
 
 
 def in_range(value: float, of: str) -> float:
-    """Return a number. Raise `InputError` with the description ``of`` if it is not finite."""
+    """Return a number as it is; raise `InputError` with the description ``of`` if it is not finite."""
     if not math.isfinite(value):
         raise InputError(
             f"the filter can't be exported: {of} is not a finite number; tune it again or correct it"
@@ -156,7 +156,7 @@ def in_range(value: float, of: str) -> float:
 
 
 def plain(numbers: Mapping[str, float | None]) -> dict[str, str]:
-    """Return numbers as exact text, without None."""
+    """Return numbers as exact text; omit None."""
     return {
         name: str(value) if isinstance(value, int) else repr(float(value))
         for name, value in numbers.items()

@@ -30,9 +30,9 @@ WEIGHING = {
 def filterpy(
     parameters: FilterParameters, interval: float, as_recorded: bool = False, _: Angles | None = None
 ) -> dict[str, str]:
-    """Return the script by file name. Q refers to steps of ``interval`` s; ``as_recorded`` is as in `PreparedDrive`.
+    """Return the script by file name. Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`.
 
-    The script reads drives, which are in the axes of the vehicle.
+    The script reads drives, whose samples are in the axes of the vehicle, so the mounting is not needed.
     """
     p = parameters
     if p.odometer_noise is not None:
@@ -78,7 +78,7 @@ def filterpy(
 
 
 def source_of(module: ModuleType, names: list[str] | None = None) -> str:
-    """Return the source of constants, functions and classes of a module, all or those in ``names``.
+    """Return the source of a module's constants, functions and classes: of those in ``names``, by default of all.
 
     Imports, Numba's decorators and overloads are left out.
     """

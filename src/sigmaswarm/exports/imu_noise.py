@@ -1,6 +1,6 @@
 """Write the noise of an IMU in the formats and units of other packages, and as keys of drive.toml.
 
-Biases are a Gauss-Markov process (KF-GINS) or a random walk (Kalibr, drive.toml), as in the package.
+The model of a bias depends on the package: a Gauss-Markov process (KF-GINS) or a random walk (Kalibr, drive.toml).
 """
 
 from collections.abc import Callable, Sequence
@@ -66,7 +66,7 @@ _white = attrgetter("white.value")
 
 
 def _walk_of(noise: Noise, sensor: str) -> Callable[[AxisNoise], float]:
-    """Return the random walk of the bias of an axis, unit/sqrt(s), or a typical value if not measured."""
+    """Return a function from an axis to the random walk of its bias, unit/sqrt(s); if not measured, a typical value."""
 
     def walk(axis: AxisNoise) -> float:
         std, time = axis.bias(noise.longest)

@@ -22,8 +22,7 @@ _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 """Characters that XML 1.0 (section 2.2) forbids even when escaped; JSON forbids half a surrogate pair."""
 
 
-_EASTMOST = 179.999999999
-"""Largest longitude in GPX, deg, which excludes 180 deg; the error is 0.1 mm."""
+_EASTMOST = 179.999999999  # deg, largest longitude in GPX, which excludes 180 deg; the error is 0.1 mm
 
 
 def geojson(time: Array, places: Array, path: Path, name: str) -> None:
@@ -87,7 +86,7 @@ def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def cut(time: Array, places: Array) -> list[tuple[Array, Array]]:
-    """Cut a track at the antimeridian. Return times (k,), s, and places (k, 2), deg, of each part.
+    """Cut a track at the antimeridian; return times (k,), s, and places (k, 2), deg, of each part.
 
     A cut is a new point on the antimeridian, which ends a part and starts the next part.
     """
@@ -120,7 +119,7 @@ def _escaped(text: str) -> str:
 
 
 def _stamps(time: Array) -> list[str]:
-    """Return times in UTC, or an empty list without dates."""
+    """Return times in UTC; an empty list if the times are not Unix times."""
     if not (len(time) and _UNIX_TIMES[0] <= time[0] and time[-1] <= _UNIX_TIMES[1]):
         return []
     return [

@@ -20,7 +20,7 @@ class Description:
     title, needs : str
         Name and requirements, for users.
     commands : dict of str to str
-        By exported file: a part of the shell command that uses the files; ``{}`` is their folder.
+        By exported file, a part of the shell command that uses the files; ``{}`` is the folder of the files.
     lacks : tuple of str
         Options of `tune` that the target does not support.
     tilts : bool

@@ -27,7 +27,7 @@ DEFAULT_PROCESS_NOISE = (
 )
 """Default process noise per second: x, y, z; roll, pitch, yaw; their rates; accelerations."""
 SMALL, FIRST_FIX = 1e-6, 1.0
-"""SMALL: initial variance of states that stay at 0. FIRST_FIX: minimum initial variance of x and y, m2."""
+"""Initial variance of states that stay at 0, and smallest initial variance of x and y (m2)."""
 SHOWN = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
 """Initial variances of vx, vy, yaw, ax, ay, yaw rate if initial_state is set as in README.md."""
@@ -36,7 +36,7 @@ START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
 def robot_localization(
     parameters: FilterParameters, interval: float, _: bool = False, mounting: Angles | None = None
 ) -> dict[str, str]:
-    """Return the files by name. Q refers to steps of ``interval`` s. ROS's filter has no preprocessing.
+    """Return the text of each file by name. Q refers to steps of ``interval`` s. ROS's filter has no preprocessing.
 
     ``mounting``: roll, pitch and yaw of the IMU, deg, for the static transform that ROS needs.
 
@@ -166,7 +166,7 @@ def yaml_number(value: float) -> str:
 
 
 def _entries(sensor: str, *measured: int) -> str:
-    """Return the setting that selects the states that a sensor measures, in five rows of three."""
+    """Return the setting that selects the measured states of a sensor, in five rows of three."""
     head = f"    {sensor}_config: ["
     cells = [("true," if k in measured else "false,").ljust(6) for k in range(15)]
     rows = [" ".join(cells[k : k + 3]).rstrip() for k in range(0, 15, 3)]

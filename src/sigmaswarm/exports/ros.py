@@ -34,7 +34,7 @@ INNOVATION, INNOVATION_SIGMA, NIS = (
 )
 INTERVAL = 0.1  # s between messages of the topics SIGMA and FIX
 NOT_ESTIMATED = 1e6
-"""Variance of quantities that a filter does not estimate: height, rates; for planar models roll and pitch."""
+"""Variance of quantities that a filter does not estimate: height and rates; in planar models also roll and pitch."""
 RawMessage = tuple[int, Any, Any]  # ns, connection in the new bag, bytes
 Message = tuple[int, str, Any]  # ns, topic, message
 
@@ -131,7 +131,7 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
 
 
 def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
-    """Add the topics of a bag to the new bag. Return an iterator of their messages by time.
+    """Add the topics of a bag to the new bag; return an iterator of their messages, sorted by time.
 
     A topic is omitted with a warning if neither the bag nor the latest ROS defines its type.
     """
@@ -173,7 +173,7 @@ def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
 def _serialized(
     messages: Iterable[Message], store: Any, writer: Any, added: dict[str, Any]
 ) -> Iterator[RawMessage]:
-    """Yield messages as bytes. Add a topic to the bag before its first message."""
+    """Yield messages as bytes; add a topic to the bag before the first message of the topic."""
     for nanoseconds, topic, message in messages:
         kind = message.__msgtype__
         if topic not in added:
@@ -190,7 +190,7 @@ class Made:
         return self.types[name.replace("/", "/msg/")](*fields)
 
     def nanoseconds(self, time: float) -> int:
-        """Return a time on the clock of the bag, ns. Origin and time are rounded separately to keep all digits."""
+        """Return a time on the clock of the bag, ns; origin and time are rounded separately to keep all digits."""
         return round(float(time) * 1e9) + round(self.time_origin * 1e9)
 
     def header(self, nanoseconds: int) -> Any:
@@ -249,7 +249,7 @@ def _fix(made: Made, nanoseconds: int, mean: Array, pose: Array, origin: Origin)
 
 
 def _pose_of(n: int) -> dict[int, int]:
-    """Return the states of the pose and their rows in the covariance of a message.
+    """Return a mapping from the states of the pose to rows in the covariance of a message.
 
     These rows are x, y, z and the rotations about the fixed axes x, y, z: roll, pitch, theta, since R = Rz(theta)
     Ry(pitch) Rx(roll).

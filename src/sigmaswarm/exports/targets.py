@@ -80,7 +80,7 @@ def export_texts(
 
 
 def _checked(parameters: FilterParameters, target: Target) -> float:
-    """Check that a target supports a filter. Return the IMU interval of Q, s."""
+    """Check that a target supports a filter; return the nominal IMU interval of Q, s."""
     if target not in TARGETS:
         raise InputError(f"there is no export target {target!r}; choose one of {', '.join(TARGETS)}")
     if MODELS[parameters.model].tilts and not DESCRIPTIONS[target].tilts:
@@ -120,5 +120,4 @@ def write_texts(texts: Mapping[str, str], folder: str | Path, kind: str = "expor
 
 
 def kind_of(target: str) -> str:
-    """Return the name of an export in the record of its folder."""
     return f"export to {target.replace('-', '_')}"

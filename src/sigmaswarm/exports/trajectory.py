@@ -95,10 +95,10 @@ def write_fixes(
     origin: Origin | None = None,
     time_origin: float = 0.0,
 ) -> int:
-    """Write the fixes before ``until``, s, for example before the start of a filter. Return their number.
+    """Write the fixes before ``until``, s, such as the start of a filter; return the number of written fixes.
 
-    Formats: ``.csv`` (t, x, y in s and m), and the maps ``.geojson``, ``.gpx`` and ``.kml``. Other formats contain
-    poses and raise `InputError`.
+    Formats: ``.csv`` (t, x, y in s and m), and the maps ``.geojson``, ``.gpx`` and ``.kml``. Formats that contain poses
+    raise `InputError`.
     """
     path = Path(path)
     check_fixes_target(path, origin)
@@ -113,7 +113,6 @@ def write_fixes(
 
 
 def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
-    """Raise `InputError` if `write_fixes` can't write to a file."""
     if path.suffix not in (endings := (".csv", *MAPS)):
         raise InputError(
             f"{path}: this format needs poses, and fixes have no attitude; end the name in {', '.join(endings)}"
@@ -122,7 +121,7 @@ def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
 
 
 def time_origin_of(drive: Drive) -> float:
-    """Return the time on the clock of the log at which the times of a drive are 0, s; 0 if the import stored none."""
+    """Return the time on the log's clock, s, at which the times of a drive are 0; 0 if the import stored none."""
     stated = drive.metadata.get("time_origin_s", 0.0)
     usable = isinstance(stated, int | float) and abs(stated) < _LATEST_ORIGIN  # not NaN
     return float(stated) if usable else 0.0
@@ -150,7 +149,7 @@ def check_target(path: Path, origin: Origin | None = None, merge: str | Path | N
 
 
 def true_trajectory(drive: Drive) -> Estimate:
-    """Return the truth of a drive as an estimate. Raise `InputError` without truth."""
+    """Return the truth of a drive as an estimate; raise `InputError` if there is no truth."""
     truth = drive.truth
     if truth is None:
         raise InputError(f"{drive.name}: has no truth.csv; leave --truth out")
