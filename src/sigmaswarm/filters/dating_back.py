@@ -1,7 +1,7 @@
 """Initial state with tilts and accelerometer biases from the fixes before the start.
 
-An alignment (`drives.alignment`) is planar and lacks these states. Here a filter over the earlier fixes estimates them.
-The other states remain those of the alignment, since the filter adds no information on them.
+An alignment (`drives.alignment`) is planar and lacks these states. A filter over the earlier fixes estimates them. All
+other states remain those of the alignment.
 """
 
 from dataclasses import replace
@@ -76,7 +76,7 @@ def dated_back(
 
 
 def _past(ready: PreparedDrive, start: InitialState, until: float) -> PreparedDrive:
-    """Return the drive up to the first IMU sample after a time, s, with another start."""
+    """Return the drive with another start, up to the first IMU sample after a time, s."""
     drive, imu = ready.drive, ready.drive.imu
     last = int(np.searchsorted(imu.time, until, side="right")) + 1
     past = replace(
@@ -104,7 +104,7 @@ def _prior(drive: Drive, found: InitialState, fix: int) -> InitialState:
 
 
 def _ended(ready: PreparedDrive, parameters: FilterParameters, until: float) -> tuple[Array, Array] | None:
-    """Run to a time; return mean (n,) and covariance (n, n) of all states, or None if the filter fails."""
+    """Run to a time; return mean (n,) and covariance (n, n) of all states; None if the filter fails."""
     replay, array = replay_of(ready), KernelArray([parameters])
     rows = start_replays([replay], array)[0]
     stop = int(np.searchsorted(replay.timeline.end, until, side="right"))

@@ -1,8 +1,8 @@
 """Detection of a diverged filter, and its reset.
 
 The fixes of the last few seconds determine position, speed and heading without a filter (`drives.alignment`). A filter
-has diverged if it contradicts this alignment for long and by far more than its covariance allows. It is then reset to
-the alignment.
+has diverged if it contradicts this alignment for long and by far more than its covariance allows. The diverged filter
+is reset to the alignment.
 
 The thresholds were chosen on nine recordings. For filters that had not diverged, the heading differed by more than 20
 deg from the alignments for at most 8 s. The position differed by more than 20 m and 5 sigma from the fixes for at most
@@ -36,8 +36,6 @@ SPEED_STD = 10.0  # m/s per axis, after a reset to the last fix
 
 @dataclass(frozen=True, eq=False)
 class CheckTimes:
-    """Times at which a filter is checked."""
-
     step: Indices  # (l,), index of the step before each check; the step ends at an IMU sample
     fix: Indices  # (l,), index of the last fix before each check
 
@@ -62,7 +60,7 @@ def check_times(line: Timeline) -> CheckTimes:
 
 @dataclass(frozen=True, eq=False)
 class Check:
-    """One check: a filter's state after an IMU sample, and the fixes that it is compared with."""
+    """One check: a filter's state after an IMU sample, and the last fixes."""
 
     time: float  # s
     mean: Array  # (n,)
@@ -78,7 +76,7 @@ class Check:
 
     @property
     def position_contradicts(self) -> bool:
-        """True if the fix is far from the filter's prediction."""
+        """True if the last fix is far from the filter's prediction."""
         x, y, vx, vy, theta = self.mean[:5].tolist()
         back = self.latency + self.time - self.fix_time
         east, north = self.fix.tolist()  # Python numbers are faster here
@@ -97,7 +95,7 @@ class Check:
 
     @property
     def heading_contradicts(self) -> bool | None:
-        """True if the heading is far from that of the alignment; None without an alignment."""
+        """True if the filter's heading is far from that of the alignment; None if there is no alignment."""
         theta, heading = float(self.mean[THETA]), self.heading()
         if not math.isfinite(heading):
             return None
@@ -149,7 +147,7 @@ class DivergenceMonitor:
         self._position, self._heading = _Contradiction(), _Contradiction()
 
     def take(self, check: Check) -> InitialState | None:
-        """Return the state for a reset after a check; None if the filter continues or is ``lost``."""
+        """Return the state for a reset after a check; None if the filter continues or becomes ``lost``."""
         if not np.isfinite(check.mean).all():  # a failure, which is reported elsewhere
             return None
         return self.take_all([check.time], lambda _: check)[1]
@@ -180,7 +178,7 @@ class DivergenceMonitor:
 
 
 def describe_restarts(drive: str, times: Sequence[float]) -> str:
-    """Return the predicate of a sentence about a filter's resets on a drive."""
+    """Return the predicate of a sentence on a filter's resets on a drive."""
     at = ", ".join(f"{t:.1f}" for t in times[:5]) + (" ..." if len(times) > 5 else "")
     often = f"{len(times)} times" if len(times) > 1 else "once"
     return f"diverged on {drive} and was reset {often}, at t = {at} s"
@@ -195,8 +193,8 @@ class _Contradiction:
     def first_lasting(self, times: Sequence[float], contradicts: Callable[[int], bool | None]) -> int | None:
         """Find the first check at which the contradiction has lasted `DIVERGED_AFTER`; else return None.
 
-        Since ``contradicts`` is slow, it is called backwards in time, from the next check that could complete such a
-        contradiction to the last check without one.
+        ``contradicts`` is slow. Therefore, the search runs backwards in time, from the first check that could complete
+        this duration to the last check without a contradiction.
         """
         begin = 0
         while begin < len(times):
@@ -213,7 +211,7 @@ class _Contradiction:
         return None
 
     def _soonest(self, times: Sequence[float]) -> int:
-        """Return the first check that could complete a contradiction of `DIVERGED_AFTER`; else the last check."""
+        """Return the first check that could complete a contradiction of `DIVERGED_AFTER`; if none, the last check."""
         since = self._since if self._checks else times[0]
         lasting = (
             t - since >= DIVERGED_AFTER and self._checks + k + 1 >= FEWEST_CHECKS for k, t in enumerate(times)
@@ -221,7 +219,7 @@ class _Contradiction:
         return next((k for k, lasts in enumerate(lasting) if lasts), len(times) - 1)
 
     def _note(self, time: float, contradicts: bool | None) -> None:
-        """Record the result of a check; None (no result) does not end a contradiction."""
+        """Record the result of a check; None does not end a contradiction."""
         if contradicts is False:
             self._checks = 0
         elif contradicts:

@@ -61,12 +61,12 @@ class Innovations:
 
     @property
     def nis(self) -> Array:
-        """nu^T S^-1 nu, shape (f,): chi-square with 2 degrees of freedom for a consistent filter."""
+        """NIS nu^T S^-1 nu, (f,); chi-square with 2 degrees of freedom for a consistent filter."""
         return np.square(self.normalized).sum(axis=1)
 
     @property
     def normalized(self) -> Array:
-        """L^-1 nu with L L^T = S, shape (f, 2): white, of variance one, for a consistent filter."""
+        """Normalized innovations L^-1 nu with L L^T = S, (f, 2); white with variance 1 for a consistent filter."""
         root = np.linalg.cholesky(self.covariance)
         return np.asarray(np.linalg.solve(root, self.innovation[..., None])[..., 0], np.float64)
 
@@ -74,9 +74,9 @@ class Innovations:
 class FilterRun:
     """Run of a filter over a replay: an iterator of pieces. Sums and innovations are available after the last piece.
 
-    ``samples``: number of IMU samples in a piece, which does not affect the results. ``recover``: reset the filter
-    after a sample if it diverges. At this sample, and while the estimate is the last fix, the sums contain the errors
-    of the diverged filter.
+    ``samples``: number of IMU samples in a piece; the results do not depend on it. ``recover``: reset the filter if it
+    diverges. At the sample of a reset, and while the estimate is the last fix, the sums contain the errors of the
+    diverged filter.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class FilterRun:
     restarts : list of float
         Times of the resets in the pieces so far, s.
     failure : str or None
-        The failure in the pieces so far, with its time.
+        The failure in the pieces so far, with its time; None if the filter did not fail.
     """
 
     def __init__(
@@ -139,8 +139,8 @@ class FilterRun:
     def _run_to(self, stops: Indices, record: Array) -> Mask:
         """Run to the last of the stops, (r,), which follow IMU samples; return where the filter is lost, (r,).
 
-        Stopping for each check would take longer than the steps. So the filter first runs to the end and is then
-        checked from its record. At a divergence, it is reset and runs again from that step.
+        A stop for each check would take longer than the steps, so the filter runs to the end and is checked from its
+        record. After a divergence, the filter is reset and runs again from that step.
         """
         lost = np.zeros(len(stops), dtype=np.bool_)
         if self._checks is None:
@@ -178,7 +178,8 @@ class FilterRun:
     def _check(self, steps: Indices, record: Array) -> tuple[int, InitialState | None]:
         """Check the filter at the recorded steps, up to the first divergence.
 
-        Return the row of the divergence and the state for a reset; without a divergence, the last row and None.
+        Return the row of the divergence and the state for a reset; if there is no divergence, return the last row and
+        None.
         """
         times = self._checks
         assert times is not None
@@ -215,7 +216,7 @@ class FilterRun:
         )
 
     def _at_fix(self, step: int) -> InitialState:
-        """Return the state after a step at which the filter has diverged: the last fix."""
+        """Return the state of a diverged filter after a step: the last fix."""
         line, time = self._replay.timeline, float(self._replay.timeline.end[step])
         fix = int(np.searchsorted(line.fix_time, time, side="right")) - 1
         theta = float(self._estimate()[0][THETA])
@@ -273,7 +274,7 @@ class InterruptibleRun(FilterRun):
     _done = 0
 
     def _at(self, sample: int, stop: int, record: Array, *, lost: bool) -> None:
-        """Change the filter after an IMU sample, before step ``stop``; ``record``: its row, of shape (s, 1)."""
+        """Change the filter after an IMU sample, before step ``stop``; ``record`` is its row (s, 1)."""
         raise NotImplementedError
 
     def _run_to(self, stops: Indices, record: Array) -> Mask:

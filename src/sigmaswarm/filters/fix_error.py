@@ -27,7 +27,7 @@ SUFFIX = "+fix-error"  # end of the name of a model with the states b
 
 @dataclass(frozen=True)
 class Appended:
-    """A measurement of a model with the states b; ``gain`` is 1 if the measurement includes b, else 0."""
+    """A measurement of a model with the states b; ``gain`` is 1 if the measurement contains b, else 0."""
 
     own: Any
     gain: float = 0.0
@@ -90,7 +90,7 @@ def _tilts(own: Tilts) -> Tilts:
 
 
 UNSCENTED = "tilted12, unscented"
-"""Kernel of tilted12's filters with sigma points. A planar model has one kernel for all filter types."""
+"""Kernel of tilted12 with sigma points. A planar model has one kernel for all filter types."""
 FILTERS = (
     MODELS
     | {name + SUFFIX: augmented(model) for name, model in MODELS.items() if not model.measures_imu}

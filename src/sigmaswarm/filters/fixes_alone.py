@@ -40,7 +40,7 @@ class MotionNoise:
 def _filter(
     dt: Array, fixes: Array, variance: Array, density: float, start: Array, states: Array
 ) -> float:  # pragma: no cover
-    """Filter fixes (k, 2); write x, y, vx, vy and three terms of P after each, (k, 7); return -2 log likelihood."""
+    """Filter fixes (k, 2); write x, y, vx, vy and three terms of P after each fix, (k, 7); return -2 log likelihood."""
     x, y, u, v, pp, pv, vv = start
     cost = 0.0
     for k in range(len(dt)):
@@ -60,7 +60,7 @@ def _filter(
 
 
 def _variances(line: Timeline) -> Array:
-    """Return the stated variances of the fixes, or a typical variance, m2."""
+    """Return the stated variances of the fixes, m2; a typical variance if none are stated."""
     stated = line.fixes[:, FIX_VAR_X : FIX_VAR_X + 2].mean(axis=1)
     return (
         stated if line.states_accuracy and np.all(stated > 0) else np.full(len(stated), UNSTATED_GPS_STD**2)
@@ -90,7 +90,7 @@ def noise_of(ready: PreparedDrive) -> MotionNoise:
 
 
 class FixesAlone:
-    """Run of the filter over a replay from the common start, as one piece of estimates at the IMU's times."""
+    """A run of the filter over a replay from the common start, as one piece of estimates at the IMU's times."""
 
     failure: str | None = None
     restarts: Sequence[float] = ()

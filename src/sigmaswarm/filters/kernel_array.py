@@ -1,7 +1,7 @@
 """Parameter sets as columns of the compiled kernel's array: their constants, starts and sums.
 
-Python code for each drive and block would be slow compared with a kernel call of 0.2 ms, and would block other threads.
-So this module processes all sets and all drives together.
+A kernel call takes 0.2 ms. Python code for each drive and block would take longer and block other threads, so this
+module processes all sets and all drives together.
 """
 
 from collections.abc import Callable, Sequence
@@ -101,7 +101,7 @@ class KernelArray:
         self._starts: Starts = {}
 
     def part(self, sets: range) -> "KernelArray":
-        """Return the array of some of the sets; it shares the values computed for all sets."""
+        """Return the array of some of the sets, with the values that were computed for all sets."""
         part = copy(self)
         part._first, part.size = self._first + sets.start, len(sets)
         return part
@@ -140,7 +140,7 @@ class KernelArray:
         return constants
 
     def compute_starts(self, initial: Sequence[InitialState]) -> None:
-        """Compute the starts of all sets at once, for later parts; this takes as long as for a few sets."""
+        """Compute the starts of all sets for later parts; this takes as long as the starts of a few sets."""
         unknown = tuple(dict.fromkeys(initial))
         if len(unknown) * len(self._start_std) <= MOST_STARTS:
             self._starts = self._starts_at(unknown, self._start_std)
@@ -190,12 +190,12 @@ def _starts_of(initial: tuple[InitialState, ...], model: str, std: Array) -> Sta
 
 @lru_cache(4)
 def _shared_starts(initial: tuple[InitialState, ...], model: str, std: tuple[float, ...]) -> Starts:
-    """Return starts of sets with equal `start_std`; cached, since all generations of a search use the same starts."""
+    """Return starts of sets with equal `start_std`; cached, since all generations of a search have the same starts."""
     return _starts_of(initial, model, np.array([std]))
 
 
 def _in_blocks(rows: Array, blocks: int) -> Array:
-    """Reshape rows (r, columns) to (blocks, r, width); a single column for all sets to (1, r, 1)."""
+    """Reshape rows (r, columns) to (blocks, r, width), and rows of a single column for all sets to (1, r, 1)."""
     return rows.reshape(len(rows), blocks if rows.shape[1] > 1 else 1, -1).swapaxes(0, 1)
 
 

@@ -15,7 +15,7 @@ NEARLY = 1e-6  # s, largest rounding error of a lag
 
 
 class FixedLag:
-    """Fixed-lag smoother for a live filter: it processes the last samples again, logs the steps, and smooths.
+    """Fixed-lag smoother of a live filter, which processes the last samples again, logs the steps, and smooths.
 
     ``lag`` is in s; ``most_steps`` is the largest number of steps in the memory.
     """

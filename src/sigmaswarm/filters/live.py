@@ -66,20 +66,20 @@ class LiveFilter:
     Samples are in the axes of the vehicle. If the IMU is mounted as in the training drives, SciPy's
     ``Rotation.from_euler("xyz", tuning.mounting, degrees=True)`` rotates its samples.
 
-    A fix waits for the next IMU sample, which propagates the filter to the time of the fix and then to that of the
-    sample. For a fix that is at most ``history`` seconds late, the filter returns to the fix's time and processes the
-    later samples again. So the state equals the result of `run_filter` for the same data in time order. Fixes of the
-    same time, for example from two receivers, are used one after the other. An identical fix is a repeated message and
-    is ignored. A stale fix is stored but not used: see `drives.stale_fixes`.
+    A fix waits for the next IMU sample, which propagates the filter to the time of the fix, and after the update to the
+    time of the sample. For a fix that is at most ``history`` seconds late, the filter returns to the fix's time and
+    processes the later samples again. The state therefore equals the result of `run_filter` for the same data in time
+    order. Fixes of the same time, for example from two receivers, are used one after the other. An identical fix is a
+    repeated message and is ignored. A stale fix is stored but not used: see `drives.stale_fixes`.
 
     Without IMU samples the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`). A
-    sample stamped more than 10 s ahead waits for a second sample within a second of its stamp. Then both are used, as
-    after a gap; otherwise the first one is dropped and counted. The same rule applies to fixes. IMU samples near
-    the time stamp of a fix also confirm it.
+    sample stamped more than 10 s ahead waits for a second sample within a second of its stamp. If the second sample
+    arrives, both are used, as after a gap; otherwise the first sample is dropped and counted. The same rule applies to
+    fixes. IMU samples near the time stamp of a fix also confirm it.
 
     The divergence monitor compares the filter once a second with the latest fixes and resets it if it has diverged
     (`divergence`). The delay of the fixes also delays a reset, relative to `run_filter`. Fixes from before the reset
-    then count as too late.
+    count as too late.
 
     The memory has a fixed size. The compiled code (`compiled.live`) is loaded or compiled by the first filter of a
     process.
@@ -246,7 +246,7 @@ class LiveFilter:
             raise InputError(f"the fix does not consist of two numbers: {error}") from None
 
     def update_odometer(self, t: float, speed: float) -> bool:
-        """Process a reading of the odometer: m/s, forward positive.
+        """Process an odometer reading, m/s, positive forward.
 
         The reading waits for the next IMU sample. A late reading is processed like a late fix.
 
@@ -281,7 +281,7 @@ class LiveFilter:
         due: bool,
         gyro_bias: float = 0.0,
     ) -> InitialState | None:
-        """Return the state for a reset, or None; ``gyro_bias``: known bias of the gyro, rad/s."""
+        """Return the state for a reset; None if no reset is due. ``gyro_bias``: known bias of the gyro, rad/s."""
         start = monitor.take(self._check(now, fix, *estimate(), gyro_bias)) if due else None
         if monitor.lost:
             theta = float(estimate()[0][THETA])
@@ -295,7 +295,7 @@ class LiveFilter:
         return fixes[until - 1] if until else None
 
     def _variance_of(self, fix: Array) -> Array:
-        """Return the diagonal of R of a fix, (2,) m2."""
+        """Return the diagonal of R of a fix, (2,), m2."""
         stated = fix[live.FIX_VAR_X : live.FIX_VAR_Y + 1]
         return self._filter_state[[R.RX, R.RY]] + self._filter_state[R.ACCURACY] * stated
 
@@ -414,7 +414,7 @@ _ALIGNING = (1, 2, 3, 5, 6)
 
 
 def _known_heading(theta: float, std: float) -> tuple[float, float]:
-    """Return heading, rad, and stated variance, rad2 (infinite without a heading), as in `Timeline.fixes`."""
+    """Return heading, rad, and stated variance, rad2 (infinite if there is no heading), as in `Timeline.fixes`."""
     known = math.isfinite(theta) and 0 <= std < NO_HEADING
     return (theta, std**2) if known else (0.0, math.inf)
 

@@ -28,8 +28,8 @@ MEASURED = {
 }
 """Measurements other than fixes, and the unit of their variance.
 
-A filter uses the measurement NAME if its parameter NAME_noise is a number. A tuning's option, the event in
-`drives.events`, the kernels' row R_NAME, and USE_NAME and NAME_NOISE in C have the name of the measurement.
+A filter uses the measurement NAME if its parameter NAME_noise is a number. The option of a tuning, the event in
+`drives.events`, the kernels' row R_NAME, and USE_NAME and NAME_NOISE in C have the same NAME.
 """
 NOISE_OF = {name: f"{name}_noise" for name in MEASURED}
 
@@ -98,10 +98,10 @@ def velocity(state: Array) -> Array:
 
 
 def lateral_arm(state: Array, rear_axle: float, tire_slip: float) -> float:
-    """Return the distance (m) from the point without lateral velocity forward to the IMU: rear_axle - tire_slip v^2.
+    """Return the distance (m) from the point with zero lateral velocity forward to the IMU: rear_axle - tire_slip v^2.
 
-    The rear tires slip by an angle of ``tire_slip`` (s2/m) times the lateral acceleration, v yaw_rate. So the lateral
-    velocity at the rear axle is -tire_slip v^2 yaw_rate. v is the speed of the mean before the update.
+    The rear tires slip by an angle of ``tire_slip`` (s2/m) times the lateral acceleration, v yaw_rate. The lateral
+    velocity at the rear axle is therefore -tire_slip v^2 yaw_rate, where v is the predicted speed.
     """
     return rear_axle - tire_slip * float(state[2] * state[2] + state[3] * state[3])
 
@@ -156,9 +156,9 @@ class Tilts:
 VARIANCE = (1e-5, 10.0)  # bounds of all variances in the paper; Q is per nominal IMU step
 SMALL_VARIANCE = (1e-12, 10.0)  # bounds of Q for position and velocity
 HEADING_VARIANCE = (1e-10, 1e-1)
-"""Bounds of Q per second for the heading; no gyro drifts by a third of a radian in one second. With a larger noise, a
-filter determines its heading from the fixes alone. A likelihood without truth may prefer this if the receiver smooths
-its fixes."""
+"""Bounds of Q per second for the heading; no gyro drifts by a third of a radian in one second. With a larger Q, a
+filter determines the heading from the fixes alone, which a likelihood may prefer if the receiver smooths its fixes.
+"""
 CITY_VARIANCE = (1e-5, 1e3)  # bounds of R: between high buildings, fixes have errors of tens of meters
 BIAS_WALK = (1e-16, 1e-4)  # bounds of Q for the random walks of the biases
 
@@ -177,8 +177,6 @@ SENSORS = {"accel": Sensor("m/s2", (1e-3, 1.0)), "gyro": Sensor("rad/s", (1e-5, 
 
 @dataclass(frozen=True)
 class State:
-    """One state of a model."""
-
     name: str
     unit: str
     variance: tuple[float, float]  # bounds of the process noise, unit squared per nominal IMU step
@@ -203,7 +201,7 @@ class CarModel:
 
     ``kinds`` are the compiled filter types; the first one is the default. ``measures_imu``: as in robot-localization,
     acceleration and yaw rate are states that the IMU measures with `FilterParameters.imu_noise`, and the velocity is in
-    the body frame. Such a model supports neither smoothing nor live filters.
+    the body frame. A model with ``measures_imu`` supports neither smoothing nor live filters.
     """
 
     states: tuple[State, ...]
@@ -326,7 +324,7 @@ MODELS: dict[str, CarModel] = {
         kinds=("ekf",),
     ),
 }
-"""The models by name. planar5 is the paper's model with the paper's bounds."""
+"""Models by name. planar5 is the paper's model with the paper's bounds."""
 
 
 def require_driven_by_imu(model: str, use: str) -> None:

@@ -62,7 +62,7 @@ def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
 
 
 def _turned(mean: Array, covariance: Array, sign: float) -> tuple[Array, Array]:
-    """Rotate the velocity by the heading, from body to map (sign 1) or back (-1), and the covariance to first order."""
+    """Rotate velocity and covariance (to first order) by the heading, from body to map (sign 1) or back (-1)."""
     c, s = np.cos(mean[..., THETA]), sign * np.sin(mean[..., THETA])
     vx, vy = mean[..., 2], mean[..., 3]
     turned, jacobian = mean.copy(), np.zeros_like(covariance) + np.eye(mean.shape[-1])
@@ -75,7 +75,7 @@ def _turned(mean: Array, covariance: Array, sign: float) -> tuple[Array, Array]:
 
 @cache
 def _upper(n: int) -> tuple[Indices, Indices]:
-    """Return rows and columns of the upper triangle, column by column, as the kernel packs it."""
+    """Return row and column indices of the upper triangle, column by column, as the kernel packs it."""
     columns, rows = np.tril_indices(n)
     return rows, columns
 
@@ -104,8 +104,8 @@ def definite(covariance: Array) -> Mask:
 def _definite_prefixes(rows: Array, first: int, n: int, ok: int, found: Mask) -> None:
     """Find definite covariances (n, n), packed in rows (m, s, lanes) from row ``first`` on, as in `_upper`.
 
-    ``ok``: the row of a run that is 1 if the filter never failed; the state and sums must also be finite. -1: the rows
-    contain only covariances.
+    ``ok``: the row that is 1 if the filter never failed; the state and sums must also be finite. If ``ok`` is -1, the
+    rows contain only covariances.
     """
     scale, a = np.empty(n), np.empty((n, n))
     for m in range(rows.shape[0]):

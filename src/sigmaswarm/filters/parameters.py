@@ -305,15 +305,15 @@ class FilterParameters:
 
 SEARCHED: dict[str, Search] = {f.name: s for f in fields(FilterParameters) if (s := f.metadata.get("search"))}
 _ACTIVATES = {s.option: n for n, s in SEARCHED.items() if getattr(FilterParameters, n) is None}
-"""Options of ``tune --use``, and the fields that activate them."""
+"""Options of ``tune --use`` and the fields that they set."""
 _SCALED = (*NOISE_OF.values(), "accuracy_scale", "fix_error")
 NOISES = ("process_noise", "measurement_noise", "imu_noise", *_SCALED)
-"""Fields with noise variances or factors of them; a common factor of all these fields scales the covariance."""
+"""Fields with noise variances or factors of noise variances; a common factor of all of them scales the covariance."""
 RULES_SINCE = (0, 3)  # version that introduced the present treatment of stale fixes, gaps and standstills
 
 
 def incompatibility(kind: str, use: Collection[str]) -> str | None:
-    """Return the reason for a conflict between a filter type and options, or between two options; else None."""
+    """Return why a filter type and an option, or two options, conflict; None if they do not."""
     if "robust" in use and "gate" in use:
         return "robust and gate can't be combined, since robust weights the fixes that gate rejects; leave one out"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):

@@ -39,8 +39,9 @@ MPU6050_ACCEL_NOISE_DENSITY = 0.24 / 60  # m/s2/sqrt(Hz), 0.24 m/s/sqrt(h) (data
 MPU6050_GYRO_NOISE_DENSITY = np.radians(0.3) / 60
 """Noise density of the gyro, rad/s/sqrt(Hz), from 0.3 deg/sqrt(h) (MPU-6050 datasheet: 0.005 deg/s/sqrt(Hz))."""
 BIAS_WALKS = {"accel": 2 * 0.01**2 / 3600, "gyro": 2 * np.radians(200 / 3600) ** 2 / 3600}
-"""Growth of the biases' variances per second, (m/s2)2 and (rad/s)2. The data sheet of the MPU-6050 does not state it;
-this is 0.01 m/s2 and 200 deg/h over an hour, as for an ICM-20602 (i2Nav's awesome-gins-datasets)."""
+"""Growth of the biases' variances per second, (m/s2)2 and (rad/s)2, from 0.01 m/s2 and 200 deg/h over an hour: values
+of an ICM-20602 (i2Nav's awesome-gins-datasets), since the data sheet of the MPU-6050 states none.
+"""
 BY_HAND = {
     "velocity_noise": 0.1**2,
     "lateral_noise": 0.2**2,
@@ -106,7 +107,7 @@ def baseline_of(drive: Drive, model: ModelName, use: Collection[str]) -> FilterP
 
 
 def _bias_walk(drive: Drive, sensor: str) -> float:
-    """Return the growth of the variance of a sensor's bias per second: the value in drive.toml, or a typical value."""
+    """Return the growth of a bias's variance per second, from drive.toml or a typical value."""
     stated = drive.metadata.get(f"{sensor}_bias_walk")
     return BIAS_WALKS[sensor] if stated is None else float(stated) ** 2
 
@@ -141,7 +142,7 @@ def filter_for(given: FilterParameters | str | Path, dataset: Dataset) -> Filter
 
 
 def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
-    """Insert the variances of a drive's messages into a filter from a robot_localization configuration."""
+    """Return a filter from a robot_localization configuration with the variances that the drive's messages state."""
     gyro, accel = _stated_imu(drive, p)[:2]
     stated = [gyro, *[accel] * (len(p.imu_noise) - 1)]
     imu = tuple(NOT_FUSED if r == NOT_FUSED else one for r, one in zip(p.imu_noise, stated, strict=True))
@@ -158,14 +159,14 @@ def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
 
 
 def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:
-    """Return the variances of gz and ax in the messages of the log, else those in ``p``."""
+    """Return the variances of gz and ax in the log's messages; if none, those in ``p``."""
     return tuple(map(float, drive.metadata.get("imu_stated_noise", p.imu_noise)))
 
 
 def _planar(
     drive: Drive, std: tuple[float, float], more: Mapping[str, float] = MappingProxyType({})
 ) -> FilterParameters:
-    """Return a planar5 UKF for fixes with a standard deviation (east, north; m); ``more``: added IMU densities."""
+    """Return a planar5 UKF for fixes with a standard deviation (east, north; m); ``more``: IMU densities to add."""
     stated, dt = drive.metadata, drive.nominal_interval
     accel = float(stated.get("accel_noise_density", MPU6050_ACCEL_NOISE_DENSITY)) ** 2
     gyro = float(stated.get("gyro_noise_density", MPU6050_GYRO_NOISE_DENSITY)) ** 2

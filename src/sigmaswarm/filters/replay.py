@@ -72,7 +72,7 @@ class Targets:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """Inputs of filters for one pass over a drive: start, steps and comparison times."""
+    """Inputs of filters for one pass over a drive: start, steps and targets."""
 
     timeline: Timeline
     initial: InitialState
@@ -131,7 +131,6 @@ def run_steps(
 
 
 def require_readable(replay: Replay, array: KernelArray) -> None:
-    """Raise `InputError` if a drive lacks data that the filters need."""
     if array.reads in replay.readable:
         return
     model, accuracy, measured = array.reads

@@ -86,7 +86,7 @@ def _loaded(path: Path) -> Any:
 
 
 def _chosen(content: Any, path: Path) -> Block:
-    """Return the parameters of the node that fuses fixes, else of the first filter node."""
+    """Return the parameters of the node that fuses fixes; if there is none, of the first filter node."""
     blocks = [*_blocks(content, set())]
     if not blocks:
         raise InputError(
@@ -133,7 +133,7 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
 
 
 def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float | None:
-    """Return the square of the first stated threshold, a Mahalanobis distance; None if there is no limit."""
+    """Return the square of the first stated Mahalanobis threshold; None if there is no limit."""
     keys = [key for name in names or () if (key := f"{name}_rejection_threshold") in block]
     if not keys:
         return None

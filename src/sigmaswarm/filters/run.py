@@ -44,9 +44,9 @@ class Estimate:
     restarts : tuple of float
         Times of the resets after divergence, s: see `divergence`.
     lost : ndarray of bool, shape (n,) or None
-        True from a divergence to the reset; the estimate is then the last fix. None if divergence is not monitored.
+        True from a divergence to the reset, while the estimate is the last fix. None if divergence is not monitored.
     failure : str or None
-        The failure and its time; None without a failure.
+        The failure and its time; None if the filter did not fail.
     """
 
     time: Array
@@ -117,7 +117,7 @@ def run_filter(
     Parameters
     ----------
     drive : Drive or PreparedDrive
-        Its truth, if any, is not used.
+        The filter does not use the truth.
     parameters : FilterParameters
     initial : InitialState, optional
         State at which the filter starts; by default `initial_state(drive)`.
@@ -181,7 +181,7 @@ class Run(Protocol):
 
     @property
     def failure(self) -> str | None:
-        """The failure in the pieces so far, with its time."""
+        """The failure in the pieces so far, with its time; None if the filter did not fail."""
         ...
 
     def __iter__(self) -> Iterator[EstimateChunk]: ...
@@ -197,7 +197,7 @@ def estimate_of(run: Run, *, recover: bool) -> Estimate:
 
 
 def estimates_of(run: Run) -> Iterator[Estimate]:
-    """Yield estimates of a run, piece by piece; raise `SigmaswarmError` if the filter fails."""
+    """Yield the estimates of a run by piece; raise `SigmaswarmError` if the filter fails."""
     reported = 0
     for piece in run:
         if run.failure:

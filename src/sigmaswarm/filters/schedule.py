@@ -17,13 +17,15 @@ from sigmaswarm.filters.parameters import FilterParameters
 
 STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2  # rad2/s2, variance of the gyro's reading around its bias
 SLIP_GATE = 9.0
-"""Largest accepted NIS of a wheel speed: three sigmas. Readings of slipping or locked wheels have equal errors for
-seconds, so even small weights would add up. The number of rejections is not limited: P grows until it includes the true
-speed, and meanwhile the fixes determine the speed."""
+"""Largest accepted NIS of a wheel speed: three sigmas. Slipping or locked wheels have equal errors for seconds, so even
+small weights would add up. The number of rejections is not limited: P grows until it includes the true speed, and the
+fixes determine the speed in the meantime.
+"""
 HEADING_GATE = 9.0
 """Largest NIS of a heading: for a larger NIS, the variance is increased until the NIS has this value (G. Chang, Robust
-Kalman filtering based on Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014). So a filter
-with a wrong heading recovers."""
+Kalman filtering based on Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014). Thus a filter
+with a wrong heading recovers.
+"""
 MOST_REJECTED = 5  # the gate rejects at most this many consecutive fixes, so that a filter can recover
 
 GAP_TURN_STD = 0.1  # rad/s, in an IMU gap, around the adjacent samples; 0.05 to 0.3 give equal results
@@ -38,7 +40,6 @@ def measured_by(p: FilterParameters) -> frozenset[str]:
 
 
 def require_odometer(drive: Drive) -> None:
-    """Raise `InputError` if a drive has no odometer, for a filter that uses one."""
     if drive.odometer is None:
         raise InputError(
             f"{drive.name}: the filter uses the wheel speed (odometer_noise), but the drive has no odometer.csv; "
@@ -47,7 +48,6 @@ def require_odometer(drive: Drive) -> None:
 
 
 def require_accuracy(line: Timeline) -> None:
-    """Raise `InputError` if a fix has no stated accuracy, for a filter that weights fixes by it."""
     if not line.states_accuracy:
         raise InputError(
             f"{line.drive.name}: the filter weights each fix by the accuracy that the receiver states "
@@ -57,14 +57,12 @@ def require_accuracy(line: Timeline) -> None:
 
 
 def require_axes(drive: Drive, model: ModelName) -> None:
-    """Raise `InputError` if a drive's IMU lacks an axis that a model reads."""
     require_named_axes(
         drive.name, [f.name for f in fields(drive.imu) if getattr(drive.imu, f.name) is not None], model
     )
 
 
 def require_named_axes(name: str, axes: Collection[str], model: ModelName) -> None:
-    """Check like `require_axes`, from the name and the axes of a drive."""
     lacking = [axis for axis in MODELS[model].imu if axis not in axes]
     if lacking:
         raise InputError(
@@ -76,8 +74,8 @@ def require_named_axes(name: str, axes: Collection[str], model: ModelName) -> No
 def gap_covariance(n: int, dt: float, gap: float) -> Array:
     """Return the covariance (n, n) that a step of ``dt`` s in a gap of ``gap`` s adds to P + Q; 0 without a gap.
 
-    The unobserved motion is a constant turn rate and a constant acceleration over the gap. So the steps in a gap
-    together add (GAP_TURN_STD gap)^2 to the heading and (GAP_ACCELERATION_STD gap)^2 to each velocity; in each step,
+    The unobserved motion is a constant turn rate and a constant acceleration over the gap. Together, the steps in a gap
+    therefore add (GAP_TURN_STD gap)^2 to the heading and (GAP_ACCELERATION_STD gap)^2 to each velocity; in each step,
     the position changes by dt / 2 times the change of velocity. (GAP_TILT_STD gap)^2 of roll and pitch is not included.
     """
     added = np.zeros((n, n))
@@ -130,7 +128,7 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
 
 
 def _seen(initial: Sequence[InitialState]) -> list[tuple[slice, GyroSeen]]:
-    """Return the gyro observations with the indices of their starts; as a single observation if every start has one."""
+    """Return gyro observations, each with the indices of its starts; a single one if every start has an observation."""
     each = [(k, start.gyro) for k, start in enumerate(initial) if start.gyro is not None]
     if len(each) == len(initial):
         return [(slice(None), together([seen for _, seen in each]))]

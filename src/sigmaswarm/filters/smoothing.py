@@ -77,7 +77,7 @@ class _Checkpoint:
 
 @dataclass(frozen=True, eq=False)
 class _ForwardLog:
-    """Log of some steps of the forward pass for `smooth_back`; ``lost`` marks steps at which the filter is lost."""
+    """Log of some steps of the forward pass for `smooth_back`; ``lost``: True for steps at which the filter is lost."""
 
     steps: Array
     start: Array

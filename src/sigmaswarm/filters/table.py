@@ -17,7 +17,7 @@ _ABSENT: dict[str, float] = {
     **dict.fromkeys((*NOISE_OF.values(), "gate"), math.inf),
     **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof", "fix_error"), 0.0),
 }
-"""Number that represents None, for each field that can be None."""
+"""Number that represents None, by field."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class ParameterTable(Sequence[FilterParameters]):
         return cls(parameter_sets[0], columns, len(each))
 
     def field(self, name: str) -> Any:
-        """Return the values of a field, (n,) or (n, k), or its shared value; inf or 0 stands for None."""
+        """Return the values of a field, (n,) or (n, k), or the shared value; None becomes inf or 0."""
         if name in self.columns:
             return self.columns[name]
         value = getattr(self.like, name)

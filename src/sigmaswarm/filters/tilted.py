@@ -4,8 +4,8 @@ The attitude is a rotation R from body to local frame, R = Rz(theta) Ry(pitch) R
 roll left side up. The covariance is that of a small rotation ``e`` about east, north and up, multiplied from the left:
 R_true = exp([e]x) R (J. Sola, Quaternion kinematics for the error-state Kalman filter, 2017, section 7: the global
 error). In the state vector e has the indices of roll, pitch and theta. The injection of e does not change the
-covariance, to first order. There is no vertical channel, since the car stays on the road. So the Jacobians assume that
-the specific force along the local up axis is gravity; otherwise bumps would make them noisy.
+covariance, to first order. There is no vertical channel, since the car stays on the road. The Jacobians assume that the
+specific force along the local up axis is gravity; otherwise, bumps would make the Jacobians noisy.
 """
 
 from dataclasses import dataclass
@@ -91,7 +91,7 @@ def turn(vector: Array) -> Array:
 
 
 def turn_of(r: Array) -> Array:
-    """Return the vector v (3,) of exp([v]x), shorter than half a turn."""
+    """Return the vector v (3,) with R = exp([v]x), shorter than half a turn."""
     doubled = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])  # 2 sin a, along the axis
     sine, cosine = np.sqrt(doubled @ doubled) / 2, (r[0, 0] + r[1, 1] + r[2, 2] - 1) / 2
     angle = float(np.arctan2(sine, cosine))
@@ -242,7 +242,7 @@ def _along_the_road(state: Array, up: Array) -> Array:
 
 
 def _jacobian_along(state: Array, axis: Array, up: Array) -> Array:
-    """Return H, (1, 12), of the velocity along an axis of the body, with the effect of attitude on the climb rate."""
+    """Return H, (1, 12), of the velocity along a body axis, including the effect of attitude on the climb rate."""
     v, climb = _along_the_road(state, up), axis[2] / up[2]
     h = np.zeros((1, N))
     h[0, 2:4] = axis[:2] - climb * up[:2]

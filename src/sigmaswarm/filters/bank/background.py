@@ -11,7 +11,7 @@ from sigmaswarm.filters.bank.search import Found, search
 
 @cache
 def _searcher() -> ThreadPoolExecutor:
-    """Return the executor, with one thread, for the searches of all banks of a process."""
+    """Return the executor, with one thread, for the searches of all banks in a process."""
     return ThreadPoolExecutor(1, thread_name_prefix="swarm")
 
 
@@ -21,7 +21,7 @@ if hasattr(os, "register_at_fork"):
 
 @dataclass(frozen=True, eq=False)
 class Pending:
-    """A running search that replays the log up to step ``logged``. The search starts from the ancestor of lane ``led``.
+    """A running search, which replays the log up to step ``logged`` from the ancestor of lane ``led``.
 
     A forked or unpickled copy searches in the calling thread.
     """

@@ -1,7 +1,7 @@
 """A bank of sixteen filters with the interface of a `LiveFilter`.
 
-Lanes are replaced in a past state that no late fix can change; then the later samples are processed again. So the
-results depend only on samples and fixes.
+A search replaces lanes in a past state that no late fix can change; afterwards the filter processes the later samples
+again. Therefore, the results depend only on samples and fixes.
 """
 
 from collections.abc import Sequence
@@ -39,8 +39,6 @@ JITTER = 0.6  # standard deviation of a copy's random change, in standard deviat
 
 @dataclass(frozen=True, eq=False)
 class _Snapshot:
-    """A state from which a replay can begin."""
-
     logged: int  # number of logged steps
     time: float
     fixed_at: float  # time of the last fix before the snapshot, s
@@ -52,12 +50,12 @@ class _Snapshot:
 class LiveFilterBank(LiveFilter):
     """Sixteen filters with different parameters for one stream of samples; the estimate is their mixture.
 
-    The likelihood of the fixes is the evidence of each filter (lane) and gives its weight; evidence fades within a
-    minute. Lane 0 has the tuned parameters and gives the results of a `LiveFilter`. Some lanes represent other
-    receivers. Every 10 s of driving, the worst lanes are replaced: one by the result of a search over the last minute,
-    the others by changed copies of good lanes. Thus the bank adapts to other sensors or other reception. On the vehicle
-    used for tuning, the bank is not more accurate than the single filter. If the mixture diverges, lanes 1 to 15 are
-    reset; most lanes then keep their biases.
+    The weight of a filter (lane) depends on its evidence, the likelihood of the fixes; evidence fades within a minute.
+    Lane 0 has the tuned parameters and equals a `LiveFilter`. Some lanes have the parameters of other receivers. Every
+    10 s of driving, the worst lanes are replaced: one by the result of a search over the last minute, the others by
+    changed copies of good lanes. Thus the bank adapts to other sensors or other reception. On the vehicle used for
+    tuning, the bank is not more accurate than the single filter. If the mixture diverges, lanes 1 to 15 are reset; most
+    of them keep their biases.
 
     The interface is that of a `LiveFilter` without the smoothed state. A copy by `pickle` continues with identical
     results. After a reset, all lanes ignore earlier fixes.
@@ -82,7 +80,7 @@ class LiveFilterBank(LiveFilter):
     n_searches : int
         Number of searches with a result.
     restarts : list of float
-        Times of the resets of lane 0, s. For the other lanes see ``bank_restarts``.
+        Times of the resets of lane 0, s; ``bank_restarts`` has those of the other lanes.
     """
 
     def __init__(
@@ -185,7 +183,7 @@ class LiveFilterBank(LiveFilter):
             self._move()
 
     def _move(self) -> None:
-        """Begin a search, or use its result."""
+        """Start a search, or use the result of the last one, if due."""
         now = float(self._filter_state[live.TIME])
         pending, self._pending = self._pending, None
         if pending is not None:
@@ -197,7 +195,7 @@ class LiveFilterBank(LiveFilter):
         self._due = now + (SEARCH_TAKES if self._pending else SEARCH_EVERY - SEARCH_TAKES)
 
     def _settled_checkpoint(self) -> tuple[int, Array, Array] | None:
-        """Return the last checkpoint before all late fixes: its record's number, the record, the checkpoint."""
+        """Return the last checkpoint before all late fixes: its record's number, the record, and the checkpoint."""
         of = self._memory.arrays
         counts, history, checkpoints = of.counts, of.history, of.checkpoints
         n, kept = int(counts[live.N_SAMPLES]), int(counts[live.N_HISTORY])
@@ -295,7 +293,7 @@ class LiveFilterBank(LiveFilter):
         )
 
     def _brought_on(self, found: Found, since: Array) -> tuple[Array, float]:
-        """Return the search result's lane (N_KEPT,) and evidence after the steps that followed the replay."""
+        """Return the found lane (N_KEPT,) and its evidence after the steps that followed the replay."""
         steps = Steps(self._kernel, since, self._filter_state[live.LEVER].copy())
         lane, known = steps.followed(found.lane, found.known)
         return lane, known.evidence
@@ -322,7 +320,7 @@ class LiveFilterBank(LiveFilter):
         return [i for i, state in enumerate(FILTERS[self._kernel].states) if state.bias_of]
 
     def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return mean (n,) and covariance (n, n); if ``lost``, with the last valid biases."""
+        """Return mean (n,) and covariance (n, n); replace the biases by the last valid ones if ``lost``."""
         if not lost:
             self._last_sound = mean, covariance
             return mean, covariance
@@ -333,7 +331,7 @@ class LiveFilterBank(LiveFilter):
         return mean, covariance
 
     def _gyro_bias(self, mean: Array) -> float:
-        """Return the known gyro bias, rad/s; without this bias, an alignment has a wrong heading."""
+        """Return the known gyro bias, rad/s; an alignment without this bias has a wrong heading."""
         bias = float(mean[GYRO_BIAS]) if len(mean) > GYRO_BIAS else 0.0
         return bias if np.isfinite(bias) else 0.0
 
@@ -435,7 +433,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def lost(self) -> bool:
-        """True while the mixture has diverged and no reset is possible; the position is then that of the last fix."""
+        """True while the mixture has diverged and no reset is possible; the position is that of the last fix."""
         return self._together is not None and self._together.lost
 
     def lanes(self) -> tuple[Array, Array]:

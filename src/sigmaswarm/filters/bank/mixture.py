@@ -13,7 +13,7 @@ from sigmaswarm.geodesy import wrap_angle
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """Means (k, n) and covariances (k, n, n) of a bank's mixture at k times; headings are mixed on the circle."""
+    """Means (k, n) and covariances (k, n, n) of a mixture at k times; the mean heading is a circular mean."""
 
     mean: Array
     covariance: Array

@@ -51,7 +51,7 @@ class Evidence:
     at: float
 
     def then(self, time: Array, lost: Array) -> "Evidence":
-        """Add fixes at some times, s; each fix lowers the evidence by its loss."""
+        """Return the evidence after fixes at some times, s; each fix lowers the evidence by its loss."""
         if not len(time):
             return self
         left = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)
@@ -96,7 +96,7 @@ class Steps:
         return place
 
     def _run(self, lanes: Array, place: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
-        """Run the lanes from ``place`` to step ``stop``, exclusive; this changes both lanes and ``place``."""
+        """Run the lanes from ``place`` to step ``stop``, exclusive; ``lanes`` and ``place`` change in place."""
         k = len(self.rows)
         flags, steps = self.rows[:, T_FLAGS].astype(np.uint16), self.rows[:, T_STEP]
         drive = (
@@ -132,7 +132,7 @@ def _lost(lanes: Array) -> Array:
 
 @np.errstate(all="ignore")
 def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
-    """Return the decrease of a lane's evidence at each fix, (f,), from nu (m) and S (m2), as in `compiled.swarm`."""
+    """Return the decrease of a lane's evidence at each fix, (f,), from nu (m) and S (m2): see `compiled.swarm`."""
     det = xx * yy - xy * xy
     nis = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det
     lost = 0.5 * np.log(det) + 0.5 * np.minimum(nis, LARGEST_NIS)
@@ -140,7 +140,7 @@ def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
 
 
 SCALED = R.TIMES_R, R.TIMES_Q
-"""Factors of a fuzzy filter's R and Q; set to 1 when the constants are replaced."""
+"""Factors of a fuzzy filter's R and Q, which are 1 after the constants are replaced."""
 
 
 def as_at_start(lanes: Array) -> Array:
@@ -158,7 +158,7 @@ def as_at_start(lanes: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """The best filter's offsets (d,), and the population (LANES, d) for the next search."""
+    """The best filter's offsets (d,), and the population (LANES, d) at the start of the next search."""
 
     offsets: Array
     lane: Array  # (N_KEPT,), at the end of the replay
@@ -213,7 +213,7 @@ def search(
 
 
 def _trials(offsets: Array, spread: Spread, rng: np.random.Generator) -> Array:
-    """Make a trial for each member: the member crossed with another member plus the scaled difference of two more."""
+    """Return a trial for each member: the member crossed with another one plus the scaled difference of two more."""
     n, d = offsets.shape
     others = np.array([rng.permutation(np.delete(np.arange(n), i))[:3] for i in range(n)])
     a, b, c = (offsets[others[:, k]] for k in range(3))

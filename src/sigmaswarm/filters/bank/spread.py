@@ -12,7 +12,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 
 OFFSET_DOF = 4.0  # degrees of freedom of Student's t, the prior of an offset; a few offsets are large
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
-"""Standard deviations of offsets of process noise, of bias walks, of R and of other variances, decades of variance."""
+"""Standard deviations, in decades, of offsets of Q, of bias walks, of R, and of other variances."""
 R_DOWN_STD = 0.45  # decades, for a smaller R than tuned; fixes in a city are accurate until they jump
 SCALE_STD = 0.7  # decades, for a common factor of all variances, which hardly changes the estimates
 START_STD = 1.5  # decades, for the initial variance of the biases; the first draws do not reduce it
@@ -70,7 +70,7 @@ class Spread:
 
     @cached_property
     def lasting(self) -> Array:
-        """1 for offsets that have an effect after the start, else 0, (d,)."""
+        """1 for offsets that have an effect after the start, 0 for the others, (d,)."""
         return np.array([0.0 if name == START else 1.0 for name in self.names])
 
     def first(self, rng: np.random.Generator) -> Array:
@@ -112,7 +112,7 @@ class Spread:
 
     @cached_property
     def _decades(self) -> Array:
-        """Change of each constant per change of each offset, both in decades, (N_CONSTANTS, d)."""
+        """Change of each constant (decades) per change of each offset (decades), (N_CONSTANTS, d)."""
         found = np.zeros((len(CONSTANTS), len(self.names)))
 
         def grows(constant: str, name: str) -> None:
@@ -156,7 +156,6 @@ class Spread:
     said = warnings  # deprecated name
 
     def parameters(self, offsets: Array) -> FilterParameters:
-        """Return the tuning with offsets (d,) as parameters."""
         p, by = self.tuning, dict(zip(self.names, offsets.tolist(), strict=True))
         shared = [f"q_{state.shared}" for state in MODELS[p.model].states]
         scale = 10.0 ** by[SCALE]

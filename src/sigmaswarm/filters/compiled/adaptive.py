@@ -96,8 +96,8 @@ def student_t_weight(w, since):
     residual after the update is r = R / w e. Its covariance is A = R / w - R / w S^-1 R / w. Three iterations from
     w = 1 compute w = (dof + 2) / (dof + r^T R^-1 r + tr R^-1 A).
 
-    A filter with a wrong state would treat all fixes as outliers. So the fix that ends a long run of outliers gets
-    weight 1, and the part of P that it observes is inflated until it explains the innovation.
+    A filter with a wrong state would treat all fixes as outliers. Therefore, the fix that ends a long run of outliers
+    gets weight 1. The part of P that this fix observes is inflated until P explains the innovation.
     """
     recovering = 0
     for l in range(LANES):

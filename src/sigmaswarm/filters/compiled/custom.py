@@ -85,7 +85,7 @@ def build_kernel(
         dt, source, updates, records, inputs, measurements, mean0, covariance0, angles, measured_angles,
         scaling, noise, limits, runs, p, means, covariances, nis, nll,
     ):  # fmt: skip
-        """Run all steps and fill the last four arrays; return the step of a failure, or -1. ``runs`` is updated."""
+        """Run all steps; write the last four arrays; change ``runs`` in place; return the step of a failure, or -1."""
         m = measurements.shape[1]
         n, weights = mean0.size, _weights(mean0.size, scaling)
         mean, covariance, root, state = mean0.copy(), covariance0.copy(), np.zeros((n, n)), np.empty(n)
@@ -135,7 +135,7 @@ def _weights(n, scaling):
 
 @_kernel
 def _draw(mean, covariance, gamma, root, sigmas):
-    """Draw the center, then the center plus and minus each column of the root; return False if P has no root."""
+    """Draw the center, and the center plus and minus each column of the root; return False if P has no root."""
     n = mean.size
     if not _root(covariance, root):
         return False
@@ -150,7 +150,7 @@ def _draw(mean, covariance, gamma, root, sigmas):
 
 @_kernel
 def _root(a, root):
-    """Write the Cholesky factor of ``a`` to the lower half of ``root``; return False if the factor does not exist."""
+    """Write the Cholesky factor of ``a`` to the lower half of ``root``; return False if there is none."""
     for j in range(a.shape[0]):
         for i in range(j, a.shape[0]):
             s = a[i, j]
@@ -169,8 +169,8 @@ def _root(a, root):
 def _centre(images, points, angles, weights, mean):
     """Write the mean of ``images`` to ``mean``, and subtract the mean from the images.
 
-    For an angle, the difference of an image from the first image is wrapped. So it differs by at most half a turn from
-    the difference of the two points (0 without points).
+    For an angle, the difference between an image and the first image is wrapped to within half a turn of the difference
+    of the two points (0 if there are no points).
     """
     for i in range(images.shape[1]):
         first, shift = images[0, i], 0.0
@@ -197,7 +197,7 @@ def _add_products(a, b, weights, out):
 
 @_kernel
 def _leave_out(z, nu, s, cross):
-    """Make the update ignore elements without a value (NaN); return the number of elements with a value.
+    """Make the update ignore elements that are NaN; return the number of the other elements.
 
     With nu = 0, C = 0 and a row and column of S as in the identity, the update has the bits of a filter without these
     rows of h and R.
@@ -242,7 +242,7 @@ def _whiten(nu, s, cross, root):
 
 @_kernel
 def _update(mean, covariance, y, w, share):
-    """Compute x + K nu and P - K S K^T, where K nu = W y and K S K^T = W W^T; ``share`` multiplies both."""
+    """Compute x + share K nu and P - share K S K^T, with K nu = W y and K S K^T = W W^T."""
     n, m = w.shape
     for j in range(m):
         for i in range(n):
@@ -257,8 +257,9 @@ def _update(mean, covariance, y, w, share):
 def _limited_share(z, nis, limit, runs):
     """Return the share of an update, limit / NIS if the NIS is above the limit, else 1: see `Model.robust`.
 
-    ``runs`` (m, 2): for each element of z the number of consecutive measurements above the limit, and the time since
-    the first, s. A filter with a wrong state would treat all measurements as outliers, so a long run has full weight.
+    ``runs`` (m, 2): for each element of z, the number of consecutive measurements above the limit, and the time since
+    the first one, s. A filter with a wrong state would treat all measurements as outliers, so a long run has full
+    weight.
     """
     lasts = True
     for i in range(z.size):

@@ -1,7 +1,7 @@
 """Closed form of `filters.fix_error`: the correlated fix error b, in the last two states.
 
-The process does not depend on b. So a prediction only multiplies the columns of b in P by F, which is in scratch rows
-of the model's prediction. In an unscented filter F is the statistical linearization: see `step_log`.
+The process does not depend on b, so a prediction only multiplies the columns of b in P by F. The model's prediction
+writes F to scratch rows. In an unscented filter F is the statistical linearization: see `step_log`.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -45,7 +45,7 @@ def age_fix_error(w, z, since):
 
 
 def move_fix_error(w, *, n, noted):
-    """Propagate the fix error from the last fix to this one.
+    """Propagate the fix error from the last fix to the new fix.
 
     ``noted``: index of phi in a row of `step_log`, or 0.
     """

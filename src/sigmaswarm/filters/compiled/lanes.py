@@ -38,7 +38,7 @@ def _exchange_control(typing_context, control):
     """Set the floating-point control register and return its old value; -1 sets the bits `_FLUSH_SUBNORMALS`.
 
     Precise measurements reduce covariances to subnormal numbers, and an operation with these takes a hundred cycles.
-    Without effect on processors other than x86.
+    This has no effect on processors other than x86.
     """
 
     def generate(context, builder, signature, arguments):

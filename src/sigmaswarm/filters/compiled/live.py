@@ -114,7 +114,7 @@ _plain = njit(**OPTIONS)  # operations are not reordered: time slots must equal 
 
 @_plain
 def _step_to(step, v, to, u, events, z, wheels):
-    """Compute the step to a time; ``u`` (N_STEP,) contains axes and gap, and its other numbers are set here."""
+    """Compute the step to a time; ``u`` (N_STEP,) has axes and gap, and this function sets its other numbers."""
     dt = to - v[TIME]
     scale = dt / v[NOMINAL]
     v[SINCE] += scale
@@ -208,7 +208,7 @@ def _until(rows, n, now):
 
 @_plain
 def _is_standstill(v, fixes, end, now, means):
-    """Return True if the fixes before row ``end`` and the stop so far show a standstill, after a calm second."""
+    """Return True if the fixes before row ``end`` and the stop so far show a standstill after a calm second."""
     if not fixes_are_still(fixes, fixes[:, KIND], end, now, np.empty(1)):
         return False
     passed, v[STOP_TIME] = now - v[STOP_TIME], now
@@ -217,7 +217,7 @@ def _is_standstill(v, fixes, end, now, means):
 
 @_plain
 def _is_far_ahead(v, t):
-    """Return True if a time is so far ahead of the filter that a second time stamp must confirm it."""
+    """Return True if a time is so far ahead of the filter that a second time stamp must confirm this time."""
     return t - v[TIME] > LEAP and v[TRUSTS_TIMES] == 0.0
 
 
@@ -329,7 +329,6 @@ def _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoin
 
 @_plain
 def _store_checkpoint(v, checkpoints, number):
-    """Store a checkpoint, if one is due before sample ``number``."""
     if checkpoints.shape[0] > 0 and number % CHECKPOINT_EVERY == 0:
         _copy(
             v[BEHIND:], checkpoints[number // CHECKPOINT_EVERY % checkpoints.shape[0]], checkpoints.shape[1]
@@ -338,7 +337,7 @@ def _store_checkpoint(v, checkpoints, number):
 
 @_plain
 def _first_after(counts, history, t):
-    """Return the first stored sample at or after a time, or -1 if the filter cannot return to before that sample."""
+    """Return the first stored sample at or after a time; -1 if the filter cannot return to before that sample."""
     back = counts[N_HISTORY]
     while back > 0 and _record(counts, history, back - 1)[S_TIME] >= t:
         back -= 1
@@ -374,7 +373,7 @@ def replay(step, v, counts, fixes, speeds, history, checkpoints, first, corrects
 
 @_plain
 def _replay_from(step, v, counts, fixes, speeds, history, checkpoints, back):
-    """Return to the last checkpoint before a stored sample, and process the later samples again."""
+    """Return to the last checkpoint before a stored sample; process the later samples again."""
     if checkpoints.shape[0] > 0:
         number = counts[N_SAMPLES] - counts[N_HISTORY] + back
         back -= number % CHECKPOINT_EVERY
@@ -387,7 +386,7 @@ def _replay_from(step, v, counts, fixes, speeds, history, checkpoints, back):
 
 @_plain
 def _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, z):
-    """Process a fix with an accepted time: store it for the next sample, or process the later samples again."""
+    """Process a fix with an accepted time: store the fix for the next sample, or process the later samples again."""
     t = z[FIX_TIME]
     is_number = math.isfinite(z[FIX_X]) and math.isfinite(z[FIX_Y])
     if t <= v[START]:  # the start includes this fix, but the fix may show a standstill

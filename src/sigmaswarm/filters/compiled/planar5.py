@@ -2,8 +2,8 @@
 
 The process is linear in all states except theta: u' = u + dt g(theta), x' = x + (u + u') dt/2, theta' = theta + dt yaw
 rate, with g the acceleration in the local frame. Sigma points may use any square root of P; here theta is its first
-state. Then only the first column (and its mirror image) changes theta, by d = gamma sigma_theta with gamma^2 =
-n + lambda = alpha^2 (n + kappa). All other sigma points have the center's g0 = g(theta). With J a turn by 90 degrees,
+state. With this root, only the first column (and its mirror image) changes theta, by d = gamma sigma_theta with gamma^2
+= n + lambda = alpha^2 (n + kappa). All other sigma points have the center's g0 = g(theta). With J a turn by 90 degrees,
 
     g(theta +- d) = g0 cos d +- J g0 sin d,       w = 1 / (2 gamma^2) the weight of one sigma point,
     e         = 2 w (cos d - 1) = -(2 / gamma^2) sin^2(d/2)          (without a difference of large numbers)

@@ -35,7 +35,7 @@ USES_VY, USES_AY = LATERAL, STANDSTILL
 """Bits of a step: update with vy = 0 of a twist, and with the IMU's ay."""
 R_GZ, R_AX, R_AY, R_VY = R.R_RATE, R.R_VELOCITY, R.R_STANDSTILL, R.R_LATERAL
 GATE_GZ, GATE_AX = R.REAR_AXLE, R.TIRE_SLIP
-"""Rows of the largest accepted NIS of gz and ax; this model uses these rows for nothing else."""
+"""Rows of the largest accepted NIS of gz and ax, since this model has neither rear axle nor tire slip."""
 _TWO_PI = 2 * math.pi
 
 

@@ -84,7 +84,7 @@ def _wrapped(angle):
 
 
 def _off_between(w, l, weight, true_x, true_y, true_theta, heading):
-    """Compute errors in x, y and heading, with the estimate interpolated linearly between two IMU samples."""
+    """Return errors in x, y and heading of the estimate, interpolated linearly between two IMU samples."""
     x = w[R.BEFORE_X, l] + weight * (w[R.X, l] - w[R.BEFORE_X, l]) - true_x
     y = w[R.BEFORE_Y, l] + weight * (w[R.Y, l] - w[R.BEFORE_Y, l]) - true_y
     turn = _wrapped(w[heading, l] - w[R.BEFORE_T, l])
@@ -99,7 +99,7 @@ def _add(w, l, x, y, wrong, scores_heading):
 
 
 def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
-    """Add the squared errors at a time of truth, and the position's NEES with P at the later IMU sample."""
+    """Add squared errors at a time of truth, and the NEES of the position with P at the later IMU sample."""
     for l in range(LANES):
         x, y, wrong = _off_between(w, l, weight, true_x, true_y, true_theta, heading)
         _add(w, l, x, y, wrong, scores_heading)

@@ -1,7 +1,7 @@
 """One step of one filter as a separate function, which other compiled code calls by its address.
 
-Numba would inline the step into its callers and compile these for each model, although the rest of a live filter is the
-same for all models.
+Numba would inline the step into callers and compile these callers for each model, although the rest of a live filter is
+the same for all models.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false

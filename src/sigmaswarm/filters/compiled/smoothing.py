@@ -32,7 +32,7 @@ def _plain(function, **known):
 
 
 def _transition_times(move, p, ap, *, n, coefficients, transition):
-    """Compute A P of a model's own states (n) from a logged row: the length of the step and its coefficients."""
+    """Compute A P of a model's own states (n); the logged row has the length of the step and the coefficients."""
     f = tuple(move[1 + k] for k in coefficients)
     for c in range(p.shape[1]):
         moved = transition(f, move[0], tuple(p[k, c] for k in range(n)))

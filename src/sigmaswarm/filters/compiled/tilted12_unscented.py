@@ -350,7 +350,6 @@ _linearize_along = kernel(_linearize, columns=(3,))
 
 
 def _forward(w, l):
-    """Return the forward axis of the attitude."""
     q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
     return 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3), 2.0 * (q1 * q3 - q0 * q2)
 

@@ -127,8 +127,8 @@ def _compiled(function: Callable[..., Any], written: Written, name: str) -> Call
 def _hash_of(known: Names) -> str:
     """Return a hash of bound names, which distinguishes functions that are generated from one function.
 
-    Numba names machine code after a function's qualified name and the number of compilations in the process. So kernels
-    that two processes compiled may have the same name, and one could replace the other when loaded from the cache.
+    Numba names machine code after a function's qualified name and the number of compilations in the process. Kernels of
+    two processes may therefore have the same name, and one could replace the other when it is loaded from the cache.
     """
     parts: list[str] = []
     for name, value in sorted(known.items(), key=lambda item: item[0]):

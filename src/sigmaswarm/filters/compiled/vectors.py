@@ -109,7 +109,7 @@ def _used_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[str], l
 
 
 def _hash(body: list[ast.stmt], names: Names) -> str:
-    """Hash a loop's text, the numbers of its names, and the functions that it calls."""
+    """Hash a loop's text, the values of its names, and the functions that it calls."""
     parts = [ast.dump(statement) for statement in body]
     for name in sorted({n.id for s in body for n in ast.walk(s) if isinstance(n, ast.Name)}):
         value = names.get(name)
@@ -211,7 +211,7 @@ class _Emitter:
     """Straight-line code for one vector of lanes. Values are vectors, known numbers, or tuples of these."""
 
     def __init__(self, builder: ir.IRBuilder, vector: ir.VectorType, lanes: Any) -> None:
-        """``lanes`` is a pointer to these lanes in the first row."""
+        """Create the code of some lanes; ``lanes`` is a pointer to these lanes in the first row."""
         self.builder, self.vector, self.lanes = builder, vector, lanes
         self.rows: dict[int, Any] = {}
 

@@ -1,1 +1,1 @@
-"""Users' models: any system with states, a process f and a measurement h, not only cars."""
+"""Users' models: any system with states, a process f and a measurement h."""

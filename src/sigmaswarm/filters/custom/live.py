@@ -23,7 +23,7 @@ Timed = tuple[float, Array]  # a measurement (m,) and its time, s
 
 @dataclass(eq=False)
 class _Sample:
-    """A sample of the inputs, the filter before it, and the measurements between this state and the sample."""
+    """A sample of the inputs, the filter's state before it, and the measurements between that state and the sample."""
 
     before: float  # s
     state: State
@@ -37,7 +37,7 @@ class LiveModel:
 
     As in a `Log`, the inputs at t_k drive the step from t_(k-1) to t_k, so a measurement waits for the next inputs.
     After a measurement that is at most ``history`` seconds late, the filter returns to its time and processes the later
-    samples again. So the state equals the result of `run_model` for the same data in time order.
+    samples again. The state therefore equals the result of `run_model` for the same data in time order.
 
     Parameters
     ----------
@@ -115,9 +115,9 @@ class LiveModel:
         self._process(sample)
 
     def update(self, t: float, measurement: ArrayLike) -> bool:
-        """Process a measurement, shape (m,), as `Model.h` returns it; NaN: this element has no value.
+        """Process a measurement, shape (m,), as `Model.h` returns it; an element without a value is NaN.
 
-        Measurements of several sensors at one time may come one after the other.
+        Measurements of several sensors with the same time may be passed one after the other.
 
         Returns
         -------
@@ -191,7 +191,7 @@ def _seconds(t: float) -> float:
 
 
 def _store(stored: list[Timed], t: float, z: Array) -> bool:
-    """Insert a measurement by time, or into a measurement of the same time; return False without a new element."""
+    """Insert a measurement by time, or complete one of the same time; return False if no element is new."""
     for k, (time, known) in enumerate(stored):
         if time == t:
             both = np.where(np.isnan(known), z, known)

@@ -24,12 +24,12 @@ class Log:
     time : ndarray, shape (k,)
         s, strictly increasing.
     measurement_time : ndarray, shape (f,)
-        s, strictly increasing; the times need not be among ``time``.
+        s, strictly increasing; these times may differ from ``time``.
     measurements : ndarray, shape (f, m)
-        (f,) stands for (f, 1). NaN: this element has no value at this time, and the update uses the others. See
+        (f,) stands for (f, 1). An element without a value at a time is NaN; the update uses the other elements. See
         `from_sensors`.
     mean, covariance : ndarray, shapes (n,), (n, n)
-        State estimate at ``time[0]``, where the filter starts. It must not be computed from truth.
+        State estimate at ``time[0]``, where the filter starts; not computed from truth.
     inputs : ndarray, shape (k, u), optional
         Inputs of the process; (k,) stands for (k, 1). None: the input of f is an empty array.
     truth : mapping of str to ndarray, shape (j,)
@@ -169,7 +169,7 @@ def _wrong(log: str, what: str) -> InputError:
 
 
 def _finite(log: str, name: str, values: ArrayLike | None, *, absent: bool = False) -> Array:
-    """Return a copy as finite numbers; with ``absent`` also NaN."""
+    """Return a copy as finite numbers; NaN is allowed if ``absent``."""
     try:
         column = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -205,7 +205,6 @@ def _table(log: str, name: str, values: ArrayLike, clock: str, length: int, *, a
 
 
 def _check_overlap(log: str, name: str, moments: Array, time: Array) -> None:
-    """Raise `InputError` if a sensor has no value within the log's time."""
     if not len(moments):
         raise _wrong(
             log,
@@ -250,6 +249,6 @@ def build_steps(log: Log) -> Steps:
 
 
 def _rows(times: Array, ends: Array) -> NDArray[np.int64]:
-    """Return the index in ``times`` of each of ``ends``; -1 if there is no such time."""
+    """Return the index in ``times`` of each of ``ends``; -1 if ``times`` does not contain it."""
     found = np.isin(ends, times)
     return np.where(found, np.cumsum(found) - 1, -1).astype(np.int64)

@@ -18,7 +18,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 
 SCALING_NAMES = ("alpha", "beta", "kappa")
-"""Scaling of the sigma points; tuning an unscented filter searches it together with the model's parameters."""
+"""Scaling of the sigma points, which a tuning of an unscented filter searches in addition to a model's parameters."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Model:
         wrong, and have full weight. None: all measurements have full weight.
     kind : {"ukf", "ekf"}
         Unscented or extended. The extended filter takes derivatives by complex steps, so f and h must accept complex
-        states; it is not compiled.
+        states and are not compiled.
 
     Raises
     ------
@@ -156,7 +156,7 @@ class Model:
 
     @cached_property
     def record(self) -> Any:
-        """The class of p: a named tuple, which NumPy code and Numba both accept."""
+        """Class of p: a named tuple, which NumPy code and Numba both accept."""
         return _record(tuple(t.name for t in self.parameters))
 
     def values(self, parameters: Mapping[str, Any]) -> Any:
@@ -184,7 +184,7 @@ class Model:
         return [self.states.index(name) for name in names]
 
     def identity(self) -> dict[str, Any]:
-        """Return names, bounds, and a hash of the functions in plain types."""
+        """Return names, bounds and a hash of the functions, as plain types."""
         plain: dict[str, Any] = {
             "name": self.name,
             "kind": self.kind,
@@ -201,7 +201,7 @@ class Model:
 
 @cache
 def _record(names: tuple[str, ...]) -> Any:
-    """Return one class for equal names, since Numba would compile a kernel again for another class."""
+    """Return one class for equal names, since Numba compiles a kernel again for another class."""
     return namedtuple("p", names)  # pyright: ignore[reportUntypedNamedTuple]
 
 
@@ -258,6 +258,6 @@ def _add(digest: Any, thing: Any, seen: set[int]) -> None:
 
 
 def _names(code: CodeType) -> set[str]:
-    """Return the global names that a function and its inner functions may use."""
+    """Return the names of globals that a function and its inner functions may use."""
     inner = (_names(c) for c in code.co_consts if isinstance(c, CodeType))
     return set(code.co_names).union(*inner)

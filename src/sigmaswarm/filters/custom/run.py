@@ -36,10 +36,10 @@ class ModelEstimate:
     measurement_time : ndarray, shape (f,)
         Times of the measurements within ``time``, s.
     nis, nll : ndarray, shape (f,)
-        Normalized innovation squared and negative log-likelihood of each measurement, before its update. The mean NIS
-        of a consistent filter is the mean number of elements of a measurement, without those that are NaN.
+        Normalized innovation squared and negative log-likelihood of each measurement, before its update. For a
+        consistent filter, the mean NIS is the mean number of elements of a measurement that are not NaN.
     failure : str or None
-        The failure and its time; None without a failure.
+        The failure and its time; None if the filter did not fail.
     """
 
     time: Array
@@ -57,7 +57,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
     Parameters
     ----------
     log : Log
-        Its truth, if any, is not used.
+        The filter does not use the log's truth.
     model : Model
     parameters : mapping of str to float
         The model's parameters by name, as in `Tuning.parameters`; for an unscented filter also alpha, beta, kappa.
@@ -135,14 +135,14 @@ def failure_in(log: Log, steps: Steps, failed: int) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class Filtered(Trajectory):
-    """Trajectory of a filter at a log's ``time``, and each measurement's NIS and NLL, (f,)."""
+    """Trajectory of a filter at the times of a log, and NIS and NLL of each measurement, (f,)."""
 
     nis: Array
     nll: Array
 
 
 class Runner:
-    """Logs that are prepared once for any number of parameter sets; raises `InputError` if the model does not fit."""
+    """Logs prepared once for any number of parameter sets; raises `InputError` if the model does not fit the logs."""
 
     def __init__(self, model: Model, logs: Sequence[Log]) -> None:
         for log in logs:
@@ -165,7 +165,7 @@ def run_kernel(
     covariances: bool,
     runs: Array | None = None,
 ) -> Filtered:
-    """Run the compiled filter, or the textbook filter if there is no kernel; ``runs`` (m, 2) of outliers is updated."""
+    """Run the compiled filter, else the textbook filter; ``runs`` (m, 2): see `TextbookModel`, changed in place."""
     runs = np.zeros((steps.measurements.shape[1], 2)) if runs is None else runs
     p = model.values(parameters)
     if kernel is None:
@@ -199,7 +199,7 @@ def _run_textbook(
 def _textbook(
     model: Model, steps: Steps, parameters: Mapping[str, float], runs: Array
 ) -> TextbookModel | None:
-    """Return the textbook filter at the start of a log, or None if the user's functions fail there."""
+    """Return the textbook filter at the start of a log; None if the user's functions fail there."""
     try:
         with np.errstate(all="ignore"):  # the result is checked
             return TextbookModel(model, steps, _scaling(parameters), model.values(parameters), runs)
@@ -219,11 +219,11 @@ def _nothing(steps: Steps, *, covariances: bool, failed: int = -1) -> Filtered:
 
 _KERNELS: "WeakKeyDictionary[Model, dict[bool, Any]]" = WeakKeyDictionary()
 _BUILT: "WeakValueDictionary[str, Any]" = WeakValueDictionary()
-"""Kernels by the functions of their models: a model with other bounds or another R needs no compilation."""
+"""Kernels by the functions of a model, since other bounds or another R do not need another compilation."""
 
 
 def kernel_of(model: Model, steps: Steps, *, absent: bool = False) -> Any:
-    """Return the model's filter, compiled at its first use; None if it cannot be compiled.
+    """Return the kernel of a model, compiled at the first use; None if the model cannot be compiled.
 
     ``absent``: elements of measurements may be NaN.
     """
@@ -234,7 +234,7 @@ def kernel_of(model: Model, steps: Steps, *, absent: bool = False) -> Any:
 
 
 def _compiled(model: Model, steps: Steps, *, absent: bool) -> Any:
-    """Compile the filter, and compare it with the textbook filter. After a failure or difference, warn, return None."""
+    """Compile the filter and compare it with the textbook filter; warn and return None if it fails or differs."""
     few = replace(
         steps, **{name: getattr(steps, name)[:TRIED] for name in ("dt", "source", "updates", "records")}
     )

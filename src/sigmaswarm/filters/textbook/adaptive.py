@@ -39,8 +39,8 @@ class SageHusa:
 class FuzzyNoise:
     """Scale Q and R by fuzzy rules (Takagi and Sugeno 1985) on the innovations of the fixes: see `filters.fuzzy`.
 
-    Where NIS / 2 is small, both are divided by their gains; where it is large and rises, R is multiplied by its gain;
-    where it is large and does not rise, both are.
+    If NIS / 2 is small, R and Q are divided by their gains. If NIS / 2 is large and rises, R is multiplied by its gain.
+    If NIS / 2 is large and does not rise, both R and Q are multiplied.
     """
 
     tuned_process_noise: Array  # (n,), diagonal of Q per nominal step at a ratio of 1
@@ -114,7 +114,7 @@ class StudentT:
 
     R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
     the multivariate Student-t distribution, MLSP 2012. A filter with a wrong state would treat all fixes as outliers.
-    So the fix that ends a long run of outliers has weight 1, and P is inflated before this fix.
+    Therefore, the fix that ends a long run of outliers has weight 1, and P is inflated before this fix.
     """
 
     dof: float  # degrees of freedom
@@ -149,7 +149,7 @@ class StudentT:
 
 
 def stretched(filter: GaussianFilter, innovation: Innovation, size: float) -> Innovation:
-    """Inflate the part of P that a fix observes until tr S is at least ``size``, m2; return the innovation."""
+    """Inflate the part of P that a fix observes until tr S is at least ``size``, m2; return the new innovation."""
     cross = innovation.cross
     seen = cross.T @ np.linalg.solve(filter.covariance, cross)  # H P H^T, with H = C^T P^-1
     factor = max(1.0, (size - np.trace(innovation.noise)) / np.trace(seen))

@@ -49,7 +49,7 @@ class TextbookModel:
             kalman.correct(innovation)
 
     def _is_outlier(self, present: NDArray[np.int64], above: bool) -> bool:
-        """Return True for an NIS above the limit, unless it ends a long run of these for all present elements."""
+        """Return True if the NIS is above the limit, unless a long run of outliers of all present elements ends."""
         count, since = self.runs[present, 0], self.runs[present, 1]
         since[count == 0] = 0.0
         count = count + 1 if above else np.zeros(len(present))
@@ -80,7 +80,7 @@ def textbook_filter(model: Model, steps: Steps, scaling: Array, p: Any) -> Gauss
 
 
 def negative_log_likelihood(innovation: Innovation, limit: float = np.inf) -> float:
-    """Return -log N(nu; 0, S), which increases more slowly for an NIS above the limit, see `Model.robust`.
+    """Return -log N(nu; 0, S), with a slower increase for an NIS above the limit: see `Model.robust`.
 
     Raises `numpy.linalg.LinAlgError` if S is not a covariance.
     """

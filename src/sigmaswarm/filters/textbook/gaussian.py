@@ -43,7 +43,7 @@ class Innovation:
         return float(self.nu @ np.linalg.solve(self.variance, self.nu))
 
     def of(self, elements: NDArray[np.int64]) -> "Innovation":
-        """Return the innovation of some elements of the measurement: their rows and columns."""
+        """Return the innovation of some elements of the measurement."""
         square = np.ix_(elements, elements)
         return Innovation(
             self.nu[elements], self.variance[square], self.cross[:, elements], self.noise[square]

@@ -21,8 +21,6 @@ Retraction = Callable[[Array, Array], Array]
 
 
 class Stepper(Protocol):
-    """A filter on a time line."""
-
     filter: GaussianFilter
 
     def step(self, i: int) -> None:
@@ -32,8 +30,6 @@ class Stepper(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """State estimates of a filter at some times."""
-
     mean: Array  # (k, n), NaN after a failure
     covariance: Array  # (k, n, n), or empty
     failed: int  # step in which the filter failed, or -1
@@ -67,7 +63,7 @@ def run_steps(
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """Smoothed states of a filter, at the start and after each of k steps; steps after a failure are omitted."""
+    """Smoothed states of a filter at the start and after each of k steps; steps after a failure are omitted."""
 
     mean: Array  # (k + 1, n)
     covariance: Array  # (k + 1, n, n)
@@ -77,7 +73,7 @@ class Smoothed:
 def smooth_steps(
     stepper: Stepper, n_steps: int, *, plus: Retraction = add, minus: Retraction = sub
 ) -> Smoothed:
-    """Compute all steps, and smooth. ``plus`` adds an error to a state; ``minus`` returns it: see `manifold`."""
+    """Compute all steps, and smooth. ``plus`` adds an error to a state; ``minus`` is the inverse: see `manifold`."""
     filter, failed = stepper.filter, -1
     filtered, predictions = [(filter.mean, filter.covariance)], list[Prediction]()
     for i in range(n_steps):

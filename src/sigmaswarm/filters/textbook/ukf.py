@@ -25,7 +25,7 @@ from sigmaswarm.filters.textbook.gaussian import (
 
 
 class NotPositiveDefiniteError(SigmaswarmError):
-    """The covariance has no square root: the filter has failed."""
+    """The covariance has no square root, so the filter has failed."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class UnscentedKalmanFilter(GaussianFilter):
         Draw new sigma points after Q is added (FilterPy 2.0.0). False: apply h to the propagated points (FilterPy
         1.4.5, which the paper probably used).
     angles : sequence of int
-        States that are angles. f changes their differences from the center point; this change is wrapped. A circular
+        States that are angles. The change by f of an angle's difference from the center point is wrapped. A circular
         mean would be wrong, since for a small alpha the center's weight is a large negative number.
     measured_angles : sequence of int
         Elements of ``h`` that are angles: their differences from those of the center point, and their innovations, are
