@@ -56,7 +56,7 @@ class Cluster:
         return {address: int(worker["nthreads"]) for address, worker in found.items()}
 
     def version_errors(self, addresses: list[str]) -> dict[str, ClusterError]:
-        """Return an error for each worker with software versions that may give other results."""
+        """Return an error for each worker whose software versions may give other results."""
         try:
             run: Any = self.client.run
             answers: dict[str, Any] = run(versions, workers=addresses, on_error="return") if addresses else {}
@@ -130,7 +130,7 @@ def connected(address: str) -> Generator["Client"]:
 
 
 def _scheduler(address: str) -> str:
-    """Return the address of a scheduler; read it from a scheduler file if one is given."""
+    """Return a scheduler's address, read from a scheduler file if one is given."""
     if "://" in address:
         if not re.fullmatch(r"(?!tls)\w+://.+:\d+", address):
             raise InputError(

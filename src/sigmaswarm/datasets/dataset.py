@@ -17,15 +17,13 @@ T = TypeVar("T")
 
 
 class Dataset(Protocol):
-    """Drives in a fixed order. `pickle` requires that functions applied to them can be imported by name."""
+    """Drives in a fixed order. Applied functions must be importable by name, for `pickle`."""
 
     def __len__(self) -> int: ...
 
     def subset(self, indices: Sequence[int]) -> "Dataset": ...
 
-    def map(self, function: Callable[[Drive], T]) -> list[T]:
-        """Apply a function to each drive; return the results in the order of the drives."""
-        ...
+    def map(self, function: Callable[[Drive], T]) -> list[T]: ...
 
     def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
         """Apply a function to one drive after another, for large or slow results."""
@@ -88,7 +86,6 @@ def datasets_of(
 
 
 def _listed(given: Any, cluster: "Client | None", takes: str) -> "list[Any] | Dataset":
-    """Return a list of drives (with a cluster also paths and URLs), or the given dataset."""
     if hasattr(given, "imap"):
         return given
     drives: list[Any] = [given] if isinstance(given, str | Path) else listed(given)

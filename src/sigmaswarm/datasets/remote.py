@@ -25,12 +25,10 @@ from sigmaswarm.drives.urls import is_url
 from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
 
 T = TypeVar("T")
-Progress = Callable[[int, int], None]
-"""Function of the number of drives read so far, and the number of all drives."""
+Progress = Callable[[int, int], None]  # called with the numbers of drives read and of all drives
 
 POLL_INTERVAL = 2.0  # s, between requests to the scheduler for its workers
-MOST_RETRIES = 3
-"""Rounds without an answer, after which the drives are the likely cause of lost workers."""
+MOST_RETRIES = 3  # rounds without an answer, after which the drives are the likely cause of lost workers
 DRIVES_SHOWN = 10  # largest number of drives named in a message
 
 
@@ -98,7 +96,7 @@ class Assignment:
             return self.cluster.client.submit(run_task, call, sources, worker, **where)
 
     def result(self, worker: str, call: bytes, drives: Sequence[int], task: Any) -> Any:
-        """Wait for the answer of a task; None if its worker is lost."""
+        """Wait for the answer of a task; None if the worker is lost."""
         while True:
             try:
                 answer = task.result(timeout=POLL_INTERVAL)
@@ -119,10 +117,7 @@ class Assignment:
 
 
 def assigned(sizes: Sequence[float], threads: Mapping[str, int], before: Sequence[str]) -> list[str]:
-    """Assign drives to workers in proportion to their threads, with a tolerance of 5%, and move few drives.
-
-    ``before``: previous workers of the drives.
-    """
+    """Assign drives to workers in proportion to their threads, within 5%; move few away from the workers ``before``."""
     share = sum(sizes) / sum(threads.values())
     load, found = dict.fromkeys(threads, 0.0), [""] * len(sizes)
     largest_first = sorted(range(len(sizes)), key=lambda i: (-sizes[i], i))
@@ -154,8 +149,7 @@ class RemoteDataset:
     def call(self, function: Callable[..., T], *arguments: Any) -> list[tuple[list[int], T]]:
         """Call a function once on each worker; return, for each call, the indices of the drives and the result.
 
-        The function takes a list of `CachedDrive`, an Executor or None, and the arguments; it returns anything but
-        None.
+        The function takes a list of `CachedDrive`, an Executor or None, and the arguments, and must not return None.
         """
         from distributed.protocol.pickle import dumps
 
@@ -178,7 +172,7 @@ class RemoteDataset:
         return answers
 
     def map(self, function: Callable[[Drive], T]) -> list[T]:
-        """Apply a function to each drive.
+        """Apply a function to each drive, and return the results in the order of the drives.
 
         Raises
         ------

@@ -18,8 +18,7 @@ Source = Callable[[], tuple[Drive, list[SigmaswarmWarning]]]
 
 USABLE_MEMORY = 0.8  # share of a worker's memory, above which Dask pauses the worker
 BASE_MEMORY = 350e6  # bytes without drives: interpreter, Numba, polars
-BYTES_PER_COLUMN_BYTE = 3.3
-"""Memory of a prepared drive per byte of its columns, measured with truth and two passes by `benchmarks/fleet.py`."""
+BYTES_PER_COLUMN_BYTE = 3.3  # memory of a prepared drive / size of its columns, by `benchmarks/fleet.py`
 
 
 @dataclass(frozen=True)
@@ -50,12 +49,12 @@ class CachedDrive:
 
 
 class DriveCache:
-    """The drives of a worker; the least recently used are dropped if ``memory``, bytes, is short."""
+    """The drives of a worker; the least recently used drives are dropped if ``memory``, bytes, is short."""
 
     def __init__(self, worker: str, threads: int, memory: float) -> None:
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self._worker, self._memory = worker, memory
-        self._drives: dict[str, CachedDrive] = {}  # the most recently used one last
+        self._drives: dict[str, CachedDrive] = {}  # most recently used drive last
         self._lock = threading.Lock()
 
     def get(self, sources: Mapping[str, Source | None]) -> list[CachedDrive] | None:
@@ -99,7 +98,7 @@ def in_gb(size: float) -> str:
 
 
 _caches: dict[str, DriveCache] = {}
-"""Caches by the address of the worker; a process has several workers only in a cluster of threads."""
+"""Caches by the address of the worker; only a cluster of threads has several workers in a process."""
 _caches_lock = threading.Lock()
 
 

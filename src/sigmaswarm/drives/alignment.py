@@ -1,9 +1,9 @@
 """Find the start of a filter: an initial state from earlier samples of the drive, without truth.
 
-A car's heading is not observable at standstill; after several meters of driving, the course over ground shows it. A fit
-to the fixes of the last few seconds (`alignment_fit`) corrects the course for turns by the gyro, and for changes of
-speed by the accelerometer. The gyro's bias is subtracted, and the fit repeated, only if the fixes contradict a gyro
-without bias (`gyro_seen`).
+A car's heading is not observable at standstill; after several meters of driving, the course over ground shows it. The
+fit to the fixes of the last few seconds (`alignment_fit`) uses the gyro to correct the course for turns, and the
+accelerometer to correct it for changes of speed. The gyro's bias is subtracted, and the fit repeated, only if the fixes
+contradict a gyro without bias (`gyro_seen`).
 """
 
 from dataclasses import dataclass
@@ -20,31 +20,30 @@ from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
 
-MIN_DURATION, MAX_DURATION = 4.0, 6.0
-"""Shortest and longest duration of an alignment, s; since the gyro's bias accumulates, older fixes hardly help."""
+MIN_DURATION = 4.0  # s, shortest duration of an alignment
+MAX_DURATION = 6.0  # s, longest duration of an alignment; the gyro's bias accumulates over longer times
 MIN_TRAVEL = 20.0  # m within `MAX_DURATION`, for an accurate heading; requires 12 km/h
 ALIGNMENT_FIXES = 4  # smallest number within `MAX_DURATION`; one fix every 3 s is not enough
 WORTH_TRAVEL = 0.5 * MIN_TRAVEL  # m from the first to the last fix, a cheap test before the fit
-MAX_MISFIT = 0.3
-"""Largest residual of an alignment, as a share of the travel; larger residuals are due to jumps of the fixes."""
+MAX_MISFIT = 0.3  # largest residual of an alignment / travel; fixes that jump have larger residuals
 MAX_HEADING_STD = np.radians(6.0)  # rad; with a larger deviation, the next fix is tried
 REFITS = 3  # largest number of repeated fits, until the gyro bias has converged
 
-SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0
-"""Longer windows, s, for a vehicle that never travels `MIN_TRAVEL` within `MAX_DURATION`."""
-SLOW_TRAVEL, SLOW_SPEED = 10.0, 0.15
-"""Smallest travel (m) and mean speed (m/s) in these windows; the fixes of a parked receiver drift less."""
-SLOW_CHORD = 1.5 * MIN_TRAVEL  # m between two fixes within `MAX_DURATION`; with more, a drive is not slow
-SLOW_HEADING_STD = np.radians(12.0)  # rad, largest in these windows, including the effect of the gyro's bias
-SLOW_FIXES, SLOW_INTERVAL, SLOW_STEP = 8, 1.0, 2.0
-"""In these windows: smallest number of fixes; smallest interval of used fixes, s, since errors of closer fixes are
-correlated; time between trials, s."""
-SLOW_BIAS_STD = np.radians(1.0)  # rad/s, prior of the gyro's bias in these windows
+SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0  # s, windows for slow vehicles: no `MIN_TRAVEL` within `MAX_DURATION`
+SLOW_TRAVEL = 10.0  # m, smallest travel in a window for slow vehicles
+SLOW_SPEED = 0.15  # m/s, smallest mean speed of slow vehicles; the fixes of a parked receiver drift less
+SLOW_CHORD = 1.5 * MIN_TRAVEL  # m between two fixes within `MAX_DURATION`; a drive with more is not slow
+SLOW_HEADING_STD = np.radians(12.0)  # rad, largest for slow vehicles, including the effect of the gyro's bias
+SLOW_FIXES = 8  # smallest number of fixes in a window for slow vehicles
+SLOW_INTERVAL = 1.0  # s, smallest interval between used fixes; errors of closer fixes are correlated
+SLOW_STEP = 2.0  # s between trials of windows for slow vehicles
+SLOW_BIAS_STD = np.radians(1.0)  # rad/s, standard deviation of the prior of the gyro's bias for slow vehicles
 
 STATED_HEADING_STD = np.radians(5.0)  # rad, smallest assumed standard deviation of a stated heading
 MOST_STATED_STD = np.radians(12.0)  # rad, largest stated standard deviation for a start
-STATED_POSITION_STD, STATED_SPEED_STD, STATED_LATERAL_STD = 3.0, 10.0, 1.0
-"""Standard deviations at a start with a stated heading: position, m per axis; speed forward and to the left, m/s."""
+STATED_POSITION_STD = 3.0  # m per axis, at a start with a stated heading
+STATED_SPEED_STD = 10.0  # m/s forward, at a start with a stated heading
+STATED_LATERAL_STD = 1.0  # m/s to the left, at a start with a stated heading
 
 
 @dataclass(frozen=True)
@@ -136,8 +135,8 @@ def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoS
 class Alignments:
     """The alignments that end at each fix, computed on first use.
 
-    ``usable`` (number of fixes,) marks the fixes to use, by default all. ``time`` (m,), s, are the times of those
-    within the IMU's time span. ``longest``: longest duration, s, above `MAX_DURATION` for slow vehicles.
+    ``usable`` (number of fixes,) marks the fixes to use, by default all. ``time`` (m,), s, are the times of the used
+    fixes within the IMU's time span. ``longest``: longest duration, s; above `MAX_DURATION` for slow vehicles.
     """
 
     def __init__(
@@ -160,7 +159,7 @@ class Alignments:
         self._found: dict[int, InitialState | None] = {}
 
     def at(self, k: int) -> InitialState | None:
-        """Return the alignment that ends at fix k (a few ms); None without enough travel, or if the fixes jump."""
+        """Return the alignment that ends at fix k; None if the travel is too short or the fixes jump."""
         if k not in self._found:
             with np.errstate(all="ignore"):  # a fit that overflows is not an alignment
                 fitted = self._fitted_slow if self._slowly else self._fitted
@@ -219,7 +218,7 @@ class Alignments:
         return fit.state(self._leaning(k, fit.time)) if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
-        """Fit also the gyro's bias; leave out the accelerometer, whose bias accumulates over the longer time."""
+        """Fit the gyro's bias, too; do not use the accelerometer, whose bias accumulates over the longer time."""
         first = int(self._first[k])
         interval = float(self.time[k] - self.time[first]) / (k - first)
         rows = np.arange(k, first - 1, -max(1, round(SLOW_INTERVAL / interval)))[::-1]
@@ -254,10 +253,10 @@ class Alignments:
     @cached_property
     @np.errstate(all="ignore")
     def course(self) -> Array:
-        """Rough heading at each fix, rad, shape (m,); NaN without an alignment.
+        """Rough heading at each fix, rad, shape (m,); NaN if there is no alignment.
 
-        The heading is the direction of the chord of the last few seconds, corrected for turns. Changes of speed in a
-        turn cause errors of a few degrees.
+        The heading is the direction of the chord of the last few seconds, corrected for turns. A change of speed in a
+        turn causes an error of a few degrees.
         """
         imu, turned = self._drive.imu, self._integrals[0]
         direction = np.exp(1j * turned)

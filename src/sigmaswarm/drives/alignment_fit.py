@@ -54,9 +54,9 @@ class InitialState:
 class Fit:
     """A fit to the fixes of the last few seconds; unknowns east, north, theta, v, b at ``time``.
 
-    ``taken`` is the subtracted gyro bias, rad/s. ``yaw_bias`` and ``yaw_std`` are the estimated bias and its standard
-    deviation; ``bias_std`` is the deviation from the fit alone. ``turns`` is the change of the unknowns per rad/s of
-    bias.
+    ``taken`` is the subtracted gyro bias, rad/s. ``yaw_bias`` and ``yaw_std``, rad/s, are the estimated bias and its
+    standard deviation; ``bias_std`` is its standard deviation from the fit alone, without prior. ``turns`` is the
+    change of the unknowns per rad/s of bias.
     """
 
     time: float
@@ -174,7 +174,7 @@ class Fit:
         bias = np.nan_to_num(np.append(leaning, self.yaw_bias))
         lean = np.where(np.isfinite(leaning), (LEAN_STD / self.span) ** 2, np.inf)
         variance = np.append(lean, self.yaw_std**2)
-        if abs(self.yaw_bias) > MOST_BIAS:  # the bias is then unknown
+        if abs(self.yaw_bias) > MOST_BIAS:  # the bias is unknown
             bias[UP], variance[UP] = self.taken, np.inf
         gyro = GyroSeen(bias, variance, self.taken, jacobian[:, :4] @ self.turns)
         return InitialState(mean, 0.5 * (covariance + covariance.T), self.time, gyro)
@@ -194,7 +194,7 @@ def _real(column: Complex) -> Array:
 def _one_more(jacobian: Array, residual: Array, column: Array) -> tuple[float, float, Array]:
     """Add an unknown with the Jacobian ``column`` (m,) to a solved least-squares problem (m, n).
 
-    Return its value, its standard deviation, and the change of the other unknowns per unit of this unknown, (n,).
+    Return the unknown's value, its standard deviation, and the change of the other unknowns per unit of it, (n,).
     """
     others = np.linalg.lstsq(jacobian, column, rcond=None)[0]
     alone = column - jacobian @ others

@@ -14,29 +14,25 @@ from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.wording import counted
 
-FEWEST_SAMPLES, FEWEST_SHARED_FIXES = 100, 10
-"""Smallest number of IMU samples, and of fixes within the time of the IMU."""
-IMU_GAP = (10.0, 0.1)
-"""Limits of a gap of the IMU, in usual intervals and in s; a gap exceeds both."""
-GPS_GAP = (5.0, 2.0)
-"""Limits of a gap of fixes or truth, in usual intervals and in s; a gap exceeds both."""
-UNSHARED = 10.0
-"""Shortest reported time without the other sensor at the start or end, s."""
+FEWEST_SAMPLES = 100  # of the IMU
+FEWEST_SHARED_FIXES = 10  # within the time of the IMU
+IMU_GAP = (10.0, 0.1)  # limits of a gap of the IMU, in usual intervals and in s; a gap exceeds both
+GPS_GAP = (5.0, 2.0)  # limits of a gap of fixes or truth, in usual intervals and in s; a gap exceeds both
+UNSHARED = 10.0  # s, shortest reported time without the other sensor at the start or end
 UNSHARED_IMU = 0.1
-"""Shortest such time as a share of the IMU's time span; many logs begin before the receiver has its first fix."""
+"""Shortest reported time without fixes at an end / the IMU's time span; many logs begin before the first fix."""
 GRAVITY = 9.80665  # m/s2, standard gravity; filters and their exported C have 9.81: see `filters.tilted`
 IMPOSSIBLE_RATE = 3.0  # rad/s; no car makes half a turn in a second
-TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units per second
+TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # per second
 _SLOWEST = (2.0, 60.0)  # s between samples and between fixes; longer intervals suggest another unit
 _USUAL = (0.5, 20.0)  # s between samples and between fixes; a unit with longer intervals is wrong
 _JUMP = 3600.0  # s; a longer interval is due to a corrupt time stamp or to a clock that was set
-_WINDOW = 5.0
-"""Time over which fixes give speed and course, s: long enough for noise of meters, short enough for turns."""
+_WINDOW = 5.0  # s, window for speed and course: long enough for noise of meters, short enough for turns
 
 
 @dataclass(frozen=True)
 class Remark:
-    """A probable fault; ``code`` is that of the doctor (docs/doctor.md)."""
+    """A probable fault; ``code`` is a code of the doctor (docs/doctor.md)."""
 
     code: str
     file: str
@@ -50,7 +46,7 @@ class Remark:
 
 @dataclass(frozen=True)
 class Gaps:
-    """Number of gaps, start and length of the longest gap, and usual interval, s."""
+    """Number of gaps; start and length of the longest gap, and usual interval, s."""
 
     count: int
     start: float
@@ -61,7 +57,7 @@ class Gaps:
 def checked(imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str]) -> list[SigmaswarmWarning]:
     """Raise `DriveError` if there are too few data; return warnings of other faults.
 
-    ``placed``: adds the folder to a sentence with imu.csv or gps.csv.
+    ``placed`` adds the folder to a sentence about imu.csv or gps.csv.
     """
     if shortage := shortage_of(imu, gps):
         raise DriveError(placed(shortage))
@@ -69,7 +65,7 @@ def checked(imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str
 
 
 def shortage_of(imu: Imu, gps: Gps) -> str | None:
-    """Return a sentence if a drive has too few data to be usable; else None."""
+    """Return a sentence if a drive has too few data to be usable, else None."""
     first, last = imu.time[[0, -1]]
     if first > gps.time[-1] or gps.time[0] > last:
         return (
@@ -242,8 +238,8 @@ def unshared_times(imu: Array, gps: Array) -> Remark | None:
 def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
     """Return the motion of the fixes over windows, and the integral of an IMU column.
 
-    The arrays are: the mean velocity (k,), m/s east + i north; the integral of ``body_rate`` and the change of course,
-    rad, between the middles of consecutive windows, (k - 1,). Windows without fixes are left out.
+    The arrays are the mean velocity (k,), m/s east + i north, and, (k - 1,), rad, the integral of ``body_rate`` and the
+    change of course between the middles of consecutive windows. Windows without fixes are left out.
     """
     start, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
     window = np.unique(np.floor((gps.time[(gps.time >= start) & (gps.time <= end)] - start) / _WINDOW))
@@ -262,7 +258,7 @@ def impossible_rate(gz: Array) -> bool:
 
 
 def _angular_rate(imu: Imu, gps: Gps) -> Iterator[Remark]:
-    """Check for gz in deg/s: its integral is 57 times the change of course."""
+    """Check for gz in deg/s, whose integral is 57 times the change of course."""
     velocity, turned, turn = _seen_by_fixes(imu, gps, imu.gz)
     moving = np.abs(velocity) > 4.0  # m/s; at lower speeds, noise of the fixes dominates the course
     both = moving[1:] & moving[:-1]
@@ -277,7 +273,7 @@ def _angular_rate(imu: Imu, gps: Gps) -> Iterator[Remark]:
 
 
 def _acceleration(imu: Imu, gps: Gps) -> Iterator[Remark]:
-    """Check for ax in g, without az: its integral is then about a tenth of the changes of speed."""
+    """Check for ax in g if there is no az: the integral of ax is about a tenth of the changes of speed."""
     if imu.az is not None:
         return
     velocity, gained, _ = _seen_by_fixes(imu, gps, imu.ax)

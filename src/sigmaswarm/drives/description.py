@@ -17,6 +17,7 @@ WRITE_IT = 'write this file with the line frame = "enu" (x, y) or frame = "wgs84
 Frame = Literal["enu", "wgs84"]
 
 POSITIONS: dict[Frame, tuple[str, str]] = {"enu": ("x", "y"), "wgs84": ("lat", "lon")}
+# Keys of drive.toml that filters use: allowed numbers of elements (0: a single number), and an example.
 _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "gps_lever_arm_m": ((2, 3), "[1.2, 0.0, 0.5]"),
     "gps_lever_arm_std_m": ((2, 3), "[0.05, 0.05, 0.1]"),
@@ -29,11 +30,9 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "gyro_bias_walk": ((0,), "0.00001"),
     "imu_stated_noise": ((2,), "[1e-4, 1e-2]"),
 }
-"""Keys of drive.toml that filters use: allowed numbers of elements (0: a single number), and an example."""
-CUT, OF_A_CUT = "cut_from", frozenset({"drive", "sha256", "start_s", "end_s"})
-"""Table in the drive.toml of a part of a drive, and its keys."""
-ALIKE = 0.8
-"""Similarity of an unknown key to a known one, 0 to 1, above which it counts as misspelled."""
+CUT = "cut_from"  # table in the drive.toml of a part of a drive
+OF_A_CUT = frozenset({"drive", "sha256", "start_s", "end_s"})  # keys of the table `CUT`
+ALIKE = 0.8  # similarity of an unknown key to a known one, 0 to 1, above which it counts as misspelled
 _ANGLES = {
     "heading_deg": "degrees counter-clockwise from east",
     "imu_mounting_deg": "roll, pitch and yaw in degrees",
@@ -62,7 +61,7 @@ def read_description(path: Path) -> dict[str, Any]:
 
 
 def ineffective_keys(about: Mapping[str, Any], path: Path) -> Iterator[str]:
-    """Yield a message for each key of drive.toml that seems meant for a filter, but that no filter uses."""
+    """Yield a message for each key of drive.toml that seems meant for a filter but has no effect."""
     for key, value in about.items():
         if isinstance(value, dict):
             for inner in cast("dict[str, Any]", value):
@@ -112,7 +111,7 @@ def _origin(value: Any, path: Path) -> Origin:
 
 
 def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
-    """Return the stated frame, which must agree with the columns, or the frame of the columns."""
+    """Return the stated frame, which must agree with the columns, or else the frame of the columns."""
     description = gps.parent / "drive.toml"
     if stated not in (None, *POSITIONS):
         raise DriveError(f'{description}: frame = {value_shown(stated)} is unknown; write "enu" or "wgs84"')

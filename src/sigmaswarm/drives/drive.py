@@ -127,7 +127,7 @@ class Drive:
 
     @property
     def antenna_height(self) -> float:
-        """Height of the antenna above the IMU, m: the third number of ``gps_lever_arm_m``, else 0."""
+        """Height of the antenna above the IMU, m: third element of ``gps_lever_arm_m``, else 0."""
         arm = self.metadata.get("gps_lever_arm_m", ())
         return float(arm[2]) if len(arm) > 2 else 0.0
 

@@ -30,15 +30,15 @@ HEADING = 256  # the fix has a heading
 CORNERING = 4.0  # m/s2, lateral acceleration above which tires slip too much for the lateral constraint
 
 LATERAL_SLOT, STANDSTILL_SLOT, ODOMETER_SLOT, ODOMETER_TIME = range(4)
-"""The slots of the last updates by the constraints and the odometer, and the time of the last odometer update."""
+"""Indices: slots of the last updates by the constraints and the odometer, and time of the last odometer update."""
 NO_READINGS = np.empty((0, 2))
 
 
 class Events(NamedTuple):
     """The events of a time line.
 
-    ``flags`` (k,): the bits FIX ... HEADING at the end of each step. ``wheels`` (o, 3): measurements of the odometer
-    at the steps with the bit ODOMETER, see `drives.odometer`.
+    ``flags`` (k,): the bits FIX to HEADING at the end of each step. ``wheels`` (o, 3): odometer measurements at the
+    steps with the bit ODOMETER, see `drives.odometer`.
     """
 
     flags: NDArray[np.uint16]
@@ -48,8 +48,8 @@ class Events(NamedTuple):
 def events_of(line: Timeline, used: Set[str]) -> Events:
     """Return the events of a filter that uses the measurements ``used``, see `filters.schedule.measured_by`.
 
-    With "ay", the bit STANDSTILL marks samples whose lateral acceleration robot-localization fuses; that model has no
-    standstills.
+    With "ay" (robot-localization, which has no standstills), the bit STANDSTILL marks samples whose lateral
+    acceleration is fused.
     """
     flags = np.zeros(len(line.updates), dtype=np.uint16)
     flags[line.updates] |= FIX
@@ -95,7 +95,7 @@ def _add_sample_events(
     stands: Mask,
     readings: Array,
 ) -> int:
-    """Add the events of all IMU samples to ``flags``; return the number of rows of ``wheels`` that were filled."""
+    """Add the events of all IMU samples to ``flags``; return the number of filled rows of ``wheels``."""
     n, come, before, mean = 0, 0, start, np.empty(3)
     done = np.array([-1.0, -1.0, -1.0, start])
     for k in range(len(end)):
@@ -116,7 +116,6 @@ def _add_sample_events(
 
 @register_jitable
 def slot_of(t: Any, start: float, interval: float) -> Any:
-    """Return the number of the interval that contains a time."""
     return np.floor((t - start) / interval + 1e-6)
 
 

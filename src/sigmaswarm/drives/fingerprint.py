@@ -9,11 +9,11 @@ from pydantic import BaseModel, Field, FiniteFloat
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.mounting import AXES_KEY, KEY, axes_of
 
+# For messages and pages, how `alignment` finds the start.
 START_RULE = (
     "the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster; on a slower drive, 10 m "
     "or more in up to 90 s), or at an earlier fix with a heading"
 )
-"""Description of the start that `alignment` finds (`DriveRecord.scored_from_s`), for messages and pages."""
 
 
 class DriveRecord(BaseModel):
@@ -27,14 +27,10 @@ class DriveRecord(BaseModel):
     imu_mounting_deg: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     imu_axes: dict[str, str] = Field(default_factory=dict)
     sha256: str = ""
-    truth_share: float | None = None
-    """Share of an evaluated drive's scored time in which truth is known."""
-    scored_from_s: float | None = None
-    """Start of filters and scores of an evaluated drive, s after the first sample."""
-    seen_s: float | None = None
-    """Duration of the part of an evaluated drive that the training drives contain, s."""
-    seen_in: list[str] = Field(default_factory=list)
-    """Names of the training drives that contain parts of an evaluated drive."""
+    truth_share: float | None = None  # evaluated drive: time with known truth / scored time
+    scored_from_s: float | None = None  # evaluated drive: start of filters and scores, s after first sample
+    seen_s: float | None = None  # evaluated drive: duration of the part that the training drives contain, s
+    seen_in: list[str] = Field(default_factory=list)  # training drives with parts of an evaluated drive
 
 
 def record_of(drive: Drive) -> dict[str, Any]:

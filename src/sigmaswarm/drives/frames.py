@@ -20,7 +20,7 @@ _TIMES = ("t", "time")
 def tables_from_frames(
     frames: Mapping[str, Any], renamed: Mapping[str, str], origin: Origin | None
 ) -> tuple[dict[str, Any], dict[str, Any], list[SigmaswarmWarning]]:
-    """Return tables, further arguments of `Drive`, and warnings of ignored columns, for `Drive.from_frames`."""
+    """Return tables, other arguments of `Drive`, and warnings of ignored columns."""
     arrays = {name: _columns_of(frame, name, renamed) for name, frame in frames.items()}
     start = _to_seconds(arrays)
     frame: Frame = "wgs84" if "x" not in arrays["gps"] else "enu"

@@ -7,14 +7,12 @@ from sigmaswarm.drives.drive import Array
 
 MANY = 5.0  # usual intervals; a gap is longer
 SHORTEST = 0.05  # s; a gap is also longer than this time
-OVER = 32.0
-"""Approximate number of intervals over which the usual interval is averaged."""
-MOST = 3.0
-"""Upper limit of an interval in this average, in usual intervals, so that a gap does not become usual."""
+OVER = 32.0  # approximate number of averaged intervals
+MOST = 3.0  # usual intervals; limit of an interval in the average, so that a gap does not become usual
 
 
 def gaps_before(time: Array) -> Array:
-    """Return the length of the gap that ends at each sample, (n,) s; 0 without a gap. ``time``: (n,) s."""
+    """Return the length of the gap that ends at each sample of ``time`` (n,), s; 0 if there is none."""
     gaps = np.zeros(len(time))
     _find_gaps(np.ascontiguousarray(time, dtype=np.float64), gaps)
     return gaps

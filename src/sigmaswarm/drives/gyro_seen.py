@@ -1,8 +1,8 @@
 """Gyro bias from the last few seconds before a start, and its use by filters.
 
-A cheap gyro may start with a bias of 20 deg/s. Then the curvature of its path differs from that of the fixes, and the
-integrated roll drifts. Both determine the bias to about 1 deg/s. This is far more accurate than the prior of a cheap
-gyro. A good gyro has a ``bias_std`` below 1 deg/s and keeps its prior.
+A cheap gyro may start with a bias of 20 deg/s. With this bias, the curvature of the gyro's path differs from that of
+the fixes, and the integrated roll drifts. Both effects determine the bias to about 1 deg/s. This accuracy is far better
+than that of a cheap gyro's prior. A good gyro has a ``bias_std`` below 1 deg/s and keeps its prior.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,21 +13,17 @@ import numpy as np
 from sigmaswarm.drives.tables import Array
 
 UP = 2  # axis of the rate about the vertical
-CONTRADICTS = 5.0
-"""Number of standard deviations above which an alignment subtracts a bias about the vertical axis."""
+CONTRADICTS = 5.0  # standard deviations; an alignment subtracts a larger bias about the vertical axis
 STRANGE = 1e-5
-"""Prior probability that the gyro is far worse than that used for tuning; a bias of five sigmas confirms such a gyro.
+"""Prior probability that the gyro is far worse than that used for tuning; a bias of five sigmas confirms that the gyro
+is worse.
 
-A probability of 1e-3 would increase the standard deviation of a good gyro's bias by 0.07 deg/s.
+With 1e-3, the standard deviation of a good gyro's bias would increase by 0.07 deg/s.
 """
-STRANGE_STD = 0.2
-"""Standard deviation of the bias of such a gyro, rad/s; an uncalibrated MPU-6050 may have 20 deg/s."""
-YAW_STD = np.radians(1.0)
-"""Smallest standard deviation of the bias, rad/s, since the car slips and receivers smooth their fixes."""
-TURN_SHARE = 0.3
-"""Share of the mean rate of a turn that may look like a bias, since fixes lag and the car slips."""
-LEAN_STD = np.radians(8.0)
-"""Standard deviation of changes of roll and pitch within a few seconds, rad, as at the beginning of a climb."""
+STRANGE_STD = 0.2  # rad/s, deviation of a far worse gyro's bias; an uncalibrated MPU-6050 may have 20 deg/s
+YAW_STD = np.radians(1.0)  # rad/s, smallest deviation of the bias, since cars slip and receivers smooth
+TURN_SHARE = 0.3  # share of a turn's mean rate that may look like a bias, since fixes lag and the car slips
+LEAN_STD = np.radians(8.0)  # rad, deviation of changes of roll and pitch in a few seconds, as on hills
 MOST_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that suggest a larger bias have jumped
 
 
@@ -46,7 +42,7 @@ class GyroSeen:
     turns: Array
 
     def with_bias(self, known: float) -> "GyroSeen":
-        """Return the evidence for the original gyro, from which a known bias about up, rad/s, had been subtracted."""
+        """Return the evidence for the original gyro, before a known bias about up, rad/s, was subtracted."""
         bias = self.bias.copy()
         bias[UP] += known
         return replace(self, bias=bias, taken=self.taken + known)
@@ -84,4 +80,4 @@ class GyroSeen:
 def together(seen: Sequence[GyroSeen]) -> GyroSeen:
     """Stack the evidence of m alignments for filters with means (m, r, n); arrays have shape (m, 1, ...)."""
     stacked = (np.array([getattr(one, f.name) for one in seen])[:, np.newaxis] for f in fields(GyroSeen))
-    return GyroSeen(*stacked)  # pyright: ignore[reportArgumentType] (of many ``taken`` is an array, too)
+    return GyroSeen(*stacked)  # pyright: ignore[reportArgumentType] (``taken`` is an array, too)

@@ -1,4 +1,4 @@
-"""The axes and the mounting of the IMU in drive.toml: how the vehicle's axes are computed from its samples."""
+"""The axes and the mounting of the IMU in drive.toml, from which the vehicle's axes are computed."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, cast
@@ -9,21 +9,17 @@ from sigmaswarm.drives.tables import Array
 from sigmaswarm.geodesy import roll_pitch_yaw, rotation_of
 
 KEY = "imu_mounting_deg"
-AXES_KEY = "imu_axes"
-"""Table of the expressions of the IMU's axes over a log's columns, before the rotation."""
-Angles = tuple[float, float, float]
-"""Roll, pitch and yaw of the IMU in the vehicle, deg, as in ``import --mount``."""
-AGREE = 3.0
-"""Mountings of drives agree if their angles to the mean mounting, deg, are at most this."""
-DIGITS = 9
-"""Decimals of a stated angle, deg; the error of the rotation is below 1e-10."""
+AXES_KEY = "imu_axes"  # table of the expressions of the IMU's axes over a log's columns, before the rotation
+Angles = tuple[float, float, float]  # roll, pitch and yaw of the IMU, deg, as in ``import --mount``
+AGREE = 3.0  # deg, largest angle to the mean mounting of drives with one common mounting
+DIGITS = 9  # decimals of a stated angle, deg; the error of the rotation is below 1e-10
 NOT_TURNED = (0.0, 0.0, 0.0)
 
 
 def with_rotation(metadata: Mapping[str, Any], rotation: Array | None) -> dict[str, Any]:
     """Return a drive's metadata after a further rotation (3, 3) of its IMU.
 
-    None: the axes were changed, but not by a rotation; no mounting then relates the samples to those of the sensor.
+    None: the axes were changed, but not by a rotation, so no mounting relates the samples to the sensor's axes.
     """
     if rotation is not None and np.allclose(rotation, np.eye(3), rtol=0, atol=1e-12):
         return {**metadata}
@@ -39,20 +35,20 @@ def without_axes(metadata: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def axes_of(metadata: Mapping[str, Any]) -> dict[str, str]:
-    """Return the expressions of the IMU's axes that a drive states; empty without them."""
+    """Return the expressions of the IMU's axes that a drive states; empty if it states none."""
     stated = metadata.get(AXES_KEY)
     axes = cast("dict[str, Any]", stated if isinstance(stated, dict) else {})
     return {axis: str(text) for axis, text in axes.items()}
 
 
 def common_axes(stated: Iterable[Mapping[str, str]]) -> dict[str, str]:
-    """Return the expressions of the IMU's axes if all drives state the same expressions; else empty."""
+    """Return the expressions of the IMU's axes that all drives state alike; empty if the drives differ."""
     first, *others = [*stated] or [{}]
     return {**first} if all(other == first for other in others) else {}
 
 
 def common_mounting(stated: Iterable[Angles | None]) -> Angles | None:
-    """Return the mean mounting if the mounting of each drive is within `AGREE` of the mean; else, or without any, None.
+    """Return the mean mounting; None if a mounting differs by more than `AGREE` from it, or no drive states a mounting.
 
     A drive without a mounting counts as not rotated.
     """

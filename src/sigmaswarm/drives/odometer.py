@@ -1,20 +1,19 @@
 """Odometer measurements of a filter: readings averaged over at least a tenth of a second.
 
-Errors of readings are not white (scale, quantization, tires). So such a mean contains as much information as readings
-at 83 Hz, with less quantization error. At low speed there are few pulses, and the odometer may read zero while the car
-moves.
+Errors of readings are correlated (scale, quantization, tires). An average therefore contains as much information as
+readings at 83 Hz, with less quantization error. At low speed, pulses are rare, and the odometer may read zero while the
+car moves.
 """
 
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array
 
 INTERVAL = 0.1  # s, shortest time between measurements, and largest age of a reading in a measurement
-SLOW = 0.5
-"""Speed below which the odometer may read too low, m/s; its square is added to the variance of lower readings."""
+SLOW = 0.5  # m/s; lower readings may be too low, so the square of this speed is added to their variance
 LARGEST_AGE = 1.0  # s; an older reading does not show whether the wheels turn
 
 SPEED, AGE, MORE = range(3)
-"""Columns of a measurement: mean of the readings (m/s), their mean age (s), and additional variance in R (m2/s2)."""
+"""Columns of a measurement: mean of the readings (m/s), their mean age (s), and addition to R (m2/s2)."""
 
 
 @cached

@@ -12,7 +12,7 @@ SECONDS_PER_OUTAGE = 15.0  # s of driving per window in `random_windows`
 def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> Mask:
     """Return True for fixes (n,) s in an outage (k, 2) s, including both ends.
 
-    The end is included since drift is measured there, before any new fix.
+    Drift is measured at the end of an outage, before any new fix.
     """
     t = np.asarray(time, dtype=np.float64)
     starts, ends = np.sort(_checked(windows), axis=0).T
@@ -65,8 +65,8 @@ def balanced_windows(
 ) -> Array:
     """Draw one outage in each ``every`` seconds between two times, s, (k, 2).
 
-    Each outage has a random length in the range ``length``, s, and begins at least ``apart`` s after the start or the
-    previous outage.
+    Each outage begins at least ``apart`` s after the start or the previous outage, and has a random length in the range
+    ``length``, s.
     """
     if not (0 < length[0] <= length[1] and apart >= 0 and every >= length[1] + apart):
         raise InputError(
@@ -84,9 +84,9 @@ def balanced_windows(
 def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) -> Array:
     """Shift windows (k, 2), sorted by time, so that each ends exactly at an IMU sample (n,), s.
 
-    An end moves to the first sample at or after it, or later to keep ``apart`` s from the previous window; the length
-    does not change. An end after the last sample moves back to this sample; a window that is then too close is left
-    out.
+    An end moves to the first sample at or after it, or to a later one that keeps ``apart`` s from the previous window.
+    The length does not change. An end after the last sample moves back to this sample; a window that is then too close
+    is left out.
     """
     samples = np.asarray(imu_time, dtype=np.float64)
     snapped: list[list[float]] = []

@@ -1,9 +1,9 @@
 """Find the part of a drive that other drives contain, even in renamed, cut or repaired copies.
 
 Landmarks are equal in all copies of a drive and differ in all other drives: positions with the receiver's noise, and
-yaw rates with the gyro's noise. Each pair of equal landmarks votes for an offset between two clocks (as in Wang, "An
-Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy keeps the yaw rates if fixes are left out, shifted or
-replaced, and the fixes if the IMU is rotated or interpolated.
+yaw rates with the gyro's noise. Each pair of equal landmarks votes for an offset between the clocks of two drives (as
+in Wang, "An Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy keeps the yaw rates if fixes are left out,
+shifted or replaced, and the fixes if the IMU is rotated or interpolated.
 """
 
 import math
@@ -25,20 +25,15 @@ from sigmaswarm.geodesy import enu_to_geodetic
 
 Whole = NDArray[np.int64]
 
-TRAINING_DATA_FILE = "seen.npz"
-"""File with the landmarks of a tuning."""
+TRAINING_DATA_FILE = "seen.npz"  # landmarks of a tuning
 MICRO = 1_000_000
 SAME_TIME = 1000  # us, largest difference between the times of one landmark, after the clock offset
 SAME_PLACE = 3.0  # cm or 1e-7 deg (1.1 cm to the north), largest difference of one fix in two files
-SAME_RATE = 2e-4
-"""Largest difference between the logarithms of equal yaw rates that were written with 8 decimals in two units."""
+SAME_RATE = 2e-4  # largest difference between ln of equal yaw rates that have 8 decimals in two units
 MOVING = 1.5  # m/s, smallest speed between a landmark and a neighboring fix
-UNITS = math.log(180 / math.pi)
-"""ln of the ratio of rad/s to deg/s; landmarks are the logarithms of yaw rates modulo this number."""
-WIDTH = 0.4
-"""Width of the part of `UNITS` that contains landmarks: a tenth of all samples, about those of 1 to 1.5 deg/s."""
-MOST = 20_000
-"""Largest number of yaw-rate landmarks; a long drive uses a smaller part of `UNITS`."""
+UNITS = math.log(180 / math.pi)  # ln of the ratio of rad/s to deg/s; landmarks are ln|gz| modulo this
+WIDTH = 0.4  # part of `UNITS` that contains landmarks: a tenth of all samples, about those of 1 to 1.5 deg/s
+MOST = 20_000  # largest number of yaw-rate landmarks; a long drive uses a smaller part of `UNITS`
 COMMON = 100  # occurrences in a drive; a more frequent yaw rate, as of a coarse gyro, is ignored
 FEWEST = 8  # smallest number of landmarks with different values that must agree
 SHARE = 0.5  # smallest share of the landmarks in the common time that must agree
@@ -48,9 +43,9 @@ SHARE = 0.5  # smallest share of the landmarks in the common time that must agre
 class Landmarks:
     """The landmarks of a drive, a thousandth of its size.
 
-    ``sha256``: `fingerprint` of the drive; ``span``: start and end of the IMU samples, s; ``fixes`` (n, 3): time (us)
-    and position, latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm); ``rates`` (k, 2): time (s) and
-    ln|gz| modulo ``UNITS``, below ``width``, which is the same in rad/s and deg/s and for both signs.
+    ``sha256``: `fingerprint` of the drive. ``span``: start and end of the IMU samples, s. ``fixes`` (n, 3): time (us)
+    and position, latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm). ``rates`` (k, 2): time (s) and
+    ln|gz| modulo ``UNITS``, below ``width``. This value is the same in rad/s and deg/s and for both signs.
     """
 
     name: str
@@ -63,7 +58,7 @@ class Landmarks:
 
     @property
     def distinguishes_parts(self) -> bool:
-        """True if parts of the drive can be recognized, not only the whole drive."""
+        """True if not only the whole drive but also parts of it can be recognized."""
         return max(len(self.fixes), len(self.rates)) >= FEWEST
 
 
@@ -108,7 +103,7 @@ def whole_drive(name: str, sha256: str, duration: float) -> Landmarks:
 
 
 def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
-    """Return the duration, s, of the parts that other drives contain, and their names."""
+    """Return the duration, s, of the parts that other drives contain, and the names of these drives."""
     found = [(other.name, part) for other in others if (part := _common(drive, other)) is not None]
     covered, until = 0.0, -math.inf
     for start, end in sorted(part for _, part in found):
@@ -124,7 +119,7 @@ def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | No
 
 
 def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:
-    """Return start and end of the part of ``one`` that ``other`` contains, s on its clock; None without such a part."""
+    """Return start and end of the part that ``other`` contains, s on the clock of ``one``; None if there is none."""
     if one.sha256 == other.sha256:
         return one.span
     for offset in (_by_fixes(one, other), _by_rates(one, other)):
@@ -136,7 +131,7 @@ def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:
 
 
 def _by_fixes(one: Landmarks, other: Landmarks) -> float | None:
-    """Return the clock offset, s, from equal fixes; None without enough equal fixes."""
+    """Return the clock offset, s, from equal fixes; None if there are too few."""
     if one.geographic != other.geographic:
         return None
     return _offset(one.fixes.astype(np.float64), other.fixes.astype(np.float64), SAME_PLACE)
@@ -156,8 +151,8 @@ def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
 def _offset(a: Array, b: Array, tolerance: float) -> float | None:
     """Return the offset, s, between the clocks of landmarks (time in us, values ...) with the most equal pairs.
 
-    Since some pairs agree by chance, half of the landmarks in the common time must agree: half of those of the drive
-    with fewer, since a copy may be decimated. Values must differ, since a standing car repeats one value.
+    Some pairs agree by chance. At least half of the landmarks in the common time must therefore agree, for the drive
+    with fewer landmarks, since a copy may be decimated. Values must differ, since a standing car repeats one value.
     """
     if min(len(a), len(b)) < FEWEST:
         return None
@@ -190,7 +185,7 @@ def _equal(a: Array, b: Array, tolerance: float) -> tuple[Whole, Whole]:
 def save_landmarks(
     seen: Iterable[Landmarks], path: Path, names: Sequence[tuple[str, str]] | None = None
 ) -> None:
-    """Save landmarks of drives; with ``names`` (name, fingerprint), they may be computed one by one."""
+    """Save landmarks of drives; if ``names`` (name, fingerprint) are given, landmarks can be computed one by one."""
     if names is None:
         seen = list(seen)
         names = [(marks.name, marks.sha256) for marks in seen]
@@ -226,7 +221,7 @@ class SavedLandmarks(Sequence[Landmarks]):
 
 
 def load_landmarks(path: Path) -> list[Landmarks] | None:
-    """Load a file of `save_landmarks`; None without a file, as in tunings of early versions."""
+    """Load a file of `save_landmarks`; None if it is missing, as in tunings of early versions."""
     if not path.exists():
         return None
     try:

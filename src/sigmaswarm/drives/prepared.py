@@ -16,8 +16,8 @@ SMALL = 500_000  # steps of a time line that is kept in memory: more than an hou
 class PreparedDrive:
     """A drive with the start and the time lines of all filters that run over it.
 
-    The start is ``initial``, by default that of the alignment. ``as_recorded``, for diagnosis and the paper's protocol:
-    use stale fixes, and treat IMU gaps as ordinary steps.
+    ``initial`` is by default the start of the alignment. With ``as_recorded``, for diagnosis and the paper's protocol,
+    stale fixes are used, and IMU gaps are ordinary steps.
     """
 
     def __init__(
@@ -30,7 +30,7 @@ class PreparedDrive:
 
     @cached_property
     def initial(self) -> InitialState:
-        """The start of filters; raises AlignmentError if the drive never moves far enough."""
+        """Start of filters; raises AlignmentError if the drive never moves far enough."""
         return self._given or initial_state(self.drive, as_recorded=self.as_recorded)
 
     @cached_property
@@ -44,7 +44,7 @@ class PreparedDrive:
         return self.kinds >= STALE
 
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
-        """Return the steps of a filter with all fixes except the ``hidden`` ones (g,); computed once.
+        """Return the steps of a filter with all fixes except ``hidden`` (g,); computed once.
 
         With ``removed``, no step ends at a hidden fix. Otherwise, filters can predict hidden fixes, and time lines
         share arrays.
@@ -66,7 +66,7 @@ class PreparedDrive:
     def forget(self) -> None:
         """Drop the time lines, each of which needs 0.25 GB for ten hours at 100 Hz.
 
-        A small time line of all fixes is kept, since the others are derived from it.
+        A small time line of all fixes is kept, since others are derived from it.
         """
         self._timelines = {
             (hidden, removed): line

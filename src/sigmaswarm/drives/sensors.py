@@ -10,23 +10,21 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
 
-VARIES = 1.5
-"""Ratio of the 95% to the 5% quantile of stated standard deviations above which they are informative."""
+VARIES = 1.5  # 95% / 5% quantile of stated standard deviations; with a larger ratio they are informative
 STARTED = 20.0  # m from the first fix, beyond which the car has moved
-NEAR_GRAVITY = 0.3
-"""Largest deviation of the median of az from gravity, as a share of gravity."""
+NEAR_GRAVITY = 0.3  # largest deviation of the median of az from gravity, relative to gravity
 
 WHITE = 0.4
 """Smallest share of white noise in the error of fixes for `has_white_errors`.
 
-The share is 1 for KITTI and colorado, 0.25 for a u-blox M8, and at most 0.02 for car receivers, which smooth their
+The share is 1 in KITTI and colorado, 0.25 with a u-blox M8, and at most 0.02 with car receivers, which smooth their
 fixes (kingston-1, comma2k19, dresden).
 """
 UNSTATED_GPS_STD = 2.1  # m per axis, assumed if a receiver states no accuracy: u-blox M8, 2.5 m CEP
 SHOWN = 0.25 * UNSTATED_GPS_STD
 """White noise from fix to fix, m per axis, above which a receiver that states no accuracy does not smooth its fixes.
 
-The fixes of such a receiver show their error. The error of a receiver with less noise is unknown.
+Noise above this limit is the error of the fixes. The error of fixes with less noise is unknown.
 """
 FIXES_FOR_FIX_ERROR = 250
 """Smallest number of fixes, over all logs, for states of correlated errors when tuning without truth.
@@ -38,7 +36,7 @@ On eight simulated M8 logs of 142 s at 1 Hz, these states increased the drift ov
 
 @dataclass(frozen=True)
 class SuggestedFilter:
-    """A filter: its model, measurements in addition to positions, and the sensors that suggest it."""
+    """A filter: model, measurements other than positions, and the sensors that suggest it."""
 
     model: str
     use: tuple[str, ...]
@@ -57,7 +55,7 @@ class Sensors:
     ----------
     interval : median time between two IMU samples, s
     axes : the axes of the IMU
-    attitude, spread, white, lasting, receiver_std : see `has_attitude`, `stated_spread`, `has_white_errors`,
+    attitude, spread, white, lasting, receiver_std : results of `has_attitude`, `stated_spread`, `has_white_errors`,
         `has_lasting_errors` and `receiver_std`
     odometer, accuracy, velocity, heading : True if the log has wheel speed, and the receiver's standard deviations,
         speed and course, and heading
@@ -162,9 +160,9 @@ def stated_spread(drive: Drive) -> tuple[float, float] | None:
 
 
 def stated_std(drive: Drive) -> tuple[float, float] | None:
-    """Return the standard deviation east and north that the receiver states, m; None if the log states none.
+    """Return the standard deviation, m east and north, that the receiver states; None if it states none.
 
-    The result is the median over the fixes or, if the fixes have no standard deviation, ``gps_std_m`` of drive.toml.
+    The result is the median over the fixes, else ``gps_std_m`` of drive.toml.
     """
     if (std := drive.gps.std) is not None:
         return float(np.median(std[0])), float(np.median(std[1]))
@@ -175,8 +173,7 @@ def stated_std(drive: Drive) -> tuple[float, float] | None:
 def receiver_std(drive: Drive) -> tuple[float, float]:
     """Return the standard deviation of the fixes of a drive's receiver, m east and north.
 
-    The result is the stated deviation. If none is stated, it is the white noise of the fixes if large, else the
-    deviation of a u-blox M8.
+    If the log states none, the result is the white noise of the fixes if large, else the deviation of a u-blox M8.
     """
     if stated := stated_std(drive):
         return stated
@@ -189,8 +186,8 @@ def receiver_std(drive: Drive) -> tuple[float, float]:
 def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
     """Estimate the standard deviation of white noise in the fixes, m per axis; 0 for fewer than four fixes.
 
-    The fixes (n,), east + i north, m, must be evenly spaced. The robust estimate uses third differences, which remove
-    the motion and correlated errors.
+    The fixes (n,), east + i north, m, must be evenly spaced. The estimate is robust, and uses third differences, which
+    remove the motion and correlated errors.
     """
     third = np.diff(position, n=3)
     spread = np.concatenate([third.real, third.imag])
@@ -200,7 +197,7 @@ def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
 def has_white_errors(drive: Drive) -> bool:
     """Return True if most of the error of the fixes is white, as far as the log shows.
 
-    If a receiver smooths its fixes, or errors are correlated, successive fixes differ by far less than their error.
+    Successive fixes differ by far less than their error if errors are correlated or the receiver smooths the fixes.
     """
     gps = drive.gps
     off, shown = max(stated_std(drive) or (UNSTATED_GPS_STD,)), white_noise(gps.x + 1j * gps.y)
@@ -210,8 +207,8 @@ def has_white_errors(drive: Drive) -> bool:
 def has_lasting_errors(drive: Drive) -> bool:
     """Return True if white errors of size `receiver_std` would be visible from fix to fix, but are not visible.
 
-    Then the errors are correlated, or the receiver is more accurate than it states. False if motion between fixes would
-    hide such errors, as with RTK. A repeated fix counts once.
+    Errors that are not visible are correlated, or smaller than the receiver states. The result is False if motion
+    between fixes would hide white errors, as with RTK. A repeated fix counts once.
     """
     position, least = drive.gps.x + 1j * drive.gps.y, WHITE * max(receiver_std(drive))
     new = np.append(True, np.diff(position) != 0)

@@ -101,12 +101,11 @@ def part_of(drive: Drive) -> str:
     return ends[0] if ends and "cut_from" in drive.metadata else ""
 
 
-split = split_time
-"""The name of `split_time` in the short API."""
+split = split_time  # name of `split_time` in the short API
 
 
 def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | None = None) -> Drive:
-    """Return the part of a drive with start <= t < end, s; raise DriveError for fewer than two IMU samples."""
+    """Return the part of a drive with start <= t < end, s; raise DriveError if it has fewer than two IMU samples."""
 
     inside = {k: v.select((v.time >= start) & (v.time < end)) for k, v in drive.tables.items()}
     if len(inside["imu"]) < 2:

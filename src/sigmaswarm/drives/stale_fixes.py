@@ -1,7 +1,7 @@
 """Find stale fixes: a receiver without satellites repeats its last position exactly while the car moves on.
 
 A receiver with static hold also repeats its position at a red light, which is correct. Earlier fixes show whether the
-car had stopped before the first repeat. Later fixes are not used, so live filters share the function.
+car had stopped before the first repeat. Later fixes are not used, so that live filters share the function.
 """
 
 import math
@@ -19,12 +19,10 @@ STALE: speed below `NO_REST`; STALE_MOVING: speed above `NO_REST`, so that the r
 """
 
 BEFORE = 3.0  # s; an equal fix is searched over this time; the previous fix is always compared
-SPEED_WINDOW = 2.5
-"""Length of the window of fixes (at least two) for the speed, s; three fixes at 1 Hz still show braking."""
+SPEED_WINDOW = 2.5  # s, window of fixes (at least two) for the speed; three fixes at 1 Hz show braking
 REST = 0.8  # m/s, largest speed at rest, the same as at a standstill
-NO_REST = 2.0
-"""Speed above which the first repeat is not evidence of a standstill, m/s."""
-BRAKING = 4.0  # m/s2, largest deceleration of a car; a larger one is noise
+NO_REST = 2.0  # m/s; above this speed, the first repeat is not evidence of a standstill
+BRAKING = 4.0  # m/s2, largest deceleration of a car; larger values are noise
 ENOUGH = 3.0  # smallest number of new fixes that show braking; fewer give only a mean speed
 
 
@@ -53,8 +51,8 @@ def _classify_all(fixes: Array, kinds: Array) -> None:
 def kind_of(fixes: Array, kinds: Array, k: int) -> int:
     """Classify fix ``k`` by the earlier fixes.
 
-    All fixes of the last few seconds are compared, so each of two receivers is compared with itself. The first fix of a
-    run of repeats determines the kind of the whole run.
+    All fixes of the last few seconds are compared, so that each of two receivers is compared with itself. The first fix
+    of a run of repeats determines the kind of the whole run.
     """
     now = fixes[k, 0]
     last = k - 1
@@ -75,8 +73,8 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
 def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
     """Estimate the car's speed (m/s) at a time from the new fixes of the seconds before.
 
-    A line and a parabola are fitted, and the smaller speed is returned, since a car that brakes to a halt was fast a
-    second before. In a log that begins with repeated fixes, the result is 0.
+    The result is the smaller speed of a line and a parabola, since a car that brakes to a halt was fast a second
+    before. In a log that begins with repeated fixes, the result is 0.
     """
     origin, n = fixes[last, 0], 0.0
     t1, t2, t3, t4 = 0.0, 0.0, 0.0, 0.0

@@ -25,24 +25,17 @@ BLOCK = 0.05  # s
 SECOND = 20  # number of complete blocks in the second that must be calm
 MOST_OF_IT = 16.0  # blocks; smallest age of the oldest block for a complete second
 QUARTER = 5  # number of complete blocks in the quarter of a second that shows a departure
-CALM = 2.5
-"""Largest ratio of the standard deviations in a calm second to the usual standard deviations at rest."""
+CALM = 2.5  # largest standard deviations in a calm second / usual standard deviations at rest
 SETTLES = 0.5  # s, time constant with which the estimated noise at rest falls
 RISES = 0.1
-"""Increase of the estimated noise at rest while the car is nearly calm, per s; one second is too short to estimate the
-noise.
-"""
+"""Growth of the estimated noise at rest while the car is nearly calm, 1/s; one second is too short to estimate it."""
 DEPARTS = 0.12  # m/s2, change of the forward or left acceleration of a departing car
-FOLLOWS = 1.0
-"""Time constant, s, with which the stored acceleration of the stop follows sensors that warm up."""
-FORGETS = 3.0
-"""Time without calm and constant fixes after which a new stop begins, s."""
+FOLLOWS = 1.0  # s, time constant with which the acceleration of the stop follows sensors that warm up
+FORGETS = 3.0  # s without calm and constant fixes after which a new stop begins
 FIX_WINDOW = 3.0  # s, window in which the fixes must be constant
-FILLED = 1.5
-"""Largest time between the start of the window and the first fix, in mean fix intervals."""
+FILLED = 1.5  # mean fix intervals, longest time from the start of the window to the first fix
 FIX_SPEED = 0.8  # m/s, largest speed of the line through constant fixes
-CLOSE = 1e-5
-"""The line is fitted again this long before a fix leaves the window, s."""
+CLOSE = 1e-5  # s before a fix leaves the window, at which the line is fitted again
 TURNING = math.radians(1.5)  # rad/s, largest yaw rate at a standstill, due to the gyro's bias
 
 # Rows of a detector's memory, shape (N_MEMORY, 8). The stacks come first; rows from PLACE on are the older stack.
@@ -114,9 +107,9 @@ def is_calm(memory: Array, t: float, ax: float, ay: float, gz: float) -> bool:
 
 @cached
 def updated_calm(memory: Array, begun: int, dt: float, ax: float, ay: float, gz: float) -> bool:
-    """Add a sample, dt s after the last one, and update the noise at rest; return True if the last second is calm.
+    """Add a sample, ``dt`` s after the last one, and update the noise at rest; return True if the last second is calm.
 
-    ``begun``: number of blocks since that of the last sample.
+    ``begun``: number of blocks that began since the last sample.
     """
     if begun > 0:
         _begin_block(memory, begun)
@@ -238,8 +231,8 @@ def fixes_are_still(fixes: Array, kinds: Array, n: int, now: float, until: Array
 
     Rows of ``fixes`` begin with t, x, y. Of the first ``n`` rows, those up to ``now`` are read, except stale fixes of a
     driving car (``kinds``, see `stale_fixes`). The result is valid until ``until[0]`` if no fix is added. After an
-    outage the window must first be full: half a window has three times the noise, and a departing car would appear to
-    stand.
+    outage, the window must first be full. Half a window has three times the noise, with which a departing car would
+    appear to stand.
     """
     count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     first, last, k = 0, 0, n - 1

@@ -17,14 +17,12 @@ from sigmaswarm.errors import DriveError
 from sigmaswarm.limits import MOST_CELLS, MOST_COLUMNS, require_regular, require_text
 from sigmaswarm.wording import names_shown, quoted, shown
 
-LARGEST = 1e7
-"""Largest accepted value: above any value of a car's sensor in m, m/s, m/s2, rad or rad/s, or in units that can be
-repaired (mm, mg or mdeg/s).
-"""
+LARGEST = 1e7  # largest accepted value, above a car sensor's in SI units, mm, mg or mdeg/s (repairable)
 _METERS, _NO_STD = (
     "convert it to meters from a nearby origin",
     "leave the column out if no deviation is stated",
 )
+# Lowest and highest allowed value of a column, and the remedy.
 RANGES: dict[str, tuple[float, float, str]] = {
     "lat": (-90.0, 90.0, "convert it to degrees north; lat and lon may be exchanged"),
     "alt": (-LARGEST, LARGEST, "convert it to meters above the ellipsoid"),
@@ -37,20 +35,17 @@ RANGES: dict[str, tuple[float, float, str]] = {
         (-LARGEST, LARGEST, "the value is damaged or in a wrong unit; delete the row or correct the unit"),
     ),
 }
-"""Lowest and highest allowed value of a column, and the remedy."""
 
-_LONGEST_LEAP = 1e12
-"""Longest interval, in usual intervals: 300 years at 100 Hz. The jump of a clock that is set is shorter."""
+_LONGEST_LEAP = 1e12  # usual intervals, longest allowed: 300 years at 100 Hz; a clock that is set jumps less
 
 CSV, PARQUET = FORMS = ".csv", ".parquet"
 TABLES = tuple(f"{name}{form}" for name in RECORDS for form in FORMS)
 
-BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
-"""Errors that polars raises for damaged tables, including failed internal assertions."""
+BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)  # for damaged tables
 
 
 def one_file(path: Path) -> dict[str, Any]:
-    """Return arguments for polars' readers that take a file name literally, without patterns (run[1]) and home (~)."""
+    """Return arguments with which polars' readers take a file name literally, not as a pattern (run[1])."""
     return {"source": path.absolute(), "glob": False}
 
 
@@ -59,7 +54,7 @@ class TableFile:
     """The cells of a table, and the number of each row (n,), from 1: line of a CSV file, or row of a Parquet file.
 
     Cells of a CSV file are numbers if all are finite, which needs a fifth of the memory. Otherwise they are texts (None
-    if empty), which messages quote. A table in memory has a name instead of a path, and its rows count from 0.
+    if empty), which messages quote. A table in memory has a name instead of a path, and rows from 0.
     """
 
     path: Path
@@ -199,7 +194,7 @@ def _require_size(path: Path, rows: int, columns: int) -> None:
 
 
 def _leap(time: Array) -> int:
-    """Return the index of the first row (n,) after an implausibly long interval; 0 without one."""
+    """Return the index of the first row (n,) after an implausibly long interval; 0 if there is none."""
     if len(time) < 3:
         return 0
     interval = np.diff(time)
@@ -254,7 +249,6 @@ def _empty(path: Path) -> DriveError:
 
 
 def _shape_fault(path: Path, otherwise: DriveError | None = None) -> DriveError:
-    """Return an error for the first row with a wrong number of cells."""
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
         rows = csv.reader(file)
         try:

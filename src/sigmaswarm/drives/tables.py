@@ -41,7 +41,6 @@ class Table:
         return len(self.time)
 
     def select(self, rows: NDArray[np.bool_] | slice) -> Self:
-        """Return the rows of a mask or a slice."""
         chosen: dict[str, Any] = {name: v if v is None else v[rows] for name, v in vars(self).items()}
         return type(self)(**chosen)
 
@@ -107,12 +106,12 @@ class Gps(Table):
 
     @property
     def std(self) -> Array | None:
-        """Stated standard deviations, shape (2, n), m east and north; None without them."""
+        """Stated standard deviations, shape (2, n), m east and north; None if not stated."""
         return _pair(self.std_x, self.std_y)
 
     @property
     def velocity(self) -> Array | None:
-        """Velocity over ground, shape (2, n), m/s east and north; None without speed and course."""
+        """Velocity over ground, shape (2, n), m/s east and north; None if speed or course is missing."""
         if self.speed is None or self.course is None:
             return None
         return self.speed * np.array([np.cos(self.course), np.sin(self.course)])
@@ -123,7 +122,7 @@ def _pair(x: Array | None, y: Array | None) -> Array | None:
 
 
 def headings_of(gps: Gps) -> tuple[Array, Array]:
-    """Return the heading, rad, and its stated variance, rad2, of each fix; infinite variance without a heading."""
+    """Return the heading, rad, and its stated variance, rad2 (infinite if there is no heading), of each fix."""
     if gps.heading is None:
         return np.zeros(len(gps.time)), np.full(len(gps.time), np.inf)
     std = np.zeros(len(gps.time)) if gps.std_heading is None else gps.std_heading

@@ -25,10 +25,9 @@ from sigmaswarm.drives.standstill import standing
 from sigmaswarm.drives.tables import Array, Gps, Indices, Mask, headings_of
 
 DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
-"""Numbers of a step: length, scale of Q, gap, and the IMU's axes; az, gx and gy only for an IMU with six axes."""
+"""Columns of a step: length, scale of Q, gap, and the IMU's axes; az, gx and gy only for an IMU with six axes."""
 N_STEP, FIRST_AXIS = 9, AX
-AXES = ("ax", "ay", "gz", "az", "gx", "gy")
-"""Axes of the IMU in the order of a step; every IMU has the first three."""
+AXES = ("ax", "ay", "gz", "az", "gx", "gy")  # in the order of a step; every IMU has the first three
 FIX_X, FIX_Y, FIX_VX, FIX_VY, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA = range(8)  # columns of a fix
 
 
@@ -47,9 +46,9 @@ class Timeline:
     updates : (k,) bool, True if a fix updates the filter at the step's end
     hides : (k,) bool, True if a fix at the step's end is hidden from the filter, which predicts it
     sampled : (k,) bool, True if the step ends at the time of an IMU sample
-    fixes : (f, 8) position, m east, north; velocity, m/s east, north (0 without one); stated variance, m2 east, north
-        (0 without one); heading, rad, and its stated variance, rad2 (0 without one, infinite without a heading); in the
-        order of the steps, including hidden ones
+    fixes : (f, 8) position, m east, north; velocity, m/s east, north (0 if unknown); stated variance, m2 east, north (0
+        if not stated); heading, rad, and its stated variance, rad2 (0 if not stated, infinite if the fix has no
+        heading); in the order of the steps, including hidden fixes
     fix_time : (f,) s
     has_velocity : bool
     states_accuracy : bool, True if the receiver states the accuracy of each fix
@@ -161,8 +160,8 @@ def build_timeline(
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
-    ``as_recorded``: use stale fixes, and treat IMU gaps as ordinary steps. ``kinds`` (g,) of the fixes can be given if
-    they were determined together with those of other fixes.
+    ``as_recorded``: use stale fixes, and treat IMU gaps as ordinary steps. ``kinds`` (g,): kinds of the fixes, if they
+    were determined together with other fixes.
     """
     imu = drive.imu
     if kinds is None:

@@ -91,7 +91,6 @@ def _exists(system: Any, path: str) -> bool:
 
 @contextmanager
 def _errors_in_one_line(url: str) -> Generator[None]:
-    """Convert errors of fsspec and of protocol libraries to one-line errors."""
     try:
         yield
     except (InputError, MemoryError):

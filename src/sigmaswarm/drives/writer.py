@@ -67,7 +67,7 @@ def require_replaceable(
 ) -> None:
     """Raise an error if the folder exists, unless it is empty or, with ``overwrite``, contains only a drive.
 
-    A folder inside of a drive is refused, since the drive could no longer be replaced or copied as one drive.
+    A folder inside a drive is refused, since the drive could no longer be replaced or copied.
     """
     around = (parent for parent in folder.parents if (parent / "drive.toml").is_file())
     if around := next((parent for parent in around if has_table(parent, "imu")), None):
