@@ -7,13 +7,10 @@ import numpy as np
 
 from sigmaswarm.drives.tables import Array
 
-FLICKER = 2 * math.log(2) / math.pi
-"""Allan variance of flicker noise over the square of its coefficient, the bias instability."""
-MARKOV_PEAK = 0.3811
-"""Largest Allan variance of a first-order Gauss-Markov process of unit variance, at 1.89 correlation times."""
-PER_DECADE = 8  # averaging times
-LONGEST = 5
-"""Ratio of the longest stretch to the longest averaging time; estimates at longer times scatter by more than half."""
+FLICKER = 2 * math.log(2) / math.pi  # Allan variance of flicker noise / square of its coefficient
+MARKOV_PEAK = 0.3811  # largest Allan variance of a unit Gauss-Markov process, at 1.89 correlation times
+PER_DECADE = 8  # averaging times per decade
+LONGEST = 5  # longest stretch / longest averaging time; estimates at longer times scatter by more than half
 PIECE = 32_768  # samples per batch, which fits into the processor's cache
 
 

@@ -17,6 +17,7 @@ DEG_PER_SQRT_HOUR = math.degrees(1) * 60  # factor from rad/s/sqrt(Hz)
 DEG_PER_HOUR = math.degrees(1) * HOUR  # factor from rad/s
 MPS_PER_SQRT_HOUR = 60.0  # factor from m/s2/sqrt(Hz)
 MGAL = 1e5  # factor from m/s2
+# Names, factors and units of data sheets for the terms of an accelerometer's and a gyro's axis.
 UNITS = {
     "a": (
         ("velocity random walk", MPS_PER_SQRT_HOUR, "m/s/sqrt(h)"),
@@ -29,7 +30,6 @@ UNITS = {
         ("rate random walk", DEG_PER_HOUR * 60, "deg/h/sqrt(h)"),
     ),
 }
-"""Names, factors and units of data sheets for the terms of an accelerometer's and a gyro's axis."""
 SENSORS = {"accel": ("ax ay az", "m/s2"), "gyro": ("gx gy gz", "rad/s")}
 
 
@@ -71,8 +71,9 @@ class AxisNoise:
     def bias(self, longest: float) -> tuple[float, float]:
         """Return standard deviation (unit) and correlation time (s) of the bias as a Gauss-Markov process.
 
-        ``longest``: length (s) of the longest stretch, used if no correlation time is found. The peak of its Allan
-        variance represents flicker noise. Without any bias process, the upper end of the walk's interval is used.
+        ``longest``: length (s) of the longest stretch, used if no correlation time is found. The peak of the process's
+        Allan variance represents flicker noise. If the log shows no bias process, the upper end of the walk's interval
+        is used.
         """
         time = self.correlation_time if math.isfinite(self.correlation_time) else longest
         nothing = self.walk.value == 0 and self.instability.value == 0
@@ -106,11 +107,11 @@ class Noise:
 
     @property
     def longest(self) -> float:
-        """Length of the longest stretch, s; an hour without a stretch."""
+        """Length of the longest stretch, s; an hour if there is no stretch."""
         return max((length for _, length in self.stretches), default=HOUR)
 
     def of(self, sensor: str, value: Callable[[AxisNoise], float]) -> list[float]:
-        """Return a value for the three axes of a sensor; an unknown axis has the RMS of the others."""
+        """Return a value for the three axes of a sensor; a missing axis has the RMS of the others."""
         known = {a.axis: value(a) for a in self.axes}
         axes = SENSORS[sensor][0].split()
         there = [known[a] for a in axes if a in known]

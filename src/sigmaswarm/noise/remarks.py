@@ -1,4 +1,4 @@
-"""Remarks on a log: noise terms that it determines, and signs of faults of an axis."""
+"""Remarks on a log: noise terms that the log determines, and signs of faults of an axis."""
 
 import math
 from collections.abc import Sequence
@@ -17,12 +17,11 @@ LONG = 1800.0  # s, shortest stretch that shows bias instability and rate random
 LONG_TREND = 300.0  # s, shortest stretch whose trend is tested
 STATIC = 0.95  # share of a static log at rest
 UNLIKELY = 0.1  # relative error of gravity that suggests another unit
+# 10 deg/sqrt(h) in rad/s/sqrt(Hz). Gyros in rad/s have less white noise, gyros in deg/s usually more.
 ROUGH_GYRO = 3e-3
-"""10 deg/sqrt(h) in rad/s/sqrt(Hz): a gyro in rad/s has less white noise, a gyro in deg/s usually more."""
 MANY = 30.0  # averaging intervals (duration / tau) for an accurate Allan deviation
 MISFIT = 1.5  # smallest reported ratio of the Allan deviation to the model, or its inverse
-TREND = 4.0
-"""Smallest reported ratio of a trend to its standard deviation under the fitted processes."""
+TREND = 4.0  # smallest reported trend / standard deviation of the trend under the fitted processes
 COARSE = 0.5  # smallest reported ratio of the quantization step to the standard deviation
 
 
@@ -91,7 +90,7 @@ def on_trend(axis: str, trend: float) -> list[str]:
 
 
 def on_misfit(axes: Sequence[AxisNoise], duration: float) -> list[str]:
-    """Remark on axes whose Allan deviation differs from that of the model; ``duration``, s: longest stretch."""
+    """Remark on axes whose Allan deviation differs from that of the model; ``duration``: longest stretch, s."""
     found: list[str] = []
     for a in axes:
         parts = model_parts(a.tau, a.white.value, a.instability.value, a.walk.value, a.correlation_time)

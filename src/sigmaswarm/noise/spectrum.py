@@ -20,12 +20,9 @@ from scipy.fft import prev_fast_len, rfft
 
 from sigmaswarm.drives.tables import Array
 
-BAND = 0.1
-"""Highest used frequency / sampling rate; the sensor's filter and engine vibration change higher frequencies."""
-ENOUGH = 200
-"""Smallest number of used frequencies; if necessary, the band is extended, up to half the sampling rate."""
-FIRST = 2
-"""Lowest used frequency, periods per stretch; the subtracted trend contains most of the lower frequencies."""
+BAND = 0.1  # highest used frequency / sampling rate; filters and engine vibration change higher frequencies
+ENOUGH = 200  # smallest number of used frequencies; for fewer, the band is extended to half the sampling rate
+FIRST = 2  # lowest used frequency, periods per stretch; the subtracted trend contains most lower frequencies
 PER_DECADE = 24  # number of bands over which the periodogram is averaged
 TAPER = 1.5  # number of neighboring frequencies that the sine taper correlates
 CERTAIN = 5.99
@@ -43,7 +40,7 @@ SHORTEST = 10.0  # s; noise with a shorter correlation time looks like a sensor'
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Averaged periodogram: frequencies (n,), Hz, densities, unit^2/Hz, and number of independent values in each."""
+    """Averaged periodogram: frequencies (n,), Hz, densities, unit^2/Hz, and numbers of independent values."""
 
     frequency: Array
     density: Array
@@ -62,7 +59,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Fit:
-    """The fitted N, B, K, and T (s), which is inf if the log does not show that T is finite."""
+    """The fitted N, B, K and T (s); T is inf if the log does not show that it is finite."""
 
     white: Interval
     instability: Interval
@@ -73,7 +70,7 @@ class Fit:
 def spectrum_of(parts: Sequence[Array], interval: float) -> Spectrum:
     """Average the periodograms of stretches (n,) of one signal, without their means and trends.
 
-    The sine taper keeps the power of a drift away from the higher frequencies (Riedel and Sidorenko 1995).
+    The sine taper keeps the power of a drift away from higher frequencies (Riedel and Sidorenko 1995).
     """
     duration = interval * sum(map(len, parts))
     highest = min(0.5, max(BAND, ENOUGH * interval / duration)) / interval
@@ -97,7 +94,7 @@ def spectrum_of(parts: Sequence[Array], interval: float) -> Spectrum:
 
 
 def fit(spectrum: Spectrum, duration: float) -> Fit:
-    """Fit the noise model to a spectrum; the longest stretch, ``duration`` (s), bounds the correlation time."""
+    """Fit the noise model to a spectrum; the longest stretch, ``duration`` (s), is the largest correlation time."""
     s, angle = spectrum, 2 * np.pi * spectrum.frequency * spectrum.interval
     times = np.geomspace(SHORTEST, duration, TIMES) if duration > 2 * SHORTEST else np.zeros(0)
     rates = np.concatenate([[0.0], 1 / times])
@@ -139,7 +136,7 @@ def _smallest(s: Spectrum, known: Array, shapes: Array) -> tuple[Array, Array]:
 
 
 def _least_squares(matrix: Array, right: Array, sets: list[list[int]]) -> Array:
-    """Solve normal equations (..., k, k), (..., k) for values >= 0: try each set of values that may differ from 0."""
+    """Solve normal equations (..., k, k), (..., k) for values >= 0, by trying each set of nonzero values."""
     best, gain = np.zeros_like(right), np.zeros(right.shape[:-1])
     for chosen in sets:
         part = matrix[..., chosen, :][..., :, chosen] * (1 + 1e-9 * np.eye(len(chosen)))
@@ -153,7 +150,7 @@ def _least_squares(matrix: Array, right: Array, sets: list[list[int]]) -> Array:
 
 
 def _interval(s: Spectrum, shapes: Array, k: int, variance: float, limit: float) -> Interval:
-    """Return the root of a variance and the ends of its interval, at which the profile crosses a limit."""
+    """Return the root of a variance, and the ends of its interval, at which the profile crosses a limit."""
     others = shapes[:, [i for i in range(3) if i != k]]
     own = shapes[:, k]
 
@@ -170,7 +167,7 @@ def _interval(s: Spectrum, shapes: Array, k: int, variance: float, limit: float)
 
 
 def _crossing(profile: Callable[[Array], Array], grid: Array, limit: float) -> float:
-    """Return the first place on a grid at which a profile exceeds a limit; the profile begins below the limit."""
+    """Return the first place on a grid at which a profile, below the limit at first, exceeds the limit."""
     first, last, share = grid[0], grid[0], 0.0
     for _ in range(PASSES):
         excess = profile(grid) - limit

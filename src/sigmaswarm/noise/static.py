@@ -16,15 +16,12 @@ FEWEST = 50  # samples of the shortest stretch
 BLOCK = 1.0  # s, length of the blocks whose mean and standard deviation show motion
 SMALLEST = 20  # samples of a block; the standard deviation of fewer samples scatters too much
 JUMP = {"a": 0.1, "g": np.radians(0.5)}  # m/s2, rad/s: change of the mean between blocks that shows motion
-RESTLESS = 3.0
-"""A block is in motion if its standard deviation exceeds `CALM` and this multiple of the deviation of the quietest
-blocks."""
+RESTLESS = 3.0  # deviation / deviation of the quietest blocks; a moving block exceeds this and `CALM`
 CALM = {"a": 0.02, "g": np.radians(0.1)}  # m/s2, rad/s: standard deviation without motion
 ROUGH = 0.3  # m/s2, standard deviation of an accelerometer in motion
 FIX_SPEED = 0.5  # m/s, speed of the line through a stretch's fixes that shows motion
 SAMPLE = 100_000  # approximate number of samples for the quantization step
-PILED = 3.0
-"""Smallest ratio of the number of samples at the end of the range to that at the next value, for a saturated axis."""
+PILED = 3.0  # smallest count at the end of the range / count at the next value, for a saturated axis
 LEAST_PILED = 1e-3  # share of samples at the end of the range of a saturated axis
 
 
@@ -135,7 +132,7 @@ def step_of(values: Array) -> float:
 
 
 def fault_of(values: Sequence[Array]) -> str | None:
-    """Return the reason if the samples of an axis do not show its noise, else None."""
+    """Return the reason why the samples of an axis do not show its noise, or None."""
     low, high = min(np.min(v) for v in values), max(np.max(v) for v in values)
     if low == high:
         return f"constant at {low + 0.0:.6g}: defective, or quantized in steps that are larger than its noise"

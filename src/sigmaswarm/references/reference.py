@@ -33,20 +33,15 @@ from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.tune import tune
 
 ACCURACY = 0.1  # m per axis, largest standard deviation of the truth
-HIDDEN = (2.0, 20.0)
-"""Durations of hidden fixes, s; in the shorter time, IMUs of cars drift by a decimeter."""
+HIDDEN = (2.0, 20.0)  # s, durations of hidden fixes; in 2 s, IMUs of cars drift by a decimeter
 HIDDEN_FIRST = 10.0  # s from the start to the first window, and between windows
 PLACEMENTS = 3  # number of placements of the hidden windows
-COVERED = 0.95, 1.96
-"""Share of the hidden fixes inside an interval, and half the interval's width in sigmas, per axis."""
+COVERED = 0.95, 1.96  # share of the hidden fixes in an interval per axis; half the width in sigmas
 OBJECTIVE = "innovation-t"
-SLIP = math.radians(0.1)
-"""Addition to the standard deviation of the heading, rad: fixes do not show sideways slip of the rear axle."""
+SLIP = math.radians(0.1)  # rad, added to the heading's deviation; fixes do not show slip of the rear axle
 
 
 class ReferenceOptions(TypedDict, total=False):
-    """Keywords of `reference`."""
-
     lever_arm: tuple[float, float, float] | None
     offset: float
     accuracy: float
@@ -99,7 +94,7 @@ def reference(
     accuracy : float
         Largest standard deviation of the truth per axis, m; other rows are left out. 0.1 by default.
     fix_std : float, optional
-        Lower limit of a fix's standard deviation, m per axis; also used for fixes without a stated one.
+        Lower limit of a fix's standard deviation, m per axis; also used for fixes without a stated standard deviation.
     seed : int
         Seed of the tuning, and of the windows of hidden fixes; 0 by default.
 
@@ -171,13 +166,13 @@ def _tuned(
 ) -> FilterParameters:
     """Tune the filter that suits the drive on the good receiver's fixes, without the option ``standstill``.
 
-    Fixes with errors of a centimeter would make the noise of this constraint very small. One wrongly detected
-    standstill in an outage would then move the track by meters, while the covariance stays small.
+    Fixes with errors of a centimeter would make the noise of the standstill constraint very small. One wrongly detected
+    standstill in an outage would move the track by meters, while the covariance stays small.
     """
     found = suggest_filter([receiver])
     use = tuple(option for option in found.use if option != "standstill")
     options: Any = {"model": found.model, "use": use, "objective": OBJECTIVE, "seed": seed}
-    with warnings.catch_warnings():  # warnings about a filter that is not used any further
+    with warnings.catch_warnings():  # warnings about a filter that is used only here
         warnings.simplefilter("ignore", SigmaswarmWarning)
         return tune(receiver, executor=executor, progress=progress, **options).parameters
 
@@ -223,7 +218,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
 
 
 def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.Generator) -> float:
-    """Return the factor by which the smoother's standard deviations agree with the hidden fixes; at least 1."""
+    """Return the factor, at least 1, by which the smoother's deviations must grow to agree with the hidden fixes."""
     gps, start, end = ready.drive.gps, ready.initial.time, float(ready.drive.imu.time[-1])
     off: list[Array] = []
     for _ in range(PLACEMENTS):
@@ -243,7 +238,7 @@ def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.
 
 
 def _off(estimate: Estimate, gps: Gps, drive: Drive) -> Array:
-    """Return distances of hidden fixes from the smoothed antenna, in sigma, by axis."""
+    """Return the distances of hidden fixes from the smoothed antenna, in sigma, by axis."""
     gps = gps.select((gps.time > estimate.time[0]) & (gps.time <= estimate.time[-1]))
     antenna = _antenna(estimate.mean, drive)
     variance = np.diagonal(estimate.covariance, axis1=1, axis2=2)
@@ -256,13 +251,12 @@ def _off(estimate: Estimate, gps: Gps, drive: Drive) -> Array:
 
 
 def _stated(gps: Gps) -> Array:
-    """Return stated standard deviations, (2, n), m east and north."""
     assert gps.std is not None
     return gps.std
 
 
 def _antenna(mean: Array, drive: Drive) -> Array:
-    """Return positions of the antenna, (n, 2) m, of states (n, n_states)."""
+    """Return the positions of the antenna, (n, 2) m, for states (n, n_states)."""
     arm = np.array([*drive.lever_arm, drive.antenna_height])
     if any(len(model.states) == mean.shape[1] and model.tilts for model in MODELS.values()):
         return mean[:, :2] + (rotation(mean) @ arm)[:, :2]

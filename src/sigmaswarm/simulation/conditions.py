@@ -99,7 +99,7 @@ def simulate_many(
 
 
 def simulated_on(client: "Client", *what: Any, **options: Any) -> Iterator[Drive]:
-    """Run `simulate_many` on the workers of a Dask cluster. If a worker stops, other workers simulate its drives.
+    """Run `simulate_many` on the workers of a Dask cluster; other workers simulate the drives of a lost worker.
 
     Raises
     ------

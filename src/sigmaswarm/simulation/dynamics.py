@@ -29,17 +29,17 @@ STEP = 0.001  # s, step of the integration
 STEPS_PER_DRIVER_STEP = 10  # integration steps per step of the driver
 AIR_DENSITY = 1.204  # kg/m3, at 20 degrees and sea level
 
-# Indices of the state. Each of WHEEL, KAPPA and ALPHA is the first of four wheels.
+# Indices of the state. WHEEL, KAPPA and ALPHA are the first of four indices each, one per wheel.
 X, Y, YAW, VX, VY, YAW_RATE, STEER, PEDAL, ROLL, ROLL_RATE, PITCH, PITCH_RATE = range(12)
 WHEEL, KAPPA, ALPHA = 12, 16, 20
 STATES = 24
-# Recorded columns: the first twelve states, and these.
+# Recorded columns: the first twelve states, and the columns below.
 AX, AY, YAW_ACCEL, ROLL_ACCEL, PITCH_ACCEL, PEAK_KAPPA, PEAK_ALPHA, FRICTION_USE, REAR_SPIN = range(12, 21)
 RECORDED = 21
 
 _LOW_SPEED = 3.0  # m/s; at lower speeds, a damper prevents oscillations of a standing car on its tires [P]
 _SMALLEST_STATE = 1e-60  # smaller states become zero, since subnormal numbers are slow
-_LOW_SPEED_DAMPING = 0.15  # slip per m/s of sliding
+_LOW_SPEED_DAMPING = 0.15  # slip per m/s of sliding, damping at low speed
 _BRAKE_VISCOSITY = 1000.0  # N m s/rad; makes the dry friction of a brake continuous at standstill
 
 
@@ -65,7 +65,7 @@ class Vehicle(NamedTuple):
     relaxation_lateral: float  # m
     drive_front_share: float
     brake_front_share: float
-    roll_front_share: float  # the front axle's share of the roll moment
+    roll_front_share: float  # front axle's share of the roll moment
     steer_max: float  # rad, at the road wheel
     steer_rate: float  # rad/s
     steer_lag: float  # s
@@ -84,8 +84,6 @@ class Vehicle(NamedTuple):
 
 
 class Drivetrain(NamedTuple):
-    """Quantities that all wheels share at one time."""
-
     tangent: float  # tangent of the steering angle
     peak: float  # slip of the peak force of a tire
     drive: float  # N m, of all motors
@@ -95,7 +93,7 @@ class Drivetrain(NamedTuple):
 
 @compiled
 def _lookup(x: float, knots: Array, values: Array) -> float:
-    """Interpolate linearly, constant beyond both ends."""
+    """Interpolate linearly; values are constant beyond both ends."""
     if x <= knots[0]:
         return values[0]
     for i in range(1, len(knots)):
@@ -113,7 +111,7 @@ def _clip(x: float, low: float, high: float) -> float:
 
 @compiled
 def _wheel_loads(car: Vehicle, ax: float, ay: float) -> tuple[float, float, float, float]:
-    """Return the vertical load of each wheel, N; ``ax`` and ``ay``, m/s2, are transmitted by the suspension."""
+    """Return the vertical load of each wheel, N; ``ax`` and ``ay``, m/s2, act through the suspension."""
     front = car.mass * (GRAVITY * car.rear - car.height * ax) / (car.front + car.rear)
     rear = car.mass * GRAVITY - front
     across = car.mass * car.height * ay / car.track
@@ -139,7 +137,7 @@ def _tire(
 ) -> tuple[float, float, float, float]:
     """Return longitudinal and lateral force, N, and normalized longitudinal and combined slip of a tire.
 
-    Similarity method [P]: slips, normalized by stiffness over friction, add as vectors, and the magic formula of the
+    Similarity method [P]: slips are normalized by stiffness over friction and add as vectors. The magic formula of the
     sum gives the force, at most friction x load.
     """
     stiffness = 1.0 - car.load_sensitivity * (load / static_load - 1.0)
@@ -153,13 +151,13 @@ def _tire(
 
 @compiled
 def _relax(rate: float, deflection: float, sliding: bool) -> float:
-    """Return the rate of a tire's deflection. A sliding tire does not deflect further."""
+    """Return the rate of a tire's deflection; a sliding tire does not deflect further."""
     return 0.0 if sliding and rate * deflection > 0.0 else rate
 
 
 @compiled
 def _torques(s: Array, car: Vehicle) -> tuple[float, float]:
-    """Return the total torques, N m, of all motors and all brakes. A pedal at 0 is coasting."""
+    """Return the total torques, N m, of all motors and all brakes; the car coasts at pedal 0."""
     speed = max(s[VX], 0.0)
     coast = _lookup(speed, car.pedal_speed, car.coast)
     drive = coast + max(s[PEDAL], 0.0) * (_lookup(speed, car.pedal_speed, car.full_throttle) - coast)
@@ -175,8 +173,8 @@ def _spin_up(
 ) -> float:
     """Return the angular acceleration of a wheel, rad/s2, under torques, N m, and tire force, N.
 
-    Idealized anti-lock and traction control reduce the torques from the slip of the peak force (1) to 0 at twice this
-    slip.
+    Idealized anti-lock and traction control reduce the torques from full at the slip of the peak force (1) to 0 at
+    twice this slip.
     """
     control = _clip(2.0 - slip, 0.0, 1.0)
     most = control * brake
@@ -189,7 +187,7 @@ def _spin_up(
 def _wheel(
     i: int, s: Array, rate: Array, load: float, shared: Drivetrain, car: Vehicle
 ) -> tuple[float, float, float]:
-    """Return force, N, in body axes and moment, N m, of wheel i. Fill the rates of its states."""
+    """Return force, N, in body axes and moment, N m, of wheel i; fill the rates of the wheel's states."""
     at_front = i < 2
     along = car.front if at_front else -car.rear
     across = 0.5 * car.track if i % 2 == 0 else -0.5 * car.track
@@ -241,10 +239,9 @@ def _swing(target: float, value: float, rate: float, frequency: float, damping: 
 def _derivative(
     s: Array, rate: Array, steer: float, pedal: float, friction: float, car: Vehicle
 ) -> tuple[float, float, float]:
-    """Fill `rate` with the derivative of the state under desired steering (rad) and pedal.
+    """Fill `rate` with the derivative of the state under the desired steering (rad) and pedal.
 
-    Return the acceleration of the center of gravity in body axes, m/s2, and the total tire force relative to friction x
-    weight.
+    Return the acceleration of the center of gravity in body axes, m/s2, and total tire force / (friction x weight).
     """
     vx, vy, yaw_rate = s[VX], s[VY], s[YAW_RATE]
     # The springs and dampers transmit the load transfer.
@@ -299,7 +296,7 @@ def _record(row: Array, s: Array, rate: Array, ax: float, ay: float, use: float)
 def _advance(
     s: Array, k: Array, row: Array, steer: float, pedal: float, friction: float, car: Vehicle
 ) -> None:
-    """Do one Runge-Kutta step in place. `row` records the state before the step; `k` (5, states) is work space."""
+    """Do one Runge-Kutta step in place; `row` records the state before it, `k` (5, states) is work space."""
     trial = k[4]
     ax, ay, use = _derivative(s, k[0], steer, pedal, friction, car)
     _record(row, s, k[0], ax, ay, use)
@@ -326,7 +323,7 @@ def start_state(x: float, y: float, yaw: float, speed: float, car: Vehicle) -> A
 
 @compiled
 def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, pedal: Array) -> Array:
-    """Drive from a `start_state` with commands at each millisecond. Return the record (n, 21).
+    """Drive from a `start_state` with commands at each millisecond; return the record (n, 21).
 
     ``steer`` (n,) is the desired angle of the road wheels, rad. ``pedal`` (n,) is -1 (full brake) to 1.
     """
@@ -341,8 +338,8 @@ def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, ped
 def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) -> tuple[float, int, float]:
     """Return the desired steering angle, rad, the index of the nearest point, and the distance along the path, m.
 
-    The angle has a feedforward from the curvature ahead and a feedback. With the feedback an offset decays like a
-    second-order system with a frequency of up to 1.5 rad/s, proportional to speed.
+    The angle is the sum of a feedforward from the curvature ahead and a feedback. An offset decays like a second-order
+    system with a frequency of up to 1.5 rad/s, proportional to speed.
     """
     while nearest < len(path) - 2:
         dx, dy = s[X] - path[nearest + 1, 0], s[Y] - path[nearest + 1, 1]
@@ -372,7 +369,7 @@ def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) ->
 
 @compiled
 def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> float:
-    """Return the desired pedal, -1 to 1. ``now`` and ``soon`` are rows of the plan."""
+    """Return the desired pedal, -1 to 1; ``now`` and ``soon`` are rows of the plan."""
     if soon[0] < 0.02 and abs(s[VX]) < 0.3:
         return -0.25  # hold the car with the brake
     speed = max(s[VX], 0.0)
@@ -388,14 +385,11 @@ def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> floa
 def run_closed_loop(
     car: Vehicle, friction: float, start: Array, path: Array, spacing: float, plan: Array
 ) -> Array:
-    """Let the driver follow a path and a plan from a `start_state`. Return the record (10 m, 21).
+    """Let the driver follow a path and a plan from a `start_state`; return the record (10 m, 21).
 
-    Parameters
-    ----------
-    path : ndarray, shape (p, 4)
-        East m, north m, heading rad (not wrapped), curvature 1/m, every `spacing` m.
-    plan : ndarray, shape (m, 3)
-        Speed m/s, acceleration m/s2 and distance along the path m, every 10 ms.
+    ``path`` (p, 4): m east, m north, heading (rad, not wrapped) and curvature (1/m) every ``spacing`` m.
+
+    ``plan`` (m, 3): speed (m/s), acceleration (m/s2) and distance along the path (m) every 10 ms.
     """
     record = np.empty((len(plan) * STEPS_PER_DRIVER_STEP, RECORDED))
     k, s, nearest = np.zeros((5, STATES)), start.copy(), 0

@@ -1,7 +1,7 @@
 """Environments: friction of the road, and the assumed effect of weather on satellite navigation.
 
-Darkness and fog do not change traction, and in CARLA no weather does (carla-simulator/carla#655). So clear, night and
-fog have the same physics, and three of the paper's five environments differ.
+Darkness and fog do not change traction, and in CARLA no weather does (carla-simulator/carla#655). Clear, night and fog
+have the same physics, so only three of the paper's five environments are distinct.
 """
 
 from dataclasses import dataclass
@@ -51,6 +51,7 @@ class Environment:
 
 _DRY = "Bosch Automotive Handbook: new tires, dry, 50 km/h"
 
+# By name, in the paper's order.
 ENVIRONMENTS = by_name(
     Environment("clear", 0.85, 1.0, _DRY),
     Environment("night", 0.85, 1.0, _DRY),
@@ -58,11 +59,10 @@ ENVIRONMENTS = by_name(
     Environment("fog", 0.85, 1.1, _DRY),
     Environment("slippery", 0.25, 1.2, "packed snow, 0.2-0.3: from memory, not verified"),
 )
-"""Environments by name, in the paper's order."""
 
 
 def named(value: str | T, table: dict[str, T], what: str) -> T:
-    """Look up a name in a table, or return a record unchanged. Raise `InputError` for an unknown name."""
+    """Look up a name in a table, or return a record unchanged; raise `InputError` for an unknown name."""
     if not isinstance(value, str):
         return value
     if value not in table:

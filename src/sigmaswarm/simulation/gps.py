@@ -17,8 +17,7 @@ from sigmaswarm.simulation.imu import gauss_markov
 from sigmaswarm.simulation.motion import LeverArm, Motion
 
 EARTH_RADIUS = 6378137.0
-METERS_PER_DEGREE = math.pi * EARTH_RADIUS / 180.0
-"""Length of a degree of latitude on CARLA's sphere of radius `EARTH_RADIUS`, m."""
+METERS_PER_DEGREE = math.pi * EARTH_RADIUS / 180.0  # m, degree of latitude on CARLA's sphere
 
 
 @dataclass(frozen=True)
@@ -134,7 +133,7 @@ def with_heading(fixes: Gps, time: Array, yaw: Array, grade: HeadingGrade, rng: 
 
 
 def degrade(grade: GpsGrade, factor: float) -> GpsGrade:
-    """Multiply position and velocity errors of a grade by a factor."""
+    """Multiply the position and velocity errors of a grade by a factor."""
     errors = {name: getattr(grade, name) for name in ("white_std", "markov_std", "velocity_std")}
     return replace(grade, **{name: std and factor * std for name, std in errors.items()})
 
@@ -148,7 +147,7 @@ def measure_gps(
 ) -> Gps:
     """Make fixes with time stamps (n,), s, from the antenna's motion at these times minus the latency of the grade.
 
-    There are no fixes in the outages, (start, end) in s. The number of draws does not depend on the grade.
+    There are no fixes in the outages, (start, end), s. The number of draws does not depend on the grade.
     """
     interval = float(np.median(np.diff(times)))
     white = grade.white_std * rng.standard_normal((len(times), 2))
@@ -225,5 +224,5 @@ def with_outliers(
         x[burst] += offset * np.cos(way)
         y[burst] += offset * np.sin(way)
         off |= burst
-    # latitude and longitude of the log no longer apply
+    # latitude and longitude of the original fixes no longer apply
     return replace(drive, frame="enu", gps=replace(drive.gps, x=x, y=y, lat=None, lon=None, alt=None))

@@ -71,6 +71,7 @@ def _gyro(per_sqrt_hour: float, bias_per_hour: float, **more: float) -> Triad:
 
 _MPU = {"scale": 0.03, "misalignment": 0.02}  # [T] sensitivity tolerance, cross-axis sensitivity
 
+# By name, from the worst to the best real sensor, then simulated sensors.
 IMU_GRADES = by_name(
     ImuGrade("ideal", source="no errors"),
     ImuGrade(
@@ -117,13 +118,12 @@ IMU_GRADES = by_name(
         source="CARLA Leaderboard sensor set-up (0.001 m/s2, 0.001 rad/s per sample at 100 Hz)",
     ),
 )
-"""Grades by name, from the worst to the best real sensor, then simulated sensors."""
 
 
 def gauss_markov(rng: np.random.Generator, count: int, axes: int, ratio: float) -> Array:
     """Draw stationary first-order Gauss-Markov sequences (count, axes) of unit variance.
 
-    ``ratio`` is the sampling interval divided by the correlation time.
+    ``ratio``: sampling interval / correlation time.
     """
     shocks = rng.standard_normal((count, axes))
     keep = math.exp(-ratio)
@@ -132,7 +132,7 @@ def gauss_markov(rng: np.random.Generator, count: int, axes: int, ratio: float) 
 
 
 def _spoil(true: Array, triad: Triad, interval: float, bias_time: float, rng: np.random.Generator) -> Array:
-    """Add the errors of a triad to true values (n, 3). The number of draws does not depend on the grade."""
+    """Add the errors of a triad to true values (n, 3); the number of draws does not depend on the grade."""
     turn_on = triad.turn_on * rng.uniform(-1, 1, 3)
     mixing = triad.misalignment * rng.uniform(-1, 1, (3, 3))
     np.fill_diagonal(mixing, 1 + triad.scale * rng.uniform(-1, 1, 3))
@@ -143,10 +143,7 @@ def _spoil(true: Array, triad: Triad, interval: float, bias_time: float, rng: np
 
 
 def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Generator) -> Imu:
-    """Measure the motion of the IMU's position at ``times`` (n,), s.
-
-    A `carla` grade uses `carla_force`, which lacks the first two samples.
-    """
+    """Measure the motion of the IMU's position at ``times`` (n,), s; a `carla` grade lacks the first two samples."""
     force, rate = motion.specific_force, motion.angular_rate
     if grade.carla:
         force, rate, times = carla_force(times, motion), rate[2:], times[2:]

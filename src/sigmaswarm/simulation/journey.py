@@ -1,4 +1,4 @@
-"""Drive a maneuver, and measure the achieved values."""
+"""Drive a maneuver, and compute the achieved values."""
 
 from dataclasses import dataclass
 
@@ -47,7 +47,7 @@ def take_journey(
     duration: float | None = None,
     warm_up: bool = True,
 ) -> Journey:
-    """Draw a maneuver and drive it, with parameters as in `simulate`."""
+    """Draw a maneuver and drive it; parameters are as in `simulate`."""
     road = Road(where.friction)
     seconds = URBAN_DURATION if duration is None else duration
     drawn = urban(road, rng, seconds) if name == "urban" else named(name, MANEUVERS, "maneuver")(road, rng)
@@ -65,9 +65,9 @@ def take_journey(
 
 
 def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
-    """Measure the shortest time (s) between two speeds (m/s); NaN if a speed is never reached.
+    """Return the shortest time (s) between two speeds (m/s), from the last sample before the change to the first after.
 
-    The time is from the last sample before the change to the first sample after it.
+    The time is NaN if a speed is never reached.
     """
     speed = speed if rising else speed[::-1]
     begins, ends = np.flatnonzero(speed <= slow), np.flatnonzero(speed >= fast)
@@ -77,7 +77,7 @@ def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
 
 
 def achieved_figures(name: str, journey: Journey, fixes: Array) -> dict[str, float]:
-    """Return achieved values under the names of the targets. ``fixes`` (m,) are times, s."""
+    """Return the achieved values under the names of the targets; ``fixes`` (m,) are times, s."""
     record, start = journey.record, journey.start
     speed = np.hypot(record[:, VX], record[:, VY])
     top, first = float(speed.max()) / KMH, int(start / STEP)
@@ -119,7 +119,7 @@ def _length(record: Array) -> float:
 
 
 def _turned(record: Array) -> tuple[float, float]:
-    """Measure the left and the right turn, deg."""
+    """Return the angles of the left and the right turn, deg."""
     yaw = np.degrees(record[:, YAW])
     extreme = int(np.argmax(np.abs(yaw - yaw[0])))
     # Between the turns the heading is constant.

@@ -1,7 +1,7 @@
 """Routes of the paper's maneuvers, and `urban`, minutes of mixed driving.
 
-If the paper's target is impossible on a road, the driver drives at the friction limit. The target and the achieved
-value are stored in the drive.
+If friction does not allow the paper's target, the driver drives at the friction limit. The drive contains the target
+and the achieved value.
 """
 
 import math
@@ -15,13 +15,13 @@ from sigmaswarm.simulation.planning import Leg
 
 KMH = 1 / 3.6  # m/s
 QUARTER = math.pi / 2
-HARD_EASE = 0.2  # s, in which acceleration builds up in hard driving
+HARD_EASE = 0.2  # s, time in which acceleration builds up in hard driving
 _LIMIT = 0.96  # share of the friction limit; the rest is for steering
 
 
 @dataclass(frozen=True)
 class Road:
-    """Limits of the accelerations on a road of this friction."""
+    """Limits of the accelerations on a road of a given friction."""
 
     friction: float
 
@@ -50,8 +50,8 @@ def straight(road: Road, length: float, kmh: float) -> Leg:
 def turn(road: Road, angle: float, radius: float, kmh: float, lateral: float) -> list[Leg]:
     """Turn by an angle (rad, left positive): clothoid, arc, clothoid.
 
-    The speed in the bend keeps the lateral acceleration below `lateral` (m/s2) and below 70% of the friction limit,
-    which leaves a margin for braking.
+    The speed keeps the lateral acceleration below `lateral` (m/s2) and below 70% of the friction limit, as a margin for
+    braking.
     """
     curvature = math.copysign(1 / radius, angle)
     bend = min(0.6 * radius, 0.8 * abs(angle) * radius)  # each clothoid turns by bend / (2 radius)
@@ -170,6 +170,7 @@ def _city_block(road: Road, rng: np.random.Generator) -> list[Leg]:
     return [street, *turn(road, sign * angle, radius, kmh, 2.0), *turn(road, -sign * angle, radius, kmh, 2.0)]
 
 
+# By name; the first five are the paper's.
 MANEUVERS: dict[str, Callable[[Road, np.random.Generator], Maneuver]] = {
     "cruise": cruise,
     "turns": turns,
@@ -178,4 +179,3 @@ MANEUVERS: dict[str, Callable[[Road, np.random.Generator], Maneuver]] = {
     "outages": outages,
     "urban": urban,
 }
-"""Maneuvers by name. The paper has the first five."""

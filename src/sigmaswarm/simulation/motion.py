@@ -1,9 +1,9 @@
 """Motion of a point of the car's body, from the recorded states of the car, and vibration.
 
 The body pitches and rolls about its center of gravity. Attitude: yaw, then pitch (positive nose down), then roll
-(positive left side up), each about the new body axis. So a left turn rolls the body to the right, and gravity increases
-the measured lateral acceleration. Pitch and roll of road and suspension are added. The equations are exact rigid-body
-kinematics.
+(positive left side up), each about the new body axis. A left turn rolls the body to the right, so gravity increases the
+measured lateral acceleration. Pitch and roll of the road and of the suspension are added. The equations are exact
+rigid-body kinematics.
 """
 
 import math
@@ -42,11 +42,9 @@ LeverArm = tuple[float, float, float]
 # to 8 times the Colorado densities at standstill, and about 20 times the data sheet of an MPU-6050. Bumps and spectra
 # are not modeled. Roll and pitch rates have no part below the frequency of the springs: white noise would rotate the
 # body by degrees in a minute, and gravity would appear as acceleration.
-FORCE_DENSITY = (0.06, 0.025, 0.04)
-"""Density of the specific force, m/s2/sqrt(Hz) forward, left, up, at `FULL_SPEED` and above."""
-RATE_DENSITY = (0.002, 0.003, 0.0005)
-"""Density of the angular rate, rad/s/sqrt(Hz), about the same axes. The only recording of the left axis has 0.010."""
-FULL_SPEED = 5.0  # m/s; below, vibration is proportional to speed
+FORCE_DENSITY = (0.06, 0.025, 0.04)  # m/s2/sqrt(Hz) forward, left, up, density at `FULL_SPEED` and above
+RATE_DENSITY = (0.002, 0.003, 0.0005)  # rad/s/sqrt(Hz), same axes; the only left recording has 0.010
+FULL_SPEED = 5.0  # m/s; vibration is proportional to speed below this speed
 SPRINGS = 1.0  # Hz, natural frequency of the body on its springs; an assumption
 
 

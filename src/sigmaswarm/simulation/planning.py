@@ -14,10 +14,9 @@ from sigmaswarm.drives.drive import Array
 
 SPACING = 0.1  # m, between points of a path
 DRIVER_STEP = 0.01  # s, between steps of the driver
-RUN_OUT = 60.0
-"""Straight road after the last leg, m, for the driver's preview and for longer stops."""
-SWAY_OFFSET, SWAY_SPEED = 0.10, 0.006
-"""Amplitudes of the driver's sway: m from the ideal line, and relative to the speed."""
+RUN_OUT = 60.0  # m, straight road after the last leg, for the driver's preview and for longer stops
+SWAY_OFFSET = 0.10  # m from the ideal line, amplitude of the driver's sway
+SWAY_SPEED = 0.006  # relative to the speed, amplitude of the driver's sway
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ def draw_sway(rng: np.random.Generator) -> Sway:
 def lay_path(legs: Sequence[Leg], heading: float, sway: Sway) -> Array:
     """Return the path, shape (n, 4): east m, north m, heading rad, curvature 1/m, every `SPACING` m.
 
-    The path begins at the origin. Trapezoids integrate the curvature, midpoints the heading.
+    The path begins at the origin. The integration uses trapezoids for the curvature and midpoints for the heading.
     """
     ends = np.cumsum([0.0, *(leg.length for leg in legs), RUN_OUT])
     way = np.arange(0.0, ends[-1], SPACING)
@@ -85,7 +84,7 @@ def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
 def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
     """Return the fastest plan, shape (m, 3): speed m/s, acceleration m/s2, distance m, every `DRIVER_STEP` s.
 
-    The car first stands for ``stand`` s; with None it starts in motion at the speed of the first leg.
+    The car first stands for ``stand`` s; if it is None, the car starts at the speed of the first leg.
     """
     ends = np.cumsum([0.0, *(leg.length for leg in legs)])
     way = np.arange(0.0, ends[-1] + SPACING / 2, SPACING)

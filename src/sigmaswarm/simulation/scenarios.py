@@ -1,6 +1,6 @@
 """Simulate one drive: journey, sensors and truth.
 
-Seed, maneuver, environment, run and the name of a sensor determine its random numbers, so that a change of one sensor
+Seed, maneuver, environment, run and the sensor's name determine the random numbers of a sensor. A change of one sensor
 does not change the data of others.
 """
 
@@ -34,7 +34,7 @@ from sigmaswarm.simulation.vehicle import find_vehicle
 
 @dataclass(frozen=True)
 class Scenario:
-    """Checked configuration of a simulated drive. `simulate` describes the fields."""
+    """Checked configuration of a simulated drive; `simulate` describes the fields."""
 
     maneuver: str = "urban"
     environment: str | Environment = "clear"
@@ -187,7 +187,6 @@ def drive_name(maneuver: str, environment: str, run: int) -> str:
 
 
 def check_duration(maneuver: str, duration: float | None) -> None:
-    """Raise `InputError` if a maneuver can't have this duration, s."""
     if duration is None:
         return
     if maneuver != "urban":
@@ -199,7 +198,7 @@ def check_duration(maneuver: str, duration: float | None) -> None:
 
 
 def _times(end: float, rate: float, jitter: float = 0.0, rng: np.random.Generator | None = None) -> Array:
-    """Return sample times from 0 to `end`, s, strictly increasing."""
+    """Return strictly increasing sample times from 0 to `end`, s."""
     times = np.arange(int(end * rate + 1e-6) + 1) / rate
     if rng is None or jitter == 0:
         return times

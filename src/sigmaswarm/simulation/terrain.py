@@ -1,7 +1,7 @@
 """Simulate hills: grade and bank of the road, for a car that drives as on a flat road.
 
 The path in the plane is the path on a flat road, since the driver compensates for the slope. Slopes change the height
-of the car, and its attitude directly and, due to gravity, through the suspension. They depend on the distance s:
+of the car, and its attitude directly and, due to gravity, through the suspension. The slopes depend on the distance s:
 
     grade pitch p(s), bank roll f(s);  slope of the road ahead  -tan p,  to the left  tan f / cos p
     height' = slope ahead x vx + slope to the left x vy
@@ -84,6 +84,7 @@ class Terrain:
     source: str = ""
 
 
+# From the easiest for a planar filter; `banked_radius` is [R].
 TERRAINS = by_name(
     Terrain("flat", source="a plane"),
     Terrain(
@@ -111,7 +112,6 @@ TERRAINS = by_name(
         source="kitti-09-30-0033 and -0034, measured; AASHTO",
     ),
 )
-"""Terrains by name, from the easiest for a planar filter. `banked_radius` is [R]."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def _wander(rng: np.random.Generator, count: int, std: float, length: float, lim
 
 
 def lay_road(curvature: Array, terrain: Terrain, rng: np.random.Generator) -> Road:
-    """Draw the slopes of a road; ``curvature`` (p,), 1/m, is that of the path at each `SPACING` m."""
+    """Draw the slopes of a road; ``curvature`` (p,), 1/m, is the curvature of the path at each `SPACING` m."""
     length = len(curvature) * SPACING
     at = np.arange(-_PROFILE_MARGIN, length + _PROFILE_MARGIN, _KNOT_SPACING)
     grade = _wander(rng, len(at), terrain.grade_std, terrain.grade_length, terrain.grade_limit)

@@ -18,6 +18,7 @@ def _table(*values: float) -> np.ndarray:
     return np.array(values)
 
 
+# Real car, dual motor.
 MODEL_3 = Vehicle(
     mass=1850.0,  # [O] 1844-1899
     yaw_inertia=3400.0,  # [R]
@@ -57,8 +58,8 @@ MODEL_3 = Vehicle(
     coast=_table(0.0, 0.0, -1.5, -1.5, -1.1, -0.7),
     full_brake=_table(-11.0, -11.0, -11.0, -11.0, -11.0, -11.0),
 )
-"""Real car, dual motor."""
 
+# Mass, drag and pedals of CARLA, whose brakes stop the car from 50 km/h in 2.7 s.
 MODEL_3_CARLA = MODEL_3._replace(
     mass=1845.0,  # [C]
     drag_area=0.15 * 3.2,  # [C] coefficient; area [D] of its bounding box 2.16 m x 1.49 m
@@ -70,12 +71,10 @@ MODEL_3_CARLA = MODEL_3._replace(
     coast=_table(0.0, -0.71, -1.58, -1.58, -1.58),
     full_brake=_table(-4.4, -4.4, -6.1, -7.4, -7.4),
 )
-"""Mass, drag and pedals of CARLA; its brakes stop the car from 50 km/h in 2.7 s."""
 
 VEHICLES = {"model3": MODEL_3, "model3-carla": MODEL_3_CARLA}
 
 
 def find_vehicle(vehicle: str | Vehicle) -> tuple[str, Vehicle]:
-    """Return name and parameters of a car, given as a name or a record."""
     name = vehicle if isinstance(vehicle, str) else "custom"
     return name, named(vehicle, VEHICLES, "vehicle")
