@@ -49,11 +49,12 @@ if TYPE_CHECKING:
     from sigmaswarm.drives.reader import Location
 
 
+# Options in which contenders may differ, in addition to optimizer and scale.
 CONTENDER_OPTIONS = (
     *("particles", "generations", "trials", "polish", "racing"),
     *("inertia", "cognitive", "social", "zero_velocity_at_bounds"),
 )
-"""Options in which contenders may differ, in addition to optimizer and scale."""
+# Options of `tune` that a comparison rejects, with the reasons.
 REJECTED_OPTIONS = {
     **{name: f"varies in a comparison; use {name}s instead" for name in ("seed", "optimizer", "scale")},
     **dict.fromkeys(
@@ -61,7 +62,6 @@ REJECTED_OPTIONS = {
         "can't be set: a comparison compares costs without it; leave it out",
     ),
 }
-"""Options of `tune` that a comparison rejects, with the reasons."""
 
 
 class GridOptions(CompareOptions, total=False):
@@ -207,7 +207,7 @@ def _grid(options: GridOptions, training: "Dataset", held_out: "Dataset") -> _Gr
 
 
 def _contenders(options: GridOptions, drives: Sequence[Any]) -> list[Contender]:
-    """Create a contender for every optimizer and scale, and check that all have the same budget."""
+    """Create a contender for every optimizer and scale; all must have the same budget."""
     given: dict[str, Any] = {**options}
     given.pop("seeds", None)
     names = given.pop("optimizers", ("pso", "ga", "ga-pso", "de", "cma-es", "random"))

@@ -18,7 +18,7 @@ from sigmaswarm.records import load_record
 from sigmaswarm.tuning.config import TuneConfig
 
 MIN_SEEDS = 6
-"""Number of seeds below which a two-sided signed-rank test can't reach p = 5%: its lowest p is 2^(1 - seeds)."""
+"""With fewer seeds, a two-sided signed-rank test can't reach p = 5%: its lowest p is 2^(1 - seeds)."""
 
 MEASURES = {
     "cost": "training cost",
@@ -58,12 +58,12 @@ class Outcome:
     ----------
     cost : float
     held_out_cost, held_out_rmse, held_out_heading : float or None
-        Objective, mean position RMSE (m) and mean heading error (deg) on the held-out drives; None without such drives,
-        without truth, or if the filter failed.
+        Objective, mean position RMSE (m) and mean heading error (deg) on the held-out drives; None if there are no
+        held-out drives, they have no truth, or the filter failed.
     touched : tuple of str
         Parameters at a bound.
     evaluations, failures : int
-        Numbers of parameter sets that were evaluated and that failed.
+        Number of evaluated parameter sets, and number of failed ones.
     history_evaluations, history_steps : tuple of int
         Total numbers of evaluations and of filter steps after each generation.
     history_best : tuple of float
@@ -107,7 +107,8 @@ class Comparison:
     drives, test : tuple of str
         Names of the training and of the held-out drives.
     fixes_alone_rmse : float or None
-        Mean position RMSE on the held-out drives, m, of a filter of fixes alone that was fitted to the training drives.
+        Mean position RMSE on the held-out drives, m, of a filter of fixes alone, which was fitted to the training
+        drives.
     """
 
     contenders: tuple[Contender, ...]
@@ -124,7 +125,7 @@ class Comparison:
         return len(self.runs[self.contenders[0].label])
 
     def values(self, label: str, measure: str) -> Array:
-        """Return a measure in every run, shape (seeds,); ``inf`` for None."""
+        """Return a measure in every run, shape (seeds,), ``inf`` instead of None."""
         found = [getattr(run, measure) for run in self.runs[label]]
         return np.array([np.inf if v is None else v for v in found], dtype=np.float64)
 

@@ -24,14 +24,12 @@ from sigmaswarm.errors import SigmaswarmError
 
 T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
+# Receives the number of finished rounds; raises `InterruptedError` after an interrupt.
 Report = Callable[[int], None]
-"""Function that receives the number of finished rounds, and raises `InterruptedError` after an interrupt."""
-PR_SET_PDEATHSIG = 1
-"""Option of prctl(2): the signal that Linux sends to a process when its parent dies."""
+PR_SET_PDEATHSIG = 1  # option of prctl(2): signal that Linux sends to a process when its parent dies
 POLL_INTERVAL = 0.05  # s, interval at which the progress of the tasks is read
 KILLED_MESSAGE = "a process of this experiment was killed, perhaps for lack of memory; continue with --resume"
-_run: Callable[[int], Any] | None = None
-"""Function of a forked process that runs a task by its index."""
+_run: Callable[[int], Any] | None = None  # runs a task by its index in a forked process
 
 
 def run_grid(
@@ -47,7 +45,7 @@ def run_grid(
     """Run every task; the first failure or interruption stops the others. Results are in the order of the tasks.
 
     ``run(task, report)`` runs a task of ``rounds`` rounds and calls ``report`` with the number of finished rounds.
-    ``processes`` is the number of forks (Linux only). If it is 0, the threads of ``executor`` run the tasks. Kernels
+    ``processes`` is the number of forks (Linux only); if it is 0, the threads of ``executor`` run the tasks. Kernels
     should be compiled before a fork. Tasks with the largest ``effort`` start first. ``progress`` is called in this
     thread with the finished rounds of all tasks, the total number, and a task that advanced.
     """
@@ -85,7 +83,7 @@ def run_grid(
 
 
 def _one(tasks: Sequence[T], run: Callable[[T, Report], R], rounds: int, done: Any, stop: Any, k: int) -> R:
-    """Run a task by its index, and write its finished rounds to shared memory."""
+    """Run a task by its index, and write the number of finished rounds to shared memory."""
 
     def report(finished: int) -> None:
         if stop[0]:
@@ -108,10 +106,7 @@ def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) ->
 
 
 def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
-    """Prepare a forked process, which is killed when its parent or the grid ends.
-
-    Killing the process is safe, since files are written atomically.
-    """
+    """Prepare a forked process, which is killed when its parent or the grid ends; files are written atomically."""
     global _run
     _run = run
     # A resumed run removes unfinished files, so no old process may still write them.

@@ -44,7 +44,7 @@ def trial_means(values: Array) -> Array:
 
 
 def drive_means(values: Array) -> Array:
-    """Return the mean over each drive's trials, shape (drives,); NaN without trials."""
+    """Return the mean over each drive's trials, shape (drives,); NaN if no trial tested on the drive."""
     return _mean_known(values, axis=0)
 
 
@@ -60,7 +60,7 @@ def spread(values: Array) -> float:
 
 
 def trial_interval(values: Array) -> Interval:
-    """Return mean +- 1.96 SD / sqrt(n), as in the paper; half of such intervals contain the mean over new drives."""
+    """Return mean +- 1.96 SD / sqrt(n), as in the paper; half of these intervals contain the mean over new drives."""
     if not len(values):
         return math.nan, math.nan
     return _around_mean(values, 1.96 * spread(values) / math.sqrt(len(values)))
@@ -97,8 +97,8 @@ def crossed_bootstrap(values: Array, strata: Sequence[str], draws: Draws) -> Int
     """Return the percentile interval of the mean, with drives and trials resampled independently.
 
     The interval accounts for the choice of drives and the variation of the optimizer (A. B. Owen, The pigeonhole
-    bootstrap, Annals of Applied Statistics 1, 2007). `levels` are resampled instead of scores, since trials also differ
-    by their drives. With few trials or drives, quantiles are too narrow; Student's t widens their tails (T. C.
+    bootstrap, Annals of Applied Statistics 1, 2007). `levels` are resampled instead of scores, since the test drives of
+    trials differ. With few trials or drives, quantiles are too narrow; Student's t widens their tails (T. C.
     Hesterberg, The American Statistician 69, 2015).
     """
     known_values = ~np.isnan(values)
@@ -165,7 +165,7 @@ def _middle(values: Array, tail: float = (1 - LEVEL) / 2) -> Interval:
 
 
 def improvement(tuned: Array | np.float64, manual: Array | np.float64) -> Array:
-    """Return the paper's equation 5, (manual - tuned) / manual x 100; NaN where manual is 0."""
+    """Return the paper's equation 5, (manual - tuned) / manual x 100, %; NaN where manual is 0."""
     m = np.where(manual > 0, manual, np.nan)
     return np.asarray(100 * (m - tuned) / m, dtype=np.float64)
 
@@ -173,7 +173,7 @@ def improvement(tuned: Array | np.float64, manual: Array | np.float64) -> Array:
 def median_interval(values: Array) -> Interval:
     """Return a distribution-free interval of the median, from symmetric order statistics.
 
-    W. J. Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2. With fewer than six values, the
+    W. J. Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2. For fewer than six values, the
     interval is the whole range.
     """
     ordered = np.sort(values)
@@ -201,7 +201,7 @@ def signed_rank(ours: Array, theirs: Array) -> float:
 
 
 def rank_biserial(difference: Array) -> float:
-    """Return the share of the rank sum of negative differences minus that of positive differences, from -1 to 1.
+    """Return the rank-biserial correlation, -1 to 1: negative minus positive differences, as shares of the rank sum.
 
     D. S. Kerby, Comprehensive Psychology 3, 2014.
     """

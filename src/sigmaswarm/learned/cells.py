@@ -15,7 +15,7 @@ def _sigmoid(xp: Any, x: Any) -> Any:
 
 
 def lstm(xp: Any, weights: Weights, state: tuple[Any, Any], x: Any) -> tuple[Any, Any]:
-    """Run a step of a long short-term memory: return h and c, each (..., units), after an input (..., features).
+    """Run a step of a long short-term memory; return h and c, each (..., hidden units), after x (..., features).
 
     S. Hochreiter and J. Schmidhuber, Neural Computation 9(8), 1997; F. Gers, J. Schmidhuber and F. Cummins, Neural
     Computation 12(10), 2000.
@@ -28,7 +28,7 @@ def lstm(xp: Any, weights: Weights, state: tuple[Any, Any], x: Any) -> tuple[Any
 
 
 def gru(xp: Any, weights: Weights, h: Any, x: Any) -> Any:
-    """Run a step of a gated recurrent unit (K. Cho et al., EMNLP 2014): return h (..., units)."""
+    """Run a step of a gated recurrent unit (K. Cho et al., EMNLP 2014); return h (..., hidden units)."""
     from_x = x @ weights["input"] + weights["bias"]
     from_h = h @ weights["hidden"]
     xr, xz, xn = xp.split(from_x, 3, axis=-1)
@@ -38,7 +38,7 @@ def gru(xp: Any, weights: Weights, h: Any, x: Any) -> Any:
 
 
 def head(weights: Weights, h: Any) -> Any:
-    """Return the outputs (..., outputs) of a state (..., units)."""
+    """Return the outputs (..., outputs) for a state (..., hidden units)."""
     return h @ weights["head"] + weights["head_bias"]
 
 

@@ -18,16 +18,12 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError, not_installed
 from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
 
-Loss = Callable[[Any, tuple[Any, ...]], Any]
-"""Function of weights and a batch."""
-Settings = Mapping[str, float]
-"""Units, window (s) and learning rate of a network."""
-WEIGHT_DECAY = 1e-4
-"""Weight decay per step, relative to the learning rate: I. Loshchilov and F. Hutter, ICLR 2019."""
+Loss = Callable[[Any, tuple[Any, ...]], Any]  # loss for weights and a batch
+Settings = Mapping[str, float]  # number of hidden units, window (s) and learning rate of a network
+WEIGHT_DECAY = 1e-4  # weight decay per step / learning rate: I. Loshchilov and F. Hutter, ICLR 2019
 MAX_GRADIENT_NORM = 1.0
-"""Largest norm of a gradient; larger gradients are scaled down: R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013."""
-VALIDATION_SHARE = 0.25
-"""Share of each drive, at its end, that is validation data if no validation drives are given."""
+"""Largest norm of a gradient; a larger gradient is scaled down: R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013."""
+VALIDATION_SHARE = 0.25  # share of each drive, at its end, for validation if no validation drives are given
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +66,8 @@ class Schedule:
 class Fit:
     """Weights after the best epoch, and losses.
 
-    ``losses``, shape (epochs + 1, 2), are means on the training and validation examples, before and after each epoch.
+    ``losses``, shape (epochs + 1, 2): means over the training and the validation examples, initially and after each
+    epoch.
     """
 
     weights: dict[str, Array]
@@ -101,8 +98,8 @@ def fit(
 ) -> Fit:
     """Minimize the loss by Adam; return the weights with the least loss on the validation examples.
 
-    A stopped training continues from the file ``checkpoint``. ``progress`` is called after each epoch with its number
-    and the least loss so far.
+    A stopped training continues from the file ``checkpoint``. ``progress`` is called after each epoch with the number
+    of the epoch and the least loss so far.
     """
     with double_precision():
         import jax
@@ -152,7 +149,7 @@ def _compiled(loss: Loss, learning_rate: float) -> tuple[Any, Any, Any]:
 
 
 def _epoch(loss: Loss, optimizer: Any, weights: Any, moments: Any, batches: Any) -> Any:
-    """Run over the batches, (steps, batch, ...) each."""
+    """Run one epoch over the batches, (steps, batch, ...) each."""
     import jax
     import optax
 

@@ -39,8 +39,7 @@ class NetworkRecord(BaseModel):
     window: float = Field(gt=0.0, allow_inf_nan=False)
     learning_rate: float
     axes: list[str] = Field(default_factory=list)
-    inflation: float | None = None
-    """Factor of the forecasts' variances; None: infinite."""
+    inflation: float | None = None  # factor of the forecasts' variances; None: infinite
     unsure: float = 1.0
     numbers: int
 

@@ -69,7 +69,8 @@ class LearnConfig:
         Drives for early stopping, and for the calibration of outage-lstm. The default is the last quarter of each
         drive; for outage-lstm with three or more drives, the last third of the drives.
     search : int
-        Number of further settings (units, window, learning rate) to try; the best on the validation data is used.
+        Number of further settings (number of hidden units, window, learning rate) to try; the best on the validation
+        data is used.
     seed : int
         The same seed gives identical results on the same machine.
     """
@@ -93,7 +94,7 @@ class LearnConfig:
         }
 
     def split(self) -> tuple[Sequence[Drive], Sequence[Drive]]:
-        """Return training and validation drives; no validation drives if the end of each drive is validation data."""
+        """Return training and validation drives; the latter are empty if the end of each drive is validation data."""
         if self.kind == noise_gru.NAME or self.validation:
             return self.drives, self.validation
         last = len(self.drives) - len(self.drives) // 3  # the calibration needs long drives
@@ -129,7 +130,7 @@ def learn(
     """
     if config.kind not in LEARNERS:
         raise InputError(f"there is no network {config.kind!r}; choose one of {', '.join(LEARNERS)}")
-    with double_precision():  # raises at once where JAX is missing
+    with double_precision():  # raises at once if JAX is missing
         began, record = time.process_time(), config.record()
     folder = ResultFolder(out, record, resume=resume)
     shown, held_back = config.split()

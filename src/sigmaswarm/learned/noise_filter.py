@@ -1,7 +1,7 @@
 """The extended Kalman filter of planar5 and planar8 in JAX, to train `noise-gru` with gradients.
 
-This filter has the textbook form and the rules of `schedule`. It uses neither the receiver's velocity nor an odometer,
-and is not reset after a divergence. This module needs JAX, the extra ``learned``.
+This filter has the textbook form and the rules of `schedule`. The filter uses neither the receiver's velocity nor an
+odometer, and is not reset after a divergence. This module needs JAX, the extra ``learned``.
 """
 
 from dataclasses import dataclass
@@ -32,8 +32,8 @@ from sigmaswarm.learned.noise_gru import features_of, log_scales, nis_of
 N_COLUMNS = 14
 """Columns of a step.
 
-dt, q_scale, gap, ax, ay, gz; flags of a fix, a sample, a lateral update and a standstill; x, y of the fix, m, and its
-stated variances, m2.
+dt, q_scale, gap, ax, ay, gz; flags of a fix, a sample, a lateral update and a standstill; x and y of the fix, m; the
+stated variances of x and y, m2.
 """
 
 
@@ -68,7 +68,7 @@ def _inverse(s: Any) -> Any:
 
 
 def _update(m: Any, c: Any, h: Any, nu: Any, noise: Any, use: Any) -> tuple[Any, Any]:
-    """Return mean and covariance after a measurement, if ``use`` is 1."""
+    """Return mean and covariance after a measurement, unchanged if ``use`` is 0."""
     s = h @ c @ h.T + noise
     gain = use * (c @ h.T) @ (1.0 / s if len(nu) == 1 else _inverse(s))
     changed = c - gain @ h @ c
@@ -105,7 +105,7 @@ def _predict(q: Array, m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
 
 
 def _weight(dof: float, seen: Any, noise: Any, nu: Any) -> Any:
-    """Weight a fix by Student's t: see `compiled.adaptive.student_t_weight`."""
+    """Weight a fix by Student's t, as in `compiled.adaptive.student_t_weight`."""
     weight = 1.0
     for _ in range(ITERATIONS):
         a = noise / weight
@@ -151,7 +151,7 @@ def _take_lateral(p: FilterParameters, m: Any, c: Any, u: Any) -> tuple[Any, Any
 
 
 def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
-    """Update with a velocity of zero, and with the gyro's reading at rest as its bias."""
+    """Update with a velocity of zero, and with the gyro's reading at rest as the gyro's bias."""
     identity, bias = jnp.eye(len(m)), slice(GYRO_BIAS, GYRO_BIAS + 1)
     m, c = _update(m, c, identity[2:4], -m[2:4], noise * jnp.eye(2), u[9])
     if len(m) > GYRO_BIAS:
@@ -162,7 +162,8 @@ def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
 def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: Any) -> tuple[Any, Any]:
     """Run the filter with its network over k steps, from a mean (n,) and a covariance (n, n).
 
-    Return (k, 6): nu, m, xx, xy, yy of S, m2, before the update, and 1 for a fix, else 0; and the means (k, n).
+    Return (k, 6): nu, m, xx, xy, yy of S, m2, before the update, and 1 if the step has a fix, else 0. Also return the
+    means (k, n).
     """
     p, nothing = settings.parameters, jnp.array([0.0, 0.0, 1.0, 0.0, 1.0, -1.0])
 
@@ -192,7 +193,7 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
 
 
 def innovation_loss(settings: Settings, innovations: Any) -> tuple[Any, Any]:
-    """Return the sum of the fixes' negative log-likelihoods, nats, and their number.
+    """Return the sum of the fixes' negative log-likelihoods, nats, and the number of fixes.
 
     The likelihood is Student's t for a robust filter (see `student`), else Gaussian.
     """

@@ -1,6 +1,6 @@
 """noise-gru: a filter with a network that scales Q and R according to the latest innovations.
 
-The network takes one step after each fix. Its factors apply from the next IMU sample to the sample after the next fix,
+The network takes one step after each fix. The factors apply from the next IMU sample to the sample after the next fix,
 so a factor does not depend on the fix that it scales. The inputs are the innovation in the body frame divided by its
 expected size, the NIS, and the time since the last fix.
 """
@@ -52,9 +52,9 @@ def nis_of(nu: Any, s: Any) -> tuple[Any, Any]:
 
 
 class NoiseRun(InterruptibleRun):
-    """Run of a filter over a replay with a network that scales Q and R; ``scales``: these factors after each fix.
+    """Run of a filter over a replay with a network that scales Q and R.
 
-    With an untrained network the run equals that of `FilterRun`.
+    ``scales``: factors of Q and R after each fix. With an untrained network the run equals that of `FilterRun`.
     """
 
     def __init__(

@@ -112,6 +112,6 @@ class NoiseLearner:
     def finish(
         self, settings: Settings, weights: Mapping[str, Array]
     ) -> tuple[Mapping[str, Array], dict[str, Any]]:
-        """Return the weights; no calibration is needed, since the loss is a likelihood."""
+        """Return the weights without calibration, since the loss is a likelihood."""
         del settings
         return weights, {}

@@ -1,7 +1,8 @@
 """outage-lstm: a filter that is updated with a network's forecasts of displacements during outages.
 
-The network estimates the displacement in the last second, forward and left, from windows of the IMU. Vibration and
-lateral acceleration depend on the speed. The filter's speed is not an input, since the update would use it twice.
+The network estimates the displacement in the last second, forward and left, from windows of the IMU. The windows
+contain information on the speed, since vibration and lateral acceleration depend on it. The filter's speed is not an
+input, since the update would use it twice.
 
 Errors of the forecasts are modeled as Gauss-Markov processes. In an outage the last known error, multiplied by a decay,
 is subtracted. Two factors maximize the likelihood of hidden fixes on validation drives. The factor of the forecasts'
@@ -30,11 +31,9 @@ from sigmaswarm.learned.relative import Begin, Displacements, in_body
 
 Indices = NDArray[np.intp]
 HORIZON = 1.0  # s, duration of a displacement
-OUTAGE_AFTER = 2.0
-"""Time since the last fix after which an outage begins, s; a working receiver has 1 Hz or more."""
+OUTAGE_AFTER = 2.0  # s from the last fix to the begin of an outage; a working receiver has 1 Hz or more
 WINDOW_STEPS = 40  # number of steps of a resampled window
-_VIBRATION_OFFSET = 1e-3
-"""Offset that is added to the vibration of an axis before the logarithm, m/s2; the offset for a gyro is 1e-4 rad/s."""
+_VIBRATION_OFFSET = 1e-3  # m/s2, added to an axis's vibration before the logarithm; 1e-4 rad/s for a gyro
 _GRAVITY = 9.80665
 
 
@@ -61,7 +60,7 @@ class Windows:
 def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Windows:
     """Divide a drive's outages, which begin `OUTAGE_AFTER` after a fix, into windows of `HORIZON`; ignore hidden fixes.
 
-    ``axes`` of the IMU are the inputs; ``window`` is their length, s.
+    The IMU's ``axes`` over ``window`` s are the inputs.
     """
     time = line.imu_time
     came = np.concatenate([[line.start], line.end[line.updates]])
@@ -105,8 +104,8 @@ def pairs_of(time: Array, after: float, until: float, every: float) -> tuple[Ind
 def features_at(line: Timeline, end: Indices, *, axes: Sequence[str], window: float) -> Array:
     """Return the inputs from the last ``window`` s before some samples, (k, WINDOW_STEPS, 2 axes).
 
-    The inputs are the mean (m/s2, rad/s) and the logarithm of the standard deviation, which grows with the speed of a
-    car.
+    The inputs are the mean (m/s2, rad/s) and the logarithm of the standard deviation of each step. Vibration, and with
+    it the standard deviation, grows with the speed of a car.
     """
     time = line.drive.imu.time
     edges = line.imu_time[end][:, np.newaxis] + np.linspace(-window, 0.0, WINDOW_STEPS + 1)
@@ -139,8 +138,7 @@ def _means(time: Array, values: Array, edges: Array) -> Array:
 
 NAME = "outage-lstm"
 VELOCITY_Q = [R.Q_U, R.Q_V]
-MIN_STD, MAX_STD = 0.02, 20.0
-"""Bounds of the standard deviation of a displacement over a second, m."""
+MIN_STD, MAX_STD = 0.02, 20.0  # m, bounds of the standard deviation of a displacement over a second
 
 
 class Forecast(NamedTuple):
@@ -165,8 +163,8 @@ class OutageLstm:
     """A trained network; ``axes`` of the IMU over ``window``, s, are inputs.
 
     - ``weights``: weights of `cells`; ``center`` and ``spread`` (f,) of the features; ``usual`` and ``scale`` (2,) of
-      the outputs, m; ``kept`` (2,) and ``lasts`` (2,), s, of the errors' autocorrelation, kept x exp(-t / lasts).
-    - ``inflation``: factor of the variances; infinite: no update.
+      the outputs, m; ``kept`` (2,) and ``lasts`` (2,), s: autocorrelation of the errors, kept x exp(-t / lasts).
+    - ``inflation``: factor of the variances; if it is infinite, there is no update.
     - ``unsure``: factor of the velocity's Q in outages.
     """
 
@@ -183,7 +181,7 @@ class OutageLstm:
         return self.weights["usual"] + raw[:, :2] * self.weights["scale"], std**2
 
     def remains(self, age: Any) -> Any:
-        """Return the remaining share of an error after ``age`` s, (..., 2)."""
+        """Return the share of an error, (..., 2), that remains after ``age`` s."""
         return self.weights["kept"] * np.exp(-np.asarray(age)[..., np.newaxis] / self.weights["lasts"])
 
     def forecasts(self, windows: Windows) -> dict[int, Forecast]:

@@ -40,10 +40,9 @@ LENGTHS = (10.0, 40.0)  # s, shortest and longest calibration outage
 PLACEMENTS = 4  # number of placements of outages in each drive
 EXAMPLE_INTERVAL = 0.25  # s, between examples
 VALIDATION_GAP = 5.0  # s, gap between the training and validation data
-INFLATIONS, UNSURE = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0), (1.0, 10.0, 100.0)
-"""Values that the calibration tries: see `OutageLstm`."""
-LAGS = (2, 4, 8, 12, 20, 40, 80, 120)
-"""Lags of the autocorrelation of errors, in units of `EXAMPLE_INTERVAL`."""
+INFLATIONS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # values of `OutageLstm.inflation` that the calibration tries
+UNSURE = (1.0, 10.0, 100.0)  # values of `OutageLstm.unsure` that the calibration tries
+LAGS = (2, 4, 8, 12, 20, 40, 80, 120)  # lags of the autocorrelation of errors, in units of `EXAMPLE_INTERVAL`
 FIXED_WEIGHTS = ("center", "spread", "usual", "scale", "kept", "lasts")
 
 
@@ -62,7 +61,7 @@ class Track:
 def tracks_of(
     drives: Sequence[Drive], parameters: FilterParameters, validation: Sequence[Drive] = ()
 ) -> list[Track]:
-    """Smooth drives for training; without ``validation``, the end of each drive is for validation."""
+    """Smooth drives for training; the end of each drive is for validation if there are no ``validation`` drives."""
     tracks: list[Track] = []
     for drive in (*drives, *validation):
         ready = PreparedDrive(drive)
@@ -76,7 +75,7 @@ def tracks_of(
 
 
 def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[Replay, float]]:
-    """Place outages on validation data several times; return the replays, and the start of the data, s."""
+    """Place outages on validation data several times; return the replays and the starts of their data, s."""
     cases: list[tuple[Replay, float]] = []
     for number, track in enumerate(tracks):
         drive, initial = track.ready.drive, track.ready.initial
@@ -96,7 +95,7 @@ def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[Replay, float]]:
 
 
 def _windows_of(track: Track, axes: Sequence[str], window: float) -> tuple[Array, Array, Array]:
-    """Return windows of a whole drive: their ends (k,), s, their features, and the displacements (k, 2), m."""
+    """Return windows of a whole drive: times of their ends (k,), s, features, and displacements (k, 2), m."""
     line = track.ready.timeline()
     begins, ends = pairs_of(line.imu_time, line.start, np.inf, EXAMPLE_INTERVAL)
     features = features_at(line, ends, axes=axes, window=window)
@@ -205,8 +204,8 @@ def calibrate(
 ) -> OutageLstm:
     """Choose the factors of `OutageLstm` that maximize the likelihood of hidden fixes.
 
-    The inflation is infinite if the mean gain over the filter alone is below its standard error. Only outages of one
-    placement count as independent.
+    The inflation is infinite if the mean gain over the filter alone is below the standard error of the mean. Only
+    outages of one placement count as independent.
     """
     windows = [
         outage_windows(replay.timeline, axes=network.axes, window=network.window) for replay, _ in cases

@@ -22,10 +22,8 @@ from sigmaswarm.filters.packing import definite, pack_states, unpack_states
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, run_steps
 
-_DIFFERENCE_STEP = 1e-3
-"""Step of the finite differences, in standard deviations."""
-GATE = 13.8
-"""Largest NIS of a displacement; this limit rejects one in a thousand (chi-square, two degrees of freedom)."""
+_DIFFERENCE_STEP = 1e-3  # step of the finite differences, in standard deviations
+GATE = 13.8  # largest NIS of a displacement: 99.9% quantile of chi-square with two degrees of freedom
 
 
 class Begin(NamedTuple):
@@ -49,7 +47,7 @@ class Displacements:
 
         ``rows``, (N_KEPT, lanes), is changed in place. ``moved``, (2,), m, is forward and left in the body frame at the
         start, ``noise`` its covariance, (2, 2), m2. A displacement is rejected if the NIS is too large, the update
-        would diverge, or the covariance would no longer be positive definite.
+        would diverge, or the covariance would not be positive definite.
         """
         x0, p0 = self._state(begin.rows)
         x1, p1 = self._state(rows)

@@ -21,8 +21,7 @@ from sigmaswarm.filters.names import FilterKind, ModelName, NetworkName
 from sigmaswarm.tuning.options import Scale
 from sigmaswarm.wording import first_mistake
 
-ALL = "all"
-"""Group of all conditions, and name of an unknown maneuver or environment."""
+ALL = "all"  # group of all conditions, and name of an unknown maneuver or environment
 BASELINE = "untuned"  # protocol
 ProtocolName = Literal["paper", "honest"]
 
@@ -34,11 +33,11 @@ class Protocol(BaseModel):
     scale: Scale
 
 
+# By name; the objective of ``paper`` is the paper's equation 4.
 PROTOCOLS: dict[str, Protocol] = {
     "paper": Protocol(objective="gps-rmse", scale="linear"),
     "honest": Protocol(objective="truth-rmse", scale="log10"),
 }
-"""Protocols by name; the objective of ``paper`` is the paper's equation 4."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class Method:
     - ``protocols``: protocols under which the method is tuned or trained.
     - ``filter``: filter type and model, if fixed.
     - ``paper``: key of the corresponding result of the paper.
-    - ``rival``: True if the method is used only in studies with rivals.
+    - ``rival``: True for a method of studies with rivals only.
     """
 
     label: str
@@ -58,14 +57,13 @@ class Method:
     rival: bool = False
 
 
-MAIN_METHOD = "pso-ukf"
-"""The paper's method, with which all others are compared."""
-DEFAULT_METHOD = "default"
-"""Method with the filter, objective and optimizer that `tune` chooses by default."""
+MAIN_METHOD = "pso-ukf"  # the paper's method, with which all others are compared
+DEFAULT_METHOD = "default"  # filter, objective and optimizer that `tune` chooses by default
 BAYESIAN_METHOD = "bo-ukf"
 NETWORK_FILTER = "pso-planar8"
-"""Method whose filter the networks support; `noise-gru` does not support tilted12, and planar5 has no biases."""
+"""Method whose filter the networks support. `noise-gru` does not support tilted12, and planar5 has no biases."""
 HONEST: tuple[ProtocolName, ...] = ("honest",)
+# In the order of the tables; the paper tunes only the UKF.
 METHODS: dict[str, Method] = {
     "imu-only": Method("IMU only", paper="imu-only"),
     "raw-gps": Method("raw GPS"),
@@ -87,10 +85,8 @@ METHODS: dict[str, Method] = {
     "outage-lstm": Method("planar8 with outage-lstm", HONEST, rival=True),
     "noise-gru": Method("planar8 with noise-gru", HONEST, rival=True),
 }
-"""Methods in the order of the tables; the paper tunes only the UKF."""
 NETWORKS: tuple[NetworkName, ...] = get_args(NetworkName)
-BO_EVALUATIONS = 100
-"""Evaluations of Bayesian optimization; with more, the optimizer takes longer than the filters (docs/optimizers.md)."""
+BO_EVALUATIONS = 100  # with more, the optimizer takes longer than the filters (docs/optimizers.md)
 LONG_OUTAGES = {f"outage_drift_{length:g}_s_m": length for length in (15.0, 30.0, 60.0)}
 MEASURES = {
     "position_rmse_m": "position RMSE against truth, m",
@@ -99,8 +95,7 @@ MEASURES = {
     "outage_drift_m": "drift over a 5 s outage, m",
     "nis": "mean NIS, 2 if the filter is consistent",
 }
-QUICK_STUDY = {"runs": 2, "trials": 3}
-"""Options of the study in `sigmaswarm demo`: 50 drives, half a minute on two cores."""
+QUICK_STUDY = {"runs": 2, "trials": 3}  # options of `sigmaswarm demo`: 50 drives, half a minute on two cores
 RIVAL_OPTIONS = ("rivals", "learn_minutes", "elsewhere")
 
 

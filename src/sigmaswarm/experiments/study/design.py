@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     from distributed import Client
 
 T = TypeVar("T")
+# IMUs for tests with other sensors; the first one that is not the study's IMU is used.
 OTHER_IMU = ("mpu-6050", "icm-20602")
-"""IMUs for tests with other sensors; the first one that is not the study's IMU is used."""
 HOME_CAR, OTHER_CAR = "model3", "model3-carla"
 
 
@@ -81,7 +81,7 @@ def tuning_name(protocol: str, method: str, group: str) -> str:
 class Design:
     """The drives of a study and their use.
 
-    ``drives`` have truth and unique names; they are `Sensors` if the drives are on a cluster (``remote``). ``strata``:
+    ``drives`` have truth and unique names; drives on a cluster (``remote``) are represented by `Sensors`. ``strata``:
     stratum of each drive; each stratum is split into training and test drives. ``apart``: True if all drives are test
     drives.
     """
@@ -223,7 +223,7 @@ def make_design(
 
 
 def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[str, Design]:
-    """Read or simulate test drives with other sensors or of another car; return designs by description."""
+    """Read or simulate test drives with other sensors or another car; return designs by description."""
     c = home.config
     if not c.rivals or (c.drives and not c.elsewhere):
         return {}

@@ -30,16 +30,16 @@ from sigmaswarm.scoring.score import PieceErrors
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_windows, tracking_replay
 
 MIN_DRIVING_TIME = 21.0
-"""Shortest usable drive, s after the filter's start: for segments of 20 s, and outages of 10 s that begin at 10 s."""
+"""Shortest usable drive, s after the filter's start: for segments of 20 s, and for 10 s outages that begin at 10 s."""
 MIN_TIME_OF_ONLY_DRIVE = 80.0
 """Shortest drive, s after the filter's start, that suffices as the only training drive."""
 MIN_DRIVES_TO_SPLIT = 3
-"""Smallest number of drives of which whole drives, the last third, are held back for early stopping and calibration."""
+"""Smallest number of drives of which whole drives, the last third, are for early stopping and calibration."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingDrives:
-    """Training and validation drives of a network, and their time after the filters' start, s."""
+    """Training and validation drives of a network, and the time of each group after the filters' start, s."""
 
     shown: tuple[Drive, ...]
     held_back: tuple[Drive, ...]
@@ -76,7 +76,6 @@ class TrainedNetwork:
 
     @property
     def run(self) -> Callable[..., OutageRun | NoiseRun]:
-        """Function that runs the filter with its network over a replay."""
         return partial(self.learned.run, parameters=self.parameters)
 
 
@@ -86,7 +85,8 @@ Networks = Mapping[Task, TrainedNetwork]
 def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrives:
     """Draw minutes of driving from a trial's training drives: complete drives, and the beginning of one more.
 
-    The drives for more minutes include those for fewer minutes. If too few are drawn for training, drives are added.
+    The drives for more minutes include those for fewer minutes. If too few drives are drawn for training, drives are
+    added.
     """
     left, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
     order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()

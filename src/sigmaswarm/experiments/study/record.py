@@ -45,7 +45,7 @@ class _Part(BaseModel):
 
 
 class DriveCount(_Part):
-    """Numbers of drives and of conditions, and a hash of all data."""
+    """Number of drives, number of conditions, and a hash of all data."""
 
     count: int
     strata: int
@@ -61,7 +61,7 @@ class ScoreStatistics(_Part):
     trial_interval : mean +- 1.96 SD / sqrt(n); accounts for optimizer and split, not for new drives
     corrected_t_interval : corrected resampled t interval, for new drives
     bootstrap_interval : for new drives, by resampling trials, and drives within conditions
-    n_trials, n_drives : numbers of trials and drives with values
+    n_trials, n_drives : number of trials with values, and number of drives with values
     """
 
     mean: Figure
@@ -82,7 +82,7 @@ class _Scored(_Part):
 
 
 class VariantSummary(ScoreStatistics, _Scored):
-    """Statistics of a measure in one condition or over all."""
+    """Statistics of a measure in one condition or over all conditions."""
 
 
 class PairedStatistics(_Part):
@@ -136,7 +136,7 @@ class TrialTuning(_Part):
 class Convergence(_Part):
     """Quantiles (10%, 50%, 90%) over trials of the best cost after each generation.
 
-    ``stable``: the generation after which the median stays within 1% of its last value.
+    ``stable``: the generation after which the median stays within 1% of the last median.
     """
 
     protocol: str
@@ -216,7 +216,6 @@ class Results(_Part):
         return name if protocol == BASELINE else f"{name} ({protocol})"
 
     def means(self, measure: str) -> list[VariantSummary]:
-        """Return the summaries over all conditions."""
         wanted = (measure, ALL, ALL)
         return [row for row in self.summaries if (row.measure, row.maneuver, row.environment) == wanted]
 
@@ -225,7 +224,6 @@ class Results(_Part):
         return next(found, None)
 
     def content(self) -> dict[str, Any]:
-        """Return the content of results.json in plain types."""
         left_out = {"rivals"} if self.rivals is None else None
         return self.model_dump(mode="json", by_alias=True, exclude=left_out)
 

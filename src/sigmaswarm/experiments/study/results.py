@@ -99,7 +99,7 @@ def _summaries(scores: ScoreTable, draws: Draws) -> Iterator[VariantSummary]:
 
 
 def summarize(values: Array, strata: Sequence[str], test_per_train: float, draws: Draws) -> ScoreStatistics:
-    """Compute mean, SD and intervals of scores, shape (trials, drives); ``test_per_train`` is a ratio of drives."""
+    """Return mean, SD and intervals of scores, shape (trials, drives); ``test_per_train`` is a ratio of drives."""
     each = trial_means(values)
     each = each[~np.isnan(each)]
     return ScoreStatistics(
@@ -114,7 +114,7 @@ def summarize(values: Array, strata: Sequence[str], test_per_train: float, draws
 
 
 def _comparisons(scores: ScoreTable, draws: Draws) -> Iterator[PairedComparison]:
-    """Compare PSO-UKF with the methods without tuning and those tuned under the same protocol."""
+    """Compare PSO-UKF with the methods without tuning and with those tuned under the same protocol."""
     for protocol in PROTOCOLS:
         others = [v for v in scores.values if v[0] in (BASELINE, protocol) and v[1] != MAIN_METHOD]
         for measure in _compared(scores):
@@ -200,7 +200,7 @@ def rival_results(
 
 
 def _efforts(design: Design, trials: Trials, networks: Networks) -> Iterator[Effort]:
-    """Compute the data and free parameters of each variant; numbers of a network include those of its filter."""
+    """Yield the data and free parameters of each variant; the values of a network include those of its filter."""
     durations = [ready.drive.duration for ready in design.prepared]
     splits = [design.split(trial)[0] for trial in range(design.config.trials)]
     truth = float(np.mean([sum(durations[i] for i in train) for train in splits]))

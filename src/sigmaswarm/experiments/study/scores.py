@@ -207,13 +207,13 @@ def _score_unfiltered(
 
 
 MANUAL_FILTERS = ("ukf-datasheet", "ukf-defaults")
+# Tuned filters with saved tracks, in series such as ``honest-pso-ukf``.
 TRACKED_FILTERS: tuple[tuple[ProtocolName, str], ...] = (
     ("honest", MAIN_METHOD),
     ("paper", MAIN_METHOD),
     ("honest", "pso-ekf"),
     ("honest", "pso-planar8"),
 )
-"""Tuned filters with saved tracks, in series such as ``honest-pso-ukf``."""
 MAX_TRACKED_DRIVES = 10
 MAX_TRACK_POINTS = 700  # largest number of points of a series, to limit the size of the page
 
@@ -245,8 +245,8 @@ def _followed(
 def tracked_drives(design: Design, trial: int) -> list[int]:
     """Choose test drives of a trial: one of each condition, or of each maneuver if there are many conditions.
 
-    The chosen drives are from different parts of the lists of drives, so that environments differ. A drive with turns
-    is first. Without conditions, the first test drives are chosen.
+    The drives are from different parts of the lists of drives, so that environments differ. A drive with turns is
+    first. Without conditions, the first test drives are chosen.
     """
     _, test = design.split(trial)
     named = {i: design.conditions[i] for i in test}

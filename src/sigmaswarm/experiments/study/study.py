@@ -94,7 +94,7 @@ class Study:
 
 
 def shown_trial(trials: Trials) -> int:
-    """Return the trial that is plotted: the one with the lowest training cost of the honest PSO-UKF."""
+    """Return the trial to plot, which has the lowest training cost of the honest PSO-UKF."""
     cost: dict[int, float] = {}
     for task, trial in trials.items():
         if task.variant == ("honest", MAIN_METHOD):
@@ -139,7 +139,7 @@ def run_study(
         If a drive never moves far enough to start a filter.
     """
     if config.rivals:
-        with double_precision():  # raises where JAX is missing
+        with double_precision():  # raises if JAX is missing
             require_packages("bo")
         if cluster is not None:
             raise InputError("rivals = True: networks are trained on local drives; leave the cluster out")
