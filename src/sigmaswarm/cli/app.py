@@ -51,13 +51,12 @@ paper's experiment.
     suppress_keyboard_interrupt=False,
 )
 PLAIN = Parameter(negative=(), consume_multiple=1)
+# Each command is the function of the same name in a file of this folder.
 COMMANDS = (
     *("doctor", "noise", "tune", "learn", "compare", "evaluate", "report", "study", "run", "export"),
     *("split", "convert", "reference", "simulate", "record-carla", "plot", "demo", "import", "workbench"),
 )
-"""Each command is the function of the same name in a file of this folder."""
-SHORTENED = ("tune", "compare", "simulate", "import")
-"""Commands with options that the short help omits."""
+SHORTENED = ("tune", "compare", "simulate", "import")  # commands with options that the short help omits
 for name in COMMANDS:
     function = "import_" if name == "import" else name.replace("-", "_")
     command = getattr(import_module(f"sigmaswarm.cli.{function}"), function)
@@ -104,7 +103,7 @@ def main() -> NoReturn:
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
-    except OSError as error:  # the reader of the output is gone, or the disk is full
+    except OSError as error:  # closed output, or full disk
         terminal.mute()
         if not isinstance(error, BrokenPipeError):
             code = _fail(2, f"the output: {error.strerror or error}")
@@ -112,7 +111,6 @@ def main() -> NoReturn:
 
 
 def _run() -> int:
-    """Run the command and return the exit code."""
     try:
         app(exit_on_error=False, print_error=False, console=terminal.console())
     except SystemExit as end:
@@ -155,7 +153,7 @@ def _unforeseen(error: Exception) -> int:
 
 
 def _missing_out(error: Exception) -> str | None:
-    """Return the message for a missing --out, else None. Cyclopts reports an --out without a value."""
+    """Return the message for a missing --out, else None; cyclopts reports an --out without a value."""
     if not isinstance(error, MissingArgumentError) or error.keyword or "Did you mean" in str(error):
         return None
     if error.argument is None or error.argument.name != "--out" or error.argument.tokens:
@@ -177,7 +175,7 @@ def _other_name(error: Exception) -> str | None:
 
 
 def _too_many(error: Exception) -> str | None:
-    """Return the message for surplus arguments, such as the files that match a shell pattern."""
+    """Return the message for surplus arguments, for example the files that match a shell pattern."""
     if not isinstance(error, UnusedCliTokensError) or not error.unused_tokens:
         return None
     first, *more = error.unused_tokens

@@ -19,12 +19,11 @@ if TYPE_CHECKING:
     from sigmaswarm.drives.reader import Location
     from sigmaswarm.errors import SigmaswarmWarning
 
-MAX_REMARKS = 3
-"""Number of remarks on an evaluation or a tuning that the terminal shows by default."""
+MAX_REMARKS = 3  # remarks on an evaluation or a tuning that the terminal shows by default
 
 
 def read_known(place: "Location") -> "Drive":
-    """Read a drive without warnings about gaps, which an earlier command printed."""
+    """Read a drive without warnings about gaps, which were printed by an earlier command."""
     from sigmaswarm.drives.reader import read_with_warnings
 
     drive, warned = read_with_warnings(place)
@@ -46,7 +45,7 @@ def read_drives(places: "Sequence[Location]") -> "list[Drive]":
 
 
 def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *, overwrite: bool) -> None:
-    """Raise, before anything is written, if a folder exists; with ``overwrite``, only if it is in ``sources``."""
+    """Refuse, before anything is written, folders that exist or, with ``overwrite``, that are in ``sources``."""
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.writer import require_replaceable
     from sigmaswarm.errors import InputError
@@ -70,7 +69,7 @@ def require_result_folder(out: Path, sources: "Iterable[Location | None]", kind:
 
 
 def cluster_at(address: str | None) -> "AbstractContextManager[Client | None]":
-    """Connect to a cluster until the block ends; the client is None without an address."""
+    """Connect to a cluster until the block ends; the client is None if there is no address."""
     from sigmaswarm.datasets.cluster import connected
 
     return connected(address) if address is not None else nullcontext()
@@ -111,7 +110,7 @@ def read_datasets(
 
 
 def numbers_of(text: str | None, count: int, option: str, example: str) -> tuple[float, ...] | None:
-    """Parse ``count`` numbers separated by commas. Return None if the option is not given."""
+    """Parse ``count`` numbers separated by commas; return None if the option is not given."""
     from sigmaswarm.errors import InputError
 
     if text is None:
@@ -140,12 +139,11 @@ def say(*lines: object) -> None:
 
 
 def print_json(content: Any) -> None:
-    """Print JSON. NaN and inf, which JSON does not have, become null."""
+    """Print JSON, with null instead of NaN and inf."""
     print(json.dumps(finite(content), indent=2))
 
 
 def print_result(as_json: bool, content: Any, *lines: object) -> None:
-    """Print the content as JSON, or else the lines."""
     if as_json:
         print_json(content)
     else:

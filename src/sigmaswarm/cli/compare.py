@@ -10,8 +10,8 @@ from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.tuning.config import DECIDED_LATER, TuneConfig
 from sigmaswarm.tuning.options import SEEDS, Scale
 
+# Options of `tune` that `compare` does not have.
 EXCLUDED_OPTIONS = ("seed", "optimizer", "scale", "prior", "inflation")
-"""Options of `tune` that `compare` does not have."""
 SHORT_HELP = ("objective", "particles", "generations", "model")
 
 

@@ -89,14 +89,14 @@ def doctor(
 
 
 def _read(paths: list[Path]) -> "list[Drive]":
-    """Read the drives without warnings, since the diagnosis repeats these checks in more detail."""
+    """Read drives without warnings, since the diagnosis repeats these checks in more detail."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DriveWarning)
         return read_drives(paths)
 
 
 def _lever_arm(drives: "list[Drive]", within: float, *, repaired: bool) -> "LeverArmEstimate | None":
-    """Estimate one lever arm for all drives. Warn and return None if no filter can start."""
+    """Estimate one lever arm for all drives; warn and return None if no filter can start."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the repairs warn again when the copies are made

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from sigmaswarm.drives.reader import Location
 
 Remedy = tuple[str, Path | None]
-"""Command that repairs or shows the faults of a drive; folder of the repaired copy, if the command writes one."""
+"""Command that repairs or shows the faults of a drive; folder of the repaired copy, or None."""
 _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
 
 def print_diagnosis(diagnosis: "Diagnosis", seen: set[str] | None = None) -> None:
-    """Print the findings about a drive, but only count the notes in ``seen``. Add new notes to ``seen``."""
+    """Print the findings about a drive; notes in ``seen`` are only counted, and new notes are added to it."""
     from rich.table import Table
     from rich.text import Text
 
@@ -85,7 +85,7 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Rem
 
 
 def cutting(diagnosis: "Diagnosis", folder: "Location") -> str:
-    """Return the command that splits a drive, or an empty string if no serious finding requires a split."""
+    """Return the command that splits a drive; "" if no serious finding requires a split."""
     remedies = [finding.remedy for finding in diagnosis.findings if finding.severity == "serious"]
     found = re.search(r"sigmaswarm split DRIVE --at \S+ --out parts", " ".join(remedies))
     return found[0].replace("DRIVE", shlex.quote(str(folder))) if found else ""
@@ -100,12 +100,10 @@ def turns(diagnosis: "Diagnosis") -> bool:
 
 
 def repairable(diagnosis: "Diagnosis") -> bool:
-    """Return True if the doctor can repair a serious finding or a warning."""
     return any(finding.repair and finding.severity != "note" for finding in diagnosis.findings)
 
 
 def unrepairable(diagnosis: "Diagnosis") -> bool:
-    """Return True if the doctor cannot repair a serious finding."""
     return any(finding.severity == "serious" and not finding.repair for finding in diagnosis.findings)
 
 

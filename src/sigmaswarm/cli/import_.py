@@ -28,8 +28,7 @@ AXES_NOTE = (
     "if wrong, add --mount auto, or state the mounting"
 )
 NOT_READY_NOTE = "The log cannot be imported yet: repeat --show with the options that are named above"
-MAX_UNUSED_COLUMNS = 100
-"""Number of unused columns that are named per table."""
+MAX_UNUSED_COLUMNS = 100  # unused columns that are named per table
 
 
 @dataclass(frozen=True)
@@ -326,10 +325,10 @@ def _print_inspection(seen: "Inspection", options: ImportOptions) -> None:
 
 
 def _command(seen: "Inspection", options: ImportOptions) -> str:
-    """Return the command of the user with --out instead of --show, and with the proposed options."""
+    """Return the user's command with --out instead of --show, and with the proposed options."""
     typed = [word for word in sys.argv[1:] if word != "--show"]
     out = [] if options.out else ["--out", "drive"]
-    # A proposal is checked with the present axes.
+    # A proposal is checked with the drive's axes.
     out += ["--mount", seen.mount] if seen.mount and not seen.proposal else []
     return f"{shown(shlex.join(['sigmaswarm', *typed, *out]), 4000)} {shown(seen.proposal, 4000)}".rstrip()
 

@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from sigmaswarm.noise import Noise
 
 
-RESULT_KIND = "noise of an IMU"
-"""Name of the result in its folder and in messages."""
+RESULT_KIND = "noise of an IMU"  # name of the result in its folder and in messages
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,23 +13,18 @@ HELP_ALL = "--help-all"
 
 
 class _MoreOptions(Group):
-    """Group of options that only `--help-all` shows."""
-
     @property
     def show(self) -> bool:
         return HELP_ALL in sys.argv
 
 
-MORE = Parameter(group=_MoreOptions("More options"))
-"""Annotation of an option that only `--help-all` shows."""
-FIELDS = Parameter(name="*", help="The options of the command line.")
-"""Annotation of a dataclass: its fields are the options of a command."""
+MORE = Parameter(group=_MoreOptions("More options"))  # annotation of an option that only `--help-all` shows
+FIELDS = Parameter(name="*", help="The options of the command line.")  # for a dataclass of options
 AT_LEAST_1 = Parameter(validator=validators.Number(gte=1))
 AT_LEAST_0 = Parameter(validator=validators.Number(gte=0))
 Count = Annotated[int | None, AT_LEAST_1]
 Seed = Annotated[int, AT_LEAST_0]
-Hyphened = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
-"""Text that may begin with a minus sign."""
+Hyphened = Annotated[str | None, Parameter(allow_leading_hyphen=True)]  # may begin with a minus sign
 Places = Annotated[
     list[str], Parameter(name="DRIVE", help="Drive folders or URLs, or folders of drive folders.")
 ]
@@ -63,7 +58,7 @@ def options_of(
     by_data: Collection[str] = (),
     renamed: Mapping[str, str] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Add fields as options to a command. Its parameter ``**options`` contains the options of the user.
+    """Add fields as options to a command, whose parameter ``**options`` contains the options of the user.
 
     ``shown``: fields in the short help, by default all. ``apart``: fields that are not options. ``by_data``: fields
     with a default that depends on the data. ``renamed``: deprecated names and the current names.
@@ -99,7 +94,7 @@ def options_of(
 
 
 def _annotation(name: str, field: FieldInfo, old: str | None, shown: bool, constant: bool) -> Any:
-    """Return type and `Parameter` of a field. For a union, the command line accepts only the first type."""
+    """Return type and `Parameter` of a field; for a union, the command line accepts only the first type."""
     kind, option = field.annotation, f"--{name.replace('_', '-')}"
     if get_origin(kind) in (Union, UnionType):
         kind = next(member for member in get_args(kind) if member is not NoneType)

@@ -12,8 +12,7 @@ from sigmaswarm.cli.options import options_of
 from sigmaswarm.errors import SigmaswarmError
 from sigmaswarm_carla.options import Options
 
-RECORDER: dict[str, FieldInfo] = {}
-"""Options of the recorder by name; an option that can be repeated has a singular name."""
+RECORDER: dict[str, FieldInfo] = {}  # options by name; an option that can be repeated has a singular name
 for one in fields(Options):
     kind, name = (
         (tuple[str, ...], one.name[:-1]) if isinstance(one.default, tuple) else (type(one.default), one.name)

@@ -91,7 +91,7 @@ def run(
 
 
 def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[str, Any], int]":
-    """Write the estimates. Return the drive, a summary and the number of fixes that were written."""
+    """Write the estimates; return the drive, a summary and the number of written fixes."""
     from sigmaswarm.api import tuned_filter
     from sigmaswarm.drives.writer import FILES
     from sigmaswarm.exports.trajectory import (
@@ -144,7 +144,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     time = replay.timeline.imu_time
     first, last = float(time[0]), float(time[-1])
     shown = None
-    # The bag is in order of time, so the innovations must be known before the first estimate is written.
+    # The bag is sorted by time, so the innovations must be known before the first estimate is written.
     if out.suffix == BAG and not options.bank and learned is None:
         shown = FilterRun(replay, parameters, recover=True).finished().innovations
     pieces = estimates_of(found)
@@ -174,7 +174,7 @@ def _lines(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixe
         yield from (f"the filter bank: {sentence}" for sentence in summary["said"])
         yield from (f"wrote {summary['swarm']}", f"wrote {summary['settled']}")
     earlier = first - float(drive.imu.time[0])
-    if earlier > 5.0:  # s; shorter times are usual, since a start in motion needs some seconds
+    if earlier > 5.0:  # s; less is usual, since a start in motion needs some seconds
         rest = f"wrote the {fixes} earlier fixes to {options.before}"
         rest = rest if options.before else "--before NAME.csv writes the fixes before the start"
         yield f"the first {earlier:.1f} s have no estimate, since a filter starts at {START_RULE}; {rest}"
@@ -196,7 +196,7 @@ def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
 
 
 def _save_bank(run: Any, out: Path) -> dict[str, Any]:
-    """Write the log of a bank and the filter that it converged to. Return the paths and warnings about the filter."""
+    """Write a bank's log and the filter that it converged to; return the paths and warnings about the filter."""
     from sigmaswarm.files import write_whole
 
     log, spread = run.log, run.bank.spread

@@ -12,8 +12,7 @@ from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.errors import InputError
 from sigmaswarm.wording import counted
 
-JITTER = 0.002
-"""Standard deviation of the random errors of the sample times with --jitter, s."""
+JITTER = 0.002  # s, standard deviation of the errors of the sample times with --jitter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +125,7 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
 
 
 def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str, Any]) -> set[str]:
-    """Return the names of existing drives to keep. Raise, before any work, if OUT has other drives or is a file."""
+    """Return the names of existing drives to keep; raise, before any work, if OUT has other drives or is a file."""
     there = next(path for path in (out, *out.parents) if path.exists())
     if not there.is_dir():
         raise InputError(f"{out}: {there} is a file; choose another folder")
@@ -142,7 +141,6 @@ def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str,
 
 
 def _require_made_with(file: Path, options: Mapping[str, Any]) -> None:
-    """Raise if a drive was made with other options."""
     from sigmaswarm.records import read_content
     from sigmaswarm.simulation.journey import URBAN_DURATION
 

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from sigmaswarm.experiments.study.study import Study
 
 
+# Fields of the configuration that are not options.
 EXCLUDED_OPTIONS = ("maneuvers", "environments", "imu", "gps", "vibration", "terrain", "train_fraction")
-"""Fields of the configuration that are not options."""
 
 
 @options_of(StudyConfig.model_fields, apart=EXCLUDED_OPTIONS, by_data=("racing",))

@@ -14,10 +14,8 @@ if TYPE_CHECKING:
 
     from sigmaswarm.tuning.search import Progress as TuningProgress
 
-MAX_LINE_LENGTH = 600
-"""Maximum number of characters of an error or warning; longer messages are shortened."""
-MIN_COLUMNS = 20
-"""Minimum number of columns of a table."""
+MAX_LINE_LENGTH = 600  # characters of an error or warning; longer messages are shortened
+MIN_COLUMNS = 20  # columns of a table
 
 
 def prepare() -> None:
@@ -87,10 +85,10 @@ def tuning_progress(title: str) -> "Generator[Callable[[TuningProgress], None]]"
 def progress_bar(
     title: str, counted: str = "", waiting: str = "", **fields: Any
 ) -> Generator[Callable[..., None]]:
-    """Show a bar and the remaining time on stderr. Yield a function of done, total and fields that updates the bar.
+    """Show a bar and the remaining time on stderr; yield a function of done, total and fields that updates the bar.
 
-    The bar appears at the first update, so that an earlier error prints one line only. Until then a terminal shows
-    ``waiting``. Without ``counted`` the bar shows a percentage.
+    The bar appears at the first update, so that an earlier error prints one line only. Before it, a terminal shows
+    ``waiting``. Without ``counted``, the bar shows a percentage.
     """
     from rich.console import Console
     from rich.progress import (

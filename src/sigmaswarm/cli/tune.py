@@ -133,7 +133,7 @@ def _tune(
     options: dict[str, Any],
     workers: int | None,
 ) -> "tuple[Tuning[Any], FirstTrack, list[str], list[str]]":
-    """Tune. Return the result, the track on the first drive, and the lines to print before and after the result."""
+    """Tune; return the result, the track on the first drive, and the lines to print before and after the result."""
     from concurrent.futures import ThreadPoolExecutor
 
     from sigmaswarm.drives.sensors import sensors_of

@@ -51,14 +51,13 @@ from sigmaswarm.wording import names_shown
 
 DRAWING_ORDER = ("raw_gps", BASELINE, AGAINST, "tuned", *LEARNED, "swarm", "smoothed", "truth")
 """Series of a track from bottom to top. The truth is drawn above the tuned filter, whose line is wider."""
-HEADING_LIMITS = (1.0, 30.0)
-"""Limits of the range of the heading axis, deg, since a diverged filter has large errors."""
+HEADING_LIMITS = (1.0, 30.0)  # deg, limits of the heading axis's range; a diverged filter has large errors
 
 
 def save_evaluation(
     evaluation: Evaluation, folder: Path, tuning: Path | None = None, network: Learned | None = None
 ) -> list[Path]:
-    """Write the records and pictures of an evaluation into a folder. Return the paths of all files.
+    """Write the records and pictures of an evaluation into a folder; return the paths of all files.
 
     The files include copies of ``tuning`` (the evaluated tuning.toml or its folder) and ``network``.
     """
@@ -80,7 +79,7 @@ def save_evaluation(
 
 
 def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
-    """Copy a tuning.toml, its history and its fingerprints into a folder. Return the paths of the copies."""
+    """Copy a tuning.toml, its history and its fingerprints into a folder; return the paths of the copies."""
     file = tuning_file(tuning)
     written: list[Path] = []
     for name in (FILE, HISTORY_FILE, TRAINING_DATA_FILE):
@@ -147,7 +146,7 @@ def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, .
 
 
 def consistency(name: str, evaluated: DriveResult) -> Figure | None:
-    """Draw NIS over time, histogram of NIS, and autocorrelation of the innovations of the tuned filter.
+    """Draw NIS over time, histogram of NIS, and autocorrelation of the tuned filter's innovations.
 
     Return None if the filter failed or had too few fixes.
     """
@@ -218,7 +217,7 @@ def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
 
 
 def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
-    """Draw position and heading error over time with 3-sigma bounds. Return None without truth."""
+    """Draw position and heading error over time with 3-sigma bounds; return None if there is no truth."""
     series = picture.whole.series
     if "position_error" not in series["tuned"]:
         return None

@@ -36,11 +36,11 @@ from sigmaswarm.scoring.view import (
 from sigmaswarm.tuning.record import NOT_VALIDATED_TEXTS, TuningRecord
 from sigmaswarm.wording import in_order
 
+# Series of the tracks, from top to bottom.
 TRACK_SERIES = ("truth", *ALSO, "tuned", AGAINST, BASELINE, FIXES, "imu_only", "raw_gps")
-"""Series of the tracks, from top to bottom."""
 VISIBLE_SERIES = ("truth", "tuned", *ALSO, AGAINST, BASELINE, "raw_gps")
+# Verdicts on the consistency that the page shows as warnings.
 WARNING_VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
-"""Verdicts on the consistency that the page shows as warnings."""
 BANK_TEXT = (
     "A filter bank has sixteen filters with different parameters. The weight of a filter in the estimate depends on "
     "how well this filter predicted the fixes of the last minute. Every 10 s while the vehicle moves, a search over "

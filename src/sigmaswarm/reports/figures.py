@@ -161,7 +161,7 @@ def save_both(figure: Figure, stem: Path) -> list[Path]:
 def svg(chart: Chart) -> str:
     """Return a chart without its title as an SVG element as wide as its container.
 
-    Sizes are in inches. The page enlarges the chart by a factor of 1.2 on a phone and of 1.8 on a screen.
+    Sizes are in inches. The page enlarges the chart by a factor of 1.2 on a phone and 1.8 on a screen.
     """
     with rc_context({"font.size": 8, "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7}):
         figure = figure_of(replace(chart, title=""), size=(3.4, 2.4), legend="none")
@@ -178,7 +178,7 @@ def svg(chart: Chart) -> str:
 
 
 def _svg(figure: Figure, **settings: str) -> str:
-    """Draw an SVG without a date. Hover texts become title elements."""
+    """Draw an SVG without a date; hover texts become title elements."""
     _plain(figure)
     file = StringIO()
     metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
@@ -194,7 +194,6 @@ def _svg(figure: Figure, **settings: str) -> str:
 
 
 def check_file(path: Path, suffix: str = ".png") -> None:
-    """Raise `InputError` if a file of this type cannot be written."""
     if path.suffix != suffix:
         raise InputError(f"{path}: unknown format; end the name in {suffix}")
     if path.is_dir():

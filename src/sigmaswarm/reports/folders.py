@@ -14,7 +14,7 @@ REPORTS = {"scores.json": evaluation_report, "results.json": study_report, "tuni
 
 
 def read_report(folder: Path) -> Report:
-    """Read a folder of results. Raise `InputError` without results, or if a file is missing or damaged."""
+    """Read a folder of results; raise `InputError` if it has no results, or a file is missing or damaged."""
     if not folder.is_dir():
         wrong = "is a file" if folder.exists() else "no such folder"
         raise InputError(f"{folder}: {wrong}; name a folder that tune, evaluate or study wrote")
@@ -30,7 +30,7 @@ def read_report(folder: Path) -> Report:
 
 
 def save_page(folder: Path, out: Path | None = None) -> Path:
-    """Write the page of a folder of results, by default as page.html in it. Return the path."""
+    """Write the page of a folder of results, by default as page.html in it; return the path."""
     if out is not None:
         check_file(out, ".html")
     read = read_report(folder)

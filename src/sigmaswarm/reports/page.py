@@ -26,8 +26,7 @@ from sigmaswarm.scoring.tracks import Tracks
 from sigmaswarm.tables import Cell, Column, Table, numbers_of, shown
 from sigmaswarm.versions import __version__
 
-LONG_CELL = 24
-"""Number of characters of a cell above which the column gets a minimum width."""
+LONG_CELL = 24  # characters of a cell above which the column gets a minimum width
 TERMS = {
     "NIS": "normalized innovation squared: deviation of a fix from the prediction, relative to the covariance",
     "NEES": "normalized estimation error squared: the position error relative to the filter's covariance",
@@ -53,7 +52,7 @@ _TERM = re.compile(
     "|".join(rf"(?<!\w){re.escape(term)}(?!\w)" for term in sorted(TERMS, key=len, reverse=True))
 )
 MAX_NUMBERS = 250_000
-"""Maximum number of values of all tracks of a page, so that the page stays below 2 MB. Longer tracks are thinned."""
+"""Maximum number of values of all tracks of a page, for at most 2 MB; longer tracks are thinned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +60,8 @@ class TrackView:
     """Interactive tracks.
 
     ``labels`` and ``looks`` have an entry per series, from top to bottom. The series in ``shown`` are visible when the
-    page opens. The 3 sigma and NIS of ``main`` are shown first, and its heading error sets the scale.
+    page opens. The series ``main`` provides the 3 sigma and NIS that are shown first, and the scale of the heading
+    error.
     """
 
     drives: Sequence[Tracks]
@@ -71,8 +71,7 @@ class TrackView:
     main: str
 
 
-KeyFigure = tuple[str, str, str]
-"""Label, number with unit, and note."""
+KeyFigure = tuple[str, str, str]  # label, number with unit, and note
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,7 @@ class Report:
 
 
 def page(report: Report) -> str:
-    """Render the page. All texts are escaped and the page can make no request, since names of drives may be hostile."""
+    """Render the page. Names of drives may be hostile, so texts are escaped and the page can make no request."""
     tracks = next((section.tracks for section in report.sections if section.tracks), None)
     return (
         _environment()
@@ -160,7 +159,7 @@ def _view(view: TrackView) -> dict[str, Any]:
 
 
 def _tracks(tracks: Tracks, share: float) -> dict[str, Any]:
-    """Thin the tracks and round to mm and ms. Large time stamps are relative to the start of the drive."""
+    """Thin the tracks and round to mm and ms; large time stamps become relative to the start of the drive."""
     first = min(float(columns["time"][0]) for columns in tracks.series.values())
     origin = first if abs(first) > 1000 else 0.0
     series: dict[str, Any] = {}

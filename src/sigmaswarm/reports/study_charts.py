@@ -36,8 +36,7 @@ PROTOCOL_COLORS = {
     "paper": STUDY_STYLES["paper-pso-ukf"].color,
     "honest": STUDY_STYLES["honest-pso-ukf"].color,
 }
-SCALE_RATIO = 12
-"""End of the scale as a multiple of the lowest mean, so that good methods can be distinguished."""
+SCALE_RATIO = 12  # end of the scale / lowest mean, so that good methods can be distinguished
 DRAWN_FILTERS: dict[str, tuple[str, Look]] = {
     "ukf-defaults": ("UKF, manual: defaults", Look(ORANGE, 1.0, "--")),
     f"paper-{MAIN_METHOD}": ("PSO-UKF (paper: against the GPS)", STUDY_STYLES[f"paper-{MAIN_METHOD}"]),

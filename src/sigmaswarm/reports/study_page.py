@@ -15,10 +15,8 @@ from sigmaswarm.reports.style import STUDY_STYLES
 
 COMPARED_METHODS = ("ukf-datasheet", "ukf-defaults", "raw-gps")
 CONSISTENT_NIS = 2.0  # mean NIS of a consistent filter
-NIS_LIMITS = (1.0, 4.0)
-"""A mean NIS outside of these bounds shows wrong covariances, for any number of fixes."""
-MAX_COST_RATIO = 1.2
-"""Ratio of highest to lowest cost of the trials above which the page warns."""
+NIS_LIMITS = (1.0, 4.0)  # a mean NIS outside of these bounds shows wrong covariances, for any number of fixes
+MAX_COST_RATIO = 1.2  # highest / lowest cost of the trials, above which the page warns
 CONDITION_VARIANTS = (
     ("untuned", "raw-gps"),
     ("untuned", "ukf-defaults"),

@@ -27,15 +27,14 @@ from sigmaswarm.tables import Cell, Column, Table
 
 POSITION, HEADING, DRIFT = "position_rmse_m", "heading_rmse_deg", "outage_drift_m"
 ERRORS = {POSITION: "position RMSE against truth", HEADING: "heading error", DRIFT: "outage drift"}
+# Protocol, method and the corresponding row of the paper, for each row of a table.
 ROWS = [
     (protocol, method, row.paper)
     for method, row in METHODS.items()
     for protocol in row.protocols or (BASELINE,)
 ]
-"""Protocol, method and the corresponding row of the paper, for each row of a table."""
 LIVE_NAMES = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf"}
-MANUAL_METHOD = "ukf-datasheet"
-"""Manually tuned filter that equation 5 refers to."""
+MANUAL_METHOD = "ukf-datasheet"  # manually tuned filter of equation 5
 OUTAGE_LENGTHS = {DRIFT: "5 s", **{measure: f"{length:g} s" for measure, length in LONG_OUTAGES.items()}}
 ELSEWHERE_MEASURES = {
     POSITION: "position, m",
@@ -97,8 +96,8 @@ def _table(
     return Table(caption, tuple(columns), tuple(rows), strong, note)
 
 
+# Beginnings of the names of tables that `sigmaswarm study` only writes to files.
 UNPRINTED = ("comparison-", "conditions-", "trials")
-"""Beginnings of the names of long tables, which `sigmaswarm study` only writes to files."""
 
 
 def study_tables(results: Results) -> dict[str, Table]:
@@ -160,7 +159,7 @@ def table_1(results: Results) -> Table:
 
 
 def table_2(results: Results) -> Table:
-    """Tabulate the paper's Table II: RMSE with its spread over trials and three intervals."""
+    """Tabulate the paper's Table II: RMSE with its SD over trials and three confidence intervals."""
     new = "for new drives:"
     titles = ("mean", "SD", "mean +- 1.96 SD / sqrt(n)", f"{new} corrected t", f"{new} bootstrap")
     columns = [Column("method"), *_with_intervals(["paper"]), *map(_figures, titles)]
@@ -219,7 +218,7 @@ def runtime_table(results: Results, live: Times) -> Table:
 
 
 def comparison(results: Results, protocol: str, measure: str, against: str) -> PairedComparison | None:
-    """Return the comparison of a protocol's PSO-UKF with another method, or None if the study has none."""
+    """Return the comparison of a protocol's PSO-UKF with another method; None if the study has none."""
     wanted = (protocol, measure, against)
     return next((c for c in results.comparisons if (c.protocol, c.measure, c.against) == wanted), None)
 
@@ -306,7 +305,7 @@ def _by_group(caption: str, columns: Sequence[Column], rows: Sequence[Row], resu
 
 
 def convergence_table(results: Results) -> Table:
-    """Tabulate the generation after which the median cost over trials stays within 1% of its last value."""
+    """Tabulate the generation after which the median cost over trials stays within 1% of the last median."""
     columns = [Column("method"), Column("drives"), Column("settles at generation")]
     rows = [
         (results.label(c.method, c.protocol), c.group, c.stable, c.median[-1]) for c in results.convergence

@@ -43,6 +43,7 @@ STYLES: dict[str, Look] = {
     "imu_only": Look(VERMILION, 1.2, ":"),
     "raw_gps": Look(GREEN, 0.0, NO_LINE, ".", 4.0, 0.7),
 }
+# Styles of the series in the tracks of a study, from top to bottom.
 STUDY_STYLES: dict[str, Look] = {
     "truth": STYLES["truth"],
     "honest-pso-ukf": STYLES["tuned"],
@@ -54,7 +55,6 @@ STUDY_STYLES: dict[str, Look] = {
     "imu_only": Look("#51585F", 1.2, ":"),
     "raw_gps": STYLES["raw_gps"],
 }
-"""Styles of the series in the tracks of a study, from top to bottom."""
 LABELS = {"truth": "truth", **method_names(also=(AGAINST, *ALSO)), **METHODS}
 
 

@@ -32,11 +32,10 @@ from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
 from sigmaswarm.wording import counted
 
+# Options that the command contains even at their defaults.
 STATED_OPTIONS = ("objective", "particles", "generations", "trials", "seed", "model", "use")
-"""Options that the command contains even at their defaults."""
 TUNE_DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.items()}
-GUARD_OPTIONS = ("prior", "inflation")
-"""Options of `tune` with a default that depends on the objective."""
+GUARD_OPTIONS = ("prior", "inflation")  # options of `tune` with a default that depends on the objective
 PARAMETER_MEANINGS = {
     "latency": (
         "delay of the fixes for which this filter predicts best; the doctor estimates this delay in another way, as a "
@@ -48,7 +47,7 @@ SIGMA_POINTS = {"alpha", "beta", "kappa"}
 
 
 def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Path]:
-    """Write convergence.csv and the figures of a tuning into its folder. Return the paths of the pictures.
+    """Write convergence.csv and the figures of a tuning into its folder; return the paths of the pictures.
 
     ``track`` is a track on a training drive (`scoring.tracks.first_track`).
     """
@@ -72,7 +71,7 @@ def convergence(tuning: Tuning) -> Figure:
 def _convergence_chart(history: pl.DataFrame, best_trial: int, objective: str) -> Chart:
     """Draw the best cost so far and the median cost of each generation, the best trial in bold.
 
-    The scale is logarithmic if all costs are positive. The cost of a likelihood may be negative.
+    The scale is logarithmic if all costs are positive; the cost of a likelihood may be negative.
     """
 
     def draw(ax: Axes) -> None:
@@ -270,7 +269,7 @@ def shown_config(config: dict[str, Any]) -> dict[str, Any]:
 def tune_command(
     config: Mapping[str, Any], drives: Sequence[str], validation: Sequence[str]
 ) -> tuple[str, str]:
-    """Return the command of a tuning run and a note. For a custom model the command is empty."""
+    """Return the command of a tuning run and a note; the command is empty for a custom model."""
     if isinstance(config.get("model"), dict):
         return "", "The tuning has a custom model: repeat it in Python with sigmaswarm.tune."
     config = {RENAMED.get(name, name): value for name, value in config.items()}

@@ -13,11 +13,10 @@ from sigmaswarm.workbench.plots import agreement_plot, show_map, time_plot
 from sigmaswarm.workbench.state import CHECKED, LEFT_OUT, Workbench
 
 MIN_PART_LENGTH = 30.0  # s, shortest part that a button keeps
-Step = dict[str, Any]
-"""``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s."""
+Step = dict[str, Any]  # ``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s
 Agreements = dict[str, Agreement]
 Repaired = dict[str, tuple[Agreements, str]]
-"""By code of a finding: the agreements after its repair, and a sentence if the repair is withheld."""
+"""By code of a finding: agreements after the repair, and the reason if the repair is withheld, else ""."""
 Checked = tuple[list[Drive], list[Step], Diagnosis, Agreements]
 """Drive before and after each step, the steps, and diagnosis and agreements of the last drive."""
 
@@ -68,7 +67,7 @@ class CheckPage(Page):
         self.start("reading and checking the drive", self._checked, name, None, then=self._taken)
 
     def _do(self, waiting: str, steps: list[Step]) -> None:
-        """Apply all steps, with cached results of unchanged steps."""
+        """Apply all steps; results of unchanged steps are cached."""
         self.start(waiting, self._checked, self._opened, steps, then=self._taken)
         self.refresh()
 
@@ -106,7 +105,7 @@ class CheckPage(Page):
             self._evidence.refresh()  # without the buttons, since the user may click one at this moment
 
     def _checked(self, name: str, steps: list[Step] | None) -> Checked:
-        """Apply the steps (by default the saved steps) to a drive, write the result, and check it."""
+        """Apply ``steps``, by default the saved steps, to a drive, write the result, and check it."""
         stages, known, target = self.stages, self.steps, name + CHECKED
         if steps is None:
             saved = self.bench.read(target).metadata if target in self.bench.drive_names else {}
@@ -237,7 +236,7 @@ def _apply(drive: Drive, step: Step) -> Drive:
 
 
 def _look_ahead(drive: Drive, diagnosis: Diagnosis) -> Repaired:
-    """Try each repair. Return the agreements after the repair, and a sentence if the repair is withheld."""
+    """Try each repair; return the agreements after it, and the reason if it is withheld."""
     after: Repaired = {}
     description = (
         "The doctor withholds this repair, since it makes a filter's predictions of the fixes worse. Check "

@@ -36,7 +36,7 @@ class LogPage(OpenLog):
         self._finish()
 
     def refresh(self) -> None:
-        """Show changes. Unchanged rows of a table keep place and focus."""
+        """Show changes; unchanged rows of a table keep place and focus."""
         shown = [panel.preview.table for panel in self.panels]
         if self.inspection and shown == [preview.table for preview in self.inspection.tables]:
             uses = columns.uses_of(self.inspection)
@@ -175,7 +175,7 @@ class LogPage(OpenLog):
 
     @property
     def _finishing(self) -> tuple[bool, str, str, str]:
-        """Return whether a log is open, the name of the drive, the name of the drive that was made, and the result."""
+        """Return True if a log is open; the names of the drive and of the drive that was made; and the result."""
         choices, log = self.bench.log_choices, self.bench.log
         name = choices.get("name") or self.bench.free("drives", log.stem if log else "")
         return log is not None and self.inspection is not None, name, choices.get("made", ""), self.done
@@ -193,7 +193,7 @@ class LogPage(OpenLog):
 
     def _make(self, name: str) -> None:
         """Write the drive, which replaces an earlier drive of this log and its checked copy."""
-        if self.waiting:  # for a choice that was made immediately before
+        if self.waiting:  # for a choice that was made just before
             self.after_reading = partial(self._make, name)
             return
         if self.drive is None:

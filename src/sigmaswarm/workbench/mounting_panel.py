@@ -17,21 +17,19 @@ from sigmaswarm.workbench.state import attempt
 
 FIND = "Find the mounting in the log"
 ANGLES = ("roll", "pitch", "yaw")
-SLIDER_DELAY = 0.6
-"""Time after the last change until the log is read again, s."""
+SLIDER_DELAY = 0.6  # s from the last change until the log is read again
 
 CENTER, SCALE = np.array([170.0, 136.0]), 46
-"""CENTER: pixel of the vehicle's origin in car.svg. SCALE: pixels per m."""
+"""Pixel of the vehicle's origin in car.svg, and pixels per m."""
 VIEW = np.array([(-0.530, 0.848, 0.0), (-0.345, -0.216, 0.914), (0.775, 0.484, 0.407)])
 """Rows: unit vectors right, up and towards the viewer of car.svg, in the axes of the vehicle."""
-MOUNTED = np.array([-0.4, 0.0, 1.15])
-"""Position of the drawn IMU, m, in the axes of the vehicle."""
+MOUNTED = np.array([-0.4, 0.0, 1.15])  # m, position of the drawn IMU, in the axes of the vehicle
 AXES = (("x", VERMILION), ("y", GREEN), ("z", BLUE))
 DIRECTIONS = (("forward", "backward"), ("left", "right"), ("up", "down"))
 
 
 class MountingPanel:
-    """Choice of the mounting. The sketch changes at once, the plots after a pause."""
+    """Choice of the mounting; the sketch changes at once, the plots after a pause."""
 
     def __init__(self, page: OpenLog) -> None:
         self.page = page

@@ -12,8 +12,7 @@ from nicegui import background_tasks, run, ui
 from sigmaswarm.workbench.state import Workbench, attempt
 
 T = TypeVar("T")
-REQUEST_DELAY = 0.1
-"""Time within which a new request replaces the previous request, s."""
+REQUEST_DELAY = 0.1  # s within which a new request replaces the previous request
 
 
 class Page:
@@ -37,7 +36,7 @@ class Page:
     def start(
         self, waiting: str, work: Callable[..., T], *arguments: Any, then: Callable[[T | None], Any]
     ) -> None:
-        """Work on a thread, also after the tab is closed. A new request replaces the previous request.
+        """Work on a thread, also after the tab is closed; a new request replaces the previous request.
 
         ``then`` receives the result, or None after an error, which ``wrong`` contains.
         """
@@ -64,7 +63,7 @@ def text(tag: str, content: str, classes: str = "") -> None:
 
 
 def message(content: str, kind: str) -> None:
-    """Show a sentence of kind bad, good or wait (with a spinner). Screen readers announce the sentence."""
+    """Show a sentence of kind bad, good or wait (with a spinner); screen readers announce it."""
     if content:
         with box(f"message {kind}").props('role="status"'):
             if kind == "wait":
@@ -113,7 +112,7 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], classes: str = ""
 
 
 def select(label: str, options: Any, value: Any, choose: Callable[[Any], Any], **more: Any) -> ui.select:
-    """Make a dropdown. ``choose`` receives the new value. Without an option for the value, nothing is selected.
+    """Make a dropdown; ``choose`` receives the new value, and nothing is selected if no option has the value.
 
     A list of several options stays open until all are chosen.
     """

@@ -13,13 +13,11 @@ from sigmaswarm.reports.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VE
 from sigmaswarm.workbench.parts import box
 
 PIXELS = 600  # columns of a plot, with two points each
-EAST = "east, m"
-"""Label of the horizontal axis of a map, which marks a plot with equal scales."""
-MAX_LINE_POINTS, MAX_MARKERS = 3000, 600
-"""Maximum number of points of a line on a map, and of markers (each is an element of the page)."""
+EAST = "east, m"  # label of the horizontal axis of a map, which gives a plot equal scales
+MAX_LINE_POINTS = 3000  # of a line on a map
+MAX_MARKERS = 600  # on a map; each is an element of the page
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, BLACK)
-Series = tuple[Array, Array]
-"""Times (n,), s, and values (n,); or east and north (n,), m."""
+Series = tuple[Array, Array]  # times (n,), s, and values (n,); or east and north (n,), m
 Lines = list[dict[str, Any]]
 CONFIG = {"displayModeBar": False, "responsive": True, "doubleClick": "reset"}
 AXIS = {
@@ -65,7 +63,7 @@ def lines(
     dashed: Collection[str] = (),
     pale: Mapping[str, Series] | None = None,
 ) -> Lines:
-    """Make the lines of a plot. ``points`` are drawn as markers; ``pale`` are lines before a change in equal colors."""
+    """Make the lines of a plot; ``points`` are drawn as markers, ``pale`` are lines before a change in equal colors."""
     made: Lines = []
     for color, (label, (x, y)) in zip(COLORS * 4, series.items(), strict=False):
         drawn: dict[str, Any] = {"mode": "lines", "line": {"color": color, "width": 1.4}}
@@ -108,7 +106,7 @@ def time_plot(
     on_select: Callable[[float, float], Any] | None = None,
     **layout: Any,
 ) -> None:
-    """Show series over time. Zooming in loads details; with ``on_select`` the mouse selects a time span instead.
+    """Show series over time; zooming in loads details, but with ``on_select`` the mouse selects a time span.
 
     ``dashed`` and ``pale`` are as in `lines`. ``span``, s, is shaded if it is shorter than the drive.
     """

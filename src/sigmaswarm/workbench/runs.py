@@ -1,4 +1,4 @@
-"""Tuning runs in threads of the server. A killed run can be resumed from its folder."""
+"""Tuning runs in threads of the server; a killed run can be resumed from its folder."""
 
 import threading
 import time
@@ -46,7 +46,7 @@ class Run:
         return "last checks" if done else "running" if self.progress else "compiling"
 
     def advance(self, progress: Progress) -> bool:
-        """Store the progress. Return False to stop the tuning."""
+        """Store the progress; return False to stop the tuning."""
         self.history.setdefault(progress.trial, []).append(progress.best_cost)
         self.progress = progress
         if progress.parameters is not None and time.monotonic() - self.drawn_at > 1.5:  # s
@@ -54,13 +54,12 @@ class Run:
             try:
                 estimate = sigmaswarm.run(self.shown_on, progress.parameters)
                 self.track = thinned(estimate.mean[:, 0], estimate.mean[:, 1])
-            except sigmaswarm.SigmaswarmError:  # this filter failed; the next filter may succeed
+            except sigmaswarm.SigmaswarmError:  # this filter failed, the next may succeed
                 self.track = None
         self.version += 1
         return not self.stopping
 
     def stop(self) -> None:
-        """Stop after the current generation."""
         self.stopping, self.version = True, self.version + 1
 
     def tune(self, drives: Sequence[Drive], options: Mapping[str, Any]) -> None:
@@ -92,7 +91,7 @@ class Runs:
         self._threads[-1].start()
 
     def resume(self, name: str) -> None:
-        """Resume a stopped or killed tuning run, also one of the command line."""
+        """Resume a stopped or killed tuning run of the workbench or the command line."""
         options, data = saved_options(self.bench.path("tunings", name))
         known = self.bench.choices.get("tunings", {}).get(name, {})
         drives = [self.bench.read(one) for one in known.get("drives", [one["name"] for one in data])]

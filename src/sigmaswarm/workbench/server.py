@@ -46,7 +46,7 @@ FAVICON = (
 
 
 class Frame:
-    """Pages of the steps. All tabs share one page per step."""
+    """Pages of the steps; all tabs share one page per step."""
 
     def __init__(self, bench: Workbench) -> None:
         self.bench, self.runs = bench, Runs(bench)
@@ -101,7 +101,7 @@ class Frame:
         return PlainTextResponse(wrong, 404) if page is None else HTMLResponse(page)
 
     def _page_of(self, kind: str, name: str) -> str:
-        """Return the page of a result, as `sigmaswarm report` writes it. Write a missing page first."""
+        """Return the page of a result, as `sigmaswarm report` writes it; write it first if it is missing."""
         folder = self.bench.path(kind, name)
         file = folder / "page.html"
         if file.is_file() and not file.is_symlink():

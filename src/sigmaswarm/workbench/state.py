@@ -15,11 +15,9 @@ from sigmaswarm.records import content_if_readable
 KINDS = ("logs", "drives", "tunings", "evaluations", "exports")
 DRIVE, TUNING = "drive.toml", "tuning.toml"
 LEFT_OUT = "leave it out"
-CHECKED = "-checked"
-"""Suffix of the name of a repaired or cut copy; its drive.toml lists the ``steps``."""
+CHECKED = "-checked"  # suffix of a repaired or cut copy, whose drive.toml lists the ``steps``
 NAME = re.compile(r"[\w][\w .()+-]{0,99}")
-MAX_UPLOAD_SIZE = 2_000_000_000
-"""Maximum size of an upload, bytes; the command line opens larger logs."""
+MAX_UPLOAD_SIZE = 2_000_000_000  # bytes of an upload; the command line opens larger logs
 T = TypeVar("T")
 
 
@@ -45,14 +43,14 @@ class Workbench:
         write_json(self._file, self.choices)
 
     def path(self, kind: str, name: str) -> Path:
-        """Return the folder of a drive, tuning, ... by name. Raise `InputError` for names that lead to other places."""
+        """Return the folder of a drive, tuning, ... by name; raise `InputError` for names that lead to other places."""
         path = self.folder / kind / name
         if kind not in KINDS or not NAME.fullmatch(name) or path.is_symlink():
             raise InputError(f"{name!r} is not a valid name; use letters, digits, - and _")
         return path
 
     def names(self, kind: str, holds: str = "") -> list[str]:
-        """List the names of a kind with a file ``holds`` in the folder, the newest last."""
+        """List the names of a kind whose folders contain the file ``holds``, the newest last."""
         found = [p for p in (self.folder / kind).iterdir() if NAME.fullmatch(p.name) and not p.is_symlink()]
         found = [p for p in found if not holds or (p / holds).is_file()]
         return [p.name for p in sorted(found, key=lambda p: (p.stat().st_mtime, p.name))]
@@ -78,7 +76,7 @@ class Workbench:
         return self._cached(path, path.stat().st_mtime_ns)
 
     def write(self, drive: Drive) -> str:
-        """Write a drive, which replaces a drive of the same name. Return the name."""
+        """Write a drive, which replaces a drive of the same name; return the name."""
         sigmaswarm.write_drive(drive, self.path("drives", drive.name), overwrite=True)
         return drive.name
 

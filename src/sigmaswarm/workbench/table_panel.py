@@ -13,12 +13,11 @@ from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.parts import box, number, select, table, text
 from sigmaswarm.workbench.plots import sparkline
 
-MAX_COLUMNS = 30
-"""Maximum number of columns of a table on the page; columns in use are first."""
+MAX_COLUMNS = 30  # columns of a table on the page; columns in use are first
 
 
 class TablePanel:
-    """A table that can be folded. A choice redraws only the rows that it changes."""
+    """A table that can be folded; a choice redraws only the rows that it changes."""
 
     def __init__(self, page: OpenLog, inspection: Inspection, preview: TablePreview) -> None:
         self.page, self.inspection, self.preview, self.uses = (
@@ -50,7 +49,7 @@ class TablePanel:
         return f"{self.preview.table}: {description or 'not used'}"
 
     def show(self) -> None:
-        """Show the table. The server sends the columns when the table is first unfolded."""
+        """Show the table; the server sends the columns when the table is first unfolded."""
         preview = self.preview
         rows = f"{preview.rows} rows" if preview.rows is not None else ""
         rate = f"{preview.rate:.4g} Hz" if preview.rate else ""

@@ -34,8 +34,7 @@ MODELS = {
     "planar8": "planar8",
     "tilted12": "tilted12",
 }
-STARTING = "reading the training drives"
-"""Work that continues if the user changes a choice."""
+STARTING = "reading the training drives"  # work that continues if the user changes a choice
 MAX_COMPARED_TUNINGS = 6
 Update = Callable[[], None]
 
@@ -47,7 +46,7 @@ class TunePage(Page):
         self.why: list[str] = []
 
     def content(self) -> None:
-        """Show the step. A timer in each tab checks the tuning runs."""
+        """Show the step; a timer in each tab checks the tuning runs."""
         if self.plan and not self.why and not self.waiting:
             self._explain()
         self._setup()
@@ -76,7 +75,7 @@ class TunePage(Page):
 
     @property
     def plan(self) -> dict[str, str]:
-        """Use of each drive. By default the last drive is held back, and a single drive is split."""
+        """Use of each drive; by default the last drive is held back, and a single drive is split."""
         names = [n for n in self.bench.drives if not n.endswith(("-train", "-test"))] or self.bench.drives
         chosen = self.bench.choices.get("plan", {})
         used = [name for name in names if chosen.get(name) != LEFT_OUT]
@@ -116,7 +115,7 @@ class TunePage(Page):
 
     @ui.refreshable_method
     def _reasoning(self) -> None:
-        """Show filter and search of the next tuning. A refresh leaves the fields, in which the user may type."""
+        """Show filter and search of the next tuning; a refresh leaves the fields, in which the user may type."""
         self.messages()
         for sentence in self.why:
             text("p", sentence)
@@ -165,7 +164,7 @@ class TunePage(Page):
         self._reasoning.refresh()
 
     def _drives(self) -> tuple[list[Drive], list[Drive]]:
-        """Read the drives. Split drives as chosen, like `sigmaswarm split`."""
+        """Read the drives; split drives as chosen, like `sigmaswarm split`."""
         drives: list[Drive] = []
         held: list[Drive] = []
         for name, what in self.plan.items():
@@ -181,7 +180,7 @@ class TunePage(Page):
         return drives, held
 
     def _cards(self) -> dict[str, Update]:
-        """Show running, failed and interrupted tuning runs. Return functions that update the cards."""
+        """Show running, failed and interrupted tuning runs; return functions that update the cards."""
         updates = {r.name: self._run_card(r) for r in self.runs.runs.values() if not r.ended or r.error}
         for name in self.bench.unfinished:
             if name not in updates:
@@ -197,7 +196,7 @@ class TunePage(Page):
         self.refresh()
 
     def _run_card(self, run: Run) -> Update:
-        """Show a tuning run. Return a function that updates the card."""
+        """Show a tuning run; return a function that updates the card."""
         with card("warning" if run.error else ""):
             with line("between"):
                 with ui.element("h2"):
