@@ -18,10 +18,8 @@ from .plans import Plan
 from .server import Session
 from .vehicle import Physics, control
 
-DISCARDED_SAMPLES = 3
-"""Number of samples to discard after listen() (carla#8970)."""
-STUCK_TIME = 20.0
-"""Time without 1 m of progress after which the car counts as stuck, s."""
+DISCARDED_SAMPLES = 3  # samples to discard after listen() (carla#8970)
+STUCK_TIME = 20.0  # s without 1 m of progress after which the car counts as stuck
 
 
 class Row(NamedTuple):
@@ -51,7 +49,7 @@ class Recording:
 
 
 def seed_of(*names: object) -> int:
-    """Hash names to a seed, from 1 to 2**31 - 1."""
+    """Hash names to a seed from 1 to 2**31 - 1."""
     return zlib.crc32("/".join(str(name) for name in names).encode()) % 2147483647 + 1
 
 
@@ -111,7 +109,7 @@ class Sensors:
         )
 
     def _get(self, sensor: str, frame: int, seconds: float) -> Any:
-        """Return the data of a frame, or None if it does not arrive in time. Discard older data."""
+        """Return the data of a frame, or None if it does not arrive in time; discard older data."""
         end = time.monotonic() + seconds
         while True:
             try:

@@ -12,8 +12,7 @@ from .options import BRAKE_GAIN, STANDSTILL_TIME, TICK
 from .plans import Plan, allowed_speed
 from .routes import SPACING
 
-_THROTTLE = 6.5
-"""Acceleration at full throttle, m/s2. Measured in CARLA: 6.3 to 7.0."""
+_THROTTLE = 6.5  # m/s2, acceleration at full throttle; measured in CARLA: 6.3 to 7.0
 _FULL_BRAKE = ((0.0, 4.4), (4.5, 4.4), (10.0, 6.1), (14.0, 7.4))
 """Speed, m/s, and deceleration of the stock brakes, m/s2, measured in CARLA."""
 
@@ -94,7 +93,7 @@ class Driver:
         self.way, self.off = i * SPACING + dx * cos + dy * sin, dy * cos - dx * sin
 
     def _steer(self, heading: float, speed: float) -> float:
-        """Return the angle of the wheels, rad. An offset from the path decays like a second-order system."""
+        """Return the angle of the wheels, rad; an offset from the path decays like a second-order system."""
         path, v = self.plan.path, max(speed, 1.0)
         i = self._nearest
         course = wrap(heading - path.heading[i] - (self.way - i * SPACING) * path.curvature[i])
@@ -106,7 +105,7 @@ class Driver:
         return math.atan(self.wheelbase * curvature)
 
     def _press(self, speed: float, angle: float) -> Control:
-        """Choose the pedals. The planned speed increases with the acceleration of the leg up to the allowed speed."""
+        """Choose the pedals; the planned speed increases with the acceleration of the leg up to the allowed speed."""
         leg = self.plan.legs[self._leg]
         profile = self._allowed[self._leg]
         place = max(self.way - self._leg_end + leg.length, 0.0) / SPACING

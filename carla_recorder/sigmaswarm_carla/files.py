@@ -66,7 +66,7 @@ class Journal:
         return interpolate(table, friction)
 
     def note(self, **entries: Any) -> None:
-        """Save entries. Dictionaries are merged with the saved dictionaries."""
+        """Save entries; dictionaries are merged with the saved dictionaries."""
         for key, value in entries.items():
             old = self._content.get(key)
             self._content[key] = (

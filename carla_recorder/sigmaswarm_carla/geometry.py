@@ -13,8 +13,7 @@ from typing import Any
 
 from .options import RecorderError
 
-METERS_PER_DEGREE = math.pi * 6378137.0 / 180.0
-"""Length of a degree of latitude on CARLA's sphere, m."""
+METERS_PER_DEGREE = math.pi * 6378137.0 / 180.0  # m, degree of latitude on CARLA's sphere
 
 
 def polar(v: Any) -> tuple[float, float, float]:
@@ -38,7 +37,7 @@ def wrap(angle: float) -> float:
 
 
 def interpolate(table: Sequence[tuple[float, float]], x: float) -> float:
-    """Interpolate linearly in a table of (x, y), constant beyond its ends."""
+    """Interpolate linearly in a table of (x, y); values are constant beyond its ends."""
     if x <= table[0][0]:
         return table[0][1]
     for (x0, y0), (x1, y1) in zip(table, table[1:]):

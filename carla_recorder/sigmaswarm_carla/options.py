@@ -9,19 +9,15 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-RATE = 100
-"""Rate of ticks and IMU, Hz."""
+RATE = 100  # Hz, of ticks and IMU
 TICK = 1.0 / RATE
-GPS_EVERY = 20
-"""Ticks from fix to fix (5 Hz), since CARLA's sensor_tick does not stay synchronous (carla#3653)."""
-STANDSTILL_TIME = 1.0
-"""Standstill at the beginning of a drive, s."""
+GPS_EVERY = 20  # ticks from fix to fix (5 Hz); CARLA's sensor_tick does not stay synchronous (carla#3653)
+STANDSTILL_TIME = 1.0  # s of standstill at the beginning of a drive
 GRAVITY = 9.81
 KMH = 1 / 3.6
-DRY = 0.85
-"""Friction of stock tires without --brake-sweep."""
+DRY = 0.85  # friction of stock tires without --brake-sweep
 BRAKE_GAIN = 2.0
-"""Factor of max_brake_torque: stock brakes stop the car from 50 km/h in 2.7 s, but the paper's car needs 2 s."""
+"""Factor of max_brake_torque. Stock brakes stop the car from 50 km/h in 2.7 s, but the paper's car needs 2 s."""
 
 
 class Environment(NamedTuple):
@@ -54,7 +50,7 @@ NOISE_OPTIONS = ("accel_noise", "gyro_noise", "gyro_bias", "gps_noise")
 
 
 class RecorderError(Exception):
-    """Error that ends the recording. The message states cause and remedy."""
+    """Error that ends the recording; the message states cause and remedy."""
 
 
 class LostConnection(RecorderError):
@@ -74,7 +70,6 @@ class Condition(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Name of the drive and of its folder."""
         return f"{self.maneuver}-{self.environment}-{self.run:02d}"
 
 
@@ -116,7 +111,6 @@ class Options:
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return the parser of the command line."""
     p = argparse.ArgumentParser(
         prog="sigmaswarm_carla",
         description="Record the paper's maneuvers from a CARLA server, as drive folders with truth.",
@@ -138,7 +132,6 @@ def parser() -> argparse.ArgumentParser:
 
 
 def options_of(arguments: Sequence[str]) -> Options:
-    """Parse and check a command line."""
     given = vars(parser().parse_args(arguments))
     for key, known in (("maneuvers", MANEUVERS), ("environments", tuple(ENVIRONMENTS))):
         given[key] = tuple(dict.fromkeys(given[key]))

@@ -62,13 +62,12 @@ class Progress:
         print(text, file=sys.stderr, flush=True)
 
     def clear(self) -> None:
-        """Erase the changing line."""
         if self._live:
             print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
 def record(options: Options) -> int:
-    """Record all missing drives. Return their number.
+    """Record all missing drives; return the number of recorded drives.
 
     Raises
     ------
@@ -88,7 +87,7 @@ def record(options: Options) -> int:
 
 
 def _record(options: Options, journal: Journal, wanted: list[Condition], progress: Progress) -> None:
-    """Record drives. After a loss of the connection open a new session, at most three times in a row."""
+    """Record drives; after a loss of the connection open a new session, at most three times in a row."""
     checked, lost = False, 0
     before: dict[str, Any] = {}
     while wanted or (options.brake_sweep and not journal.friction):
@@ -122,7 +121,7 @@ def check_routes(session: Session, wanted: Sequence[Condition]) -> None:
 
 
 def _wait_for(options: Options) -> bool:
-    """Wait until a lost server answers again. Return False after `patience` s."""
+    """Wait until a lost server answers again; return False after `patience` s."""
     end = time.monotonic() + options.patience
     while time.monotonic() < end:
         if reachable(options.host, options.port, 1.0):
@@ -140,7 +139,7 @@ def _put_in_order(options: Options, before: dict[str, Any]) -> None:
 
 
 def record_one(session: Session, journal: Journal, progress: Progress, condition: Condition) -> None:
-    """Record one drive. After a failure try up to three other routes."""
+    """Record one drive; after a failure try up to three other routes."""
     options, name, where = session.options, condition.name, ENVIRONMENTS[condition.environment]
     session.show_weather(condition.environment)
     for attempt in range(4):
@@ -174,7 +173,7 @@ SWEEP_FRICTIONS = (3.5, 2.0, 1.0, 0.5, 0.25)
 
 
 def sweep_brakes(session: Session, say: Callable[[str], None]) -> list[list[float]]:
-    """Brake hard with each tire_friction. Return pairs of tire_friction and measured friction."""
+    """Brake hard with each tire_friction; return pairs of tire_friction and measured friction."""
     found: list[list[float]] = []
     guess = 0.4
     for tire_friction in SWEEP_FRICTIONS:

@@ -11,14 +11,10 @@ from typing import Any, NamedTuple
 from .geometry import heading_of, polar, wrap
 from .options import RecorderError
 
-SPACING = 0.5
-"""Distance between points of a path, m."""
-RUN_OUT = 30.0
-"""Length of road after the end of a maneuver, m, for the driver's preview and for longer braking."""
-STRAIGHT = math.radians(3.0)
-"""Largest change of heading on a straight stretch, rad."""
-MAX_WALKS = 4000
-"""Number of random walks after which a search for a path fails."""
+SPACING = 0.5  # m between points of a path
+RUN_OUT = 30.0  # m of road after the end of a maneuver, for the driver's preview and for longer braking
+STRAIGHT = math.radians(3.0)  # rad, largest change of heading on a straight stretch
+MAX_WALKS = 4000  # random walks after which a search for a path fails
 
 
 class Turn(NamedTuple):
@@ -42,7 +38,6 @@ class Path2D:
 
     @property
     def length(self) -> float:
-        """Length, m."""
         return (len(self.x) - 1) * SPACING
 
     @property

@@ -33,7 +33,6 @@ def number_of(version: str) -> str:
 
 
 def import_carla() -> Any:
-    """Import the client. Raise RecorderError if it is not installed."""
     try:
         return import_module("carla")
     except ImportError as error:
@@ -44,7 +43,7 @@ def import_carla() -> Any:
 
 
 def connect(carla: Any, options: Options) -> Any:
-    """Connect to the server. Raise RecorderError for another version, since its calls may crash this process."""
+    """Connect to the server; raise RecorderError for another version, since its calls may crash this process."""
     place = f"{options.host}:{options.port}"
     if not reachable(options.host, options.port, options.timeout):
         raise RecorderError(
@@ -69,14 +68,12 @@ def connect(carla: Any, options: Options) -> Any:
 
 
 def one_line(error: BaseException) -> str:
-    """Return an error's message on one line."""
     return " ".join(str(error).split())
 
 
-ROLE = "sigmaswarm"
-"""Role name of the recorder's actors, to find the actors of a crashed call."""
-SUBSTEP = 0.001
-"""Step of the physics, s; with CARLA's default the gyro is wrong."""
+ROLE = "sigmaswarm"  # role name of the recorder's actors, to find the actors of a crashed call
+SUBSTEP = 0.001  # s, step of the physics; with CARLA's default the gyro is wrong
+# Settings of the server during a recording.
 SETTINGS: dict[str, Any] = {
     "synchronous_mode": True,
     "no_rendering_mode": True,
@@ -85,7 +82,6 @@ SETTINGS: dict[str, Any] = {
     "max_substep_delta_time": SUBSTEP,
     "max_substeps": round(TICK / SUBSTEP),
 }
-"""Settings of the server during a recording."""
 
 
 def _same(found: Any, wanted: Any) -> bool:
@@ -103,7 +99,7 @@ class Session:
     """
 
     def __init__(self, options: Options, before: dict[str, Any]) -> None:
-        """Connect. `before` keeps the original settings and weather of the server over several sessions."""
+        """Connect; `before` keeps the original settings and weather of the server over several sessions."""
         self.options, self._before = options, before
         self.actors: list[Any] = []
         self.carla = import_carla()
@@ -220,7 +216,7 @@ class Session:
         self.actors.clear()
 
     def restore(self) -> str:
-        """Restore the world. Return a message about failures, or an empty string."""
+        """Restore the world; return a message about failures, or an empty string."""
         if not reachable(self.options.host, self.options.port, 2.0):
             _KEEP.extend([self, *self.actors])
             return "the server does not answer, so its settings and weather could not be restored"

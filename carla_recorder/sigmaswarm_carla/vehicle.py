@@ -13,8 +13,7 @@ from .routes import Path2D
 from .server import Session, one_line
 
 CAR = "vehicle.tesla.model3"
-SETTLE_TICKS = 100
-"""Number of ticks until the car is at rest on its springs."""
+SETTLE_TICKS = 100  # until the car is at rest on its springs
 
 
 class Physics(NamedTuple):
@@ -28,9 +27,9 @@ class Physics(NamedTuple):
 
 
 def edit_physics(session: Session, car: Any, tire_friction: float | None, share: float = 1.0) -> Physics:
-    """Set friction of tires, stronger brakes and a flat steering curve, and check that the server applied them.
+    """Set friction of tires, stronger brakes and a flat steering curve; check that the server applied them.
 
-    Without `tire_friction`, the friction is `share` times the friction of the stock tires.
+    If `tire_friction` is None, the friction is `share` times the friction of the stock tires.
     """
     physics = car.get_physics_control()
     wheels = list(physics.wheels)
@@ -57,8 +56,8 @@ def edit_physics(session: Session, car: Any, tire_friction: float | None, share:
 def axles(wheels: Sequence[Any], car: Any) -> tuple[float, float]:
     """Return wheelbase and distance from the rear axle to the car's origin, m.
 
-    CARLA gives world positions in cm, front wheels first. If they do not fit a car, the values of the real car are
-    returned.
+    CARLA gives world positions in cm, front wheels first. If the positions do not fit a car, the values of the real car
+    are returned.
     """
     heading, (x, y, _) = heading_of(car.rotation), polar(car.location)
     places = [polar(wheel.position) for wheel in wheels]
@@ -79,7 +78,7 @@ def plain(value: Any) -> Any:
 
 
 def place_car(session: Session, path: Path2D) -> Any:
-    """Spawn the car at the beginning of a path. Raise FailedRun if an obstacle is there."""
+    """Spawn the car at the beginning of a path; raise FailedRun if an obstacle is there."""
     at = path.start.transform
     location = session.carla.Location(x=at.location.x, y=at.location.y, z=at.location.z + 0.5)
     try:

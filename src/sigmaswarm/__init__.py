@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 
 from sigmaswarm.versions import __version__ as __version__
 
-# Type checkers follow these imports. At run time `__getattr__` does each of them at the first use of its name.
+# Only type checkers follow these imports. At run time, `__getattr__` does each of them at the first use of its name.
 if TYPE_CHECKING:
     from sigmaswarm.api import evaluate, export, import_log, inspect_log, plot, report, run
     from sigmaswarm.doctor.agreements import Agreement as Agreement
@@ -124,8 +124,8 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.store import saved_options as saved_options
     from sigmaswarm.tuning.tune import tune
 
+# Deprecated names of version 0.3.0.
 _RENAMED = {"LiveSwarm": "LiveFilterBank", "run_swarm": "run_bank", "datasheet": "baseline"}
-"""Deprecated names of version 0.3.0."""
 
 __all__ = [
     "AlignmentError",

@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from sigmaswarm.importing.inspection import Inspection
     from sigmaswarm.scoring.evaluation import Evaluation
 
+# Parameters of a filter, a tuning, or the file or folder of a tuning.
 Filter = FilterParameters | Tuning[Any] | str | Path
-"""Parameters of a filter, a tuning, or the file or folder of a tuning."""
 
 
 @dataclass(frozen=True)
 class TunedFilter:
-    """A filter with the settings that it inherits from its tuning."""
+    """A filter with the settings of its tuning."""
 
     parameters: FilterParameters
     as_recorded: bool = False

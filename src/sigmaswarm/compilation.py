@@ -1,8 +1,8 @@
 """Compile functions with Numba, and cache the machine code between processes if this is safe.
 
 Numba caches pickles: a user who can write them can run code with the rights of the user who reads them. The cache is
-therefore in a folder that only its owner can write. Without a writable folder, or with a damaged file, this module
-compiles again, whereas Numba would fail.
+therefore in a folder that only the folder's owner can write. If the folder is not writable or a file is damaged, this
+module compiles again, whereas Numba would fail.
 """
 
 # Numba has types of its own, which a type checker for Python does not know.
@@ -84,8 +84,7 @@ def address_of(function: Recipe, signature: Any, **options: Any) -> Any:
     return made.address
 
 
-_CALLED: list[CFunc] = []
-"""Functions with an address in use, which must stay in memory."""
+_CALLED: list[CFunc] = []  # functions whose address is in use, which must stay in memory
 
 
 def _cache_of(function: Callable[..., Any] | Recipe, compiled: Any) -> Any:

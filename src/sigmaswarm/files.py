@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from filelock import BaseFileLock
     from numpy.typing import NDArray
 
-RESULT_FILE = ".sigmaswarm-result.json"
-"""Kind and files of a result in its folder."""
+RESULT_FILE = ".sigmaswarm-result.json"  # kind and files of a result in its folder
 _HIDDEN = re.compile(
     r"\.DS_Store|Thumbs\.db|desktop\.ini|\.sigmaswarm\.lock|\..+\.sigmaswarm-[0-9a-f]{12}(\.lock)?"
 )
@@ -35,7 +34,6 @@ _LOCK = re.compile(r"\..+\.sigmaswarm-[0-9a-f]{12}\.lock")
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write bytes, or text as UTF-8, with `whole_file`."""
     with whole_file(path) as file:
         file.write(content.encode() if isinstance(content, str) else content)
 
@@ -122,7 +120,7 @@ def whole_file(path: Path) -> Generator[BinaryIO]:
 def whole_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
     """Yield a path for a folder, which gets its final name when the block ends.
 
-    With ``replace`` it may replace a folder that is not empty.
+    With ``replace``, it may replace a folder that is not empty.
     """
     with _staging(path) as hidden:
         new, old = hidden / "new" / path.name, hidden / "old" / path.name
@@ -169,7 +167,7 @@ def earlier_result(folder: Path, kind: str, mark: str = "", *, alone: bool = Tru
 
 
 def add_to_result(folder: Path, name: str) -> None:
-    """Add a file to the files of a result in a folder, if the folder lists any, so that the next result replaces it."""
+    """If a folder has a list of its result's files, add a file to it, so that the next result replaces the file."""
     if not (found := _result_in(folder)):
         return
     if (folder / name).exists() and name not in found["files"]:
@@ -189,9 +187,9 @@ def _result_in(folder: Path) -> dict[str, Any]:
 def staged_files(folder: Path, kind: str = "", mark: str = "") -> Generator[Path]:
     """Yield a hidden folder for files; when the block ends, all or none of them are moved into ``folder``.
 
-    The next run that writes into the folder restores the old files if this run is killed between two replacements.
-    With ``kind`` the files are a whole result. The new result replaces the files of an earlier result (see
-    `earlier_result`); surplus files of the earlier result are removed, and no other file is replaced.
+    If this run is killed between two replacements, the next run that writes into the folder restores the old files.
+    With ``kind``, the files are a whole result, which replaces an earlier result (see `earlier_result`): surplus files
+    of the earlier result are removed, and no other file is replaced.
     """
     before = earlier_result(folder, kind, mark, alone=False) if kind else None
     make_folder(folder)
@@ -217,7 +215,7 @@ def staged_files(folder: Path, kind: str = "", mark: str = "") -> Generator[Path
 
 
 def _is_code_of_ours(file: Path) -> bool:
-    """Return True for exported code of an earlier version, whose exports listed no files."""
+    """Return True for exported code of an earlier version, whose exports have no list of files."""
     if file.suffix not in (".c", ".h", ".py", ".yaml"):
         return False
     with file.open("rb") as opened:

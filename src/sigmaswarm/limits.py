@@ -1,6 +1,6 @@
 """Check the sizes of files before they are read, since a small or damaged file can claim any size.
 
-Within these limits, rejection of a file needs at most 1.5 GB of memory and 10 s.
+Within these limits, the rejection of a file needs at most 1.5 GB of memory and 10 s.
 """
 
 import re
@@ -29,9 +29,9 @@ _PACKED = {
     b"\x78\x9c": "zlib",
     b"\x78\xda": "zlib",
 }
-"""First bytes of compressed files, which polars unpacks to any size, regardless of their names."""
+"""First bytes of compressed files, which polars unpacks to any size, regardless of the file's name."""
+# A long dotted key of TOML; the time of tomllib grows with the square of the number of parts.
 _LONG_KEY = re.compile(rb"""(?<![\w"'.-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){64}""")
-"""A long dotted key of TOML; the time of tomllib grows with the square of the number of its parts."""
 
 
 def require_regular(path: Path) -> None:
@@ -39,7 +39,7 @@ def require_regular(path: Path) -> None:
     try:
         mode = path.stat().st_mode
     except OSError:
-        return  # reading it gives the reason
+        return  # the error of reading it gives the reason
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
         raise InputError(f"{path}: is not a regular file; copy its content into a file, and name this file")
 
@@ -47,8 +47,8 @@ def require_regular(path: Path) -> None:
 def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
     """Reject compressed text and lines over `LONGEST_LINE` bytes; return the first line and the number of lines.
 
-    Messages name the file ``shown_as``, if it was unpacked to another place. The number includes empty lines, from
-    which polars also makes rows.
+    Messages name the file ``shown_as``, if it was unpacked to another place. The number includes empty lines, of which
+    polars also makes rows.
     """
     require_regular(path)
     with path.open("rb") as file:
@@ -88,7 +88,7 @@ def read_bounded(path: Path, most: int) -> bytes:
 
 
 def read_toml_text(path: Path) -> str:
-    """Return the text of a TOML file without its byte-order mark; refuse a file that takes long to parse."""
+    """Return the text of a TOML file without the byte-order mark; refuse a file that takes long to parse."""
     content = read_bounded(path, MOST_TOML)
     if found := _LONG_KEY.search(content):
         row = content.count(b"\n", 0, found.start()) + 1

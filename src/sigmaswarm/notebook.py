@@ -30,7 +30,7 @@ def number(value: float | None) -> str:
 
 
 def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Write a table with names in the first column, and caption and scopes for screen readers."""
+    """Write a table with names in the first column, and with caption and scopes for screen readers."""
 
     def cell(value: object) -> str:
         text = number(value) if isinstance(value, float) else str(value)
@@ -48,7 +48,6 @@ def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -
 
 
 def listed(title: str, sentences: Sequence[str]) -> str:
-    """Write sentences as a list under a title."""
     items = "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
     return f"<p>{escape(title)}</p><ul>{items}</ul>" if sentences else ""
 

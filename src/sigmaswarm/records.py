@@ -35,8 +35,8 @@ def load_record(
 ) -> R:
     """Read a record, a pydantic model or a dataclass: JSON or npz by its suffix, else TOML.
 
-    ``remedy`` and ``missing`` end the message about a damaged or a missing file. NaN and inf of a JSON file become None
-    unless ``infinite``.
+    ``remedy`` and ``missing`` end the messages about a damaged and a missing file. NaN and inf of a JSON file become
+    None unless ``infinite``.
     """
     content = read_content(path, remedy, missing=missing, infinite=infinite)
     try:

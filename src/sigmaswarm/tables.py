@@ -26,8 +26,8 @@ MAX_REPR_ROWS = 10  # rows in `repr`
 class Column:
     """A column of a table.
 
-    ``number`` formats a number and both ends of a range; by default with four digits, three for the ends of a range.
-    ``printed`` replaces ``number`` in Markdown, LaTeX and CSV. In these formats, a ``joined`` column is part of the
+    ``number`` formats a number and both ends of a range; the default has four digits, three for the ends of a range.
+    ``printed`` replaces ``number`` in Markdown, LaTeX and CSV. In these formats, a ``joined`` column is added to the
     previous cell: ``1.28 [1.26, 1.30]``.
     """
 
@@ -139,7 +139,6 @@ class Table:
 
 
 def shown(cell: Cell, column: Column, unknown: str = UNKNOWN) -> str:
-    """Format a cell for people."""
     if isinstance(cell, str):
         return cell
     known = numbers_of(cell)

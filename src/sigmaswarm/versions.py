@@ -1,12 +1,10 @@
 """The version of the library, and the versions of software that affect results."""
 
 __version__ = "0.4.0"
-SAME_RESULTS = {"0.3.0", "0.4.0"}
-"""Versions with identical results, so that one can continue the work of the other."""
+SAME_RESULTS = {"0.3.0", "0.4.0"}  # identical results: one version can continue another's work
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of the software that results depend on."""
     import platform
 
     import numba

@@ -1,4 +1,4 @@
-"""Show names and cells of files in messages: on one line, without control characters, and cut to a length."""
+"""Show names and cells of files in messages: on one line, without control characters, and shortened."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
@@ -37,7 +37,7 @@ def visible(text: str, kept: str = "\n\t") -> str:
 
 
 def shown(text: object, most: int = MAX_CHARACTERS) -> str:
-    """Show a name or a cell in a message: escape control characters, and cut it."""
+    """Show a name or a cell in a message, with escaped control characters and at most ``most`` characters."""
     whole = str(text)
     return visible(whole[:most], kept="") + ("..." if len(whole) > most else "")
 
@@ -56,7 +56,7 @@ def value_shown(value: object) -> str:
 
 
 class Mistake(NamedTuple):
-    """The first error that pydantic found, as a message shows it.
+    """The first error that pydantic found, for a message.
 
     ``key`` is empty for the whole record, ``value`` for a table. ``kind`` is pydantic's name of the error.
     """
