@@ -339,7 +339,7 @@ def test_show_says_what_nobody_reads(sigmaswarm: Command, here: Path):
         ("t,ax,ay,q,lat,lon", ["--map", "imu.ax=ax", "imu.ay=ay"], "imu: no column contains gz; specify one with"),
         ("t,ax,ay,gz,lat,q", ["--map", "gps.lat=lat"], "gps: no column contains a position; map lat and lon"),
         ("t,ax,ay,gz,lat,lon", ["--imu-topic", "log.csv", "--map", "ax=bx"], "'bx'"),
-        ("t,ax,ay,gz,lat,lon", ["--map", "t=t*1000"], "two rows of the imu are 10 s apart"),
+        ("t,ax,ay,gz,lat,lon", ["--map", "t=t*1000"], "rows of the imu would be 10 s apart"),
     ],
 )  # fmt: skip
 def test_show_states_the_faults_of_columns_that_import_states(

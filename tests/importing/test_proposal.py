@@ -215,15 +215,15 @@ def test_a_time_in_another_unit_names_the_unit_and_the_cure(tmp_path: Path, time
     asked = Request(folder / "imu.csv", gps=folder / "fixes.csv", maps=MAPS, time=time)
     with pytest.raises(InputError) as caught:
         import_drive(asked, "monday")
-    assert f"with {time} in s, two rows of the imu are" in str(caught.value)
-    assert 'in us 0.02 s: write --time "stamp_us*1e-6"' in str(caught.value)
+    assert f"with {time} in s, rows of the imu would be" in str(caught.value)
+    assert ', in us 0.02 s; write --time "stamp_us*1e-6"' in str(caught.value)
     drive = import_drive(replace(asked, time="stamp_us*1e-6"), "monday").drive
     assert (
         import_drive(replace(asked, time=None), "monday").drive.imu.time.tolist() == drive.imu.time.tolist()
     )
     wrong = replace(asked, time=None, maps=(*MAPS, "gps.t=stamp_us*1e-3"))
     with pytest.raises(
-        InputError, match=r"two rows of the gps are .* s apart; in us 0\.2 s: write --map gps\.t="
+        InputError, match=r"rows of the gps would be .* s apart, in us 0\.2 s; write --map gps\.t="
     ):
         import_drive(wrong, "monday")
 

@@ -80,8 +80,8 @@ class Mounting:
     def mount(self) -> Array:
         """The rotation (3, 3) from the raw samples, which does not depend on `before`.
 
-        The result is the estimate, or an exchange of the raw axes from which the estimate does not differ significantly.
-        A tolerance like that of `needed` would round a rotation of 4 deg to 0, and one of 5 deg in a part of a log not.
+        The result is the estimate, or an exchange of the raw axes if the two do not differ significantly. The tolerance
+        of `needed` is not used, since a rotation near 4 deg would be 0 in some parts of a log and not in others.
         """
         found = self.rotation @ self.before
         exchanged = max(AXES, key=lambda axes: float(np.trace(found @ axes.T)))

@@ -213,9 +213,9 @@ def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[G
         if FASTEST_IMU < steps[0] < SLOWEST_IMU and LEAST_INTERVAL < steps[1] < LONGEST_STEP["gps"]:
             maps = " ".join(f'"{role}.t={column}*1e-{k}"' for role, (column, _) in columns.items())
             options.append(f"{maps} for {1 / steps[0]:.4g} Hz and {1 / steps[1]:.4g} Hz")
-    message = "; without units both overlap, so both have one unit, "
+    message = "; as plain numbers the times of IMU and fixes overlap, so they have the same unit, "
     return (
-        f"{message}not {' and '.join(texts.values())} in s: write --map {', or '.join(options)}"
+        f"{message}but {' and '.join(texts.values())} differ; write --map {', or '.join(options)}"
         if options
         else ""
     )

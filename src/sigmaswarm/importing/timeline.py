@@ -232,5 +232,5 @@ def require_likely(time: Nanoseconds, role: Role, where: str, text: str) -> None
         if SHORTEST_STEP < step * factor < LONGEST_STEP[role]:
             remedy = f'if they are in {unit}, write --map "{role}.t=({text})*{factor:g}"'
     raise InputError(
-        f"{where}: with {text} in seconds, two rows of the {role} are {step:.4g} s apart; {remedy}"
+        f"{where}: with {text} in seconds, rows of the {role} would be {step:.4g} s apart; {remedy}"
     )

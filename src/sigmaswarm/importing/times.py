@@ -369,7 +369,7 @@ def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Ro
         return Found(f"{text}*86400", f"{column} read as days (fractions of a day)")
     message = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes, *1 for seconds'
     seen = f"column {quoted(column)}: steps of {step:.2g} are too short for seconds"
-    return Found("", fault=f"{seen}; state the unit: write {message}")
+    return Found("", fault=f"{seen}; state the unit; write {message}")
 
 
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
@@ -396,6 +396,6 @@ def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
     times = "" if factor == 1 else f"*{factor:g}".replace("e-0", "e-")
     option = '--time "' if role == "imu" else f'--map {role}.t="'
     return (
-        f"with {text} in s, two rows of the {role} are {step * scale:.4g} s apart; in {unit} "
-        f'{step * factor:.4g} s: write {option}{plain[1]}{times}"'
+        f"with {text} in s, rows of the {role} would be {step * scale:.4g} s apart, in {unit} "
+        f'{step * factor:.4g} s; write {option}{plain[1]}{times}"'
     )

@@ -113,7 +113,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
         names = names or [""] * most
     if not any(name and not name.startswith(" [") for name in names):
         notes.append(
-            f"{shown_as.name}: has no header; its columns are called c1 to c{len(names)}: write a header line such as "
+            f"{shown_as.name}: has no header; its columns are called c1 to c{len(names)}; write a header line such as "
             "t,ax,ay,az,gx,gy,gz, or map them with --map"
         )
     names = [f"c{k}{name}" if name[:1] in ("", " ") else name for k, name in enumerate(names, 1)]
