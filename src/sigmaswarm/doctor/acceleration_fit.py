@@ -4,9 +4,9 @@ In windows of several seconds, the IMU determines the path, integrated from an u
 
     p(t) = p0 + v0 t + e^(i theta) (double integral of M u + b),   u = (ax, ay) as recorded
 
-The fixes show this path with a delay of ``late`` s. Course and gyro give theta. M (2, 2) and ``late`` are common to all
-windows; p0, v0 and b (tilt, slope, bias) differ between windows. The mean of b is also fitted. For a log without
-faults, M is the identity.
+The fixes show this path with a delay of ``late`` s. Course and gyro give the heading theta. M (2, 2) and ``late`` are
+common to all windows; p0, v0 and b (tilt, slope, bias) differ between windows. The mean of b is also fitted. For a log
+without faults, M is the identity.
 """
 
 from dataclasses import dataclass
@@ -20,12 +20,9 @@ from sigmaswarm.doctor.windows import Complex, Regression, integral, regress, sm
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import white_noise
 
-WINDOW = 10.0
-"""Window length, s: long enough to contain accelerations, short enough for constant tilt and slope."""
-BIAS_SPREAD = (0.1, 0.5)
-"""Bounds of the spread of tilt, slope and bias between windows, m/s2."""
-FEW = 8.0
-"""Number of windows at which the covariance is doubled; the factor is 1 + FEW / number."""
+WINDOW = 10.0  # s: long enough to contain accelerations, short enough for constant tilt and slope
+BIAS_SPREAD = (0.1, 0.5)  # m/s2, bounds of the spread of b (tilt, slope, bias) between windows
+FEW = 8.0  # number of windows at which the covariance is doubled; the factor is 1 + FEW / number
 LEAST_NOISE = 0.03  # m, smallest assumed noise of the IMU's path over several seconds
 
 LATENESS = np.arange(-0.8, 0.81, 0.1)  # s, delays of the fixes to try
@@ -53,7 +50,7 @@ def _off_course(time: Array, course: Course, rate: Array, late: float) -> tuple[
 
 
 def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
-    """Return the heading (n,), rad, at the IMU's times: the integrated gyro, aligned with the course over seconds.
+    """Return the heading (n,), rad, at the IMU's times: the gyro's integral, aligned with the course of nearby seconds.
 
     ``rate`` (n,): yaw rate, rad/s, with correct sign and unit; ``late``: delay of the fixes, s.
     """
@@ -70,7 +67,7 @@ def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
 
 
 def drift_of(time: Array, course: Course, rate: Array, late: float) -> float:
-    """Return the negative bias of the gyro, rad/s, determined by the course."""
+    """Return the gyro's bias with the opposite sign, rad/s, from the drift of its integral relative to the course."""
     _, off = _off_course(time, course, rate, late)
     step = max(round(DRIFT_SPAN / float(np.median(np.diff(course.time)))), 1)
     if len(off) <= step:
@@ -86,10 +83,10 @@ def fit_acceleration(
     tried: Array = LATENESS,
     known: tuple[float, float] | None = None,
 ) -> AccelerationFit | None:
-    """Fit the path; ``rate`` (n,) is the yaw rate, rad/s, ``tried`` are initial values of ``late``, s.
+    """Fit the path; return None if no window is usable.
 
-    ``known``: `late` and its standard deviation, s, from other data. In turns at constant speed M and `late` are nearly
-    indistinguishable.
+    ``rate`` (n,): yaw rate, rad/s; ``tried``: initial values of the delay, s; ``known``: the delay and its standard
+    deviation, s, from other data, since M and the delay are nearly indistinguishable in turns at constant speed.
     """
     rows = usable_windows(drive.imu.time, course, WINDOW)
     if not len(rows):
@@ -157,7 +154,7 @@ class _Fit:
         return regress(position, columns, own, np.ones(own[0].shape), rounds)
 
     def solved(self, found: Regression, late: float) -> tuple[Array, Array]:
-        """Return the solution and its covariance, given also the known delay (a Kalman update)."""
+        """Return the solution and its covariance after a Kalman update by the known delay."""
         solution, covariance = found.solution, found.covariance * (1 + FEW / len(self._rows))
         if self._known is None:
             return solution, covariance
@@ -179,7 +176,7 @@ class _Fit:
         self._spread = float(np.clip(spread, *BIAS_SPREAD))
 
     def _terms(self, late: float) -> tuple[Complex, list[Complex], list[Complex]]:
-        """Return the positions, and the columns of the common unknowns and of those of each window, all (w, n)."""
+        """Return the positions, the columns of common unknowns, and those of each window's unknowns, all (w, n)."""
         if late not in self._kept:  # most calls repeat the last delay
             self._kept = {late: self._paths(late)}
         ((vx, x), (vy, y), (vb, b)), position = self._kept[late]

@@ -16,6 +16,7 @@ SLOWEST = 1.0  # m/s, lowest speed at which a course is shown
 SPAN = 2.0  # s; the specific force is averaged, since vibration would hide gravity
 RATE = 10.0  # Hz, rate of the averaged specific force
 LARGEST_BIAS = np.radians(5.0)  # rad/s; a larger one is a fault of gz, which the plot shows
+# By agreement: beginnings of the codes of findings that its plot shows
 FINDINGS = {
     "timing": (
         *("imu-gap", "imu-rate", "imu-repeats", "imu-outside", "gps-gap", "gps-rate", "gps-outside"),
@@ -28,7 +29,6 @@ FINDINGS = {
     "speed": ("speed", "velocity", "odometer"),
     "course": ("course",),
 }
-"""Beginnings of the codes of findings, by the agreement whose plot shows them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
     Returns
     -------
     tuple of Agreement
-        Without a course, agreements that need a moving vehicle are missing.
+        Agreements that need a moving vehicle are missing if the fixes have no course.
     """
     steps = {
         name: (table.time[1:], np.diff(table.time))
@@ -126,7 +126,7 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
 
 
 def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
-    """Compare the integral of gz less its bias with the course; each part between two stops is shifted."""
+    """Compare the integral of gz minus its bias with the course; each part between two stops is shifted."""
     imu, at = drive.imu, course.time[moving]
     track = np.unwrap(np.angle(course.velocity[moving]))
     turned = np.interp(at, imu.time, integral(imu.time, imu.gz))

@@ -12,19 +12,17 @@ WIDEST = 40.0  # s; GPS time minus UTC (18 s) and the start-up of most receivers
 STEP = 0.1
 NEAR = 4.0  # s, distance from the best offset within which other offsets belong to the same peak
 SPAN = 5.0  # s, interval over which turns are compared
+# Share of the turns that an offset must explain; its smallest lead over any other offset
 LEAST, CLEARLY = 0.8, 0.15
-"""LEAST: share of the turns that an offset must explain. CLEARLY: smallest lead of this share over any other offset."""
+# Alternative to the lead: any other offset leaves a share of turns unexplained that is larger by this factor. If turns
+# repeat, other offsets may also explain a large share.
 FEWER = 4.0
-"""Alternative to the lead: the share of turns that any other offset leaves unexplained is larger by this factor.
-
-If turns repeat, other offsets may also explain a large share.
-"""
 FEWEST = 20
 LEAST_TURN = 0.15  # rad, smallest RMS change of the course within `SPAN`
 
 
 def search_offset(drive: Drive, course: Course) -> float | None:
-    """Find the delay of the fixes, s; None if none is significant."""
+    """Find the delay of the fixes, s; None if no delay is significant."""
     imu, at = drive.imu, course.time
     first, last = _pairs(course)
     if len(first) < FEWEST:
@@ -38,7 +36,6 @@ def search_offset(drive: Drive, course: Course) -> float | None:
     total = integral(imu.time, imu.gz if planar else turned(imu, level(imu)).gz)
 
     def explained(lag: float) -> float:
-        """Return the share of the turns that the gyro explains, with any sign and unit."""
         start, end = at[first] - lag, at[last] - lag
         inside = (start >= imu.time[0]) & (end <= imu.time[-1])
         if np.count_nonzero(inside) < max(FEWEST, len(turn) / 3):

@@ -18,6 +18,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.errors import DriveError
 
+# In the order of findings of equal severity
 CHECKS = (
     check_mirrored,
     check_reverse,
@@ -35,7 +36,6 @@ CHECKS = (
     check_observability,
     check_use,
 )
-"""All checks, in the order of findings of equal severity."""
 KEPT = 32  # diagnoses in the cache, since commands and pages need them several times
 _kept: dict[tuple[str, str], Diagnosis] = {}
 

@@ -18,20 +18,16 @@ from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.drives.sensors import white_noise
 from sigmaswarm.drives.stale_fixes import stale_fixes
 
-SEARCHED = 2.3
-"""Largest offset that the fit determines, s; the fit tries delays up to 2.5 s."""
+SEARCHED = 2.3  # s, largest offset that the fit determines; the fit tries delays up to 2.5 s
 LEAST_SEARCHED = 0.3  # s, smallest offset that the search determines
-USUAL = 1.0
-"""Largest usual delay of a receiver, s. A larger delay is accepted only if the search finds no other offset."""
-AS_RECORDED = Yaw(known=True)
-"""Another column, sign or unit is accepted only if no offset explains the data."""
+USUAL = 1.0  # s, largest usual delay of a receiver; a larger one counts if the search finds no other offset
+AS_RECORDED = Yaw(known=True)  # another column, sign or unit is accepted only if no offset explains the data
+# Smallest cosine of the angles between az and gravity, and between ax and forward, at which mirrored fixes can be
+# distinguished from an IMU with other axes.
 UPRIGHT = 0.7
-"""Smallest cosine of the angle between az and gravity, and between ax and forward, of an IMU as recorded that
-distinguishes mirrored fixes from an IMU with other axes."""
-CLEAR_SCALE = 4.0  # standard deviations of the scale of ax and ay if they agree with the exchanged fixes
+CLEAR_SCALE = 4.0  # smallest scale of ax and ay, in standard deviations, that confirms exchanged fixes
 FEWEST = 20  # smallest number of fixes for the checks that need motion
-KEPT = 256
-"""Largest number of drives whose scatter is cached; each repetition of a tuning needs the scatter."""
+KEPT = 256  # drives whose scatter is cached, since each repetition of a tuning needs it
 _scatters: dict[str, float] = {}
 
 
@@ -84,7 +80,7 @@ def gather(drive: Drive) -> Evidence:
 
 
 def scatter_of(drive: Drive) -> float:
-    """Return the `scatter` of a drive's evidence, m per axis, from the cache if possible."""
+    """Return `Evidence.scatter` of a drive, m per axis; the result is cached."""
     kept = _scatters.get(fingerprint(drive))
     return gather(drive).scatter if kept is None else kept
 
@@ -118,8 +114,8 @@ def _read(drive: Drive) -> Evidence:
 def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
     """Return the evidence after an exchange of x and y of the fixes; None unless the exchange explains the IMU data.
 
-    With gravity upright on az, gz and ay cannot both be reversed while ax agrees with the motion: no rotation does
-    this. For an IMU on its side or upside down, reversed accelerometers look the same.
+    No rotation reverses gz and ay while az is upright and ax agrees with the motion. For an IMU on its side or upside
+    down, reversed accelerometers look the same.
     """
     imu, yaw, fit = drive.imu, found.yaw, found.yaw_fit
     if imu.az is None or fit is None or fit.course_change < LEAST_TURNS:

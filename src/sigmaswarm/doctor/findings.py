@@ -7,8 +7,8 @@ from typing import Any, Literal
 from sigmaswarm.drives.checks import Remark
 
 Severity = Literal["note", "warning", "serious"]
+# Serious: tuned filters adapt to the fault; warning: tuned filters are less accurate; note: information
 SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "note")
-"""serious: tuned filters adapt to the fault; warning: tuned filters are less accurate; note: information."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +107,7 @@ class Diagnosis:
         }
 
 
-_HIGHEST_CONFIDENCE = 0.999
-"""Highest confidence: below 1, since a log may have faults that no check considers."""
+_HIGHEST_CONFIDENCE = 0.999  # below 1, since a log may have faults that no check considers
 
 
 def confidence_of(deviations: float) -> float:

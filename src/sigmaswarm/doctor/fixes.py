@@ -12,14 +12,12 @@ from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
 
 Mask = NDArray[np.bool_]
 
-NEIGHBORS = 3
-"""Number of fixes on each side from which the position of a fix is predicted."""
+NEIGHBORS = 3  # fixes on each side from which the position of a fix is predicted
 HARDEST = 8.0  # m/s2, largest acceleration of a car; a larger one is a jump of the fixes
 SPAN = (3.0, 6.0)  # s, shortest and longest time over which one velocity is computed
 SPEED_STD = 0.5  # m/s, intended standard deviation of the velocity
 SLOWEST = 3.0  # m/s; at lower speeds the course is noise
-USUAL_SHARE = 0.5
-"""Share of a slow vehicle's usual speed above which accurate fixes determine a course."""
+USUAL_SHARE = 0.5  # share of a slow vehicle's usual speed above which accurate fixes determine a course
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +67,7 @@ def jumps(time: Array, position: Complex) -> Mask:
 
 
 def _off_line(time: Array, position: Complex) -> Complex:
-    """Return the distance, (n,) m, of each fix from the straight line through its neighbors, as a complex number."""
+    """Return the offset (n,), m, of each fix from the straight line through its neighbors, east + i north."""
     n = len(time)
     offsets = np.array([k for k in range(-NEIGHBORS, NEIGHBORS + 1) if k])
     index = np.arange(n)[:, None] + offsets

@@ -24,39 +24,34 @@ from sigmaswarm.drives.drive import Array, Drive, Imu
 from sigmaswarm.drives.mounting import NOT_TURNED
 from sigmaswarm.geodesy import rotation_of
 
-ROUNDS = 16
-"""Number of rounds. A round leaves up to 0.7 of the error; after six rounds, errors of up to a degree remain in a few
-logs."""
-SURE, LIKELY = math.radians(3.0), math.radians(8.0)
-"""Largest total standard deviation, rad, with confidence "sure", and with "likely"."""
-LEAST_SHARE = 0.5
-"""Smallest share of the course's changes that the leveled gyro explains."""
-OTHER_WAY = 25.0
-"""Smallest lead in chi-square over any mounting that is rotated by 90 degrees or more."""
+ROUNDS = 16  # a round leaves up to 0.7 of the error; after six, up to a degree remains in a few logs
+SURE, LIKELY = (
+    math.radians(3.0),
+    math.radians(8.0),
+)  # rad, largest total standard deviation of this confidence
+LEAST_SHARE = 0.5  # smallest share of the course's changes that the leveled gyro explains
+OTHER_WAY = 25.0  # smallest lead in chi-square over any mounting that is rotated by 90 degrees or more
+# rad, smallest standard deviations of the axis of turning (springs) and of gravity (roads, biases)
 TILT_FLOOR = math.radians(1.0), math.radians(1.0)
-"""Smallest standard deviations of the axis of turning (springs) and of gravity (roads, biases), rad."""
 YAW_FLOOR = math.radians(0.8)
 TRAVEL_FLOOR = math.radians(0.8)  # rad, noise of the direction of travel: slip, suspension
-ALIKE = 0.025
-"""Tolerance of an entry of M, due to slip and to tilt in maneuvers."""
+ALIKE = 0.025  # tolerance of an entry of M, due to slip and to tilt in maneuvers
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
 GYRO_WINDOW = 10.0  # s, window over which the axis of turning is fitted
+# Accelerometers are reversed if `_leaning` of their negative values exceeds LEANS. A mounting rotated by more than 90
+# degrees is refused if its `_leaning` is below -LEANS, since an axis is reversed.
 LEANS = 0.5
-"""Agreement of the body's leaning with springs, -1 to 1, above which accelerometers count as reversed.
-
-Below -LEANS, a mounting rotated by more than 90 degrees is refused, since an axis is reversed.
-"""
 UPRIGHT = math.radians(15.0)  # rad, largest angle of the specific force to the vertical axis that is found
 WANDERS = math.radians(8.0)  # rad, change of gravity between windows if the mounting is not constant
+# rad, smallest corrected tilt and rotation about z; their smallest ratio to the standard deviation
 LEAST_TILT, LEAST_YAW, CLEAR = math.radians(4.0), math.radians(5.0), 3.5
-"""Smallest corrected tilt and rotation about z, rad, and their smallest ratio to the standard deviation."""
 SERIOUS = math.radians(7.0)
+# The 24 rotations that exchange axes
 AXES = [
     m
     for m in (np.diag(d)[list(p)] for p in permutations(range(3)) for d in product((1.0, -1.0), repeat=3))
     if np.linalg.det(m) > 0
 ]
-"""The 24 rotations that exchange axes."""
 Confidence = Literal["sure", "likely", "no"]
 
 
@@ -69,7 +64,7 @@ class Mounting:
     confidence: Confidence  # with "no" at most roll and pitch are known
     reason: str  # why the confidence is not higher
 
-    before: Array  # (3, 3), by which the drive's samples were turned already: `Drive.mounting`
+    before: Array  # (3, 3), rotation that was already applied to the drive's samples: `Drive.mounting`
 
     @property
     def needed(self) -> bool:
@@ -102,16 +97,13 @@ class Mounting:
 
 @dataclass(frozen=True, eq=False)
 class _Round:
-    """Result of one round; angles in rad, leads in chi-square.
-
-    ``margin``: lead over axes turned by 90 degrees or more; ``mirrored``: lead of mirrored accelerations.
-    """
+    """Result of one round; angles in rad."""
 
     yaw_fit: YawFit
     late: float
     yaw: float
-    margin: float
-    mirrored: float
+    margin: float  # lead in chi-square over axes turned by 90 degrees or more
+    mirrored: float  # lead in chi-square of mirrored accelerations
     tilt: Array
     std: Array
     spread: float
@@ -179,8 +171,7 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
 def _leaning(imu: Imu) -> Array:
     """Return how much the body leans outward in turns, and backward when it gains speed, (2,), from -1 to 1.
 
-    On springs both are positive. A reversed axis makes one negative, although turns and accelerations agree with the
-    fixes.
+    Both are positive for a body on springs. If an axis of the IMU is reversed, one is negative.
     """
     time = np.arange(imu.time[0] + 2.0, imu.time[-1] - 2.0, 0.2)
     if len(time) < 50:
@@ -224,7 +215,7 @@ def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
 def _converged(
     drive: Drive, course: Course, imu: Imu, yaw_fit: YawFit | None = None
 ) -> tuple[Array, _Round | None]:
-    """Rotate the leveled axes in rounds until the rotation is zero."""
+    """Level the axes, and rotate them in rounds until none is left; return the total rotation, and the last round."""
     rotation, seen = level(imu), None
     for _ in range(ROUNDS):
         seen = _round(replace(drive, imu=turned(imu, rotation)), course, seen, None if seen else yaw_fit)
@@ -287,11 +278,10 @@ def _misfits(fit: AccelerationFit, side: float) -> Array:
 
 
 def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array, float]:
-    """Return the tilt after a rotation by ``yaw``: slopes (2,) of the vertical, standard deviations, and the spread.
+    """Return the tilt after a rotation by ``yaw``: slopes (2,) of the vertical, standard deviations, and spread.
 
-    The vertical is estimated twice. Gravity is the part of the accelerations that the motion does not explain. The axis
-    of turning follows from the slopes of the integrals of gx and gy on that of gz. The result is the mean of both,
-    weighted by their inverse variances.
+    The slopes are an inverse-variance weighted mean: of gravity, which is the part of the accelerations that the motion
+    does not explain, and of the axis of turning.
     """
     leak = -fit.bias / GRAVITY
     gravity = np.median(leak, axis=0)

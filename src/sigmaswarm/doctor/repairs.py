@@ -59,8 +59,8 @@ def _applied(drive: Drive, repairs: Sequence[Repair]) -> Drive:
 def _rotation(drive: Drive, repairs: Sequence[Repair]) -> Array | None:
     """Return the total rotation (3, 3) of repairs of the IMU's axes; None if they are not a rotation.
 
-    The repairs are applied to an IMU whose samples are the unit vectors. Factors are ignored, since they are units and
-    scales. For an IMU without all six axes, only ax, ay and gz count, which are rotated about z or exchanged.
+    The repairs are applied to unit vectors as samples; factors (units, scales) are ignored. If the IMU lacks one of the
+    six axes, only ax, ay and gz count, which are rotated about z or exchanged.
     """
     names = [n for n in ("ax", "ay", "az", "gx", "gy", "gz") if getattr(drive.imu, n) is not None]
     columns = {name: np.eye(3)["xyz".index(name[1])] for name in names}
@@ -146,7 +146,7 @@ def _state_noise(drive: Drive, std: float) -> Drive:
 
 
 def _velocity(drive: Drive, factor: float, convention: float) -> Drive:
-    """Multiply the speed by a factor, and convert the course from one of `CONVENTIONS`, from 1; 0: unchanged."""
+    """Multiply the speed by a factor, and convert the course from `CONVENTIONS` by number, from 1; 0 for none."""
     speed, course = drive.gps.speed, drive.gps.course
     if speed is None or course is None:
         return drive
@@ -187,8 +187,8 @@ def _cut_ends(drive: Drive, begin: float, end: float) -> Drive:
     return clip(drive, begin, math.nextafter(end, math.inf))
 
 
-AXES = {"rotate", "gyro", "tilt-rates", "accelerometer", "turn"}
-"""Actions that change the axes of the IMU."""
+AXES = {"rotate", "gyro", "tilt-rates", "accelerometer", "turn"}  # actions that change the axes of the IMU
+# In the order of application. Actions refer to rows by recorded times, and to fixes by corrected times.
 ACTIONS: dict[str, Callable[..., Drive]] = {
     "exchange-fixes": _exchange_fixes,
     "shift-clock": partial(_shift, "gps"),
@@ -210,4 +210,3 @@ ACTIONS: dict[str, Callable[..., Drive]] = {
     "cut-ends": _cut_ends,
     "close-jump": _close_jump,
 }
-"""Actions in the order of application. The actions refer to rows by recorded times, and to fixes by corrected times."""

@@ -18,20 +18,17 @@ from sigmaswarm.doctor.windows import Complex, Regression, integral, regress, sm
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Imu
 
-WINDOW, DEGREE = 20.0, 2
-"""WINDOW: duration of a window, s. DEGREE: degree of a window's polynomial in time."""
-FORWARD = 4.0
-"""Ratio of the velocity's noise along and across the direction of travel."""
-ROUNDS = 2  # fits; each has the speed by the IMU from the previous fit
-LEAST_STRAIGHT = 0.5
-"""Smallest assumed ratio of mean velocity to speed, which sharp turns lower."""
+WINDOW, DEGREE = 20.0, 2  # s, duration of a window; degree of its polynomial in time
+FORWARD = 4.0  # ratio of the velocity's noise along and across the direction of travel
+ROUNDS = 2  # fits; each uses the IMU's speed from the previous fit
+LEAST_STRAIGHT = 0.5  # smallest assumed ratio of mean velocity to speed, which sharp turns lower
 
 
 def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, Array] | None:
     """Fit the slopes (2,) of the direction of travel to the left and up, and their standard deviations.
 
-    The IMU's axes must nearly agree with the vehicle's; ``late`` is the delay of the fixes, s. Return None without a
-    usable window.
+    The IMU's axes must nearly agree with the vehicle's; ``late`` is the delay of the fixes, s. The result is None if no
+    window is usable.
     """
     rows = usable_windows(imu.time, course, WINDOW)
     if not len(rows) or imu.gx is None or imu.gy is None or imu.az is None:
@@ -43,7 +40,6 @@ def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, A
     tilt = integral(time, heading * (imu.gx - imu.gx.mean() + 1j * (imu.gy - imu.gy.mean())))
 
     def since(values: Complex | Array) -> Complex:
-        """Return the change since the start of each window, (w, n)."""
         found: Any = np.interp(at, time, values)
         return found - found[:, :1]
 

@@ -13,53 +13,42 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array
 
 DEGREE = math.pi / 180
-FAMILIAR = 1.35
-"""A factor within this ratio of a known factor (1, -1, deg/s), in either direction, is taken as that factor."""
-LEAST_SHARE = 0.2
-"""Share of the course's changes that a column must explain, unless the gain exceeds `CERTAIN` standard deviations."""
+FAMILIAR = 1.35  # a factor within this ratio of 1, -1 or deg/s, in either direction, is taken as that factor
+LEAST_SHARE = 0.2  # smallest explained share of the course's changes, if the gain is below `CERTAIN`
+# rad, RMS change of the course within 20 s above which the course determines column, sign and unit of the gyro. Below,
+# the course is mostly noise, and other values than the recorded ones must exceed `CERTAIN` or `LARGE_SHARE`.
 LEAST_TURN = 0.05
-"""RMS change of the course within 20 s above which the course determines the mounting, rad.
-
-Below this limit, the course is mostly noise. Another column, sign or unit than the recorded one must then exceed
-`CERTAIN` or `LARGE_SHARE`.
-"""
 LARGE_SHARE = 0.5
+# Ratio of a gain to its standard deviation above which a column may explain a small share of the course's changes. In a
+# city, most of these changes are errors of the fixes.
 CERTAIN = 12.0
-"""Ratio of the gain to its standard deviation above which a column may explain a small share of the course's changes.
-In a city, most of these changes are errors of the fixes."""
+# Decrease in chi-square for which another interpretation replaces the recorded one; largest chi-square of a log in g.
+# In steady circles, the forces hardly exceed the noise and do not determine the unit. Logs in g have a chi-square of 4.
 CLEARLY = 16.0
-"""Decrease in chi-square for which another interpretation replaces the recorded one; largest chi-square of a log in g.
-
-In steady circles, the forces hardly exceed the noise and do not determine the unit. Logs in g have a chi-square of 4.
-"""
-ALIKE = 0.05
-"""Tolerance of the off-diagonal elements of M, for slip, and for tilt in maneuvers."""
+ALIKE = 0.05  # tolerance of the off-diagonal elements of M, for slip, and for tilt in maneuvers
+# Tolerance of the diagonal elements of M: roll and pitch of the body add 5 to 10% to the acceleration
 SCALE = 0.12
-"""Tolerance of the diagonal elements, since roll and pitch of the body add 5 to 10% to the acceleration."""
-SHOWN = 0.25
-"""Standard deviation of an element of M below which the drive determines it."""
-LEAST_OFFSET = 0.1
-"""Smallest reported offset, s; the receiver's noise hides smaller offsets."""
+SHOWN = 0.25  # standard deviation of an element of M below which the drive determines it
+LEAST_OFFSET = 0.1  # s, smallest reported offset; the receiver's noise hides smaller offsets
+# m/s, smallest `AccelerationFit.varied` that determines the delay; noise of the IMU causes up to 0.04 m/s
 LEAST_VARIED = 0.1
-"""Smallest `AccelerationFit.varied`, m/s, that determines the delay. Noise of the IMU causes up to 0.04 m/s."""
+# Ratios of an offset to its standard deviation: note, warning with repair, serious
 CLEAR_OFFSET = (2.5, 3.3, 4.5)
-"""Ratios of an offset to its standard deviation above which there is a note, a warning with a repair, or a serious
-finding."""
 MOUNTED = math.radians(40)  # rad, rotation above which axes are exchanged
 ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
 
 
 @dataclass(frozen=True)
 class Yaw:
-    """The yaw rate in rad/s as a column times a factor; ``known``: True if the drive determines both."""
+    """The yaw rate in rad/s, as a column times a factor."""
 
     column: str = "gz"
     factor: float = 1.0
-    known: bool = False
+    known: bool = False  # True if the drive determines column and factor
 
 
 def yaw_of(fit: YawFit | None) -> Yaw:
-    """Find column, sign and unit of the gyro by the course; without evidence, return gz in rad/s."""
+    """Find column, sign and unit of the gyro by the course; the result is gz in rad/s if the course shows none."""
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < LEAST_SHARE and size < CERTAIN):
         return Yaw()
@@ -84,7 +73,6 @@ class Mount:
 
     @property
     def matrix(self) -> Array:
-        """`unit` times `axes`, (2, 2)."""
         return self.unit * self.axes
 
 
@@ -155,13 +143,13 @@ class ClockOffset:
 
     @property
     def visible(self) -> float | None:
-        """Smallest offset, s, that is detected with a probability of 95%, or None."""
+        """Smallest offset, s, that is detected with a probability of 95%; None if it exceeds the tried delays."""
         offset = self.least + 1.65 * self.std
         return offset if offset < self.searched else None
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """Bounds, s, that contain the offset with a probability of at least 95%; None beyond the tried delays."""
+        """Bounds, s, of the offset with a probability of at least 95%; None if they exceed the tried delays."""
         half = max(LEAST_OFFSET, 2 * self.std)
         low, high = self.late - half, self.late + half
         return (low, high) if max(-low, high) < self.searched else None
@@ -170,7 +158,7 @@ class ClockOffset:
 def clock_of(
     yaw_fit: YawFit | None, yaw: Yaw, acceleration: AccelerationFit | None, mount: Mount | None
 ) -> ClockOffset:
-    """Combine the delays of accelerometers and gyro; their disagreement increases the standard deviation."""
+    """Combine the fixes' delays by accelerometers and by gyro; their difference increases the standard deviation."""
     found: list[tuple[float, float]] = []
     searched = float(acceleration_fit.LATENESS[-1])
     if acceleration is not None and mount is not None and acceleration.varied > LEAST_VARIED:

@@ -13,8 +13,7 @@ from sigmaswarm.drives.drive import Array
 Complex = NDArray[np.complexfloating[Any, Any]]
 Values = TypeVar("Values", Array, Complex)
 
-FAR = 4.0
-"""Scale of the Cauchy weights, in median residuals."""
+FAR = 4.0  # scale of the Cauchy weights, in median residuals
 _NODES, _GAUSS = np.polynomial.legendre.leggauss(8)
 _PARABOLA = _GAUSS * (1 - _NODES**2) / np.sum(_GAUSS * (1 - _NODES**2))
 
@@ -70,7 +69,7 @@ class Regression:
         return _covariance(self.columns, self.left, self.own)
 
     def unexplained(self, k: int) -> float:
-        """Return the norm of a column less what the other columns explain of it."""
+        """Return the norm of the part of a column that the other columns do not explain."""
         column, others = self.columns[:, k], np.delete(self.columns, k, axis=1)
         gram = np.sum(others @ others.transpose(0, 2, 1), axis=0)
         along = np.einsum("wkn,wn->k", others, column)
@@ -80,15 +79,11 @@ class Regression:
 def regress(
     y: Complex, columns: Sequence[Complex], own: Sequence[Complex], weight: Array, rounds: int
 ) -> Regression:
-    """Solve robust least squares over windows.
+    """Solve robust least squares over windows; ``y``, ``weight`` and each of ``columns`` and ``own`` are (w, n).
 
-    Parameters
-    ----------
-    y : (w, n) complex
-    columns : each (w, n); their coefficients are real and common to all windows
-    own : each (w, n); their coefficients are complex and differ between windows
-    weight : (w, n), inverse of the known part of the standard deviation, up to a factor
-    rounds : 1 for plain least squares; more to reduce the weight of outliers
+    Coefficients of ``columns`` are real and common to all windows, those of ``own`` complex, for each window.
+    ``weight`` is the inverse of the known part of the standard deviation, up to a factor. Rounds after the first reduce
+    the weight of outliers.
     """
     fit = _solve(y, columns, own, weight, np.ones(y.shape))
     for _ in range(rounds - 1):

@@ -10,17 +10,12 @@ from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.windows import Regression, integral, regress, smoothed, windows_of
 from sigmaswarm.drives.drive import Array, Drive
 
-WINDOW = 20.0
-"""Window length, s: long enough for turns, and so short that the integral of a bias is a straight line."""
-EXPLAINED = 0.7
-"""Share of the course's changes above which gz is the yaw rate, and no other column is tried."""
-CLEARLY_BETTER = 0.3
-"""Smallest lead of another column over gz in this share."""
+WINDOW = 20.0  # s: long enough for turns, and so short that the integral of a bias is a straight line
+EXPLAINED = 0.7  # share of the course's changes above which gz is the yaw rate, and no other column is tried
+CLEARLY_BETTER = 0.3  # smallest lead of another column over gz in the explained share
+# m, mean and standard deviation of the antenna's distance ahead of the rear axle, which does not slide sideways. At the
+# antenna, the course turns earlier by this distance.
 AHEAD = (0.8, 0.8)
-"""Mean and standard deviation of the antenna's distance ahead of the rear axle, m.
-
-The rear axle does not slide sideways. At the antenna, the course turns earlier by this distance.
-"""
 LATE_FLOOR = 0.1  # s, smallest standard deviation of the delay as a prior
 LATENESS = np.arange(-2.5, 2.51, 0.1)  # s, delays of the fixes to try
 

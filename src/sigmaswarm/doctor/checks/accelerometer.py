@@ -15,17 +15,13 @@ from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array, Imu
 
 MOUNTING = (math.radians(5), math.radians(10))  # rad about z, for a warning and for a serious finding
+# m/s2, residuals of ax and ay above which there is a warning or a serious finding. Roads and the biases of cheap
+# sensors cause residuals below the second limit.
 TILT = (0.5, 1.2)
-"""Residuals of ax, ay above which there is a warning or a serious finding, m/s2. Roads and the biases of cheap sensors
-cause residuals below the second limit.
-"""
+# m/s2, errors of the median specific force above which there is a note or a warning. Errors of cheap sensors reach 0.8
+# m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
 SIZE = (0.3, 1.0)
-"""Errors of the median specific force above which there is a note or a warning, m/s2.
-
-Errors of cheap sensors reach 0.8 m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
-"""
-LIKELY, CLEAR = 2.5, 3.5
-"""Ratios of a rotation to its standard deviation above which it is reported (LIKELY) or repaired (CLEAR)."""
+LIKELY, CLEAR = 2.5, 3.5  # ratio of a rotation to its standard deviation, to report or to repair it
 WRONG_SCALE = 0.4
 LEAST_PUSH = 0.4  # m/s2, smallest spread of the acceleration that determines its scale
 WHERE = "imu.csv, ax, ay"
@@ -74,7 +70,7 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
     """Check the angle about the vertical, and the scale of each axis."""
     angle, std, imu, span = mount.angle, mount.angle_std, evidence.drive.imu, evidence.span
     if abs(angle) >= max(MOUNTING[0], LIKELY * std):
-        # Six axes show one rotation, with a confidence of its own.
+        # With six axes, the check of the mounting reports the rotation, with its own confidence.
         six = evidence.mounting is not None and np.array_equal(mount.axes, np.eye(2))
         clear = abs(angle) >= CLEAR * std and not six
         severity = ("serious" if abs(angle) > MOUNTING[1] else "warning") if clear else "note"

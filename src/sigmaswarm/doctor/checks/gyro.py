@@ -22,20 +22,16 @@ WRONG = 0.1  # smallest reported difference of a gain from 1
 LEAST_TURN = np.radians(1.0)  # rad; smaller changes of course within a few seconds are due to swaying
 BIAS = (np.radians(0.1), np.radians(1.0))  # rad/s, for a note and for a warning
 
+# s, windows for the mean of the force, and for the change of its direction. Longer windows contain more of the car's
+# acceleration, shorter windows more vibration. On seven recordings every correct sign is significant by 9.5 standard
+# deviations or more.
 SMOOTHED, LAG = 0.3, 0.5
-"""Windows, s, for the mean of the force, and for the change of its direction.
-
-Longer windows contain more of the car's acceleration, shorter windows more vibration. On seven recordings every correct
-sign is significant by 9.5 standard deviations or more.
-"""
-CLEAR = 7.0
-"""Number of standard deviations of a significant sign; the limit is high, since neighboring changes share samples."""
-CLEARER = 2.0
-"""Smallest ratio of the significance of a column to that of the other column."""
+CLEAR = 7.0  # standard deviations of a significant sign; high, since neighboring changes share samples
+CLEARER = 2.0  # smallest ratio of the significance of a column to that of the other column
 OUTLYING = 3.0  # standard deviations from which a change is an outlier
 
+# Column that a direction follows (0: gx, 1: gy), its sign, and its significance in standard deviations
 Follows = tuple[int, float, float]
-"""Column that a direction follows (0: gx, 1: gy), its sign, and its significance in standard deviations."""
 
 
 def check_gyro(evidence: Evidence) -> Iterator[Finding]:
@@ -93,7 +89,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _whole_gain(evidence: Evidence) -> float:
-    """Return the ratio of the turns of course and gyro over whole windows, by a fit without bias.
+    """Return the gain of the course over the gyro by whole windows, in a fit without bias.
 
     In steady circles, changes within windows are small, and lever arm and slip have the effect of a scale error.
     """
@@ -154,7 +150,7 @@ def upside_down(evidence: Evidence) -> bool:
 
 
 def _tilt_rates(evidence: Evidence) -> list[Follows | None]:
-    """Return `_follows`; empty if a column or gravity is missing."""
+    """Return `_follows` for the drive; empty if a column or gravity is missing."""
     read = _force_and_rates(evidence)
     return _follows(evidence.drive.imu.time, *read) if read else []
 
@@ -177,7 +173,7 @@ def _force_and_rates(evidence: Evidence) -> tuple[Array, Array] | None:
 
 
 def _follows(time: Array, force: Array, rates: Array) -> list[Follows | None]:
-    """Find the rates with which roll and pitch of the direction change; None if unclear."""
+    """Find the rate that the force's direction follows in roll, and in pitch; None where it is unclear."""
     interval = float(np.median(np.diff(time)))
     count, lag = (max(round(seconds / interval), 1) for seconds in (SMOOTHED, LAG))
     first = np.arange(0, len(time) - lag, max(lag // 2, 1))

@@ -14,17 +14,16 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.geodesy import wrap_angle
 
+# Conventions of a heading; the first is that of a drive
 HEADINGS: dict[str, Callable[[Array], Array]] = {
     "rad counter-clockwise from east": np.array,
     **CONVENTIONS,
     "rad clockwise from east": np.negative,
     "deg clockwise from east": lambda angle: -np.radians(angle),
 }
-"""Conventions of a heading; the first is that of a drive."""
 ALIKE = math.radians(15)  # rad, largest median difference from the course, apart from a constant
 TURNED = math.radians(2), math.radians(10)  # rad from the course, for a warning and for a serious finding
-LATE, WORSE = 0.15, 0.8
-"""LATE: delay above which there is a warning, s. WORSE: largest ratio of the misfits with and without this delay."""
+LATE, WORSE = 0.15, 0.8  # s, delay for a warning; largest ratio of the misfits with and without this delay
 WINDOW = 5.0  # s, over which turns of the heading and of the gyro are compared
 FEWEST = 30
 WHERE = "gps.csv, heading"
@@ -59,7 +58,7 @@ def _offset(off: Array) -> tuple[float, float]:
 
 
 def _fitting(offsets: list[tuple[float, float]]) -> int:
-    """Return the convention with the smallest constant offset among those that follow the course about equally well."""
+    """Return the index of the convention with the smallest constant offset among those that follow the course well."""
     limit = min(ALIKE, min(rest for _, rest in offsets) + TURNED[0])
     fitting = [k for k, (_, rest) in enumerate(offsets) if rest <= limit]
     return min(fitting, key=lambda k: abs(offsets[k][0]), default=0)
@@ -89,7 +88,7 @@ def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) ->
 
 
 def _delay(evidence: Evidence, theta: Array, known: Mask, best: int) -> float:
-    """Estimate the delay relative to the positions, s, from the gyro; 0 if the delay is not significant."""
+    """Estimate the heading's delay relative to the positions, s, by the gyro; 0 if the delay is not significant."""
     course, imu, yaw = evidence.course, evidence.drive.imu, evidence.yaw
     assert course is not None
     if not yaw.known:

@@ -14,11 +14,10 @@ from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, s
 from sigmaswarm.drives.split import part_of
 from sigmaswarm.wording import counted
 
-CIRCLE = 2 * np.pi
-"""Smallest range of the course, rad, of a car that drives in circles."""
+CIRCLE = 2 * np.pi  # rad, smallest range of the course of a car that drives in circles
 MORE = "use a drive with turns, starts and stops to check for these faults"
+# RMS change of the course within windows, in standard deviations, above which the car turns
 ABOVE_NOISE = 3.0
-"""RMS change of the course within windows, in standard deviations, above which the car turns."""
 LEAST_TURN = np.radians(5.0)  # rad, RMS change of the course within windows; swaying causes less
 
 
@@ -75,7 +74,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
     if not evidence.drives or part_of(drive) == "test":
         return
     chosen = suggest_filter([drive])
-    reasons = dict.fromkeys(chosen.use, "")  # filters for cars have this model, unless the log gives a reason
+    reasons = dict.fromkeys(chosen.use, "")  # "": the default for cars, without a reason in the log
     if drive.odometer is not None:
         reasons["odometer"] = "odometer.csv contains the wheel speed"
     if stated := stated_spread(drive):

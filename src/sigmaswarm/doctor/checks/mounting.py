@@ -14,30 +14,25 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.geodesy import roll_pitch_yaw
 
+# Smallest change of gravity's direction if the IMU was moved: in rad, and in typical errors of a median. In fault-free
+# drives with 20 s of hard maneuvers at one end, the change was up to 16 degrees.
 MOVED, STANDS_OUT = math.radians(18.0), 4.0
-"""Smallest change of gravity's direction if the IMU was moved: in rad, and in typical errors of a median.
-
-In fault-free drives with 20 s of hard maneuvers at one end, the change was up to 16 degrees.
-"""
-SCATTER = 0.5
-"""Largest typical deviation of directions from their median, rad, that shows gravity; without gravity they scatter."""
+SCATTER = 0.5  # rad, largest typical deviation of directions from their median that shows gravity
 LEAST_DIFFERENCE = math.radians(
     0.5
 )  # smallest difference from the mounting of drive.toml that a note reports
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 
+# An IMU is handled in the first or last ENDS s of a log if its mean rate of tilting over half a second exceeds HANDLED
+# rad/s (fault-free drives: below 0.2) and UNLIKE times the largest rate in the rest of the log.
 ENDS, HANDLED, UNLIKE = 15.0, 0.5, 4.0
-"""ENDS: time, s, at each end of a log in which an IMU may be handled. HANDLED, UNLIKE: smallest mean rate of tilting
-over half a second in this case, rad/s, and relative to the largest rate in the rest of the log. In fault-free drives
-the rate was below 0.2 rad/s.
-"""
+# A vehicle may change between forward and reverse below a speed of STANDS m/s and of OF_USUAL times the 90% quantile of
+# the speed, since robots are slow.
 STANDS, OF_USUAL = 1.0, 0.3
-"""Speed below which a vehicle may change between forward and reverse: STANDS, m/s, at most OF_USUAL times the 90%
-quantile of the speed, since robots are slow."""
 STEP = 2.0  # s, for changes of speed and the integral of ax
+# Smallest slope of speed changes on the integral of ax that determines the direction: in standard deviations, and
+# absolute.
 CLEAR, LEAST = 3.0, 0.4
-"""Smallest slope, in standard deviations and absolute, with which a regression of speed changes on the integral of ax
-determines the direction."""
 
 
 def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
@@ -100,10 +95,10 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
 
 
 def moved(drive: Drive) -> tuple[float, float] | None:
-    """Find the time, s, at which the IMU was moved, and the angle of gravity, rad; None if it was not moved.
+    """Find the time, s, at which the IMU was moved, and gravity's change of direction, rad; None if it was not moved.
 
-    At this time, the directions of the specific force, averaged over 5 s, scatter least about their medians before
-    and after.
+    The directions of the specific force, averaged over 5 s, scatter least about one median before this time and one
+    after it.
     """
     imu = drive.imu
     if imu.az is None:
@@ -138,7 +133,7 @@ def _means(time: Array, columns: Sequence[Array], step: float) -> tuple[Array, A
 
 
 def check_handled(evidence: Evidence) -> Iterator[Finding]:
-    """Find an IMU, such as that of a phone, in someone's hand at the beginning or end of a log."""
+    """Find the parts at the beginning and end of a log in which the IMU, such as that of a phone, is in a hand."""
     first, last = evidence.span
     begin, end = steady(evidence.drive)
     if (begin, end) == (first, last):
@@ -169,7 +164,7 @@ def steady(drive: Drive) -> tuple[float, float]:
 
 
 def check_reverse(evidence: Evidence) -> Iterator[Finding]:
-    """Find a log on which a filter would start in reverse, with the course as heading.
+    """Find a log in which a filter would start in reverse, with the course as heading.
 
     Reversing before the start is harmless.
     """
@@ -202,7 +197,7 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _slope(time: Array, speed: Array, gained: Array) -> tuple[float, float] | None:
-    """Fit speed changes to the integral of ax; return the slope and its limit of significance, or None."""
+    """Fit speed changes to the integral of ax; return the slope and its limit of significance; None if undetermined."""
     step = max(round(STEP / float(np.median(np.diff(time)))), 1)
     if len(time) < step + 4:
         return None

@@ -9,23 +9,18 @@ from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.drives.sensors import motion_in_noise, stated_std
 
-TOO_SMALL = 2.0
-"""Largest ratio of observed noise to stated noise."""
+TOO_SMALL = 2.0  # largest ratio of observed noise to stated noise
+# m, standard deviation that no receiver reaches in motion (data sheets of RTK state 0.006 to 0.01 m). A smaller
+# deviation is compared with the noise from fix to fix, since the scatter about a path of 10 s includes IMU errors.
 LEAST_STATED = 0.003
-"""Standard deviation, m, that no receiver reaches in motion (data sheets of RTK state 0.006 to 0.01 m).
-
-A smaller deviation is compared with the noise from fix to fix, since the scatter about a path of 10 s includes IMU
-errors.
-"""
+# Largest ratio of stated noise to observed white noise; high, since slow errors are not observed
 TOO_LARGE = 6.5
-"""Largest ratio of stated noise to observed white noise; the limit is high, since slow errors are not observed."""
+# Ratio of the stated noise to the scatter about a path of 10 s above which most of the error lasts longer than 10 s
 LASTS = 2.5
-"""Ratio of the stated noise to the scatter about a path of 10 s above which most of the error lasts longer."""
+# m, distance of the first fix from the others; a farther outlier displaces the drive's origin
 FAR_FIRST = 1000.0
-"""Distance of the first fix from the others, m, above which it is an outlier that displaces the drive's origin."""
+# Ratio of the noise from fix to fix to the scatter about a path of 10 s above which noise is white (ratio 1).
 WHITE = 0.7
-"""Ratio of the noise from fix to fix to the scatter about a path of 10 s: 1 for white noise, less for correlated
-noise."""
 
 
 def check_noise(evidence: Evidence) -> Iterator[Finding]:

@@ -12,17 +12,14 @@ from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Array, Odometer
 
+# s, bounds of the duration of the compared paths; the duration is a tenth of the drive's duration. Longer paths are
+# less sensitive to noise, and the gyro's bias has little effect within 20 s.
 SPAN = (6.0, 20.0)
-"""Bounds of the duration of the compared paths, s; the duration is a tenth of the drive's duration.
-
-Longer paths are less sensitive to noise, and the gyro's bias has little effect within 20 s.
-"""
 SHORTEST = 15.0  # m, shortest straight distance of a compared path
 FEWEST = 6  # smallest number of compared paths
-WRONG = 0.02
-"""Smallest reported error of the scale; the error must also exceed three standard deviations."""
+WRONG = 0.02  # smallest reported error of the scale; it must also exceed three standard deviations
+# Ratio of the speeds, or its inverse, above which the unit is wrong rather than the tire size
 FAMILIAR = 1.25
-"""Ratio of the speeds, or its inverse, above which the unit is wrong rather than the tire size."""
 
 LATE = 0.15  # s, delay for a warning; a filter's latency corrects smaller delays
 LARGEST_LAG, STEP, SMOOTH = 3.0, 0.02, 0.4  # s: largest delay, its step, averaging time of both accelerations
@@ -31,11 +28,9 @@ ALIKE = 0.6  # smallest correlation of the accelerations at a delay
 STUCK = 4.0  # s, shortest constant reading that counts as stuck
 APART = 2.5  # m/s, smallest median difference of a stuck reading from the fixes
 
+# m/s, change of speed within WITHIN s without acceleration at which wheels spin or lock. A slope of 10% looks like a
+# change of 1 m/s, a delay of 0.3 s like a change of 2 m/s during full braking.
 JUMP = 2.5
-"""Change of speed within `WITHIN` without acceleration, m/s, at which wheels spin or lock.
-
-A slope of 10% looks like a change of 1 m/s, a delay of 0.3 s like a change of 2 m/s during full braking.
-"""
 WITHIN, LASTS_AT_MOST = 1.0, 10.0  # s: longest jump, longest time until the wheels return
 AGREE = 0.5  # m/s, largest median difference of speed changes; with a larger one, slip cannot be checked
 
@@ -99,7 +94,7 @@ def _stuck(odometer: Odometer, course: Course, _: Evidence) -> Spans:
 
 
 def _slips(odometer: Odometer, _: Course, evidence: Evidence) -> Spans:
-    """Return spans in which the wheels spin or lock: from a jump to the return, or around the jump."""
+    """Return spans in which the wheels spin or lock: from a jump of the speed to its reversal, or around a jump."""
     imu, time = evidence.drive.imu, odometer.time
     a, b = max(imu.time[0], time[0]) + WITHIN, min(imu.time[-1], time[-1]) - WITHIN
     at = np.arange(a, b, max(0.1, (b - a) / 1_000_000)) if b > a else np.zeros(0)
@@ -169,7 +164,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Return ratios of the displacements by odometer and gyro to those by fixes, and the displacements by fixes, m."""
+    """Return, for each path, the ratio of displacements by odometer and gyro to those by fixes, and the latter, m."""
     imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)

@@ -14,17 +14,14 @@ from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
 GRAVE = 0.3  # s, clock offset above which errors are meters
 SLOW_IMU = 8.0  # Hz, rate below which turns are lost between samples
-UNEVEN = 0.5
-"""Largest range of the middle 90% of the intervals, as a share of their median."""
-HELD = 0.2
-"""Share of repeated IMU samples above which a slower sensor was logged too often."""
+UNEVEN = 0.5  # largest range of the middle 90% of the intervals, as a share of their median
+HELD = 0.2  # share of repeated IMU samples above which a slower sensor was logged too often
 LONG_GAP = 0.5  # s without IMU samples, above which a filter's step is inaccurate
 FEWEST_STALE = 3
+# Smallest excess of an interval between fixes, in usual intervals, that shows missing fixes
 LEAST_MISSED = 0.3
-"""Smallest excess of an interval between fixes, in usual intervals, that shows missing fixes."""
 AROUND = 2.0  # s on each side of a gap in which the speed is measured
-SIGMAS = 3.0
-"""Number of standard deviations that distinguishes a pause from a clock jump."""
+SIGMAS = 3.0  # standard deviations that distinguish a pause from a clock jump
 
 
 def check_clock(evidence: Evidence) -> Iterator[Finding]:
@@ -167,10 +164,9 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
 
 
 def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
-    """Estimate the time, s, from fix j to the next, and its standard deviation, from the speed before and after.
+    """Estimate the time from fix j to the next, and its standard deviation, s, by the speeds before and after.
 
-    Each speed is that of a line through the fixes of `AROUND` seconds, since single fixes are too noisy. If the two
-    speeds differ, the car may have had any speed between them.
+    Each speed is that of a line through the fixes of `AROUND` s. Between two different speeds, any speed is possible.
     """
     position, time = gps.x + 1j * gps.y, gps.time
     noise = max(white_noise(position), motion_in_noise(float(np.median(np.diff(time)))))

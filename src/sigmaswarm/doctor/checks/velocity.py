@@ -13,12 +13,12 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.geodesy import wrap_angle
 
 UNITS = {"km/h": 1 / 3.6, "knots": 0.514444, "mph": 0.44704, "cm/s": 0.01, "mm/s": 1e-3}
+# Conventions of a course other than rad counter-clockwise from east
 CONVENTIONS: dict[str, Callable[[Array], Array]] = {
     "deg clockwise from north": lambda c: math.pi / 2 - np.radians(c),
     "rad clockwise from north": lambda c: math.pi / 2 - c,
     "deg counter-clockwise from east": np.radians,
 }
-"""Conventions of a course other than rad counter-clockwise from east."""
 ALIKE = math.radians(15)
 LATE = 0.2  # s, delay for a warning
 FEWEST = 30
@@ -79,7 +79,7 @@ def agrees(evidence: Evidence) -> bool:
 
 
 def _delay(evidence: Evidence, angle: Array, speed: Array) -> tuple[float, float]:
-    """Find the best delay relative to the positions, s, and the ratio of the misfits with and without it."""
+    """Find the velocity's delay relative to the positions, s, and the ratio of the misfits with and without it."""
     course = evidence.course
     assert course is not None
     velocity = speed * np.exp(1j * angle[evidence.used])
