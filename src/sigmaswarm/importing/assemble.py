@@ -32,8 +32,8 @@ from sigmaswarm.importing.timeline import STEPS
 from sigmaswarm.importing.times import FASTEST_IMU, LEAST_INTERVAL, LONGEST_STEP, SLOWEST_IMU
 from sigmaswarm.importing.velocities import without_wrong_velocity
 
+# Seed of the noise, and largest number, of fixes that are made from the truth
 SEED, MOST_FIXES = 0, 10_000_000
-"""SEED: seed of the noise of fixes that are made from the truth. MOST_FIXES: largest number of such fixes."""
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 WITHOUT_POSITION = "gps: no column contains a position; map lat and lon (deg), or x and y (m east, north)"
 
@@ -123,9 +123,9 @@ def missing_columns(recipe: Recipe) -> Iterator[str]:
 
 
 def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[Gathered]]) -> str:
-    """Return a remedy if one table's times are digits hhmmss, but were read as numbers; else "".
+    """Return a remedy if the times of one table are digits hhmmss that were read as numbers; else "".
 
-    Times of the tables then overlap only after conversion. Within one minute, such digits count like seconds.
+    The tables' times overlap only after conversion of the digits. Within one minute, hhmmss counts like seconds.
     """
     pairs: tuple[tuple[Role, Role], ...] = (("gps", "imu"), ("imu", "gps"))
     for role, other in pairs:
@@ -143,9 +143,9 @@ def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[G
 def _in_one_turn(
     times: Mapping[Role, Nanoseconds], gathered: Mapping[Role, Sequence[Gathered]], say: Say
 ) -> dict[Role, Nanoseconds]:
-    """Move times of a clock that restarts by whole periods to those of the IMU; a table may begin after a restart.
+    """Shift tables by whole periods of a clock that restarts, into the IMU's times; a table may begin after a restart.
 
-    If several moves place a table within the IMU's times, use the move with which both tables end together.
+    If several shifts are possible, use the one with which both tables end together.
     """
     moved, imu = dict(times), times["imu"]
     clocks = {role: (parts[0].part.columns["t"], parts[0].period) for role, parts in gathered.items()}
@@ -191,7 +191,7 @@ def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, st
 
 
 def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[Gathered]]) -> str:
-    """Return a remedy if times of IMU and fixes have the same numbers but were read in different units; else "".
+    """Return a remedy if the times of IMU and fixes have one unit, but were read in two; else "".
 
     For example, in hundredths of a second, an IMU has steps of 1, like ms, and fixes have steps of 10, like seconds.
     """
@@ -244,7 +244,7 @@ def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
 
 
 def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Role, Array], int]:
-    """Return the times in s, with their offsets, and their origin, which is a whole second for dates."""
+    """Return the times in s, with the recipe's offsets, and their origin, which is a whole second for dates."""
     moved: dict[Role, Nanoseconds] = {}
     for role in ROLES:
         offset = getattr(recipe, f"{role}_offset_s", 0.0)

@@ -12,6 +12,7 @@ from sigmaswarm.importing.recipe import COLUMNS
 from sigmaswarm.importing.source import ROLES
 from sigmaswarm.importing.times import written
 
+# By quantity: expressions that convert each unit to that of a drive
 UNITS: dict[str, dict[str, str]] = {
     "time": {"s": "{}", "ms": "{}*1e-3", "µs": "{}*1e-6", "ns": "{}*1e-9", "date, UTC": "utc({})"},
     "acceleration": {"m/s²": "{}", "g": "{}*9.80665", "mg": "{}*0.00980665", "-m/s²": "-{}", "-g": "-{}*9.80665"},
@@ -26,7 +27,6 @@ UNITS: dict[str, dict[str, str]] = {
     "condition": {"as it is": "{}"},
     "field": {"as it is": "{}", "reversed": "-{}"},
 }  # fmt: skip
-"""By quantity: expressions that convert each unit to that of a drive."""
 KINDS = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
     **dict.fromkeys(("gx", "gy", "gz"), "rate"),
@@ -48,15 +48,14 @@ TARGETS: dict[str, str] = {UNUSED: "not used"} | {
 }
 CUSTOM = "expression"
 GIVEN = ("gps", "truth", "tables", "maps")
+# Command-line options of choices
 FLAGS = {
     "mount": "--mount",
     "gps_offset_s": "--gps-offset",
     "gps_lever_arm_m": "--lever-arm",
     "part": "--part",
 }
-"""Command-line options of choices."""
-Uses = dict[tuple[str, str], list[tuple[str, str]]]
-"""By table and column: targets and their expressions."""
+Uses = dict[tuple[str, str], list[tuple[str, str]]]  # by table and column: targets and their expressions
 
 
 def uses_of(inspection: Inspection) -> Uses:
@@ -91,13 +90,13 @@ def unit_in(target: str, column: str, expression: str) -> str:
 
 
 def expression_of(target: str, column: str, unit: str = "") -> str:
-    """Return the expression that converts a column from a unit to a target; "": the first unit."""
+    """Return the expression that converts a column from a unit to a target; "" is the target's first unit."""
     units = units_of(target)
     return (units[unit] if unit else next(iter(units.values()))).format(written(column))
 
 
 def assign(choices: dict[str, Any], inspection: Inspection, table: str, column: str, target: str) -> None:
-    """Use a column for another target, in the target's first unit, instead of the previous target."""
+    """Assign a column to a target, in the target's first unit, and remove it from its previous target."""
     maps: dict[str, str] = choices.setdefault("maps", {})
     for old, _ in uses_of(inspection).get((table, column), []):
         if old != target and not old.endswith(".t"):

@@ -28,33 +28,20 @@ from sigmaswarm.wording import names_shown
 
 @dataclass(frozen=True)
 class Request:
-    """The logs to import and the options of the user.
+    """The logs to import and the options of the user."""
 
-    Attributes
-    ----------
-    source : the log with the IMU
-    gps, truth, odometer : further logs, for fixes, truth and wheel speed
-    form : the source's format
-    recipe : settings, and parts that replace guessed ones
-    maps : ``column=expression``
-    time : expression of the time, in every table of the source
-    choice : tables and times
-    limits : limits of the input
-    part : number of the recording, from 1, if a clock restarts within a table
-    definitions : files or folders with .msg definitions of ROS messages, for bags without definitions
-    """
-
-    source: Path
-    gps: Path | None = None
-    truth: Path | None = None
-    odometer: Path | None = None
-    form: str | None = None
-    recipe: Recipe = field(default_factory=Recipe)
-    maps: Sequence[str] = ()
-    time: str | None = None
+    source: Path  # the log with the IMU
+    gps: Path | None = None  # further log, with fixes
+    truth: Path | None = None  # further log, with truth
+    odometer: Path | None = None  # further log, with wheel speed
+    form: str | None = None  # the source's format
+    recipe: Recipe = field(default_factory=Recipe)  # settings, and parts that replace guessed ones
+    maps: Sequence[str] = ()  # ``column=expression``
+    time: str | None = None  # expression of the time, in every table of the source
     choice: Choice = field(default_factory=Choice)
     limits: Limits = field(default_factory=Limits)
-    part: int | None = None
+    part: int | None = None  # number of the recording, from 1, if a clock restarts within a table
+    # Files or folders with .msg definitions of ROS messages, for bags without definitions
     definitions: Sequence[Path] = ()
 
     def home(self, role: Role) -> Path:
@@ -66,18 +53,17 @@ class Imported:
     drive: Drive
     recipe: Recipe
     notes: tuple[str, ...]
-    assumed: tuple[str, ...] = ()  # notes on the mounting, if none is given
+    assumed: tuple[str, ...] = ()  # notes on the mounting, if the user gives none
 
 
 Guesses = Mapping[Path, Guess]
 LOOK = " (--show lists the columns, and proposes a mapping if their names suggest one)"
+# Usual orders of columns without names
 ORDERS: dict[Role, tuple[str, ...]] = {
     "imu": ("t", "ax", "ay", "az", "gx", "gy", "gz"),
     "gps": ("t", "lat", "lon"),
 }
-"""Usual orders of columns without names."""
-MOST_FAULTS = 3
-"""Largest number of faults in one message."""
+MOST_FAULTS = 3  # in one message
 
 
 def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
@@ -103,10 +89,8 @@ def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
 def import_drive(request: Request, name: str, progress: Progress = lambda done: None) -> Imported:
     """Make a drive from a log; ``progress`` receives the completed share, 0 to 1.
 
-    Raises
-    ------
-    InputError
-        If a log is damaged or incomplete, or a column cannot be computed; the message states the remedy.
+    Raise `InputError` for a damaged or incomplete log, or a column that cannot be computed; the message states the
+    remedy.
     """
     require_name(name, "the drive")
     recipe, gathered, notes, assumed, metadata, unitless = _read(request, ROLES, progress)
@@ -272,7 +256,7 @@ def missing_sensor(
     guesses: Guesses,
     roles: Sequence[Role],
 ) -> str:
-    """Describe a sensor without a table, with the remedy; return "" if IMU and fixes have tables."""
+    """Describe a missing sensor, with the remedy; return "" if IMU and fixes have tables."""
     wanted: tuple[tuple[Role, str, str], ...] = (
         ("imu", "IMU samples", "name the log that contains them as SOURCE"),
         ("gps", "position fixes", "name a log that contains them with --gps"),

@@ -10,28 +10,26 @@ from sigmaswarm.importing.units import BASES
 
 Nanoseconds = NDArray[np.int64]
 SECOND = 1_000_000_000
+# Larger times (above 12 days) count from 1970 or from the start of a phone; the drive's times then begin at 0
 LONG_AGO = 1_000_000 * SECOND
-"""Times above 12 days count from 1970 or from the start of a phone; the drive's times then begin at 0."""
-GPS_EPOCH = 315_964_800
-"""1980-01-06 (IS-GPS-200), s since 1970-01-01."""
+GPS_EPOCH = 315_964_800  # 1980-01-06 (IS-GPS-200), s since 1970-01-01
 WEEK = 604_800
+# 1970-01-01 in days of spreadsheets, of MATLAB's datenum, and of the Julian date
 EXCEL_EPOCH, MATLAB_EPOCH, JULIAN_EPOCH = 25569, 719_529, 2_440_587.5
-"""1970-01-01 in days of spreadsheets, of MATLAB's datenum, and of the Julian date."""
+# Days that follow a leap second (IERS Bulletin C); no later leap second has been announced
 LEAP_DAYS = (
     *("1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01"),
     *("1992-07-01", "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01"),
     *("2009-01-01", "2012-07-01", "2015-07-01", "2017-01-01"),
 )
-"""Days that follow a leap second (IERS Bulletin C); no later leap second has been announced."""
 LEAP_SECONDS = np.array(LEAP_DAYS, dtype="datetime64[s]").astype(np.int64)
 _HOURS = {
     **{0: "Z UTC GMT WET", 1: "CET BST WEST", 2: "CEST EET", 3: "EEST", 9: "JST", 10: "AEST", 11: "AEDT"},
     **{-4: "EDT", -5: "EST CDT", -6: "MDT", -7: "MST PDT", -8: "PST"},
 }
+# Hours ahead of UTC by the name of a zone
 ZONES = {name: float(hours) for hours, names in _HOURS.items() for name in names.split()}
-"""Hours ahead of UTC by the name of a zone."""
-_STEPS = LEAP_SECONDS + np.arange(1, len(LEAP_SECONDS) + 1)
-"""GPS time after each leap second, s since 1970."""
+_STEPS = LEAP_SECONDS + np.arange(1, len(LEAP_SECONDS) + 1)  # GPS time after each leap second, s since 1970
 
 
 def gps_to_unix(seconds: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -54,7 +52,7 @@ def as_text(columns: Sequence[str]) -> pl.Expr:
 def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
     """Convert dates in text to seconds since 1970; other texts become null, and dates without a zone are UTC.
 
-    ``form`` contains strftime codes; "" is ISO 8601. Without a day, seconds count from midnight.
+    ``form`` contains strftime codes; "" is ISO 8601. If it contains no day, seconds count from midnight.
     """
     plain = (
         text.str.replace("T(\\d)", " ${1}")

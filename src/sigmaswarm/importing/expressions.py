@@ -22,10 +22,9 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import SECOND, as_text, gps_time, parse_dates, parse_durations
 from sigmaswarm.wording import names_shown, quoted, shown
 
-LONGEST = 1000
-"""Largest number of characters, which limits the nesting."""
+LONGEST = 1000  # characters; this also limits the nesting
+# Largest number of times that polars computes a column; nested functions use their arguments repeatedly
 MOST_USES = 1000
-"""Largest number of times that polars computes a column; nested functions use their arguments repeatedly."""
 
 
 def _number(a: pl.Expr) -> pl.Expr:
@@ -87,8 +86,7 @@ def _most(a: pl.Expr, b: pl.Expr) -> pl.Expr:
     return -_least(-a, -b)
 
 
-_OF_TEXT = {"dms": _dms, "duration": parse_durations}
-"""Functions of a column of text."""
+_OF_TEXT = {"dms": _dms, "duration": parse_durations}  # functions of a column of text
 _CONSTANTS = {"pi": math.pi, "g": 9.80665}
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
@@ -107,6 +105,7 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Gt: operator.gt,
     ast.GtE: operator.ge,
 }
+# By function: how often it uses each argument, and its implementation
 _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., pl.Expr]]] = {
     **{name: ((1,), getattr(pl.Expr, name)) for name in ("abs", "sqrt", "exp", "log", "sin", "cos", "tan")},
     **{name: ((1,), getattr(pl.Expr, name)) for name in ("radians", "degrees")},
@@ -118,7 +117,6 @@ _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., pl.Expr]]] = {
     "max": ((3, 3), _most),
     "where": ((2, 1, 1), _where),
 }
-"""By function: how often it uses each argument, and its implementation."""
 
 
 @dataclass(frozen=True)

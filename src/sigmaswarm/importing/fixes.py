@@ -17,25 +17,16 @@ from sigmaswarm.importing.joining import join
 from sigmaswarm.importing.places import Say, Values
 from sigmaswarm.wording import names_shown
 
-CLOCK = "time_origin_s"
-"""Key of drive.toml: Unix time at t = 0, s."""
+CLOCK = "time_origin_s"  # key of drive.toml: Unix time at t = 0, s
 
 
 @dataclass(frozen=True, eq=False)
 class ReceiverLog:
-    """Fixes of a receiver, in the time and plane of a drive.
-
-    Attributes
-    ----------
-    gps : Gps
-    sure : (n,) bool
-        True for fixes with integer ambiguities; all True if the format does not state this.
-    notes : assumptions, one sentence each
-    """
+    """Fixes of a receiver, in the time and plane of a drive."""
 
     gps: Gps
-    sure: NDArray[np.bool_]
-    notes: tuple[str, ...] = ()
+    sure: NDArray[np.bool_]  # (n,), True for integer ambiguities; all True if the format does not state them
+    notes: tuple[str, ...] = ()  # assumptions, one sentence each
 
 
 def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:

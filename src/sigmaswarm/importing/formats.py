@@ -13,6 +13,9 @@ from sigmaswarm.importing.source import Limits, Log, first_bytes, is_empty, no_l
 from sigmaswarm.limits import require_regular, require_text
 from sigmaswarm.wording import names_shown
 
+# By the name for --format: the module in ``readers/``, and a description. The most general format is last. Each module
+# has two functions. ``recognizes(path)`` returns True if the name or the first bytes of a file or folder show the
+# format; it needs no library. ``open_log(path, limits, stack)`` returns a `Log`, whose files the stack closes.
 READERS: dict[str, tuple[str, str]] = {
     "mcap": ("mcap", "an MCAP file: ROS 1, ROS 2 or JSON messages"),
     "ros": ("ros", "a ROS 1 bag, or a ROS 2 bag's folder or file"),
@@ -30,18 +33,13 @@ READERS: dict[str, tuple[str, str]] = {
     "gnss-logger": ("gnss_logger", "a text file of Android's GnssLogger"),
     "csv": ("columns", "CSV or Parquet: a file or a folder of files; a zip of CSV files"),
 }
-"""By the name for --format: the module in ``readers/``, and a description. The most general format is last.
-
-Each module has two functions. ``recognizes(path)`` returns True if the name or the first bytes of a file or folder show
-the format; it needs no library. ``open_log(path, limits, stack)`` returns a `Log`, whose files the stack closes.
-"""
+# Formats of a single file
 _SINGLE = ("mcap", "rtklib", "ubx", "nmea", "px4", "ardupilot", "matlab", "gnss-logger")
-"""Formats of a single file."""
 _MIXED = ("nmea", "gnss-logger")
 _TEXTS = (*_MIXED, "rtklib", "csv")
+# Most lines per row of a table, in a text of several kinds of lines; most lines above the rows
 _LINES_OF_ROW, _TITLES = 10, 1000
-"""_LINES_OF_ROW: most lines per row of a table, in a text of several kinds of lines. _TITLES: most lines above the
-rows."""
+# Suffixes of formats that are not supported, and how to convert them
 NOT_READ = {
     ".xlsx .xls .ods": "a spreadsheet; save it as CSV",
     ".tlog": "a MAVLink log; run: mavlogdump.py --format csv --types SCALED_IMU,GPS_RAW_INT, or import the .bin file",
@@ -65,7 +63,6 @@ NOT_READ = {
     ".mp4 .mov .insv": "a video; extract the telemetry of its IMU and GPS as CSV, for example with gopro-telemetry",
     ".pcap .pcapng": "network packets; decode them with the sensor's own program, and export CSV",
 }
-"""Suffixes of formats that are not supported, and how to convert them."""
 _MAGIC = {
     **{b"H Product:Blackbox": ".bbl", b"MDF  ": ".mf4", b"\x89HDF": ".h5", b"\x1f\x8b": ".gz"},
     **dict.fromkeys((b"#BESTPOSA", b"#INSPVA", b"#RAWIMU", b"%RAWIMU", b"\xaaD\x12"), ".novatel"),

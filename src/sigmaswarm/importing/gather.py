@@ -17,36 +17,25 @@ from sigmaswarm.importing.source import FILES, Limits, Log, Part, Progress, Role
 from sigmaswarm.importing.times import rising_column, time_of, wrong_unit
 from sigmaswarm.wording import names_shown, quoted, shown
 
-ROW = "row"
-"""Column of row numbers, from 0, in tables without a column of this name."""
-FEW_ROWS = 10
-"""Number of lines in a table without values that may be a header or a footer."""
-FAR = 10
-"""Smallest distance of a placeholder from the other values, in units of their range."""
+ROW = "row"  # column of row numbers, from 0, in tables without a column of this name
+FEW_ROWS = 10  # most lines of a table without values that can be a header or a footer
+FAR = 10  # smallest distance of a placeholder from the other values, in units of their range
 
 
 @dataclass
 class Gathered:
-    """Columns of a part: ``t`` in ns, and other columns, null where the log has no value.
-
-    Attributes
-    ----------
-    rows : list of chunks
-    seen, unkept, timeless : numbers of rows: all, those with a false ``keep``, those without a time
-    placeholders : by column of the table, the marker of missing values and its count
-    period : time after which the clock restarts, ns, once the times are unwrapped; 0 without a restart
-    set_back : time, ns, by which the clock was set back before the chosen recording; 0 without a restart
-    """
+    """Columns of a part: ``t`` in ns, and other columns, null where the log has no value."""
 
     part: Part
     expressions: dict[str, Expression]
     rows: list[pl.DataFrame] = field(default_factory=list[pl.DataFrame])
-    seen: int = 0
-    unkept: int = 0
-    timeless: int = 0
+    seen: int = 0  # number of rows
+    unkept: int = 0  # number of rows with a false ``keep``
+    timeless: int = 0  # number of rows without a time
+    # By column of the table: the marker of missing values, and its count
     placeholders: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
-    period: int = 0
-    set_back: int = 0
+    period: int = 0  # ns, after which the clock restarts, once the times are unwrapped; 0 if it does not
+    set_back: int = 0  # ns by which the clock was set back before the chosen recording; 0 if it was not
 
     def add(self, frame: pl.DataFrame, log: Log) -> None:
         frame = frame.with_columns(pl.col(pl.String).str.strip_chars())
@@ -174,7 +163,7 @@ def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame
 
 
 def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
-    """Find the tables of a part. If a log has one table, a part without a name, or with a file's name, uses it."""
+    """Find the tables of a part; a log's only table also fits a part with a file's name, or without a name."""
     if part.table in log.tables:
         return [part]
     if len(log.tables) == 1:

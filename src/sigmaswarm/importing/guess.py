@@ -22,54 +22,53 @@ from sigmaswarm.importing.source import Fault, Guess, Part, Role
 from sigmaswarm.importing.times import Found, find_time, median_of, numbers_of, written
 from sigmaswarm.wording import names_shown
 
-Z_DOWN = "x=x,y=-y"
-"""Mounting of an IMU with x forward, y right and z down."""
-SAMPLE = 2000
-"""Number of first rows from which units are guessed if the rows of a format are decoded one by one."""
+Z_DOWN = "x=x,y=-y"  # mounting of an IMU with x forward, y right and z down
+SAMPLE = 2000  # first rows from which units are guessed, if a format's rows are decoded one by one
+# Number and length of blocks of rows from which units are guessed. The blocks are spread over the table, since a log
+# may begin without fixes and at standstill. Rows of a block are consecutive, so most time steps are those of the log,
+# even if only 1 of 200 rows has a fix.
 BLOCKS, BLOCK = 16, 500
-"""Number and length of blocks of rows from which units are guessed. The blocks are spread over the table, since a log
-may begin without fixes and at standstill. Rows of a block are consecutive, so most time steps are those of the log,
-even if only 1 of 200 rows has a fix."""
 _WHEELS = re.compile(r"odo|wheel|(?:^|[^a-z])can(?:[^a-z]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
 _FORCES = re.compile(r"acc", re.IGNORECASE)
 _RATES = re.compile(r"gyr|ang(?:ular)?_?(?:vel|rate)|rotation_?rate|rotationrate", re.IGNORECASE)
+# Names of tables whose x, y, z are neither a position nor axes of the IMU
 _NO_PLACES = re.compile(
     r"mag|orient|attitude|gravity|quat|rotation|linear|baro|light|imu|velocity|twist|(?:^|[^a-z])vel",
     re.IGNORECASE,
 )
-"""Names of tables whose x, y, z are neither a position nor axes of the IMU."""
+# Names of tables whose positions are estimates, not measurements
 _ESTIMATE = re.compile(
     r"filter|estimat|kalman|(?:^|[^a-z])[eu]?kf|fused|fusion|smooth|predict", re.IGNORECASE
 )
-"""Names of tables whose positions are estimates, not measurements."""
+# Names of columns that state whether a row has a fix: 0 means no fix, or -1 if 0 means a fix, as in ROS
 _FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok|status)?|(?:(?:gps|gnss)_?)?valid|(?:gps|gnss)_?quality"
-"""Names of columns that state whether a row has a fix: 0 means no fix, or -1 if 0 means a fix, as in ROS."""
+# Names of numbers of satellites, which are 0 if there is no fix
 _SATELLITES = "(?:gps_|gnss_)?(?:(?:num|n|no|number_of)_?)?(?:sats?|sv|satellites)(?:_used)?"
-"""Names of numbers of satellites, which are 0 without a fix."""
+# Names of columns that state in words whether a row has a fix
 _STATUS = (
     rf"{_FIXED}|(?:(?:gps|gnss|nav|pos|position|sol|solution)_?)?(?:status|state|mode|type|solution|quality)"
 )
-"""Names of columns that state in words whether a row has a fix."""
+# Names of `_STATUS` that an autopilot may also use. Its words resemble those of a receiver: AUTO, FOLLOW_GPS, ACTIVE.
 _PILOT = "state|mode|type"
-"""Such names that an autopilot may also use. Its words resemble those of a receiver: AUTO, FOLLOW_GPS, ACTIVE."""
+# Words in lower case, joined by "_", for no fix
 _NO_FIX = (
     r"(?:no|not|un|in)_?(?:\w+_)?(?:valid|fix|fixed|solution|gps|gnss|signal|available)|no|none|false|void|bad|lost|"
     r"searching|acquiring|insufficient.*|cold_start"
 )
+# Words for a fix
 _FIX = (
     r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|gps|gnss|valid|active|ok|good|true|yes|int|computed|auto|alone|"
     r"available|psr).*"
 )
+# Words for a fix that only a receiver uses
 _SURE_FIX = r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|psr|valid).*"
-"""Words in lower case, joined by "_": _NO_FIX without a fix, _FIX with a fix, _SURE_FIX with a fix of a receiver."""
-MOST_WORDS = 20
-"""Largest number of different words in a column of flags."""
+MOST_WORDS = 20  # different words in a column of flags
+# Names of columns in which 3 means a fix in three dimensions, and 1 means no fix
 _DIMENSIONS = ".*(?:type|mode)"
-"""Names of columns in which 3 means a fix in three dimensions, and 1 means no fix."""
+# Largest share of the likely fixes that a flag may exclude if the positions do not jump there; smallest ratio of a jump
+# to the 90% quantile of the other steps
 MOST_DROPPED, JUMP = 0.2, 5.0
-"""MOST_DROPPED: largest share of the likely fixes that a flag may exclude if the positions do not jump there. JUMP:
-smallest ratio of a jump to the 90% quantile of the other steps."""
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
     "gps": (
@@ -257,7 +256,7 @@ def _jump(places: pl.DataFrame, kept: pl.Series) -> bool:
 
 
 def _fix_stated(frame: pl.DataFrame) -> str:
-    """Return the condition that a row has a fix, by a column of flags in words or numbers, else ""."""
+    """Return the condition that a row has a fix, by a column of flags in words or numbers; else ""."""
     names = read_names(frame.columns)
     for name in names:
         cells, column = frame[name.column], written(name.column)

@@ -23,15 +23,14 @@ from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Fault, Log, Role
 from sigmaswarm.importing.times import numbers_of, time_of
 
-SAMPLE = 5000
-"""Number of rows of a table from which ranges are computed."""
+SAMPLE = 5000  # rows of a table from which ranges are computed
+# Rows that are read if the rows of tables alternate; a table without rows among these has no values
 LOOKED_AT = 25_000
-"""Rows that are read if the rows of tables alternate; a table without rows among these has no values."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """Smallest, median and largest value of a column in the first rows; None without numbers."""
+    """Smallest, median and largest value of a column in the first rows; None if the column has no numbers."""
 
     column: str
     low: float | None
@@ -55,11 +54,11 @@ class TablePreview:
 class Inspection:
     """Content of the logs of a request, the recipe that an import would use, and its assumptions.
 
-    ``proposal``: options of `sigmaswarm import` for unrecognized columns, the same as ``settings`` of `import_log`,
-    with their ``evidence``. ``works``: True if the import with these options succeeds; without a proposal, if no note
-    states a fault of tables or columns. ``unread``: columns, by table, that neither recipe nor proposal reads.
-    ``faults``: reasons not to read a column unchanged. ``rows``: first rows of each table. ``mount``: mounting that a
-    note recommends.
+    ``proposal``: options of `sigmaswarm import` for unrecognized columns; ``settings``: the same options for
+    `import_log`; ``evidence``: reasons for these options. ``works``: True if the import with these options succeeds. If
+    there is no proposal, it is True if no note states a fault of tables or columns. ``unread``: columns, by table, that
+    neither recipe nor proposal reads. ``faults``: reasons not to read a column unchanged. ``rows``: first rows of each
+    table. ``mount``: mounting that a note recommends.
     """
 
     tables: tuple[TablePreview, ...]
@@ -204,7 +203,7 @@ def beginnings(log: Log) -> dict[str, pl.DataFrame]:
 
 
 def _rate(rows: pl.DataFrame, time: str | None) -> float | None:
-    """Return the rate, Hz, from the median time step; None without a time."""
+    """Return the rate, Hz, from the median time step; None if the table has no time."""
     if len(rows) < 2 or (time := time or time_of(rows)) is None:
         return None
     try:

@@ -17,13 +17,11 @@ from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.timeline import from_digits, in_order, recordings, require_likely, unwrap
 from sigmaswarm.wording import counted, left_out, shown
 
-LEAST_STD = 1e-6
-"""A standard deviation of at most this value, m, counts as not stated."""
+LEAST_STD = 1e-6  # m; a standard deviation of at most this value counts as not stated
+# A full turn of each angle column, rad or deg
 TURNS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
-"""A full turn of each angle column, rad or deg."""
+# Largest share of empty cells in an optional column for which the rows are left out; otherwise the column is left out
 SPARSE = 0.1
-"""Largest share of empty cells in an optional column: a column with more is left out, with fewer the rows are left
-out."""
 POSITIONS = ("lat", "lon", "x", "y")
 TOGETHER = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
 
@@ -144,7 +142,7 @@ def _rows(values: Values, rows: Any) -> Values:
 
 
 def _finite(values: Values, count: int) -> NDArray[np.bool_]:
-    """Mark finite values, (columns, rows); without columns, return one row of True."""
+    """Mark finite values, (columns, rows); return one row of True if there are no columns."""
     return np.array([np.isfinite(v) for v in values.values()] or [np.ones(count, bool)], bool)
 
 

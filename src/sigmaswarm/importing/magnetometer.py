@@ -23,50 +23,37 @@ from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Part
 from sigmaswarm.importing.times import written
 
-LEAST_TURN = 180
-"""Smallest range of headings, deg, that determines the hard iron."""
+LEAST_TURN = 180  # deg, smallest range of headings that determines the hard iron
 BIN = 10
 LEAST_SAMPLES = 5
-DRIFT = 10.0
-"""Time constant with which the course corrects the gyro's heading, s."""
-MOST_ROWS = 20_000
-"""Largest number of rows for the calibration, evenly spread over the drive."""
+DRIFT = 10.0  # s, time constant with which the course corrects the gyro's heading
+MOST_ROWS = 20_000  # rows for the calibration, evenly spread over the drive
+# Largest deviation of the field's magnitude (relative) or direction (rad) without steel nearby: in robust standard
+# deviations, and its lower limit
 STEEL = 4.0, 0.03
-"""Largest deviation of the field's magnitude (relative) or direction (rad) without steel nearby: in robust standard
-deviations, and its lower limit."""
-AROUND = 1.0
-"""Time before and after such a deviation in which fixes have no heading, s."""
+AROUND = 1.0  # s before and after a deviation above `STEEL` in which fixes have no heading
+# rad, largest standard deviation of the heading; a larger one shows a magnetometer that is not fixed to the vehicle
 WORST = np.radians(20)
-"""Largest standard deviation of the heading, rad; a larger one shows a magnetometer that is not fixed to the
-vehicle."""
-LEAST_STD = np.radians(0.5)
-"""Smallest stated standard deviation, rad."""
-LONGEST_GAP = 1.0
-"""Largest interval of samples that is interpolated, s."""
+LEAST_STD = np.radians(0.5)  # rad, smallest stated standard deviation
+LONGEST_GAP = 1.0  # s, largest interval of samples that is interpolated
 _UNLIKE = (
     "mag: the field does not rotate like the vehicle (course and gyro); map other columns, or omit the "
     "magnetometer"
 )
+# Patterns of axis names in lower case, the most common first
 _AXES = (
     r"(?:.*[\W_])?mag(?:netic[\W_]?field|[a-z]*)\d*[\W_]*([xyz])(?:[\W_].*)?",
     r"[mb][\W_]?([xyz])",
     r"([xyz])",
 )
-"""Patterns of axis names in lower case, the most common first."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The field in the axes of the sensor, ``center + shape @ (cos, sin)`` of the heading.
+    """The field in the axes of the sensor, ``center + shape @ (cos, sin)`` of the heading."""
 
-    Attributes
-    ----------
-    center : (2,), the hard iron, in the log's unit
-    shape : (2, 2), field, soft iron and mounting; its determinant is negative for x forward, y left, z up
-    """
-
-    center: Array
-    shape: Array
+    center: Array  # (2,), the hard iron, in the log's unit
+    shape: Array  # (2, 2), with soft iron and mounting; determinant < 0 for x forward, y left, z up
 
     @property
     def soft_iron(self) -> float:
@@ -188,7 +175,7 @@ def calibrate(heading: Array, field: Array) -> Calibration:
 
 
 def _near_steel(time: Array, size: Array, off: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark samples (n,) within `AROUND` of a field of another magnitude, or of a turn without the vehicle."""
+    """Mark samples (n,) within `AROUND` of a field of another magnitude, or a turn that the vehicle does not make."""
     odd = _odd(size / float(np.median(size[moving])), moving) | (moving & _odd(off, moving))
     wrong = time[odd]
     return np.searchsorted(wrong, time - AROUND) < np.searchsorted(wrong, time + AROUND, side="right")

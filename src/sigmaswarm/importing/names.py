@@ -15,13 +15,12 @@ TIME = (
     "millis(?:econds)?|micros(?:econds)?|nanos(?:econds)?|ms|us|ns|interval|"
     "(?:time|secs?|seconds|millis(?:econds)?|micros(?:econds)?)_since_\\w{1,20}|since_start|loggingtime|logging_time"
 )
+# Names of times, for tables without a more usual name
 CLOCK = (
     "received|boot|date|cts|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|gps|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
     "datenum|t_?(?:imu|gps|gnss|acc|gyro?|truth|ref|gt)|(?:imu|gps|gnss|fix|truth)_?t|(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|utc|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
 )
-"""Names of times, for tables without a more usual name."""
-STAMP = "(?:.*_)?header_(?:time_?)?stamp"
-"""ROS header stamps, in tables converted from bags."""
+STAMP = "(?:.*_)?header_(?:time_?)?stamp"  # ROS header stamps, in tables converted from bags
 WEEK = "(?:gps|gnss)?_?(?:week|wn|weeks)(?:_?(?:no|num|number))?"
 TIME_OF_WEEK = (
     "(?:gps|gnss)?_?(?:i?tow|sow|wsec|(?:time|secs?|seconds|ms)_?(?:of|in|into)_?(?:the_)?week|"
@@ -68,10 +67,10 @@ NAMES: tuple[tuple[str, str], ...] = (
 )
 _AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 _PLACES = ("lat", "lon", "alt", "ns", "ew")
-_TOTAL = {"gfx", "gfy", "gfz"}
-"""Accelerations in g of Physics Toolbox."""
+_TOTAL = {"gfx", "gfy", "gfz"}  # accelerations in g of Physics Toolbox
+# Names in common Arduino sketches for an MPU-6050
 _MPU = {f"{s}{i}": f"{name}_{i}" for s, name in (("ac", "acc"), ("gy", "gyro")) for i in "xyz"}
-"""Names in common Arduino sketches for an MPU-6050."""
+# Names that have a meaning only with a unit of this dimension: "x_acc" may also be an accuracy
 _STATED: tuple[tuple[Dimension, str, str], ...] = (
     ("time", "t", "temps"),
     *(("acceleration", f"a{i}", f"{i}_?acc(?:el(?:eration)?)?|accsmooth_{i}") for i in "xyz"),
@@ -81,20 +80,20 @@ _STATED: tuple[tuple[Dimension, str, str], ...] = (
     ("angle", "bearing", "kurs|cap|rumbo|rotta|koers"),
     ("speed", "speed", "geschwindigkeit|vitesse|velocidade?|velocita|snelheid"),
 )
-"""Names that have a meaning only with a unit of this dimension: "x_acc" may also be an accuracy."""
 _SHORT = r"(?:field|data|msg|imu\d?)_(?=[agw][xyz](?:_|$))"
+# Prefixes of message tables and of loggers
 _PREFIXES = re.compile(rf"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix|location|pos_lla|pos)_(?=...)|{_SHORT}")
-"""Prefixes of message tables and of loggers."""
 _FIXES = r"gps\d?|gnss\d?|fix|position|location"
+# Words of a common prefix that keep the meaning of a name; others may mark an estimate or another quantity
 _CONTAINERS = rf"car|vehicle|imu\d?|data|fields?|msg|sensors?|log|logger|\d{{1,3}}|{_FIXES}"
-"""Words of a common prefix that keep the meaning of a name; other words may mark an estimate or another quantity."""
+# Fields of MAVLink with their units in the protocol; RAW_IMU contains counts
 _MAVLINK = {
     f"scaled_imu{n}_{i}{name}": (f"{name}_{i}", unit)
     for n in ("", 2, 3)
     for i in "xyz"
     for name, unit in (("acc", "mg"), ("gyro", "mrad/s"))
 } | {f"gps_raw_int_{name}": (name, "") for name in ("lat", "lon", "fix_type")}
-"""Fields of MAVLink with their units in the protocol; RAW_IMU contains counts."""
+# German, French, Spanish, Portuguese, Italian, Dutch and Polish words, without accents
 _TRANSLATED = {
     word: name
     for name, words in {
@@ -111,15 +110,14 @@ _TRANSLATED = {
     }.items()
     for word in words.split()
 }
-"""German, French, Spanish, Portuguese, Italian, Dutch and Polish words, without accents."""
 
 
 @dataclass(frozen=True)
 class Name:
-    """Name of a column as in the table; ``plain`` is the name in lower case without its unit."""
+    """Name of a column in a table."""
 
     column: str
-    plain: str
+    plain: str  # in lower case, without the unit
     unit: Unit | None = None
 
     @property
@@ -167,10 +165,9 @@ def meaning_of_plain(plain: str) -> str | None:
 def read_names(columns: Sequence[str]) -> list[Name]:
     """Read the names of a table's columns, without a prefix that all share: "Car.ax", "vehicle/imu/ax".
 
-    Positions and speeds are read only if the prefix names a receiver, accelerations and rates only if the prefix names
-    another device. If the prefix names a vehicle or a logger and the table has an IMU and positions in degrees, both
-    are read: a table of estimates would have no accelerations. Positions in meters and speeds of such a table are not
-    read.
+    If the prefix names a receiver, only positions and speeds are read; if it names another device, only accelerations
+    and rates. If it names a vehicle or a logger, positions in degrees are also read next to an IMU, since a table of
+    estimates would have no accelerations. Positions in meters and speeds are not read in this table.
     """
     pairs = zip(min(columns, default=""), max(columns, default=""), strict=False)
     shared = "".join(a for a, _ in takewhile(lambda pair: pair[0] == pair[1], pairs))

@@ -13,13 +13,11 @@ from sigmaswarm.wording import left_out
 Say = Callable[[str], None]
 Values = dict[str, Array]
 
+# m, largest distance of a fix from the median position, plus `FASTEST` times the duration
 FARTHEST = 100_000.0
-"""Largest distance of a fix from the median position, m, plus `FASTEST`, m/s, times the duration."""
-FASTEST = 150.0
-FIT = 0.35
-"""Largest median difference between a heading and the course in the same convention, rad."""
-MOVING = 1.0
-"""Lowest speed at which the course equals the heading, m/s."""
+FASTEST = 150.0  # m/s
+FIT = 0.35  # rad, largest median difference between a heading and the course in the same convention
+MOVING = 1.0  # m/s, lowest speed at which the course equals the heading
 
 
 def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:

@@ -23,6 +23,7 @@ from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.times import written
 from sigmaswarm.importing.units import in_si
 
+# Words for directions, with their signs in the axes x forward, y left, z up
 FORWARD = {
     **dict.fromkeys(("fwd", "forward", "forwards", "front", "longitudinal", "long", "inline", "x"), 1),
     **dict.fromkeys(("backward", "rear"), -1),
@@ -36,26 +37,25 @@ TURNING = (
     ("gy", {**LEFT, "pitch": 1}),
 )
 MOVING = (("ax", FORWARD), ("ay", LEFT), ("az", UP))
-"""Words for directions, with their signs in the axes x forward, y left, z up."""
 FORCE = {"a", "acc", "accel", "acceleration", "accelerometer", "force"}
 RATE = {
     *("gyro", "gyr", "gyroscope", "omega", "w", "rate", "angular", "rot", "rotation", "angvel"),
     *("yawrate", "yaw", "turn"),
 }
 ACCURACY = {"hacc", "accuracy", "eph", "sigma", "std", "stdev"}
+# Words in the names of accuracies of other quantities than the position
 NO_PLACE = {
     *RATE,
     *(FORCE - {"a", "acc"}),
     *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
     *("heading", "bearing", "course", "roll", "pitch"),
 }
-"""Words in the names of accuracies of other quantities than the position."""
+# Repairs that change expressions; other repairs change the drive
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
-"""Repairs that change expressions; other repairs change the drive."""
+# Largest distance of the elements of a rotation from integers, for an exchange of axes or a change of signs
 EXCHANGED = 0.2
-"""Largest distance of the elements of a rotation from integers, for an exchange of axes or a change of signs."""
+# Warnings of contradictory signs, axes or units
 CONTRADICTIONS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}
-"""Warnings of contradictory signs, axes or units."""
 IMU = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
@@ -67,7 +67,7 @@ class Meaning:
 
 
 def meaning_of(name: str) -> Meaning | None:
-    """Interpret the name of a column word by word; None without a drive's column of this meaning."""
+    """Interpret the name of a column word by word; None if no column of a drive has this meaning."""
     words = re.findall(r"[a-z]+|\d+", re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower())
     sign = math.prod(CLOCKWISE[w] for w in words if w in CLOCKWISE)
     turns = not CLOCKWISE.keys().isdisjoint(words)
@@ -101,16 +101,10 @@ def meaning_of(name: str) -> Meaning | None:
 
 @dataclass(frozen=True)
 class Proposal:
-    """An interpretation of a log.
+    """An interpretation of a log."""
 
-    Attributes
-    ----------
-    tables : the chosen table by role, if a log has several
-    columns : expressions of a drive's columns by role
-    """
-
-    tables: Mapping[Role, str]
-    columns: Mapping[Role, Mapping[str, str]]
+    tables: Mapping[Role, str]  # the chosen table, if a log has several
+    columns: Mapping[Role, Mapping[str, str]]  # expressions of a drive's columns
 
     @property
     def maps(self) -> list[str]:

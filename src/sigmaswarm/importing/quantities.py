@@ -13,8 +13,8 @@ from sigmaswarm.importing.units import COUNTS, Dimension, in_si
 from sigmaswarm.wording import quoted
 
 FRACTIONS = {"3600": " for arcseconds", "3.6e6": " for milliarcseconds"}
+# Texts for a missing number: ---.---, or as a C library or a spreadsheet writes it
 NO_NUMBER = r"^[^0-9A-Za-z]*$|#(?:IND|QNAN|SNAN|INF|N/A|NUM!|VALUE!|DIV/0!)"
-"""Texts for a missing number: ---.---, or as a C library or a spreadsheet writes it."""
 PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10)
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-", "invalid", *("*" * n for n in range(1, 20)))
 DIMENSIONS: dict[str, Dimension] = {
@@ -24,22 +24,17 @@ DIMENSIONS: dict[str, Dimension] = {
     **dict.fromkeys(("alt", "x", "y", "std_x", "std_y"), "length"),
     **dict.fromkeys(("speed", "wheel_speed", "vx", "vy"), "speed"),
 }
+# Columns that need a known unit; other columns without a unit are left out
 REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta", "wheel_speed")
-"""Columns that need a known unit; other columns without a unit are left out."""
-FEW_ODD = 0.02
-"""Largest share of rows, presumably damaged, that may contradict the form of the others."""
+FEW_ODD = 0.02  # largest share of rows, presumably damaged, that may contradict the form of the others
+# Largest ratio of the third to the first quartile of the magnitude of accelerations that contain gravity
 STEADY = 1.5
-"""Largest ratio of the third to the first quartile of the magnitude of accelerations that contain gravity."""
-MOST_FORCE = 100.0
-"""Largest acceleration of a car without bumps, m/s2."""
-FASTEST = 250.0
-"""Largest angular rate of a car, deg/s."""
-HIGHEST = 9000.0
-"""Largest altitude, m; another unit would stretch the track by 0.15% or more."""
-RADIUS, EDGE = 6_378_137.0, 2.01e7
-"""RADIUS: radius of Web Mercator's sphere, m. EDGE: edge of its map, m."""
+MOST_FORCE = 100.0  # m/s2, largest acceleration of a car without bumps
+FASTEST = 250.0  # deg/s, largest angular rate of a car
+HIGHEST = 9000.0  # m, largest altitude; another unit would stretch the track by 0.15% or more
+RADIUS, EDGE = 6_378_137.0, 2.01e7  # m, radius of Web Mercator's sphere; edge of its map
+# Scales of common sensors per g; mg, cg, ug, mm/s2, cm/s2, ft/s2
 _PER_G = (16384, 8192, 4096, 2048, 1024, 256, 1000, 100, 1e6, 9806.65, 980.665, 9.80665 / 0.3048)
-"""Scales of common sensors per g; mg, cg, ug, mm/s2, cm/s2, ft/s2."""
 _ACCELEROMETERS = "common 16-bit sensors: 16384 counts per g at +-2 g, 8192 at 4, 4096 at 8, 2048 at 16"
 _GYROS = (
     "common 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at 500, 32.8 at 1000, 16.4 at 2000; mrad/s: each "
@@ -224,8 +219,8 @@ def _are_dms(lat: pl.Series, lon: pl.Series) -> bool:
 def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
     """Return the conditions for the southern and western hemispheres, and faults in their letters.
 
-    The letters are in columns of these names, or in the columns that follow the coordinates. In the latter case, both
-    columns must contain only these letters, and the coordinates no signs.
+    The letters are in columns of these names, or in the columns that follow the coordinates. The latter
+    columns must contain only these letters, and their coordinates must have no signs.
     """
     frame, found, sure = columns.frame, dict[str, tuple[str, str]](), list[bool]()
     for what, name, words in (("lat", "ns", "north|south"), ("lon", "ew", "east|west")):
@@ -283,7 +278,7 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
 def of_earth_center(columns: Columns) -> dict[str, Found]:
     """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees, by Bowring's formula; {} for others.
 
-    Eastings and northings may have the same norm, as UTM at 57 degrees; then z is an altitude.
+    UTM coordinates near 57 degrees have the norm of ECEF coordinates, but their z is an altitude.
     """
     if not columns.has("x", "y", "z"):
         return {}

@@ -13,51 +13,42 @@ from sigmaswarm.importing.source import Part, Role
 from sigmaswarm.importing.units import in_si, parse_unit
 
 _DEGREE = math.pi / 180
+# Expressions of rates without a unit, with the assumed factor to rad/s; {} is the column
 ASSUMED = {"{}": 1.0, "radians({})": _DEGREE}
-"""Expressions of rates without a unit, with the assumed factor to rad/s; {} is the column."""
 _NAMED = map(parse_unit, ("rad/s", "deg/s", "mrad/s", "mdps", "cdps", "rpm", "rev/s", "deg/h", "deg/min"))
+# Scales of common 16-bit sensors, in whole numbers: factors to rad/s, and expressions
 COUNTS = {
     f"counts, {per:g} per deg/s": (_DEGREE / per, f"radians({{}}/{per:g})")
     for per in (131, 65.5, 32.8, 16.4, 114.3, 28.6, 14.3)
 }
-"""Scales of common 16-bit sensors, in whole numbers: factors to rad/s, and expressions."""
 UNITS = {
     **{unit.text: (unit.factor, in_si(unit, "{}")) for unit in _NAMED if unit is not None},
     "0.1 deg/s": (_DEGREE / 10, "radians({}/10)"),
     **COUNTS,
 }
+# Largest relative difference from the factor of a unit; smallest ratio that contradicts the assumed unit
 WITHIN, OTHER = 0.08, 1.4
-"""WITHIN: largest relative difference from the factor of a unit. OTHER: smallest ratio that contradicts the assumed
-unit."""
+# s, times over which changes of course are compared; largest ratio of an actual time to these times
 APART, GAP = (1.5, 6.0, 24.0), 1.4
-"""APART: times, s, over which changes of course are compared. GAP: largest ratio of an actual time to these."""
+# s, tried delays of the fixes
 DELAYS = (-1.0, -0.5, -0.25, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
-"""Tried delays of the fixes, s."""
+# Share of the changes of course that the rates must explain, to show another unit and to confirm the assumed unit
 EXPLAINED, CONFIRMS = 0.9, 0.5
-"""Share of the changes of course that the rates must explain: EXPLAINED shows another unit, CONFIRMS the assumed
-unit."""
+# rad, smallest standard deviation of the changes of course; their smallest number
 LEAST_TURN, FEWEST = 0.1, 20
-"""LEAST_TURN: smallest standard deviation of the changes of course, rad. FEWEST: smallest number of changes."""
-OUTLYING = 3.0
-"""Number of standard deviations above which a change of course is an outlier, as when a robot spins on the spot."""
+OUTLYING = 3.0  # standard deviations of an outlying change of course, as when a robot spins on the spot
+# Directions in the space of the axes with less than this share of the largest turn are not used
 SMALL = 0.2
-"""Directions in the space of the axes with less than this share of the largest turn are not used."""
 
 
 def unit_of_rates(
     drive: Drive, roles: Mapping[Role, Sequence[Part]], unitless: Mapping[str, str]
 ) -> tuple[str, str]:
-    """Describe the unit of rates whose turns contradict those of the fixes, with the remedy.
+    """Describe the unit of rates whose turns contradict those of the fixes, with the remedy; return fault and note.
 
-    Parameters
-    ----------
-    roles : parts of the log; only rates with an expression of `ASSUMED` are checked
-    unitless : columns without a unit, as text in expressions, by column of the drive
-
-    Returns
-    -------
-    fault : "" if the turns agree, no unit explains them, or the log does not show them
-    note : states that the log does not show the turns of rates that are assumed to be in rad/s, or ""
+    Only rates with an expression of `ASSUMED` are checked. ``unitless``: columns without a unit, as text in
+    expressions, by column of the drive. The note states that rates are assumed to be in rad/s, but the log does not
+    show their turns.
     """
     rates = unitless.keys() & {"gx", "gy", "gz"}
     times = {role: parts[0].columns.get("t", "") for role, parts in roles.items() if parts}
@@ -93,7 +84,7 @@ def _maps(names: Iterable[str], unitless: Mapping[str, str], form: str) -> str:
 
 
 def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
-    """Describe times with another power of ten as the unit; "" for other ratios, or times with a date."""
+    """Describe times whose unit is wrong by a power of ten; "" for other ratios, or times with a date."""
     power = round(math.log10(ratio))
     if (
         abs(math.log(ratio / 10.0**power)) > WITHIN

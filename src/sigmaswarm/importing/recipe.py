@@ -16,6 +16,9 @@ from sigmaswarm.importing.source import ROLES, Part, Role
 from sigmaswarm.limits import read_toml_text
 from sigmaswarm.wording import quoted, shown, value_shown
 
+# Columns of each role: those of a drive (docs/drives.md), and ``vx, vy`` of fixes (m/s east, north); ``forward, left``
+# (m/s in the body frame), ``speed, course`` and ``lat, lon, alt`` of the truth; ``keep``, true for the rows to read.
+# ``+ax`` of a second table is added to ``ax``.
 COLUMNS: dict[Role, tuple[str, ...]] = {
     "imu": ("t", "ax", "ay", "az", "gx", "gy", "gz", "keep"),
     "gps": (
@@ -29,44 +32,28 @@ COLUMNS: dict[Role, tuple[str, ...]] = {
     "odometer": ("t", "speed", "keep"),
     "mag": ("t", "mx", "my", "mz", "keep"),
 }
-"""Columns of each role.
 
-These are the columns of a drive (docs/drives.md) and: ``vx, vy`` of fixes (m/s east, north); ``forward, left`` (m/s in
-the body frame), ``speed, course`` and ``lat, lon, alt`` of the truth; ``keep``, true for the rows to read. ``+ax`` of a
-second table is added to ``ax``.
-"""
-
+# Types of the settings, or lengths of lists of numbers
 _SETTINGS: dict[str, type | int] = {
     "mount": str,
     **dict.fromkeys(("gps_offset_s", "truth_offset_s", "odometer_offset_s", "declination_deg"), float),
     **{"origin": 3, "gps_lever_arm_m": 3, "gps_from_truth": 2},
 }
-"""Types of the settings, or lengths of lists of numbers."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Columns to read from a log, and their transformations.
-
-    Attributes
-    ----------
-    roles : the parts of imu, gps, truth, odometer and mag (magnetometer)
-    mount : mounting of the IMU in the vehicle: see `parse_mount`
-    gps_offset_s, truth_offset_s, odometer_offset_s : s, added to the times
-    origin : latitude (deg), longitude (deg), altitude (m) of the local frame
-    gps_lever_arm_m : m forward, left, up from the IMU to the antenna
-    declination_deg : deg from true to magnetic north, east positive; None to estimate it from the course
-    gps_from_truth : rate, Hz, and white noise per axis, m, of fixes made from the truth, for a log without a receiver
-    """
+    """Columns to read from a log, and their transformations."""
 
     roles: Mapping[Role, tuple[Part, ...]] = field(default_factory=dict[Role, tuple[Part, ...]])
-    mount: str = ""
-    gps_offset_s: float = 0.0
-    truth_offset_s: float = 0.0
-    odometer_offset_s: float = 0.0
-    declination_deg: float | None = None
-    origin: tuple[float, float, float] | None = None
-    gps_lever_arm_m: tuple[float, float, float] | None = None
+    mount: str = ""  # mounting of the IMU in the vehicle: see `parse_mount`
+    gps_offset_s: float = 0.0  # added to the times
+    truth_offset_s: float = 0.0  # added to the times
+    odometer_offset_s: float = 0.0  # added to the times
+    declination_deg: float | None = None  # from true to magnetic north, east positive; None: from the course
+    origin: tuple[float, float, float] | None = None  # deg, deg, m, of the local frame
+    gps_lever_arm_m: tuple[float, float, float] | None = None  # forward, left, up from IMU to antenna
+    # Rate, Hz, and white noise per axis, m, of fixes made from the truth, for a log without a receiver
     gps_from_truth: tuple[float, float] | None = None
 
     @classmethod

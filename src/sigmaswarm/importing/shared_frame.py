@@ -11,15 +11,15 @@ from sigmaswarm.geodesy import Origin, enu_to_geodetic, geodetic_to_enu
 from sigmaswarm.importing.places import FARTHEST, Values
 from sigmaswarm.importing.source import Part, Role
 
+# Smallest share of the fixes' variance that a turned truth must explain; smallest angle, rad, and relative difference
+# of scale that are reported
 EXPLAINED, TURNED, STRETCHED = 0.9, np.radians(5), 0.05
-"""EXPLAINED: smallest share of the fixes' variance that a turned truth must explain. TURNED, STRETCHED: smallest angle,
-rad, and relative difference of scale that are reported."""
+# s, tried delays of the truth, since on a circle a delay looks like a turn; smallest ratio of the residual variance
+# with the unchanged truth, at the best delay, to that with the turned truth
 LAGS, CLEARLY = np.arange(-20.0, 20.1, 0.5), 4.0
-"""LAGS: tried delays of the truth, s; on a circle, a delay looks like a turn. CLEARLY: smallest ratio of the residual
-variance with the unchanged truth, at the best delay, to that with the turned truth."""
-EXACT = 0.02
-"""Angle, rad, within which axes count as exactly exchanged or reversed."""
+EXACT = 0.02  # rad, angle within which axes count as exactly exchanged or reversed
 STEP = 0.01  # s, resolution of a reported delay
+# m per unit of length
 LENGTHS = {
     "mm": 1e-3,
     "cm": 0.01,
@@ -30,11 +30,8 @@ LENGTHS = {
     "mi": 1609.344,
     "nmi": 1852.0,
 }
-"""m per unit of length."""
-LATEST = 2.5
-"""Largest delay of a receiver, s."""
-FEWEST = 10
-"""Smallest number of fixes that are compared with the truth."""
+LATEST = 2.5  # s, largest delay of a receiver
+FEWEST = 10  # smallest number of fixes that are compared with the truth
 
 
 def require_same_axes(
@@ -42,8 +39,8 @@ def require_same_axes(
 ) -> str:
     """Refuse a truth in meters whose axes are not east and north: exchanged, turned, or in another unit.
 
-    The fixes z and the truth w, as complex numbers about their means, then satisfy z = a w, or z = a conj(w). Return a
-    sentence if they instead have different clocks, else "".
+    If z are the fixes and w is the truth, as complex numbers minus their means, wrong axes give z = a w or
+    z = a conj(w). Return a sentence if the clocks differ instead of the axes, else "".
     """
     inside, true = _true(seconds, truth)
     if len(true) < FEWEST:

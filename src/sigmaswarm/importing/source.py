@@ -19,27 +19,19 @@ Role = Literal["imu", "gps", "truth", "odometer", "mag"]
 ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer", "mag")
 CHUNK = 5000
 FILES = "columns"
-Progress = Callable[[float], None]
-"""Function that receives the share of the log that has been read, 0 to 1."""
+Progress = Callable[[float], None]  # function that receives the share of the log that has been read, 0 to 1
 Wanted = Mapping[str, Collection[str]]
+# A table, rows with its wanted columns, and the share of the log that has been read, 0 to 1
 Batch = tuple[str, pl.DataFrame, float]
-"""A table, rows with its wanted columns, and the share of the log that has been read, 0 to 1."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of an import.
+    """Limits of an import."""
 
-    Attributes
-    ----------
-    rows : rows of a table; 10 million are 28 hours at 100 Hz
-    columns : columns of all tables of a log
-    unpacked_mb : unpacked size, MB, of a chunk or of the required files of a zip
-    """
-
-    rows: int = 10_000_000
-    columns: int = 100_000
-    unpacked_mb: int = 500
+    rows: int = 10_000_000  # of a table; 10 million are 28 hours at 100 Hz
+    columns: int = 100_000  # of all tables of a log
+    unpacked_mb: int = 500  # MB, of a chunk or of the required files of a zip
 
     def check_rows(self, count: int, path: Path, table: str) -> None:
         if count > self.rows:
@@ -98,18 +90,11 @@ class Fault:
 
 @dataclass(frozen=True)
 class Placement:
-    """Mounting of the IMU and lever arm that a log states.
+    """Mounting of the IMU and lever arm that a log states."""
 
-    Attributes
-    ----------
-    mount : roll, pitch and yaw of the IMU in the vehicle, deg: see `parse_mount`
-    lever_arm : m forward, left, up from the IMU to the antenna; None if unknown
-    frames : names of the frames of the vehicle, the IMU and the antenna
-    """
-
-    mount: str
-    lever_arm: tuple[float, float, float] | None
-    frames: tuple[str, str, str]
+    mount: str  # roll, pitch and yaw of the IMU in the vehicle, deg: see `parse_mount`
+    lever_arm: tuple[float, float, float] | None  # m forward, left, up from IMU to antenna
+    frames: tuple[str, str, str]  # names of the frames of the vehicle, the IMU and the antenna
 
     def notes(self, mount: str, lever_arm: Any) -> Iterator[str]:
         """Describe the mounting and the lever arm that an import takes from tf_static."""
@@ -125,68 +110,40 @@ class Placement:
 
 @dataclass(frozen=True)
 class Guess:
-    """Recipe of a reader for a log, and its assumptions.
+    """Recipe of a reader for a log, and its assumptions."""
 
-    Attributes
-    ----------
-    roles : parts of each role; the times are those of the first part, and other parts are interpolated
-    notes : sentences for the user
-    origin : latitude (deg), longitude (deg), altitude (m) of the truth's frame, if the format defines it
-    metadata : keys for drive.toml
-    flat : the assumption on a phone's mounting, for an import without a mounting
-    downward : a sentence if the IMU's vertical axis points down, for an import without a mounting
-    fixed : expression over the fixes' first table, true where carrier phases are fixed; empty if the log lacks it
-    faults : reasons not to use columns unchanged, unless the user maps them
-    placed : mounting and lever arm that the log states
-    unitless : the IMU's columns without a known unit, as text in expressions, by column of the drive
-    """
-
-    roles: Mapping[Role, tuple[Part, ...]]
-    notes: tuple[str, ...] = ()
-    origin: tuple[float, float, float] | None = None
-    metadata: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    flat: str = ""
-    downward: str = ""
-    fixed: str = ""
-    faults: tuple[Fault, ...] = ()
-    placed: Placement | None = None
+    roles: Mapping[Role, tuple[Part, ...]]  # times are those of the first part; others are interpolated
+    notes: tuple[str, ...] = ()  # sentences for the user
+    origin: tuple[float, float, float] | None = None  # deg, deg, m, of the truth's frame
+    metadata: Mapping[str, Any] = field(default_factory=dict[str, Any])  # keys for drive.toml
+    flat: str = ""  # assumption on a phone's mounting, for an import without a mounting
+    downward: str = ""  # sentence if the IMU's vertical axis points down, for an import without a mounting
+    fixed: str = ""  # expression over the fixes' first table, true where carrier phases are fixed
+    faults: tuple[Fault, ...] = ()  # reasons not to use columns unchanged, unless the user maps them
+    placed: Placement | None = None  # mounting and lever arm that the log states
+    # The IMU's columns without a known unit, as text in expressions, by column of the drive
     unitless: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The user's choices among the tables of a log.
+    """The user's choices among the tables of a log."""
 
-    Attributes
-    ----------
-    tables : the chosen table by role
-    receive_times : True to use receive times instead of header stamps
-    mapped : roles with columns that the user maps; any table can be chosen for them
-    """
-
-    tables: Mapping[str, str] = field(default_factory=dict[str, str])
-    receive_times: bool = False
-    mapped: frozenset[str] = frozenset()
+    tables: Mapping[str, str] = field(default_factory=dict[str, str])  # by role
+    receive_times: bool = False  # True to use receive times instead of header stamps
+    mapped: frozenset[str] = frozenset()  # roles with mapped columns; any table can be chosen for them
 
 
 @dataclass(frozen=True)
 class Log:
-    """An open log of any reader.
-
-    Attributes
-    ----------
-    batches : function that reads the wanted columns, in the order of the log
-    guess : function that makes a recipe
-    remarks : sentences on the log; some are added while batches are read
-    mixed : True if rows of the tables alternate, so that all tables occur near the beginning
-    """
+    """An open log of any reader."""
 
     path: Path
     tables: Mapping[str, Table]
-    batches: Callable[[Wanted], Iterator[Batch]]
-    guess: Callable[[Choice], Guess]
-    remarks: list[str] = field(default_factory=list[str])
-    mixed: bool = False
+    batches: Callable[[Wanted], Iterator[Batch]]  # reads the wanted columns, in the order of the log
+    guess: Callable[[Choice], Guess]  # makes a recipe
+    remarks: list[str] = field(default_factory=list[str])  # on the log; some are added while batches are read
+    mixed: bool = False  # True if rows of the tables alternate, so all occur near the beginning
 
     def guessed(self, guess: Guess) -> "Log":
         return Log(self.path, self.tables, self.batches, lambda _: guess, self.remarks, self.mixed)
@@ -244,8 +201,8 @@ def roles_of(
     return roles
 
 
+# Packages of the extras, as arguments of pip
 EXTRAS = {"ros": "rosbags mcap mcap-protobuf-support pyyaml", "logs": "pyubx2 pynmeagps pyulog pymavlink"}
-"""Packages of the extras, as arguments of pip."""
 
 
 def library(name: str, extra: str) -> Any:

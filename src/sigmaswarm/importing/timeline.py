@@ -13,6 +13,7 @@ from sigmaswarm.importing.times import DISORDERED, LONGEST_STEP, SHORTEST_STEP, 
 from sigmaswarm.wording import counted, left_out, names_shown
 
 MINUTE = 60 * SECOND
+# Periods after which counters restart, ns
 WRAPS: tuple[tuple[int, str], ...] = (
     (2**32 * 1000, "a counter of microseconds, 2^32"),
     (2**32 * 1_000_000, "a counter of milliseconds, 2^32"),
@@ -28,26 +29,20 @@ WRAPS: tuple[tuple[int, str], ...] = (
     (3600 * SECOND, "minutes and seconds"),
     (MINUTE, "the seconds of the minute"),
 )
-"""Periods after which counters restart, ns."""
+# Smallest number of rows of a separate recording; shorter runs of rows out of order are sorted
 FEWEST_ROWS = 20
-"""Smallest number of rows of a separate recording; shorter runs of rows out of order are sorted."""
+# s, least distance of a wrong time from the times of the rows around it; most checked clock jumps
 FAR, MOST_JUMPS = 10.0, 100
-"""FAR: least distance, s, of a wrong time from the times of the rows around it. MOST_JUMPS: most checked clock
-jumps."""
-MOST_SECONDS = 5
-"""Largest number of recordings of a second each."""
-LEAST_FALL, STEPS = 0.2, 2
-"""Smallest step back of a clock between recordings, in s and in median steps."""
-REPEATED = 0.02
-"""If a larger share of the rows repeats the time of the previous row, rows share stamps."""
-UNEVEN = 0.1
-"""Largest share of stamps whose number of rows differs from the usual number."""
+MOST_SECONDS = 5  # recordings of a second each
+LEAST_FALL, STEPS = 0.2, 2  # smallest step back of a clock between recordings: s, and median steps
+REPEATED = 0.02  # share of rows that repeat the previous time, above which rows share stamps
+UNEVEN = 0.1  # largest share of stamps whose number of rows differs from the usual number
 
 
 def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
     """Convert times of day with digits hhmmss (115959.98) to seconds; return the times, and a sentence or "".
 
-    Only such digits jump by 40 at each minute.
+    The digits are recognized by jumps of 40 at each minute.
     """
     whole = time // SECOND
     if len(time) < 3 or int(whole.min()) < 10_000 or int(whole.max()) >= 240_000:
@@ -62,7 +57,7 @@ def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
 
 
 def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, int, str]:
-    """Unwrap a counter that restarted; return the times, its period, ns, and a sentence; 0 and "" without a restart."""
+    """Unwrap a counter that restarted; return the times, its period, ns, and a sentence; 0 and "" for other clocks."""
     steps = np.diff(time)
     ahead = steps[steps > 0]
     if not len(ahead) or not 0 < np.mean(steps < 0) < DISORDERED:
@@ -136,7 +131,7 @@ def _stray(time: Nanoseconds) -> NDArray[np.bool_]:
 
 
 def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> tuple[slice, str]:
-    """Return the rows of the chosen recording, and a sentence or ""; refuse several recordings without a choice."""
+    """Return the rows of the chosen recording, and a sentence or ""; refuse several recordings if none is chosen."""
     parts = recordings(time)
     if len(parts) == 1:
         return parts[0], f"{where}: the clock does not restart; all rows are used" if part else ""

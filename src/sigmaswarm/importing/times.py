@@ -27,20 +27,21 @@ from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.units import PARTS_OF_SECONDS, SECONDS, in_si
 from sigmaswarm.wording import quoted, shown
 
+# Largest plausible sample interval, s
 LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0, "mag": 5.0}
-"""Largest plausible sample interval, s."""
+# s, shortest sample interval of a car's sensor; shortest usual interval of fixes
 SHORTEST_STEP, LEAST_INTERVAL = 1e-4, 0.04
-"""SHORTEST_STEP: shortest sample interval of a car's sensor, s. LEAST_INTERVAL: shortest usual interval of fixes, s."""
+# s, intervals of an IMU outside which the unit of its time is not guessed
 FASTEST_IMU, SLOWEST_IMU = 4e-4, 0.15
-"""Intervals of an IMU, s, outside which the unit of its time is not guessed."""
+# Share of decreasing steps above which rows are in no order; of a counter that wraps, fewer steps decrease
 DISORDERED = 0.4
-"""Share of decreasing steps above which rows are in no order; of a counter that wraps, fewer steps decrease."""
+# Smallest step of whole numbers that count as ms; smaller steps may be numbers of rows, or 0.01 s
 LEAST_COUNT = 4
-"""Smallest step of whole numbers that count as ms; smaller steps may be numbers of rows, or 0.01 s."""
 _DAYS_FIRST = (
     *("%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%Y/%m/%d", "%d.%m.%Y", "%d.%m.%y"),
     *("%m/%d/%Y", "%d/%m/%Y", "%m/%d/%y", "%d/%m/%y", "%y/%m/%d"),
 )
+# In the order of trial; the first is ISO 8601
 DATE_FORMATS = (
     "",
     *(f"{day} %H:%M:%S%.f" for day in _DAYS_FIRST),
@@ -50,18 +51,17 @@ DATE_FORMATS = (
     *("%Y-%m-%d_%H-%M-%S%.f", "%Y-%m-%d %H-%M-%S%.f", "%Y%m%d %H%M%S%.f", "%Y%m%d %H:%M:%S%.f"),
     *("%H:%M:%S%.f", "%H:%M:%S:%3f", "%I:%M:%S%.f %p", "%M:%S%.f"),
 )
-"""Formats in the order of trial; the first is ISO 8601."""
-LEAST_FITTING = 0.99
-"""Smallest share of dates that fit their format; other dates are damaged."""
+LEAST_FITTING = 0.99  # smallest share of dates that fit their format; other dates are damaged
 COUNTED = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 CALENDAR = ("year", "month", "day", "hour", "minute", "second")
+# Last words of the names of a date's six columns
 _CALENDAR = {
     **{word: word for word in CALENDAR},
     **{"mon": "month", "hr": "hour", "min": "minute", "sec": "second"},
 }
-"""Last words of the names of a date's six columns."""
+# Units of times, s; those of clock counters come first
 UNITS = {**COUNTED, "days": 86400.0, "h": 3600.0, "min": 60.0}
-"""Units of times, s; those of clock counters come first."""
+# Ranges of counts from other years than 1970, with the count of 1970-01-01, the unit in s, and a description
 _EPOCHS = (
     (2e4, 8e4, EXCEL_EPOCH, 86400, "days since 1900"),
     (6.5e5, 8e5, MATLAB_EPOCH, 86400, "days since year 0"),
@@ -69,18 +69,16 @@ _EPOCHS = (
     (6.2e17, 6.6e17, 621_355_968_000_000_000, 1e-7, "ticks of 100 ns since year 1"),
     (1.26e17, 1.4e17, 116_444_736_000_000_000, 1e-7, "ticks of 100 ns since 1601"),
 )
-"""Ranges of counts from other years than 1970, with the count of 1970-01-01, the unit in s, and a description."""
-_DATES_S = (3e8, 4e9)
-"""Range of dates, s since 1970: 1979 to 2096."""
+_DATES_S = (3e8, 4e9)  # range of dates, s since 1970: 1979 to 2096
 
 
 @dataclass(frozen=True)
 class Found:
-    """Expression of a drive's column; ``note`` states an assumption, ``fault`` a reason not to use the expression."""
+    """Expression of a drive's column."""
 
     expression: str
-    note: str = ""
-    fault: str = ""
+    note: str = ""  # an assumption
+    fault: str = ""  # reason not to use the expression
 
 
 def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
@@ -101,7 +99,6 @@ def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
 
 
 def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
-    """Return the expression of a table's time, or None."""
     found = find_time(frame, role)
     return found.expression or None if found else None
 
@@ -243,7 +240,7 @@ def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
 
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
-    """Find a column with the name of a time, preferably one that changes, and not always 0; else a running clock."""
+    """Find a column with the name of a time, preferably one that changes and is not always 0; else a running clock."""
     times = [name for name in names if name.meaning == "t"]
     for name in sorted(times, key=lambda name: frame[name.column].n_unique() < 2):
         numbers = numbers_of(frame[name.column])

@@ -10,11 +10,11 @@ from typing import Literal
 
 Dimension = Literal["time", "acceleration", "rate", "angle", "length", "speed"]
 
-G = 9.80665
-"""m/s2"""
+G = 9.80665  # m/s2
 LONGEST = 40
 
 _DEGREE = math.pi / 180
+# Words for units of length, time and angle, by factor to m, s and rad
 _BASE_WORDS = {
     "L": {
         **{1.0: "m meter meters metre metres", 1e3: "km", 0.1: "dm", 1e-2: "cm", 1e-3: "mm", 1e-6: "um"},
@@ -33,7 +33,6 @@ _BASE_WORDS = {
         **{_DEGREE / 3.6e6: "mas", 2 * math.pi: "rev revolutions turn turns", math.pi / 200: "gon"},
     },
 }
-"""Words for units of length, time and angle, by factor to m, s and rad."""
 BASES = {
     word: (kind, factor)
     for kind, words in _BASE_WORDS.items()
@@ -78,19 +77,19 @@ _MORE: tuple[tuple[Dimension, float, str], ...] = (
 _WORDS: dict[str, tuple[Dimension, float]] = {
     word: (dimension, factor) for dimension, factor, text in _MORE for word in text.split()
 }
+# Words in brackets that are not units
 NONE = (
     "",
     *("-", "1", "unitless", "dimensionless", "utc", "gps", "gnss", "wgs84", "enu"),
     *("unix", "unix time", "epoch"),
     *("local", "body", "fix", "n", "e", "x", "y", "z", "north", "east", "up", "lat", "lon", "imu"),
 )
-"""Words in brackets that are not units."""
 COUNTS = ("lsb", "lsbs", "counts", "count", "adc", "raw", "ticks", "bits", "digits")
 _PLAIN = str.maketrans(
     {"µ": "u", "μ": "u", "²": "2", "°": "deg", "·": " ", "⋅": " ", "−": "-", "⁻": "-", "¹": "1"}
 )
+# A sign of division, a base unit with its power, or a sign of multiplication
 _TOKEN = re.compile(r"(/|per\b)|([a-z]+)\s*((?:\^|\*\*)?\s*-?\s*\d)?|([*.\s])")
-"""A sign of division, a base unit with its power, or a sign of multiplication."""
 
 
 @dataclass(frozen=True)

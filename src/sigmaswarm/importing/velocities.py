@@ -11,30 +11,25 @@ from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.places import FASTEST, MOVING, Say, Values
 from sigmaswarm.importing.source import Part
 
+# Units of speed: the name, the number per m/s, and the conversion in an expression
 UNITS = (("mm/s", 1e3, "*1e-3"), ("cm/s", 100.0, "*1e-2"), ("km/h", 3.6, "/3.6"), ("ft/s", 3.28084, "*0.3048"),
          ("mph", 2.23694, "*0.44704"), ("knots", 1.94384, "*0.514444444444"))  # fmt: skip
-"""Units of speed: the name, the number per m/s, and the conversion in an expression."""
+# Ratio of the stated speed to that of the positions above which the speed is wrong; largest ratio of the 90% quantile
+# of this ratio to its 10% quantile, since a wrong unit changes the speed by a constant factor
 ALIKE, CONSTANT = 1.5, 2.0
-"""ALIKE: ratio of the stated speed to that of the positions above which the speed is wrong. CONSTANT: largest ratio of
-the 90% quantile of this ratio to its 10% quantile. A wrong unit changes the speed by a constant factor."""
-SLOWEST = 0.2
-"""Lowest speed, m/s, at which positions are compared with a stated speed: robots are slow."""
-MOVED = 0.3
-"""Smallest share of the rows in motion that the compared stretches must contain."""
+SLOWEST = 0.2  # m/s, lowest speed at which positions are compared with a stated speed: robots are slow
+MOVED = 0.3  # smallest share of the rows in motion that the compared stretches must contain
+# rad, median difference from the course of the positions at which a stated course contradicts them. A course that lags
+# in turns, or that is computed from noisy positions, differs by less.
 ACROSS = np.radians(40)
-"""Median difference, rad, from the course of the positions at which a stated course contradicts them. A course that
-lags in turns, or that is computed from noisy positions, differs by less."""
-FEWEST = 5
-"""Smallest number of stretches for a contradiction."""
+FEWEST = 5  # smallest number of stretches for a contradiction
 _SPEED = ("speed", "course", "vx", "vy")
 
 
 def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterable[Part], say: Say) -> Values:
     """Return the columns (n,) of positions, without a speed or course that the positions x, y contradict.
 
-    Parameters
-    ----------
-    parts : the parts of the role, whose expressions the messages state
+    The messages state the expressions of the role's ``parts``.
     """
     texts = {name: text for part in parts for name, text in part.columns.items() if name in _SPEED}
     slowest = MOVING if "speed" not in values and "vx" not in values else SLOWEST

@@ -133,7 +133,7 @@ def _means(time: Array, columns: Sequence[Array], step: float) -> tuple[Array, A
 
 
 def check_handled(evidence: Evidence) -> Iterator[Finding]:
-    """Find the parts at the beginning and end of a log in which the IMU, such as that of a phone, is in a hand."""
+    """Find parts at both ends of a log in which someone has the IMU, such as a phone, in the hand."""
     first, last = evidence.span
     begin, end = steady(evidence.drive)
     if (begin, end) == (first, last):

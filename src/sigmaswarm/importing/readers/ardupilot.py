@@ -25,8 +25,8 @@ from sigmaswarm.importing.source import (
     whole,
 )
 
+# Largest number of bytes outside of messages; pymavlink takes about a second to skip them
 MOST_SKIPPED = 200_000
-"""Largest number of bytes outside of messages; pymavlink takes about a second to skip them."""
 MAGIC, TEXTS = b"\xa3\x95\x80", (b"FMT, 128,", b"FMT,128,")
 _T = {"t": "TimeUS*1e-6"}
 _PLACE = _T | {"lat": "Lat", "lon": "Lng", "alt": "Alt"}

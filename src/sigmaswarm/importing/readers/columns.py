@@ -37,8 +37,7 @@ from sigmaswarm.wording import names_shown, quoted, shown
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
 CHUNK = 100_000
-LONGEST_BREAK = 10.0
-"""Longest time, s, between files that are joined."""
+LONGEST_BREAK = 10.0  # s, longest time between files that are joined
 
 
 def recognizes(path: Path) -> bool:
@@ -161,7 +160,7 @@ def of_files(
     guessed: Guess | None = None,
     remarks: Sequence[str] = (),
 ) -> Log:
-    """Make a log of tables in files, which are scanned on use; without ``guessed``, column names give the roles."""
+    """Make a log of tables in files, which are scanned on use; column names give the roles if ``guessed`` is None."""
     tables = {name: Table(tuple(rows.collect_schema().names()), kind) for name, rows in scans.items()}
 
     def batches(wanted: Wanted) -> Iterator[Batch]:

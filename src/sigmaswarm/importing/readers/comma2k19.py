@@ -17,6 +17,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Guess, Limits, Log, Role, of_frames, roles_of, whole
 
 _TURNED = ("forward", "right", "down")
+# By table: folders that may contain it, and its columns
 _SENSORS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "accelerometer": (("IMU/accelerometer", "IMU/acceleration"), _TURNED),
     "gyro": (("IMU/gyro", "IMU/gyro_uncalibrated"), _TURNED),
@@ -26,7 +27,6 @@ _SENSORS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ),
     "speed": (("CAN/speed",), ("speed",)),
 }
-"""By table: folders that may contain it, and its columns."""
 _FIX = {
     **{"t": "t", "lat": "latitude", "lon": "longitude", "alt": "altitude"},
     **{"speed": "speed", "course": "radians(90 - bearing)"},

@@ -18,23 +18,19 @@ from sigmaswarm.importing.source import first_bytes
 from sigmaswarm.importing.units import COUNTS, parse_unit
 from sigmaswarm.wording import names_shown
 
-HEAD = 4_000_000
-"""Number of bytes in which a header is searched."""
-SAMPLE, MOST_LINES = 200_000, 300
-"""SAMPLE: largest number of characters that are examined below the header. MOST_LINES: largest number of lines."""
-SEPARATORS = (";", "\t", "|", ",")
-"""Separators in order of preference if two fit equally well; commas may be decimal."""
-BLANKS = " "
-"""A separator of any number of blanks."""
+HEAD = 4_000_000  # bytes in which a header is searched
+SAMPLE, MOST_LINES = 200_000, 300  # most characters and most lines that are examined below the header
+SEPARATORS = (";", "\t", "|", ",")  # in order of preference if two fit equally well; commas may be decimal
+BLANKS = " "  # a separator of any number of blanks
 COMMENTS = "#%!"
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’ \u00a0\u202f])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
-_DIGITS = re.compile(r"\d{8} ?\d{4,6}[\d.]{0,10}")
-"""A date and a time of day without separators."""
+_DIGITS = re.compile(r"\d{8} ?\d{4,6}[\d.]{0,10}")  # a date and a time of day without separators
 Rows = Sequence[Sequence[str]]
 _HEADER, _COVARIANCE = ("sec", "nanosec", "frame_id"), [f"_covariance[{k}]" for k in range(9)]
 _VECTORS = (("orientation", "xyzw"), ("angular_velocity", "xyz"), ("linear_acceleration", "xyz"))
 _FIX = ("status", "service", "latitude", "longitude", "altitude")
+# Fields of sensor_msgs/Imu and NavSatFix, by number of fields
 _MESSAGES = {
     40: [
         *_HEADER,
@@ -42,31 +38,20 @@ _MESSAGES = {
     ],
     18: [*_HEADER, *_FIX, *_COVARIANCE, "type"],
 }
-"""Fields of sensor_msgs/Imu and NavSatFix, by number of fields."""
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """Format of a text table.
-
-    Attributes
-    ----------
-    names : names of the columns, with the unit of a units row in brackets
-    skip : number of lines above the first row of values
-    numeric : indices of the columns with numbers or dates
-    comma_columns : indices of the columns with decimal commas
-    surplus : number of empty cells at the end of each row, for which the header has no names
-    remarks : sentences for the user
-    """
+    """Format of a text table."""
 
     separator: str
-    names: tuple[str, ...]
-    skip: int
+    names: tuple[str, ...]  # with the unit of a units row in brackets
+    skip: int  # number of lines above the first row of values
     encoding: str = "utf8"
-    numeric: tuple[int, ...] = ()
-    comma_columns: tuple[int, ...] = ()
-    surplus: int = 0
-    remarks: tuple[str, ...] = ()
+    numeric: tuple[int, ...] = ()  # indices of the columns with numbers or dates
+    comma_columns: tuple[int, ...] = ()  # indices of the columns with decimal commas
+    surplus: int = 0  # number of empty cells at the end of each row, for which the header has no names
+    remarks: tuple[str, ...] = ()  # sentences for the user
 
 
 def dialect_of(file: Path, shown_as: Path) -> Dialect:
@@ -222,7 +207,7 @@ def is_value(cell: str) -> bool:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """Return the separator with the most rows of equal length; without such rows, the separator of the first line."""
+    """Return the separator with the most rows of equal length; else the separator of the first line."""
     best, most = "", 0.0
     for separator in (*SEPARATORS, BLANKS):
         if separator == BLANKS and best:

@@ -12,8 +12,7 @@ from typing import Any
 from sigmaswarm.importing.source import Limits
 
 DEEPEST = 6
-MOST_ELEMENTS = 36
-"""Largest number of elements of a fixed array or a JSON list that become columns, as of a 6 x 6 covariance."""
+MOST_ELEMENTS = 36  # elements of a fixed array or a JSON list that become columns, as of a 6 x 6 covariance
 
 
 def getter(column: str) -> Callable[[Any], Any]:
@@ -46,7 +45,7 @@ def has_header(message: Any) -> bool:
 
 
 def stamp_of(message: Any) -> int | None:
-    """Return the stamp of a message's header, ns, or its own field; None if a JSON message lacks it."""
+    """Return the stamp of a message, ns, from its header or its own field; None if a JSON message lacks it."""
     if not isinstance(message, dict):
         if not has_header(message):
             return message.stamp

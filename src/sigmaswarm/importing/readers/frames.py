@@ -9,12 +9,10 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.geodesy import roll_pitch_yaw
 from sigmaswarm.importing.source import Placement, Table
 
+# Names of the vehicle's frame, with x forward, y left, z up (REP-105)
 BASES = ("base_link", "base_footprint")
-"""Names of the vehicle's frame, with x forward, y left, z up (REP-105)."""
-Pose = tuple[Array, Array]
-"""Rotation (3, 3) and translation (3,), m, of a frame in another."""
-Tree = Mapping[str, tuple[str, Pose]]
-"""The parent of each frame, and its pose in the parent."""
+Pose = tuple[Array, Array]  # rotation (3, 3) and translation (3,), m, of a frame in another
+Tree = Mapping[str, tuple[str, Pose]]  # the parent of each frame, and the frame's pose in the parent
 
 
 def static_topic(tables: Mapping[str, Table]) -> str | None:
@@ -24,7 +22,7 @@ def static_topic(tables: Mapping[str, Table]) -> str | None:
 
 
 def frame_of(message: Any) -> str:
-    """Return the frame of a message's header; for an Odometry the frame of the body, by default the vehicle's frame."""
+    """Return the frame in a message's header; for Odometry, the body's frame, or the vehicle's if it is empty."""
     child = getattr(message, "child_frame_id", None)
     name = child if child is not None else getattr(getattr(message, "header", None), "frame_id", "")
     return name.strip("/") or (BASES[0] if child is not None else "")

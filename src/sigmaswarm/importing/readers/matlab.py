@@ -20,18 +20,15 @@ from sigmaswarm.importing.guess import guess_roles, spread_rows
 from sigmaswarm.importing.source import FILES, Choice, Guess, Limits, Log, first_bytes, of_frames, whole
 from sigmaswarm.wording import shown
 
-LOOSE = "variables"
-"""Name of the table of vectors outside of structs."""
+LOOSE = "variables"  # name of the table of vectors outside of structs
 DEEPEST = 5
 MOST_STRUCTS = 100_000
-MOST_PARTS = 9
-"""Largest number of columns of a matrix that become separate columns."""
+MOST_PARTS = 9  # columns of a matrix that become separate columns
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+# Types of elements in files of version 5 to 7 (MathWorks, "MAT-File Format")
 _SHAPE, _FLAGS, _ARRAY, _COMPRESSED = 5, 6, 14, 15
-"""Types of elements in files of version 5 to 7 (MathWorks, "MAT-File Format")."""
 _NUMBERS = (1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18)
-_OF_ARRAYS = (1, 2, 3, 16, 17)
-"""Classes of arrays of arrays: cell, struct, object, function, opaque."""
+_OF_ARRAYS = (1, 2, 3, 16, 17)  # classes of arrays of arrays: cell, struct, object, function, opaque
 _SPARSE, _OPAQUE_CLASS, _COMPLEX = 5, 17, 0x800
 _DEEPEST_ARRAY = 50
 _OPAQUE = ("MatlabOpaque", "MatlabFunction")

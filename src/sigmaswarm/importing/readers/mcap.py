@@ -14,10 +14,8 @@ from sigmaswarm.importing.readers.messages import Message, message_log
 from sigmaswarm.importing.source import Limits, Log, Table, first_bytes, library, whole
 
 Decode = Callable[[bytes], Any]
-LOOKED_AT = 20
-"""Number of messages that determine the columns of a topic without a definition."""
-_LZ4_RATIO = 255
-"""Largest expansion ratio of LZ4."""
+LOOKED_AT = 20  # messages that determine the columns of a topic without a definition
+_LZ4_RATIO = 255  # largest expansion ratio of LZ4
 MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -41,7 +39,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _unpacked(file: BinaryIO, offset: int, limits: Limits) -> int:
-    """Return the unpacked size of a chunk, bytes, as its record and data state it; else unpack it (LZ4)."""
+    """Return the unpacked size of a chunk, bytes, as record and data state it; else by unpacking (LZ4)."""
     file.seek(offset + 9 + 16)  # after the opcode, the record's length, and the first and last time
     size, _, length = struct.unpack("<QII", file.read(16))
     kind = file.read(min(length, 16))

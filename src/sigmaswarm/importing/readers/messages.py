@@ -34,12 +34,10 @@ from sigmaswarm.importing.source import (
 )
 from sigmaswarm.importing.times import time_of
 
-LATE = 0.1
-"""Median difference between receive times and header stamps above which it is reported, s."""
-Message = tuple[str, int, Any]
-"""Topic, receive time in ns, and message with its fields as attributes or keys."""
+LATE = 0.1  # s, median difference between receive times and header stamps above which it is reported
+Message = tuple[str, int, Any]  # topic, receive time in ns, and message with its fields as attributes or keys
+# Decoded messages of some topics, in the order of the log
 Stream = Callable[[Collection[str]], Iterator[Message]]
-"""Decoded messages of some topics, in the order of the log."""
 
 
 def message_log(path: Path, tables: Mapping[str, Table], stream: Stream, unread: Sequence[str] = ()) -> Log:
@@ -120,7 +118,7 @@ class _Messages:
         return placement((message for _, _, message in sent), imu, antenna)
 
     def _own_messages(self, role: Role, topic: str | None, choice: Choice) -> Guess:
-        """Guess a role's part from other messages, by PX4's types or names; only the time if the rest is mapped."""
+        """Guess a role's part by PX4's types or by names of columns; only the time if the user maps the rest."""
         wanted = {"lat", "lon"} if role == "gps" else {"ax", "ay", "gz"}
         topics = [topic] if topic else list(self.tables)
         for name in topics:

@@ -15,9 +15,9 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.readers.columns import collect, of_files
 from sigmaswarm.importing.source import Guess, Limits, Log, Part, Role
 
-ORIGIN = (42.293227, -83.709657, 270.0)
-"""Origin of the truth's frame, deg, deg, m."""
+ORIGIN = (42.293227, -83.709657, 270.0)  # deg, deg, m, of the truth's frame
 _T = {"t": "utime*1e-6"}
+# For each sensor: the file, its columns, and the expressions for the columns of the drive
 FILES: dict[Role, tuple[str, str, dict[str, str]]] = {
     "imu": (
         "ms25.csv",
@@ -38,7 +38,6 @@ FILES: dict[Role, tuple[str, str, dict[str, str]]] = {
         _T | {"x": "y", "y": "x", "theta": "pi/2 - heading"},
     ),
 }
-"""For each sensor: the file, its columns, and the expressions for the columns of the drive."""
 _NOTE = (
     "the axes of the MS25 are converted from forward, right, down to forward, left, up; course and speed of gps.csv "
     "are not used"

@@ -15,8 +15,7 @@ from typing import Any
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, library, of_rows
 
-KNOT, STILL = 1852 / 3600, 0.5
-"""KNOT: a knot, m/s. STILL: speed, m/s, below which the course has no meaning."""
+KNOT, STILL = 1852 / 3600, 0.5  # m/s: a knot, and the speed below which the course has no meaning
 COLUMNS = (
     *("t", "lat", "lon", "alt", "quality", "hdop", "speed", "course", "std_lat", "std_lon"),
     *("heading", "std_heading"),
@@ -40,8 +39,8 @@ GUESS = Guess(
     ),
     fixed="quality == 4",
 )
+# A sentence, perhaps after the time at which a computer received it
 _SENTENCE = re.compile(rb"(?:^|[\d\s,;:\"])\$..(?:GGA|RMC|GSA|GSV|GLL|VTG|GNS|TXT|ZDA),")
-"""A sentence, perhaps after the time at which a computer received it."""
 _WHOLE = re.compile(rb"\$[^*]*\*[0-9A-Fa-f]{2}")  # further cells of a table may follow
 
 

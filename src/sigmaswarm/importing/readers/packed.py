@@ -47,7 +47,7 @@ def unpacked(path: Path, names: Collection[str], limits: Limits, stack: ExitStac
 def _wanted(
     archive: zipfile.ZipFile, path: Path, names: Collection[str], limits: Limits
 ) -> dict[str, zipfile.ZipInfo]:
-    """Find the files of these names in the outermost folder that contains any of them."""
+    """Find the named files in the outermost folder that contains at least one of these files."""
     found = [(PurePosixPath(m.filename), m) for m in archive.infolist() if not m.is_dir()]
     found = [(inside, m) for inside, m in found if inside.name in names]
     folders = {inside.parent for inside, _ in found}

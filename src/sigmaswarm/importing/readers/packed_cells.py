@@ -10,10 +10,10 @@ from sigmaswarm.errors import InputError
 _VALUE = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan"
 _NAMED = re.compile(rf"([A-Za-z_]\w*) *[:=] *(?:{_VALUE})(?= *[,;\s]|$)")
 _POINT = r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?"
+# Three or more numbers in brackets, or in quotes, where all have a point: "1,234,567" and dates are single values
 _VECTOR = re.compile(
     rf"[\[({{] *((?:{_VALUE})(?: *[,; ] *(?:{_VALUE})){{2,}}) *[\])}}]|\" *({_POINT}(?: *[,; ] *{_POINT}){{2,}}) *\""
 )
-"""Three or more numbers in brackets, or in quotes, where all have a point: "1,234,567" and dates are single values."""
 _OUTER = re.compile(r"\"(?=[\[({])|(?<=[\])}])\"")  # quotes around brackets
 _CELL = re.compile(rf"{_VALUE}|[\w.:+-]*\d[\w.:+-]*")
 _NO_NAMES, _NO_BRACKETS = r"s/[A-Za-z_][A-Za-z0-9_]* *[:=] *//g", r"s/[]\"(){}[]//g"

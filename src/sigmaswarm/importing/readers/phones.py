@@ -7,14 +7,14 @@ from pathlib import Path
 from sigmaswarm.importing.readers.columns import of_names
 from sigmaswarm.importing.source import Guess, Limits, Log
 
+# A phone's x points right and y to its top edge (Android's SensorEvent): forward is y, left is -x
 FLAT = (
     "the phone is assumed to lie flat with the screen up and the top edge forward; otherwise add --mount, or "
     "--mount auto"
 )
-"""A phone's x points right and y to its top edge (Android's SensorEvent): forward is y, left is -x."""
 NOTHING = Guess({})
+# Radius of a circle that contains 68% of normal errors, in standard deviations per axis: sqrt(-2 ln 0.32)
 RADIUS_68 = 1.515
-"""Radius of a circle that contains 68% of normal errors, in standard deviations per axis: sqrt(-2 ln 0.32)."""
 
 
 def phone_files(path: Path, names: Collection[str], limits: Limits, stack: ExitStack) -> Log:

@@ -42,8 +42,8 @@ _REQUIRED = {"imu": {"t", "x", "y", "z"}, "gps": {"t", "lat", "lon"}}
 
 _PLACE = {"time": "s", "latitude": "°", "longitude": "°", "height": "m", "velocity": "m/s", "direction": "°"}
 _META = {"time.csv", "device.csv"}
+# m/s2, smallest median of an acceleration with gravity; linear acceleration has the same columns
 LEAST_GRAVITY = 5.0
-"""Smallest median of an acceleration with gravity, m/s2; linear acceleration has the same columns."""
 
 
 def recognizes(path: Path) -> bool:

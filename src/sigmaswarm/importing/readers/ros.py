@@ -29,7 +29,7 @@ def bag_paths(path: Path) -> list[Path]:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence[Path] = ()) -> Log:
-    """Open a bag; ``definitions``, then those of the latest ROS, replace definitions that a ROS 2 bag lacks."""
+    """Open a bag; definitions that a ROS 2 bag lacks are from ``definitions``, or else from the latest ROS."""
     anyreader = library("rosbags.highlevel", "ros")
     typesys = library("rosbags.typesys", "ros")
     paths = bag_paths(path)

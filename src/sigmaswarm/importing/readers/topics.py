@@ -21,8 +21,8 @@ _FIX = {"lat": "latitude", "lon": "longitude", "alt": "altitude"}
 _VELOCITY = {"vx": "linear.x", "vy": "linear.y"}
 _POSITION = {"x": "position.x", "y": "position.y"}
 _ORIENTATION = {i: f"orientation.{i}" for i in "wxyz"}
+# Paths of the wheel speed in nav_msgs, geometry_msgs, Autoware's reports, and others
 _SPEEDS = ("twist.linear.x", "linear.x", "longitudinal_velocity", "speed")
-"""Paths of the wheel speed in nav_msgs, geometry_msgs, Autoware's reports, and others."""
 _WHEELS = re.compile(r"wheel|vehicle|speedo|odometer|(?:^|[/_])can(?:[/_]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|/)gt(?:/|$)", re.IGNORECASE)
 _RECEIVER = re.compile(r"gps|gnss|fix|ublox|novatel|septentrio|(?:^|/)vel$", re.IGNORECASE)
@@ -50,16 +50,15 @@ def prefix(table: Table, paths: Mapping[str, str]) -> str | None:
 
 @dataclass
 class Topics:
-    """Search for the topics of each role; ``first`` returns the first message of a topic, ``notes`` are the choices."""
+    """Search for the topics of each role."""
 
     path: Path
     tables: Mapping[str, Table]
     choice: Choice
-    first: Callable[[str], tuple[str, int, Any] | None]
-    notes: list[str] = field(default_factory=list[str])
+    first: Callable[[str], tuple[str, int, Any] | None]  # first message of a topic
+    notes: list[str] = field(default_factory=list[str])  # the choices
 
     def guess(self) -> Guess:
-        """Find the topics of IMU, fixes with velocity and heading, truth, and odometer."""
         roles: dict[Role, tuple[Part, ...]] = {}
         metadata: dict[str, Any] = {}
         inertial = self._having(_IMU)

@@ -124,7 +124,7 @@ def _time(message: Any) -> float:
 
 
 def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """Yield one row per time of week, from all its messages; the last message that states a week gives the number."""
+    """Yield one row per time of week, from all its messages; the week is that of the last message that states one."""
     week = broken = 0
     fix: dict[str, float] = {}
     for raw, done in _messages(path):
