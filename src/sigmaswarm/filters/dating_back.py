@@ -45,7 +45,7 @@ def dated_back(
     -------
     InitialState
         All states of the filter, for ``initial`` of `run_filter`, `smooth` and `LiveFilter`. If the filter fails or
-        lacks these states, or if no earlier fix is usable, this is the start of the alignment.
+        lacks these states, or if no earlier fix is usable, the result is the start of the alignment.
 
     Raises
     ------

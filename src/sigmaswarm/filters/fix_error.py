@@ -6,8 +6,8 @@ apart
 
     b <- phi b,    P_bb <- phi^2 P_bb + g s^2 (1 - phi^2),    phi = exp(-dt / tau)
 
-where s is the stated standard deviation of the later fix or, without one, that of the receiver. A filter starts at a
-fix, so its position has the error -b: P_bb = g s^2, P_pp += g s^2, P_pb = -g s^2. Returned estimates omit b.
+where s is the stated standard deviation of the later fix; if none is stated, s is that of the receiver. A filter starts
+at a fix, so its position has the error -b: P_bb = g s^2, P_pp += g s^2, P_pb = -g s^2. Returned estimates omit b.
 """
 
 from collections.abc import Callable
@@ -46,7 +46,7 @@ def _appended(measure: Callable[[Any, Any], Any], gain: float = 0.0) -> Callable
 
 
 def augmented(model: CarModel) -> CarModel:
-    """Return a model with the states b after its own."""
+    """Return a model with the states b appended to the states of the given model."""
 
     def process(state: Array, dt: float, imu: Array) -> Array:
         return np.concatenate([model.process(state[:-2], dt, imu), state[-2:]])

@@ -72,7 +72,7 @@ def require_named_axes(name: str, axes: Collection[str], model: ModelName) -> No
 
 
 def gap_covariance(n: int, dt: float, gap: float) -> Array:
-    """Return the covariance (n, n) that a step of ``dt`` s in a gap of ``gap`` s adds to P + Q; 0 without a gap.
+    """Return the covariance (n, n) that a step of ``dt`` s in a gap of ``gap`` s adds to P + Q; 0 if there is no gap.
 
     The unobserved motion is a constant turn rate and a constant acceleration over the gap. Together, the steps in a gap
     therefore add (GAP_TURN_STD gap)^2 to the heading and (GAP_ACCELERATION_STD gap)^2 to each velocity; in each step,

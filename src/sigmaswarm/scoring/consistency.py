@@ -132,7 +132,7 @@ Kind = Literal[
 - ``optimistic``: larger (overconfident). ``pessimistic``: smaller.
 - ``alike``: smaller, and consecutive innovations are nearly equal, so the position error is unknown without truth.
 - ``lasting``: smaller, but errors against truth agree with the covariances, since predictions share the fixes' errors.
-- ``correlated``: of the expected size, but correlated; only without truth.
+- ``correlated``: of the expected size, but correlated; reported only if there is no truth.
 """
 ALIKE = 0.5  # lag-1 correlation above which consecutive innovations are nearly equal
 CORRELATED = 0.2  # lag-1 correlation above which a mean NIS of 2 does not prove consistency

@@ -34,8 +34,8 @@ LOW = 0.85  # share of errors inside the 95% radius below which a warning is giv
 class RadiusRecord(BaseModel):
     """Median radii of a filter's position on a drive, and the share of errors inside the radii.
 
-    ``n``: number of errors, or of estimates without truth. ``sigma_ratio``: RMS of the filter's sigma divided by the
-    RMS error, per axis. ``lasting_m``: RMS of the correlated errors, m per axis.
+    ``n``: number of errors; if there is no truth, number of estimates. ``sigma_ratio``: RMS of the filter's sigma
+    divided by the RMS error, per axis. ``lasting_m``: RMS of the correlated errors, m per axis.
     """
 
     n: int
