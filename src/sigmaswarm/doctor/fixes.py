@@ -22,8 +22,6 @@ USUAL_SHARE = 0.5  # share of a slow vehicle's usual speed above which accurate 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Velocity of the car from its fixes."""
-
     time: Array  # (n,) s
     position: Complex  # (n,) m, east + i north
     velocity: Complex  # (n,) m/s, east + i north; the mean over about `span`, weighted by a parabola

@@ -116,7 +116,6 @@ def angle_of(rotation: Array) -> float:
 
 
 def turned(imu: Imu, rotation: Array) -> Imu:
-    """Turn the IMU's six axes by a rotation (3, 3)."""
     columns: dict[str, Array] = {}
     for names in (("ax", "ay", "az"), ("gx", "gy", "gz")):
         rows = rotation @ np.array([getattr(imu, name) for name in names])

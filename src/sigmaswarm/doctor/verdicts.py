@@ -85,7 +85,7 @@ def _expected(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
 
 
 def mount_of(fit: AccelerationFit) -> Mount:
-    """Return the simplest interpretation that agrees with the fit."""
+    """Return the interpretation with the least chi-square, with a penalty for other axes and units than recorded."""
     covariance, as_recorded = fit.covariance[:4, :4], np.eye(2)
     spread = np.sqrt(np.diag(covariance)).reshape(2, 2)
 

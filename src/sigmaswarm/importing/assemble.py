@@ -111,7 +111,6 @@ def assemble(
 
 
 def missing_columns(recipe: Recipe) -> Iterator[str]:
-    """Yield a message for each required column that no table of a recipe has."""
     there = {
         role: {name.removeprefix("+") for part in parts for name in part.columns}
         for role, parts in recipe.roles.items()
@@ -261,7 +260,6 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
 
 
 def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Values, Origin | None]:
-    """Return the columns of a drive's fixes, and the origin."""
     if "vx" in values and "vy" in values:
         vx, vy = values.pop("vx"), values.pop("vy")
         values["speed"], values["course"] = np.hypot(vx, vy), np.arctan2(vy, vx)

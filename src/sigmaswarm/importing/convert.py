@@ -162,7 +162,7 @@ def opened(request: Request) -> Generator[tuple[dict[Path, Log], dict[Path, Gues
 
 
 def _guess(log: Log, request: Request) -> Guess:
-    """Return the reader's guess; if a log is given for a role and has only one table, the table has this role."""
+    """Return the reader's guess; the only table of a log that the user gave for a role has this role."""
     tables = dict(request.choice.tables)
     for role, path in (("truth", request.truth), ("odometer", request.odometer)):
         if log.path == path and len(log.tables) == 1:
@@ -176,7 +176,6 @@ def _guess(log: Log, request: Request) -> Guess:
 
 
 def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
-    """Complete the recipe of a request by the guesses for the logs of each role."""
     roles: dict[Role, tuple[Part, ...]] = {}
     for role in ROLES:
         guessed = guesses[request.home(role)].roles

@@ -181,8 +181,6 @@ def _column_name(node: ast.AST) -> str | None:
 
 
 class _Compiler:
-    """Compiler of one expression, which collects the columns, and the columns that are used as numbers."""
-
     def __init__(self, text: str, columns: Collection[str]) -> None:
         self.text, self.columns = text, columns
         self.used: set[str] = set()

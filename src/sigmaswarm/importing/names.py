@@ -114,8 +114,6 @@ _TRANSLATED = {
 
 @dataclass(frozen=True)
 class Name:
-    """Name of a column in a table."""
-
     column: str
     plain: str  # in lower case, without the unit
     unit: Unit | None = None

@@ -101,8 +101,6 @@ def meaning_of(name: str) -> Meaning | None:
 
 @dataclass(frozen=True)
 class Proposal:
-    """An interpretation of a log."""
-
     tables: Mapping[Role, str]  # the chosen table, if a log has several
     columns: Mapping[Role, Mapping[str, str]]  # expressions of a drive's columns
 

@@ -98,7 +98,7 @@ def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
 
 
 def _ratio(drive: Drive) -> tuple[float, float]:
-    """Return the share of the turns of the fixes that turns of the IMU about any axis explain, and their ratio."""
+    """Return the share of the fixes' turns that the IMU's turns about one axis explain, and their ratio."""
     time, x, y, imu = drive.gps.time, drive.gps.x, drive.gps.y, drive.imu
     axes = np.array([v for v in (imu.gx, imu.gy, imu.gz) if v is not None])
     steps = 0.5 * (axes[:, 1:] + axes[:, :-1]) * np.diff(imu.time)
@@ -119,7 +119,7 @@ def _ratio(drive: Drive) -> tuple[float, float]:
 
 
 def _fitted(measured: Array, turns: Array) -> tuple[float, float]:
-    """Return the share of the turns (n,) that the measured angles (n, axes) explain, and the ratio; else zeros."""
+    """Fit measured angles (n, axes) to the turns (n,); return explained share and factor, or zeros for few turns."""
     share, ratio = 0.0, 0.0
     for _ in range(4):
         if len(turns) < FEWEST or np.std(turns) < LEAST_TURN:

@@ -27,8 +27,6 @@ Batch = tuple[str, pl.DataFrame, float]
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of an import."""
-
     rows: int = 10_000_000  # of a table; 10 million are 28 hours at 100 Hz
     columns: int = 100_000  # of all tables of a log
     unpacked_mb: int = 500  # MB, of a chunk or of the required files of a zip
@@ -136,8 +134,6 @@ class Choice:
 
 @dataclass(frozen=True)
 class Log:
-    """An open log of any reader."""
-
     path: Path
     tables: Mapping[str, Table]
     batches: Callable[[Wanted], Iterator[Batch]]  # reads the wanted columns, in the order of the log

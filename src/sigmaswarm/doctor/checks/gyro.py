@@ -140,7 +140,7 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
 
 
 def upside_down(evidence: Evidence) -> bool:
-    """Return True if az, gx and gy show that the IMU is upside down, and no course shows the other axes."""
+    """Return True if az, gx and gy show that the IMU is upside down, and the course determines no other axis."""
     imu, mount = evidence.drive.imu, evidence.mount
     if imu.az is None or float(np.median(imu.az)) > 0 or evidence.yaw.known:
         return False

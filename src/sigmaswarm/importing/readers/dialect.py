@@ -42,8 +42,6 @@ _MESSAGES = {
 
 @dataclass(frozen=True)
 class Dialect:
-    """Format of a text table."""
-
     separator: str
     names: tuple[str, ...]  # with the unit of a units row in brackets
     skip: int  # number of lines above the first row of values

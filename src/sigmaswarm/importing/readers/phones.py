@@ -18,5 +18,4 @@ RADIUS_68 = 1.515
 
 
 def phone_files(path: Path, names: Collection[str], limits: Limits, stack: ExitStack) -> Log:
-    """Open the named tables of a folder or zip."""
     return of_names(path, names, limits, stack, NOTHING)

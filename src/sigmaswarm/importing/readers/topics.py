@@ -50,8 +50,6 @@ def prefix(table: Table, paths: Mapping[str, str]) -> str | None:
 
 @dataclass
 class Topics:
-    """Search for the topics of each role."""
-
     path: Path
     tables: Mapping[str, Table]
     choice: Choice
@@ -174,7 +172,7 @@ class Topics:
         return found
 
     def _heading(self, topic: str) -> dict[str, str]:
-        """Return the yaw of an Imu message; if its first covariance is -1, it has no orientation."""
+        """Return the yaw of an Imu message, except for messages with a first covariance of -1 (no orientation)."""
         at = self._named(topic, _ORIENTATION)["w"].removesuffix("w")
         covariance = at.removesuffix(".") + "_covariance"
         found = {"heading": _yaw(at)}
