@@ -22,12 +22,12 @@ from pathlib import Path
 import numpy as np
 
 from sigmaswarm import Comparison, Drive, SigmaswarmWarning, compare, read_drive, simulate, split_time
-from sigmaswarm.drives.sensors import sensors_of
+from sigmaswarm.drives.sensors import log_properties
 from sigmaswarm.drives.split import clip
 from sigmaswarm.experiments.comparison import MEASURES
 from sigmaswarm.reports.compare import comparison_table, save_comparison
 from sigmaswarm.tuning.config import TuneConfig, validated_config
-from sigmaswarm.tuning.defaults import default_filter_options, settled
+from sigmaswarm.tuning.defaults import complete_config, default_filter_options
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.problem import CarProblem, car_problem
 
@@ -140,9 +140,9 @@ def tasks(folder: Path) -> dict[str, list[Drive]]:
 
 def default_problem(drives: Sequence[Drive]) -> CarProblem:
     """Set up the filter and the objective that `tune` takes by default."""
-    sensors = [sensors_of(drive) for drive in drives]
+    sensors = [log_properties(drive) for drive in drives]
     options, _ = default_filter_options({}, sensors)
-    return car_problem(drives, settled(validated_config(TuneConfig, options), sensors))
+    return car_problem(drives, complete_config(validated_config(TuneConfig, options), sensors))
 
 
 def lowest_cost(problem: CarProblem, name: str, budget: int, seed: int) -> float:

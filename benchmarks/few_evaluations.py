@@ -18,7 +18,7 @@ import numpy as np
 
 from compare_optimizers import colorado
 from sigmaswarm import Drive, SigmaswarmWarning, simulate
-from sigmaswarm.datasets.dataset import datasets_of
+from sigmaswarm.datasets.dataset import make_datasets
 from sigmaswarm.tuning.config import TuneConfig, validated_config
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.problem import CarProblem, car_problem
@@ -72,13 +72,13 @@ def search(problem: CarProblem, name: str, seed: int, population: int, budget: i
 
 def rows(train: list[Drive], test: list[Drive], seeds: int) -> Iterator[list[str]]:
     asked = {"model": "planar8", "objective": "truth-rmse"}
-    problem = car_problem(datasets_of(train, ())[0], validated_config(TuneConfig, asked))
-    held_out = problem.on(datasets_of(test, ())[0])
+    problem = car_problem(make_datasets(train, ())[0], validated_config(TuneConfig, asked))
+    held_out = problem.on(make_datasets(test, ())[0])
     search(problem, "sobol", 0, 16, 16, np.inf)  # machine code is there, and imports are done
     search(problem, "bo", 0, 8, 9, np.inf)
 
     def kept(runs: list[Run]) -> str:
-        scores = held_out.replays.scores([problem.parameters(run.point) for run in runs])
+        scores = held_out.scorer.scores([problem.parameters(run.point) for run in runs])
         return spread(np.mean(scores.position_rmse, axis=1))
 
     few = {

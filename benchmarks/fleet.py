@@ -232,7 +232,7 @@ def overhead(folder: Path, most: int) -> None:
             problem = car_problem(dataset, config)
             low, high = problem.space.low, problem.space.high
             sets = problem.space.decode(low + points[:, : len(low)] * (high - low))
-            each = [_overhead(problem.replays, sets) for _ in range(40 if count < 1000 else 12)]
+            each = [_overhead(problem.scorer, sets) for _ in range(40 if count < 1000 else 12)]
             ms = 1e3 * np.quantile(each[2:], [0.5, 0.9])
             print(f"{count:6d}  {empty[0]:8.1f} {empty[1]:8.1f}  {ms[0]:8.1f} {ms[1]:8.1f}", flush=True)
 

@@ -22,13 +22,13 @@ import numpy as np
 
 from sigmaswarm import baseline, simulate
 from sigmaswarm.drives import events
-from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.drives.prepared import prepare_drive
 from sigmaswarm.filters.compiled import lanes, layout, measurements, planar5, run
 from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import MODELS
-from sigmaswarm.filters.replay import start_replays
-from sigmaswarm.scoring.targets import tracking_replay
+from sigmaswarm.filters.passes import start_passes
+from sigmaswarm.scoring.targets import tracking_pass
 
 FLOPS = ("add", "mul", "div", "sqrt")
 CHAINS, ROUNDS, TURNS = 8, 200_000, 7
@@ -102,13 +102,13 @@ def count() -> None:
 def kernel_call(fixes: bool = True):
     """A call of `run_lanes` over ten minutes with one parameter set in all lanes, its steps, and the lanes."""
     drive = simulate("urban", duration=600.0, seed=1)
-    replay = tracking_replay(prepared(drive))
+    replay = tracking_pass(prepare_drive(drive))
     steps, sample, driving, flags, *others, ends = replay.arrays(frozenset())
     if not fixes:
         flags, ends = flags & ~np.uint16(events.FIX), np.zeros_like(ends)
     arrays = (steps, sample, driving, flags, *others, ends)
     n_lanes = layout.most_lanes("planar5")
-    rows = start_replays([replay], KernelArray((baseline(drive),) * n_lanes))[0]
+    rows = start_passes([replay], KernelArray((baseline(drive),) * n_lanes))[0]
 
     def call():
         run.run_lanes(

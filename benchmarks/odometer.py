@@ -34,8 +34,8 @@ from sigmaswarm import (
     tune,
 )
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.filters.replay import run_replays
-from sigmaswarm.scoring.targets import tracking_replay
+from sigmaswarm.filters.passes import run_passes
+from sigmaswarm.scoring.targets import tracking_pass
 from sigmaswarm.simulation import IMU_GRADES
 from sigmaswarm.tuning.space import search_space
 from switches import TITLES, measured, shown
@@ -209,12 +209,12 @@ def speed() -> str:
         for one, use in ((replace(drive, odometer=None), PLAIN), (drive, PLAIN), (drive, WHEELS)):
             space = search_space(model, "log10", one.nominal_interval, kind=kind, use=use)
             points = np.random.default_rng(0).uniform(space.low, space.high, (32, len(space.names)))
-            sets, replay = space.decode(points), tracking_replay(PreparedDrive(one))
-            run_replays([replay], sets)
+            sets, replay = space.decode(points), tracking_pass(PreparedDrive(one))
+            run_passes([replay], sets)
             turns = []
             for _ in range(15):
                 begin = time.thread_time()
-                run_replays([replay], sets)
+                run_passes([replay], sets)
                 turns.append(time.thread_time() - begin)
             figures.append(1e9 * min(turns) / len(sets) / len(replay.timeline.dt))
         lines.append(f"| {model} {kind} | " + " | ".join(f"{f:.1f}" for f in figures) + " |")

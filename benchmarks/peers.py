@@ -39,8 +39,8 @@ from sigmaswarm import (
 )
 from sigmaswarm.drives.outages import hidden_fixes
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.filters.smoothing import Smoothing
-from sigmaswarm.scoring.drifts import Outages
+from sigmaswarm.filters.smoothing import SmootherRun
+from sigmaswarm.scoring.drifts import OutageDrifts
 from sigmaswarm.scoring.methods import SMOOTHED
 from sigmaswarm.scoring.score import truth_at
 from sigmaswarm.scoring.targets import outage_windows, placements
@@ -108,8 +108,8 @@ def our_drifts(ready: Sequence[PreparedDrive], tuned: FilterParameters, length: 
     """RMS over the drives and all placements, m."""
     each = []
     for one in ready:
-        outages = Outages(one, length=length, seed=0)
-        outages.run({"tuned": tuned}, {SMOOTHED: partial(Smoothing, parameters=tuned, recover=True)})
+        outages = OutageDrifts(one, length=length, seed=0)
+        outages.run({"tuned": tuned}, {SMOOTHED: partial(SmootherRun, parameters=tuned, recover=True)})
         each.append((outages.drift("tuned"), outages.drift(SMOOTHED)))
     return dict(zip(("causal", SMOOTHED), np.sqrt(np.mean(np.square(each), axis=0)).tolist(), strict=True))
 

@@ -37,7 +37,7 @@ from sigmaswarm import (
     simulate,
 )
 from sigmaswarm.doctor.evidence import gather
-from sigmaswarm.doctor.mounting import angle_of, mounting_of, turned
+from sigmaswarm.doctor.mounting import angle_of, mounting_of, rotate_imu
 from sigmaswarm.drives.mounting import with_rotation
 from sigmaswarm.drives.split import clip
 from sigmaswarm.filters.presets import DEFAULTS, baseline
@@ -210,7 +210,7 @@ def mountings(drives: Iterator[Drive]) -> None:
                     if seed == 2:
                         rotation = rotation_of(*WRONG[number % len(WRONG)])
                     about = with_rotation(piece.metadata, rotation)
-                    wrong = replace(piece, imu=turned(piece.imu, rotation), metadata=about)
+                    wrong = replace(piece, imu=rotate_imu(piece.imu, rotation), metadata=about)
                     found = course and mounting_of(wrong, course)
                     if not found or not own:
                         errors[what, "none"].append(np.nan)

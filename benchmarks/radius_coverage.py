@@ -27,9 +27,9 @@ from sigmaswarm import (
     tune,
 )
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.scoring.drifts import Outages
+from sigmaswarm.scoring.drifts import OutageDrifts
 from sigmaswarm.scoring.radius import RadiusRecord, lasting_variance, radius_record
-from sigmaswarm.scoring.targets import OUTAGE_LENGTH, tracking_replay
+from sigmaswarm.scoring.targets import OUTAGE_LENGTH, tracking_pass
 from sigmaswarm.scoring.tracks import Tracker
 
 WHITE = ("kitti-09-26-0022", "kitti-09-26-0101", "kitti-09-30-0018", "kitti-09-30-0033")
@@ -93,10 +93,10 @@ def measured(name: str, p: FilterParameters, tests: Mapping[str, PreparedDrive])
     for test, ready in tests.items():
         tracker = Tracker(ready)
         try:
-            tracker.record("tuned", tracking_replay(ready), p, recover=True)
+            tracker.record("tuned", tracking_pass(ready), p, recover=True)
         except InputError:
             continue
-        outages = Outages(ready, length=OUTAGE_LENGTH, seed=0, most=4)
+        outages = OutageDrifts(ready, length=OUTAGE_LENGTH, seed=0, most=4)
         outages.run({"tuned": p})
         radii = [
             radius_record(variance, lasting_variance(ready.drive, p, time, variance), error)

@@ -30,11 +30,11 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.names import FilterKind, NetworkName
 from sigmaswarm.filters.parameters import incompatibility
-from sigmaswarm.learned.folder import Learned, load_learned
+from sigmaswarm.learned.folder import LearnedNetwork, load_learned
 from sigmaswarm.learned.learn import LearnConfig, learn
-from sigmaswarm.scoring.drifts import Outages
+from sigmaswarm.scoring.drifts import OutageDrifts
 from sigmaswarm.scoring.score import PieceErrors
-from sigmaswarm.scoring.targets import tracking_replay
+from sigmaswarm.scoring.targets import tracking_pass
 
 LENGTHS = (5.0, 15.0, 30.0, 60.0)
 MEASURES = ("position, m", "heading, deg", *(f"{length:g} s, m" for length in LENGTHS), "NIS", "us a sample")
@@ -84,14 +84,14 @@ def made(imu: str, seeds: Sequence[int]) -> list[Drive]:
     return [replace(simulate("urban", seed=i, imu=imu, **options), name=f"{imu} {i}") for i in seeds]
 
 
-def measured(drive: Drive, parameters: FilterParameters, learned: Learned | None) -> list[float]:
+def measured(drive: Drive, parameters: FilterParameters, learned: LearnedNetwork | None) -> list[float]:
     ready = PreparedDrive(drive)
     make: Callable = (
         partial(FilterRun, parameters=parameters, recover=True)
         if learned is None
         else partial(learned.run, parameters=parameters, recover=True)
     )
-    replay = tracking_replay(ready)
+    replay = tracking_pass(ready)
     make(replay).finished()  # compiles
     errors, began = PieceErrors(drive.truth, ready.initial), time.process_time()
     run = make(replay)
@@ -101,7 +101,7 @@ def measured(drive: Drive, parameters: FilterParameters, learned: Learned | None
     score = errors.score
     drifts = []
     for length in LENGTHS:
-        outages = Outages(ready, length=length, seed=0)
+        outages = OutageDrifts(ready, length=length, seed=0)
         outages.run({"filter": parameters}, {"network": make} if learned else {})
         drifts.append(outages.drift("network" if learned else "filter"))
     return [

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import sigmaswarm
 from sigmaswarm.filters.kernel_array import KernelArray
-from sigmaswarm.filters.replay import run_array
-from sigmaswarm.filters.run import replay_of
+from sigmaswarm.filters.passes import run_array
+from sigmaswarm.filters.run import whole_pass
 from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.space import search_space
 
@@ -52,7 +52,7 @@ def accuracy(drives: Path) -> None:
 
 def speed(drives: Path) -> None:
     """Print the time of 30 x 50 filters, as if over ten minutes at 100 Hz."""
-    replay = replay_of(sigmaswarm.read_drive(drives / "kitti-09-30-0033"))
+    replay = whole_pass(sigmaswarm.read_drive(drives / "kitti-09-30-0033"))
     space = search_space(MODEL, "log10", replay.timeline.nominal_interval, kind="ekf", use=USE)
     points = space.low + (space.high - space.low) * 0.5
     array = KernelArray(space.decode(points[None].repeat(1500, axis=0)))

@@ -33,8 +33,8 @@ from sigmaswarm.filters.run import run_filter
 from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.batch import BatchScorer
-from sigmaswarm.scoring.drifts import Outages
-from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE
+from sigmaswarm.scoring.drifts import OutageDrifts
+from sigmaswarm.scoring.score import MIN_HEADING_SPEED
 from sigmaswarm.tuning import problem
 from sigmaswarm.tuning.defaults import default_filter_options
 from switches import quantities
@@ -151,7 +151,7 @@ def errors(drive: Drive, estimate: Any) -> tuple[np.ndarray, np.ndarray]:
     scored = truth.select((truth.time >= estimate.time[0]) & (truth.time <= estimate.time[-1]))
     x, y = (np.interp(scored.time, estimate.time, estimate.mean[:, i]) for i in (0, 1))
     theta = np.interp(scored.time, estimate.time, np.unwrap(estimate.mean[:, 4]))
-    counts = np.hypot(scored.vx, scored.vy) > HEADING_COUNTS_ABOVE
+    counts = np.hypot(scored.vx, scored.vy) > MIN_HEADING_SPEED
     return np.hypot(x - scored.x, y - scored.y), wrap_angle(theta - scored.theta)[counts]
 
 
@@ -159,7 +159,7 @@ def drift(test: Sequence[PreparedDrive], parameters: FilterParameters, length: f
     """RMS over the drives and all placements of outages of a length, m."""
     each = []
     for one in test:
-        outages = Outages(one, length=length, seed=0)
+        outages = OutageDrifts(one, length=length, seed=0)
         outages.run({"tuned": parameters}, monitored=False)
         each.append(outages.drift("tuned"))
     return float(np.sqrt(np.nanmean(np.square(each))))

@@ -36,8 +36,8 @@ from sigmaswarm import (
     tune,
 )
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.filters.run import replay_of
-from sigmaswarm.filters.smoothing import Smoothing
+from sigmaswarm.filters.run import whole_pass
+from sigmaswarm.filters.smoothing import SmootherRun
 from sigmaswarm.scoring.measures import MEASURES
 from switches import cases
 
@@ -176,13 +176,13 @@ def ten_hours() -> None:
     """Ten hours at 100 Hz, planar8, handed out in pieces as `sigmaswarm run --smooth` does."""
     drive = driven_again(simulate("urban", duration=600.0, imu_rate=100.0, gps_rate=5.0, seed=1), 60)
     p = careful(drive)
-    replay = replay_of(drive)
+    replay = whole_pass(drive)
 
     def peak() -> float:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
     before, begun, cpu = peak(), time.perf_counter(), time.process_time()
-    samples = sum(len(piece.time) for piece in Smoothing(replay, p, recover=True))
+    samples = sum(len(piece.time) for piece in SmootherRun(replay, p, recover=True))
     took, cpu = time.perf_counter() - begun, time.process_time() - cpu
     print(
         f"{samples:,} samples: {took:.1f} s ({cpu:.1f} s of processor time, {cpu / samples * 1e6:.2f} us a sample)"

@@ -43,12 +43,12 @@ from sigmaswarm import (
     split_time,
     tune,
 )
-from sigmaswarm.drives.prepared import PreparedDrive, prepared
+from sigmaswarm.drives.prepared import PreparedDrive, prepare_drive
 from sigmaswarm.filters.bank.run import BankRun
 from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun
-from sigmaswarm.filters.replay import Replay
+from sigmaswarm.filters.passes import FilterPass
 from sigmaswarm.scoring.score import PieceErrors
-from sigmaswarm.scoring.targets import outage_replay, outage_windows, tracking_replay
+from sigmaswarm.scoring.targets import outage_pass, outage_windows, tracking_pass
 from sigmaswarm.simulation.gps import GpsGrade
 
 GRADES = {
@@ -172,14 +172,14 @@ def measured(
     drive: Drive, tuned: FilterParameters, method: str, seed: int, n_placements: int
 ) -> tuple[float, float, float, float]:
     """Position (m), heading (deg), drift (m), mean NIS."""
-    ready = prepared(drive)
+    ready = prepare_drive(drive)
 
-    def run(replay: Replay) -> BankRun | FilterRun:
+    def run(replay: FilterPass) -> BankRun | FilterRun:
         if method == "fleet":
             return FilterRun(replay, tuned, recover=True)
         return BankRun(replay, tuned, seed=seed, recover=True, **CHANGES[method])
 
-    found = run(tracking_replay(ready))
+    found = run(tracking_pass(ready))
     errors = PieceErrors(drive.truth, ready.initial)
     for piece in found:
         errors.add(piece.time, piece.mean)
@@ -191,11 +191,11 @@ def measured(
 
 
 def drift(
-    ready: PreparedDrive, run: Callable[[Replay], Iterator[EstimateChunk]], seed: tuple[int, int]
+    ready: PreparedDrive, run: Callable[[FilterPass], Iterator[EstimateChunk]], seed: tuple[int, int]
 ) -> np.ndarray:
     """Squared errors at the ends of outages of 5 s, m2."""
     ends = outage_windows(ready.drive, ready.initial, length=5.0, seed=seed)[:, 1]
-    found = run(outage_replay(ready, length=5.0, seed=seed))
+    found = run(outage_pass(ready, length=5.0, seed=seed))
     pieces = [(piece.time, piece.mean[:, :2]) for piece in found]
     time, place = (np.concatenate(column) for column in zip(*pieces, strict=True))
     truth = ready.drive.truth

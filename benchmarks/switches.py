@@ -33,10 +33,10 @@ from sigmaswarm import (
     tune,
 )
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.filters.replay import run_replays
+from sigmaswarm.filters.passes import run_passes
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE, truth_at
-from sigmaswarm.scoring.targets import outage_replay, outage_windows
+from sigmaswarm.scoring.score import MIN_HEADING_SPEED, truth_at
+from sigmaswarm.scoring.targets import outage_pass, outage_windows
 from sigmaswarm.simulation.gps import with_outliers
 
 FILTERS = (
@@ -145,7 +145,7 @@ def errors(ready: PreparedDrive, parameters: FilterParameters) -> tuple[np.ndarr
     scored = truth.select((truth.time >= estimate.time[0]) & (truth.time <= estimate.time[-1]))
     x, y = (np.interp(scored.time, estimate.time, estimate.mean[:, i]) for i in (0, 1))
     theta = np.interp(scored.time, estimate.time, np.unwrap(estimate.mean[:, 4]))
-    counts = np.hypot(scored.vx, scored.vy) > HEADING_COUNTS_ABOVE
+    counts = np.hypot(scored.vx, scored.vy) > MIN_HEADING_SPEED
     return np.hypot(x - scored.x, y - scored.y), wrap_angle(theta - scored.theta)[counts]
 
 
@@ -155,8 +155,8 @@ def drift(ready: Sequence[PreparedDrive], parameters: FilterParameters, length: 
     for one in ready:
         for seed in WINDOWS[length]:
             if len(outage_windows(one.drive, one.initial, length=length, seed=seed)):
-                replay = outage_replay(one, length=length, seed=seed)
-                squares += float(run_replays([replay], [parameters])["SQ_POSITION"][0, 0])
+                replay = outage_pass(one, length=length, seed=seed)
+                squares += float(run_passes([replay], [parameters])["SQ_POSITION"][0, 0])
                 count += replay.targets.n_positions
                 one.forget()
     return float(np.sqrt(squares / count)) if count else float("nan")

@@ -11,7 +11,7 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, Targets
+from sigmaswarm.filters.passes import FilterPass, Targets
 from stepwise import steps_with_fixes
 
 TWIN_TURN = 1e-13  # rad, how far the twin's initial heading is moved
@@ -50,7 +50,7 @@ def compiled_run(
     timeline: Timeline, initial: InitialState, p: FilterParameters
 ) -> tuple[np.ndarray, np.ndarray]:
     """Means and covariances of the compiled filter over the whole time line."""
-    run = FilterRun(Replay(timeline, initial, Targets.none(timeline)), p).whole()
+    run = FilterRun(FilterPass(timeline, initial, Targets.none(timeline)), p).whole()
     assert run.sound.all(), "the compiled filter failed"
     return run.mean, run.covariance
 

@@ -7,7 +7,7 @@ import numpy as np
 from sigmaswarm.learned.cells import new_weights
 from sigmaswarm.learned.fitting import TrainingProblem
 from sigmaswarm.learned.noise_gru import FEATURES
-from sigmaswarm.learned.outage_lstm import untrained
+from sigmaswarm.learned.outage_lstm import new_network
 
 
 def square(weights, batch):
@@ -37,7 +37,7 @@ class QuickOutages(Quick):
         rng, units = np.random.default_rng(self.seed), int(settings["units"])
         moved = rng.normal([9.0, 0.0], [3.0, 0.3], (20, 2))
         seen = rng.normal(size=(20, 40, 4))
-        made = untrained(rng, ("ax", "gz"), settings["window"], units, seen, moved)
+        made = new_network(rng, ("ax", "gz"), settings["window"], units, seen, moved)
         more = {"axes": ["ax", "gz"], "inflation": 1.0, "unsure": 10.0}
         return {**made.weights, "w": weights["w"]}, more
 

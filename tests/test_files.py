@@ -13,14 +13,14 @@ from sigmaswarm import files
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import (
     RESULT_FILE,
+    atomic_file,
+    atomic_folder,
     earlier_result,
     locked_folder,
     make_folder,
     staged_files,
-    whole_file,
-    whole_folder,
+    write_atomically,
     write_json,
-    write_whole,
 )
 
 HIDDEN = ".x.csv.sigmaswarm-0123456789ab"
@@ -39,8 +39,8 @@ def names(folder: Path) -> list[str]:
 def test_a_new_file_has_the_mode_of_any_new_file(tmp_path: Path):
     before = os.umask(0o027)
     try:
-        write_whole(tmp_path / "a", "text, é")
-        with whole_folder(tmp_path / "b") as new:
+        write_atomically(tmp_path / "a", "text, é")
+        with atomic_folder(tmp_path / "b") as new:
             new.mkdir()
     finally:
         os.umask(before)
@@ -56,7 +56,7 @@ def test_json_keeps_every_bit(tmp_path: Path):
 
 
 def test_not_finite_numbers_become_null():
-    assert files.finite({1: [float("nan"), (1.5, float("-inf"))], "b": "nan"}) == {
+    assert files.nan_to_none({1: [float("nan"), (1.5, float("-inf"))], "b": "nan"}) == {
         "1": [None, [1.5, None]],
         "b": "nan",
     }
@@ -67,10 +67,10 @@ def test_a_block_that_fails_leaves_what_was_there(tmp_path: Path, error: type[Ba
     (tmp_path / "x.csv").write_text("good")
     (tmp_path / "d").mkdir()
     (tmp_path / "d" / "good").touch()
-    with pytest.raises(error), whole_file(tmp_path / "x.csv") as file:
+    with pytest.raises(error), atomic_file(tmp_path / "x.csv") as file:
         file.write(b"half")
         raise error
-    with pytest.raises(error), whole_folder(tmp_path / "d", replace=True) as new:
+    with pytest.raises(error), atomic_folder(tmp_path / "d", replace=True) as new:
         new.mkdir()
         raise error
     assert (tmp_path / "x.csv").read_text() == "good"
@@ -82,7 +82,7 @@ def test_a_planted_link_is_replaced_and_not_followed(tmp_path: Path):
     (tmp_path / "secret").write_text("kept")
     for name in ("x.csv", ".x.csv.part"):  # what an earlier version wrote through
         (tmp_path / name).symlink_to(tmp_path / "secret")
-    write_whole(tmp_path / "x.csv", "new")
+    write_atomically(tmp_path / "x.csv", "new")
     assert (tmp_path / "secret").read_text() == "kept"
     assert not (tmp_path / "x.csv").is_symlink()
     assert (tmp_path / "x.csv").read_text() == "new"
@@ -98,7 +98,7 @@ def test_something_else_in_the_way_is_named(tmp_path: Path):
         (tmp_path / "none" / "x", "can't be written (No such file or directory)"),
     ):
         with pytest.raises(InputError) as caught:
-            write_whole(path, "")
+            write_atomically(path, "")
         assert str(caught.value).startswith(f"{path}: {said}")
     with pytest.raises(
         InputError, match=r"file: can't be created as a folder \(File exists\); choose another --out"
@@ -122,12 +122,12 @@ def limited(script: str, folder: Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize(
     "script",
     [
-        'write_whole(Path("x.csv"), "a" * 2000)',
-        'import numpy as np\nwith whole_file(Path("x.csv")) as f: np.savez(f, a=np.zeros(999))',
-        'import numpy as np\nwith whole_file(Path("x.csv")) as f: np.savetxt(f, np.zeros(999))',
-        'import polars as pl\nwith whole_file(Path("x.csv")) as f: '
+        'write_atomically(Path("x.csv"), "a" * 2000)',
+        'import numpy as np\nwith atomic_file(Path("x.csv")) as f: np.savez(f, a=np.zeros(999))',
+        'import numpy as np\nwith atomic_file(Path("x.csv")) as f: np.savetxt(f, np.zeros(999))',
+        'import polars as pl\nwith atomic_file(Path("x.csv")) as f: '
         'pl.DataFrame({"a": range(999)}).write_csv(f)',
-        'from scipy.io import savemat\nwith whole_file(Path("x.csv")) as f: savemat(f, {"a": [0.5] * 999})',
+        'from scipy.io import savemat\nwith atomic_file(Path("x.csv")) as f: savemat(f, {"a": [0.5] * 999})',
     ],
     ids=["bytes", "npz", "text", "polars", "mat"],
 )
@@ -146,7 +146,7 @@ def test_a_full_disk_leaves_the_good_folder(tmp_path: Path):
     (tmp_path / "d").mkdir()
     (tmp_path / "d" / "good").touch()
     script = """
-with whole_folder(Path("d"), replace=True) as new:
+with atomic_folder(Path("d"), replace=True) as new:
     new.mkdir()
     (new / "a").write_text("a" * 2000)
 """
@@ -157,7 +157,10 @@ with whole_folder(Path("d"), replace=True) as new:
 
 
 def test_a_folder_that_somebody_made_meanwhile_stays(tmp_path: Path):
-    with pytest.raises(InputError, match="d: already exists; delete it"), whole_folder(tmp_path / "d") as new:
+    with (
+        pytest.raises(InputError, match="d: already exists; delete it"),
+        atomic_folder(tmp_path / "d") as new,
+    ):
         new.mkdir()
         (tmp_path / "d").mkdir()
         (tmp_path / "d" / "theirs").touch()
@@ -167,7 +170,7 @@ def test_a_folder_that_somebody_made_meanwhile_stays(tmp_path: Path):
 
 @pytest.mark.parametrize(
     "body",
-    ['with whole_file(Path("x.csv")) as f:', 'with whole_folder(Path("d")) as f:\n    f.mkdir()'],
+    ['with atomic_file(Path("x.csv")) as f:', 'with atomic_folder(Path("d")) as f:\n    f.mkdir()'],
     ids=["file", "folder"],
 )
 def test_what_a_killed_run_left_is_swept(tmp_path: Path, body: str):
@@ -175,15 +178,15 @@ def test_what_a_killed_run_left_is_swept(tmp_path: Path, body: str):
     assert done.returncode == -9
     left = names(tmp_path)
     assert len(left) == 2 and all(name.startswith((".x.csv.sigmaswarm-", ".d.sigmaswarm-")) for name in left)
-    write_whole(tmp_path / "y.csv", "")
+    write_atomically(tmp_path / "y.csv", "")
     assert names(tmp_path) == ["y.csv"]
 
 
 def test_what_another_run_is_at_stays(tmp_path: Path):
-    with whole_file(tmp_path / "x.csv") as file, whole_folder(tmp_path / "d") as new:
+    with atomic_file(tmp_path / "x.csv") as file, atomic_folder(tmp_path / "d") as new:
         new.mkdir()
         files._sweep.cache_clear()
-        write_whole(tmp_path / "x.csv", "another's")
+        write_atomically(tmp_path / "x.csv", "another's")
         file.write(b"own")
     assert names(tmp_path) == ["d", "x.csv"]
     assert (tmp_path / "x.csv").read_text() == "own"
@@ -204,7 +207,7 @@ def test_what_only_looks_like_ours_stays(tmp_path: Path):
     ):
         (tmp_path / name).touch()
     before = names(tmp_path)
-    write_whole(tmp_path / "y.csv", "")
+    write_atomically(tmp_path / "y.csv", "")
     assert names(tmp_path) == sorted([*before, "y.csv"])
     assert names(tmp_path / "precious") == ["file"]
 
@@ -214,7 +217,7 @@ def test_what_somebody_else_left_stays(tmp_path: Path):
     for name in (HIDDEN, f"{HIDDEN}.lock"):
         (tmp_path / name).touch()
         os.chown(tmp_path / name, 12345, 12345)
-    write_whole(tmp_path / "y.csv", "")
+    write_atomically(tmp_path / "y.csv", "")
     assert names(tmp_path) == [HIDDEN, f"{HIDDEN}.lock", "y.csv"]
 
 
@@ -227,14 +230,14 @@ def dying(self, to):
     rename(self, to)
     os.kill(os.getpid(), signal.SIGKILL)
 Path.rename = dying
-with whole_folder(Path("d"), replace=True) as new:
+with atomic_folder(Path("d"), replace=True) as new:
     new.mkdir()
 """
     (tmp_path / "d").mkdir()
     (tmp_path / "d" / "good").touch()
     assert limited(script, tmp_path).returncode == -9
     assert "d" not in names(tmp_path)
-    write_whole(tmp_path / "y.csv", "")
+    write_atomically(tmp_path / "y.csv", "")
     assert names(tmp_path) == ["d", "y.csv"]
     assert names(tmp_path / "d") == ["good"]
 
@@ -276,7 +279,7 @@ def test_a_result_replaces_its_own_files_alone(tmp_path: Path):
         with staged_files(out, kind) as new:
             for name, text in texts.items():
                 (new / name.replace("_", "/")).parent.mkdir(exist_ok=True)
-                write_whole(new / name.replace("_", "/"), text)
+                write_atomically(new / name.replace("_", "/"), text)
 
     write("export", a="1", b="1", sub_c="1")
     (out / "mine").write_text("mine")
@@ -303,9 +306,9 @@ def test_a_result_replaces_its_own_files_alone(tmp_path: Path):
     (out / "b.c").write_text("/* Tuned and written by sigmaswarm 0.3.0. */")  # an export that listed no files
     (out / "c.c").write_text("int mine;")
     with staged_files(out, "export") as new:
-        write_whole(new / "b.c", "new")
+        write_atomically(new / "b.c", "new")
     with pytest.raises(InputError, match=r"c\.c: is not part"), staged_files(out, "export") as new:
-        write_whole(new / "c.c", "new")
+        write_atomically(new / "c.c", "new")
     assert ((out / "b.c").read_text(), (out / "c.c").read_text()) == ("new", "int mine;")
 
 
@@ -313,11 +316,11 @@ def test_a_list_of_files_can_not_name_files_outside_of_its_folder(tmp_path: Path
     (tmp_path / "outside").write_text("mine")
     out = tmp_path / "out"
     with staged_files(out, "export") as new:
-        write_whole(new / "a", "1")
+        write_atomically(new / "a", "1")
     files = ["../outside", str(tmp_path / "outside"), "a"]
     (out / RESULT_FILE).write_text(json.dumps({"kind": "export", "files": files}))
     with staged_files(out, "export") as new:
-        write_whole(new / "b", "1")
+        write_atomically(new / "b", "1")
     assert (tmp_path / "outside").read_text() == "mine" and not (out / "a").exists()
 
 

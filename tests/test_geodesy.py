@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from sigmaswarm.doctor.mounting import AXES
+from sigmaswarm.doctor.mounting import AXIS_PERMUTATIONS
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu, roll_pitch_yaw, rotation_of, wrap_angle
 
 longitude = st.floats(-180, 180)
@@ -82,7 +82,7 @@ def test_the_ends_of_the_interval():
 
 
 def test_angles_and_rotation_are_inverse_also_where_x_is_vertical():
-    for matrix in AXES:
+    for matrix in AXIS_PERMUTATIONS:
         np.testing.assert_array_equal(rotation_of(*roll_pitch_yaw(matrix, 1)), matrix)
     for seed in range(20):
         matrix = Rotation.random(random_state=seed).as_matrix()

@@ -10,7 +10,7 @@ from sigmaswarm import simulate
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.bank.live import LiveFilterBank
-from sigmaswarm.filters.fixes_alone import noise_of
+from sigmaswarm.filters.fixes_alone import fitted_noise
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
@@ -45,7 +45,7 @@ def many(p: FilterParameters) -> None:
 
 
 def alone(p: FilterParameters) -> None:
-    noise_of(PreparedDrive(equipped()))
+    fitted_noise(PreparedDrive(equipped()))
 
 
 LASTING: dict[str, Any] = {"kind": "ekf", "fix_error": 1.3, "fix_error_time": 2.0}

@@ -13,7 +13,7 @@ from .options import RecorderError
 
 SPACING = 0.5  # m between points of a path
 RUN_OUT = 30.0  # m of road after the end of a maneuver, for the driver's preview and for longer braking
-STRAIGHT = math.radians(3.0)  # rad, largest change of heading on a straight stretch
+MAX_BEND = math.radians(3.0)  # rad, largest change of heading on a straight stretch
 MAX_WALKS = 4000  # random walks after which a search for a path fails
 
 
@@ -80,7 +80,7 @@ def straight(length: float) -> Need:
     """Require a straight path of a length, m, plus `RUN_OUT`."""
 
     def fits(path: Path2D) -> bool:
-        return path.bend < STRAIGHT
+        return path.bend < MAX_BEND
 
     length += RUN_OUT
     return Need(f"straight stretch of {length:.0f} m", length, True, fits)
@@ -125,7 +125,7 @@ def _walk(start: Any, need: Need, rng: random.Random) -> Path2D:
         there = ways[0]
         if len(ways) > 1:
             there = min(ways, key=_turning) if need.straight else rng.choice(ways)
-        if need.straight and abs(wrap(heading_of(there.transform.rotation) - heading)) > STRAIGHT:
+        if need.straight and abs(wrap(heading_of(there.transform.rotation) - heading)) > MAX_BEND:
             break
         a, b = here.transform.location, there.transform.location
         gone += math.hypot(b.x - a.x, b.y - a.y)

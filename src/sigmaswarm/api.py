@@ -271,7 +271,7 @@ def report(results: Any, out: str | Path | None = None) -> str:
     InputError
         If no page exists for the type of ``results``, or a file in the folder is missing or damaged.
     """
-    from sigmaswarm.files import write_whole
+    from sigmaswarm.files import write_atomically
     from sigmaswarm.reports.folders import read_report
     from sigmaswarm.reports.page import page
     from sigmaswarm.reports.tuning import save_history
@@ -295,7 +295,7 @@ def report(results: Any, out: str | Path | None = None) -> str:
             f"a {type(results).__name__} has no page; pass an Evaluation, a Tuning or a folder of results"
         )
     if out is not None:
-        write_whole(Path(out), text)
+        write_atomically(Path(out), text)
     return text
 
 

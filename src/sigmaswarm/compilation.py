@@ -35,7 +35,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def once(make: Callable[P, T]) -> Callable[P, T]:
+def call_once(make: Callable[P, T]) -> Callable[P, T]:
     """Cache results like `functools.cache`, but let threads wait while another thread computes the same value."""
     lock, made = threading.RLock(), cache(make)
 
@@ -48,7 +48,7 @@ def once(make: Callable[P, T]) -> Callable[P, T]:
 
 
 @dataclass(frozen=True)
-class Recipe:
+class FunctionRecipe:
     """A function that is generated only if its machine code is not cached, since this takes half a second.
 
     ``like`` has the same name and parameters. ``key`` distinguishes functions of this name.
@@ -59,18 +59,18 @@ class Recipe:
     make: Callable[[], Callable[..., Any]]
 
 
-def cached(function: Callable[..., Any] | Recipe | None = None, **options: Any) -> Any:
+def cached(function: Callable[..., Any] | FunctionRecipe | None = None, **options: Any) -> Any:
     """Compile with `numba.njit`, and cache the machine code if there is a safe folder."""
     if function is None:
         return lambda function: cached(function, **options)
     if config.DISABLE_JIT:
-        return function.make() if isinstance(function, Recipe) else function
-    dispatcher = njit(**options)(function.like if isinstance(function, Recipe) else function)
+        return function.make() if isinstance(function, FunctionRecipe) else function
+    dispatcher = njit(**options)(function.like if isinstance(function, FunctionRecipe) else function)
     dispatcher._cache = _cache_of(function, dispatcher)
     return dispatcher
 
 
-def address_of(function: Recipe, signature: Any, **options: Any) -> Any:
+def address_of(function: FunctionRecipe, signature: Any, **options: Any) -> Any:
     """Compile a function and return the address of its machine code, valid in this process.
 
     If compilation is off (NUMBA_DISABLE_JIT), return the function itself.
@@ -87,8 +87,8 @@ def address_of(function: Recipe, signature: Any, **options: Any) -> Any:
 _CALLED: list[CFunc] = []  # functions whose address is in use, which must stay in memory
 
 
-def _cache_of(function: Callable[..., Any] | Recipe, compiled: Any) -> Any:
-    recipe = function if isinstance(function, Recipe) else None
+def _cache_of(function: Callable[..., Any] | FunctionRecipe, compiled: Any) -> Any:
+    recipe = function if isinstance(function, FunctionRecipe) else None
     folder, trouble = _folder()
     if folder is not None:
         usual, config.CACHE_DIR = config.CACHE_DIR, str(folder)
@@ -107,7 +107,7 @@ def _cache_of(function: Callable[..., Any] | Recipe, compiled: Any) -> Any:
     return _NoCache(trouble)
 
 
-def _write(recipe: Recipe, compiled: Any) -> None:
+def _write(recipe: FunctionRecipe, compiled: Any) -> None:
     """Generate the function of a recipe, and compile it in place of its placeholder."""
     compiled.py_func = compiled._compiler.py_func = recipe.make()
 
@@ -160,7 +160,7 @@ class _Cache(FunctionCache):
     """A cache that compiles and writes damaged files again."""
 
     _impl_class = _Checked
-    recipe: Recipe | None = None
+    recipe: FunctionRecipe | None = None
     compiled: Any = None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:

@@ -33,14 +33,14 @@ _HIDDEN = re.compile(
 _LOCK = re.compile(r"\..+\.sigmaswarm-[0-9a-f]{12}\.lock")
 
 
-def write_whole(path: Path, content: bytes | str) -> None:
-    with whole_file(path) as file:
+def write_atomically(path: Path, content: bytes | str) -> None:
+    with atomic_file(path) as file:
         file.write(content.encode() if isinstance(content, str) else content)
 
 
 def write_json(path: Path, content: Any, indent: int = 2) -> None:
     """Write JSON with the exact values of its floats."""
-    write_whole(path, json.dumps(content, indent=indent) + "\n")
+    write_atomically(path, json.dumps(content, indent=indent) + "\n")
 
 
 def read_arrays(path: Path) -> "dict[str, NDArray[Any]]":
@@ -54,12 +54,12 @@ def read_arrays(path: Path) -> "dict[str, NDArray[Any]]":
         return {name: file[name] for name in file.files}
 
 
-def finite(content: Any) -> Any:
+def nan_to_none(content: Any) -> Any:
     """Replace NaN and inf, which JSON does not have, by None."""
     if isinstance(content, dict):
-        return {str(key): finite(value) for key, value in cast("dict[Any, Any]", content).items()}
+        return {str(key): nan_to_none(value) for key, value in cast("dict[Any, Any]", content).items()}
     if isinstance(content, list | tuple):
-        return [finite(value) for value in cast("list[Any]", content)]
+        return [nan_to_none(value) for value in cast("list[Any]", content)]
     return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
@@ -96,7 +96,7 @@ def locked_folder(path: Path) -> Generator[Path]:
 
 
 @contextmanager
-def whole_file(path: Path) -> Generator[BinaryIO]:
+def atomic_file(path: Path) -> Generator[BinaryIO]:
     """Open a file for bytes that gets its final name when the block ends without an error."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
@@ -117,7 +117,7 @@ def whole_file(path: Path) -> Generator[BinaryIO]:
 
 
 @contextmanager
-def whole_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
+def atomic_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
     """Yield a path for a folder, which gets its final name when the block ends.
 
     With ``replace``, it may replace a folder that is not empty.

@@ -13,14 +13,14 @@ from sigmaswarm.errors import InputError
 if TYPE_CHECKING:
     import zipfile
 
-LONGEST_LINE = 1 << 20  # bytes of text
-MOST_CELLS = 120_000_000  # cells of a Parquet table, 1 GB: a week of an IMU at 50 Hz
-MOST_COLUMNS = 1000
-LONGEST_NAME = 1000  # characters of a column's name
-MOST_TOML = 1 << 20  # bytes; parsing takes 3 s
-MOST_JSON = 1 << 26  # bytes; parsing needs 0.6 GB
-MOST_MEMBERS = 10_000  # arrays of an npz file
-MOST_UNPACKED = 1_000_000_000  # bytes of all arrays of an npz file
+MAX_LINE_BYTES = 1 << 20  # bytes of text
+MAX_CELLS = 120_000_000  # cells of a Parquet table, 1 GB: a week of an IMU at 50 Hz
+MAX_COLUMNS = 1000
+MAX_NAME_LENGTH = 1000  # characters of a column's name
+MAX_TOML_BYTES = 1 << 20  # bytes; parsing takes 3 s
+MAX_JSON_BYTES = 1 << 26  # bytes; parsing needs 0.6 GB
+MAX_MEMBERS = 10_000  # arrays of an npz file
+MAX_UNPACKED_BYTES = 1_000_000_000  # bytes of all arrays of an npz file
 
 _PACKED = {
     b"\x1f\x8b": "gzip",
@@ -45,7 +45,7 @@ def require_regular(path: Path) -> None:
 
 
 def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
-    """Reject compressed text and lines over `LONGEST_LINE` bytes; return the first line and the number of lines.
+    """Reject compressed text and lines over `MAX_LINE_BYTES` bytes; return the first line and the number of lines.
 
     Messages name the file ``shown_as``, if it was unpacked to another place. The number includes empty lines, of which
     polars also makes rows.
@@ -65,11 +65,11 @@ def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
 
 def _require_lines(path: Path, file: BinaryIO) -> int:
     begun, lines = 0, 0  # bytes since the last line's end
-    while block := file.read(LONGEST_LINE):
+    while block := file.read(MAX_LINE_BYTES):
         first, last = block.find(b"\n"), block.rfind(b"\n")
-        if begun + (len(block) if first < 0 else first) > LONGEST_LINE:
+        if begun + (len(block) if first < 0 else first) > MAX_LINE_BYTES:
             raise InputError(
-                f"{path}, row {lines + 1}: is longer than {LONGEST_LINE} bytes; the file is damaged; copy it again"
+                f"{path}, row {lines + 1}: is longer than {MAX_LINE_BYTES} bytes; the file is damaged; copy it again"
             )
         begun = begun + len(block) if last < 0 else len(block) - last - 1
         lines += block.count(b"\n")
@@ -89,7 +89,7 @@ def read_bounded(path: Path, most: int) -> bytes:
 
 def read_toml_text(path: Path) -> str:
     """Return the text of a TOML file without the byte-order mark; refuse a file that takes long to parse."""
-    content = read_bounded(path, MOST_TOML)
+    content = read_bounded(path, MAX_TOML_BYTES)
     if found := _LONG_KEY.search(content):
         row = content.count(b"\n", 0, found.start()) + 1
         raise InputError(f"{path}, row {row}: a key of more than 64 parts; correct or delete the line")
@@ -98,8 +98,8 @@ def read_toml_text(path: Path) -> str:
 
 def require_members(path: Path, members: "list[zipfile.ZipInfo]") -> None:
     unpacked = sum(member.file_size for member in members)
-    if len(members) > MOST_MEMBERS or unpacked > MOST_UNPACKED:
+    if len(members) > MAX_MEMBERS or unpacked > MAX_UNPACKED_BYTES:
         raise InputError(
-            f"{path}: contains {len(members)} arrays of {unpacked / 1e6:.0f} MB, more than {MOST_MEMBERS} or "
-            f"{MOST_UNPACKED / 1e6:.0f} MB; not a file of sigmaswarm, or a damaged one"
+            f"{path}: contains {len(members)} arrays of {unpacked / 1e6:.0f} MB, more than {MAX_MEMBERS} or "
+            f"{MAX_UNPACKED_BYTES / 1e6:.0f} MB; not a file of sigmaswarm, or a damaged one"
         )

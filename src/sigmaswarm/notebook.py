@@ -47,7 +47,7 @@ def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -
     )
 
 
-def listed(title: str, sentences: Sequence[str]) -> str:
+def html_list(title: str, sentences: Sequence[str]) -> str:
     items = "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
     return f"<p>{escape(title)}</p><ul>{items}</ul>" if sentences else ""
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import finite, read_arrays
-from sigmaswarm.limits import MOST_JSON, read_bounded, read_toml_text
-from sigmaswarm.wording import first_mistake, shown
+from sigmaswarm.files import nan_to_none, read_arrays
+from sigmaswarm.limits import MAX_JSON_BYTES, read_bounded, read_toml_text
+from sigmaswarm.wording import first_mistake, printable
 
 R = TypeVar("R")
 ARRAYS = ConfigDict(arbitrary_types_allowed=True, extra="forbid")  # of a record of an npz file
@@ -62,8 +62,8 @@ def read_content(
         if path.suffix == ".npz":
             return {**read_arrays(path)}
         if path.suffix == ".json":
-            content = json.loads(read_bounded(path, MOST_JSON))
-            numbers = finite(content)  # which also refuses content nested too deeply
+            content = json.loads(read_bounded(path, MAX_JSON_BYTES))
+            numbers = nan_to_none(content)  # which also refuses content nested too deeply
             content = content if infinite else numbers
         else:
             content = tomllib.loads(read_toml_text(path))
@@ -73,7 +73,7 @@ def read_content(
         raise
     # A damaged archive can raise any error, a nested text RecursionError, a long number ValueError.
     except Exception as error:
-        reason = shown(" ".join(str(error).split()) or type(error).__name__, 160)
+        reason = printable(" ".join(str(error).split()) or type(error).__name__, 160)
         raise InputError(f"{path}: not readable ({reason}); {remedy}") from None
     if not isinstance(content, dict):
         raise InputError(f"{path}: the file should be a table of keys; {remedy}")

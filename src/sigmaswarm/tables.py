@@ -69,7 +69,7 @@ class Table:
         return few.to_markdown()
 
     def to_html(self) -> str:
-        rows = [list(map(shown, row, self.columns)) for row in self.rows]
+        rows = [list(map(format_cell, row, self.columns)) for row in self.rows]
         return notebook.table(self.caption, [c.heading for c in self.columns], rows)
 
     def to_latex(self) -> str:
@@ -116,7 +116,7 @@ class Table:
             if grouped and (i == 0 or names[i] != names[i - 1]):
                 drawn.add_section()
                 drawn.add_row(Text(str(names[i]), "italic"))
-            row = list(map(shown, cells, self.columns))
+            row = list(map(format_cell, cells, self.columns))
             drawn.add_row(*map(Text, row[grouped:]), style="bold" if i in self.strong else None)
         return drawn
 
@@ -138,16 +138,16 @@ class Table:
         return lines
 
 
-def shown(cell: Cell, column: Column, unknown: str = UNKNOWN) -> str:
+def format_cell(cell: Cell, column: Column, unknown: str = UNKNOWN) -> str:
     if isinstance(cell, str):
         return cell
-    known = numbers_of(cell)
+    known = cell_numbers(cell)
     if known is None:
         return unknown
     return " to ".join((column.number or partial(_short, 5 - len(known)))(end) for end in known)
 
 
-def numbers_of(cell: Cell) -> list[float] | None:
+def cell_numbers(cell: Cell) -> list[float] | None:
     """Return the number of a cell, or both ends of its range; None if unknown."""
     ends = cell if isinstance(cell, tuple) else (cell,)
     known = [float(end) for end in ends if isinstance(end, int | float) and math.isfinite(end)]
@@ -161,11 +161,11 @@ def _short(digits: int, value: float) -> str:
 
 
 def _printed(cell: Cell, column: Column) -> str:
-    """Format a cell as `shown` does, with the printed number format and ranges in brackets."""
+    """Format a cell as `format_cell` does, with the printed number format and ranges in brackets."""
     column = replace(column, number=column.printed or column.number)
     if isinstance(cell, tuple):
-        return f"[{', '.join(shown(end, column) for end in cell)}]"
-    return shown(cell, column)
+        return f"[{', '.join(format_cell(end, column) for end in cell)}]"
+    return format_cell(cell, column)
 
 
 def _escaped(text: str) -> str:

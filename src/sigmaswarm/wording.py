@@ -15,31 +15,31 @@ def to_do(remedy: str, why: str) -> str:
     return f"{TO_DO}{remedy}: {why}"
 
 
-def in_order(remarks: Iterable[str]) -> list[str]:
+def sort_remarks(remarks: Iterable[str]) -> list[str]:
     """Sort remarks: those that require action come first."""
     return sorted(remarks, key=lambda remark: not remark.startswith(TO_DO))
 
 
-def counted(n: int, noun: str) -> str:
+def count_of(n: int, noun: str) -> str:
     return f"{n} {noun}{'' if n == 1 else 'es' if noun.endswith('x') else 's'}"
 
 
-def left_out(count: int, rows: str = "") -> str:
+def rows_left_out(count: int, rows: str = "") -> str:
     """State that rows are left out; ``rows`` describes them, as in " of imu.csv"."""
-    return f"{counted(count, 'row')}{rows} {'is' if count == 1 else 'are'} left out"
+    return f"{count_of(count, 'row')}{rows} {'is' if count == 1 else 'are'} left out"
 
 
-def visible(text: str, kept: str = "\n\t") -> str:
+def escape_controls(text: str, kept: str = "\n\t") -> str:
     """Escape control characters except ``kept``, since a name may contain commands to a terminal."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in text)
 
 
-def shown(text: object, most: int = MAX_CHARACTERS) -> str:
+def printable(text: object, most: int = MAX_CHARACTERS) -> str:
     """Show a name or a cell in a message, with escaped control characters and at most ``most`` characters."""
     whole = str(text)
-    return visible(whole[:most], kept="") + ("..." if len(whole) > most else "")
+    return escape_controls(whole[:most], kept="") + ("..." if len(whole) > most else "")
 
 
 def quoted(text: object, most: int = MAX_CHARACTERS) -> str:
@@ -47,10 +47,10 @@ def quoted(text: object, most: int = MAX_CHARACTERS) -> str:
     return repr(whole[:most]) + ("..." if len(whole) > most else "")
 
 
-def value_shown(value: object) -> str:
+def printable_value(value: object) -> str:
     """Show a value of a file in a message; an integer of 5000 digits has no text form."""
     try:
-        return shown(repr(value))
+        return printable(repr(value))
     except (ValueError, RecursionError):
         return "an unreadable value"
 
@@ -70,12 +70,12 @@ class Mistake(NamedTuple):
 def first_mistake(error: "ValidationError") -> Mistake:
     first = error.errors(include_url=False)[0]
     message = " ".join(first["msg"].removeprefix("Value error, ").split()).replace("Input should", "should")
-    value = "" if isinstance(first["input"], dict) else value_shown(first["input"])
-    return Mistake(shown(".".join(map(str, first["loc"]))), value, first["type"], shown(message, 600))
+    value = "" if isinstance(first["input"], dict) else printable_value(first["input"])
+    return Mistake(printable(".".join(map(str, first["loc"]))), value, first["type"], printable(message, 600))
 
 
-def names_shown(names: Iterable[object], mark: str = "") -> str:
+def list_names(names: Iterable[object], mark: str = "") -> str:
     """Show the first names of a list, each between two ``mark``, and the number of others."""
-    every = [f"{mark}{shown(name)}{mark}" for name in names]
+    every = [f"{mark}{printable(name)}{mark}" for name in names]
     more = f" and {len(every) - MAX_NAMES} more" if len(every) > MAX_NAMES else ""
     return ", ".join(every[:MAX_NAMES]) + more

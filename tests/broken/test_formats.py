@@ -151,7 +151,7 @@ def test_a_text_is_bounded_before_polars_reads_it(form: str, how: str, tmp_path:
 def test_lines_of_a_drive_are_counted_before_they_are_read(
     lines: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("sigmaswarm.drives.table_files.MOST_CELLS", 100_000)
+    monkeypatch.setattr("sigmaswarm.drives.table_files.MAX_CELLS", 100_000)
     folder = write_drive(make_drive(duration=20.0), tmp_path / "d")
     with (folder / "imu.csv").open("ab") as file:
         file.write(lines * 100_000)

@@ -20,7 +20,7 @@ from sigmaswarm.files import read_arrays
 from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.limits import LONGEST_LINE
+from sigmaswarm.limits import MAX_LINE_BYTES
 from support import make_drive, quickly
 
 ROW = b"1.0,1.0,1.0,1.0\n"
@@ -43,7 +43,7 @@ def zstd(content: bytes) -> bytes:
 
 
 def long_line(path: Path) -> None:
-    path.write_bytes(path.read_bytes() + b"9" * (LONGEST_LINE + 1) + b"," + ROW)
+    path.write_bytes(path.read_bytes() + b"9" * (MAX_LINE_BYTES + 1) + b"," + ROW)
 
 
 TABLES: dict[str, Callable[[Path], object]] = {
@@ -148,7 +148,7 @@ def test_numbers_with_dots_are_no_long_keys(text: bytes, tmp_path: Path):
 
 
 def test_members_of_npz_are_counted_before_they_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("sigmaswarm.limits.MOST_UNPACKED", 20_000_000)
+    monkeypatch.setattr("sigmaswarm.limits.MAX_UNPACKED_BYTES", 20_000_000)
 
     def many(file: zipfile.ZipFile) -> None:
         for k in range(20_000):

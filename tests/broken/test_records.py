@@ -19,7 +19,7 @@ from sigmaswarm.datasets.cluster import _scheduler
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.compare import compare
 from sigmaswarm.experiments.comparison import Comparison, Outcome
-from sigmaswarm.files import staged_files, whole_file, write_whole
+from sigmaswarm.files import atomic_file, staged_files, write_atomically
 from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.records import content_if_readable, load_record
 from sigmaswarm.reports.compare import save_comparison
@@ -133,7 +133,7 @@ def test_files_take_their_places_together_or_not_at_all(
     with pytest.raises(InputError, match="free some space"), staged_files(folder) as new:
         (new / "sub").mkdir()
         for name in ("a", "b", "sub/c"):
-            write_whole(new / name, "new")
+            write_atomically(new / name, "new")
     assert listing(folder) == before
 
 
@@ -157,10 +157,10 @@ def test_a_kill_between_two_files_is_undone_by_the_next_run(killed_at: int, tmp_
         Path.rename = dying
         with staged_files(folder) as new:
             for name in "abc":
-                write_whole(new / name, "new")
+                write_atomically(new / name, "new")
         os._exit(0)
     os.waitpid(child, 0)
-    write_whole(folder / "another", "x")
+    write_atomically(folder / "another", "x")
     assert listing(folder) == before | {"another": b"x"}
 
 
@@ -202,7 +202,7 @@ def test_an_export_over_an_older_one_is_whole(tmp_path: Path, monkeypatch: pytes
             raise InputError(f"{path}: can't be written (No space left on device)")
         path.write_text(str(content))
 
-    monkeypatch.setattr("sigmaswarm.exports.targets.write_whole", full)
+    monkeypatch.setattr("sigmaswarm.exports.targets.write_atomically", full)
     other = FilterParameters(0.5, 2.0, 1.0, (1e-3,) * 5, (2.0, 1.0), nominal_interval=0.01)
     with pytest.raises(InputError, match=str(tmp_path / "c")):
         export_filter(other, "c99", tmp_path / "c")
@@ -347,7 +347,7 @@ def test_a_comparison_over_an_older_one_is_whole(
     save_comparison(compared, tmp_path)
     before = listing(tmp_path)
     other = replace(compared, contenders=compared.contenders[::-1])
-    write = whole_file.__wrapped__
+    write = atomic_file.__wrapped__
 
     @contextmanager
     def full(path: Path) -> Iterator[object]:
@@ -355,8 +355,8 @@ def test_a_comparison_over_an_older_one_is_whole(
             raise InputError(f"{path}: can't be written (No space left on device)")
         yield from write(path)
 
-    monkeypatch.setattr("sigmaswarm.files.whole_file", full)
-    monkeypatch.setattr("sigmaswarm.reports.figures.whole_file", full)
+    monkeypatch.setattr("sigmaswarm.files.atomic_file", full)
+    monkeypatch.setattr("sigmaswarm.reports.figures.atomic_file", full)
     with pytest.raises(InputError, match=fails_at):
         save_comparison(other, tmp_path)
     assert listing(tmp_path) == before

@@ -24,7 +24,7 @@ from sigmaswarm.experiments.study import config as study_config
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.diagnostics import Forecast, describe_forecasts
+from sigmaswarm.tuning.diagnostics import DriftComparison, describe_forecasts
 from sigmaswarm.tuning.objectives import OBJECTIVES
 from sigmaswarm.tuning.options import Option
 from support import make_drive, no_pictures
@@ -105,7 +105,7 @@ def test_the_help_states_what_happens_to_earlier_results(command: str):
     [(4, 5.0, "the default --particles"), (30, 5.0, "--inflation 0"), (30, 1.0, "--trials 5")],
 )
 def test_a_drift_larger_than_the_baseline_s_names_a_step(particles: int, inflation: float, remedy: str):
-    forecasts = [Forecast(5.0, 1.0, 2.0, 9.0), Forecast(30.0, 7.13, 6.36, 59.4)]
+    forecasts = [DriftComparison(5.0, 1.0, 2.0, 9.0), DriftComparison(30.0, 7.13, 6.36, 59.4)]
     config = TuneConfig(particles=particles)
     tuned = SimpleNamespace(
         **{"forecasts": forecasts, "inflation_factor": inflation, "config": config, "trial_costs": [1.0]},
@@ -167,7 +167,7 @@ def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here:
     )
     assert table["config"]["particles"] == 4
     assert [d["name"] for d in table["data"]] == ["urban-clear-00", "urban-clear-01"]
-    drifts = [Forecast(**each) for each in table["forecasts"]]
+    drifts = [DriftComparison(**each) for each in table["forecasts"]]
     assert f"\n{describe_forecasts(drifts)[0]}\n" in ended.out
     history = pl.read_csv("t/convergence.csv")
     assert history.columns == ["trial", "generation", "best_cost", "median_cost"]

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from tests.cli.conftest import Command
 
 from sigmaswarm import Drive, read_drive, simulate, split_time, write_drive
-from sigmaswarm.doctor.mounting import turned
+from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.drives.alignment import initial_state
 
 
@@ -95,7 +95,7 @@ def test_import_proposes_the_cut_of_a_log_whose_imu_was_moved(
     sigmaswarm: Command, tmp_path, monkeypatch
 ) -> None:
     drive = simulate("urban", duration=150.0, imu_rate=50.0, imu="icm-20602", gps="white-1m", run=4)
-    tilted = turned(drive.imu, Rotation.from_euler("y", 40, degrees=True).as_matrix())
+    tilted = rotate_imu(drive.imu, Rotation.from_euler("y", 40, degrees=True).as_matrix())
     late = drive.imu.time > 80
     names = ("ax", "ay", "az", "gx", "gy", "gz")
     moved = {n: np.where(late, getattr(tilted, n), getattr(drive.imu, n)) for n in names}

@@ -23,13 +23,13 @@ from sigmaswarm import (
 )
 from sigmaswarm.cli import main
 from sigmaswarm.datasets.cluster import Cluster, ClusterError, connected
-from sigmaswarm.datasets.remote import Assignment, assigned, remote_datasets, source_of
+from sigmaswarm.datasets.remote import Assignment, assign_drives, remote_datasets, source_of
 from sigmaswarm.datasets.worker import BASE_MEMORY, USABLE_MEMORY, CachedDrive, DriveCache
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.design import make_design
 from sigmaswarm.experiments.study.scores import score_all
-from sigmaswarm.scoring.batch import Passes
-from sigmaswarm.scoring.remote import replays_on
+from sigmaswarm.scoring.batch import PassOptions
+from sigmaswarm.scoring.remote import make_scorer
 from sigmaswarm.simulation.conditions import simulated_on
 from sigmaswarm.tuning.batch import require_fit
 from support import assert_same
@@ -136,7 +136,7 @@ def test_a_killed_worker_changes_no_bit_and_the_next_one_takes_over(folders, on_
 
 def test_a_newcomer_takes_its_share(processes, client, folders):
     (dataset,), _ = remote_datasets(Cluster(client), [folders])
-    replays = replays_on(dataset, Passes(), partial(require_fit, objective="truth-rmse", seed=0))
+    replays = make_scorer(dataset, PassOptions(), partial(require_fit, objective="truth-rmse", seed=0))
     before = replays.scores([FILTER]).position_rmse
     name = processes.add()
     try:
@@ -221,13 +221,13 @@ def test_160_drives_of_ten_minutes_fit_two_workers_of_4_gb():
 
 def test_drives_are_shared_by_size_and_threads_and_few_move():
     sizes = [3.0, 1.0, 1.0, 1.0, 1.0, 1.0]
-    two = assigned(sizes, {"a": 1, "b": 1}, [""] * 6)
+    two = assign_drives(sizes, {"a": 1, "b": 1}, [""] * 6)
     load = [sum(s for s, w in zip(sizes, two, strict=True) if w == name) for name in "ab"]
     assert load == [4.0, 4.0]
-    assert assigned(sizes, {"a": 1, "b": 1}, two) == two
-    without = assigned(sizes, {"b": 1}, two)
+    assert assign_drives(sizes, {"a": 1, "b": 1}, two) == two
+    without = assign_drives(sizes, {"b": 1}, two)
     assert without == ["b"] * 6
-    three = assigned([1.0] * 8, {"a": 1, "b": 1, "c": 2}, ["a", "b"] * 4)
+    three = assign_drives([1.0] * 8, {"a": 1, "b": 1, "c": 2}, ["a", "b"] * 4)
     assert Counter(three) == {"a": 2, "b": 2, "c": 4}
     assert sum(now != before for now, before in zip(three, ["a", "b"] * 4, strict=True)) == 4
 

@@ -15,7 +15,7 @@ from doctor.faults import FAULTS, MORE, THIRD, codes_of, fixes_late
 from sigmaswarm import Diagnosis, Drive, Gps, Imu, split_time
 from sigmaswarm.doctor import diagnose
 from sigmaswarm.doctor.checks.timing import clock_jumps
-from sigmaswarm.doctor.fixes import jumps
+from sigmaswarm.doctor.fixes import mark_jumps
 from sigmaswarm.doctor.verdicts import yaw_of
 from sigmaswarm.doctor.yaw_fit import YawFit
 from sigmaswarm.drives.split import clip
@@ -90,7 +90,7 @@ def test_one_circle_is_said_to_hide_the_scale_of_the_gyro():
 
 def test_the_last_diagnoses_are_kept():
     """As many as fit; a drive that is diagnosed again costs nothing."""
-    drives = [replace(make_drive(duration=20.0), name=f"drive {i}") for i in range(diagnose.KEPT)]
+    drives = [replace(make_drive(duration=20.0), name=f"drive {i}") for i in range(diagnose.CACHE_SIZE)]
     found = [sigmaswarm.diagnose(drive) for drive in drives]
     assert all(sigmaswarm.diagnose(drive) is one for drive, one in zip(drives, found, strict=True))
 
@@ -155,7 +155,7 @@ def test_the_log_as_it_came_is_seen_through():
 
 def diagnosed_anew(drive: Drive) -> Diagnosis:
     """A diagnosis that was not kept in memory."""
-    import_module("sigmaswarm.doctor.diagnose")._kept.clear()
+    import_module("sigmaswarm.doctor.diagnose")._cache.clear()
     return sigmaswarm.diagnose(drive)
 
 
@@ -222,7 +222,7 @@ def test_a_swaying_car_hardly_contradicts_the_gyro_s_sign(
     course_change: float, std: float, share: float, known: bool
 ):
     """A minute of a real motorway showed -1.3 +- 0.19 times the yaw rate, with the sign as recorded."""
-    fit = YawFit("gz", -1.3, std, share, late=0.0, late_std=0.1, course_change=course_change)
+    fit = YawFit("gz", -1.3, std, share, delay=0.0, delay_std=0.1, course_change=course_change)
     assert yaw_of(fit).known == known
     assert yaw_of(replace(fit, gain=1.3)).known
 
@@ -296,7 +296,7 @@ def test_the_yaw_rate_in_another_column():
 @pytest.mark.parametrize("count", [0, 1, 9])
 def test_few_fixes_have_no_jumps(count: int):
     """Of positions that hardly change one is left, which once ended in a traceback."""
-    assert not jumps(np.arange(float(count)), np.zeros(count, complex)).any()
+    assert not mark_jumps(np.arange(float(count)), np.zeros(count, complex)).any()
 
 
 @pytest.mark.parametrize(
@@ -544,10 +544,10 @@ def test_a_diagnosis_that_is_kept_is_that_of_the_same_numbers_and_name():
     turned = replace(drive, imu=replace(drive.imu, gz=-drive.imu.gz))
     assert "gyro-sign" in sigmaswarm.diagnose(turned).codes - found.codes
     assert sigmaswarm.diagnose(drive) == found
-    module._kept.update({("filler", str(k)): found for k in range(module.KEPT)})
+    module._cache.update({("filler", str(k)): found for k in range(module.CACHE_SIZE)})
     sigmaswarm.diagnose(replace(drive, name="last"))
-    assert len(module._kept) == module.KEPT
-    assert ("filler", str(module.KEPT - 1)) in module._kept  # the oldest ones go
+    assert len(module._cache) == module.CACHE_SIZE
+    assert ("filler", str(module.CACHE_SIZE - 1)) in module._cache  # the oldest ones go
 
 
 def test_positions_in_another_unit_are_not_called_a_fault_of_the_accelerometer():

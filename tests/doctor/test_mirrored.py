@@ -11,7 +11,7 @@ import sigmaswarm
 from doctor.faults import flipped_yaw, reversed_force, right_and_down
 from sigmaswarm import Diagnosis, Drive
 from sigmaswarm.doctor.fixes import course_of
-from sigmaswarm.doctor.mounting import turned
+from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu, rotation_of
 from support import quickly
@@ -49,7 +49,7 @@ def with_truth(drive: Drive) -> Drive:
 
 
 def sideways(drive: Drive) -> Drive:
-    return replace(drive, imu=turned(drive.imu, rotation_of(0, 0, 90)))
+    return replace(drive, imu=rotate_imu(drive.imu, rotation_of(0, 0, 90)))
 
 
 def serious(found: Diagnosis) -> set[str]:

@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 
 import sigmaswarm
 from sigmaswarm import Drive
-from sigmaswarm.doctor.checks.mounting import moved
+from sigmaswarm.doctor.checks.mounting import find_movement
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.fixes import course_of
-from sigmaswarm.doctor.mounting import Mounting, angle_of, mounting_of, turned
+from sigmaswarm.doctor.mounting import Mounting, angle_of, mounting_of, rotate_imu
 from sigmaswarm.doctor.repairs import repair as repaired
-from sigmaswarm.doctor.travel import direction_of_travel
+from sigmaswarm.doctor.travel_direction import direction_of_travel
 from sigmaswarm.drives.drive import Gps, Imu
 from sigmaswarm.drives.mounting import with_rotation
 from sigmaswarm.drives.split import clip
@@ -35,7 +35,7 @@ def drive_of(grade: str, terrain: str = "rolling") -> Drive:
 def estimate(drive: Drive, rotation: np.ndarray):
     """The mounting of a drive whose IMU is turned by a rotation, and its error, rad."""
     course = course_of(drive.gps.time, drive.gps.x + 1j * drive.gps.y)
-    found = mounting_of(replace(drive, imu=turned(drive.imu, rotation)), course)
+    found = mounting_of(replace(drive, imu=rotate_imu(drive.imu, rotation)), course)
     return found, angle_of(found.rotation @ rotation) if found else 0.0
 
 
@@ -105,10 +105,10 @@ def test_a_clear_rotation_is_not_rounded_in_a_whole_log_and_kept_in_a_part(yaw: 
 @pytest.mark.parametrize("start", quickly([(a,) for a in WRONG], lambda a: a == (0, -60, 30)))
 def test_a_wrong_mounting_of_the_import_changes_no_answer(start: tuple[float, float, float]):
     drive = drive_of("mpu-6050")
-    raw = replace(drive, imu=turned(drive.imu, rotation_of(6, -65, -4).T))
+    raw = replace(drive, imu=rotate_imu(drive.imu, rotation_of(6, -65, -4).T))
     answers = []
     for before in (np.eye(3), rotation_of(*start)):
-        wrong = replace(raw, imu=turned(raw.imu, before), metadata=with_rotation(raw.metadata, before))
+        wrong = replace(raw, imu=rotate_imu(raw.imu, before), metadata=with_rotation(raw.metadata, before))
         (found,) = [f for f in sigmaswarm.diagnose(wrong).findings if f.code == "mounting"]
         mended = repaired(wrong, sigmaswarm.diagnose(wrong))
         answers.append(rotation_of(*mended.mounting))
@@ -121,8 +121,8 @@ def test_a_wrong_mounting_of_the_import_changes_no_answer(start: tuple[float, fl
 def test_a_stated_mounting_that_differs_a_little_is_a_note_with_the_mounting_of_the_log():
     drive = drive_of("mpu-6050")
     before = rotation_of(0, -63, 0)
-    raw = replace(drive, imu=turned(drive.imu, rotation_of(0, -65, 0).T))
-    stated = replace(raw, imu=turned(raw.imu, before), metadata=with_rotation(raw.metadata, before))
+    raw = replace(drive, imu=rotate_imu(drive.imu, rotation_of(0, -65, 0).T))
+    stated = replace(raw, imu=rotate_imu(raw.imu, before), metadata=with_rotation(raw.metadata, before))
     (note,) = [f for f in sigmaswarm.diagnose(stated).findings if f.code == "mounting"]
     assert note.severity == "note" and note.repair is None and "--mount" in note.remedy
     assert not any(f.code == "mounting" for f in sigmaswarm.diagnose(drive).findings)
@@ -140,7 +140,7 @@ def test_at_constant_speed_the_direction_of_travel_shows_a_large_angle():
     drive = at_constant_speed()
     window = clip(drive, drive.imu.time[0] + 42, drive.imu.time[0] + 102)
     course = course_of(window.gps.time, window.gps.x + 1j * window.gps.y)
-    slopes, _ = direction_of_travel(turned(window.imu, rotation_of(0, 0, -12)), course, -0.1)
+    slopes, _ = direction_of_travel(rotate_imu(window.imu, rotation_of(0, 0, -12)), course, -0.1)
     assert np.degrees(np.arctan(slopes[0])) == pytest.approx(-12, abs=3)
 
 
@@ -155,7 +155,7 @@ def test_a_window_at_constant_speed_gives_no_serious_finding(start: float):
 def test_the_direction_of_travel_depends_on_no_hill(terrain: str):
     drive, turn = drive_of("icm-20602", terrain), Rotation.from_euler("zy", (4, -3), degrees=True)
     course = course_of(drive.gps.time, drive.gps.x + 1j * drive.gps.y)
-    slopes, std = direction_of_travel(turned(drive.imu, turn.as_matrix()), course, 0.0)
+    slopes, std = direction_of_travel(rotate_imu(drive.imu, turn.as_matrix()), course, 0.0)
     np.testing.assert_allclose(np.degrees(slopes), np.degrees(turn.apply([1, 0, 0])[1:]), atol=1.0)
     assert np.degrees(std).max() < 1.0
 
@@ -212,7 +212,7 @@ def test_a_recording_is_found_within_3_degrees(name: str):
 def test_an_imu_that_was_moved_within_a_log_is_reported_with_its_time(angle: float):
     drive = drive_of("icm-20602", "flat")
     late = drive.imu.time > 80
-    other = turned(drive.imu, Rotation.from_euler("y", angle, degrees=True).as_matrix())
+    other = rotate_imu(drive.imu, Rotation.from_euler("y", angle, degrees=True).as_matrix())
     columns = {
         n: np.where(late, getattr(other, n), getattr(drive.imu, n))
         for n in ("ax", "ay", "az", "gx", "gy", "gz")
@@ -222,7 +222,7 @@ def test_an_imu_that_was_moved_within_a_log_is_reported_with_its_time(angle: flo
     }
     assert found["mounting-changed"].span[0] == pytest.approx(80, abs=6)
     assert "split" in found["mounting-changed"].remedy
-    assert moved(drive) is None
+    assert find_movement(drive) is None
 
 
 def handled(drive: Drive, begin: float, end: float, axis: str) -> Drive:
@@ -268,7 +268,7 @@ def test_an_imu_in_someones_hand_at_an_end_is_cut_off(
 def test_accelerations_without_gravity_show_no_moved_imu():
     drive = drive_of("icm-20602", "flat")
     assert drive.imu.az is not None
-    assert moved(replace(drive, imu=replace(drive.imu, az=drive.imu.az - 9.81))) is None
+    assert find_movement(replace(drive, imu=replace(drive.imu, az=drive.imu.az - 9.81))) is None
 
 
 def blind(drive: Drive) -> Drive:
@@ -279,7 +279,7 @@ def blind(drive: Drive) -> Drive:
 
 def test_without_a_course_an_imu_on_its_head_is_turned_and_a_wrong_sign_of_az_is_changed():
     drive = blind(sigmaswarm.simulate("urban", duration=90, gps="white-1m", terrain="hilly", vibration=1.0))
-    head = replace(drive, imu=turned(drive.imu, np.diag([1.0, -1.0, -1.0])))
+    head = replace(drive, imu=rotate_imu(drive.imu, np.diag([1.0, -1.0, -1.0])))
     flipped = replace(drive, imu=replace(drive.imu, az=-drive.imu.az))
     for sick, code in ((head, "mounting"), (flipped, "accelerometer-up")):
         found = sigmaswarm.diagnose(sick)
@@ -301,7 +301,7 @@ def test_a_slow_robot_in_circles_with_z_down():
     gyro = np.array([roll, roll[::-1], rate]) + 0.1 * noise[3:]
     imu = Imu(t, *force[:2], gyro[2], az=force[2], gx=gyro[0], gy=gyro[1])
     fixes = place[::40] + 0.1 * (rng.standard_normal(100) + 1j * rng.standard_normal(100))
-    drive = Drive("robot", turned(imu, np.diag([1.0, -1.0, -1.0])), Gps(t[::40], fixes.real, fixes.imag))
+    drive = Drive("robot", rotate_imu(imu, np.diag([1.0, -1.0, -1.0])), Gps(t[::40], fixes.real, fixes.imag))
     found = {f.code: f for f in sigmaswarm.diagnose(drive).findings}
     assert "roll 180.0, pitch 0.0, yaw 0.0" in found["mounting"].what
     assert [code for code, f in found.items() if f.severity != "note"] == ["mounting"]

@@ -100,7 +100,7 @@ def test_each_fault_is_named_and_mended(name: str):
     if code == "odometer-slip":
         for begin in (SPUN, LOCKED):
             assert not np.any((mended.time >= begin) & (mended.time < begin + 3.0))
-        assert 6.0 <= (len(sound) - len(mended)) / 83.0 < 6.0 + 8 * subject.WITHIN
+        assert 6.0 <= (len(sound) - len(mended)) / 83.0 < 6.0 + 8 * subject.MAX_JUMP_TIME
         assert finding.span[0] < SPUN < LOCKED + 3.0 < finding.span[1]
     elif code != "odometer-stuck":
         again = np.interp(sound.time[inside], mended.time, mended.speed)

@@ -12,7 +12,7 @@ import sigmaswarm
 from doctor.faults import FAULTS, MORE, codes_of
 from sigmaswarm import Diagnosis, Drive, Finding
 from sigmaswarm.doctor.findings import Repair
-from sigmaswarm.doctor.mounting import angle_of, turned
+from sigmaswarm.doctor.mounting import angle_of, rotate_imu
 from sigmaswarm.doctor.repairs import repair as repaired
 from sigmaswarm.geodesy import rotation_of
 from sigmaswarm.importing.mounting import parse_mount
@@ -256,8 +256,8 @@ def test_the_mounting_is_the_rotation_from_the_raw_samples(axes: int, repairs: l
     whole = parse_mount(",".join(map(str, mended.mounting)))
     np.testing.assert_allclose(whole, rotation @ before, atol=1e-9)
     if axes == 6 and {r.action for r in repairs} <= {"rotate", "turn"}:  # the numbers, too
-        raw = turned(drive.imu, before.T)
-        np.testing.assert_allclose(turned(raw, whole).gy, mended.imu.gy, atol=1e-9)
+        raw = rotate_imu(drive.imu, before.T)
+        np.testing.assert_allclose(rotate_imu(raw, whole).gy, mended.imu.gy, atol=1e-9)
 
 
 @pytest.mark.long
@@ -265,9 +265,9 @@ def test_the_remedy_of_a_turned_drive_is_the_mounting_of_its_log():
     """The doctor finds what is left of the mounting, but an import starts from the raw samples."""
     good = sigmaswarm.simulate("urban", gps="white-1m", duration=120, terrain="flat", run=4)
     total = Rotation.from_euler("xyz", (0, -25, 90), degrees=True).as_matrix()
-    raw = replace(good, imu=turned(good.imu, total.T))
+    raw = replace(good, imu=rotate_imu(good.imu, total.T))
     imported = replace(
-        raw, imu=turned(raw.imu, about_z(np.pi / 2)), metadata={"imu_mounting_deg": [0, 0, 90]}
+        raw, imu=rotate_imu(raw.imu, about_z(np.pi / 2)), metadata={"imu_mounting_deg": [0, 0, 90]}
     )
     diagnosis = sigmaswarm.diagnose(imported)
     (found,) = [finding for finding in diagnosis.findings if finding.code == "mounting"]
@@ -275,7 +275,7 @@ def test_the_remedy_of_a_turned_drive_is_the_mounting_of_its_log():
     mended = sigmaswarm.repair(imported, diagnosis)
     assert np.degrees(Rotation.from_matrix(again @ total.T).magnitude()) < 3
     for rotation in (again, parse_mount(",".join(map(str, mended.mounting)))):
-        np.testing.assert_allclose(turned(raw.imu, rotation).ax, mended.imu.ax, atol=0.05)
+        np.testing.assert_allclose(rotate_imu(raw.imu, rotation).ax, mended.imu.ax, atol=0.05)
 
 
 @pytest.mark.parametrize(("after", "withheld"), [((2.1, 4.9, 0.9, 2.0), False), ((3.1, 4.9, 2.3, 4.9), True)])

@@ -7,7 +7,7 @@ import pytest
 
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.gyro_seen import UP, GyroSeen
+from sigmaswarm.drives.gyro_bias import UP, GyroBiasEvidence
 from sigmaswarm.filters.compiled.layout import R, state_rows
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.live import LiveFilter
@@ -89,7 +89,7 @@ def test_a_filter_that_expects_a_good_gyro_starts_as_if_nothing_were_seen():
 
 def test_both_count_as_two_measurements():
     turns, variance, taken = np.array([0.3, -0.2, 4.0, -3.0, -1.6]), np.array([0.02, 0.03, 0.04]) ** 2, 0.05
-    seen = GyroSeen(np.array([0.01, -0.02, 0.06]), variance, taken, turns)
+    seen = GyroBiasEvidence(np.array([0.01, -0.02, 0.06]), variance, taken, turns)
     start = InitialState(np.array([1.0, 2.0, 3.0, 4.0, 0.5]), np.diag([1.0, 1.0, 0.2, 0.2, 1e-3]), 9.0, seen)
     std = 0.03
     mean, covariance = started("planar8", start, std)
@@ -110,7 +110,10 @@ def test_what_contradicts_widens_what_is_expected_without_a_step():
 
     def bias_at(seen: float) -> float:
         start = InitialState(
-            np.zeros(5), np.eye(5), 0.0, GyroSeen(np.array([0.0, 0.0, seen]), variance, 0.0, np.zeros(5))
+            np.zeros(5),
+            np.eye(5),
+            0.0,
+            GyroBiasEvidence(np.array([0.0, 0.0, seen]), variance, 0.0, np.zeros(5)),
         )
         return float(started("planar8", start, 1e-4)[0][7])
 
@@ -124,7 +127,7 @@ def test_what_contradicts_widens_what_is_expected_without_a_step():
 def test_one_axis_that_is_off_makes_all_less_sure():
     variance = np.full(3, 0.01**2)
     start = InitialState(
-        np.zeros(5), np.eye(5), 0.0, GyroSeen(np.array([0.3, 0.0, 0.03]), variance, 0.0, np.zeros(5))
+        np.zeros(5), np.eye(5), 0.0, GyroBiasEvidence(np.array([0.3, 0.0, 0.03]), variance, 0.0, np.zeros(5))
     )
     mean, covariance = started("tilted12", start, 1e-4)
     assert mean[7] == pytest.approx(0.03, rel=0.01)

@@ -233,12 +233,12 @@ def test_places_that_are_near_are_all_found(spread: int):
     a, b = (rng.integers(-spread, spread, (n, 2)).astype(float) for n in (80, 70))
     b[:30] = a[:30] + rng.integers(-4, 5, (30, 2))
     apart = np.abs(a[:, np.newaxis] - b).max(axis=2)
-    expected = {(int(i), int(j)) for i, j in np.argwhere(apart <= overlap.SAME_PLACE)}
-    found = list(zip(*(of.tolist() for of in overlap._equal(a, b, overlap.SAME_PLACE)), strict=True))
+    expected = {(int(i), int(j)) for i, j in np.argwhere(apart <= overlap.POSITION_TOLERANCE)}
+    found = list(zip(*(of.tolist() for of in overlap._equal(a, b, overlap.POSITION_TOLERANCE)), strict=True))
     assert len(expected) > 5
     assert (len(found), {*found}) == (len(expected), expected)
 
 
 def test_what_is_no_place_is_near_nothing_else():
     far = np.array([[9e18, 0.0], [-9e18, 0.0]])
-    assert [len(of) for of in overlap._equal(far[:1], far[1:], overlap.SAME_PLACE)] == [0, 0]
+    assert [len(of) for of in overlap._equal(far[:1], far[1:], overlap.POSITION_TOLERANCE)] == [0, 0]

@@ -7,7 +7,7 @@ import pytest
 
 import sigmaswarm.drives.prepared as module
 from sigmaswarm.drives.alignment import initial_state
-from sigmaswarm.drives.prepared import PreparedDrive, prepared
+from sigmaswarm.drives.prepared import PreparedDrive, prepare_drive
 from sigmaswarm.drives.timeline import build_timeline
 from support import make_drive
 
@@ -16,7 +16,7 @@ HIDDEN = np.arange(len(DRIVE.gps)) % 3 == 1
 
 
 def test_start_and_time_line_are_those_of_the_drive():
-    ready = prepared(DRIVE)
+    ready = prepare_drive(DRIVE)
     start = initial_state(DRIVE)
     np.testing.assert_array_equal(ready.initial.mean, start.mean)
     line, own = ready.timeline(), build_timeline(DRIVE, start.time)
@@ -31,7 +31,7 @@ def test_everything_is_made_once(monkeypatch: pytest.MonkeyPatch):
         monkeypatch.setattr(
             module, name, lambda *a, own=own, name=name, **k: calls.append(name) or own(*a, **k)
         )
-    ready = prepared(DRIVE)
+    ready = prepare_drive(DRIVE)
     assert not calls, "a drive is aligned when its start is asked for"
     for _ in range(2):
         assert ready.timeline() is ready.timeline(np.zeros(len(HIDDEN), dtype=bool))
@@ -41,7 +41,7 @@ def test_everything_is_made_once(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_fixes_that_are_hidden_leave_the_steps_and_those_removed_do_not():
-    ready = prepared(DRIVE)
+    ready = prepare_drive(DRIVE)
     whole, hidden, removed = ready.timeline(), ready.timeline(HIDDEN), ready.timeline(HIDDEN, removed=True)
     for name in ("steps", "driving", "end", "sampled", "sample", "imu_time", "fixes"):
         assert getattr(hidden, name) is getattr(whole, name), name
@@ -57,10 +57,10 @@ def test_fixes_that_are_hidden_leave_the_steps_and_those_removed_do_not():
 
 
 def test_a_prepared_drive_stays_itself_unless_another_start_is_asked_for():
-    ready = prepared(DRIVE)
-    assert prepared(ready) is ready
-    assert prepared(ready, ready.initial) is ready
+    ready = prepare_drive(DRIVE)
+    assert prepare_drive(ready) is ready
+    assert prepare_drive(ready, ready.initial) is ready
     later = replace(ready.initial, time=ready.initial.time + 2.0)
-    assert prepared(ready, later) is not ready
-    assert prepared(ready, later).timeline().start == later.time
-    assert isinstance(prepared(ready, later), PreparedDrive)
+    assert prepare_drive(ready, later) is not ready
+    assert prepare_drive(ready, later).timeline().start == later.time
+    assert isinstance(prepare_drive(ready, later), PreparedDrive)

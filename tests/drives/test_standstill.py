@@ -10,7 +10,7 @@ import pytest
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.stale_fixes import STALE_MOVING, classify_fixes
-from sigmaswarm.drives.standstill import MEANS, fixes_are_still, is_calm, new_memory, standing
+from sigmaswarm.drives.standstill import MEANS, detect_standstills, fixes_are_still, is_calm, new_memory
 from sigmaswarm.simulation.scenarios import simulate
 from support import DRIVES, needs_shared, quickly
 
@@ -91,7 +91,7 @@ def test_it_decides_as_said_at_any_rate(rate: float, jitter: bool):
     drive = shaken(urban(rate), int(rate)) if jitter else urban(rate)
     plain = Plain(drive)
     expected = np.array([plain.stands(k) for k in range(len(drive.imu))])
-    found = standing(drive, classify_fixes(drive.gps))
+    found = detect_standstills(drive, classify_fixes(drive.gps))
     assert 0.02 < expected.mean() < 0.6
     # A threshold may be hit within rounding.
     assert np.count_nonzero(found != expected) <= 1e-4 * len(found)
@@ -137,7 +137,7 @@ def stop(ramp: float) -> Drive:
 @pytest.mark.parametrize("ramp", [0.2, 0.4, 1.0, 10.0])
 def test_a_departure_is_seen_before_the_car_is_fast(ramp: float):
     drive = stop(ramp)
-    stands, time = standing(drive, classify_fixes(drive.gps)), drive.imu.time
+    stands, time = detect_standstills(drive, classify_fixes(drive.gps)), drive.imu.time
     assert stands[(time > 5.0) & (time < 15.0)].mean() > 0.95
     speed = np.cumsum(np.clip(ramp * (time - 15.0), 0.0, 1.0)) * 0.01
     assert speed[stands].max() < 0.3
@@ -147,7 +147,7 @@ def test_behind_an_outage_a_steady_departure_is_no_standstill():
     drives = [simulate("urban", seed=seed, gps="white-1m", duration=120.0) for seed in (4, 7)]
     for drive, (begin, end) in zip(drives, ((95.19, 100.19), (31.18, 36.18)), strict=True):
         left = drive.gps.select((drive.gps.time < begin) | (drive.gps.time > end))
-        stands = standing(replace(drive, gps=left), classify_fixes(left))
+        stands = detect_standstills(replace(drive, gps=left), classify_fixes(left))
         speed = np.interp(drive.imu.time, drive.truth.time, np.hypot(drive.truth.vx, drive.truth.vy))
         assert speed[stands].max() < 0.3
 
@@ -167,7 +167,7 @@ def test_nothing_that_is_told_to_stand_drives(name: str):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the reader's, about gaps
         drive = read_drive(DRIVES / name)
-    stands = standing(drive, classify_fixes(drive.gps))
+    stands = detect_standstills(drive, classify_fixes(drive.gps))
     assert drive.truth is not None
     speed = np.interp(drive.imu.time, drive.truth.time, np.hypot(drive.truth.vx, drive.truth.vy))
     assert stands.sum() > 90

@@ -14,11 +14,11 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.compare import compare
 from sigmaswarm.experiments.comparison import MIN_SEEDS, Comparison
 from sigmaswarm.experiments.statistics import holm, signed_rank
-from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, noise_of
+from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, fitted_noise
 from sigmaswarm.filters.run import estimate_of
 from sigmaswarm.reports.compare import comparison_table, save_comparison
 from sigmaswarm.scoring.score import score_estimate
-from sigmaswarm.scoring.targets import tracking_replay
+from sigmaswarm.scoring.targets import tracking_pass
 from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.tune import tune
 from support import make_drive, no_pictures
@@ -135,8 +135,8 @@ def test_the_tables_say_what_the_runs_were(whole):
 
 def test_the_fixes_alone_are_fitted_to_the_training_drives(whole):
     comparison, folder = whole
-    noise = MotionNoise.typical(noise_of(PreparedDrive(drive)) for drive in DRIVES)
-    alone = FixesAlone(tracking_replay(PreparedDrive(HELD_OUT[0])), noise)
+    noise = MotionNoise.typical(fitted_noise(PreparedDrive(drive)) for drive in DRIVES)
+    alone = FixesAlone(tracking_pass(PreparedDrive(HELD_OUT[0])), noise)
     score = score_estimate(HELD_OUT[0], estimate_of(alone, recover=False))
     assert comparison.fixes_alone_rmse == score.position_rmse
     assert f"held-out RMSE of {comparison.fixes_alone_rmse:.4g} m" in (folder / "comparison.md").read_text()

@@ -34,9 +34,9 @@ from sigmaswarm.reports import study_charts as reports
 from sigmaswarm.reports.folders import read_report
 from sigmaswarm.reports.study_charts import save_study, study_figures
 from sigmaswarm.reports.study_tables import study_tables
-from sigmaswarm.scoring.targets import outage_windows, tracking_replay
+from sigmaswarm.scoring.targets import outage_windows, tracking_pass
 from sigmaswarm.simulation.scenarios import simulate
-from sigmaswarm.tuning.search import Search
+from sigmaswarm.tuning.search import TrialRunner
 from sigmaswarm.tuning.tune import tune
 from support import quickly, require
 
@@ -127,7 +127,7 @@ def test_a_network_s_scores_are_those_of_a_run_of_its_own(whole: Study, network:
     for drive in tested:
         ready = PreparedDrive(drive, as_recorded=True)
         truth = drive.truth.select(drive.truth.time >= ready.initial.time)
-        run = learned.run(tracking_replay(ready), parameters)
+        run = learned.run(tracking_pass(ready), parameters)
         found = run.whole()
         position = rms(drive, found.time, found.mean, truth.time)
         assert told[drive.name, "position_rmse_m"] == pytest.approx(position, rel=0.01)
@@ -139,7 +139,7 @@ def test_a_network_s_scores_are_those_of_a_run_of_its_own(whole: Study, network:
         assert told[drive.name, "nis"] == pytest.approx(float(np.mean(run.innovations.nis)))
         for measure, length in (("outage_drift_m", 5.0), ("outage_drift_15_s_m", 15.0)):
             blind, ends = blinded(drive, length)
-            there = learned.run(tracking_replay(blind), parameters).whole()
+            there = learned.run(tracking_pass(blind), parameters).whole()
             assert told[drive.name, measure] == pytest.approx(rms(drive, there.time, there.mean, ends))
     key = "outage_drift_15_s_m" if network == "outage-lstm" else "nis"
     assert all(told[drive.name, key] != alone[drive.name, key] for drive in tested)
@@ -190,19 +190,19 @@ def test_lessons_are_minutes_of_the_trial_s_own_training_drives(whole: Study):
         ours = {whole.design.drives[i].name for i in whole.design.split(trial)[0]}
         few, more = (training_drives(whole.design, trial, minutes) for minutes in (1.2, 2.4))
         for of, seconds in ((few, 72.0), (more, 144.0)):
-            assert {d.name for d in (*of.shown, *of.held_back)} <= ours
+            assert {d.name for d in (*of.training, *of.held_back)} <= ours
             assert of.driven == pytest.approx(seconds, abs=MIN_DRIVING_TIME + 1.0)
-            assert len(of.held_back) == len((*of.shown, *of.held_back)) // 3
+            assert len(of.held_back) == len((*of.training, *of.held_back)) // 3
             assert sum(
-                d.imu.time[-1] - PreparedDrive(d).initial.time for d in (*of.shown, *of.held_back)
+                d.imu.time[-1] - PreparedDrive(d).initial.time for d in (*of.training, *of.held_back)
             ) == pytest.approx(of.driven, abs=0.1)
-        assert {d.name for d in (*few.shown, *few.held_back)} <= {
-            d.name for d in (*more.shown, *more.held_back)
+        assert {d.name for d in (*few.training, *few.held_back)} <= {
+            d.name for d in (*more.training, *more.held_back)
         }
-    names = [[d.name for d in training_drives(whole.design, trial, 2.0).shown] for trial in range(2)]
+    names = [[d.name for d in training_drives(whole.design, trial, 2.0).training] for trial in range(2)]
     assert names[0] != names[1]
     everything = training_drives(whole.design, 0, 1000.0)
-    assert len(everything.shown) + len(everything.held_back) == len(whole.design.split(0)[0])
+    assert len(everything.training) + len(everything.held_back) == len(whole.design.split(0)[0])
 
 
 def test_what_a_network_saw_is_in_its_folder(whole: Study):
@@ -211,7 +211,7 @@ def test_what_a_network_saw_is_in_its_folder(whole: Study):
             learned = load_learned(whole.folder / f"learned/{network}/trial-{trial:03d}")
             assert learned is not None
             of = training_drives(whole.design, trial, 2.4)
-            assert [entry.name for entry in learned.record.data] == [drive.name for drive in of.shown]
+            assert [entry.name for entry in learned.record.data] == [drive.name for drive in of.training]
             assert learned.record.training.held_back == ", ".join(drive.name for drive in of.held_back)
             assert learned.record.training.seed == trial
 
@@ -219,7 +219,7 @@ def test_what_a_network_saw_is_in_its_folder(whole: Study):
 def test_drives_that_are_too_short_are_told_before_anything_is_tuned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(Search, "trial", lambda *_: pytest.fail("tuned already"))
+    monkeypatch.setattr(TrialRunner, "trial", lambda *_: pytest.fail("tuned already"))
     with pytest.raises(InputError, match=r"too little data to train networks.*add drives"):
         run_study(TINY.model_copy(update={"maneuvers": ("brake",)}), tmp_path / "out")
 
@@ -379,7 +379,7 @@ def test_what_is_trained_is_not_trained_again(whole: Study, monkeypatch: pytest.
         raise Stopped
 
     monkeypatch.setattr(Quick, "__init__", lambda *_: pytest.fail("trained again"))
-    monkeypatch.setattr(Search, "_generation", lambda *_: pytest.fail("tuned again"))
+    monkeypatch.setattr(TrialRunner, "_generation", lambda *_: pytest.fail("tuned again"))
     monkeypatch.setattr(study, "score_all", scores)
     before = contents(whole.folder)
     with pytest.raises(Stopped):

@@ -22,14 +22,14 @@ from sigmaswarm.experiments.study import study as study_run
 from sigmaswarm.experiments.study.config import DEFAULT_METHOD, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, make_design
 from sigmaswarm.experiments.study.study import Study, run_study
-from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, noise_of
+from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, fitted_noise
 from sigmaswarm.filters.run import estimate_of
 from sigmaswarm.reports.study_charts import save_study
 from sigmaswarm.scoring.drifts import rms_drift
 from sigmaswarm.scoring.score import score_estimate
-from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_windows, tracking_replay
-from sigmaswarm.tuning.racing import MANY
-from sigmaswarm.tuning.search import Search
+from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_pass, outage_windows, tracking_pass
+from sigmaswarm.tuning.racing import MIN_DRIVES
+from sigmaswarm.tuning.search import TrialRunner
 from sigmaswarm.tuning.space import SearchSpace, search_space
 from sigmaswarm.tuning.tune import tune
 from support import no_pictures
@@ -94,7 +94,7 @@ def test_finished_trials_are_not_done_again(whole: Study, monkeypatch: pytest.Mo
     before = contents(whole.folder)
     # as a run leaves it that is killed after it has kept the trial, and before it has dropped this
     (whole.folder / "trials/paper-pso-ukf/checkpoint-000.npz").write_bytes(b"")
-    monkeypatch.setattr(Search, "_generation", lambda *_: pytest.fail("a finished trial was redone"))
+    monkeypatch.setattr(TrialRunner, "_generation", lambda *_: pytest.fail("a finished trial was redone"))
     run_study(TINY, whole.folder, resume=True)
     assert contents(whole.folder) == before
 
@@ -148,7 +148,7 @@ def test_it_races_by_itself_where_training_drives_are_many():
         config = TINY.model_copy(update=asked)
         return Design((), (("", ""),) * len(strata), strata, config).tune_config("pso-ukf", "honest").racing
 
-    enough = math.ceil(MANY / 2 / TINY.train_fraction)
+    enough = math.ceil(MIN_DRIVES / 2 / TINY.train_fraction)
     assert races(enough)
     assert not races(enough - 2)
     assert not races(enough, per_condition=True)
@@ -210,14 +210,14 @@ def test_raw_gps_is_perfect_by_the_paper_s_measure(whole: Study):
 
 def test_the_fixes_alone_are_a_row_without_tuning(whole: Study):
     design = whole.design
-    noise = MotionNoise.typical(map(noise_of, design.prepared))
+    noise = MotionNoise.typical(map(fitted_noise, design.prepared))
     found: dict[str, list[float]] = {"position_rmse_m": [], "outage_drift_m": []}
     for ready in design.prepared:
         placed = {"length": OUTAGE_LENGTH, "seed": design.config.seed}
         ends = outage_windows(ready.drive, ready.initial, **placed)[:, 1]
         estimate, hidden = (
             estimate_of(FixesAlone(replay, noise), recover=False)
-            for replay in (tracking_replay(ready), outage_replay(ready, **placed))
+            for replay in (tracking_pass(ready), outage_pass(ready, **placed))
         )
         found["position_rmse_m"].append(score_estimate(ready.drive, estimate).position_rmse)
         found["outage_drift_m"].append(rms_drift(ready, hidden, ends))

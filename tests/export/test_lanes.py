@@ -36,7 +36,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.exports.check import check_export
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.filters.bank.live import LiveFilterBank
-from sigmaswarm.filters.bank.spread import FIXED
+from sigmaswarm.filters.bank.spread import FIXED_OFFSETS
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS
@@ -144,9 +144,9 @@ def test_it_is_the_swarm_without_searches(
 def test_the_seed_draws_the_lanes_after_the_fixed_ones(tmp_path: Path):
     p = given("planar8", "ukf", "plain")
     one, other = Lanes(16, seed=1).filters(p), Lanes(16, seed=2).filters(p)
-    assert one[: len(FIXED)] == other[: len(FIXED)]
+    assert one[: len(FIXED_OFFSETS)] == other[: len(FIXED_OFFSETS)]
     assert one[0] == p
-    assert all(a != b for a, b in zip(one[len(FIXED) :], other[len(FIXED) :], strict=True))
+    assert all(a != b for a, b in zip(one[len(FIXED_OFFSETS) :], other[len(FIXED_OFFSETS) :], strict=True))
     drive = equipped()
     c, swarm = c_filter(tmp_path, p, drive, 16, seed=1), python_lanes(p, drive, 16, seed=1)
     for _ in both(drive, c, swarm, 0.0):

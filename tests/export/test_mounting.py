@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import sigmaswarm
 from exported import OPTIMIZED, STRICT, distance, needs_gcc, tuned
 from importing.test_mount_auto import log_of
-from sigmaswarm.doctor.mounting import turned
+from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.exports.c99 import replay_events
@@ -40,7 +40,7 @@ MATRIX = Rotation.from_euler("xyz", ANGLES, degrees=True).as_matrix()
 def raw_drive() -> Drive:
     """The samples of an IMU that is turned in the vehicle."""
     drive = sigmaswarm.simulate("urban", duration=40, gps="white-1m", run=4)
-    return replace(drive, imu=turned(drive.imu, MATRIX.T))
+    return replace(drive, imu=rotate_imu(drive.imu, MATRIX.T))
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_the_drive_states_the_rotation_of_the_import(imported: Drive):
     again = parse_mount(",".join(map(str, imported.mounting)))  # the number can be typed again
     for part in (imported, *sigmaswarm.split(imported)):
         assert part.mounting == imported.mounting
-    np.testing.assert_allclose(turned(raw_drive().imu, again).ay, imported.imu.ay, atol=1e-9)
+    np.testing.assert_allclose(rotate_imu(raw_drive().imu, again).ay, imported.imu.ay, atol=1e-9)
 
 
 @needs_gcc

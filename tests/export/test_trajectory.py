@@ -26,7 +26,7 @@ from sigmaswarm.exports.trajectory import (
 )
 from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.presets import DEFAULTS
-from sigmaswarm.filters.run import Estimate, estimates_of, replay_of, run_filter, run_imu_only
+from sigmaswarm.filters.run import Estimate, estimates_of, run_filter, run_imu_only, whole_pass
 from support import make_drive
 
 STATES = ["x", "y", "vx", "vy", "theta"]
@@ -110,7 +110,7 @@ def test_a_filter_that_fails_on_its_way_leaves_no_file(tmp_path: Path):
     drive = make_drive(duration=150.0, seed=2)  # longer than a piece
     spoiled = drive.imu.gz.copy()
     spoiled[-100:] = np.nan
-    replay = replay_of(replace(drive, imu=replace(drive.imu, gz=spoiled)))
+    replay = whole_pass(replace(drive, imu=replace(drive.imu, gz=spoiled)))
     with pytest.raises(SigmaswarmError, match="the filter failed at t = 149"):
         write_pieces(
             estimates_of(FilterRun(replay, DEFAULTS, recover=True)), (0.0, 150.0), tmp_path / "e.csv"

@@ -23,20 +23,20 @@ import processes
 from filter_cases import OPTIONS, WEIGHED, equipped, parameters
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.gyro_seen import GyroSeen
-from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.drives.gyro_bias import GyroBiasEvidence
+from sigmaswarm.drives.prepared import prepare_drive
 from sigmaswarm.filters.bank.live import LiveFilterBank
 from sigmaswarm.filters.bank.mixture import Mixture
 from sigmaswarm.filters.bank.run import BankRun, run_bank
-from sigmaswarm.filters.bank.search import Evidence, Steps, search
-from sigmaswarm.filters.bank.spread import FIXED, START, R, Spread
+from sigmaswarm.filters.bank.search import FilterEvidence, LoggedSteps, search
+from sigmaswarm.filters.bank.spread import FIXED_OFFSETS, START, OffsetPrior, R
 from sigmaswarm.filters.compiled import layout, swarm
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.run import replay_of, run_filter, run_innovations
+from sigmaswarm.filters.run import run_filter, run_innovations, whole_pass
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.simulation.scenarios import simulate
 from support import make_drive, quickly
@@ -216,7 +216,7 @@ def test_the_heading_of_a_mixture_goes_around_the_circle():
 @given(hnp.arrays(float, 13, elements=st.floats(-2.0, 2.0)))
 def test_the_kernels_constants_are_those_of_the_parameters(offsets: np.ndarray):
     for model, option in (("planar8", WEIGHED["both"]), ("tilted12", ALL), ("planar5", {})):
-        spread = Spread(parameters(model, **option))
+        spread = OffsetPrior(parameters(model, **option))
         own = KernelArray((spread.tuning,)).constants(0.01)[:, :1]
         by = np.resize(offsets, len(spread.names))
         packed = KernelArray((spread.parameters(by),)).constants(0.01)[:, 0]
@@ -290,8 +290,8 @@ def test_a_search_finds_what_loses_less_and_the_same_each_time():
     p = parameters("planar8", **ALL)
     filter = fed(LiveFilterBank, p, searches=False)
     logged = filter._logged_steps(0, int(filter._numbers[swarm.LOGGED]))
-    begins, told = filter._snapshots[0].lanes[:, 0], Evidence(0.0, start().time)
-    steps = Steps(p.model, logged, np.array([1.0, 0.5, 1.2]))
+    begins, told = filter._snapshots[0].lanes[:, 0], FilterEvidence(0.0, start().time)
+    steps = LoggedSteps(p.model, logged, np.array([1.0, 0.5, 1.2]))
     zero = np.zeros(len(filter.spread.names))
     wrong = zero.copy()
     wrong[filter.spread.names.index(R)] = 2.0
@@ -317,7 +317,7 @@ def test_a_search_finds_what_loses_less_and_the_same_each_time():
     assert first.lane.tobytes() == again.lane.tobytes()
     assert first.known == again.known
     assert first.known.evidence == pytest.approx(evidence_of(first.offsets), rel=1e-9)
-    few = Steps(p.model, logged[:300], np.zeros(3))
+    few = LoggedSteps(p.model, logged[:300], np.zeros(3))
     assert search(filter.spread, few, begins, told, zero, population, 0.01, (0,)) is None
 
 
@@ -329,21 +329,21 @@ def test_the_fixed_lanes_stay(kind: str):
     first, last = made(LiveFilterBank, p), fed(LiveFilterBank, p)
     assert last.n_searches >= 2
     states = Mixture.of(last.lanes()[0][np.newaxis].repeat(LANES, 0), np.eye(LANES), p.model)
-    for lane in range(len(FIXED)):  # what goes on beside them does not touch them
+    for lane in range(len(FIXED_OFFSETS)):  # what goes on beside them does not touch them
         alone = run_filter(drive(), last.spread.parameters(last.offsets[lane]), initial=start())
         np.testing.assert_allclose(wrap_angle(states.mean[lane] - alone.mean[-1]), 0.0, atol=1e-9)
         np.testing.assert_allclose(states.covariance[lane], alone.covariance[-1], rtol=1e-7, atol=1e-13)
-    np.testing.assert_array_equal(first.offsets[: len(FIXED)], last.offsets[: len(FIXED)])
-    assert not np.array_equal(first.offsets[len(FIXED) :], last.offsets[len(FIXED) :])
+    np.testing.assert_array_equal(first.offsets[: len(FIXED_OFFSETS)], last.offsets[: len(FIXED_OFFSETS)])
+    assert not np.array_equal(first.offsets[len(FIXED_OFFSETS) :], last.offsets[len(FIXED_OFFSETS) :])
     assert np.isfinite(last.offsets).all()
-    assert (last.offsets[len(FIXED) :, last.spread.names.index(START)] == 0.0).any()
+    assert (last.offsets[len(FIXED_OFFSETS) :, last.spread.names.index(START)] == 0.0).any()
 
 
 def test_it_says_that_the_receiver_is_another_one():
     """A filter that was tuned for errors of 0.5 m, on a receiver with 4 m."""
     seen = make_drive(duration=90.0, gps_std=4.0, seed=3)
     p = parameters("planar8", lateral_noise=0.01, rear_axle=0.0)
-    run = BankRun(replay_of(seen), p, recover=True)
+    run = BankRun(whole_pass(seen), p, recover=True)
     error = {"swarm": np.concatenate([piece.mean[:, :2] for piece in run])}
     error["tuning"] = run_filter(seen, p).mean[:, :2]
     t = seen.imu.time[seen.imu.time > run.initial.time]
@@ -362,7 +362,7 @@ def test_it_says_that_the_receiver_is_another_one():
 
 def test_a_run_is_the_stream():
     p = parameters("planar8", lateral_noise=0.05)
-    run = run_bank(prepared(drive(), start()), p)
+    run = run_bank(prepare_drive(drive(), start()), p)
     filter = made(LiveFilterBank, p)
     means = [filter.state.mean for t in feed(filter, events()) if t > start().time]
     np.testing.assert_allclose(
@@ -422,7 +422,7 @@ def biases(turned_at: float = math.inf, held_at: float = math.inf) -> tuple[Live
             assert filter._monitor and filter._together
             filter._monitor.lost = filter._together.lost = filter._holds = True
             held_at = math.inf
-        found.append((t, np.median(filter.lanes()[0][GYRO_BIAS, len(FIXED) :])))
+        found.append((t, np.median(filter.lanes()[0][GYRO_BIAS, len(FIXED_OFFSETS) :])))
     return filter, np.array(found)
 
 
@@ -470,12 +470,12 @@ def test_a_new_start_takes_the_bias_of_an_alignment_that_is_surer_or_contradicts
     taken: float | None, variance: float, kept: bool
 ):
     filter = made(LiveFilterBank, parameters("planar8"))
-    gyro = None if taken is None else GyroSeen(np.zeros(3), np.full(3, variance), taken, np.zeros(5))
+    gyro = None if taken is None else GyroBiasEvidence(np.zeros(3), np.full(3, variance), taken, np.zeros(5))
     rows, before = filter._rows_of(filter._numbers), filter.lanes()[0].copy()
     mean, covariance = np.full(8, 0.2), np.diag(np.full(8, 0.01))
     new = InitialState(np.full(5, 7.0), np.eye(5), start().time, gyro)
     filter._keep_biases(new, 0.2, mean, covariance)
-    with_others = [0, *(lane for lane, by in enumerate(FIXED) if START in by)]
+    with_others = [0, *(lane for lane, by in enumerate(FIXED_OFFSETS) if START in by)]
     changed = [lane for lane in range(LANES) if kept and lane not in with_others]
     other = np.setdiff1d(np.arange(LANES), changed)
     np.testing.assert_array_equal(filter.lanes()[0][:, other], before[:, other])
@@ -526,7 +526,7 @@ def test_a_drive_with_a_long_silence_has_no_stale_estimate():
     heard = (imu.time < 20.0) | (imu.time > 32.5)
     silent = replace(drive(), imu=imu.select(heard))
     p = parameters("planar8", lateral_noise=0.05)
-    run, of_one = run_bank(prepared(silent, start()), p), run_filter(silent, p, initial=start())
+    run, of_one = run_bank(prepare_drive(silent, start()), p), run_filter(silent, p, initial=start())
     apart = np.hypot(*(run.mean[:, :2] - of_one.mean[:, :2]).T)
     assert apart.max() < 5.0
 
@@ -537,7 +537,7 @@ def test_what_it_settles_on_starts_as_the_tuning_does():
 
 
 def test_what_all_variances_have_in_common_is_said_once():
-    spread = Spread(parameters("planar8", **ALL))
+    spread = OffsetPrior(parameters("planar8", **ALL))
     by = dict.fromkeys(spread.names, 0.0)
 
     def said(**of: float) -> tuple[str, ...]:

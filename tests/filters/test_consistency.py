@@ -22,7 +22,7 @@ from sigmaswarm.filters import tilted
 from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, Targets
+from sigmaswarm.filters.passes import FilterPass, Targets
 from sigmaswarm.geodesy import wrap_angle
 from support import quickly
 
@@ -165,7 +165,7 @@ def consistency(
     nees, nis = [], 0.0
     for j in range(runs):
         own = replace(line, fixes=np.hstack([fixes[:, j], np.zeros((len(fixes), 4))]))
-        replay = Replay(own, initial, Targets.none(own))
+        replay = FilterPass(own, initial, Targets.none(own))
         recording = FilterRun(replay, wrong)
         run = recording.whole()
         assert run.sound.all()

@@ -14,10 +14,10 @@ import sigmaswarm
 from exported import tuned
 from sigmaswarm.drives.alignment import MAX_DURATION, Alignments, InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
-from sigmaswarm.drives.gyro_seen import GyroSeen
-from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.drives.gyro_bias import GyroBiasEvidence
+from sigmaswarm.drives.prepared import prepare_drive
 from sigmaswarm.drives.reader import read_drive
-from sigmaswarm.filters.divergence import Check, DivergenceMonitor, check_times
+from sigmaswarm.filters.divergence import DivergenceMonitor, StateCheck, check_times
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
@@ -198,9 +198,9 @@ def test_a_gyro_that_is_far_off_is_no_reason_to_start_anew_for_a_filter_that_kno
 @pytest.mark.parametrize("samples", [1, 333, 10_000])
 def test_looking_changes_no_bit(samples: int):
     from sigmaswarm.filters.filter_run import FilterRun
-    from sigmaswarm.filters.run import replay_of
+    from sigmaswarm.filters.run import whole_pass
 
-    replay = replay_of(make_drive(duration=40.0, seed=3))
+    replay = whole_pass(make_drive(duration=40.0, seed=3))
     plain = FilterRun(replay, SET)
     watched = FilterRun(replay, SET, recover=True, samples=samples)
     a, b = plain.whole(), watched.whole()
@@ -212,9 +212,9 @@ def test_looking_changes_no_bit(samples: int):
 
 def test_a_restart_does_not_depend_on_the_pieces():
     from sigmaswarm.filters.filter_run import FilterRun
-    from sigmaswarm.filters.run import replay_of
+    from sigmaswarm.filters.run import whole_pass
 
-    replay = replay_of(*turned(drive_of("simulated")))
+    replay = whole_pass(*turned(drive_of("simulated")))
     runs = [FilterRun(replay, SET, recover=True, samples=n) for n in (77, 10_000)]
     a, b = (run.whole() for run in runs)
     assert runs[0].restarts == runs[1].restarts != []
@@ -223,7 +223,7 @@ def test_a_restart_does_not_depend_on_the_pieces():
 
 def test_no_tuning_starts_anew():
     drive, start = turned(drive_of("simulated"))
-    scored = BatchScorer([prepared(drive, start)], outages=False).scores([SET])
+    scored = BatchScorer([prepare_drive(drive, start)], outages=False).scores([SET])
     lost = score_estimate(drive, run_filter(drive, SET, initial=start, recover=False))
     found = score_estimate(drive, run_filter(drive, SET, initial=start))
     assert scored.position_rmse[0, 0] == pytest.approx(lost.position_rmse, rel=1e-9)
@@ -382,10 +382,10 @@ def test_a_fix_from_before_a_restart_comes_too_late():
     np.testing.assert_array_equal(filter.state.mean, state.mean)
 
 
-def seen(time: float, *, heading: float = 0.0, off: float = 0.0, aligns: bool = True) -> Check:
+def seen(time: float, *, heading: float = 0.0, off: float = 0.0, aligns: bool = True) -> StateCheck:
     """A filter that says it drives east at 10 m/s; the fixes say something else."""
     alignment = InitialState(np.array([0, 0, 10, 0, heading]), 1e-4 * np.eye(5), time)
-    return Check(
+    return StateCheck(
         time=time, mean=np.array([0.0, off, 10.0, 0.0, 0.0]), covariance=1e-4 * np.eye(5), fix_time=time,
         fix=np.zeros(2), fix_variance=np.ones(2), lever=np.zeros(2), latency=0.0,
         since=lambda: np.zeros((1, 4)), heading=lambda: heading if aligns else np.nan,
@@ -395,7 +395,7 @@ def seen(time: float, *, heading: float = 0.0, off: float = 0.0, aligns: bool = 
 
 @pytest.mark.parametrize("taken", [None, 0.2])
 def test_a_reset_takes_the_alignment_through_the_steps_since_without_the_gyro_s_bias(taken: float | None):
-    gyro = None if taken is None else GyroSeen(np.zeros(3), np.ones(3), taken, np.zeros(5))
+    gyro = None if taken is None else GyroBiasEvidence(np.zeros(3), np.ones(3), taken, np.zeros(5))
     aligned = InitialState(np.array([0.0, 0.0, 10.0, 0.0, 0.0]), np.eye(5), 5.0, gyro)
     steps = np.tile([0.01, 0.0, 0.0, 0.5], (100, 1))
     start = replace(seen(6.0), align=lambda: aligned, since=lambda: steps).start
@@ -488,7 +488,7 @@ def test_looking_back_finds_what_looking_at_each_moment_finds(
 def test_hardly_any_look_at_a_sound_filter_is_taken():
     times, asked = np.arange(0.0, 100.0).tolist(), list[int]()
 
-    def at(k: int) -> Check:
+    def at(k: int) -> StateCheck:
         asked.append(k)
         return seen(times[k])
 
@@ -497,7 +497,7 @@ def test_hardly_any_look_at_a_sound_filter_is_taken():
 
 
 def test_the_looks_are_once_a_second_after_fixes_and_at_samples():
-    line = prepared(make_drive(duration=30.0, seed=0, gps_rate=5.0, jitter=0.2)).timeline()
+    line = prepare_drive(make_drive(duration=30.0, seed=0, gps_rate=5.0, jitter=0.2)).timeline()
     looks = check_times(line)
     assert line.sampled[looks.step].all()
     time = line.end[looks.step]

@@ -15,7 +15,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters import packing
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, Targets, run_replays
+from sigmaswarm.filters.passes import FilterPass, Targets, run_passes
 from sigmaswarm.filters.run import run_filter, run_textbook
 from sigmaswarm.tuning.batch import run_batch
 from support import make_drive
@@ -95,7 +95,7 @@ def test_a_covariance_that_is_indefinite_for_most_of_the_drive_is_noticed():
             for q in ((-1e-3, 1e-5), (1e-5, -1e-3))]  # fmt: skip
     for parameters in sets:
         assert run_textbook(drive(), parameters).failure is not None
-    assert run_replays([Replay(timeline, initial, Targets.none(timeline))], sets).failed.all()
+    assert run_passes([FilterPass(timeline, initial, Targets.none(timeline))], sets).failed.all()
 
 
 def test_a_start_from_an_indefinite_covariance_is_noticed_without_any_nan():
@@ -106,7 +106,7 @@ def test_a_start_from_an_indefinite_covariance_is_noticed_without_any_nan():
         covariance = initial.covariance.copy()
         covariance[i, j] = covariance[j, i] = 1.1 * np.sqrt(covariance[i, i] * covariance[j, j])
         start = replace(initial, covariance=covariance)
-        assert run_replays([Replay(timeline, start, Targets.none(timeline))], [quiet]).failed.all(), (i, j)
+        assert run_passes([FilterPass(timeline, start, Targets.none(timeline))], [quiet]).failed.all(), (i, j)
 
 
 # --- Whole drives ------------------------------------------------------------------------------------------
@@ -147,7 +147,7 @@ def test_nan_in_the_last_sample_is_noticed():
     initial = initial_state(spoiled)
     timeline = build_timeline(spoiled, initial.time)
     assert run_filter(spoiled, SOUND).failure is not None
-    assert run_replays([Replay(timeline, initial, Targets.none(timeline))], [SOUND]).failed.all()
+    assert run_passes([FilterPass(timeline, initial, Targets.none(timeline))], [SOUND]).failed.all()
 
 
 def test_failure_of_a_negative_variance_is_said():

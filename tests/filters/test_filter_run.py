@@ -10,13 +10,13 @@ import pytest
 from filter_cases import KINDS, OPTIONS, equipped, parameters, two_receivers
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.drives.prepared import prepare_drive
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, Targets, run_replays
+from sigmaswarm.filters.passes import FilterPass, Targets, run_passes
 from sigmaswarm.filters.run import run_filter, run_innovations
-from sigmaswarm.scoring.targets import forecast_replay, tracking_replay
+from sigmaswarm.scoring.targets import forecast_pass, tracking_pass
 from support import make_drive, quickly
 
 EVERY_FILTER = [
@@ -29,8 +29,8 @@ EVERY_FILTER += [pytest.param("tilted12", kind, "all", id=f"tilted12-{kind}-all"
 
 
 @cache
-def replay_of(make, of=tracking_replay) -> Replay:
-    return of(prepared(make()))
+def replay_of(make, of=tracking_pass) -> FilterPass:
+    return of(prepare_drive(make()))
 
 
 def as_bits(recording: FilterRun) -> dict[str, bytes]:
@@ -55,14 +55,14 @@ def test_pieces_of_any_length_give_the_whole_runs_bits(model: str, kind: str, op
     for replay, lengths in (
         (replay_of(equipped), (1, -1)),
         (replay_of(two_receivers), (7,)),
-        (replay_of(equipped, forecast_replay), (1000,)),
+        (replay_of(equipped, forecast_pass), (1000,)),
     ):
         n = len(replay.timeline.imu_time)
         whole = as_bits(FilterRun(replay, p, samples=n))
         for samples in (length % n for length in lengths):
             in_pieces = as_bits(FilterRun(replay, p, samples=samples))
             assert [name for name in whole if whole[name] != in_pieces[name]] == [], samples
-        sums = run_replays([replay], [p])
+        sums = run_passes([replay], [p])
         assert all(np.asarray(column).tobytes() == whole[name] for name, column in vars(sums).items())
 
 
@@ -86,7 +86,7 @@ def test_a_failure_in_one_piece_is_one_in_all_that_follow(samples: int):
     ill = replace(drive, imu=replace(drive.imu, ax=ax))
     start = initial_state(drive)
     line = build_timeline(ill, start.time)
-    recording = FilterRun(Replay(line, start, Targets.none(line)), parameters("planar5"), samples=samples)
+    recording = FilterRun(FilterPass(line, start, Targets.none(line)), parameters("planar5"), samples=samples)
     whole = recording.whole()
     sound = line.imu_time < drive.imu.time[2000]
     assert whole.sound.tolist() == sound.tolist()
@@ -109,7 +109,7 @@ def peak_of_pieces(drive: Drive) -> int:
     """Bytes that a recording asks for beyond its replay."""
     start = initial_state(drive)
     line = build_timeline(drive, start.time)
-    replay, p = Replay(line, start, Targets.none(line)), parameters("planar8")
+    replay, p = FilterPass(line, start, Targets.none(line)), parameters("planar8")
     replay.arrays(frozenset())
     for _ in FilterRun(replay, p, samples=500):  # compiled, and all that is kept is there
         pass
@@ -145,7 +145,7 @@ def residuals(nu: np.ndarray, s: np.ndarray, p: FilterParameters) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("model", "kind", "option"), EVERY_FILTER)
-@pytest.mark.parametrize("of", [tracking_replay, forecast_replay], ids=["tracking", "forecast"])
+@pytest.mark.parametrize("of", [tracking_pass, forecast_pass], ids=["tracking", "forecast"])
 def test_what_is_recorded_adds_up_to_the_sums(model: str, kind: str, option: str, of):
     p, replay = parameters(model, kind=kind, **OPTIONS[option]), replay_of(equipped, of)
     recording = FilterRun(replay, p, samples=100)
@@ -160,7 +160,7 @@ def test_what_is_recorded_adds_up_to_the_sums(model: str, kind: str, option: str
     }
     if kind in ("ukf", "ekf"):
         added["SQ_FIX"] = (residuals(nu[~hidden], s[~hidden], p) ** 2).sum()
-    if of is tracking_replay:
+    if of is tracking_pass:
         weight, x, y, theta, counts, _ = targets.columns
         later = np.searchsorted(targets.end[line.sampled], np.arange(len(weight)), side="right")
         times = np.concatenate([[line.start], whole.time])

@@ -12,7 +12,7 @@ from oracles.smoother import smooth_textbook
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.events import FIX, LATERAL, STANDSTILL, events_of
-from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.drives.prepared import prepare_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.check import check_export
 from sigmaswarm.exports.targets import export_texts, write_texts
@@ -22,7 +22,7 @@ from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS, planar8
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, Targets, run_steps, start_replays
+from sigmaswarm.filters.passes import FilterPass, Targets, run_steps, start_passes
 from sigmaswarm.filters.run import run_filter, run_innovations, run_textbook
 from sigmaswarm.filters.schedule import start_of
 from sigmaswarm.filters.smoothing import smooth
@@ -59,7 +59,7 @@ def test_textbook_takes_the_steps_of_an_ekf_with_ten_states_written_down():
     """No code in common but planar8's process: states, start, aging and every H stand here once more."""
     drive = straying()
     p = filter_of(accuracy_scale=0.4, **ALONG)
-    line, start = prepared(drive).timeline(), initial_state(drive)
+    line, start = prepare_drive(drive).timeline(), initial_state(drive)
     car = TextbookCar(line, p, start)
     n, lever, h_fix = 10, drive.lever_arm, np.zeros((2, 10))
     x, P = np.zeros(n), np.zeros((n, n))
@@ -164,7 +164,7 @@ def test_live_filter_gives_the_estimates_of_a_run(model: str, option: str):
 
 def test_a_hidden_fix_is_forecast_with_the_aged_error_and_leaves_the_filter_alone():
     drive, p = straying(), filter_of()
-    ready = prepared(drive)
+    ready = prepare_drive(drive)
     hidden = (drive.gps.time > 14.0) & (drive.gps.time < 16.0)
     line = ready.timeline(hidden)
     moved = replace(line, fixes=line.fixes.copy())
@@ -172,8 +172,8 @@ def test_a_hidden_fix_is_forecast_with_the_aged_error_and_leaves_the_filter_alon
     moved.fixes[at] += 3.0  # its stated variance, too
     ends = []
     for each in (line, moved):
-        replay, array = Replay(each, ready.initial, Targets.none(each)), KernelArray([p])
-        rows = start_replays([replay], array)[0]
+        replay, array = FilterPass(each, ready.initial, Targets.none(each)), KernelArray([p])
+        rows = start_passes([replay], array)[0]
         innovations = np.empty((len(each.fixes), 5))
         run_steps(replay, array, rows, new_cursor(), len(each.dt), innovations=innovations)
         ends.append((rows[: len(FILTERS[p.kernel].states), 0], innovations))

@@ -10,11 +10,11 @@ from filterpy.kalman import KalmanFilter
 from sigmaswarm import baseline, simulate
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.filters.filter_run import joined
-from sigmaswarm.filters.fixes_alone import UNKNOWN_SPEED, FixesAlone, MotionNoise, fit_noise, noise_of
-from sigmaswarm.scoring.drifts import Outages
+from sigmaswarm.filters.filter_run import join_chunks
+from sigmaswarm.filters.fixes_alone import UNKNOWN_SPEED, FixesAlone, MotionNoise, fit_noise, fitted_noise
+from sigmaswarm.scoring.drifts import OutageDrifts
 from sigmaswarm.scoring.evaluation import evaluate
-from sigmaswarm.scoring.targets import outage_replay, tracking_replay
+from sigmaswarm.scoring.targets import outage_pass, tracking_pass
 from support import make_drive, quickly
 
 UNSTATED = 2.1**2
@@ -31,8 +31,8 @@ def test_it_is_the_filter_of_filterpy(drive: Drive, stated: bool):
     """Position, velocity and covariance at every IMU sample, between fixes and at them."""
     gps = drive.gps if stated else replace(drive.gps, std_x=None, std_y=None)
     ready = PreparedDrive(replace(drive, gps=gps))
-    replay = tracking_replay(ready)
-    found = joined(FixesAlone(replay, NOISE))
+    replay = tracking_pass(ready)
+    found = join_chunks(FixesAlone(replay, NOISE))
     line, start = replay.timeline, replay.initial
     kf = KalmanFilter(dim_x=4, dim_z=2)
     kf.x = np.array(start.mean[:4])
@@ -71,12 +71,12 @@ def test_the_fit_finds_the_noise_of_the_fixes(sigma: float):
     p = np.cumsum(v * 0.5, axis=0) + rng.normal(0, sigma, (len(t), 2))
     imu = make_drive(duration=400.0, seed=0)
     drive = replace(imu, gps=Gps(t, p[:, 0], p[:, 1]), truth=None)
-    found = fit_noise(tracking_replay(PreparedDrive(drive)))
+    found = fit_noise(tracking_pass(PreparedDrive(drive)))
     assert UNSTATED * found.fix == pytest.approx(sigma**2, rel=0.25)
     assert found.acceleration == pytest.approx(0.5, rel=0.5)
     told = np.full(len(t), 2 * sigma)
     stated = replace(drive, gps=replace(drive.gps, std_x=told, std_y=told))
-    assert noise_of(PreparedDrive(stated)).fix == pytest.approx(0.25, rel=0.25)
+    assert fitted_noise(PreparedDrive(stated)).fix == pytest.approx(0.25, rel=0.25)
 
 
 def test_the_noise_of_several_drives_is_their_median():
@@ -87,8 +87,8 @@ def test_the_noise_of_several_drives_is_their_median():
 
 def test_during_an_outage_it_goes_straight_on(drive: Drive):
     """Hidden fixes do not move it: the velocity stays what it was."""
-    replay = outage_replay(PreparedDrive(drive), length=5.0)
-    found = joined(FixesAlone(replay, NOISE))
+    replay = outage_pass(PreparedDrive(drive), length=5.0)
+    found = join_chunks(FixesAlone(replay, NOISE))
     gaps = np.flatnonzero(np.diff(replay.timeline.fix_time) > 4.5)
     assert len(gaps)
     for i in gaps:
@@ -112,6 +112,6 @@ def test_an_evaluation_takes_the_noise_of_the_training_drives(drive: Drive):
     assert any("are fitted to each drive" in said for said in own.view.explanations())
     assert any("are fitted to the training drives" in said for said in tuned.view.explanations())
     drifts = [each.scores[drive.name]["fixes_alone"].outage_drift for each in (own, tuned)]
-    outages = Outages(PreparedDrive(drive), length=5.0, seed=0)
+    outages = OutageDrifts(PreparedDrive(drive), length=5.0, seed=0)
     outages.run({"tuned": baseline(drive)}, {"alone": partial(FixesAlone, noise=NOISE)})
     assert drifts[1] == outages.drift("alone") != drifts[0]

@@ -14,7 +14,7 @@ from oracles.smoother import smooth_textbook
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.drives.events import FIX, HEADING, events_of
-from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.drives.prepared import prepare_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.check import check_export
 from sigmaswarm.exports.targets import export_texts, write_texts
@@ -90,7 +90,7 @@ def relative(a: Any, b: Any) -> float:
 
 def test_textbook_update_is_that_of_a_scalar_kalman_filter():
     drive, p = driven(), filter_of(latency=0.1)
-    line, start = prepared(drive).timeline(), initial_state(equipped())
+    line, start = prepare_drive(drive).timeline(), initial_state(equipped())
     car = TextbookCar(line, p, start)
     for off in (0.01, -0.02, 0.5, -2.0):  # two beyond the gate
         x, covariance = car.filter.mean, car.filter.covariance
@@ -205,7 +205,7 @@ def test_c_lanes_give_the_estimates_of_a_bank(tmp_path: Path):
 
 def test_headings_count_where_they_were_found():
     drive, p = driven(), filter_of()
-    line = prepared(drive).timeline()
+    line = prepare_drive(drive).timeline()
     flags = events_of(line, {"heading"}).flags
     used = drive.gps.std_heading[drive.gps.time > line.start] < np.pi
     assert np.array_equal(flags[flags & FIX > 0] & HEADING > 0, used)

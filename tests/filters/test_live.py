@@ -31,7 +31,7 @@ from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.live import live_calls
-from sigmaswarm.filters.live import MOST_WAITING, LiveFilter
+from sigmaswarm.filters.live import MAX_WAITING_FIXES, LiveFilter
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from support import DRIVES, needs_shared, quickly
@@ -276,7 +276,7 @@ def test_fixes_that_wait_for_a_silent_imu_are_bounded():
     filter = LiveFilter(parameters("planar5"), start(), nominal_interval=0.01)
     t0 = start().time
     taken = [filter.update(t0 + 0.01 + 1e-4 * k, (0.0, 0.0)) for k in range(3000)]
-    assert MOST_WAITING <= sum(taken) < 2 * MOST_WAITING
+    assert MAX_WAITING_FIXES <= sum(taken) < 2 * MAX_WAITING_FIXES
     assert filter.too_late == 3000 - sum(taken)
     for k in range(500):
         filter.predict(t0 + 0.5 + 0.01 * k, (0.0, 0.0, 0.0))  # the first one takes them all

@@ -24,7 +24,7 @@ from sigmaswarm.drives.timeline import Timeline, build_timeline
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.models import gps_position, planar5
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, Targets, run_replays
+from sigmaswarm.filters.passes import FilterPass, Targets, run_passes
 from sigmaswarm.filters.run import run_filter, run_textbook
 from sigmaswarm.filters.schedule import measured_by
 from sigmaswarm.filters.textbook import SigmaPoints, UnscentedKalmanFilter
@@ -277,7 +277,7 @@ def test_a_run_adds_up_its_steps(kind: str, model: str):
     assert n_fixes > 8
     assert n_fixes % 8  # the product of det S is moved into its logarithm after every 8, and at the end
     start = first_steps(timeline, n)
-    whole = run_replays([Replay(start, initial, Targets.none(start))], sets)
+    whole = run_passes([FilterPass(start, initial, Targets.none(start))], sets)
     assert whole["NIS"][0] == pytest.approx(total[0], rel=1e-12)
     assert whole["LOG_DET"][0] == pytest.approx(total[1], rel=1e-12)
     assert whole["SQ_FIX"][0] == pytest.approx(total[2], rel=1e-12)
@@ -328,7 +328,7 @@ def test_no_lane_fails_inside_the_box(name: str):
     timeline, initial = ready(name)
     every_corner = np.array(list(product((0, 1), repeat=10)))
     table = np.vstack([np.where(every_corner, UPPER, LOWER), box_table(1032)[32:]])
-    sums = run_replays([Replay(timeline, initial, Targets.none(timeline))], as_parameters(table))
+    sums = run_passes([FilterPass(timeline, initial, Targets.none(timeline))], as_parameters(table))
     assert not sums.failed.any()
     assert np.isfinite(sums["LOG_DET"]).all()
     for p in as_parameters(box_table(48)):

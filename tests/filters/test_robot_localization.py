@@ -16,7 +16,7 @@ from sigmaswarm import evaluate, export, tune
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Array, Odometer
 from sigmaswarm.drives.events import FIX, HEADING, IMU, LATERAL, ODOMETER, events_of
-from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.drives.prepared import prepare_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.bank.live import LiveFilterBank
 from sigmaswarm.filters.compiled import run
@@ -26,13 +26,13 @@ from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.packing import pack_states, state_estimate, unpack_states
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.passes import run_steps, start_passes
 from sigmaswarm.filters.presets import baseline
-from sigmaswarm.filters.replay import run_steps, start_replays
-from sigmaswarm.filters.run import replay_of, run_filter, run_textbook
+from sigmaswarm.filters.run import run_filter, run_textbook, whole_pass
 from sigmaswarm.filters.schedule import measured_by
 from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.scoring.targets import tracking_replay
+from sigmaswarm.scoring.targets import tracking_pass
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.space import search_space
 from support import make_drive, quickly
@@ -240,7 +240,7 @@ def test_a_run_over_a_drive_agrees_with_the_textbook(imu_noise: tuple[float, ...
     drive = replace(drive, gps=replace(drive.gps, heading=yaw, std_heading=std))
     p = replace(P, imu_noise=imu_noise, gate=1.0, **changes)
     found = run_filter(drive, p, initial=start, recover=False)
-    replay = replay_of(drive, start)
+    replay = whole_pass(drive, start)
     line, array = replay.timeline, KernelArray((p,))
     mean, covariance = unpack_states(
         array.start([replay.initial], [line.nominal_interval])[0][state_rows(NAME)], NAME
@@ -378,8 +378,8 @@ def test_an_estimate_has_no_subnormal_numbers() -> None:
     """Each takes a hundred cycles; without fixes, measurements of vy = 0 shrink vy and ay to 5e-324 in a minute."""
     noise = (1e-8, 1e-8, 4e-7, 5e-7, 4e-7, 2e-5, 1.3, 0.5)
     parameters = replace(P, process_noise=noise, imu_noise=(6e-3, 2.0), lateral_noise=0.07, gate=1e-9)
-    replay, array = tracking_replay(prepared(make_drive(duration=90))), KernelArray((parameters,))
-    rows = start_replays([replay], array)[0]
+    replay, array = tracking_pass(prepare_drive(make_drive(duration=90))), KernelArray((parameters,))
+    rows = start_passes([replay], array)[0]
     rows[R.B] = 1.0
     run_steps(replay, array, rows, run.new_cursor(), len(replay.timeline.dt))
     numbers = np.abs(rows[[*state_rows(NAME)], 0])

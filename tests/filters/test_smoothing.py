@@ -32,9 +32,9 @@ from sigmaswarm.filters.divergence import CHECK_INTERVAL
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS, planar5
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, Targets
-from sigmaswarm.filters.run import Estimate, estimates_of, replay_of, run_filter
-from sigmaswarm.filters.smoothing import Smoothing, smooth
+from sigmaswarm.filters.passes import FilterPass, Targets
+from sigmaswarm.filters.run import Estimate, estimates_of, run_filter, whole_pass
+from sigmaswarm.filters.smoothing import SmootherRun, smooth
 from sigmaswarm.geodesy import wrap_angle
 from support import quickly, sparse
 
@@ -174,7 +174,7 @@ def test_errors_in_hindsight_are_as_large_as_the_covariance_says(model: str, kin
     nees, shrunk = [], []
     for j in range(runs):
         own = replace(line, fixes=np.hstack([fixes[:, j], np.zeros((len(fixes), 4))]))
-        piece = next(iter(Smoothing(Replay(own, start(n), Targets.none(own)), p)))
+        piece = next(iter(SmootherRun(FilterPass(own, start(n), Targets.none(own)), p)))
         error = piece.mean[moments] - truth[moments, j]
         error[:, 4] = wrap_angle(error[:, 4])
         covariance = piece.covariance[moments]
@@ -212,10 +212,10 @@ def test_the_last_estimate_is_the_filters_and_no_other_is_less_sure():
 )
 def test_no_bit_depends_on_how_often_the_filter_leaves_a_mark(model: str, kind: str, make):
     p = parameters(model, kind=kind, **OPTIONS["all"])
-    replay = replay_of(make(), began())
-    whole = next(iter(Smoothing(replay, p, samples=100_000)))
+    replay = whole_pass(make(), began())
+    whole = next(iter(SmootherRun(replay, p, samples=100_000)))
     for samples in (1, 7, 300, len(whole.time) - 1):
-        pieces = list(Smoothing(replay, p, samples=samples if samples > 1 else 50))
+        pieces = list(SmootherRun(replay, p, samples=samples if samples > 1 else 50))
         for name in ("time", "mean", "covariance", "sound"):
             joined = np.concatenate([getattr(piece, name) for piece in pieces])
             assert joined.tobytes() == getattr(whole, name).tobytes(), (samples, name)
@@ -244,7 +244,7 @@ def test_it_ends_at_a_restart_and_begins_again_behind_it():
     same = smooth(drive, p, initial=wrong)
     np.testing.assert_allclose(same.mean[before], cut.mean[cut.time < at], rtol=0, atol=1e-12)
     # Behind it nothing of the time before is left: a run from the filter's state there smooths to the same.
-    pieces = [np.concatenate([q.mean for q in Smoothing(replay_of(drive, wrong), SURE, samples=n, recover=True)])
+    pieces = [np.concatenate([q.mean for q in SmootherRun(whole_pass(drive, wrong), SURE, samples=n, recover=True)])
               for n in (77, 5000)]  # fmt: skip
     np.testing.assert_array_equal(*pieces)
     filtered = run_filter(drive, SURE, initial=wrong)
@@ -268,7 +268,7 @@ def test_a_failure_ends_it_and_what_lies_before_is_smoothed():
     whole = smooth(ill, replace(p, nominal_interval=0.01), initial=began())
     np.testing.assert_allclose(whole.mean[sound], cut.mean, rtol=0, atol=1e-9)
     with pytest.raises(SigmaswarmError, match="failed at t"):
-        list(estimates_of(Smoothing(replay_of(ill, began()), p, recover=True)))
+        list(estimates_of(SmootherRun(whole_pass(ill, began()), p, recover=True)))
 
 
 def test_no_truth_is_looked_at():
@@ -280,7 +280,7 @@ def test_no_truth_is_looked_at():
 def test_pieces_are_the_whole():
     drive, p = equipped(), parameters("planar8")
     whole = smooth(drive, p)
-    parts = list(estimates_of(Smoothing(replay_of(drive), p, recover=True)))
+    parts = list(estimates_of(SmootherRun(whole_pass(drive), p, recover=True)))
     assert np.concatenate([part.mean for part in parts]).tobytes() == whole.mean.tobytes()
     assert not np.any(whole.lost)
 

@@ -10,7 +10,7 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters import tilted
-from sigmaswarm.filters.schedule import converted, start_of
+from sigmaswarm.filters.schedule import process_noise_per_step, start_of
 
 
 def thinned():
@@ -31,7 +31,7 @@ def posterior(line, p, initial, rounds: int = 8) -> tuple[np.ndarray, np.ndarray
     mean, covariance = start_of(initial, p)
     n, k, imu = tilted.N, len(line.dt), line.imu(tilted.AXES)
     antenna, noise = tilted.Antenna(tuple(line.lever)), np.diag(1 / np.array(p.measurement_noise))
-    q = converted(p, line.nominal_interval)
+    q = process_noise_per_step(p, line.nominal_interval)
     states = [mean]
     for i in range(k):
         states.append(tilted.tilted12(states[-1], line.dt[i], imu[i]))

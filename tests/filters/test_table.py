@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from sigmaswarm.drives.alignment import initial_state
-from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.drives.prepared import prepare_drive
 from sigmaswarm.filters.kernel_array import (
-    MOST_CACHED,
-    MOST_STARTS,
+    MAX_CACHED_STARTS,
+    MAX_STARTS,
     KernelArray,
     _shared_starts,
 )
 from sigmaswarm.filters.names import FilterKind, ModelName
+from sigmaswarm.filters.parameter_table import ParameterTable
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import run_replays
-from sigmaswarm.filters.table import ParameterTable
-from sigmaswarm.scoring.targets import tracking_replay
+from sigmaswarm.filters.passes import run_passes
+from sigmaswarm.scoring.targets import tracking_pass
 from sigmaswarm.tuning.options import Option
 from sigmaswarm.tuning.receiver import prior_costs
 from sigmaswarm.tuning.space import OPTIONS, search_space
@@ -85,11 +85,11 @@ def test_few_starts_are_kept_for_the_next_generation():
     start = initial_state(make_drive(duration=12))
     p = FilterParameters(0.5, 2.0, 0.0, (1e-4,) * 5, (1.0, 2.0))
     _shared_starts.cache_clear()
-    for n, kept in ((MOST_CACHED, 1), (MOST_CACHED + 1, 1), (MOST_STARTS + 1, 1)):
+    for n, kept in ((MAX_CACHED_STARTS, 1), (MAX_CACHED_STARTS + 1, 1), (MAX_STARTS + 1, 1)):
         many = [replace(start) for _ in range(n)]
         array = KernelArray([p])
         array.compute_starts(many)
-        assert len(array._starts) == (n if n <= MOST_STARTS else 0)
+        assert len(array._starts) == (n if n <= MAX_STARTS else 0)
         assert _shared_starts.cache_info().currsize == kept
 
 
@@ -111,8 +111,8 @@ def test_a_table_is_a_sequence_of_sets():
 def test_sets_of_several_kinds_come_back_in_their_order():
     table = table_of("planar8", "ukf", ("lateral",), 40)
     mixed = [replace(p, lateral_noise=None) if i % 3 else p for i, p in enumerate(table)]
-    replay = tracking_replay(prepared(make_drive(duration=12)))
-    together = run_replays([replay, replay], mixed)
+    replay = tracking_pass(prepare_drive(make_drive(duration=12)))
+    together = run_passes([replay, replay], mixed)
     for i in (0, 1, 20, 39):
-        alone = run_replays([replay], [mixed[i]])
+        alone = run_passes([replay], [mixed[i]])
         assert together["NIS"][1, i] == alone["NIS"][0, 0]

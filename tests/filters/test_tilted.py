@@ -23,8 +23,8 @@ from sigmaswarm.filters.compiled.layout import QUATERNION, R
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import run_replays, run_steps, start_replays
-from sigmaswarm.filters.run import replay_of
+from sigmaswarm.filters.passes import run_passes, run_steps, start_passes
+from sigmaswarm.filters.run import whole_pass
 from sigmaswarm.filters.textbook.car import TextbookCar
 from stepwise import urban
 from support import make_drive, quickly, sparse
@@ -205,11 +205,11 @@ def test_the_unscented_filter_is_close_to_the_extended_one():
 
 def test_the_quaternion_keeps_its_norm_for_an_hour():
     drive = town()
-    replay = replay_of(drive)
+    replay = whole_pass(drive)
     line = replay.timeline
     hour = int(np.ceil(3600 / line.dt.sum()))
     chunk = KernelArray((parameters(**ALL),))
-    rows = start_replays([replay], chunk)[0]
+    rows = start_passes([replay], chunk)[0]
     place = np.zeros(4)
     for _ in range(hour):
         place[:] = 0.0
@@ -242,10 +242,10 @@ def test_it_finds_the_slope_and_the_gyros_biases():
 @compiled
 def test_kinds_in_one_batch_change_no_bit():
     sets = [parameters(kind=kind, **ALL) for kind in ("ekf", "ukf", "ekf", "adaptive-ukf", "fuzzy-ukf")]
-    replay = replay_of(town())
-    together = run_replays([replay], sets)
+    replay = whole_pass(town())
+    together = run_passes([replay], sets)
     for i, p in enumerate(sets):
-        alone = run_replays([replay], [p])
+        alone = run_passes([replay], [p])
         assert together["NIS"][0, i] == alone["NIS"][0, 0]
         assert together["LOG_DET"][0, i] == alone["LOG_DET"][0, 0]
     assert len({*together["NIS"][0]}) == 4
@@ -257,7 +257,7 @@ def test_points_far_from_the_centre_change_no_bit_of_other_filters():
     # Series hold near the centre; a filter with a poor start needs more, and leaves the others as they are.
     drive, p = sparse(town(), 16), parameters(kind="ukf", **ALL)
     far = replace(p, alpha=1.0, kappa=300.0)
-    together, alone = run_replays([replay_of(drive)], [p, far]), run_replays([replay_of(drive)], [p])
+    together, alone = run_passes([whole_pass(drive)], [p, far]), run_passes([whole_pass(drive)], [p])
     assert together["NIS"][0, 0] == alone["NIS"][0, 0]
     assert together["LOG_DET"][0, 0] == alone["LOG_DET"][0, 0]
     ours, book = run_filter(drive, far, recover=False), run_textbook(drive, far)
@@ -350,7 +350,7 @@ def test_targets_that_do_not_know_it_say_so(target: str, tmp_path):
 
 def test_the_textbooks_noise_follows_the_time_line():
     drive = town()
-    replay = replay_of(drive)
+    replay = whole_pass(drive)
     car = TextbookCar(replay.timeline, parameters(), replay.initial)
     before = car.filter.covariance.copy()
     car.step(0)

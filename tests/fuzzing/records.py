@@ -39,10 +39,10 @@ from sigmaswarm.errors import SigmaswarmError
 from sigmaswarm.experiments.compare import compare
 from sigmaswarm.experiments.study.config import StudyConfig
 from sigmaswarm.experiments.study.study import run_study
-from sigmaswarm.filters.run import replay_of
+from sigmaswarm.filters.run import whole_pass
 from sigmaswarm.learned.cells import n_weights
-from sigmaswarm.learned.folder import Learned, LearnedRecord, load_learned
-from sigmaswarm.learned.outage_lstm import untrained
+from sigmaswarm.learned.folder import LearnedNetwork, LearnedRecord, load_learned
+from sigmaswarm.learned.outage_lstm import new_network
 from sigmaswarm.reports.compare import save_comparison
 from sigmaswarm.reports.evaluation import save_evaluation
 from sigmaswarm.reports.folders import read_report
@@ -97,12 +97,12 @@ def record_network(folder: Path) -> None:
     """Write the record and the weights of a network that is not trained."""
     rng = np.random.default_rng(1)
     windows, moved = rng.normal(size=(20, 40, 4)), rng.normal(9.0, 1.0, (20, 2))
-    weights = untrained(rng, ("ax", "gz"), 4.0, 3, windows, moved).weights
+    weights = new_network(rng, ("ax", "gz"), 4.0, 3, windows, moved).weights
     network = {"units": 3, "window": 4.0, "learning_rate": 0.1, "axes": ["ax", "gz"], "inflation": 1.0}
     network["numbers"] = n_weights(weights)
     training = {"seed": 1, "search": 1, "driven_s": 1.0, "epochs": 1, "loss_before": 1.0, "loss": 1.0}
     record = {"kind": "outage-lstm", "network": network, "training": training | {"held_back": "a"}}
-    Learned(LearnedRecord.model_validate(record), weights).save(folder)
+    LearnedNetwork(LearnedRecord.model_validate(record), weights).save(folder)
 
 
 def _network(folder: Path) -> None:
@@ -112,7 +112,7 @@ def _network(folder: Path) -> None:
 
 def _use_network(folder: Path) -> None:
     if learned := load_learned(folder):
-        for _ in learned.run(replay_of(DRIVE), FilterParameters.load(folder)):
+        for _ in learned.run(whole_pass(DRIVE), FilterParameters.load(folder)):
             pass
 
 

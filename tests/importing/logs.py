@@ -7,7 +7,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.geodesy import enu_to_geodetic
-from sigmaswarm.importing.convert import Imported, Request, import_drive
+from sigmaswarm.importing.convert import ImportResult, Request, import_drive
 from support import make_drive
 
 ORIGIN = (50.0, 8.0, 100.0)
@@ -46,7 +46,7 @@ def a_drive(duration: float = 6.0) -> Drive:
     return Drive("logged", imu, gps, plain.truth, "wgs84", ORIGIN)
 
 
-def imported(source: Path, **options: Any) -> Imported:
+def imported(source: Path, **options: Any) -> ImportResult:
     """Import without the command line."""
     return import_drive(Request(source, **options), "logged")
 

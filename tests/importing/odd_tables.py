@@ -112,7 +112,7 @@ class Case:
     imu: Columns
     gps: Columns
     truth: Columns | None
-    said: list[str] = field(default_factory=list)
+    map_arguments: list[str] = field(default_factory=list)
     resolution: float = 2e-3
     part: int | None = None
 
@@ -177,7 +177,7 @@ class Writer:
         return bool(self.rng.random() < p)
 
     def note(self, text: str) -> None:
-        self.case.said.append(text)
+        self.case.map_arguments.append(text)
 
     def write(self) -> Case:
         case = self.case
@@ -558,7 +558,7 @@ def differences(got: Drive, case: Case):
     ):
         yield f"{len(got.imu)} of {len(imu['t'])} samples, {len(got.gps)} of {len(gps['t'])} fixes"
         return
-    tolerance = 1.01 if "coarse" in case.said[0] and False else 0.03
+    tolerance = 1.01 if "coarse" in case.map_arguments[0] and False else 0.03
     start = got.imu.time[0]
     at = got.imu.time - start
     if abs(at[-1] - (imu["t"][-1] - imu["t"][0])) > tolerance:

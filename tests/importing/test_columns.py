@@ -13,7 +13,7 @@ from importing.logs import EPOCH, a_drive, assert_close, imported
 from sigmaswarm import read_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.importing.source import Choice, Limits
+from sigmaswarm.importing.source import Limits, TableChoice
 from support import DRIVES, needs_shared, quickly
 
 DRIVE = a_drive()
@@ -374,7 +374,7 @@ def test_a_map_without_a_table_is_told_which_table_has_its_columns(tmp_path: Pat
         InputError, match=r"gps.csv, my imu.csv was chosen for gz; add --imu-topic 'my imu.csv',"
     ):
         imported(tmp_path, maps=["gz=odd"])
-    got = imported(tmp_path, maps=["gz=odd"], choice=Choice({"imu": "my imu.csv"})).drive
+    got = imported(tmp_path, maps=["gz=odd"], choice=TableChoice({"imu": "my imu.csv"})).drive
     assert_close(got.imu, imu, "time ax ay gz")
     with pytest.raises(InputError, match=r"was chosen for gz; add --imu-topic TABLE,"):
         imported(tmp_path, maps=["gz=none"])

@@ -9,7 +9,7 @@ import pytest
 
 from importing.logs import a_drive
 from sigmaswarm.importing.convert import Request
-from sigmaswarm.importing.inspection import LOOKED_AT, SAMPLE, beginnings, inspect_request
+from sigmaswarm.importing.inspection import MAX_SCANNED_ROWS, PREVIEW_ROWS, beginnings, inspect_request
 from sigmaswarm.importing.readers.messages import message_log
 from sigmaswarm.importing.source import CHUNK, Table
 
@@ -26,8 +26,8 @@ def test_a_long_log_is_read_at_its_beginning_only():
         topic: Table(("received", "value"), "some/msg/Value") for topic in ("/often", "/seldom", "/never")
     }
     rows = beginnings(message_log(Path("log"), tables, stream))
-    assert read <= LOOKED_AT + CHUNK
-    assert len(rows["/often"]) == SAMPLE and len(rows["/seldom"]) > 5 and len(rows["/never"]) == 0
+    assert read <= MAX_SCANNED_ROWS + CHUNK
+    assert len(rows["/often"]) == PREVIEW_ROWS and len(rows["/seldom"]) > 5 and len(rows["/never"]) == 0
 
 
 def test_every_file_is_looked_at(tmp_path: Path):

@@ -15,7 +15,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, wrap_angle
 from sigmaswarm.importing.magnetometer import part_of
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.importing.source import Choice
+from sigmaswarm.importing.source import TableChoice
 from support import quickly
 
 DECLINATION, DIP, FIELD = np.radians(4.0), np.radians(65.0), 0.5  # deg, deg, G
@@ -29,7 +29,7 @@ TRACKS = {
 STEEL = 55.0, 65.0
 """s: a bridge."""
 MAPS = ("mag.mx=mag_x", "mag.my=mag_y")
-TABLE = Choice({"mag": "imu.csv"})
+TABLE = TableChoice({"mag": "imu.csv"})
 
 
 def a_track(turns: tuple[int, ...], seed: int) -> tuple[Imu, Gps, np.ndarray]:
@@ -184,7 +184,7 @@ def test_without_a_choice_a_magnetometer_changes_nothing(tmp_path: Path):
     with pytest.raises(InputError, match="the fixes already have a heading"):
         imported(folder, maps=maps, choice=TABLE)
     with pytest.raises(InputError, match="no column contains mx"):
-        imported(folder, choice=Choice({"mag": "gps.csv"}), maps=("mag.mx=", "mag.my="))
+        imported(folder, choice=TableChoice({"mag": "gps.csv"}), maps=("mag.mx=", "mag.my="))
 
 
 def test_axes_are_found_by_name_in_a_chosen_table():
@@ -219,7 +219,7 @@ def test_a_bag_with_a_magnetic_field(tmp_path: Path):
         vector = types["geometry_msgs/msg/Vector3"](*(1e-4 * b))
         sent.append(("/imu/mag", time, types["sensor_msgs/msg/MagneticField"](header, vector, np.zeros(9))))
     bag = write_ros(tmp_path / "bag", iter(sent))
-    got = imported(bag, choice=Choice({"mag": "/imu/mag"}))
+    got = imported(bag, choice=TableChoice({"mag": "/imu/mag"}))
     off, known = errors_of(got.drive, np.interp(gps.time, imu.time, heading[every]))
     assert np.hypot(*(1e4 * hard_iron(got.notes) - hard)) < 0.02 * 0.3
     assert np.median(np.abs(off[known])) < 1.0

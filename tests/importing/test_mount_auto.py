@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sigmaswarm
-from sigmaswarm.doctor.mounting import angle_of, turned
+from sigmaswarm.doctor.mounting import angle_of, rotate_imu
 from sigmaswarm.importing.mounting import parse_mount
 from support import quickly
 
@@ -33,15 +33,15 @@ def log_of(drive: sigmaswarm.Drive, folder: Path) -> Path:
 def test_the_mounting_is_found(tmp_path: Path, roll: float, pitch: float, yaw: float):
     drive = sigmaswarm.simulate("urban", duration=120, gps="white-1m", run=4)
     rotation = Rotation.from_euler("xyz", (roll, pitch, yaw), degrees=True).as_matrix()
-    log = log_of(replace(drive, imu=turned(drive.imu, rotation.T)), tmp_path / "log")
+    log = log_of(replace(drive, imu=rotate_imu(drive.imu, rotation.T)), tmp_path / "log")
     with pytest.warns(sigmaswarm.SigmaswarmWarning, match="found in the log"):
         made = sigmaswarm.import_log(log / "imu.csv", gps=log / "fixes.csv", mount="auto")
     assert np.sqrt(np.mean((made.imu.ax - drive.imu.ax) ** 2)) < 9.81 * np.sin(np.radians(5))
     assert made.imu.az is not None
     assert np.median(made.imu.az) == pytest.approx(9.8, abs=0.2)
-    raw = replace(drive, imu=turned(drive.imu, rotation.T)).imu
+    raw = replace(drive, imu=rotate_imu(drive.imu, rotation.T)).imu
     mount = ",".join(map(str, made.mounting))
-    np.testing.assert_allclose(turned(raw, parse_mount(mount)).gx, made.imu.gx, atol=1e-9)
+    np.testing.assert_allclose(rotate_imu(raw, parse_mount(mount)).gx, made.imu.gx, atol=1e-9)
 
 
 @pytest.mark.long

@@ -24,7 +24,7 @@ def tally(seeds: range, folder: Path) -> Counter[str]:
     for seed in seeds:
         case = make(seed, folder / str(seed))
         said, why = verdict(case)
-        assert said != "wrong", f"seed {seed}: {why}\n" + "\n".join(case.said)
+        assert said != "wrong", f"seed {seed}: {why}\n" + "\n".join(case.map_arguments)
         count[said] += 1
     return count
 

@@ -11,7 +11,7 @@ from importing.bags import ROS2, messages, write_ros
 from importing.logs import EPOCH, a_drive, imported
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.source import Choice
+from sigmaswarm.importing.source import TableChoice
 
 DRIVE = a_drive(5.0)
 assert DRIVE.truth is not None
@@ -82,6 +82,6 @@ def test_a_topic(tmp_path: Path):
     assert any("/wheel/twist is used as the wheel speed" in note for note in named.notes)
     other = bag(tmp_path / "b", "/base/twist")  # it may as well be of a camera
     assert imported(other).drive.odometer is None
-    assert_wheels(imported(other, choice=Choice(tables={"odometer": "/base/twist"})).drive)
+    assert_wheels(imported(other, choice=TableChoice(tables={"odometer": "/base/twist"})).drive)
     with pytest.raises(InputError, match=r"has none of twist\.linear\.x"):
-        imported(other, choice=Choice(tables={"odometer": "/imu/data"}))
+        imported(other, choice=TableChoice(tables={"odometer": "/imu/data"}))

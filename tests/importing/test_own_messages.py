@@ -13,11 +13,11 @@ from rosbags.typesys import get_types_from_msg
 
 from importing.bags import ROS1, ROS2, Message, Writer2, messages, write_ros
 from importing.logs import EPOCH, a_drive, assert_close, imported
-from sigmaswarm.doctor.mounting import turned
+from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.convert import Request, import_drive
 from sigmaswarm.importing.inspection import inspect_request
-from sigmaswarm.importing.source import Choice
+from sigmaswarm.importing.source import TableChoice
 from support import quickly, some
 
 DRIVE = a_drive(5.0)
@@ -111,7 +111,7 @@ def test_receive_times_are_told(tmp_path: Path, kind: str):
 
 
 def test_an_axis_that_points_down_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setitem(globals(), "IMU", turned(IMU, np.diag([1.0, -1.0, -1.0])))
+    monkeypatch.setitem(globals(), "IMU", rotate_imu(IMU, np.diag([1.0, -1.0, -1.0])))
     notes = imported(write_ros(tmp_path / "bag", of_kinds(ROS2, *PAIRS[0]))).assumed
     assert any("accel_m_s2[2] is negative, so the z axis points down" in note for note in notes)
 
@@ -164,8 +164,8 @@ def test_a_topic_without_names_can_be_mapped(tmp_path: Path):
 
     bag = write_ros(tmp_path / "bag", sent(), "sqlite3")
     with pytest.raises(InputError, match=r"/codes .* choose another topic, or name the fields with --map"):
-        imported(bag, choice=Choice({"gps": "/codes"}))
-    got = imported(bag, choice=Choice({"gps": "/codes"}), maps=["lat=first", "lon=second"]).drive
+        imported(bag, choice=TableChoice({"gps": "/codes"}))
+    got = imported(bag, choice=TableChoice({"gps": "/codes"}), maps=["lat=first", "lon=second"]).drive
     assert_close(got.gps, GPS, "lat lon", 0)
 
 
@@ -183,7 +183,7 @@ def test_what_is_proposed_for_a_topic_reads_it(tmp_path: Path):
     bag = write_ros(tmp_path / "bag", sent(), "sqlite3")
     words = shlex.split(inspect_request(Request(bag)).proposal)
     at = words.index("--map")
-    choice = Choice({words[k].removeprefix("--").split("-")[0]: words[k + 1] for k in range(0, at, 2)})
+    choice = TableChoice({words[k].removeprefix("--").split("-")[0]: words[k + 1] for k in range(0, at, 2)})
     got = import_drive(replace(Request(bag), choice=choice, maps=words[at + 1 :]), "pasted").drive
     assert_close(got.gps, GPS, "lat lon", 0)
     assert_close(got.gps, GPS, "time", 1e-6)

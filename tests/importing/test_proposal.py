@@ -15,8 +15,8 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.importing.convert import Request, import_drive
 from sigmaswarm.importing.inspection import inspect_request
-from sigmaswarm.importing.proposal import Meaning, Proposal, judged, meaning_of, proposed
-from sigmaswarm.importing.source import Choice
+from sigmaswarm.importing.proposal import Meaning, Proposal, check_proposal, meaning_of, propose_columns
+from sigmaswarm.importing.source import TableChoice
 from sigmaswarm.simulation.scenarios import simulate
 from support import quickly
 
@@ -58,7 +58,7 @@ def test_what_is_proposed_makes_the_drive_that_was_logged(tmp_path: Path, togeth
     assert seen.evidence == (
         "read from the columns' names, checked with the motion of the fixes: signs, axes and units agree"
     )
-    choice = Choice({"imu": "imu.csv"}) if together else Choice()
+    choice = TableChoice({"imu": "imu.csv"}) if together else TableChoice()
     drive = import_drive(replace(asked, maps=maps, choice=choice), "again").drive
     for name in ("ax", "ay", "gz"):
         np.testing.assert_allclose(getattr(drive.imu, name), getattr(DRIVE.imu, name), rtol=1e-9, atol=1e-12)
@@ -193,7 +193,7 @@ def test_names_are_read_word_by_word(name: str, meaning: tuple[str, str, str] | 
 def test_a_shell_runs_nothing_of_a_log_s_header(tmp_path: Path):
     """What is proposed is pasted: by `sh` as by `shlex` it comes back as it is."""
     names = ["Acc Fwd (g)", "acc left $(touch dollar)", "acc up `touch tick` m s2", "yaw rate 'cw' \"dps\""]
-    said = proposed({"imu.csv; touch semicolon": names}, "imu", {})
+    said = propose_columns({"imu.csv; touch semicolon": names}, "imu", {})
     assert said is not None
     table, columns = said
     assert list(columns) == ["ax", "ay", "az", "gz"]
@@ -237,6 +237,6 @@ def test_a_look_at_absurd_numbers_does_not_overflow(name: str, value: float):
     proposal = Proposal({}, {})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        same, evidence, works = judged(proposal, lambda _: spoiled)
+        same, evidence, works = check_proposal(proposal, lambda _: spoiled)
     assert same is proposal and not works
     assert f"not checked: {name} has numbers beyond 1e+07" in evidence

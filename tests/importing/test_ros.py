@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from importing.bags import ROS1, ROS2, messages, odometry, write_mcap, write_ros
 from importing.logs import EPOCH, ORIGIN, a_drive, assert_close, imported
-from sigmaswarm.doctor.mounting import turned
+from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.importing.source import Choice
+from sigmaswarm.importing.source import TableChoice
 from support import quickly, some
 
 DRIVE = a_drive(5.0)
@@ -73,7 +73,7 @@ def test_a_number_of_messages_that_is_none(tmp_path: Path):
 
 def test_stamps_count_and_their_distance_is_told(tmp_path: Path):
     bag = write(tmp_path, "sqlite3", delay=0.25)
-    stamped, received = imported(bag), imported(bag, choice=Choice(receive_times=True))
+    stamped, received = imported(bag), imported(bag, choice=TableChoice(receive_times=True))
     assert any("0.250 s before the receive times" in note for note in stamped.notes)
     step = stamped.drive.imu.time - received.drive.imu.time + stamped.drive.metadata["time_origin_s"]
     np.testing.assert_allclose(step - received.drive.metadata["time_origin_s"], -0.25, atol=1e-8)
@@ -81,7 +81,9 @@ def test_stamps_count_and_their_distance_is_told(tmp_path: Path):
 
 
 def test_unset_stamps(tmp_path: Path):
-    got = imported(write(tmp_path, "sqlite3", delay=float(EPOCH) + 100.0), choice=Choice(receive_times=True))
+    got = imported(
+        write(tmp_path, "sqlite3", delay=float(EPOCH) + 100.0), choice=TableChoice(receive_times=True)
+    )
     assert_close(got.drive.imu, DRIVE.imu, "time", 1e-9)
 
     def unset():
@@ -110,13 +112,13 @@ def test_several_imus_are_chosen_among(tmp_path: Path):
     first = imported(bag, recipe=AT)
     assert_same(first.drive)
     assert any("/imu/data is used for the imu, not /imu/second" in note for note in first.notes)
-    second = imported(bag, choice=Choice({"imu": "imu/second"}))
+    second = imported(bag, choice=TableChoice({"imu": "imu/second"}))
     assert np.all(second.drive.imu.ax == 7.0)
 
 
 @pytest.mark.parametrize("custom", some([False, True]))
 def test_an_axis_that_points_down_is_told(tmp_path: Path, custom: bool):
-    down = replace(DRIVE, imu=turned(DRIVE.imu, np.diag([1.0, -1.0, -1.0])))
+    down = replace(DRIVE, imu=rotate_imu(DRIVE.imu, np.diag([1.0, -1.0, -1.0])))
     bag = write_ros(tmp_path / "bag", messages(down, custom=custom))
     assert any("the z axis points down" in note for note in imported(bag, recipe=AT).assumed)
     got = imported(bag, recipe=replace(AT, mount="x=x,y=-y"))
@@ -131,7 +133,7 @@ def test_wheel_odometry_is_no_truth_unless_chosen(tmp_path: Path):
     got = imported(bag, recipe=AT)
     assert got.drive.truth is None
     assert any("/wheel not used as truth" in note for note in got.notes)
-    assert_same(imported(bag, recipe=AT, choice=Choice({"truth": "/wheel"})).drive)
+    assert_same(imported(bag, recipe=AT, choice=TableChoice({"truth": "/wheel"})).drive)
 
 
 def test_commands_are_no_velocity(tmp_path: Path):
@@ -159,7 +161,7 @@ def test_no_fix_and_unknown_covariance_are_left_out(tmp_path: Path):
 
 
 def test_fixes_as_poses_in_metres(tmp_path: Path):
-    got = imported(write(tmp_path, "sqlite3"), choice=Choice({"gps": "/ground_truth"}))
+    got = imported(write(tmp_path, "sqlite3"), choice=TableChoice({"gps": "/ground_truth"}))
     assert got.drive.frame == "enu"
     last = DRIVE.gps.time  # the receiver's velocity goes with the fixes, while there is one
     both = (DRIVE.truth.time >= last[0]) & (DRIVE.truth.time <= last[-1])
@@ -198,9 +200,9 @@ def test_broken(tmp_path: Path, kind: str, damage: str):
 
 def test_missing_topic(tmp_path: Path):
     with pytest.raises(InputError, match=r"no topic '/imu0' for --imu-topic; choose from"):
-        imported(write(tmp_path, "sqlite3"), choice=Choice({"imu": "/imu0"}))
+        imported(write(tmp_path, "sqlite3"), choice=TableChoice({"imu": "/imu0"}))
     with pytest.raises(InputError, match=r"has no fields named like ax and ay and gz"):
-        imported(tmp_path / "bag", choice=Choice({"imu": "/gps/fix"}))
+        imported(tmp_path / "bag", choice=TableChoice({"imu": "/gps/fix"}))
 
 
 TURNED = (5.0, -10.0, 90.0)

@@ -20,7 +20,7 @@ from sigmaswarm.importing.convert import Request, import_drive
 from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.shared_frame import require_same_axes
-from sigmaswarm.importing.source import Choice, Part
+from sigmaswarm.importing.source import Part, TableChoice
 from sigmaswarm.importing.units import parse_unit
 from support import quickly, some
 
@@ -187,14 +187,16 @@ def test_columns_without_a_header_can_be_mapped(tmp_path: Path):
     (tmp_path / "gps.csv").write_text((tmp_path / "gps.csv").read_text().partition("\n")[2])
     with pytest.raises(InputError, match=r"write --imu-table imu\.csv --map ") as caught:
         imported(tmp_path)
-    options: dict[str, Any] = {"choice": Choice({"imu": "imu.csv"}), "maps": maps_in(str(caught.value))}
+    options: dict[str, Any] = {"choice": TableChoice({"imu": "imu.csv"}), "maps": maps_in(str(caught.value))}
     with pytest.raises(
         InputError, match=r"gps\.csv begin with t, lat, lon, write --gps-table gps\.csv --map "
     ) as caught:
         imported(tmp_path, **options)
     options["maps"] += maps_in(str(caught.value))
     assert_close(
-        imported(tmp_path, **options | {"choice": Choice({"imu": "imu.csv", "gps": "gps.csv"})}).drive.gps,
+        imported(
+            tmp_path, **options | {"choice": TableChoice({"imu": "imu.csv", "gps": "gps.csv"})}
+        ).drive.gps,
         GPS,
         "lat",
         1e-9,

@@ -13,14 +13,14 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.filter_run import FilterRun
-from sigmaswarm.filters.replay import Replay, Targets
-from sigmaswarm.filters.run import replay_of, run_filter
+from sigmaswarm.filters.passes import FilterPass, Targets
+from sigmaswarm.filters.run import run_filter, whole_pass
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.learned import outage_lstm
 from sigmaswarm.learned.cells import gru, head, lstm, new_weights
+from sigmaswarm.learned.displacements import Displacements, DisplacementStart, body_displacement
 from sigmaswarm.learned.noise_gru import FEATURES, MAX_SCALE, NoiseRun
-from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun, untrained
-from sigmaswarm.learned.relative import Begin, Displacements, body_displacement
+from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun, new_network
 from support import hide_fixes, make_drive, quickly
 
 AXES = ("ax", "ay", "gz", "az", "gx", "gy")
@@ -35,18 +35,18 @@ def silent() -> Drive:
 def network(seed: int = 0, **more) -> OutageLstm:
     rng = np.random.default_rng(seed)
     moved = rng.normal([9.0, 0.0], [3.0, 0.3], (50, 2))
-    made = untrained(rng, AXES, 6.0, 5, rng.normal(size=(50, outage_lstm.WINDOW_STEPS, 12)), moved)
+    made = new_network(rng, AXES, 6.0, 5, rng.normal(size=(50, outage_lstm.WINDOW_STEPS, 12)), moved)
     return replace(made, **more)
 
 
 @pytest.mark.parametrize("recover", [True, False])
 def test_without_an_outage_no_bit_changes(recover: bool):
     drive, p = equipped(), parameters("planar8", lateral_noise=0.05)
-    plain = FilterRun(replay_of(drive), p, recover=recover).whole()
+    plain = FilterRun(whole_pass(drive), p, recover=recover).whole()
     for pieces in (7, 10_000):
         for run in (
-            OutageRun(replay_of(drive), p, network(), samples=pieces, recover=recover),
-            NoiseRun(replay_of(drive), p, _unlearned(), samples=pieces, recover=recover),
+            OutageRun(whole_pass(drive), p, network(), samples=pieces, recover=recover),
+            NoiseRun(whole_pass(drive), p, _unlearned(), samples=pieces, recover=recover),
         ):
             whole = run.whole()
             assert whole.mean.tobytes() == plain.mean.tobytes()
@@ -56,7 +56,7 @@ def test_without_an_outage_no_bit_changes(recover: bool):
 @pytest.mark.parametrize("model", ["planar8", "tilted12"])
 def test_in_an_outage_pieces_have_the_bits_of_the_whole(model: str):
     p = parameters(model, lateral_noise=0.05)
-    one, many = (OutageRun(replay_of(silent()), p, network(), samples=n) for n in (10_000, 33))
+    one, many = (OutageRun(whole_pass(silent()), p, network(), samples=n) for n in (10_000, 33))
     assert one.whole().mean.tobytes() == many.whole().mean.tobytes()
     assert one.accepted + one.rejected == many.accepted + many.rejected == 19
     assert one.accepted > 0
@@ -68,7 +68,7 @@ def test_what_comes_later_changes_nothing_before():
     drive = silent()
     late = drive.gps.time > 45.0
     other = replace(drive, gps=replace(drive.gps, x=drive.gps.x + 9.0 * late))
-    one, two = (OutageRun(replay_of(d), p, network()).whole() for d in (drive, other))
+    one, two = (OutageRun(whole_pass(d), p, network()).whole() for d in (drive, other))
     before = one.time < 45.0
     assert one.mean[before].tobytes() == two.mean[before].tobytes()
     assert one.mean.tobytes() != two.mean.tobytes()
@@ -76,7 +76,7 @@ def test_what_comes_later_changes_nothing_before():
 
 def test_an_infinite_inflation_leaves_the_filter_alone():
     p = parameters("planar8")
-    run = OutageRun(replay_of(silent()), p, replace(network(), inflation=np.inf, unsure=10.0))
+    run = OutageRun(whole_pass(silent()), p, replace(network(), inflation=np.inf, unsure=10.0))
     assert run.whole().mean.tobytes() == run_filter(silent(), p).mean.tobytes()
 
 
@@ -98,13 +98,13 @@ def test_a_displacement_is_absorbed_as_by_a_filter_that_keeps_a_clone(
 ):
     """The textbook's filter, run from states moved a little, one by one, and the joint update written out."""
     p = parameters(model, kind=kind, lateral_noise=lateral_noise)
-    replay = replay_of(silent())
+    replay = whole_pass(silent())
     line = replay.timeline
     ends = np.flatnonzero(line.sampled) + 1
     first, stop = int(ends[1200]), int(ends[1300])
     run = FilterRun(replay, p)
     run._steps_to(first, np.empty((0, 0, 0)))
-    begin = Begin(run._rows[0].copy(), run._place.copy())
+    begin = DisplacementStart(run._rows[0].copy(), run._place.copy())
     run._steps_to(stop, np.empty((0, 0, 0)))
     on = Displacements(replay, p)
     (x0, p0), (x1, p1) = on._state(begin.rows), on._state(run._rows[0])
@@ -145,11 +145,11 @@ def test_a_displacement_is_absorbed_as_by_a_filter_that_keeps_a_clone(
 def test_a_displacement_says_nothing_of_the_place():
     """However sure a displacement is, the position is no surer behind it than before it."""
     p = parameters("planar8", lateral_noise=0.05)
-    replay = replay_of(silent())
+    replay = whole_pass(silent())
     ends = np.flatnonzero(replay.timeline.sampled) + 1
     run = FilterRun(replay, p)
     run._steps_to(int(ends[1500]), np.empty((0, 0, 0)))
-    begin = Begin(run._rows[0].copy(), run._place.copy())
+    begin = DisplacementStart(run._rows[0].copy(), run._place.copy())
     run._steps_to(int(ends[1600]), np.empty((0, 0, 0)))
     on = Displacements(replay, p)
     (x0, p0), (x1, _) = on._state(begin.rows), on._state(run._rows[0])
@@ -160,11 +160,11 @@ def test_a_displacement_says_nothing_of_the_place():
 def test_an_update_that_leads_away_from_the_displacement_is_left_out():
     """Heading and velocity so unsure, beside what was known at the begin, are not on one straight line."""
     p = parameters("planar8", lateral_noise=0.05)
-    replay = replay_of(silent())
+    replay = whole_pass(silent())
     ends = np.flatnonzero(replay.timeline.sampled) + 1
     run = FilterRun(replay, p)
     run._steps_to(int(ends[1500]), np.empty((0, 0, 0)))
-    begin = Begin(run._rows[0].copy(), run._place.copy())
+    begin = DisplacementStart(run._rows[0].copy(), run._place.copy())
     run._steps_to(int(ends[1600]), np.empty((0, 0, 0)))
     on, rows = Displacements(replay, p), run._rows[0]
     (x0, _), (x1, _) = on._state(begin.rows), on._state(rows)
@@ -183,7 +183,7 @@ def test_an_update_that_leads_away_from_the_displacement_is_left_out():
 def test_features_are_means_and_shakes():
     """Against each step's samples, taken one by one."""
     drive = make_drive(duration=40.0)
-    line = replay_of(drive).timeline
+    line = whole_pass(drive).timeline
     end = np.array([2000, 2500])
     found = outage_lstm.features_at(line, end, axes=("ay", "gz"), window=8.0)
     for k, sample in enumerate(end):
@@ -197,7 +197,7 @@ def test_features_are_means_and_shakes():
 
 
 def test_outages_are_told_in_time():
-    line = replay_of(silent()).timeline
+    line = whole_pass(silent()).timeline
     found = outage_lstm.outage_windows(line, axes=AXES, window=6.0)
     time, last = line.imu_time, line.end[line.updates]
     before = last[np.searchsorted(last, time[found.end], side="right") - 1]
@@ -212,7 +212,7 @@ def test_a_drive_without_an_axis_is_refused():
     drive = silent()
     bare = replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None))
     with pytest.raises(InputError, match=r"synthetic: imu.csv has no az, an input of the network"):
-        OutageRun(replay_of(bare), parameters("planar8"), network())
+        OutageRun(whole_pass(bare), parameters("planar8"), network())
 
 
 def _unlearned(units: int = 4) -> dict[str, np.ndarray]:
@@ -222,13 +222,13 @@ def _unlearned(units: int = 4) -> dict[str, np.ndarray]:
 def test_scales_hold_from_the_sample_behind_a_fix_and_lie_in_bounds():
     weights = {**_unlearned(), "head": 9.0 * np.random.default_rng(1).normal(size=(4, 2))}
     drive, p = equipped(), parameters("planar8")
-    run = NoiseRun(replay_of(drive), p, weights).finished()
+    run = NoiseRun(whole_pass(drive), p, weights).finished()
     scales = np.array(run.scales)
     assert len(scales) == len(run.innovations.time)
     assert (scales >= 1 / MAX_SCALE).all()
     assert (scales <= MAX_SCALE * (1 + 1e-12)).all()
     assert np.ptp(np.log(scales)) > 0.3
-    plain = FilterRun(replay_of(drive), p).finished().innovations
+    plain = FilterRun(whole_pass(drive), p).finished().innovations
     assert run.innovations.covariance[0].tobytes() == plain.covariance[0].tobytes()
     assert run.innovations.covariance[1].tobytes() != plain.covariance[1].tobytes()
 
@@ -263,5 +263,5 @@ def test_hidden_fixes_count_as_an_outage_too():
     drive, p = make_drive(duration=60.0), parameters("planar8")
     ready = PreparedDrive(drive)
     line = ready.timeline(hidden_fixes(drive.gps.time, [[20.0, 40.0]]))
-    run = OutageRun(Replay(line, ready.initial, Targets.none(line)), p, network()).finished()
+    run = OutageRun(FilterPass(line, ready.initial, Targets.none(line)), p, network()).finished()
     assert run.accepted + run.rejected == 19

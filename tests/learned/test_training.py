@@ -14,7 +14,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import THETA
-from sigmaswarm.filters.run import replay_of
+from sigmaswarm.filters.run import whole_pass
 from sigmaswarm.filters.schedule import start_of
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.learned import noise_training, outage_training
@@ -41,11 +41,11 @@ def test_the_filter_that_is_trained_through_is_the_compiled_one(model: str, opti
     """With scales of one and with those of a network, over a whole drive."""
     import jax
 
-    from sigmaswarm.learned.noise_filter import Settings, columns_of, run
+    from sigmaswarm.learned.noise_filter import FilterConstants, columns_of, run
 
-    p, replay = parameters(model, kind="ekf", **option), replay_of(sparse(equipped()))
+    p, replay = parameters(model, kind="ekf", **option), whole_pass(sparse(equipped()))
     weights = new_weights(np.random.default_rng(0), 3, FEATURES, 5, 2)
-    through = jax.jit(partial(run, Settings.of(replay, p)))
+    through = jax.jit(partial(run, FilterConstants.of(replay, p)))
     for head in (0.0, 0.5):
         weights["head"] = head * np.random.default_rng(1).normal(size=(5, 2))
         compiled = NoiseRun(replay, p, weights)

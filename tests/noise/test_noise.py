@@ -16,7 +16,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import MODEL_NOISE, baseline
 from sigmaswarm.noise import allan_deviation, filter_noise, imu_noise
 from sigmaswarm.noise.allan import FLICKER, MARKOV_PEAK, model_parts
-from sigmaswarm.noise.spectrum import Fit, fit, spectrum_of
+from sigmaswarm.noise.spectrum import NoiseFit, fit, spectrum_of
 from sigmaswarm.noise.static import find_stretches, step_of
 from static_logs import AXES, GRADES, planted, static_log
 from support import DRIVES, make_drive, needs_shared, quickly
@@ -57,7 +57,7 @@ def test_the_model_s_deviation_is_the_integral_of_its_spectrum():
     assert model_parts(np.ones(1), 0, 1.0, 0, math.inf)[1][0] ** 2 == pytest.approx(FLICKER)
 
 
-def fitted(log: Imu, axis: str) -> Fit:
+def fitted(log: Imu, axis: str) -> NoiseFit:
     interval = float(log.time[1] - log.time[0])
     return fit(spectrum_of([getattr(log, axis)], interval), len(log) * interval)
 
@@ -100,7 +100,7 @@ def flicker(rng: np.random.Generator, count: int) -> np.ndarray:
     return np.fft.irfft(white * np.fft.rfft(response, size), size)[count : 2 * count]
 
 
-def mixed(white: float, instability: float, walk: float, time: float, seed: int) -> Fit:
+def mixed(white: float, instability: float, walk: float, time: float, seed: int) -> NoiseFit:
     """What is found of an hour at 10 Hz."""
     rng, count, interval = np.random.default_rng(seed), 36_000, 0.1
     values = white / math.sqrt(interval) * rng.standard_normal(count) + instability * flicker(rng, count)

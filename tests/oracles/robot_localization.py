@@ -5,7 +5,7 @@ import numpy as np
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.robot_yaml import SMALLEST
+from sigmaswarm.filters.robot_yaml import MIN_VARIANCE
 from sigmaswarm.filters.textbook.ekf import complex_step
 from sigmaswarm.geodesy import wrap_angle
 
@@ -34,7 +34,7 @@ class TextbookRobotLocalization:
 
     def correct(self, states: list[int], z: Array, variances: Array, gate: float = np.inf) -> None:
         """Update with measurements of some states, in Joseph's form; a NIS of ``gate`` or more is rejected."""
-        p, r = self.covariance, np.diag(np.maximum(variances, SMALLEST))
+        p, r = self.covariance, np.diag(np.maximum(variances, MIN_VARIANCE))
         h = np.eye(8)[states]
         nu, s = z - self.mean[states], h @ p @ h.T + r
         nu = wrap_angle(nu) if states == [YAW] else nu

@@ -8,7 +8,7 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.filter_run import failure_at
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.run import Estimate, replay_of
+from sigmaswarm.filters.run import Estimate, whole_pass
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.loop import smooth_steps
 from sigmaswarm.geodesy import wrap_angle
@@ -22,7 +22,7 @@ def smooth_textbook(
     heading_first: bool = True,
 ) -> Estimate:
     """Smooth the textbook filter; parameters as in `run_textbook`. The estimate ends if the filter fails."""
-    replay = replay_of(drive, initial)
+    replay = whole_pass(drive, initial)
     line = replay.timeline
     car = TextbookCar(line, parameters, replay.initial, heading_first=heading_first)
     tilts = car.model.tilts

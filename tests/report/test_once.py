@@ -8,12 +8,12 @@ import pytest
 
 import sigmaswarm
 from sigmaswarm.drives.alignment import initial_state
-from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.drives.prepared import prepare_drive
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters.compiled import run
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_imu_only
-from sigmaswarm.scoring.targets import outage_replay, placements
+from sigmaswarm.scoring.targets import outage_pass, placements
 from support import make_drive
 
 GOOD = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0))
@@ -42,9 +42,9 @@ def test_an_evaluation_with_pictures_computes_each_thing_once(
 
     sigmaswarm.write_drive(DRIVE, tmp_path / "monday")
     GOOD.save(tmp_path / "tuning.toml")
-    whole = prepared(DRIVE)
+    whole = prepare_drive(DRIVE)
     lengths = [
-        len(outage_replay(whole, length=length, seed=seed).timeline.dt)
+        len(outage_pass(whole, length=length, seed=seed).timeline.dt)
         for length in (1.0, 5.0, 30.0)
         for seed in placements(DRIVE, whole.initial, length=length, seed=0)
     ]

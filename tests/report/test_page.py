@@ -35,9 +35,9 @@ from sigmaswarm.reports.tuning import STATED_OPTIONS, TUNE_DEFAULTS, save_tuning
 from sigmaswarm.scoring.evaluation import Evaluation, evaluate
 from sigmaswarm.scoring.measures import MEASURES
 from sigmaswarm.scoring.methods import METHODS
-from sigmaswarm.scoring.targets import tracking_replay
+from sigmaswarm.scoring.targets import tracking_pass
 from sigmaswarm.scoring.tracks import (
-    MOST_POINTS,
+    MAX_POINTS,
     Tracker,
     Tracks,
     compared,
@@ -104,7 +104,7 @@ def tracks_of(drive: Drive, filters: dict[str, FilterParameters], name: str) -> 
     tracker = Tracker(ready)
     tracker.keep_estimate("imu_only", run_imu_only(ready))
     for series, parameters in filters.items():
-        tracker.record(series, tracking_replay(ready), parameters)
+        tracker.record(series, tracking_pass(ready), parameters)
     return tracker.tracks(name)
 
 
@@ -139,7 +139,7 @@ def test_thinning_keeps_ends_and_peaks(folders: tuple[Path, Path, Evaluation]):
     parameters = FilterParameters.load(folders[0])
     estimate = run_filter(MONDAY, parameters)
     tuned = tracks_of(MONDAY, compared(MONDAY, parameters), "m").series["tuned"]
-    assert len(estimate.time) > MOST_POINTS >= len(tuned["time"]) > MOST_POINTS / 2
+    assert len(estimate.time) > MAX_POINTS >= len(tuned["time"]) > MAX_POINTS / 2
     assert tuned["time"][[0, -1]].tolist() == estimate.time[[0, -1]].tolist()
     at = np.searchsorted(MONDAY.truth.time, estimate.time)
     distance = np.hypot(estimate.mean[:, 0] - MONDAY.truth.x[at], estimate.mean[:, 1] - MONDAY.truth.y[at])

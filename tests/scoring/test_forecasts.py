@@ -14,7 +14,7 @@ from scipy.stats import multivariate_normal, multivariate_t
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.outages import balanced_windows, hidden_fixes
-from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.drives.prepared import prepare_drive
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters import student
@@ -24,7 +24,7 @@ from sigmaswarm.filters.run import run_filter, run_innovations
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.scoring.batch import BatchScorer
 from sigmaswarm.scoring.score import negative_log_t
-from sigmaswarm.scoring.targets import forecast_replay
+from sigmaswarm.scoring.targets import forecast_pass
 from support import make_drive, quickly
 
 PLANAR5 = FilterParameters(0.5, 2.0, 1.0, (1e-4, 1e-4, 1e-3, 1e-3, 1e-5), (1.2, 0.8), latency=0.05)
@@ -144,7 +144,7 @@ def test_innovations_and_their_likelihood_are_the_textbooks(kind: str):
 )
 def test_forecasts_are_the_textbooks_without_the_hidden_fixes(kind: str):
     parameters = SETS[kind]
-    replay = forecast_replay(prepared(DRIVE), seed=5)
+    replay = forecast_pass(prepare_drive(DRIVE), seed=5)
     hidden = np.isin(DRIVE.gps.time, replay.timeline.end[replay.timeline.hides])
     assert 20 < hidden.sum() < len(DRIVE.gps) / 2
     nu, s, hides = by_textbook(DRIVE, parameters, hidden)
@@ -161,7 +161,7 @@ def test_forecasts_are_the_textbooks_without_the_hidden_fixes(kind: str):
 
 def test_a_hidden_fix_is_not_seen():
     gps = DRIVE.gps
-    replay = forecast_replay(prepared(DRIVE), seed=1)
+    replay = forecast_pass(prepare_drive(DRIVE), seed=1)
     hidden = np.isin(gps.time, replay.timeline.end[replay.timeline.hides])
     moved = replace(DRIVE, gps=replace(gps, x=gps.x + 1000.0 * hidden))
     far, near = (

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm.filters.compiled.layout import LANES, WIDEST, lanes_for, most_lanes
-from sigmaswarm.scoring.jobs import MOST_SETS, Job, jobs_for, run_jobs
+from sigmaswarm.scoring.jobs import MAX_SETS, Job, jobs_for, run_jobs
 
 
 def passes(*lengths: list[int]) -> dict[str, list[int]]:
@@ -40,7 +40,7 @@ def test_every_replay_meets_every_set_once_and_in_order(lengths: list[list[int]]
     met = [(job.name, r, s) for job in jobs for r in job.replays for s in job.sets]
     assert set(Counter(met).values()) == {1}
     assert len(met) == n_sets * sum(map(len, lengths))
-    assert all(1 <= len(job.sets) <= (MOST_SETS if workers == 1 else most_lanes("planar8")) for job in jobs)
+    assert all(1 <= len(job.sets) <= (MAX_SETS if workers == 1 else most_lanes("planar8")) for job in jobs)
     # `BatchScorer` joins them in this order: the sets of a part side by side, the parts one after the other
     assert jobs == sorted(jobs, key=lambda job: (job.name, job.replays.start, job.sets.start))
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sigmaswarm.scoring.thinning import CloseUp, Thinned
+from sigmaswarm.scoring.thinning import CloseUp, ThinnedSeries
 
 
 def rows_of_whole(matters: np.ndarray, most: int) -> np.ndarray:
@@ -35,7 +35,7 @@ def test_the_same_rows_whatever_the_pieces(n: int, most: int, cuts: list[int], s
         columns[column] = matters = np.round(rng.normal(size=n), 1)  # with ties
         columns[column][rng.random(n) < 0.1] = np.nan
         matters = np.nan_to_num(matters, nan=0.0)
-    kept = Thinned(n, most)
+    kept = ThinnedSeries(n, most)
     edges = sorted({0, n, *(c for c in cuts if c < n)})
     for first, last in pairwise(edges):
         kept.add({name: values[first:last] for name, values in columns.items()})

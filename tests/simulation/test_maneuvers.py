@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from sigmaswarm.simulation.dynamics import AX, AY, FRICTION_USE, GRAVITY, X, Y
 from sigmaswarm.simulation.environments import ENVIRONMENTS
-from sigmaswarm.simulation.journey import take_journey, time_between
+from sigmaswarm.simulation.journey import drive_maneuver, time_between
 from sigmaswarm.simulation.maneuvers import MANEUVERS
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.simulation.vehicle import MODEL_3, MODEL_3_CARLA
@@ -32,7 +32,7 @@ ROADS, WHERE = list(MANEUVERS), ["clear", "rain", "slippery"]
 def test_nothing_exceeds_the_friction_and_the_driver_stays_in_the_lane(maneuver, environment, seed):
     where = ENVIRONMENTS[environment]
     duration = 90.0 if maneuver == "urban" else None
-    journey = take_journey(maneuver, where, MODEL_3, np.random.default_rng(seed), duration)
+    journey = drive_maneuver(maneuver, where, MODEL_3, np.random.default_rng(seed), duration)
     record = journey.record
     assert record[:, FRICTION_USE].max() <= 1.0 + 1e-9
     assert np.hypot(record[:, AX], record[:, AY]).max() <= 1.02 * where.friction * GRAVITY

@@ -5,10 +5,10 @@ import pytest
 
 from sigmaswarm.simulation.dynamics import GRAVITY, STEP
 from sigmaswarm.simulation.environments import ENVIRONMENTS
-from sigmaswarm.simulation.journey import take_journey
+from sigmaswarm.simulation.journey import drive_maneuver
 from sigmaswarm.simulation.maneuvers import MANEUVERS
 from sigmaswarm.simulation.motion import motion_at, sample
-from sigmaswarm.simulation.terrain import TERRAINS, drive_on, lay_road
+from sigmaswarm.simulation.terrain import TERRAINS, add_slopes, build_road_profile
 from sigmaswarm.simulation.vehicle import MODEL_3
 
 PLACE = (0.8, -0.4, 0.3)  # off the centre in every direction, so that each term of the lever arm counts
@@ -28,12 +28,12 @@ def integrate(values, start):
 def motion(request):
     maneuver, terrain = request.param
     rng = np.random.default_rng(3)
-    journey = take_journey(
+    journey = drive_maneuver(
         maneuver, ENVIRONMENTS["rain"], MODEL_3, rng, 60.0 if maneuver == "urban" else None
     )
     record = journey.record
     if terrain != "flat":
-        record = drive_on(record, lay_road(journey.path[:, 3], TERRAINS[terrain], rng), MODEL_3)
+        record = add_slopes(record, build_road_profile(journey.path[:, 3], TERRAINS[terrain], rng), MODEL_3)
     return motion_at(record, MODEL_3, PLACE)
 
 

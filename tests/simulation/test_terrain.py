@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from sigmaswarm.simulation import TERRAINS, Terrain, simulate
 from sigmaswarm.simulation.dynamics import GRAVITY, PITCH, RECORDED, ROLL, STEP, VX, VY, YAW
 from sigmaswarm.simulation.environments import ENVIRONMENTS
-from sigmaswarm.simulation.journey import take_journey
+from sigmaswarm.simulation.journey import drive_maneuver
 from sigmaswarm.simulation.motion import motion_at
 from sigmaswarm.simulation.planning import SPACING
 from sigmaswarm.simulation.terrain import (
@@ -22,8 +22,8 @@ from sigmaswarm.simulation.terrain import (
     ROAD_ROLL_ACCEL,
     ROAD_ROLL_RATE,
     _swing,
-    drive_on,
-    lay_road,
+    add_slopes,
+    build_road_profile,
 )
 from sigmaswarm.simulation.vehicle import MODEL_3
 
@@ -35,9 +35,9 @@ HILLS = [name for name in TERRAINS if name != "flat"]
 def hills():
     """A record on a flat road, and on a hilly one."""
     rng = np.random.default_rng(5)
-    journey = take_journey("urban", ENVIRONMENTS["clear"], MODEL_3, rng, 60.0)
-    road = lay_road(journey.path[:, 3], TERRAINS["hilly"], rng)
-    return journey.record, drive_on(journey.record, road, MODEL_3)
+    journey = drive_maneuver("urban", ENVIRONMENTS["clear"], MODEL_3, rng, 60.0)
+    road = build_road_profile(journey.path[:, 3], TERRAINS["hilly"], rng)
+    return journey.record, add_slopes(journey.record, road, MODEL_3)
 
 
 def correlation(values, lag):
@@ -48,7 +48,7 @@ def correlation(values, lag):
 @pytest.mark.parametrize("name", HILLS)
 def test_slopes_have_the_terrains_spread_reach_and_correlation(name):
     terrain = TERRAINS[name]
-    road = lay_road(STRAIGHT, terrain, np.random.default_rng(1))
+    road = build_road_profile(STRAIGHT, terrain, np.random.default_rng(1))
     at = np.arange(0.0, 60_000.0, 2.0)
     grade, bank = -np.tan(road.pitch(at)), np.tan(road.roll(at)) / np.cos(road.pitch(at))
     assert np.std(grade) == pytest.approx(terrain.grade_std, rel=0.15)  # what the limit takes off included
@@ -61,7 +61,9 @@ def test_slopes_have_the_terrains_spread_reach_and_correlation(name):
 
 
 def test_a_terrain_without_limits_has_the_slopes_that_it_asks_for():
-    road = lay_road(STRAIGHT, Terrain("mine", grade_std=0.05, bank_std=0.02), np.random.default_rng(1))
+    road = build_road_profile(
+        STRAIGHT, Terrain("mine", grade_std=0.05, bank_std=0.02), np.random.default_rng(1)
+    )
     at = np.arange(0.0, 60_000.0, 2.0)
     grade, bank = -np.tan(road.pitch(at)), np.tan(road.roll(at)) / np.cos(road.pitch(at))
     assert np.std(grade) == pytest.approx(0.05, rel=0.15)
@@ -69,7 +71,7 @@ def test_a_terrain_without_limits_has_the_slopes_that_it_asks_for():
     # Far below its limit a road is what it is without one.
     limited = Terrain("mine", grade_std=0.05, bank_std=0.02, grade_limit=100.0, bank_limit=100.0)
     np.testing.assert_array_equal(
-        road.pitch(at), lay_road(STRAIGHT, limited, np.random.default_rng(1)).pitch(at)
+        road.pitch(at), build_road_profile(STRAIGHT, limited, np.random.default_rng(1)).pitch(at)
     )
 
 
@@ -87,7 +89,7 @@ def test_what_is_flat_is_said_by_the_slopes_and_not_by_the_name():
 def test_bends_lean_inwards_and_intersections_hardly():
     terrain = Terrain("bends", superelevation=0.06)
     for radius, share in ((120.0, 1.0), (-120.0, -1.0), (10.0, 0.17)):
-        road = lay_road(np.full(5000, 1 / radius), terrain, np.random.default_rng(0))
+        road = build_road_profile(np.full(5000, 1 / radius), terrain, np.random.default_rng(0))
         # A left bend has its left side down.
         assert np.tan(road.roll(250.0)) == pytest.approx(-0.06 * share, abs=5e-4)
         assert road.pitch(250.0) == 0

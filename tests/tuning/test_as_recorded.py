@@ -8,7 +8,7 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.experiments.study.config import StudyConfig
 from sigmaswarm.experiments.study.design import make_design
 from sigmaswarm.tuning.batch import run_batch
-from sigmaswarm.tuning.config import PAPER, TuneConfig
+from sigmaswarm.tuning.config import PAPER_OPTIONS, TuneConfig
 from sigmaswarm.tuning.problem import car_problem
 
 
@@ -23,7 +23,7 @@ def test_it_reaches_tune_batch_evaluate_and_run():
         mean = run_filter(drive, p, as_recorded=as_recorded).mean
         assert mean.tobytes() == run_filter(ready, p).mean.tobytes()
         assert batch.scores[0][0].position_rmse == evaluated.mean("tuned", "position_rmse_m")
-        assert problem.replays.scores([p])[0, 0].position_rmse == batch.scores[0][0].position_rmse
+        assert problem.scorer.scores([p])[0, 0].position_rmse == batch.scores[0][0].position_rmse
         (drive_found,) = evaluated.drives.values()
         assert drive_found.stale_fixes == (0 if as_recorded else 5)
         found[as_recorded] = batch.costs[0], problem.steps[0]
@@ -43,6 +43,6 @@ def unfrozen(drive):
 
 
 def test_the_papers_protocol_is_as_recorded():
-    assert PAPER["as_recorded"] is True
+    assert PAPER_OPTIONS["as_recorded"] is True
     design = make_design(StudyConfig(maneuvers=("turns",), environments=("clear",), runs=2))
     assert all(design.tune_config(method, protocol).as_recorded for protocol, method in design.config.tuned)

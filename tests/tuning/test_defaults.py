@@ -274,7 +274,7 @@ def test_scaled_multiplies_every_variance():
     assert (four.velocity_noise, four.odometer_noise, four.alpha) == (None, None, CAREFUL.alpha)
     assert four.scaled(0.25) == CAREFUL
     for factor in (0.0, -1.0, np.inf, np.nan):
-        with pytest.raises(InputError, match="must be positive"):
+        with pytest.raises(InputError, match="is not positive"):
             CAREFUL.scaled(factor)
 
 

@@ -8,12 +8,12 @@ import pytest
 
 from sigmaswarm import Drive, SigmaswarmError, evaluate, read_drive, run_filter, simulate, split_time, tune
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.filters.fixes_alone import MotionNoise, noise_of
+from sigmaswarm.filters.fixes_alone import MotionNoise, fitted_noise
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.diagnostics import (
-    NEAR,
-    Forecast,
+    RECHECK_RATIO,
+    DriftComparison,
     describe_forecasts,
     divergence_warnings,
     drift_warnings,
@@ -69,11 +69,15 @@ def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     assert said.startswith("TO DO: DO NOT USE THIS FILTER; ")
     assert "or on more drives: over 30 s without fixes the tuned filter drifts 100 m" in said
     assert drift_warnings([(29.0, 20.0)]) == drift_warnings([]) == []
-    assert drift_warnings([(20.0, 20.0), (np.nan, np.nan)], NEAR) == drift_warnings([], NEAR) == []
-    assert drift_warnings([(25.0, 20.0)], NEAR)
+    assert (
+        drift_warnings([(20.0, 20.0), (np.nan, np.nan)], RECHECK_RATIO)
+        == drift_warnings([], RECHECK_RATIO)
+        == []
+    )
+    assert drift_warnings([(25.0, 20.0)], RECHECK_RATIO)
     assert np.isfinite(drifts_of(PreparedDrive(town()), bad, most=2)).all()
     assert [each.length_s for each in good.forecasts] == [1.0, 5.0, 30.0]
-    assert good.fixes_alone == MotionNoise.typical([noise_of(PreparedDrive(town()))])
+    assert good.fixes_alone == MotionNoise.typical([fitted_noise(PreparedDrive(town()))])
     short = good.forecasts[1]
     measured = drifts_of(PreparedDrive(town()), good.parameters, length=5.0, noise=good.fixes_alone)
     assert (short.tuned_m, short.baseline_m, short.fixes_alone_m) == pytest.approx(measured)
@@ -127,8 +131,8 @@ def test_it_names_three_drives_and_counts_the_others():
 def test_a_larger_drift_than_that_of_the_baseline_is_reported_in_one_line(
     tuned: float, baseline: float, worse: bool
 ):
-    others = Forecast(1.0, 0.3, 0.5, 0.5), Forecast(30.0, 80.0, 79.0, 90.0)
-    said = describe_forecasts([others[0], Forecast(5.0, tuned, baseline, 4.0), others[1]])
+    others = DriftComparison(1.0, 0.3, 0.5, 0.5), DriftComparison(30.0, 80.0, 79.0, 90.0)
+    said = describe_forecasts([others[0], DriftComparison(5.0, tuned, baseline, 4.0), others[1]])
     each = "5 s (2.1 m; 1.8 m), " if worse else ""
     line = f"drift on the training drives is larger than that of the baseline over {each}30 s (80 m; 79 m)"
     assert said[1:] == [line]

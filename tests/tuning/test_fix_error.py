@@ -8,7 +8,7 @@ import pytest
 from sigmaswarm import run_batch, tune
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.tuning.defaults import WITH_FIX_ERROR, objective_for
+from sigmaswarm.tuning.defaults import FIX_ERROR_OBJECTIVE, objective_for
 from sigmaswarm.tuning.diagnostics import correlation_warnings
 from sigmaswarm.tuning.receiver import prior_costs
 from sigmaswarm.tuning.result import Tuning
@@ -40,7 +40,7 @@ def test_the_time_constant_is_searched_with_truth_if_the_model_has_roll_and_pitc
     planar = [search_space("planar8", "log10", kind="ekf", use=USE, has_truth=each) for each in (True, False)]
     assert planar[0].dimensions == planar[1].dimensions
     drive = make_drive(duration=25.0)
-    assert objective_for([drive], "auto", "planar8", USE) == WITH_FIX_ERROR
+    assert objective_for([drive], "auto", "planar8", USE) == FIX_ERROR_OBJECTIVE
     assert objective_for([replace(drive, truth=None)], "auto", "tilted12", USE) == "innovation-t"
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from sigmaswarm import Drive, run_batch, simulate, tune
-from sigmaswarm.drives.gyro_seen import GyroSeen
+from sigmaswarm.drives.gyro_bias import GyroBiasEvidence
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.inflation import REFERENCE_DURATION, STEP, inflated, shown_bias
+from sigmaswarm.tuning.inflation import REFERENCE_DURATION, STEP, inflate, shown_bias
 from sigmaswarm.tuning.space import search_space
 from support import quickly
 
@@ -117,10 +117,10 @@ def test_a_model_with_roll_and_pitch_has_a_longer_reference_duration(model: str,
         data=[{"duration_s": 300.0}],
         config=TuneConfig(model=model, objective="innovation-t"),
         costs=lambda points, executor=None: np.max(points - space.low, axis=1),
-        rise=lambda costs, cost: costs - cost,
+        relative_increase=lambda costs, cost: costs - cost,
         starts=lambda: (),
     )
-    assert inflated(problem, space.low, 0.0, 0.96, None)[2] == pytest.approx(10**decades)
+    assert inflate(problem, space.low, 0.0, 0.96, None)[2] == pytest.approx(10**decades)
 
 
 def test_a_linear_search_has_no_factor():
@@ -158,13 +158,13 @@ def test_a_tilted_model_has_lower_limits(
         def costs(self, points, executor=None):
             return cost_per_decade * np.sum(points - space.low, axis=1)
 
-        def rise(self, costs, cost):
+        def relative_increase(self, costs, cost):
             return costs - cost
 
         def starts(self):
             return ()
 
-    point, cost, factor = inflated(Lowest(), space.low, 0.0, 0.02, None)
+    point, cost, factor = inflate(Lowest(), space.low, 0.0, 0.02, None)
     assert cost == Lowest().costs(point[np.newaxis])[0]
     assert (factor == 1.0) == (cost_per_decade > 0)
     found = dict(zip(space.names, space.values(point), strict=True))
@@ -182,7 +182,7 @@ def test_a_tilted_model_has_lower_limits(
 
 
 def seen(*bias: float) -> SimpleNamespace:
-    return SimpleNamespace(gyro=GyroSeen(np.array(bias), np.full(3, 0.03**2), 0.0, np.zeros(5)))
+    return SimpleNamespace(gyro=GyroBiasEvidence(np.array(bias), np.full(3, 0.03**2), 0.0, np.zeros(5)))
 
 
 @pytest.mark.parametrize(
@@ -203,9 +203,9 @@ def test_biases_that_starts_show_are_the_least_deviation_of_the_gyros_bias(start
         data=[{"duration_s": 100.0}] * 3,
         config=TuneConfig(model="tilted12", objective="truth-pose"),
         costs=lambda points, executor=None: np.zeros(len(points)),
-        rise=lambda costs, cost: costs - cost,
+        relative_increase=lambda costs, cost: costs - cost,
         starts=lambda: starts,
     )
-    point = inflated(problem, space.low, 0.0, 0.02, None)[0]
+    point = inflate(problem, space.low, 0.0, 0.02, None)[0]
     (found,) = space.decode(point[np.newaxis])
     assert found.bias_std[1] == pytest.approx(min(max(shown, 1e-5), 0.1), rel=1e-2)

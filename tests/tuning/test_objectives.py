@@ -150,23 +150,25 @@ def test_one_bad_drive_is_not_averaged_away():
 
 
 def test_a_rise_of_a_likelihood_is_one_of_errors():
-    assert parse_objective("truth-rmse").rise(2.2, 2.0) == pytest.approx(0.1)
+    assert parse_objective("truth-rmse").relative_increase(2.2, 2.0) == pytest.approx(0.1)
     # errors larger by 10% on two axes, with S to match, cost 2 ln 1.1 nats, whatever the zero of the scale
     nll = parse_objective("innovation-nll")
-    assert nll.rise(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
-    assert nll.rise(np.array([np.inf, 0.0]), 0.0).tolist() == [np.inf, 0.0]
+    assert nll.relative_increase(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
+    assert nll.relative_increase(np.array([np.inf, 0.0]), 0.0).tolist() == [np.inf, 0.0]
     # whatever the weight, and however many numbers a measurement has
     for weight in ("0.01", "100"):
         part = parse_objective(f"{weight} innovation-nll")
-        assert part.rise(5.0 + 2 * float(weight) * math.log(1.1), 5.0) == pytest.approx(0.1)
+        assert part.relative_increase(5.0 + 2 * float(weight) * math.log(1.1), 5.0) == pytest.approx(0.1)
     halves = parse_objective("0.5 innovation-t + 0.5 forecast-t")
     assert halves.needs_forecasts and not halves.needs_truth
-    assert halves.rise(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
+    assert halves.relative_increase(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
     with_rmse = parse_objective("innovation-t + truth-rmse")  # counted as if all were nats
-    assert with_rmse.rise(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
-    assert nll.rise(3 * math.log(1.1), 0.0, elements=3) == pytest.approx(0.1)
-    assert parse_objective("nis + nees").rise(0.001 + 4 * math.log(1.1), 0.001) == pytest.approx(0.1)
-    assert parse_objective("truth-pose + 0.2 nees").rise(2.2, 2.0) == pytest.approx(0.1)
+    assert with_rmse.relative_increase(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
+    assert nll.relative_increase(3 * math.log(1.1), 0.0, elements=3) == pytest.approx(0.1)
+    assert parse_objective("nis + nees").relative_increase(0.001 + 4 * math.log(1.1), 0.001) == pytest.approx(
+        0.1
+    )
+    assert parse_objective("truth-pose + 0.2 nees").relative_increase(2.2, 2.0) == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("share", [0.0, -1.0, 1.5, math.nan])

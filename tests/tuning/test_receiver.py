@@ -112,7 +112,7 @@ def test_the_doctor_leaves_a_smooth_receiver_its_stated_deviation():
 @pytest.mark.long
 def test_of_a_long_drive_the_middle_is_looked_at(monkeypatch: pytest.MonkeyPatch):
     """Fixes that are wild in its first and last minute, and calm between: its scatter is that of the middle."""
-    monkeypatch.setattr("sigmaswarm.tuning.receiver.LOOK", 90.0)
+    monkeypatch.setattr("sigmaswarm.tuning.receiver.SPAN", 90.0)
     drive = simulate("urban", seed=4, duration=220.0, gps="f9p-rtk")
     early_late = (drive.gps.time < 60) | (drive.gps.time > 160)
     wild = np.where(early_late, np.random.default_rng(0).normal(0, 3, len(drive.gps)), 0.0)

@@ -15,7 +15,7 @@ from processes import COMMAND, Process
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError, TuningStopped
-from sigmaswarm.files import write_whole
+from sigmaswarm.files import write_atomically
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.scoring.batch import Scores
 from sigmaswarm.tuning.objectives import OBJECTIVES, Objective
@@ -309,14 +309,14 @@ def test_a_corrupted_trial_is_named(tmp_path: Path, file: str, content: bytes | 
 
 def test_a_file_is_replaced_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     file = tmp_path / "a.txt"
-    write_whole(file, b"first")
+    write_atomically(file, b"first")
 
     def crash(_: int) -> None:
         raise OSError("power cut")
 
     monkeypatch.setattr(os, "fsync", crash)
     with pytest.raises(InputError, match="power cut"):
-        write_whole(file, b"second, and longer")
+        write_atomically(file, b"second, and longer")
     assert file.read_bytes() == b"first"
 
 

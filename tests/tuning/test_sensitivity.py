@@ -31,7 +31,7 @@ class Bowl:
     def costs(self, points, executor):
         return 1 + (self.weights * (points - self.optimum) ** 2).sum(axis=1)
 
-    def rise(self, costs, best):
+    def relative_increase(self, costs, best):
         return np.asarray(costs) / best - 1
 
 
@@ -79,7 +79,7 @@ def test_all_noises_together_are_moved_two_decades():
 def test_failures_bound_a_range():
     bowl = Bowl([0.0], [0.0], logarithmic=False)
     bowl.costs = lambda points, executor: np.where(points[:, 0] > 1.0, np.inf, 1.0)
-    bowl.rise = lambda costs, best: np.where(np.isfinite(costs), 0.0, np.inf)
+    bowl.relative_increase = lambda costs, best: np.where(np.isfinite(costs), 0.0, np.inf)
     (found,) = sensitivities(bowl, bowl.optimum, 1.0, POOL)
     assert found.lowest is None
     assert 0.5 <= found.highest <= 1.0

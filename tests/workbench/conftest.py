@@ -20,9 +20,9 @@ timer.daemon = True
 timer.start()
 from sigmaswarm.cli import main
 if PAUSE:
-    from sigmaswarm.tuning.search import Search
-    generation = Search._generation
-    Search._generation = lambda *given: time.sleep(PAUSE) or generation(*given)
+    from sigmaswarm.tuning.search import TrialRunner
+    generation = TrialRunner._generation
+    TrialRunner._generation = lambda *given: time.sleep(PAUSE) or generation(*given)
 main()
 """
 SMALL = {"model": "planar5", "particles": 8, "generations": 4}

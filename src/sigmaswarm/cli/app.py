@@ -23,7 +23,7 @@ import sigmaswarm
 from sigmaswarm.cli import terminal
 from sigmaswarm.cli.options import HELP_ALL, MORE
 from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
-from sigmaswarm.wording import counted, shown
+from sigmaswarm.wording import count_of, printable
 
 app = App(
     name="sigmaswarm",
@@ -99,7 +99,7 @@ def main() -> NoReturn:
     code = _run()
     for message, count in _warned.items():
         if count > 1:
-            print(f"warning ({count} times): {shown(message, 80)}", file=sys.stderr)
+            print(f"warning ({count} times): {printable(message, 80)}", file=sys.stderr)
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
@@ -179,7 +179,9 @@ def _too_many(error: Exception) -> str | None:
     if not isinstance(error, UnusedCliTokensError) or not error.unused_tokens:
         return None
     first, *more = error.unused_tokens
-    message = f"{first} and {counted(len(more), 'more argument')} are" if more else f"{first} is one argument"
+    message = (
+        f"{first} and {count_of(len(more), 'more argument')} are" if more else f"{first} is one argument"
+    )
     name = " ".join(error.command_chain or ())
     arguments = app[name].assemble_argument_collection() if name else ()
     places = [argument.name for argument in arguments if argument.name[0].isupper()]

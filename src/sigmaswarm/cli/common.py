@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sigmaswarm.files import finite
+from sigmaswarm.files import nan_to_none
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 MAX_REMARKS = 3  # remarks on an evaluation or a tuning that the terminal shows by default
 
 
-def read_known(place: "Location") -> "Drive":
+def read_silently(place: "Location") -> "Drive":
     """Read a drive without warnings about gaps, which were printed by an earlier command."""
     from sigmaswarm.drives.reader import read_with_warnings
 
@@ -38,10 +38,10 @@ def _warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> No
 
 
 def read_drives(places: "Sequence[Location]") -> "list[Drive]":
-    """Read drives with `read_known`, and all drives in each folder of drive folders."""
+    """Read drives with `read_silently`, and all drives in each folder of drive folders."""
     from sigmaswarm.drives.reader import all_drive_locations
 
-    return [read_known(place) for place in all_drive_locations(places)]
+    return [read_silently(place) for place in all_drive_locations(places)]
 
 
 def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *, overwrite: bool) -> None:
@@ -109,7 +109,7 @@ def read_datasets(
     return datasets
 
 
-def numbers_of(text: str | None, count: int, option: str, example: str) -> tuple[float, ...] | None:
+def parse_numbers(text: str | None, count: int, option: str, example: str) -> tuple[float, ...] | None:
     """Parse ``count`` numbers separated by commas; return None if the option is not given."""
     from sigmaswarm.errors import InputError
 
@@ -140,7 +140,7 @@ def say(*lines: object) -> None:
 
 def print_json(content: Any) -> None:
     """Print JSON, with null instead of NaN and inf."""
-    print(json.dumps(finite(content), indent=2))
+    print(json.dumps(nan_to_none(content), indent=2))
 
 
 def print_result(as_json: bool, content: Any, *lines: object) -> None:

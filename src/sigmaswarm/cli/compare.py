@@ -7,7 +7,7 @@ import sigmaswarm
 from sigmaswarm.cli.common import cluster_at, print_result, read_datasets, require_result_folder
 from sigmaswarm.cli.options import MORE, Cluster, Json, Places, Workers, options_of
 from sigmaswarm.cli.terminal import progress_bar
-from sigmaswarm.tuning.config import DECIDED_LATER, TuneConfig
+from sigmaswarm.tuning.config import DEFERRED_OPTIONS, TuneConfig
 from sigmaswarm.tuning.options import SEEDS, Scale
 
 # Options of `tune` that `compare` does not have.
@@ -15,7 +15,7 @@ EXCLUDED_OPTIONS = ("seed", "optimizer", "scale", "prior", "inflation")
 SHORT_HELP = ("objective", "particles", "generations", "model")
 
 
-@options_of(TuneConfig.model_fields, shown=SHORT_HELP, apart=EXCLUDED_OPTIONS, by_data=DECIDED_LATER)
+@options_of(TuneConfig.model_fields, shown=SHORT_HELP, omitted=EXCLUDED_OPTIONS, by_data=DEFERRED_OPTIONS)
 def compare(
     drives: Places,
     /,
@@ -60,7 +60,7 @@ def compare(
     resume
         Continue an interrupted comparison. The result is the same, except for the times.
     """
-    from sigmaswarm.drives.sensors import sensors_of
+    from sigmaswarm.drives.sensors import log_properties
     from sigmaswarm.reports.compare import comparison_table, save_comparison
     from sigmaswarm.tuning.defaults import default_filter_options
 
@@ -69,7 +69,9 @@ def compare(
     asked |= {name: value for name, value in (("optimizers", optimizers), ("scales", scales)) if value}
     with cluster_at(cluster) as client:
         read, held_out = read_datasets(drives, validation or [], cluster=client)
-        chosen = default_filter_options(options, [*read.map(sensors_of), *held_out.map(sensors_of)])[1]
+        chosen = default_filter_options(options, [*read.map(log_properties), *held_out.map(log_properties)])[
+            1
+        ]
         with progress_bar("comparing", "tunings, remaining") as show:
             found = sigmaswarm.compare(read, validation=held_out, progress=show, **asked, **options)
     written = save_comparison(found, out)

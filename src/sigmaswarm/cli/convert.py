@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_known, require_writable, say
+from sigmaswarm.cli.common import print_json, read_silently, require_writable, say
 from sigmaswarm.cli.options import Json, Overwrite
 from sigmaswarm.errors import InputError
 
@@ -48,7 +48,7 @@ def convert(
     if any((out / table).exists() for table in TABLES):
         raise InputError(f"{last}: is a drive; pass a folder for the converted drives as the last argument")
     for place in all_drive_locations(given):
-        drive = read_known(place)
+        drive = read_silently(place)
         if drive.name in written:
             raise InputError(
                 f"{place}: another drive is also named {drive.name}; convert it to another folder"

@@ -25,7 +25,7 @@ from sigmaswarm.errors import InputError, SigmaswarmWarning
 if TYPE_CHECKING:
     from sigmaswarm import Evaluation
     from sigmaswarm.api import TunedFilter
-    from sigmaswarm.learned.folder import Learned
+    from sigmaswarm.learned.folder import LearnedNetwork
 
 
 @dataclass(frozen=True)
@@ -137,11 +137,11 @@ def _evaluated(
     tuned: "TunedFilter",
     drives: Sequence[str],
     options: EvaluateOptions,
-    learned: "Learned | None",
+    learned: "LearnedNetwork | None",
     remedies: list[Remedy],
 ) -> "Evaluation":
     """Evaluate; the remedies of serious faults of the drives are added to ``remedies``."""
-    from sigmaswarm.learned.folder import seen_in
+    from sigmaswarm.learned.folder import training_landmarks
     from sigmaswarm.scoring.evaluation import evaluate as evaluate_drives
 
     if not 0 < options.outage_length < inf:
@@ -156,7 +156,7 @@ def _evaluated(
             outage_length=options.outage_length,
             outage_seed=options.outage_seed,
             as_recorded=options.as_recorded or tuned.as_recorded,
-            seen=[*(tuned.seen or ()), *seen_in(tuning)] or None,
+            seen=[*(tuned.seen or ()), *training_landmarks(tuning)] or None,
             smooth=options.smooth,
             bank=options.bank,
             more={learned.kind: run} if learned and run else {},

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_drives, read_known, say
+from sigmaswarm.cli.common import print_json, read_drives, read_silently, say
 from sigmaswarm.cli.options import FIELDS, Json
 from sigmaswarm.exports.names import AnyTarget, next_command
 
 if TYPE_CHECKING:
-    from sigmaswarm.exports.check import Checked
+    from sigmaswarm.exports.check import ExportCheck
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +86,7 @@ def export(
         raise sigmaswarm.InputError(
             "--against needs --check and a tuning of robot-localization; leave --against out"
         )
-    drive = read_known(options.replay) if options.replay else None
+    drive = read_silently(options.replay) if options.replay else None
     drives = read_drives(options.check or [])
     settings = tuned.settings("as_recorded", lanes=options.lanes, seed=options.seed)
     texts = export_texts(parameters, to, replay=drive, **tuned.settings("mounting", "imu_axes", **settings))
@@ -94,7 +94,7 @@ def export(
         found = evaluate(drives, parameters, against=options.against, seen=tuned.seen)
         texts["README.md"] += accuracy_section(found)
     written = write_texts(texts, out, kind_of(to))
-    checked: list[Checked] = []
+    checked: list[ExportCheck] = []
     if drives and not ros:
         checked = check_export(out, parameters, drives, **settings)
     if options.json:
@@ -116,7 +116,7 @@ def export(
     say(f"next: {next_command(to, out, texts)}")
 
 
-def _found(checked: "Checked", lanes: int) -> str:
+def _found(checked: "ExportCheck", lanes: int) -> str:
     library = "sigmaswarm run" if lanes == 1 else "a LiveFilterBank without searches"
     line = (
         f"{checked.drive}: every state in C is within {checked.double.state:.1e} of {library} "

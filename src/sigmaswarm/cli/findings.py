@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sigmaswarm.cli.terminal import console
-from sigmaswarm.wording import counted
+from sigmaswarm.wording import count_of
 
 if TYPE_CHECKING:
     from sigmaswarm.datasets.dataset import Dataset
@@ -28,7 +28,7 @@ def print_diagnosis(diagnosis: "Diagnosis", seen: set[str] | None = None) -> Non
 
     serious, warned, noted = (sum(f.severity == s for f in diagnosis.findings) for s in _STYLES)
     summary = f"{serious} SERIOUS" if serious else "nothing serious"
-    summary += f", {counted(warned, 'warning')}, {counted(noted, 'note')}"
+    summary += f", {count_of(warned, 'warning')}, {count_of(noted, 'note')}"
     out = console(soft_wrap=True)
     out.print(Text.assemble((diagnosis.drive, "bold"), f": {summary}"))
     table = Table.grid(padding=(0, 2, 0, 0))
@@ -43,7 +43,7 @@ def print_diagnosis(diagnosis: "Diagnosis", seen: set[str] | None = None) -> Non
         seen.add(message)
         table.add_row(Text(f"  {finding.severity}", _STYLES[finding.severity]), Text(message))
     if repeated:
-        table.add_row(Text("  note", _STYLES["note"]), Text(f"{counted(repeated, 'note')} as above."))
+        table.add_row(Text("  note", _STYLES["note"]), Text(f"{count_of(repeated, 'note')} as above."))
     out.print(table)
     out.print()
 
@@ -70,8 +70,8 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Rem
     remedies: list[Remedy] = []
     for diagnosis, folder in zip(drives.map(diagnose), places, strict=True):
         if diagnosis.serious:
-            cut = cutting(diagnosis, folder)
-            remedies.append((cut, None) if cut else mending(diagnosis, folder))
+            cut = split_command(diagnosis, folder)
+            remedies.append((cut, None) if cut else repair_command(diagnosis, folder))
             codes = ", ".join(f.code for f in diagnosis.findings if f.severity == "serious")
             message = (
                 f"{folder}: the doctor finds SERIOUS faults, which distort the result ({codes}); "
@@ -84,36 +84,36 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Rem
     return remedies
 
 
-def cutting(diagnosis: "Diagnosis", folder: "Location") -> str:
+def split_command(diagnosis: "Diagnosis", folder: "Location") -> str:
     """Return the command that splits a drive; "" if no serious finding requires a split."""
     remedies = [finding.remedy for finding in diagnosis.findings if finding.severity == "serious"]
     found = re.search(r"sigmaswarm split DRIVE --at \S+ --out parts", " ".join(remedies))
     return found[0].replace("DRIVE", shlex.quote(str(folder))) if found else ""
 
 
-def turns(diagnosis: "Diagnosis") -> bool:
+def affects_axes(diagnosis: "Diagnosis") -> bool:
     """Return True if a finding about the axes or signs of the IMU is serious or a warning."""
-    from sigmaswarm.doctor.repairs import AXES
+    from sigmaswarm.doctor.repairs import AXIS_ACTIONS
 
     found = [finding for finding in diagnosis.findings if finding.severity != "note"]
-    return any(f.code == "mounting-changed" or (f.repair and f.repair.action in AXES) for f in found)
+    return any(f.code == "mounting-changed" or (f.repair and f.repair.action in AXIS_ACTIONS) for f in found)
 
 
-def repairable(diagnosis: "Diagnosis") -> bool:
+def has_repairable(diagnosis: "Diagnosis") -> bool:
     return any(finding.repair and finding.severity != "note" for finding in diagnosis.findings)
 
 
-def unrepairable(diagnosis: "Diagnosis") -> bool:
+def has_unrepairable(diagnosis: "Diagnosis") -> bool:
     return any(finding.severity == "serious" and not finding.repair for finding in diagnosis.findings)
 
 
-def mending(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
+def repair_command(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
     """Return the command that repairs a drive, and the folder of the repaired copy.
 
     If the doctor can repair no fault, or not every serious fault, return the command that shows the faults, and None.
     """
     command = _doctor(folder)
-    if not repairable(diagnosis) or unrepairable(diagnosis):
+    if not has_repairable(diagnosis) or has_unrepairable(diagnosis):
         return command, None
     out = _free(diagnosis)
     return f"{command} --fix {out.parent}", out
@@ -145,11 +145,11 @@ def next_steps(diagnosis: "Diagnosis", out: Path, part: str = "") -> Iterator[st
     ``part``: "train" or "test" for a part of a drive.
     """
     ready, following = out, f"sigmaswarm plot {shlex.quote(str(out))}"
-    if cut := cutting(diagnosis, out):
+    if cut := split_command(diagnosis, out):
         yield from (f"next: {cut}", "then: sigmaswarm doctor parts --fix mended")
         return
-    if diagnosis.serious or repairable(diagnosis):
-        command, mended = exchanging(diagnosis, out) or mending(diagnosis, out)
+    if diagnosis.serious or has_repairable(diagnosis):
+        command, mended = exchanging(diagnosis, out) or repair_command(diagnosis, out)
         go_on = f"{command}    (then continue with {mended}, not with {out})"
         following, ready = (go_on, mended) if mended else ("correct the serious faults in the log", out)
     elif no_start := next((finding for finding in diagnosis.findings if finding.code == "no-start"), None):

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.common import numbers_of, print_json, say, stdout
-from sigmaswarm.cli.findings import next_steps, print_diagnosis, turns
+from sigmaswarm.cli.common import parse_numbers, print_json, say, stdout
+from sigmaswarm.cli.findings import affects_axes, next_steps, print_diagnosis
 from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json, Overwrite
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.errors import DriveWarning, InputError
-from sigmaswarm.wording import shown
+from sigmaswarm.wording import printable
 
 if TYPE_CHECKING:
     from sigmaswarm.doctor.findings import Diagnosis
-    from sigmaswarm.importing.convert import Imported, Request
+    from sigmaswarm.importing.convert import ImportResult, Request
     from sigmaswarm.importing.inspection import Inspection, TablePreview
 
 AXES_NOTE = (
@@ -177,7 +177,7 @@ def import_(
 
 def _request(source: Path, options: ImportOptions) -> "Request":
     from sigmaswarm.importing.convert import request_of
-    from sigmaswarm.importing.source import ROLES, Choice, Limits
+    from sigmaswarm.importing.source import ROLES, Limits, TableChoice
 
     topics = {name: getattr(options, f"{name}_topic", None) for name in (*ROLES, "velocity")}
     limits = {name: getattr(options, f"max_{name}") for name in ("rows", "columns", "unpacked_mb")}
@@ -190,12 +190,12 @@ def _request(source: Path, options: ImportOptions) -> "Request":
         **{f"{name}_offset_s": getattr(options, f"{name}_offset") for name in ("gps", "truth", "odometer")},
         "maps": options.map,
         "definitions": options.msg,
-        "choice": Choice({k: v for k, v in topics.items() if v}, options.receive_times),
+        "choice": TableChoice({k: v for k, v in topics.items() if v}, options.receive_times),
         "limits": Limits(**{name: value for name, value in limits.items() if value is not None}),
         "declination_deg": options.declination,
-        "origin": numbers_of(options.origin, 3, "--origin", "50.1,8.7,120"),
-        "gps_lever_arm_m": numbers_of(options.lever_arm, 3, "--lever-arm", "1.2,0,0.5"),
-        "gps_from_truth": numbers_of(options.gps_from_truth, 2, "--gps-from-truth", "5,1"),
+        "origin": parse_numbers(options.origin, 3, "--origin", "50.1,8.7,120"),
+        "gps_lever_arm_m": parse_numbers(options.lever_arm, 3, "--lever-arm", "1.2,0,0.5"),
+        "gps_from_truth": parse_numbers(options.gps_from_truth, 2, "--gps-from-truth", "5,1"),
     }
     return request_of(source, {key: value for key, value in settings.items() if value is not None})
 
@@ -238,10 +238,10 @@ def _with_exchanged_fixes(diagnosis: "Diagnosis") -> str:
     if not maps or "--map" in sys.argv:
         return ""
     typed = [word for word in sys.argv[1:] if word != "--overwrite"]
-    return shown(shlex.join(["sigmaswarm", *typed, "--map", *maps, "--overwrite"]), 4000)
+    return printable(shlex.join(["sigmaswarm", *typed, "--map", *maps, "--overwrite"]), 4000)
 
 
-def _with_columns(diagnosis: "Diagnosis", imported: "Imported") -> "Diagnosis":
+def _with_columns(diagnosis: "Diagnosis", imported: "ImportResult") -> "Diagnosis":
     """Replace COLUMN_OF_LAT, which stands for a column of the log in a remedy, by this column's expression."""
     texts = {n: text for part in imported.recipe.roles.get("gps", ()) for n, text in part.columns.items()}
 
@@ -252,7 +252,7 @@ def _with_columns(diagnosis: "Diagnosis", imported: "Imported") -> "Diagnosis":
     return replace(diagnosis, findings=findings)
 
 
-def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
+def _summary(imported: "ImportResult", out: Path) -> dict[str, Any]:
     drive = imported.drive
     return {
         "drive": str(out),
@@ -266,14 +266,16 @@ def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
     }
 
 
-def _report(imported: "Imported", out: Path, diagnosis: "Diagnosis") -> Iterator[str]:
+def _report(imported: "ImportResult", out: Path, diagnosis: "Diagnosis") -> Iterator[str]:
     drive = imported.drive
     truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
     wheels = f", {len(drive.odometer)} of the odometer" if drive.odometer else ""
-    yield from (f"read: {shown(read, 1000)}" for read in imported.recipe.said())
+    yield from (f"read: {printable(read, 1000)}" for read in imported.recipe.map_arguments())
     # a finding about the axes has a better remedy than an assumption
-    assumed = () if turns(diagnosis) else imported.assumed or (() if imported.recipe.mount else (AXES_NOTE,))
-    yield from (f"note: {shown(note, 1000)}" for note in (*imported.notes, *assumed))
+    assumed = (
+        () if affects_axes(diagnosis) else imported.assumed or (() if imported.recipe.mount else (AXES_NOTE,))
+    )
+    yield from (f"note: {printable(note, 1000)}" for note in (*imported.notes, *assumed))
     rate = 1 / drive.nominal_interval
     yield (
         f"wrote {out}: {drive.duration:.1f} s, {len(drive.imu)} IMU samples ({rate:.3g} Hz), "
@@ -300,26 +302,26 @@ def _print_inspection(seen: "Inspection", options: ImportOptions) -> None:
     for preview in seen.tables:
         rows = f", {preview.rows} rows" if preview.rows is not None else ""
         rate = f", {preview.rate:.4g} Hz" if preview.rate else ""
-        console.print(f"{shown(preview.table)}: {shown(preview.kind)}{rows}{rate}", style="bold")
+        console.print(f"{printable(preview.table)}: {printable(preview.kind)}{rows}{rate}", style="bold")
         say(*_columns(preview))
     say("(lowest, median and highest value of each column in the first rows)")
     planned = "The recipe that import would use (save it with --save-recipe, change it with --map):"
     console.print(f"\n{planned}", style="bold")
-    recipe = "\n".join(shown(line, 1000) for line in seen.recipe.to_toml().split("\n"))
+    recipe = "\n".join(printable(line, 1000) for line in seen.recipe.to_toml().split("\n"))
     say(recipe or "nothing was recognized; map the columns with --map")
-    say(*(f"note: {shown(note, 1000)}" for note in seen.notes))
+    say(*(f"note: {printable(note, 1000)}" for note in seen.notes))
     if seen.proposal:
         title = "To read the other columns, add to the command"
         console.print(f"\n{title}{'' if seen.works else ', with the missing parts'}:", style="bold")
         of_rows = re.search(r"\b(imu|gps)\.t=", seen.proposal)
         times = "; imu.t and gps.t are the times of the IMU's and the fixes' rows" if of_rows else ""
-        evidence = f"({shown(seen.evidence, 1000)}{times}; the mapping is applied only on request)"
-        say(shown(seen.proposal, 4000), evidence)
+        evidence = f"({printable(seen.evidence, 1000)}{times}; the mapping is applied only on request)"
+        say(printable(seen.proposal, 4000), evidence)
     if seen.unread:
         console.print("\nColumns that neither the recipe nor the proposal uses:", style="bold")
     for table, columns in (seen.unread or {}).items():
         more = f" and {len(columns) - MAX_UNUSED_COLUMNS} more" if len(columns) > MAX_UNUSED_COLUMNS else ""
-        say(f"{shown(table)}: {', '.join(map(shown, columns[:MAX_UNUSED_COLUMNS]))}{more}")
+        say(f"{printable(table)}: {', '.join(map(printable, columns[:MAX_UNUSED_COLUMNS]))}{more}")
     ready = f"next: {_command(seen, options)}" if seen.works else NOT_READY_NOTE
     say(f"\n{ready}")
 
@@ -330,16 +332,16 @@ def _command(seen: "Inspection", options: ImportOptions) -> str:
     out = [] if options.out else ["--out", "drive"]
     # A proposal is checked with the drive's axes.
     out += ["--mount", seen.mount] if seen.mount and not seen.proposal else []
-    return f"{shown(shlex.join(['sigmaswarm', *typed, *out]), 4000)} {shown(seen.proposal, 4000)}".rstrip()
+    return f"{printable(shlex.join(['sigmaswarm', *typed, *out]), 4000)} {printable(seen.proposal, 4000)}".rstrip()
 
 
 def _columns(preview: "TablePreview") -> Iterator[str]:
     """Yield a line for each column with a value other than 0: lowest, median and highest value, or an example."""
     varying = [r for r in preview.ranges if r.low or r.high or r.low is None]
-    width = max((len(shown(r.column)) for r in varying), default=0)
+    width = max((len(printable(r.column)) for r in varying), default=0)
     for r in varying:
         ends = f"{_short(r.low):>20} {_short(r.middle):>20} {_short(r.high):>20}" if r.example else "empty"
-        yield f"  {shown(r.column):{width}} {shown(r.example) if r.low is None and r.example else ends}"
+        yield f"  {printable(r.column):{width}} {printable(r.example) if r.low is None and r.example else ends}"
     if left := len(preview.ranges) - len(varying):
         yield f"  and {left} columns that are 0"
 

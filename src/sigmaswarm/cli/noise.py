@@ -95,23 +95,23 @@ def _found(log: Path | None, options: NoiseOptions) -> "Noise":
         return filter_noise(FilterParameters.load(options.tuned), str(options.tuned))
     settings: dict[str, Any] = {"recipe": options.recipe, "maps": options.map, "time": options.time}
     if options.imu_topic:
-        from sigmaswarm.importing.source import Choice
+        from sigmaswarm.importing.source import TableChoice
 
-        settings["choice"] = Choice({"imu": options.imu_topic})
+        settings["choice"] = TableChoice({"imu": options.imu_topic})
     return imu_noise(log or "", **{key: value for key, value in settings.items() if value})
 
 
 def _write(found: "Noise", texts: dict[str, str], out: Path, *, figure: bool) -> list[Path]:
     import json
 
-    from sigmaswarm.files import finite, staged_files, write_whole
+    from sigmaswarm.files import nan_to_none, staged_files, write_atomically
     from sigmaswarm.reports.figures import save_both
     from sigmaswarm.reports.noise import noise_figure
 
     if figure:
-        texts = {**texts, "noise.json": json.dumps(finite(found.to_dict()), indent=1)}
+        texts = {**texts, "noise.json": json.dumps(nan_to_none(found.to_dict()), indent=1)}
     with staged_files(out, RESULT_KIND) as new:
         for file, text in texts.items():
-            write_whole(new / file, text)
+            write_atomically(new / file, text)
         drawn = save_both(noise_figure(found), new / "noise") if figure else []
     return [out / name for name in (*texts, *(path.name for path in drawn))]

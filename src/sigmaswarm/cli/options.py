@@ -54,20 +54,20 @@ def options_of(
     fields: Mapping[str, FieldInfo],
     *,
     shown: Collection[str] | None = None,
-    apart: Collection[str] = (),
+    omitted: Collection[str] = (),
     by_data: Collection[str] = (),
     renamed: Mapping[str, str] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Add fields as options to a command, whose parameter ``**options`` contains the options of the user.
 
-    ``shown``: fields in the short help, by default all. ``apart``: fields that are not options. ``by_data``: fields
+    ``shown``: fields in the short help, by default all. ``omitted``: fields that are not options. ``by_data``: fields
     with a default that depends on the data. ``renamed``: deprecated names and the current names.
     """
     old = {new: name for name, new in (renamed or {}).items()}
     added = {
         name: _annotation(name, field, old.get(name), shown is None or name in shown, name not in by_data)
         for name, field in fields.items()
-        if name not in apart
+        if name not in omitted
     }
 
     def decorated(command: Callable[..., None]) -> Callable[..., None]:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.common import print_result, read_known
+from sigmaswarm.cli.common import print_result, read_silently
 from sigmaswarm.cli.options import Json
 
 
@@ -37,7 +37,7 @@ def plot(
 
     if out is not None:
         check_file(out)
-    read = read_known(drive)
+    read = read_silently(drive)
     picture = out or Path(f"{read.name.replace('/', '-')}.png")
     check_file(picture)
     save(drive_figure(read), picture)

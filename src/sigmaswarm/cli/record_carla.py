@@ -20,7 +20,7 @@ for one in fields(Options):
     RECORDER[name] = FieldInfo(annotation=kind, default=one.default, description=one.metadata["help"])
 
 
-@options_of(RECORDER, apart=("out",))
+@options_of(RECORDER, omitted=("out",))
 def record_carla(*, out: Path, **options: Any) -> None:
     """Record drives with known truth from a CARLA server.
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import numbers_of, print_result, read_known
+from sigmaswarm.cli.common import parse_numbers, print_result, read_silently
 from sigmaswarm.cli.options import FIELDS, Hyphened, Json, Overwrite
 from sigmaswarm.cli.terminal import tuning_progress
 
@@ -70,9 +70,9 @@ def reference(
 
     out = options.out
     given = {name: getattr(options, name) for name in ("offset", "accuracy", "fix_std", "seed")}
-    arm: Any = numbers_of(options.lever_arm, 3, "--lever-arm", "0.9,-0.4,1.2")
+    arm: Any = parse_numbers(options.lever_arm, 3, "--lever-arm", "0.9,-0.4,1.2")
     require_replaceable(out.resolve(), options.overwrite, "add --overwrite, or choose another folder")
-    read = read_known(drive)
+    read = read_silently(drive)
     with tuning_progress("tuning for the good receiver") as progress:
         made = sigmaswarm.reference(read, options.fixes, lever_arm=arm, progress=progress, **given)
     write_drive(made, out, overwrite=options.overwrite)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.common import print_result, read_known
+from sigmaswarm.cli.common import print_result, read_silently
 from sigmaswarm.cli.options import FIELDS, AsRecorded
 from sigmaswarm.errors import InputError
 
@@ -106,8 +106,8 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     )
     from sigmaswarm.filters.bank.run import BankRun
     from sigmaswarm.filters.filter_run import FilterRun
-    from sigmaswarm.filters.run import estimates_of, replay_of
-    from sigmaswarm.filters.smoothing import Smoothing
+    from sigmaswarm.filters.run import estimates_of, whole_pass
+    from sigmaswarm.filters.smoothing import SmootherRun
     from sigmaswarm.learned.folder import load_learned
 
     out, smooth, before, truth = options.out, options.smooth, options.before, options.truth
@@ -120,7 +120,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
         )
     learned = None if smooth or options.bank else load_learned(tuning)
     place = _place(options.origin) if options.origin else None
-    tuned, read = tuned_filter(tuning), read_known(drive)
+    tuned, read = tuned_filter(tuning), read_silently(drive)
     parameters = tuned.parameters
     if place and read.origin:
         raise InputError(f"{drive}: already has an origin; leave --origin out")
@@ -132,7 +132,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     if before:
         check_fixes_target(before, target["origin"])
     as_recorded = options.as_recorded or tuned.as_recorded
-    replay = replay_of(read, as_recorded=as_recorded)
+    replay = whole_pass(read, as_recorded=as_recorded)
     found: Run
     if options.bank:
         _check_bank_files(out, (truth, before))
@@ -140,7 +140,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     elif learned is not None:
         found = learned.run(replay, parameters, recover=True)
     else:
-        found = (Smoothing if smooth else FilterRun)(replay, parameters, recover=True)
+        found = (SmootherRun if smooth else FilterRun)(replay, parameters, recover=True)
     time = replay.timeline.imu_time
     first, last = float(time[0]), float(time[-1])
     shown = None
@@ -197,11 +197,11 @@ def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
 
 def _save_bank(run: Any, out: Path) -> dict[str, Any]:
     """Write a bank's log and the filter that it converged to; return the paths and warnings about the filter."""
-    from sigmaswarm.files import write_whole
+    from sigmaswarm.files import write_atomically
 
     log, spread = run.log, run.bank.spread
     log_file, filter_file = _bank_files(out)
-    write_whole(log_file, log.to_frame().write_csv())
+    write_atomically(log_file, log.to_frame().write_csv())
     spread.parameters(log.settled).save(filter_file)
     return {"swarm": str(log_file), "settled": str(filter_file), "said": [*spread.warnings(log.settled)]}
 

@@ -10,7 +10,7 @@ from sigmaswarm.cli.common import cluster_at, print_result
 from sigmaswarm.cli.options import AT_LEAST_1, FIELDS, MORE, Cluster, Json, Seed, Workers
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.errors import InputError
-from sigmaswarm.wording import counted
+from sigmaswarm.wording import count_of
 
 JITTER = 0.002  # s, standard deviation of the errors of the sample times with --jitter
 
@@ -117,7 +117,7 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
         )
         for written, _ in enumerate(made, 1):
             show(written, len(names) - len(kept))
-    lines = [f"wrote {counted(written, 'drive')} to {out}" + (f", kept {len(kept)}" if kept else "")]
+    lines = [f"wrote {count_of(written, 'drive')} to {out}" + (f", kept {len(kept)}" if kept else "")]
     if len({"clear", "night", "fog"} & set(environments)) > 1:
         lines.append("note: clear, night and fog have the same physics; only their random numbers differ")
     content = {"drives": [str(out / name) for name in names], "written": written, "kept": len(kept)}

@@ -8,10 +8,10 @@ from typing import Annotated
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_known, require_writable, say
-from sigmaswarm.cli.findings import unrepairable
+from sigmaswarm.cli.common import print_json, read_silently, require_writable, say
+from sigmaswarm.cli.findings import has_unrepairable
 from sigmaswarm.cli.options import Json, Overwrite
-from sigmaswarm.wording import counted
+from sigmaswarm.wording import count_of
 
 
 def split(
@@ -50,7 +50,7 @@ def split(
             f"--at has {len(at)} times; specify one time, or two times to leave out the part between them"
         )
     times = None if not at else at[0] if len(at) == 1 else (at[0], at[1])
-    whole = read_known(drive)
+    whole = read_silently(drive)
     parts = sigmaswarm.split_time(whole, 0.7 if train_fraction is None else train_fraction, at=times)
     _require_enough(whole, parts)
     require_writable([out / part.name for part in parts], [drive], overwrite=overwrite)
@@ -64,32 +64,32 @@ def split(
 
 def _require_enough(whole: "sigmaswarm.Drive", parts: "Sequence[sigmaswarm.Drive]") -> None:
     """Refuse, before anything is written, a part that is too short for a drive."""
-    from sigmaswarm.drives.checks import FEWEST_SAMPLES, FEWEST_SHARED_FIXES, shortage_of
+    from sigmaswarm.drives.checks import MIN_SAMPLES, MIN_SHARED_FIXES, shortage_of
 
     imu, gps = whole.imu.time, whole.gps.time
     gps = gps[(gps >= imu[0]) & (gps <= imu[-1])]
     for part in parts:
         if len(part.gps) and not shortage_of(part.imu, part.gps):
             continue
-        low = max(imu[FEWEST_SAMPLES - 1], gps[FEWEST_SHARED_FIXES - 1]) + 0.01
-        high = min(imu[-FEWEST_SAMPLES], gps[-FEWEST_SHARED_FIXES]) - 0.01
+        low = max(imu[MIN_SAMPLES - 1], gps[MIN_SHARED_FIXES - 1]) + 0.01
+        high = min(imu[-MIN_SAMPLES], gps[-MIN_SHARED_FIXES]) - 0.01
         remedy = (
             f"split at a time from {low:.2f} to {high:.2f} s (--at)"
             if low < high
             else "record a longer drive"
         )
-        fixes = counted(len(part.gps), "fix")
+        fixes = count_of(len(part.gps), "fix")
         raise sigmaswarm.InputError(
             f"{part.name}: {part.duration:.1f} s with {fixes} are too few for a drive; {remedy}"
         )
 
 
 def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path) -> list[str]:
-    from sigmaswarm.drives.alignment import NoStart, find_start
+    from sigmaswarm.drives.alignment import StartFailure, find_start
 
     train, test = (shlex.quote(str(out / part.name)) for part in parts)
     found = [sigmaswarm.diagnose(part) for part in parts]
-    if any(isinstance(find_start(part), NoStart) for part in parts) or any(map(unrepairable, found)):
+    if any(isinstance(find_start(part), StartFailure) for part in parts) or any(map(has_unrepairable, found)):
         return [f"next: sigmaswarm doctor {train} {test}"]
     if any(diagnosis.serious for diagnosis in found):
         mended = shlex.quote(str(Path("mended") / parts[0].name))

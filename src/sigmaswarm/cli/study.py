@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 EXCLUDED_OPTIONS = ("maneuvers", "environments", "imu", "gps", "vibration", "terrain", "train_fraction")
 
 
-@options_of(StudyConfig.model_fields, apart=EXCLUDED_OPTIONS, by_data=("racing",))
+@options_of(StudyConfig.model_fields, omitted=EXCLUDED_OPTIONS, by_data=("racing",))
 def study(
     *,
     out: Path,
@@ -99,9 +99,16 @@ def study(
 def _print(done: "Study", out: Path, page: Path) -> None:
     from sigmaswarm.experiments.study.config import DEFAULT_METHOD
     from sigmaswarm.experiments.study.design import tuning_name
-    from sigmaswarm.reports.study_tables import UNPRINTED, objectives_compared, runtime_table, study_tables
+    from sigmaswarm.reports.study_tables import (
+        FILE_ONLY_TABLES,
+        objectives_compared,
+        runtime_table,
+        study_tables,
+    )
 
-    tables = [table for name, table in study_tables(done.results).items() if not name.startswith(UNPRINTED)]
+    tables = [
+        table for name, table in study_tables(done.results).items() if not name.startswith(FILE_ONLY_TABLES)
+    ]
     say(*(f"{t.to_markdown()}\n" for t in (*tables, runtime_table(done.results, done.record.live))))
     name = tuning_name("honest", DEFAULT_METHOD, done.design.group_of(0))
     say(

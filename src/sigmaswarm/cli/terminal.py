@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from sigmaswarm.wording import visible
+from sigmaswarm.wording import escape_controls
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -49,7 +49,7 @@ def console(**options: Any) -> "Console":
     class Plain(Console):
         def render(self, *arguments: Any, **named: Any) -> Iterable[Segment]:
             for segment in super().render(*arguments, **named):
-                yield segment if segment.control else Segment(visible(segment.text), segment.style)
+                yield segment if segment.control else Segment(escape_controls(segment.text), segment.style)
 
         def on_broken_pipe(self) -> None:
             raise  # `main` catches it; Rich would exit with code 1
@@ -59,7 +59,7 @@ def console(**options: Any) -> "Console":
 
 def one_line(text: object) -> str:
     """Write a message in one line of at most `MAX_LINE_LENGTH` characters, without control characters."""
-    line = visible(" ".join(str(text).split()))
+    line = escape_controls(" ".join(str(text).split()))
     half = MAX_LINE_LENGTH // 2
     return line if len(line) <= MAX_LINE_LENGTH else f"{line[:half]} ... {line[-half:]}"
 

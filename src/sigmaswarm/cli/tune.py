@@ -20,8 +20,8 @@ from sigmaswarm.cli.findings import Remedy
 from sigmaswarm.cli.options import MORE, Cluster, Json, Places, TrustLog, Workers, options_of
 from sigmaswarm.cli.terminal import tuning_progress
 from sigmaswarm.errors import InputError
-from sigmaswarm.tuning.config import DECIDED_LATER, RENAMED, TuneConfig
-from sigmaswarm.wording import TO_DO, counted
+from sigmaswarm.tuning.config import DEFERRED_OPTIONS, RENAMED, TuneConfig
+from sigmaswarm.wording import TO_DO, count_of
 
 if TYPE_CHECKING:
     from sigmaswarm import Drive, Tuning
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 SHORT_HELP = ("objective", "model", "use", "particles", "generations", "trials", "seed")
 
 
-@options_of(TuneConfig.model_fields, shown=SHORT_HELP, by_data=DECIDED_LATER, renamed=RENAMED)
+@options_of(TuneConfig.model_fields, shown=SHORT_HELP, by_data=DEFERRED_OPTIONS, renamed=RENAMED)
 def tune(
     drives: Places,
     /,
@@ -136,14 +136,14 @@ def _tune(
     """Tune; return the result, the track on the first drive, and the lines to print before and after the result."""
     from concurrent.futures import ThreadPoolExecutor
 
-    from sigmaswarm.drives.sensors import sensors_of
+    from sigmaswarm.drives.sensors import log_properties
     from sigmaswarm.filters.presets import filter_for
     from sigmaswarm.scoring.jobs import cores
     from sigmaswarm.scoring.tracks import first_track
     from sigmaswarm.tuning.defaults import default_filter_options
 
     read, held_back = groups
-    everywhere = [*read.map(sensors_of), *held_back.map(sensors_of)]
+    everywhere = [*read.map(log_properties), *held_back.map(log_properties)]
     if asked["start"]:
         asked = {**asked, "start": filter_for(asked["start"], read)}
         options.setdefault("model", asked["start"].model)
@@ -173,7 +173,7 @@ def _remarks(tuning: "Tuning[Any]", track: "FirstTrack", given: Places) -> Itera
         remark = remark.replace("drive.toml", described)
         yield remark if remark.startswith(TO_DO) else f"note: {remark}"
     if (left := len(tuning.remarks) - MAX_REMARKS) > 0:
-        yield f"note: {counted(left, 'more remark')} in tuning.toml"
+        yield f"note: {count_of(left, 'more remark')} in tuning.toml"
 
 
 def _descriptions(given: Places) -> str:
@@ -198,7 +198,7 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
 
     before = tuning.trial_costs[tuning.best_trial]
     inflated = f"; {before:.4f} before process-noise inflation" if tuning.inflation_factor != 1.0 else ""
-    on = counted(len(tuning.data), "drive")
+    on = count_of(len(tuning.data), "drive")
     if tuning.start_cost is not None:
         yield f"cost {tuning.start_cost:.4f} at the start"
     yield f"cost {tuning.cost:.4f} ({tuning.config.objective}{inflated}) on {on}"
@@ -208,7 +208,7 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
     if tuning.validation:
         gap = tuning.validation.gap
         change = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
-        on = counted(len(tuning.validation.drives), "validation drive")
+        on = count_of(len(tuning.validation.drives), "validation drive")
         yield f"cost {tuning.validation.cost:.4f} on {on}: {change}"
     drifts, *worse = describe_forecasts(tuning.forecasts, [one["duration_s"] for one in tuning.data]) or [""]
     yield from [drifts] * bool(drifts)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from sigmaswarm.errors import InputError, SigmaswarmError, not_installed
-from sigmaswarm.limits import MOST_TOML, read_bounded
+from sigmaswarm.limits import MAX_TOML_BYTES, read_bounded
 from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ def _scheduler(address: str) -> str:
             "local:N"
         )
     try:
-        return str(json.loads(read_bounded(Path(address), MOST_TOML))["address"])
+        return str(json.loads(read_bounded(Path(address), MAX_TOML_BYTES))["address"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise InputError(
             f"--cluster {address}: is not a scheduler file; `dask scheduler --scheduler-file` writes one"

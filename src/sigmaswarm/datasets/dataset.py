@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from sigmaswarm.drives.drive import Drive, listed
+from sigmaswarm.drives.drive import Drive, as_list
 from sigmaswarm.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class LocalDataset:
         return map(function, self.drives)
 
 
-def datasets_of(
+def make_datasets(
     *groups: Any,
     cluster: "Client | None" = None,
     executor: Executor | None = None,
@@ -88,7 +88,7 @@ def datasets_of(
 def _listed(given: Any, cluster: "Client | None", takes: str) -> "list[Any] | Dataset":
     if hasattr(given, "imap"):
         return given
-    drives: list[Any] = [given] if isinstance(given, str | Path) else listed(given)
+    drives: list[Any] = [given] if isinstance(given, str | Path) else as_list(given)
     allowed = Drive if cluster is None else Drive | str | Path
     stray = [thing for thing in drives if not isinstance(thing, allowed)]
     if stray:

@@ -25,11 +25,11 @@ from sigmaswarm.drives.urls import is_url
 from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
 
 T = TypeVar("T")
-Progress = Callable[[int, int], None]  # called with the numbers of drives read and of all drives
+ReadProgress = Callable[[int, int], None]  # called with the numbers of drives read and of all drives
 
 POLL_INTERVAL = 2.0  # s, between requests to the scheduler for its workers
-MOST_RETRIES = 3  # rounds without an answer, after which the drives are the likely cause of lost workers
-DRIVES_SHOWN = 10  # largest number of drives named in a message
+MAX_RETRIES = 3  # rounds without an answer, after which the drives are the likely cause of lost workers
+MAX_NAMED_DRIVES = 10  # largest number of drives named in a message
 
 
 class Assignment:
@@ -72,7 +72,7 @@ class Assignment:
 
     def assign(self) -> None:
         with self._lock:
-            self.owners = assigned(self.sizes, self.workers, self.owners)
+            self.owners = assign_drives(self.sizes, self.workers, self.owners)
 
     def _usable_workers(self) -> dict[str, int]:
         """Return the current workers with the client's versions; at the start, raise an error for others."""
@@ -116,7 +116,7 @@ class Assignment:
             task = self.submit(worker, call, drives, with_sources=True)
 
 
-def assigned(sizes: Sequence[float], threads: Mapping[str, int], before: Sequence[str]) -> list[str]:
+def assign_drives(sizes: Sequence[float], threads: Mapping[str, int], before: Sequence[str]) -> list[str]:
     """Assign drives to workers in proportion to their threads, within 5%; move few away from the workers ``before``."""
     share = sum(sizes) / sum(threads.values())
     load, found = dict.fromkeys(threads, 0.0), [""] * len(sizes)
@@ -163,7 +163,7 @@ class RemoteDataset:
             found = [([missing.pop(i) for i in own], result) for own, result in results if result is not None]
             answers += found
             lost = 0 if found else lost + 1
-            if lost > MOST_RETRIES:
+            if lost > MAX_RETRIES:
                 need = in_gb(sum(assignment.sizes[i] for i in self.indices))
                 raise ClusterError(
                     f"all workers with these drives died, {lost} times; the drives need about {need} of memory; "
@@ -179,7 +179,7 @@ class RemoteDataset:
         InputError
             If the function raises it; several errors become one `DriveError` that names the drives.
         """
-        return in_order(self.call(apply_to_each, partial(_with_drive, function)))
+        return results_in_order(self.call(apply_to_each, partial(_with_drive, function)))
 
     def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
         """Apply a function to one drive after another, in tasks of one drive each; some tasks run in advance."""
@@ -198,7 +198,7 @@ def _with_drive(function: Callable[[Drive], T], cached: CachedDrive) -> T:
 
 
 def remote_datasets(
-    cluster: Cluster, groups: Sequence[Iterable[Any]], *, progress: Progress | None = None
+    cluster: Cluster, groups: Sequence[Iterable[Any]], *, progress: ReadProgress | None = None
 ) -> tuple[list[RemoteDataset], list[SigmaswarmWarning]]:
     """Let the workers read groups of drives, paths, URLs or sources; return a dataset of each group, and the warnings.
 
@@ -256,7 +256,7 @@ def _with_no_warnings(drive: Drive) -> tuple[Drive, list[SigmaswarmWarning]]:
     return drive, []
 
 
-def in_order(answers: Iterable[tuple[list[int], Sequence[Any]]]) -> list[Any]:
+def results_in_order(answers: Iterable[tuple[list[int], Sequence[Any]]]) -> list[Any]:
     """Return the results of `apply_to_each` in the order of the drives, or raise their errors as one."""
     found = {i: result for places, results in answers for i, result in zip(places, results, strict=True)}
     results = [found[i] for i in sorted(found)]
@@ -268,6 +268,6 @@ def in_order(answers: Iterable[tuple[list[int], Sequence[Any]]]) -> list[Any]:
 def _joined_error(errors: Sequence[Exception]) -> Exception:
     if len(errors) == 1:
         return errors[0]
-    shown = "; ".join(f"({k}) {error}" for k, error in enumerate(errors[:DRIVES_SHOWN], 1))
-    more = f"; and {len(errors) - DRIVES_SHOWN} more" if len(errors) > DRIVES_SHOWN else ""
+    shown = "; ".join(f"({k}) {error}" for k, error in enumerate(errors[:MAX_NAMED_DRIVES], 1))
+    more = f"; and {len(errors) - MAX_NAMED_DRIVES} more" if len(errors) > MAX_NAMED_DRIVES else ""
     return DriveError(f"{len(errors)} drives can't be used: {shown}{more}")

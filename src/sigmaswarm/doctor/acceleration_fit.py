@@ -4,7 +4,7 @@ In windows of several seconds, the IMU determines the path, integrated from an u
 
     p(t) = p0 + v0 t + e^(i theta) (double integral of M u + b),   u = (ax, ay) as recorded
 
-The fixes show this path with a delay of ``late`` s. Course and gyro give the heading theta. M (2, 2) and ``late`` are
+The fixes show this path with a delay of ``delay`` s. Course and gyro give the heading theta. M (2, 2) and ``delay`` are
 common to all windows; p0, v0 and b (tilt, slope, bias) differ between windows. The mean of b is also fitted. For a log
 without faults, M is the identity.
 """
@@ -22,10 +22,10 @@ from sigmaswarm.drives.sensors import white_noise
 
 WINDOW = 10.0  # s: long enough to contain accelerations, short enough for constant tilt and slope
 BIAS_SPREAD = (0.1, 0.5)  # m/s2, bounds of the spread of b (tilt, slope, bias) between windows
-FEW = 8.0  # number of windows at which the covariance is doubled; the factor is 1 + FEW / number
-LEAST_NOISE = 0.03  # m, smallest assumed noise of the IMU's path over several seconds
+SMALL_SAMPLE = 8.0  # number of windows at which the covariance is doubled; the factor is 1 + FEW / number
+MIN_NOISE = 0.03  # m, smallest assumed noise of the IMU's path over several seconds
 
-LATENESS = np.arange(-0.8, 0.81, 0.1)  # s, delays of the fixes to try
+DELAYS = np.arange(-0.8, 0.81, 0.1)  # s, delays of the fixes to try
 DRIFT_SPAN = 6.0
 BIN = 3.0  # s, standard deviation of the Gaussian that aligns gyro and course, and bin length
 
@@ -33,8 +33,8 @@ BIN = 3.0  # s, standard deviation of the Gaussian that aligns gyro and course, 
 @dataclass(frozen=True, eq=False)
 class AccelerationFit:
     matrix: Array  # (2, 2), M: rotates recorded (ax, ay) to forward and left, m/s2
-    covariance: Array  # (5, 5), of the rows of M, one after the other, and of `late`
-    late: float  # s, delay of the fixes
+    covariance: Array  # (5, 5), of the rows of M, one after the other, and of `delay`
+    delay: float  # s, delay of the fixes
     bias_std: Array  # (2,) m/s2, of the mean bias, whose effect in steady circles resembles that of M
     bias: Array  # (k, 2) m/s2, forward and left, of each window: residuals of the recorded accelerations
     rows: NDArray[np.intp]  # (k, n), the fixes of each window
@@ -42,19 +42,19 @@ class AccelerationFit:
     varied: float  # m/s, RMS of the velocity that no other unknown explains; 0 on a circle at constant speed
 
 
-def _off_course(time: Array, course: Course, rate: Array, late: float) -> tuple[Array, Array]:
+def _off_course(time: Array, course: Course, rate: Array, delay: float) -> tuple[Array, Array]:
     """Return the gyro's integral (n,), rad, and the course minus this integral where the car moves, rad."""
     turned = integral(time, rate)
     seen = course.moving
-    return turned, course.angle[seen] - smoothed(time, turned, course.time[seen] - late, course.span)
+    return turned, course.angle[seen] - smoothed(time, turned, course.time[seen] - delay, course.span)
 
 
-def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
+def gyro_heading(time: Array, course: Course, rate: Array, delay: float) -> Array:
     """Return the heading (n,), rad, at the IMU's times: the gyro's integral, aligned with the course of nearby seconds.
 
-    ``rate`` (n,): yaw rate, rad/s, with correct sign and unit; ``late``: delay of the fixes, s.
+    ``rate`` (n,): yaw rate, rad/s, with correct sign and unit; ``delay``: delay of the fixes, s.
     """
-    turned, off = _off_course(time, course, rate + drift_of(time, course, rate, late), late)
+    turned, off = _off_course(time, course, rate + gyro_drift(time, course, rate, delay), delay)
     at, speed = course.time[course.moving], np.abs(course.velocity[course.moving])
     jump = np.append(0.0, np.cumsum(np.round(np.diff(off) / (2 * np.pi)))) * 2 * np.pi
     off = off - jump  # the course may turn by whole circles while the car stands
@@ -62,13 +62,13 @@ def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
     bell = np.exp(-0.5 * (np.arange(-6, 7) * BIN / DRIFT_SPAN) ** 2)
     # The course of a faster car is more accurate.
     weight, total = (np.convolve(np.bincount(bin_of, v), bell)[6:-6] for v in (speed, speed * off))
-    middles = at[0] - late + BIN * (np.arange(len(weight)) + 0.5)
+    middles = at[0] - delay + BIN * (np.arange(len(weight)) + 0.5)
     return turned + np.interp(time, middles[weight > 0], (total / np.maximum(weight, 1e-12))[weight > 0])
 
 
-def drift_of(time: Array, course: Course, rate: Array, late: float) -> float:
+def gyro_drift(time: Array, course: Course, rate: Array, delay: float) -> float:
     """Return the gyro's bias with the opposite sign, rad/s, from the drift of its integral relative to the course."""
-    _, off = _off_course(time, course, rate, late)
+    _, off = _off_course(time, course, rate, delay)
     step = max(round(DRIFT_SPAN / float(np.median(np.diff(course.time)))), 1)
     if len(off) <= step:
         return 0.0
@@ -80,7 +80,7 @@ def fit_acceleration(
     drive: Drive,
     course: Course,
     rate: Array,
-    tried: Array = LATENESS,
+    tried: Array = DELAYS,
     known: tuple[float, float] | None = None,
 ) -> AccelerationFit | None:
     """Fit the path; return None if no window is usable.
@@ -92,26 +92,26 @@ def fit_acceleration(
     if not len(rows):
         return None
     fit = _Fit(drive, course, rate, rows, known)
-    late = float(tried[0])
+    delay = float(tried[0])
     if len(tried) > 1:
-        late = float(min(tried, key=lambda late: fit.at(float(late), rounds=1).cost))
+        delay = float(min(tried, key=lambda delay: fit.at(float(delay), rounds=1).cost))
     for k in range(10):
-        found = fit.at(late)
+        found = fit.at(delay)
         step = 1.0
         if k > 1:  # the column of the delay needs M and the biases, which the first rounds find
-            step = float(np.clip(fit.solved(found, late)[0][4], -0.2, 0.2))
-            late += step
+            step = float(np.clip(fit.solved(found, delay)[0][4], -0.2, 0.2))
+            delay += step
         if abs(step) < 1e-3:
             break
-        fit.learn(found, late)
-    found = fit.at(late)
-    fit.learn(found, late)
-    solution, covariance = fit.solved(found, late)
+        fit.learn(found, delay)
+    found = fit.at(delay)
+    fit.learn(found, delay)
+    solution, covariance = fit.solved(found, delay)
     matrix = solution[:4].reshape(2, 2)
     bias_std = np.sqrt(np.diag(covariance)[5:])
     rest = found.residual[:, :-1]
     varied = found.unexplained(4) / np.sqrt(rest.size)
-    return AccelerationFit(matrix, covariance[:5, :5], late, bias_std, fit.bias, rows, rest, varied)
+    return AccelerationFit(matrix, covariance[:5, :5], delay, bias_std, fit.bias, rows, rest, varied)
 
 
 def usable_windows(imu: Array, course: Course, longest: float) -> NDArray[np.intp]:
@@ -137,36 +137,36 @@ class _Fit:
         known: tuple[float, float] | None,
     ):
         self._drive, self._course, self._rate, self._rows, self._known = drive, course, rate, rows, known
-        self._noise = max(white_noise(course.position), LEAST_NOISE)
+        self._noise = max(white_noise(course.position), MIN_NOISE)
         self._matrix = np.zeros((2, 2))
         self._usual = np.zeros(2)  # mean bias, m/s2
         self._spread = BIAS_SPREAD[1]
         self._kept: dict[float, tuple[list[Any], Complex]] = {}
         self.bias = np.zeros((len(rows), 2))
 
-    def at(self, late: float, rounds: int = 4) -> Regression:
-        """Solve for M, row by row, and the corrections of ``late`` and of the mean bias."""
-        position, columns, own = self._terms(late)
+    def at(self, delay: float, rounds: int = 4) -> Regression:
+        """Solve for M, row by row, and the corrections of ``delay`` and of the mean bias."""
+        position, columns, own = self._terms(delay)
         one = np.ones((len(self._rows), 1), dtype=np.complex128)
         # One more row per window is a prior on its bias: the mean of all windows.
         own = [np.hstack([c, f * one]) for c, f in zip(own, (0, 0, self._noise / self._spread), strict=True)]
         position, *columns = (np.hstack([c, 0 * one]) for c in (position, *columns))
         return regress(position, columns, own, np.ones(own[0].shape), rounds)
 
-    def solved(self, found: Regression, late: float) -> tuple[Array, Array]:
+    def solved(self, found: Regression, delay: float) -> tuple[Array, Array]:
         """Return the solution and its covariance after a Kalman update by the known delay."""
-        solution, covariance = found.solution, found.covariance * (1 + FEW / len(self._rows))
+        solution, covariance = found.solution, found.covariance * (1 + SMALL_SAMPLE / len(self._rows))
         if self._known is None:
             return solution, covariance
         gain = covariance[:, 4] / (covariance[4, 4] + self._known[1] ** 2)
-        solution = solution + gain * (self._known[0] - late - solution[4])
+        solution = solution + gain * (self._known[0] - delay - solution[4])
         return solution, covariance - np.outer(gain, covariance[4])
 
-    def learn(self, found: Regression, late: float) -> None:
-        solution, _ = self.solved(found, late)
+    def learn(self, found: Regression, delay: float) -> None:
+        solution, _ = self.solved(found, delay)
         self._matrix = solution[:4].reshape(2, 2)
         self._usual = self._usual + solution[5:]
-        position, columns, own = self._terms(late)
+        position, columns, own = self._terms(delay)
         rest = position - sum(s * c for s, c in zip(solution[:5], columns[:5], strict=True))
         root = np.sqrt(found.weight[:, :-1])
         a = np.stack([root * c for c in own], axis=-1)
@@ -175,11 +175,11 @@ class _Fit:
         spread = 1.5 * np.median(np.abs(self.bias - self._usual))
         self._spread = float(np.clip(spread, *BIAS_SPREAD))
 
-    def _terms(self, late: float) -> tuple[Complex, list[Complex], list[Complex]]:
+    def _terms(self, delay: float) -> tuple[Complex, list[Complex], list[Complex]]:
         """Return the positions, the columns of common unknowns, and those of each window's unknowns, all (w, n)."""
-        if late not in self._kept:  # most calls repeat the last delay
-            self._kept = {late: self._paths(late)}
-        ((vx, x), (vy, y), (vb, b)), position = self._kept[late]
+        if delay not in self._kept:  # most calls repeat the last delay
+            self._kept = {delay: self._paths(delay)}
+        ((vx, x), (vy, y), (vb, b)), position = self._kept[delay]
         (xx, xy), (yx, yy) = self._matrix
         usual, t = complex(*self._usual), self._course.time[self._rows]
         speed = (xx + 1j * yx) * vx + (xy + 1j * yy) * vy + usual * vb
@@ -187,11 +187,11 @@ class _Fit:
         own = [np.ones_like(b), t + 0j, b - b.mean(axis=1, keepdims=True)]
         return position - usual * b, [x, y, 1j * x, 1j * y, -speed, b, 1j * b], own
 
-    def _paths(self, late: float) -> tuple[list[Any], Complex]:
+    def _paths(self, delay: float) -> tuple[list[Any], Complex]:
         """Return single and double integrals of ax, of ay and of 1, and the IMU's positions, all (w, n)."""
         imu, rows, course = self._drive.imu, self._rows, self._course
-        direction = np.exp(1j * heading_of(imu.time, course, self._rate, late))
-        at = course.time - late
+        direction = np.exp(1j * gyro_heading(imu.time, course, self._rate, delay))
+        at = course.time - delay
 
         def path(force: Array) -> list[Any]:
             once = integral(imu.time, direction * force)

@@ -5,17 +5,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps
+from sigmaswarm.doctor.fixes import Course, Mask, course_of, mark_jumps
 from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.stale_fixes import stale_fixes
 
-FEWEST = 8  # smallest number of fixes for a course
-SLOWEST = 1.0  # m/s, lowest speed at which a course is shown
-SPAN = 2.0  # s; the specific force is averaged, since vibration would hide gravity
+MIN_FIXES = 8  # smallest number of fixes for a course
+MIN_SPEED = 1.0  # m/s, lowest speed at which a course is shown
+AVERAGING_TIME = 2.0  # s; the specific force is averaged, since vibration would hide gravity
 RATE = 10.0  # Hz, rate of the averaged specific force
-LARGEST_BIAS = np.radians(5.0)  # rad/s; a larger one is a fault of gz, which the plot shows
+MAX_BIAS = np.radians(5.0)  # rad/s; a larger one is a fault of gz, which the plot shows
 # By agreement: beginnings of the codes of findings that its plot shows
 FINDINGS = {
     "timing": (
@@ -80,7 +80,7 @@ def _gravity(drive: Drive) -> Agreement:
     imu, ends = drive.imu, drive.imu.time[[0, -1]]
     at = np.arange(ends[0], ends[1], 1 / RATE)
     names = [name for name in ("ax", "ay", "az") if getattr(imu, name) is not None]
-    measured = {name: (at, smoothed(imu.time, getattr(imu, name), at, SPAN)) for name in names}
+    measured = {name: (at, smoothed(imu.time, getattr(imu, name), at, AVERAGING_TIME)) for name in names}
     expected = {"ax, ay at rest: 0": (ends, np.zeros(2))}
     expected |= {"az at rest: 9.81": (ends, np.full(2, GRAVITY))} if "az" in names else {}
     return Agreement("gravity", "Gravity: the specific force, 2 s means", "m/s²", measured, expected)
@@ -90,14 +90,14 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
     imu, gps = drive.imu, drive.gps
     used = ~stale_fixes(gps) & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
     time, position = gps.time[used], gps.x[used] + 1j * gps.y[used]
-    if len(time) < FEWEST or not (np.diff(time) > 0).all():
+    if len(time) < MIN_FIXES or not (np.diff(time) > 0).all():
         return
-    good = ~jumps(time, position)
+    good = ~mark_jumps(time, position)
     course = course_of(time[good], position[good])
     at, speed = course.time, np.abs(course.velocity)
-    moving = speed > max(SLOWEST, 6 * course.std)
+    moving = speed > max(MIN_SPEED, 6 * course.std)
     moving &= (at > at[0] + course.span / 2) & (at < at[-1] - course.span / 2)  # the ends have no velocity
-    if np.count_nonzero(moving) < FEWEST:
+    if np.count_nonzero(moving) < MIN_FIXES:
         return
     yield _turning(drive, course, moving)
     span = course.span
@@ -133,7 +133,7 @@ def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
     piece = np.cumsum(np.append(0, np.diff(np.flatnonzero(moving)) > 1))
     pieces = (piece[:, np.newaxis] == np.arange(piece[-1] + 1)).astype(np.float64)
     slope = np.linalg.lstsq(np.column_stack([at - at[0], pieces]), track - turned, rcond=None)[0][0]
-    turned += (at - at[0]) * np.clip(slope, -LARGEST_BIAS, LARGEST_BIAS)
+    turned += (at - at[0]) * np.clip(slope, -MAX_BIAS, MAX_BIAS)
     shifts = np.bincount(piece, track - turned) / np.bincount(piece)
     ends = np.flatnonzero(np.diff(piece)) + 1
     placed = np.insert(np.degrees(track - shifts[piece]), ends, np.nan)

@@ -3,42 +3,42 @@
 import numpy as np
 
 from sigmaswarm.doctor.fixes import Course
-from sigmaswarm.doctor.mounting import level, turned
+from sigmaswarm.doctor.mounting import level_rotation, rotate_imu
 from sigmaswarm.doctor.verdicts import DEGREE
 from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Drive
 
-WIDEST = 40.0  # s; GPS time minus UTC (18 s) and the start-up of most receivers are shorter
+MAX_OFFSET = 40.0  # s; GPS time minus UTC (18 s) and the start-up of most receivers are shorter
 STEP = 0.1
-NEAR = 4.0  # s, distance from the best offset within which other offsets belong to the same peak
-SPAN = 5.0  # s, interval over which turns are compared
+PEAK_WIDTH = 4.0  # s, distance from the best offset within which other offsets belong to the same peak
+TURN_INTERVAL = 5.0  # s, interval over which turns are compared
 # Share of the turns that an offset must explain; its smallest lead over any other offset
-LEAST, CLEARLY = 0.8, 0.15
+MIN_EXPLAINED, MIN_LEAD = 0.8, 0.15
 # Alternative to the lead: any other offset leaves a share of turns unexplained that is larger by this factor. If turns
 # repeat, other offsets may also explain a large share.
-FEWER = 4.0
-FEWEST = 20
-LEAST_TURN = 0.15  # rad, smallest RMS change of the course within `SPAN`
+MIN_UNEXPLAINED_RATIO = 4.0
+MIN_PAIRS = 20
+MIN_TURN = 0.15  # rad, smallest RMS change of the course within `TURN_INTERVAL`
 
 
 def search_offset(drive: Drive, course: Course) -> float | None:
     """Find the delay of the fixes, s; None if no delay is significant."""
     imu, at = drive.imu, course.time
     first, last = _pairs(course)
-    if len(first) < FEWEST:
+    if len(first) < MIN_PAIRS:
         return None
     turn = course.angle[last] - course.angle[first]
     whole = float(np.sum((turn - turn.mean()) ** 2))
-    if np.sqrt(np.mean((turn - np.mean(turn)) ** 2)) < LEAST_TURN:
+    if np.sqrt(np.mean((turn - np.mean(turn)) ** 2)) < MIN_TURN:
         return None
     # The rate about the vertical for any mounting, or gz if the IMU lacks one of the six axes.
     planar = imu.az is None or imu.gx is None or imu.gy is None
-    total = integral(imu.time, imu.gz if planar else turned(imu, level(imu)).gz)
+    total = integral(imu.time, imu.gz if planar else rotate_imu(imu, level_rotation(imu)).gz)
 
     def explained(lag: float) -> float:
         start, end = at[first] - lag, at[last] - lag
         inside = (start >= imu.time[0]) & (end <= imu.time[-1])
-        if np.count_nonzero(inside) < max(FEWEST, len(turn) / 3):
+        if np.count_nonzero(inside) < max(MIN_PAIRS, len(turn) / 3):
             return 0.0
         seen = np.interp(end[inside], imu.time, total) - np.interp(start[inside], imu.time, total)
         seen, true = seen - seen.mean(), turn[inside] - turn[inside].mean()
@@ -47,20 +47,20 @@ def search_offset(drive: Drive, course: Course) -> float | None:
             return 0.0
         return max(1 - float(np.sum((true - k * seen) ** 2)) / power for k in (1.0, -1.0, DEGREE, -DEGREE))
 
-    lags = np.arange(-WIDEST, WIDEST + STEP / 2, STEP)
+    lags = np.arange(-MAX_OFFSET, MAX_OFFSET + STEP / 2, STEP)
     found = np.array([explained(lag) for lag in lags])
     best = int(np.argmax(found))
-    others = found[np.abs(lags - lags[best]) > NEAR]
-    clearly = min(others.max() + CLEARLY, 1 - (1 - others.max()) / FEWER)
-    return float(lags[best]) if found[best] >= max(LEAST, clearly) else None
+    others = found[np.abs(lags - lags[best]) > PEAK_WIDTH]
+    clearly = min(others.max() + MIN_LEAD, 1 - (1 - others.max()) / MIN_UNEXPLAINED_RATIO)
+    return float(lags[best]) if found[best] >= max(MIN_EXPLAINED, clearly) else None
 
 
 def _pairs(course: Course) -> tuple[np.ndarray, np.ndarray]:
     """Return the indices of pairs of fixes about 5 s apart between which the car never stops."""
     interval = float(np.median(np.diff(course.time)))
-    step = max(round(SPAN / interval), 1)
+    step = max(round(TURN_INTERVAL / interval), 1)
     first = np.arange(max(len(course.time) - step, 0))
     moves = np.append(0, np.cumsum(course.moving))
     first = first[moves[first + step + 1] - moves[first] == step + 1] if len(first) else first
-    first = first[course.time[first + step] - course.time[first] < 1.5 * max(SPAN, interval)]
+    first = first[course.time[first + step] - course.time[first] < 1.5 * max(TURN_INTERVAL, interval)]
     return first, first + step

@@ -36,8 +36,8 @@ CHECKS = (
     check_observability,
     check_use,
 )
-KEPT = 32  # diagnoses in the cache, since commands and pages need them several times
-_kept: dict[tuple[str, str], Diagnosis] = {}
+CACHE_SIZE = 32  # diagnoses in the cache, since commands and pages need them several times
+_cache: dict[tuple[str, str], Diagnosis] = {}
 
 
 def diagnose(drive: Drive) -> Diagnosis:
@@ -62,10 +62,10 @@ def diagnose(drive: Drive) -> Diagnosis:
         raise DriveError(f"{drive.name}/{shortage}")
     about = repr(sorted(drive.metadata.items()))  # drive.toml may state a noise
     key = drive.name, fingerprint(drive) + about
-    found = _kept.get(key) or _diagnosed(drive)
-    for old in list(_kept)[: max(len(_kept) + 1 - KEPT, 0)]:
-        _kept.pop(old, None)
-    return _kept.setdefault(key, found)
+    found = _cache.get(key) or _diagnosed(drive)
+    for old in list(_cache)[: max(len(_cache) + 1 - CACHE_SIZE, 0)]:
+        _cache.pop(old, None)
+    return _cache.setdefault(key, found)
 
 
 def _diagnosed(drive: Drive) -> Diagnosis:
@@ -81,7 +81,7 @@ def _diagnosed(drive: Drive) -> Diagnosis:
     return Diagnosis(drive.name, tuple(found), evidence.clock.visible)
 
 
-def findings_of(drive: Drive) -> tuple[str, ...]:
+def finding_sentences(drive: Drive) -> tuple[str, ...]:
     """Return serious findings and warnings as sentences; empty for a drive that is too short."""
     try:
         found = diagnose(drive).findings

@@ -5,29 +5,39 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.doctor.acceleration_fit import LATENESS, AccelerationFit, fit_acceleration
-from sigmaswarm.doctor.clock_search import LEAST_TURN, WIDEST, search_offset
-from sigmaswarm.doctor.fixes import Course, Mask, course_of, exchanged, jumps
-from sigmaswarm.doctor.mounting import Mounting, mounting_of, turned
-from sigmaswarm.doctor.verdicts import LEAST_TURN as LEAST_TURNS
-from sigmaswarm.doctor.verdicts import MOUNTED, ClockOffset, Mount, Yaw, clock_of, mount_of, yaw_of
+from sigmaswarm.doctor.acceleration_fit import DELAYS, AccelerationFit, fit_acceleration
+from sigmaswarm.doctor.clock_search import MAX_OFFSET, MIN_TURN, search_offset
+from sigmaswarm.doctor.fixes import Course, Mask, course_of, mark_jumps, with_exchanged_axes
+from sigmaswarm.doctor.mounting import Mounting, mounting_of, rotate_imu
+from sigmaswarm.doctor.verdicts import (
+    MIN_EXCHANGE_ANGLE,
+    ClockOffset,
+    PlanarMounting,
+    Yaw,
+    clock_of,
+    planar_mounting,
+    yaw_of,
+)
+from sigmaswarm.doctor.verdicts import MIN_TURN as LEAST_TURNS
 from sigmaswarm.doctor.windows import Complex
-from sigmaswarm.doctor.yaw_fit import EXPLAINED, YawFit, fit_yaw
+from sigmaswarm.doctor.yaw_fit import SUFFICIENT_SHARE, YawFit, fit_yaw
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.drives.sensors import white_noise
 from sigmaswarm.drives.stale_fixes import stale_fixes
 
-SEARCHED = 2.3  # s, largest offset that the fit determines; the fit tries delays up to 2.5 s
-LEAST_SEARCHED = 0.3  # s, smallest offset that the search determines
-USUAL = 1.0  # s, largest usual delay of a receiver; a larger one counts if the search finds no other offset
+MAX_FIT_OFFSET = 2.3  # s, largest offset that the fit determines; the fit tries delays up to 2.5 s
+MIN_SEARCH_OFFSET = 0.3  # s, smallest offset that the search determines
+MAX_USUAL_DELAY = (
+    1.0  # s, largest usual delay of a receiver; a larger one counts if the search finds no other offset
+)
 AS_RECORDED = Yaw(known=True)  # another column, sign or unit is accepted only if no offset explains the data
 # Smallest cosine of the angles between az and gravity, and between ax and forward, at which mirrored fixes can be
 # distinguished from an IMU with other axes.
-UPRIGHT = 0.7
-CLEAR_SCALE = 4.0  # smallest scale of ax and ay, in standard deviations, that confirms exchanged fixes
-FEWEST = 20  # smallest number of fixes for the checks that need motion
-KEPT = 256  # drives whose scatter is cached, since each repetition of a tuning needs it
+MIN_UPRIGHT_COSINE = 0.7
+MAX_SCALE_SIGMAS = 4.0  # smallest scale of ax and ay, in standard deviations, that confirms exchanged fixes
+MIN_FIXES = 20  # smallest number of fixes for the checks that need motion
+CACHE_SIZE = 256  # drives whose scatter is cached, since each repetition of a tuning needs it
 _scatters: dict[str, float] = {}
 
 
@@ -41,7 +51,7 @@ class Evidence:
     yaw_fit: YawFit | None  # the regression of the course on the gyro
     yaw: Yaw  # interpretation of `yaw_fit`
     acceleration: AccelerationFit | None  # the regression of the path on the accelerometers
-    mount: Mount | None  # interpretation of `acceleration`
+    mount: PlanarMounting | None  # interpretation of `acceleration`
     clock: ClockOffset  # delay of the fixes
     noise: float  # m per axis, noise from fix to fix
     scatter: float  # m per axis, scatter of the fixes about the path over ten seconds
@@ -73,13 +83,13 @@ def gather(drive: Drive) -> Evidence:
     """
     evidence = _read(drive)
     evidence = _mirrored(evidence, drive) or evidence
-    for old in list(_scatters)[: max(len(_scatters) + 1 - KEPT, 0)]:
+    for old in list(_scatters)[: max(len(_scatters) + 1 - CACHE_SIZE, 0)]:
         _scatters.pop(old, None)
     _scatters[fingerprint(drive)] = evidence.scatter
     return evidence
 
 
-def scatter_of(drive: Drive) -> float:
+def fix_scatter(drive: Drive) -> float:
     """Return `Evidence.scatter` of a drive, m per axis; the result is cached."""
     kept = _scatters.get(fingerprint(drive))
     return gather(drive).scatter if kept is None else kept
@@ -90,24 +100,24 @@ def _read(drive: Drive) -> Evidence:
     course, fit = evidence.course, evidence.yaw_fit
     if course is None or fit is None:
         return evidence
-    fits = evidence.yaw.known and abs(fit.late) < SEARCHED
-    if fit.share > EXPLAINED and evidence.yaw == AS_RECORDED and abs(fit.late) < USUAL:
+    fits = evidence.yaw.known and abs(fit.delay) < MAX_FIT_OFFSET
+    if fit.share > SUFFICIENT_SHARE and evidence.yaw == AS_RECORDED and abs(fit.delay) < MAX_USUAL_DELAY:
         return evidence
-    late = search_offset(drive, course)
-    if fits or fit.course_change < LEAST_TURN:  # only a large offset contradicts this interpretation
-        if late is None or abs(late) < SEARCHED:
+    delay = search_offset(drive, course)
+    if fits or fit.course_change < MIN_TURN:  # only a large offset contradicts this interpretation
+        if delay is None or abs(delay) < MAX_FIT_OFFSET:
             return evidence
-    elif late is None:  # no axis can be interpreted without a common clock
+    elif delay is None:  # no axis can be interpreted without a common clock
         return replace(evidence, yaw=Yaw(), mount=None, clock=ClockOffset())
     rest = 0.0
     for _ in range(2):  # the fits determine the remaining offset
-        evidence = _gather(replace(drive, gps=replace(drive.gps, time=drive.gps.time - late)))
-        rest = evidence.clock.late if np.isfinite(evidence.clock.std) else 0.0
-        late += rest
-    if abs(late) < LEAST_SEARCHED:
+        evidence = _gather(replace(drive, gps=replace(drive.gps, time=drive.gps.time - delay)))
+        rest = evidence.clock.delay if np.isfinite(evidence.clock.std) else 0.0
+        delay += rest
+    if abs(delay) < MIN_SEARCH_OFFSET:
         return as_recorded
     return replace(
-        evidence, clock=ClockOffset(late, max(evidence.clock.std, 0.05), WIDEST), moved=late - rest
+        evidence, clock=ClockOffset(delay, max(evidence.clock.std, 0.05), MAX_OFFSET), moved=delay - rest
     )
 
 
@@ -121,21 +131,28 @@ def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
     if imu.az is None or fit is None or fit.course_change < LEAST_TURNS:
         return None
     force = np.array([np.median(v) for v in (imu.ax, imu.ay, imu.az)])
-    if force[2] < max(UPRIGHT * float(np.linalg.norm(force)), 0.5):  # also without gravity, or in other units
+    if force[2] < max(
+        MIN_UPRIGHT_COSINE * float(np.linalg.norm(force)), 0.5
+    ):  # also without gravity, or in other units
         return None
     turned_over = found.mounting is not None and found.mounting.repair[2, 2] < 0
     if yaw.known and yaw.factor > 0 and not turned_over:
         return None
-    other = exchanged(drive)
+    other = with_exchanged_axes(drive)
     if other is None:
         return None
     new = _read(other)
     mount, upright = new.mount, np.diag(new.mounting.repair) if new.mounting else np.ones(3)
-    if not new.yaw.known or new.yaw.factor < 0 or new.yaw.column != "gz" or np.min(upright) < UPRIGHT:
+    if (
+        not new.yaw.known
+        or new.yaw.factor < 0
+        or new.yaw.column != "gz"
+        or np.min(upright) < MIN_UPRIGHT_COSINE
+    ):
         return None
     if mount is None or not np.array_equal(mount.axes, np.eye(2)):
         return None
-    clear = all(scale > CLEAR_SCALE * std for scale, std in mount.scale)
+    clear = all(scale > MAX_SCALE_SIGMAS * std for scale, std in mount.scale)
     return replace(new, mirrored=True) if clear else None
 
 
@@ -144,25 +161,27 @@ def _gather(drive: Drive) -> Evidence:
     position, stale = gps.x + 1j * gps.y, stale_fixes(gps)
     inside = ~stale & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
     off = np.zeros(len(gps), dtype=np.bool_)
-    off[inside] = jumps(gps.time[inside], position[inside])
+    off[inside] = mark_jumps(gps.time[inside], position[inside])
     used = np.flatnonzero(inside & ~off)
-    course = course_of(gps.time[used], position[used]) if len(used) >= FEWEST else None
+    course = course_of(gps.time[used], position[used]) if len(used) >= MIN_FIXES else None
     mounting = course and mounting_of(drive, course)
     if mounting and mounting.needed:
-        imu = turned(imu, mounting.repair)
+        imu = rotate_imu(imu, mounting.repair)
         drive = replace(drive, imu=imu)
     yaw_fit = course and fit_yaw(drive, course)
     yaw, acceleration, mount = yaw_of(yaw_fit), None, None
     if course and course.moving.any():
-        late = yaw_fit if yaw_fit and yaw.known and yaw_fit.share > 0.5 else None
-        rate, tried = yaw.factor * getattr(imu, yaw.column), (late.late if late else 0.0) + LATENESS
+        delay = yaw_fit if yaw_fit and yaw.known and yaw_fit.share > 0.5 else None
+        rate, tried = yaw.factor * getattr(imu, yaw.column), (delay.delay if delay else 0.0) + DELAYS
         acceleration = fit_acceleration(drive, course, rate, tried)
-        mount = acceleration and mount_of(acceleration)
-        as_recorded = mount and np.array_equal(mount.matrix, np.eye(2)) and abs(mount.angle) <= MOUNTED / 8
-        if late and not as_recorded:
+        mount = acceleration and planar_mounting(acceleration)
+        as_recorded = (
+            mount and np.array_equal(mount.matrix, np.eye(2)) and abs(mount.angle) <= MIN_EXCHANGE_ANGLE / 8
+        )
+        if delay and not as_recorded:
             # Other axes are reported only if they agree with the delay by the gyro.
-            known = fit_acceleration(drive, course, rate, np.array([late.late]), late.delay)
-            mount = known and mount_of(known)
+            known = fit_acceleration(drive, course, rate, np.array([delay.delay]), delay.delay_prior)
+            mount = known and planar_mounting(known)
     clock = clock_of(yaw_fit, yaw, acceleration, mount)
     noise, scatter = white_noise(course.position) if course else 0.0, 0.0
     if acceleration:

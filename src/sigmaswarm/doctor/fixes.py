@@ -13,10 +13,10 @@ from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
 Mask = NDArray[np.bool_]
 
 NEIGHBORS = 3  # fixes on each side from which the position of a fix is predicted
-HARDEST = 8.0  # m/s2, largest acceleration of a car; a larger one is a jump of the fixes
-SPAN = (3.0, 6.0)  # s, shortest and longest time over which one velocity is computed
+MAX_ACCELERATION = 8.0  # m/s2, largest acceleration of a car; a larger one is a jump of the fixes
+SPAN_LIMITS = (3.0, 6.0)  # s, shortest and longest time over which one velocity is computed
 SPEED_STD = 0.5  # m/s, intended standard deviation of the velocity
-SLOWEST = 3.0  # m/s; at lower speeds the course is noise
+MIN_SPEED = 3.0  # m/s; at lower speeds the course is noise
 USUAL_SHARE = 0.5  # share of a slow vehicle's usual speed above which accurate fixes determine a course
 
 
@@ -32,7 +32,7 @@ class Course:
     span: float  # s
 
 
-def exchanged(drive: Drive) -> Drive | None:
+def with_exchanged_axes(drive: Drive) -> Drive | None:
     """Exchange x and y of the fixes, or latitude and longitude; None if the longitudes cannot be latitudes."""
     gps, x, y = drive.gps, drive.gps.y, drive.gps.x
     if drive.frame == "wgs84" and drive.origin:
@@ -44,7 +44,7 @@ def exchanged(drive: Drive) -> Drive | None:
     return replace(drive, gps=replace(gps, x=x, y=y, std_x=gps.std_y, std_y=gps.std_x))
 
 
-def jumps(time: Array, position: Complex) -> Mask:
+def mark_jumps(time: Array, position: Complex) -> Mask:
     """Mark fixes, (n,), that are farther from the line through their neighbors than a car can drive."""
     kept = np.arange(len(time))
     if len(time) < 10:
@@ -53,7 +53,9 @@ def jumps(time: Array, position: Complex) -> Mask:
         20
     ):  # one jump at a time, the largest among its neighbors, since a jump distorts the lines of its neighbors
         off = np.abs(_off_line(time[kept], position[kept]))
-        limit = 12 * float(np.median(off)) + 0.5 * HARDEST * (NEIGHBORS * np.gradient(time[kept])) ** 2
+        limit = (
+            12 * float(np.median(off)) + 0.5 * MAX_ACCELERATION * (NEIGHBORS * np.gradient(time[kept])) ** 2
+        )
         worst = np.lib.stride_tricks.sliding_window_view(np.pad(off, NEIGHBORS), 2 * NEIGHBORS + 1).max(
             axis=1
         )
@@ -80,7 +82,7 @@ def _off_line(time: Array, position: Complex) -> Complex:
 def course_of(time: Array, position: Complex) -> Course:
     interval, noise = float(np.median(np.diff(time))), white_noise(position)
     # a line through n fixes over T: std = noise sqrt(12 / n) / T
-    span = float(np.clip((12 * noise**2 * interval / SPEED_STD**2) ** (1 / 3), *SPAN))
+    span = float(np.clip((12 * noise**2 * interval / SPEED_STD**2) ** (1 / 3), *SPAN_LIMITS))
     span = max(span, 4.5 * interval)
     first, last = np.searchsorted(time, time - span / 2), np.searchsorted(time, time + span / 2, side="right")
     velocity = np.zeros(len(time), dtype=np.complex128)
@@ -92,7 +94,7 @@ def course_of(time: Array, position: Complex) -> Course:
     whole &= (time - span / 2 >= time[0] - interval) & (time + span / 2 <= time[-1] + interval)
     std = float(noise * np.sqrt(12 * interval / span) / span)
     usual = float(np.quantile(np.abs(velocity[whole]), 0.9)) if whole.any() else 0.0
-    slowest = max(min(SLOWEST, USUAL_SHARE * usual), 6 * std)
+    slowest = max(min(MIN_SPEED, USUAL_SHARE * usual), 6 * std)
     moving = whole & (np.abs(velocity) > slowest)
     angle = np.zeros(len(time))
     angle[moving] = np.unwrap(np.angle(velocity[moving]))

@@ -12,42 +12,44 @@ from typing import Literal
 
 import numpy as np
 
-from sigmaswarm.doctor.acceleration_fit import LATENESS, AccelerationFit, fit_acceleration
+from sigmaswarm.doctor.acceleration_fit import DELAYS, AccelerationFit, fit_acceleration
 from sigmaswarm.doctor.fixes import Course
-from sigmaswarm.doctor.travel import direction_of_travel
-from sigmaswarm.doctor.verdicts import CLEARLY, DEGREE, FAMILIAR, LEAST_TURN, SCALE
+from sigmaswarm.doctor.travel_direction import direction_of_travel
+from sigmaswarm.doctor.verdicts import DEGREE, DIAGONAL_TOLERANCE, FACTOR_TOLERANCE, MIN_LEAD, MIN_TURN
 from sigmaswarm.doctor.windows import integral, smoothed, windows_of
-from sigmaswarm.doctor.yaw_fit import LATENESS as YAW_LATENESS
+from sigmaswarm.doctor.yaw_fit import DELAYS as YAW_LATENESS
 from sigmaswarm.doctor.yaw_fit import YawFit, fit_column, yaw_windows
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive, Imu
-from sigmaswarm.drives.mounting import NOT_TURNED
+from sigmaswarm.drives.mounting import NO_ROTATION
 from sigmaswarm.geodesy import rotation_of
 
-ROUNDS = 16  # a round leaves up to 0.7 of the error; after six, up to a degree remains in a few logs
-SURE, LIKELY = (
+MAX_ROUNDS = 16  # a round leaves up to 0.7 of the error; after six, up to a degree remains in a few logs
+SURE_STD, LIKELY_STD = (
     math.radians(3.0),
     math.radians(8.0),
 )  # rad, largest total standard deviation of this confidence
-LEAST_SHARE = 0.5  # smallest share of the course's changes that the leveled gyro explains
-OTHER_WAY = 25.0  # smallest lead in chi-square over any mounting that is rotated by 90 degrees or more
+MIN_EXPLAINED = 0.5  # smallest share of the course's changes that the leveled gyro explains
+MIN_RIVAL_LEAD = 25.0  # smallest lead in chi-square over any mounting that is rotated by 90 degrees or more
 # rad, smallest standard deviations of the axis of turning (springs) and of gravity (roads, biases)
 TILT_FLOOR = math.radians(1.0), math.radians(1.0)
 YAW_FLOOR = math.radians(0.8)
 TRAVEL_FLOOR = math.radians(0.8)  # rad, noise of the direction of travel: slip, suspension
-ALIKE = 0.025  # tolerance of an entry of M, due to slip and to tilt in maneuvers
+TOLERANCE = 0.025  # tolerance of an entry of M, due to slip and to tilt in maneuvers
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
 GYRO_WINDOW = 10.0  # s, window over which the axis of turning is fitted
-# Accelerometers are reversed if `_leaning` of their negative values exceeds LEANS. A mounting rotated by more than 90
-# degrees is refused if its `_leaning` is below -LEANS, since an axis is reversed.
-LEANS = 0.5
-UPRIGHT = math.radians(15.0)  # rad, largest angle of the specific force to the vertical axis that is found
-WANDERS = math.radians(8.0)  # rad, change of gravity between windows if the mounting is not constant
+# Accelerometers are reversed if `_leaning` of their negative values exceeds MIN_LEANING. A mounting rotated by more
+# than 90 degrees is refused if its `_leaning` is below -MIN_LEANING, since an axis is reversed.
+MIN_LEANING = 0.5
+MAX_TILT = math.radians(15.0)  # rad, largest angle of the specific force to the vertical axis that is found
+MAX_GRAVITY_CHANGE = math.radians(
+    8.0
+)  # rad, change of gravity between windows if the mounting is not constant
 # rad, smallest corrected tilt and rotation about z; their smallest ratio to the standard deviation
-LEAST_TILT, LEAST_YAW, CLEAR = math.radians(4.0), math.radians(5.0), 3.5
+MIN_TILT, MIN_YAW, MIN_SIGMAS = math.radians(4.0), math.radians(5.0), 3.5
 SERIOUS = math.radians(7.0)
 # The 24 rotations that exchange axes
-AXES = [
+AXIS_PERMUTATIONS = [
     m
     for m in (np.diag(d)[list(p)] for p in permutations(range(3)) for d in product((1.0, -1.0), repeat=3))
     if np.linalg.det(m) > 0
@@ -69,7 +71,7 @@ class Mounting:
     @property
     def needed(self) -> bool:
         """True if the rotation is known, and exceeds a tolerance and a multiple of its standard deviation."""
-        return self.confidence != "no" and not self._agrees(self.rotation, LEAST_TILT, LEAST_YAW)
+        return self.confidence != "no" and not self._agrees(self.rotation, MIN_TILT, MIN_YAW)
 
     @property
     def mount(self) -> Array:
@@ -79,7 +81,7 @@ class Mounting:
         of `needed` is not used, since a rotation near 4 deg would be 0 in some parts of a log and not in others.
         """
         found = self.rotation @ self.before
-        exchanged = max(AXES, key=lambda axes: float(np.trace(found @ axes.T)))
+        exchanged = max(AXIS_PERMUTATIONS, key=lambda axes: float(np.trace(found @ axes.T)))
         return exchanged if self._agrees(found @ exchanged.T) else found
 
     @property
@@ -89,10 +91,10 @@ class Mounting:
 
     def _agrees(self, rest: Array, least_tilt: float = 0.0, least_yaw: float = 0.0) -> bool:
         """Check that tilt and rotation about the vertical of a rotation (3, 3) are small or not significant."""
-        tilt, about = np.arccos(np.clip(rest[2, 2], -1.0, 1.0)), rest @ levelling(rest[2]).T
-        level = tilt <= max(least_tilt, CLEAR * np.max(self.std[:2]))
+        tilt, about = np.arccos(np.clip(rest[2, 2], -1.0, 1.0)), rest @ leveling_rotation(rest[2]).T
+        level = tilt <= max(least_tilt, MIN_SIGMAS * np.max(self.std[:2]))
         yaw = abs(math.atan2(about[1, 0], about[0, 0]))
-        return bool(level and yaw <= max(least_yaw, CLEAR * self.std[2]))
+        return bool(level and yaw <= max(least_yaw, MIN_SIGMAS * self.std[2]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +102,7 @@ class _Round:
     """Result of one round; angles in rad."""
 
     yaw_fit: YawFit
-    late: float
+    delay: float
     yaw: float
     margin: float  # lead in chi-square over axes turned by 90 degrees or more
     mirrored: float  # lead in chi-square of mirrored accelerations
@@ -115,7 +117,7 @@ def angle_of(rotation: Array) -> float:
     return float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0)))
 
 
-def turned(imu: Imu, rotation: Array) -> Imu:
+def rotate_imu(imu: Imu, rotation: Array) -> Imu:
     columns: dict[str, Array] = {}
     for names in (("ax", "ay", "az"), ("gx", "gy", "gz")):
         rows = rotation @ np.array([getattr(imu, name) for name in names])
@@ -123,7 +125,7 @@ def turned(imu: Imu, rotation: Array) -> Imu:
     return replace(imu, **columns)
 
 
-def levelling(up: Array) -> Array:
+def leveling_rotation(up: Array) -> Array:
     """Return the smallest rotation (3, 3) that turns a direction (3,) onto +z."""
     x, y, z = up / np.linalg.norm(up)
     if z < -1 + 1e-9:
@@ -145,25 +147,25 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
         return None
     imu, yaw_fit = found
     rotation, seen = _converged(drive, course, imu, yaw_fit)
-    if seen and seen.yaw_fit.gain < 0 and _follows(seen.yaw_fit) and seen.mirrored > CLEARLY:
+    if seen and seen.yaw_fit.gain < 0 and _follows(seen.yaw_fit) and seen.mirrored > MIN_LEAD:
         # The leveled IMU is upside down: its accelerometers report the opposite of specific force, or only some axes
         # do.
         opposite = _scaled(imu, "a", -1.0)
         upright = _converged(drive, course, opposite)
-        if np.min(_leaning(turned(opposite, upright[0]))) > LEANS:
+        if np.min(_leaning(rotate_imu(opposite, upright[0]))) > MIN_LEANING:
             imu, (rotation, seen) = opposite, upright
     if seen is None:
         return None
     confidence, reason = _confidence(seen)
-    if confidence != "no" and angle_of(level(turned(imu, rotation))) > UPRIGHT:
+    if confidence != "no" and angle_of(level_rotation(rotate_imu(imu, rotation))) > MAX_TILT:
         confidence, reason = (
             "no",
             "the axis of turning is not vertical: accelerometers and gyro have different axes",
         )
     far = confidence != "no" and angle_of(rotation) > math.pi / 2
-    if far and np.min(_leaning(turned(imu, rotation))) < -LEANS:
+    if far and np.min(_leaning(rotate_imu(imu, rotation))) < -MIN_LEANING:
         confidence, reason = "no", "the body would lean into turns, or forward while it gains speed"
-    before = rotation_of(*(drive.mounting or NOT_TURNED))
+    before = rotation_of(*(drive.mounting or NO_ROTATION))
     return Mounting(rotation, seen.std, confidence, reason, before)
 
 
@@ -190,9 +192,9 @@ def _scaled(imu: Imu, sensor: Literal["a", "g"], factor: float) -> Imu:
     return replace(imu, **{f"{sensor}{axis}": factor * getattr(imu, f"{sensor}{axis}") for axis in "xyz"})
 
 
-def level(imu: Imu) -> Array:
+def level_rotation(imu: Imu) -> Array:
     """Return the smallest rotation (3, 3) that turns the median specific force onto +z."""
-    return levelling(np.array([np.median(getattr(imu, name)) for name in ("ax", "ay", "az")]))
+    return leveling_rotation(np.array([np.median(getattr(imu, name)) for name in ("ax", "ay", "az")]))
 
 
 def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
@@ -205,8 +207,8 @@ def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
     if not 0.8 < unit * size / GRAVITY < 1.2:
         return None
     imu = _scaled(imu, "a", unit)
-    fit = fit_column(replace(drive, imu=turned(imu, level(imu))), course, "gz", rows)
-    if DEGREE / FAMILIAR < abs(fit.gain) < DEGREE * FAMILIAR and abs(fit.gain) > 6 * fit.std:
+    fit = fit_column(replace(drive, imu=rotate_imu(imu, level_rotation(imu))), course, "gz", rows)
+    if DEGREE / FACTOR_TOLERANCE < abs(fit.gain) < DEGREE * FACTOR_TOLERANCE and abs(fit.gain) > 6 * fit.std:
         return _scaled(imu, "g", DEGREE), replace(fit, gain=fit.gain / DEGREE, std=fit.std / DEGREE)
     return imu, fit
 
@@ -215,12 +217,12 @@ def _converged(
     drive: Drive, course: Course, imu: Imu, yaw_fit: YawFit | None = None
 ) -> tuple[Array, _Round | None]:
     """Level the axes, and rotate them in rounds until none is left; return the total rotation, and the last round."""
-    rotation, seen = level(imu), None
-    for _ in range(ROUNDS):
-        seen = _round(replace(drive, imu=turned(imu, rotation)), course, seen, None if seen else yaw_fit)
+    rotation, seen = level_rotation(imu), None
+    for _ in range(MAX_ROUNDS):
+        seen = _round(replace(drive, imu=rotate_imu(imu, rotation)), course, seen, None if seen else yaw_fit)
         if seen is None:
             break
-        turn = levelling(np.append(seen.tilt, 1.0)) @ about_z(seen.yaw)
+        turn = leveling_rotation(np.append(seen.tilt, 1.0)) @ about_z(seen.yaw)
         rotation = turn @ rotation
         if angle_of(turn) < math.radians(0.02):
             break
@@ -229,11 +231,13 @@ def _converged(
 
 def _round(drive: Drive, course: Course, last: _Round | None, yaw_fit: YawFit | None) -> _Round | None:
     """Run one round; only the first round searches the offset of the clocks."""
-    tried = np.array([last.yaw_fit.late]) if last else YAW_LATENESS
+    tried = np.array([last.yaw_fit.delay]) if last else YAW_LATENESS
     yaw_fit = yaw_fit or fit_column(drive, course, "gz", yaw_windows(course), tried)
     rate = drive.imu.gz if yaw_fit.gain >= 0 else -drive.imu.gz
-    tried = np.array([last.late]) if last else (yaw_fit.late if yaw_fit.share > 0.5 else 0.0) + LATENESS
-    fit = fit_acceleration(drive, course, rate, tried, yaw_fit.delay if yaw_fit.share > LEAST_SHARE else None)
+    tried = np.array([last.delay]) if last else (yaw_fit.delay if yaw_fit.share > 0.5 else 0.0) + DELAYS
+    fit = fit_acceleration(
+        drive, course, rate, tried, yaw_fit.delay_prior if yaw_fit.share > MIN_EXPLAINED else None
+    )
     if fit is None:
         return None
     straight, mirror = _misfits(fit, 1.0), _misfits(fit, -1.0)
@@ -249,12 +253,12 @@ def _round(drive: Drive, course: Course, last: _Round | None, yaw_fit: YawFit | 
     std = np.append(tilt_std[::-1], math.hypot(YAW_FLOOR, yaw_std))
     lateral = _lateral(drive, course, fit, rate, yaw)
     gyro = _scaled(drive.imu, "g", math.copysign(1.0, yaw_fit.gain))
-    if travel := direction_of_travel(turned(gyro, about_z(yaw)), course, fit.late):
+    if travel := direction_of_travel(rotate_imu(gyro, about_z(yaw)), course, fit.delay):
         (left, up), (left_std, up_std) = travel[0], np.hypot(TRAVEL_FLOOR, travel[1])
         tilt[0], std[1] = _mean((tilt[0], std[1]), (-up, up_std))
         off, std[2] = _mean((0.0, std[2]), (-left, left_std))
         yaw += off
-    return _Round(yaw_fit, fit.late, yaw, margin, mirrored, tilt, std, spread, lateral)
+    return _Round(yaw_fit, fit.delay, yaw, margin, mirrored, tilt, std, spread, lateral)
 
 
 def _mean(*estimates: tuple[float, float]) -> tuple[float, float]:
@@ -266,12 +270,13 @@ def _mean(*estimates: tuple[float, float]) -> tuple[float, float]:
 def _misfits(fit: AccelerationFit, side: float) -> Array:
     """Return the chi-square of the fitted matrix M against k R(angle), for each of `ANGLES`.
 
-    The scale factor k has a mean of 1 and a standard deviation of `SCALE`. If ``side`` is -1, R is mirrored.
+    The scale factor k has a mean of 1 and a standard deviation of `DIAGONAL_TOLERANCE`. If ``side`` is -1, R is
+    mirrored.
     """
-    found, covariance = fit.matrix.ravel(), fit.covariance[:4, :4] + ALIKE**2 * np.eye(4)
+    found, covariance = fit.matrix.ravel(), fit.covariance[:4, :4] + TOLERANCE**2 * np.eye(4)
     c, s = np.cos(ANGLES), np.sin(ANGLES)
     expected = np.stack([c, -side * s, s, side * c], axis=-1)
-    slack = covariance + SCALE**2 * expected[:, :, None] * expected[:, None, :]
+    slack = covariance + DIAGONAL_TOLERANCE**2 * expected[:, :, None] * expected[:, None, :]
     off = found - expected
     return np.einsum("nk,nk->n", off, np.linalg.solve(slack, off[:, :, None])[:, :, 0])
 
@@ -323,7 +328,7 @@ def _axis_of_turning(drive: Drive) -> tuple[Array, Array]:
 def _lateral(drive: Drive, course: Course, fit: AccelerationFit, rate: Array, yaw: float) -> float:
     """Fit the slope of the lateral specific force on speed x yaw rate; NaN if the car does not turn."""
     imu = drive.imu
-    at = course.time[course.moving] - fit.late
+    at = course.time[course.moving] - fit.delay
     rotated = about_z(yaw)[1]
     force = smoothed(imu.time, rotated[0] * imu.ax + rotated[1] * imu.ay, at, 1.5)
     expected = np.abs(course.velocity[course.moving]) * smoothed(imu.time, rate, at, 1.5)
@@ -333,21 +338,24 @@ def _lateral(drive: Drive, course: Course, fit: AccelerationFit, rate: Array, ya
 
 
 def _follows(turns: YawFit) -> bool:
-    return turns.share > LEAST_SHARE and 1 / FAMILIAR < abs(turns.gain) < FAMILIAR
+    return turns.share > MIN_EXPLAINED and 1 / FACTOR_TOLERANCE < abs(turns.gain) < FACTOR_TOLERANCE
 
 
 def _confidence(seen: _Round) -> tuple[Confidence, str]:
     lateral, total = seen.lateral, float(np.linalg.norm(seen.std))
     uncertain = f"its standard deviation is {math.degrees(total):.0f} deg"
     for fault, reason in (
-        (seen.yaw_fit.course_change < LEAST_TURN, "the course hardly turns"),
+        (seen.yaw_fit.course_change < MIN_TURN, "the course hardly turns"),
         (not _follows(seen.yaw_fit), "the gyro does not follow the course"),
-        (seen.spread > WANDERS, "the direction of gravity is not constant"),
-        (seen.mirrored > CLEARLY, "the accelerometers' axes are a mirror image"),
-        (seen.margin < OTHER_WAY, "the car hardly changes its speed, which would show the forward direction"),
+        (seen.spread > MAX_GRAVITY_CHANGE, "the direction of gravity is not constant"),
+        (seen.mirrored > MIN_LEAD, "the accelerometers' axes are a mirror image"),
+        (
+            seen.margin < MIN_RIVAL_LEAD,
+            "the car hardly changes its speed, which would show the forward direction",
+        ),
         (lateral <= 0.4 or lateral >= 1.6, f"the lateral force is {lateral:.1f} times speed x yaw rate"),
-        (total > LIKELY, uncertain),
+        (total > LIKELY_STD, uncertain),
     ):
         if fault:
             return "no", reason
-    return ("sure", "") if total <= SURE else ("likely", uncertain)
+    return ("sure", "") if total <= SURE_STD else ("likely", uncertain)

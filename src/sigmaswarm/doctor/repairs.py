@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.doctor.checks.heading import HEADINGS
-from sigmaswarm.doctor.checks.odometer import without
+from sigmaswarm.doctor.checks.odometer import without_spans
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.findings import Diagnosis, Repair
-from sigmaswarm.doctor.fixes import exchanged
-from sigmaswarm.doctor.mounting import turned
+from sigmaswarm.doctor.fixes import with_exchanged_axes
+from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.mounting import with_rotation, without_axes
 from sigmaswarm.drives.split import clip
@@ -40,9 +40,12 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     if not found:
         return drive
     repairs = [r for _, r in found]
-    rotation = _rotation(drive, [r for r in repairs if r.action in AXES])
+    rotation = _rotation(drive, [r for r in repairs if r.action in AXIS_ACTIONS])
     drive = _applied(drive, repairs)
-    if {r.action for r in repairs} & AXES - {"rotate", "turn"}:  # no rotation alone: units, or single axes
+    if {r.action for r in repairs} & AXIS_ACTIONS - {
+        "rotate",
+        "turn",
+    }:  # no rotation alone: units, or single axes
         drive = replace(drive, metadata=without_axes(drive.metadata))
     repaired = [*drive.metadata.get("repaired", []), *dict.fromkeys(code for code, _ in found)]
     return replace(drive, metadata=with_rotation(drive.metadata, rotation) | {"repaired": repaired})
@@ -82,7 +85,7 @@ def _with(sensor: str, drive: Drive, **columns: Any) -> Drive:
 
 
 def _exchange_fixes(drive: Drive) -> Drive:
-    return exchanged(drive) or drive
+    return with_exchanged_axes(drive) or drive
 
 
 def _shift(sensor: str, drive: Drive, seconds: float) -> Drive:
@@ -97,7 +100,7 @@ def _drop(sensor: str, drive: Drive, *times: float) -> Drive:
 
 def _rotate(drive: Drive, *rotation: float) -> Drive:
     """Rotate all six axes by a matrix that is given row by row."""
-    return replace(drive, imu=turned(drive.imu, np.reshape(rotation, (3, 3))))
+    return replace(drive, imu=rotate_imu(drive.imu, np.reshape(rotation, (3, 3))))
 
 
 def _gyro(drive: Drive, column: float, factor: float) -> Drive:
@@ -173,7 +176,7 @@ def _odometer(drive: Drive, factor: float) -> Drive:
 def _drop_readings(drive: Drive, *ends: float) -> Drive:
     """Remove spans of the odometer, given by starts and ends, s."""
     spans = zip(ends[::2], ends[1::2], strict=True)
-    return replace(drive, odometer=(drive.odometer and without(drive.odometer, spans)) or None)
+    return replace(drive, odometer=(drive.odometer and without_spans(drive.odometer, spans)) or None)
 
 
 def _close_jump(drive: Drive, moment: float, jump: float) -> Drive:
@@ -187,7 +190,13 @@ def _cut_ends(drive: Drive, begin: float, end: float) -> Drive:
     return clip(drive, begin, math.nextafter(end, math.inf))
 
 
-AXES = {"rotate", "gyro", "tilt-rates", "accelerometer", "turn"}  # actions that change the axes of the IMU
+AXIS_ACTIONS = {
+    "rotate",
+    "gyro",
+    "tilt-rates",
+    "accelerometer",
+    "turn",
+}  # actions that change the axes of the IMU
 # In the order of application. Actions refer to rows by recorded times, and to fixes by corrected times.
 ACTIONS: dict[str, Callable[..., Drive]] = {
     "exchange-fixes": _exchange_fixes,

@@ -8,33 +8,39 @@ import numpy as np
 
 from sigmaswarm.doctor import acceleration_fit
 from sigmaswarm.doctor.acceleration_fit import AccelerationFit
-from sigmaswarm.doctor.yaw_fit import LATENESS, YawFit
+from sigmaswarm.doctor.yaw_fit import DELAYS, YawFit
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array
 
 DEGREE = math.pi / 180
-FAMILIAR = 1.35  # a factor within this ratio of 1, -1 or deg/s, in either direction, is taken as that factor
-LEAST_SHARE = 0.2  # smallest explained share of the course's changes, if the gain is below `CERTAIN`
+FACTOR_TOLERANCE = (
+    1.35  # a factor within this ratio of 1, -1 or deg/s, in either direction, is taken as that factor
+)
+MIN_EXPLAINED = (
+    0.2  # smallest explained share of the course's changes, if the gain is below `MIN_GAIN_SIGMAS`
+)
 # rad, RMS change of the course within 20 s above which the course determines column, sign and unit of the gyro. Below,
-# the course is mostly noise, and other values than the recorded ones must exceed `CERTAIN` or `LARGE_SHARE`.
-LEAST_TURN = 0.05
+# the course is mostly noise, and other values than the recorded ones must exceed `MIN_GAIN_SIGMAS` or `LARGE_SHARE`.
+MIN_TURN = 0.05
 LARGE_SHARE = 0.5
 # Ratio of a gain to its standard deviation above which a column may explain a small share of the course's changes. In a
 # city, most of these changes are errors of the fixes.
-CERTAIN = 12.0
+MIN_GAIN_SIGMAS = 12.0
 # Decrease in chi-square for which another interpretation replaces the recorded one; largest chi-square of a log in g.
 # In steady circles, the forces hardly exceed the noise and do not determine the unit. Logs in g have a chi-square of 4.
-CLEARLY = 16.0
-ALIKE = 0.05  # tolerance of the off-diagonal elements of M, for slip, and for tilt in maneuvers
+MIN_LEAD = 16.0
+OFF_DIAGONAL_TOLERANCE = (
+    0.05  # tolerance of the off-diagonal elements of M, for slip, and for tilt in maneuvers
+)
 # Tolerance of the diagonal elements of M: roll and pitch of the body add 5 to 10% to the acceleration
-SCALE = 0.12
-SHOWN = 0.25  # standard deviation of an element of M below which the drive determines it
-LEAST_OFFSET = 0.1  # s, smallest reported offset; the receiver's noise hides smaller offsets
+DIAGONAL_TOLERANCE = 0.12
+MAX_ELEMENT_STD = 0.25  # standard deviation of an element of M below which the drive determines it
+MIN_OFFSET = 0.1  # s, smallest reported offset; the receiver's noise hides smaller offsets
 # m/s, smallest `AccelerationFit.varied` that determines the delay; noise of the IMU causes up to 0.04 m/s
 LEAST_VARIED = 0.1
 # Ratios of an offset to its standard deviation: note, warning with repair, serious
-CLEAR_OFFSET = (2.5, 3.3, 4.5)
-MOUNTED = math.radians(40)  # rad, rotation above which axes are exchanged
+OFFSET_SIGMAS = (2.5, 3.3, 4.5)
+MIN_EXCHANGE_ANGLE = math.radians(40)  # rad, rotation above which axes are exchanged
 ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
 
 
@@ -50,17 +56,19 @@ class Yaw:
 def yaw_of(fit: YawFit | None) -> Yaw:
     """Find column, sign and unit of the gyro by the course; the result is gz in rad/s if the course shows none."""
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
-    if fit is None or size < 6 or (fit.share < LEAST_SHARE and size < CERTAIN):
+    if fit is None or size < 6 or (fit.share < MIN_EXPLAINED and size < MIN_GAIN_SIGMAS):
         return Yaw()
-    fitting = [f for f in (1.0, -1.0, DEGREE, -DEGREE) if 1 / FAMILIAR < fit.gain / f < FAMILIAR]
-    clear = size > CERTAIN or fit.share > LARGE_SHARE or fit.course_change > LEAST_TURN
+    fitting = [
+        f for f in (1.0, -1.0, DEGREE, -DEGREE) if 1 / FACTOR_TOLERANCE < fit.gain / f < FACTOR_TOLERANCE
+    ]
+    clear = size > MIN_GAIN_SIGMAS or fit.share > LARGE_SHARE or fit.course_change > MIN_TURN
     if not fitting or not (clear or (fit.column, fitting[0]) == ("gz", 1.0)):
         return Yaw()
     return Yaw(fit.column, fitting[0], known=True)
 
 
 @dataclass(frozen=True, eq=False)
-class Mount:
+class PlanarMounting:
     axes: Array  # (2, 2), signed permutation of (ax, ay)
     unit: float  # 1, or m/s2 per g
     angle: float  # rad: the interpreted axes are rotated about z by -angle relative to the car
@@ -79,12 +87,12 @@ class Mount:
 def _expected(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
     """Return the expected M (n, 4) at n angles, and its tolerances as variances (4, 4)."""
     c, s = np.cos(angles), np.sin(angles)
-    slack = unit * np.where(axes != 0, SCALE, ALIKE).ravel()
+    slack = unit * np.where(axes != 0, DIAGONAL_TOLERANCE, OFF_DIAGONAL_TOLERANCE).ravel()
     rotations = np.stack([c, -s, s, c], axis=-1).reshape(-1, 2, 2)
     return unit * (rotations @ axes).reshape(-1, 4), np.diag(slack**2)
 
 
-def mount_of(fit: AccelerationFit) -> Mount:
+def planar_mounting(fit: AccelerationFit) -> PlanarMounting:
     """Return the interpretation with the least chi-square, with a penalty for other axes and units than recorded."""
     covariance, as_recorded = fit.covariance[:4, :4], np.eye(2)
     spread = np.sqrt(np.diag(covariance)).reshape(2, 2)
@@ -105,25 +113,30 @@ def mount_of(fit: AccelerationFit) -> Mount:
     ):
         axes = np.diag(signs) @ order
         price = 6.0 * (unit != 1) + 6.0 * (not np.array_equal(axes, as_recorded)) + 2.0 * (axes[0, 0] == 0)
-        turned = float(np.min(misfits_of(axes, unit, ANGLES) + 6.0 * (np.abs(ANGLES) > MOUNTED / 8)))
-        if unit == 1 or turned < CLEARLY:
+        turned = float(
+            np.min(misfits_of(axes, unit, ANGLES) + 6.0 * (np.abs(ANGLES) > MIN_EXCHANGE_ANGLE / 8))
+        )
+        if unit == 1 or turned < MIN_LEAD:
             readings.append((turned + price, axes, unit))
     best, axes, unit = min(readings, key=lambda reading: reading[0])
-    if plain - best < CLEARLY:
+    if plain - best < MIN_LEAD:
         axes, unit = as_recorded, 1.0
-    if unit == 1 and not ((deviation(axes, unit) < SHOWN) & (axes != as_recorded).any(axis=1)).any():
+    if (
+        unit == 1
+        and not ((deviation(axes, unit) < MAX_ELEMENT_STD) & (axes != as_recorded).any(axis=1)).any()
+    ):
         axes = as_recorded  # an axis that the drive does not determine is not changed
     misfits = misfits_of(axes, unit, ANGLES)
     k = int(np.clip(np.argmin(misfits), 1, len(ANGLES) - 2))
     bend = (misfits[k - 1] + misfits[k + 1] - 2 * misfits[k]) / (ANGLES[1] - ANGLES[0]) ** 2
     (x, y), (dx, dy) = np.diag(fit.matrix @ axes.T / unit).tolist(), deviation(axes, unit).tolist()
-    return Mount(
+    return PlanarMounting(
         axes,
         unit,
         float(ANGLES[np.argmin(misfits)]),
         float(math.sqrt(2 / bend)) if bend > 0 else math.inf,
         plain - best,
-        (dx < SHOWN, dy < SHOWN),
+        (dx < MAX_ELEMENT_STD, dy < MAX_ELEMENT_STD),
         ((x, dx), (y, dy)),
     )
 
@@ -132,48 +145,48 @@ def mount_of(fit: AccelerationFit) -> Mount:
 class ClockOffset:
     """Delay of the fixes, its standard deviation, and the largest tried delay, s."""
 
-    late: float = 0.0
+    delay: float = 0.0
     std: float = math.inf
-    searched: float = 0.0
+    max_offset: float = 0.0
 
     @property
     def least(self) -> float:
         """Smallest delay, s, that is reported as a clock offset."""
-        return max(LEAST_OFFSET, CLEAR_OFFSET[0] * self.std)
+        return max(MIN_OFFSET, OFFSET_SIGMAS[0] * self.std)
 
     @property
     def visible(self) -> float | None:
         """Smallest offset, s, that is detected with a probability of 95%; None if it exceeds the tried delays."""
         offset = self.least + 1.65 * self.std
-        return offset if offset < self.searched else None
+        return offset if offset < self.max_offset else None
 
     @property
     def interval(self) -> tuple[float, float] | None:
         """Bounds, s, of the offset with a probability of at least 95%; None if they exceed the tried delays."""
-        half = max(LEAST_OFFSET, 2 * self.std)
-        low, high = self.late - half, self.late + half
-        return (low, high) if max(-low, high) < self.searched else None
+        half = max(MIN_OFFSET, 2 * self.std)
+        low, high = self.delay - half, self.delay + half
+        return (low, high) if max(-low, high) < self.max_offset else None
 
 
 def clock_of(
-    yaw_fit: YawFit | None, yaw: Yaw, acceleration: AccelerationFit | None, mount: Mount | None
+    yaw_fit: YawFit | None, yaw: Yaw, acceleration: AccelerationFit | None, mount: PlanarMounting | None
 ) -> ClockOffset:
     """Combine the fixes' delays by accelerometers and by gyro; their difference increases the standard deviation."""
     found: list[tuple[float, float]] = []
-    searched = float(acceleration_fit.LATENESS[-1])
+    max_offset = float(acceleration_fit.DELAYS[-1])
     if acceleration is not None and mount is not None and acceleration.varied > LEAST_VARIED:
         # The delay and its standard deviation, given M: the conditional Gaussian of the fit.
         (expected,), slack = _expected(mount.axes, mount.unit, np.array([mount.angle]))
         covariance = acceleration.covariance
         gain = np.linalg.solve(covariance[:4, :4] + slack, covariance[:4, 4])
-        late = acceleration.late + gain @ (expected - acceleration.matrix.ravel())
-        found.append((float(late), math.sqrt(max(covariance[4, 4] - gain @ covariance[:4, 4], 1e-6))))
+        delay = acceleration.delay + gain @ (expected - acceleration.matrix.ravel())
+        found.append((float(delay), math.sqrt(max(covariance[4, 4] - gain @ covariance[:4, 4], 1e-6))))
     if yaw_fit is not None and yaw.known and yaw_fit.share > 0.5:
-        found.append((yaw_fit.late, yaw_fit.late_std))
-        searched = float(LATENESS[-1])
+        found.append((yaw_fit.delay, yaw_fit.delay_std))
+        max_offset = float(DELAYS[-1])
     if not found:
         return ClockOffset()
     weight = np.array([1 / std**2 for _, std in found])
-    late = float(weight @ [late for late, _ in found] / weight.sum())
-    chi = float(weight @ [(value - late) ** 2 for value, _ in found]) / max(len(found) - 1, 1)
-    return ClockOffset(late, math.sqrt(max(chi, 1.0) / weight.sum()), searched)
+    delay = float(weight @ [delay for delay, _ in found] / weight.sum())
+    chi = float(weight @ [(value - delay) ** 2 for value, _ in found]) / max(len(found) - 1, 1)
+    return ClockOffset(delay, math.sqrt(max(chi, 1.0) / weight.sum()), max_offset)

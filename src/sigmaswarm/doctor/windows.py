@@ -13,7 +13,7 @@ from sigmaswarm.drives.drive import Array
 Complex = NDArray[np.complexfloating[Any, Any]]
 Values = TypeVar("Values", Array, Complex)
 
-FAR = 4.0  # scale of the Cauchy weights, in median residuals
+CAUCHY_SCALE = 4.0  # scale of the Cauchy weights, in median residuals
 _NODES, _GAUSS = np.polynomial.legendre.leggauss(8)
 _PARABOLA = _GAUSS * (1 - _NODES**2) / np.sum(_GAUSS * (1 - _NODES**2))
 
@@ -89,7 +89,7 @@ def regress(
     for _ in range(rounds - 1):
         size = np.abs(fit.residual) * weight
         usual = max(float(np.median(size)), 1e-9)
-        fit = _solve(y, columns, own, weight, 1 / (1 + (size / (FAR * usual)) ** 2))
+        fit = _solve(y, columns, own, weight, 1 / (1 + (size / (CAUCHY_SCALE * usual)) ** 2))
     return fit
 
 

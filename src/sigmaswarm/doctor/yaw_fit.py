@@ -11,31 +11,33 @@ from sigmaswarm.doctor.windows import Regression, integral, regress, smoothed, w
 from sigmaswarm.drives.drive import Array, Drive
 
 WINDOW = 20.0  # s: long enough for turns, and so short that the integral of a bias is a straight line
-EXPLAINED = 0.7  # share of the course's changes above which gz is the yaw rate, and no other column is tried
-CLEARLY_BETTER = 0.3  # smallest lead of another column over gz in the explained share
+SUFFICIENT_SHARE = (
+    0.7  # share of the course's changes above which gz is the yaw rate, and no other column is tried
+)
+MIN_LEAD = 0.3  # smallest lead of another column over gz in the explained share
 # m, mean and standard deviation of the antenna's distance ahead of the rear axle, which does not slide sideways. At the
 # antenna, the course turns earlier by this distance.
-AHEAD = (0.8, 0.8)
-LATE_FLOOR = 0.1  # s, smallest standard deviation of the delay as a prior
-LATENESS = np.arange(-2.5, 2.51, 0.1)  # s, delays of the fixes to try
+ANTENNA_DISTANCE = (0.8, 0.8)
+MIN_DELAY_STD = 0.1  # s, smallest standard deviation of the delay as a prior
+DELAYS = np.arange(-2.5, 2.51, 0.1)  # s, delays of the fixes to try
 
 
 @dataclass(frozen=True, eq=False)
 class YawFit:
-    """Fit of the course to the integral of a gyro column: course = gain x turned, delayed by ``late``."""
+    """Fit of the course to the integral of a gyro column: course = gain x turned, delayed by ``delay``."""
 
     column: str
     gain: float  # 1 for the yaw rate of the car in rad/s
     std: float  # standard deviation of the gain
     share: float  # share of the changes of the course that the column explains, 0 to 1
-    late: float  # s, delay of the fixes
-    late_std: float  # s
+    delay: float  # s, delay of the fixes
+    delay_std: float  # s
     course_change: float  # rad, RMS change of the course within windows
 
     @property
-    def delay(self) -> tuple[float, float]:
+    def delay_prior(self) -> tuple[float, float]:
         """The delay and its standard deviation, s, as a prior of other fits."""
-        return self.late, math.hypot(self.late_std, LATE_FLOOR)
+        return self.delay, math.hypot(self.delay_std, MIN_DELAY_STD)
 
 
 def fit_yaw(drive: Drive, course: Course) -> YawFit | None:
@@ -44,11 +46,11 @@ def fit_yaw(drive: Drive, course: Course) -> YawFit | None:
     if not len(rows):
         return None
     own = fit_column(drive, course, "gz", rows)
-    if own.share > EXPLAINED:
+    if own.share > SUFFICIENT_SHARE:
         return own
     names = [name for name in ("gx", "gy") if getattr(drive.imu, name) is not None]
     better = max([own, *(fit_column(drive, course, name, rows) for name in names)], key=lambda fit: fit.share)
-    return better if better.share > own.share + CLEARLY_BETTER else own
+    return better if better.share > own.share + MIN_LEAD else own
 
 
 def yaw_windows(course: Course) -> NDArray[np.intp]:
@@ -59,9 +61,9 @@ def yaw_windows(course: Course) -> NDArray[np.intp]:
 
 
 def fit_column(
-    drive: Drive, course: Course, column: str, rows: NDArray[np.intp], tried: Array = LATENESS
+    drive: Drive, course: Course, column: str, rows: NDArray[np.intp], tried: Array = DELAYS
 ) -> YawFit:
-    """Fit course = gain x (turned until ``late`` s ago) + a straight line in each window."""
+    """Fit course = gain x (turned until ``delay`` s ago) + a straight line in each window."""
     time = drive.imu.time
     rate: Array = getattr(drive.imu, column)
     rate = rate - np.median(rate)
@@ -71,13 +73,13 @@ def fit_column(
     own, speed = [np.ones_like(angle), t + 0j], np.abs(course.velocity[rows])
     weight = speed / 10
 
-    def delayed(values: Array, late: float) -> Array:
-        return smoothed(time, values, course.time - late, course.span)[rows]
+    def delayed(values: Array, delay: float) -> Array:
+        return smoothed(time, values, course.time - delay, course.span)[rows]
 
-    def at(late: float, rounds: int = 4, gain: float | None = None) -> Regression:
-        columns = [delayed(turned, late) + 0j]
+    def at(delay: float, rounds: int = 4, gain: float | None = None) -> Regression:
+        columns = [delayed(turned, delay) + 0j]
         if gain is not None:
-            columns.append(-gain * delayed(rate, late) + 0j)
+            columns.append(-gain * delayed(rate, delay) + 0j)
         return regress(angle, columns, own, weight, rounds)
 
     q = np.linalg.qr(weight[:, :, None] * np.stack([np.ones_like(t), t], axis=-1))[0]
@@ -89,22 +91,22 @@ def fit_column(
 
     seen = rest(course.angle[rows])
 
-    def misfit(late: float) -> float:
-        column = rest(delayed(turned, late))
+    def misfit(delay: float) -> float:
+        column = rest(delayed(turned, delay))
         return float(
             np.mean(np.abs(seen - np.vdot(column, seen) / max(np.vdot(column, column), 1e-300) * column))
         )
 
-    late, late_std = float(tried[0]), 0.0
+    delay, delay_std = float(tried[0]), 0.0
     if len(tried) > 1:
-        late = float(min(tried, key=misfit))
+        delay = float(min(tried, key=misfit))
     for _ in range(4):
-        joint = at(late, gain=float(at(late).solution[0]))
+        joint = at(delay, gain=float(at(delay).solution[0]))
         # If the car never turns, the column is zero, and so is its covariance.
-        late_std = math.sqrt(joint.covariance[1, 1]) or math.inf
-        late += float(np.clip(joint.solution[1], -0.1, 0.1))
-    fit = at(late)
-    turning = delayed(rate, late) ** 2
+        delay_std = math.sqrt(joint.covariance[1, 1]) or math.inf
+        delay += float(np.clip(joint.solution[1], -0.1, 0.1))
+    fit = at(delay)
+    turning = delayed(rate, delay) ** 2
     slowness = float(np.sum(turning / speed) / max(np.sum(turning), 1e-12))  # s/m, in turns
     flat = regress(angle, [np.zeros_like(angle)], own, weight, 1)
     left, whole = (float(np.sum(np.abs(weight * r.residual) ** 2)) for r in (fit, flat))
@@ -113,7 +115,7 @@ def fit_column(
         float(fit.solution[0]),
         float(np.sqrt(fit.covariance[0, 0])),
         1 - left / max(whole, 1e-12),
-        late + AHEAD[0] * slowness,
-        float(np.hypot(late_std, AHEAD[1] * slowness)),
+        delay + ANTENNA_DISTANCE[0] * slowness,
+        float(np.hypot(delay_std, ANTENNA_DISTANCE[1] * slowness)),
         float(np.sqrt(np.mean(np.abs(flat.residual) ** 2))),
     )

@@ -12,9 +12,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.alignment_fit import Fit, InitialState
+from sigmaswarm.drives.alignment_fit import AlignmentFit, InitialState
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.gyro_seen import CONTRADICTS, MOST_BIAS, GyroSeen
+from sigmaswarm.drives.gyro_bias import CONTRADICTS, MOST_BIAS, GyroBiasEvidence
 from sigmaswarm.drives.stale_fixes import stale_fixes
 from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.errors import AlignmentError
@@ -24,7 +24,7 @@ MIN_DURATION = 4.0  # s, shortest duration of an alignment
 MAX_DURATION = 6.0  # s, longest duration of an alignment; the gyro's bias accumulates over longer times
 MIN_TRAVEL = 20.0  # m within `MAX_DURATION`, for an accurate heading; requires 12 km/h
 ALIGNMENT_FIXES = 4  # smallest number within `MAX_DURATION`; one fix every 3 s is not enough
-WORTH_TRAVEL = 0.5 * MIN_TRAVEL  # m from the first to the last fix, a cheap test before the fit
+MIN_CHORD = 0.5 * MIN_TRAVEL  # m from the first to the last fix, a cheap test before the fit
 MAX_MISFIT = 0.3  # largest residual of an alignment / travel; fixes that jump have larger residuals
 MAX_HEADING_STD = np.radians(6.0)  # rad; with a larger deviation, the next fix is tried
 REFITS = 3  # largest number of repeated fits, until the gyro bias has converged
@@ -40,14 +40,14 @@ SLOW_STEP = 2.0  # s between trials of windows for slow vehicles
 SLOW_BIAS_STD = np.radians(1.0)  # rad/s, standard deviation of the prior of the gyro's bias for slow vehicles
 
 STATED_HEADING_STD = np.radians(5.0)  # rad, smallest assumed standard deviation of a stated heading
-MOST_STATED_STD = np.radians(12.0)  # rad, largest stated standard deviation for a start
+MAX_STATED_STD = np.radians(12.0)  # rad, largest stated standard deviation for a start
 STATED_POSITION_STD = 3.0  # m per axis, at a start with a stated heading
 STATED_SPEED_STD = 10.0  # m/s forward, at a start with a stated heading
 STATED_LATERAL_STD = 1.0  # m/s to the left, at a start with a stated heading
 
 
 @dataclass(frozen=True)
-class NoStart:
+class StartFailure:
     what: str
     remedy: str
 
@@ -74,19 +74,19 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
         If there is no such time; the message gives the reason.
     """
     found = find_start(drive, as_recorded=as_recorded)
-    if isinstance(found, NoStart):
+    if isinstance(found, StartFailure):
         raise AlignmentError(f"{drive.name}: {found.what}; {found.remedy}")
     return found
 
 
-def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | NoStart:
+def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | StartFailure:
     """Return the start as `initial_state` does, or the reason why there is none."""
     # a filter can start only if IMU samples follow
     usable = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1])
     usable = usable if as_recorded else usable & ~stale_fixes(drive.gps)
     if drive.heading is not None:
         return _stated_start(drive, usable)
-    headed = usable & (headings_of(drive.gps)[1] <= MOST_STATED_STD**2)
+    headed = usable & (headings_of(drive.gps)[1] <= MAX_STATED_STD**2)
     first = drive.gps.time[headed][0] if headed.any() else np.inf
     alignments = Alignments(drive, usable)
     for k in range(np.searchsorted(alignments.time, first)):
@@ -111,12 +111,14 @@ def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
     return None
 
 
-def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoStart:
+def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | StartFailure:
     """Start at the first usable fix with an unknown speed and the heading of the fix or of the first IMU sample."""
     gps, imu = drive.gps, drive.imu
     fixes = np.flatnonzero(usable & np.isfinite(gps.x + gps.y))
     if not len(fixes):
-        return NoStart("no fix lies within the IMU's time span, so no filter can start", "use a longer drive")
+        return StartFailure(
+            "no fix lies within the IMU's time span, so no filter can start", "use a longer drive"
+        )
     first, time = fixes[0], float(gps.time[fixes[0]])
     std = STATED_HEADING_STD
     if drive.heading is not None:
@@ -128,7 +130,7 @@ def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoS
     x, y = np.array([gps.x[first], gps.y[first]]) - turn @ drive.lever_arm
     covariance = np.diag([STATED_POSITION_STD**2] * 2 + [0.0] * 2 + [std**2])
     covariance[2:4, 2:4] = turn @ np.diag([STATED_SPEED_STD**2, STATED_LATERAL_STD**2]) @ turn.T
-    unknown = GyroSeen(np.zeros(3), np.full(3, np.inf), 0.0, np.zeros(5))
+    unknown = GyroBiasEvidence(np.zeros(3), np.full(3, np.inf), 0.0, np.zeros(5))
     return InitialState(np.array([x, y, 0.0, 0.0, theta]), covariance, time, unknown)
 
 
@@ -155,7 +157,7 @@ class Alignments:
         self._chord = np.abs(self._position - self._position[self._first])
         shortest, fewest = (longest / 2, SLOW_FIXES) if self._slowly else (MIN_DURATION, ALIGNMENT_FIXES)
         self._many = (self.time - self.time[self._first] >= shortest) & (count >= fewest)
-        self._worth = self._many & (self._chord >= WORTH_TRAVEL)
+        self._worth = self._many & (self._chord >= MIN_CHORD)
         self._found: dict[int, InitialState | None] = {}
 
     def at(self, k: int) -> InitialState | None:
@@ -171,17 +173,17 @@ class Alignments:
         """True if there are enough fixes, and the vehicle is always slow, with a margin for noise."""
         return bool(self._many.any()) and not np.any(self._chord[self._many] >= SLOW_CHORD)
 
-    def failure_reason(self) -> NoStart:
+    def failure_reason(self) -> StartFailure:
         time, travel = f"{MAX_DURATION:g} s", f"{MIN_TRAVEL:g} m"
         if self._many.any():
             if np.any(self._chord[self._many] >= MIN_TRAVEL):
-                return NoStart(
+                return StartFailure(
                     f"its fixes move {travel} within {time}, but the motion never agrees with the IMU, so the "
                     "heading can't be found; the fixes scatter or jump, or an axis, a unit or the clock of the "
                     "IMU is wrong",
                     "repair what `sigmaswarm doctor` finds",
                 )
-            return NoStart(
+            return StartFailure(
                 f"the vehicle never travels {travel} within {time}, and within {SLOW_DURATIONS[-1]:g} s never far "
                 "enough relative to the noise of the fixes, so the heading can't be found",
                 f"use a longer or a faster drive ({3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for "
@@ -191,14 +193,14 @@ class Alignments:
         every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
         if every > MAX_DURATION / (ALIGNMENT_FIXES - 1):
             what = f"its fixes come every {every:.3g} s, but the heading needs {ALIGNMENT_FIXES} fixes within {time}"
-            return NoStart(f"no filter can start, since {what}", "record fixes at 1 Hz or faster")
+            return StartFailure(f"no filter can start, since {what}", "record fixes at 1 Hz or faster")
         span = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
         usable = f"{len(self.time)} of {len(self._drive.gps.time)} fixes can be used, {span:.3g} s from first to last"
         needs = (
             f"the heading needs {ALIGNMENT_FIXES} fixes within {time}, "
             f"at least {MIN_DURATION:g} s from first to last"
         )
-        return NoStart(
+        return StartFailure(
             f"no filter can start, since only {usable}, and {needs}",
             "use a longer drive with fixes at 1 Hz or faster, without gaps or repeated positions",
         )
@@ -207,10 +209,10 @@ class Alignments:
         window = slice(self._first[k], k + 1)
         seen = self._drive, *self._integrals, self.time[window], self._position[window]
         try:
-            fit = Fit.of(*seen)
+            fit = AlignmentFit.of(*seen)
             if CONTRADICTS * fit.yaw_std < abs(fit.yaw_bias) < MOST_BIAS:
                 for _ in range(REFITS):
-                    fit = Fit.of(*seen, fit.yaw_bias)
+                    fit = AlignmentFit.of(*seen, fit.yaw_bias)
         except np.linalg.LinAlgError:  # a value was not finite
             return None
         smooth = fit.misfit <= MAX_MISFIT * fit.travel
@@ -227,10 +229,10 @@ class Alignments:
         turned, sped = self._integrals
         seen = self._drive, turned, np.zeros_like(sped), self.time[rows], self._position[rows]
         try:
-            fit, share = Fit.of(*seen), 0.0
+            fit, share = AlignmentFit.of(*seen), 0.0
             for _ in range(REFITS):
                 share = float(1.0 / (1.0 + (fit.bias_std / SLOW_BIAS_STD) ** 2))
-                fit = Fit.of(*seen, share * fit.yaw_bias)
+                fit = AlignmentFit.of(*seen, share * fit.yaw_bias)
         except np.linalg.LinAlgError:
             return None
         fit = fit.with_bias_variance(share * fit.bias_std**2)

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.gyro_seen import LEAN_STD, MOST_BIAS, TURN_SHARE, UP, YAW_STD, GyroSeen
+from sigmaswarm.drives.gyro_bias import LEAN_STD, MOST_BIAS, TURN_SHARE, UP, YAW_STD, GyroBiasEvidence
 from sigmaswarm.geodesy import wrap_angle
 
 Complex = NDArray[np.complex128]
-Way = Complex
+FixPaths = Complex
 """Path from each fix to the last one by the IMU, (3, f), in the body frame at the last fix.
 
 Rows: per m/s of speed at the last fix (s), per m/s2 of tilt and bias (s2), and by the accelerometer (m).
@@ -47,11 +47,11 @@ class InitialState:
     mean: Array
     covariance: Array
     time: float
-    gyro: GyroSeen | None = None
+    gyro: GyroBiasEvidence | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class AlignmentFit:
     """A fit to the fixes of the last few seconds; unknowns east, north, theta, v, b at ``time``.
 
     ``taken`` is the subtracted gyro bias, rad/s. ``yaw_bias`` and ``yaw_std``, rad/s, are the estimated bias and its
@@ -84,7 +84,7 @@ class Fit:
         time: Array,
         position: Complex,
         taken: float = 0.0,
-    ) -> "Fit":
+    ) -> "AlignmentFit":
         imu, end = drive.imu, time[-1]
         # the IMU's times from the first to the last fix
         inside = slice(*np.searchsorted(imu.time, [time[0]], side="right"), *np.searchsorted(imu.time, [end]))
@@ -118,7 +118,7 @@ class Fit:
         std = float(np.sqrt(fit.yaw_std**2 + YAW_STD**2 + (TURN_SHARE * turn) ** 2))
         return replace(fit, yaw_std=std)
 
-    def with_bias_variance(self, variance: float) -> "Fit":
+    def with_bias_variance(self, variance: float) -> "AlignmentFit":
         """Add the effect of a variance of the gyro's bias, (rad/s)^2, to the covariance of the unknowns."""
         covariance = self.covariance.copy()
         covariance[:4, :4] += variance * np.outer(self.turns, self.turns)
@@ -126,8 +126,15 @@ class Fit:
 
     @classmethod
     def _solve(
-        cls, end: float, position: Complex, seen: Way, change: Way, span: float, coasting: float, taken: float
-    ) -> "Fit":
+        cls,
+        end: float,
+        position: Complex,
+        seen: FixPaths,
+        change: FixPaths,
+        span: float,
+        coasting: float,
+        taken: float,
+    ) -> "AlignmentFit":
         """Solve for east, north, theta, v, b (Gauss-Newton); ``change``: derivative of the path by the gyro's bias."""
         g, t = seen[0], seen[1]
         chord = position[-1] - position[0]
@@ -176,11 +183,11 @@ class Fit:
         variance = np.append(lean, self.yaw_std**2)
         if abs(self.yaw_bias) > MOST_BIAS:  # the bias is unknown
             bias[UP], variance[UP] = self.taken, np.inf
-        gyro = GyroSeen(bias, variance, self.taken, jacobian[:, :4] @ self.turns)
+        gyro = GyroBiasEvidence(bias, variance, self.taken, jacobian[:, :4] @ self.turns)
         return InitialState(mean, 0.5 * (covariance + covariance.T), self.time, gyro)
 
 
-def _turned(way: Way, each: Complex) -> Way:
+def _turned(way: FixPaths, each: Complex) -> FixPaths:
     """Multiply the paths between successive fixes by complex factors (f - 1,)."""
     pieces = each * (way[:, :-1] - way[:, 1:])
     sums = np.cumsum(pieces[:, ::-1], axis=1)[:, ::-1]

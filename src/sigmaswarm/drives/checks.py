@@ -12,20 +12,20 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.tables import Array, Gps, Imu, Truth
 from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.wording import counted
+from sigmaswarm.wording import count_of
 
-FEWEST_SAMPLES = 100  # of the IMU
-FEWEST_SHARED_FIXES = 10  # within the time of the IMU
+MIN_SAMPLES = 100  # of the IMU
+MIN_SHARED_FIXES = 10  # within the time of the IMU
 IMU_GAP = (10.0, 0.1)  # limits of a gap of the IMU, in usual intervals and in s; a gap exceeds both
 GPS_GAP = (5.0, 2.0)  # limits of a gap of fixes or truth, in usual intervals and in s; a gap exceeds both
-UNSHARED = 10.0  # s, shortest reported time without the other sensor at the start or end
-UNSHARED_IMU = 0.1
+MIN_UNSHARED_TIME = 10.0  # s, shortest reported time without the other sensor at the start or end
+MIN_UNSHARED_SHARE = 0.1
 """Shortest reported time without fixes at an end / the IMU's time span; many logs begin before the first fix."""
 GRAVITY = 9.80665  # m/s2, standard gravity; filters and their exported C have 9.81: see `filters.tilted`
 IMPOSSIBLE_RATE = 3.0  # rad/s; no car makes half a turn in a second
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # per second
-_SLOWEST = (2.0, 60.0)  # s between samples and between fixes; longer intervals suggest another unit
-_USUAL = (0.5, 20.0)  # s between samples and between fixes; a unit with longer intervals is wrong
+_MAX_INTERVALS = (2.0, 60.0)  # s between samples and between fixes; longer intervals suggest another unit
+_USUAL_INTERVALS = (0.5, 20.0)  # s between samples and between fixes; a unit with longer intervals is wrong
 _JUMP = 3600.0  # s; a longer interval is due to a corrupt time stamp or to a clock that was set
 _WINDOW = 5.0  # s, window for speed and course: long enough for noise of meters, short enough for turns
 
@@ -45,7 +45,7 @@ class Remark:
 
 
 @dataclass(frozen=True)
-class Gaps:
+class GapSummary:
     """Number of gaps; start and length of the longest gap, and usual interval, s."""
 
     count: int
@@ -54,7 +54,9 @@ class Gaps:
     usual: float
 
 
-def checked(imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str]) -> list[SigmaswarmWarning]:
+def check_tables(
+    imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str]
+) -> list[SigmaswarmWarning]:
     """Raise `DriveError` if there are too few data; return warnings of other faults.
 
     ``placed`` adds the folder to a sentence about imu.csv or gps.csv.
@@ -72,13 +74,13 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
             f"imu.csv: column t covers {first:g} to {last:g} s, but gps.csv covers {gps.time[0]:g} to "
             f"{gps.time[-1]:g} s, so they do not overlap; convert both to one clock"
         )
-    if len(imu) < FEWEST_SAMPLES:
-        return f"imu.csv: {len(imu)} samples are too few; record at least {FEWEST_SAMPLES}"
+    if len(imu) < MIN_SAMPLES:
+        return f"imu.csv: {len(imu)} samples are too few; record at least {MIN_SAMPLES}"
     shared = int(np.count_nonzero((gps.time >= first) & (gps.time <= last)))
-    if shared < FEWEST_SHARED_FIXES:
+    if shared < MIN_SHARED_FIXES:
         return (
             f"gps.csv: {shared} fixes within the IMU's time span, t = {first:g} to {last:g} s, are too few; "
-            f"record at least {FEWEST_SHARED_FIXES}"
+            f"record at least {MIN_SHARED_FIXES}"
         )
     return None
 
@@ -117,8 +119,12 @@ def _time_unit(imu: Array, gps: Array) -> Remark | None:
         file = "imu.csv" if powers > 0 else "gps.csv"
         both = f"the IMU's samples cover {lasts[0]:.4g} s and the fixes {lasts[1]:.4g} s"
         what = f"{both}, as if t were in {unit}"
-    elif come[0] > _SLOWEST[0] or come[1] > _SLOWEST[1]:
-        fits = (u for u, f in TIME_UNITS.items() if come[0] <= _USUAL[0] * f and come[1] <= _USUAL[1] * f)
+    elif come[0] > _MAX_INTERVALS[0] or come[1] > _MAX_INTERVALS[1]:
+        fits = (
+            u
+            for u, f in TIME_UNITS.items()
+            if come[0] <= _USUAL_INTERVALS[0] * f and come[1] <= _USUAL_INTERVALS[1] * f
+        )
         unit, file = next(fits, None), "imu.csv, gps.csv"
         every = f"the IMU's samples come every {come[0]:.4g} s and the fixes every {come[1]:.4g} s"
         what = f"{every}, as if t were in {unit} in both files"
@@ -164,7 +170,7 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
     return Remark(code, "imu.csv", columns, what, remedy)
 
 
-def gaps_in(time: Array, limit: tuple[float, float], imu: Array | None = None) -> Gaps | None:
+def gaps_in(time: Array, limit: tuple[float, float], imu: Array | None = None) -> GapSummary | None:
     """Find the gaps of ``time`` (n,), s, by a limit such as `IMU_GAP`; None if there are none.
 
     Gaps that consist mostly of a gap in the times of the IMU ``imu``, s, are not counted: the logger paused.
@@ -179,7 +185,7 @@ def gaps_in(time: Array, limit: tuple[float, float], imu: Array | None = None) -
     if not gap.any():
         return None
     i = int(np.argmax(np.where(gap, interval, 0.0)))
-    return Gaps(int(np.count_nonzero(gap)), float(time[i]), float(interval[i]), usual)
+    return GapSummary(int(np.count_nonzero(gap)), float(time[i]), float(interval[i]), usual)
 
 
 def _is_gap(time: Array, limit: tuple[float, float]) -> NDArray[np.bool_]:
@@ -202,7 +208,7 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
             longest = (
                 f"the longest {g.length:.2f} s after t = {g.start:.2f} s (usual interval {g.usual:.3f} s)"
             )
-            found.append((name, f"{counted(g.count, 'gap')}, {longest}", remedy))
+            found.append((name, f"{count_of(g.count, 'gap')}, {longest}", remedy))
     if found:
         name, what, remedy = found[0]
         more = "".join(f"; {other}.csv: {gaps}" for other, gaps, _ in found[1:])
@@ -213,11 +219,13 @@ def unshared_times(imu: Array, gps: Array) -> Remark | None:
     """Describe fixes outside of the IMU's time span, and long parts without fixes at the ends of this span."""
     early, late = imu[0] - gps[0], gps[-1] - imu[-1]
     alone = ""
-    if max(-early, -late) > max(UNSHARED, UNSHARED_IMU * (imu[-1] - imu[0])):
+    if max(-early, -late) > max(MIN_UNSHARED_TIME, MIN_UNSHARED_SHARE * (imu[-1] - imu[0])):
         ends = [(-early, "first"), (-late, "last")]
-        parts = " and ".join(f"{which} {length:.0f} s" for length, which in ends if length > UNSHARED)
+        parts = " and ".join(
+            f"{which} {length:.0f} s" for length, which in ends if length > MIN_UNSHARED_TIME
+        )
         alone = f"the IMU's {parts} have no fixes"
-    if max(early, late) > UNSHARED:
+    if max(early, late) > MIN_UNSHARED_TIME:
         count = np.count_nonzero((gps < imu[0]) | (gps > imu[-1]))
         ends = [(early, "before its first sample"), (late, "after its last sample")]
         up_to = " and ".join(f"up to {length:.0f} s {where}" for length, where in ends if length >= 0.5)

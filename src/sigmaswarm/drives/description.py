@@ -6,12 +6,12 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from sigmaswarm.drives.table_files import CSV, LARGEST
+from sigmaswarm.drives.table_files import CSV, MAX_VALUE
 from sigmaswarm.drives.tables import Array
 from sigmaswarm.errors import DriveError
 from sigmaswarm.geodesy import Origin, geodetic_to_enu
 from sigmaswarm.limits import read_toml_text
-from sigmaswarm.wording import names_shown, quoted, shown, value_shown
+from sigmaswarm.wording import list_names, printable, printable_value, quoted
 
 WRITE_IT = 'write this file with the line frame = "enu" (x, y) or frame = "wgs84" (lat, lon)'
 Frame = Literal["enu", "wgs84"]
@@ -31,8 +31,10 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "imu_stated_noise": ((2,), "[1e-4, 1e-2]"),
 }
 CUT = "cut_from"  # table in the drive.toml of a part of a drive
-OF_A_CUT = frozenset({"drive", "sha256", "start_s", "end_s"})  # keys of the table `CUT`
-ALIKE = 0.8  # similarity of an unknown key to a known one, 0 to 1, above which it counts as misspelled
+CUT_KEYS = frozenset({"drive", "sha256", "start_s", "end_s"})  # keys of the table `CUT`
+MIN_SIMILARITY = (
+    0.8  # similarity of an unknown key to a known one, 0 to 1, above which it counts as misspelled
+)
 _ANGLES = {
     "heading_deg": "degrees counter-clockwise from east",
     "imu_mounting_deg": "roll, pitch and yaw in degrees",
@@ -50,7 +52,7 @@ def read_description(path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
         coded = isinstance(error, UnicodeError)
         remedy = "write it as UTF-8" if coded else "correct that line (text needs quotes)"
-        raise DriveError(f"{path} is not valid TOML: {shown(error, 160)}; {remedy}") from None
+        raise DriveError(f"{path} is not valid TOML: {printable(error, 160)}; {remedy}") from None
     require_name(about.get("name", "unnamed"), path)
     if "origin" in about:
         about["origin"] = _origin(about["origin"], path)
@@ -65,18 +67,18 @@ def ineffective_keys(about: Mapping[str, Any], path: Path) -> Iterator[str]:
     for key, value in about.items():
         if isinstance(value, dict):
             for inner in cast("dict[str, Any]", value):
-                if inner in _NUMBERS or (key == CUT and inner not in OF_A_CUT):
+                if inner in _NUMBERS or (key == CUT and inner not in CUT_KEYS):
                     remedy = "move it to the top of the file" if inner in _NUMBERS else "delete it"
-                    yield f"{path}: {shown(inner)} in the table [{shown(key)}] has no effect; {remedy}"
-        elif key not in _NUMBERS and (near := get_close_matches(key, _NUMBERS, 1, ALIKE)):
-            yield f"{path}: the key {shown(key)} is unknown and has no effect; if {near[0]} is meant, rename it"
+                    yield f"{path}: {printable(inner)} in the table [{printable(key)}] has no effect; {remedy}"
+        elif key not in _NUMBERS and (near := get_close_matches(key, _NUMBERS, 1, MIN_SIMILARITY)):
+            yield f"{path}: the key {printable(key)} is unknown and has no effect; if {near[0]} is meant, rename it"
 
 
 def require_name(name: object, where: object) -> None:
     """Raise `DriveError` if a value, given in ``where``, can't name a folder."""
     if not isinstance(name, str) or not name.strip():
         raise DriveError(
-            f'{where}: name = {value_shown(name)} is not text; write for example name = "monday"'
+            f'{where}: name = {printable_value(name)} is not text; write for example name = "monday"'
         )
     surrogates = any("\ud800" <= c <= "\udfff" for c in name)  # bytes in a file name that are not UTF-8
     if name in (".", "..") or set(name) & {"/", "\\", "\n", "\0"} or surrogates:
@@ -87,7 +89,7 @@ def _require_numbers(key: str, value: Any, path: Path) -> None:
     lengths, example = _NUMBERS[key]
     numbers = cast("list[Any]", value if isinstance(value, list) else [value])
     length = len(numbers) if isinstance(value, list) else 0
-    plain = all(type(v) in (int, float) and abs(v) <= LARGEST for v in numbers)
+    plain = all(type(v) in (int, float) and abs(v) <= MAX_VALUE for v in numbers)
     what = None
     if not numbers or not plain or length not in lengths:
         what = f"can't be used; write for example {key} = {example}"
@@ -96,7 +98,7 @@ def _require_numbers(key: str, value: Any, path: Path) -> None:
     elif key not in (*_ANGLES, "gps_lever_arm_m") and not min(numbers) > 0:
         what = "must be positive; leave the key out if the value is not known"
     if what:
-        raise DriveError(f"{path}: {key} = {value_shown(value)} {what}")
+        raise DriveError(f"{path}: {key} = {printable_value(value)} {what}")
 
 
 def _origin(value: Any, path: Path) -> Origin:
@@ -105,7 +107,7 @@ def _origin(value: Any, path: Path) -> Origin:
         if abs(latitude) <= 90 and abs(longitude) <= 180 and abs(altitude) <= 1e7:
             return float(latitude), float(longitude), float(altitude)
     raise DriveError(
-        f"{path}: origin = {value_shown(value)} is not a position; write origin = [latitude deg, longitude deg, "
+        f"{path}: origin = {printable_value(value)} is not a position; write origin = [latitude deg, longitude deg, "
         "altitude m]"
     )
 
@@ -114,12 +116,14 @@ def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
     """Return the stated frame, which must agree with the columns, or else the frame of the columns."""
     description = gps.parent / "drive.toml"
     if stated not in (None, *POSITIONS):
-        raise DriveError(f'{description}: frame = {value_shown(stated)} is unknown; write "enu" or "wgs84"')
+        raise DriveError(
+            f'{description}: frame = {printable_value(stated)} is unknown; write "enu" or "wgs84"'
+        )
     present = [frame for frame, pair in POSITIONS.items() if set(pair) <= set(columns)]
     if not present:
         raise DriveError(
             f"{gps}{', row 1' if gps.suffix == CSV else ''}: has neither columns x, y nor lat, lon, only "
-            f"{names_shown(columns)}; name the positions x, y (m east, north) or lat, lon (deg)"
+            f"{list_names(columns)}; name the positions x, y (m east, north) or lat, lon (deg)"
         )
     frame = cast("Frame", stated or present[0])
     if frame not in present:

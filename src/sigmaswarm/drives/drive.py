@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeVar, cast
 import numpy as np
 
 from sigmaswarm import notebook
-from sigmaswarm.drives.checks import checked
+from sigmaswarm.drives.checks import check_tables
 from sigmaswarm.drives.frames import tables_from_frames
 from sigmaswarm.drives.mounting import KEY, Angles
 from sigmaswarm.drives.tables import RECORDS, Array, Gps, Imu, Odometer, Table, Truth
@@ -16,7 +16,7 @@ from sigmaswarm.drives.tables import RECORDS, Array, Gps, Imu, Odometer, Table, 
 T = TypeVar("T")
 
 
-def listed(given: Iterable[T] | T) -> list[T]:
+def as_list(given: Iterable[T] | T) -> list[T]:
     return list(cast("Iterable[T]", given)) if isinstance(given, Iterable) else [given]
 
 
@@ -103,7 +103,9 @@ class Drive:
         given = {key: frame for key, frame in given.items() if frame is not None}
         tables, about, warned = tables_from_frames(given, columns or {}, origin)
         drive = cls(name, **tables, **about)
-        warned += checked(drive.imu, drive.gps, drive.truth, lambda m: f"{name}: {m.replace('.csv', '')}")
+        warned += check_tables(
+            drive.imu, drive.gps, drive.truth, lambda m: f"{name}: {m.replace('.csv', '')}"
+        )
         for warning in warned:
             warnings.warn(warning, stacklevel=2)
         return drive

@@ -33,7 +33,7 @@ class DriveRecord(BaseModel):
     seen_in: list[str] = Field(default_factory=list)  # training drives with parts of an evaluated drive
 
 
-def record_of(drive: Drive) -> dict[str, Any]:
+def drive_record(drive: Drive) -> dict[str, Any]:
     return {
         "name": drive.name,
         "duration_s": round(drive.duration, 3),

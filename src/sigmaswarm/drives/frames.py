@@ -12,7 +12,7 @@ from sigmaswarm.drives.description import Frame, Origin, place_on_plane
 from sigmaswarm.drives.table_files import TableFile
 from sigmaswarm.drives.tables import COLUMNS, RECORDS
 from sigmaswarm.errors import DriveError, SigmaswarmWarning
-from sigmaswarm.wording import quoted, shown
+from sigmaswarm.wording import printable, quoted
 
 _TIMES = ("t", "time")
 
@@ -98,6 +98,6 @@ def _numbers(values: NDArray[Any], name: str, column: str) -> NDArray[np.float64
     plain = values.dtype.kind == "O" and all(v is None or isinstance(v, int | float) for v in values.tolist())
     if values.dtype.kind not in "fiub" and not plain:
         raise DriveError(
-            f"{name}: column {column} contains {shown(values.dtype)}, not numbers; convert it to float64"
+            f"{name}: column {column} contains {printable(values.dtype)}, not numbers; convert it to float64"
         )
     return values.astype(np.float64)

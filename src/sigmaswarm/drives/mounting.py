@@ -11,9 +11,9 @@ from sigmaswarm.geodesy import roll_pitch_yaw, rotation_of
 KEY = "imu_mounting_deg"
 AXES_KEY = "imu_axes"  # table of the expressions of the IMU's axes over a log's columns, before the rotation
 Angles = tuple[float, float, float]  # roll, pitch and yaw of the IMU, deg, as in ``import --mount``
-AGREE = 3.0  # deg, largest angle to the mean mounting of drives with one common mounting
-DIGITS = 9  # decimals of a stated angle, deg; the error of the rotation is below 1e-10
-NOT_TURNED = (0.0, 0.0, 0.0)
+MAX_SPREAD = 3.0  # deg, largest angle to the mean mounting of drives with one common mounting
+ANGLE_DECIMALS = 9  # decimals of a stated angle, deg; the error of the rotation is below 1e-10
+NO_ROTATION = (0.0, 0.0, 0.0)
 
 
 def with_rotation(metadata: Mapping[str, Any], rotation: Array | None) -> dict[str, Any]:
@@ -26,7 +26,7 @@ def with_rotation(metadata: Mapping[str, Any], rotation: Array | None) -> dict[s
     kept = {key: value for key, value in metadata.items() if key != KEY}
     if rotation is None:
         return without_axes(kept)
-    angles = roll_pitch_yaw(rotation @ rotation_of(*metadata.get(KEY, NOT_TURNED)), DIGITS)
+    angles = roll_pitch_yaw(rotation @ rotation_of(*metadata.get(KEY, NO_ROTATION)), ANGLE_DECIMALS)
     return kept | {KEY: [*angles]} if any(angles) else kept
 
 
@@ -48,15 +48,15 @@ def common_axes(stated: Iterable[Mapping[str, str]]) -> dict[str, str]:
 
 
 def common_mounting(stated: Iterable[Angles | None]) -> Angles | None:
-    """Return the mean mounting; None if a mounting differs by more than `AGREE` from it, or no drive states a mounting.
+    """Return the mean mounting; None if no drive states one, or a drive's differs by more than `MAX_SPREAD`.
 
     A drive without a mounting counts as not rotated.
     """
     each = [*stated]
     if not any(each):
         return None
-    rotations = np.array([rotation_of(*(angles or NOT_TURNED)) for angles in each])
+    rotations = np.array([rotation_of(*(angles or NO_ROTATION)) for angles in each])
     u, _, vt = np.linalg.svd(rotations.sum(axis=0))
     mean = u @ vt
     cosines = (np.einsum("kij,ij->k", rotations, mean) - 1) / 2
-    return roll_pitch_yaw(mean, DIGITS) if np.min(cosines) >= np.cos(np.radians(AGREE)) else None
+    return roll_pitch_yaw(mean, ANGLE_DECIMALS) if np.min(cosines) >= np.cos(np.radians(MAX_SPREAD)) else None

@@ -20,23 +20,27 @@ from scipy.spatial import KDTree
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import read_arrays, whole_file
+from sigmaswarm.files import atomic_file, read_arrays
 from sigmaswarm.geodesy import enu_to_geodetic
 
-Whole = NDArray[np.int64]
+Integers = NDArray[np.int64]
 
 TRAINING_DATA_FILE = "seen.npz"  # landmarks of a tuning
 MICRO = 1_000_000
-SAME_TIME = 1000  # us, largest difference between the times of one landmark, after the clock offset
-SAME_PLACE = 3.0  # cm or 1e-7 deg (1.1 cm to the north), largest difference of one fix in two files
-SAME_RATE = 2e-4  # largest difference between ln of equal yaw rates that have 8 decimals in two units
-MOVING = 1.5  # m/s, smallest speed between a landmark and a neighboring fix
-UNITS = math.log(180 / math.pi)  # ln of the ratio of rad/s to deg/s; landmarks are ln|gz| modulo this
-WIDTH = 0.4  # part of `UNITS` that contains landmarks: a tenth of all samples, about those of 1 to 1.5 deg/s
-MOST = 20_000  # largest number of yaw-rate landmarks; a long drive uses a smaller part of `UNITS`
-COMMON = 100  # occurrences in a drive; a more frequent yaw rate, as of a coarse gyro, is ignored
-FEWEST = 8  # smallest number of landmarks with different values that must agree
-SHARE = 0.5  # smallest share of the landmarks in the common time that must agree
+TIME_TOLERANCE = 1000  # us, largest difference between the times of one landmark, after the clock offset
+POSITION_TOLERANCE = 3.0  # cm or 1e-7 deg (1.1 cm to the north), largest difference of one fix in two files
+RATE_TOLERANCE = 2e-4  # largest difference between ln of equal yaw rates that have 8 decimals in two units
+MIN_SPEED = 1.5  # m/s, smallest speed between a landmark and a neighboring fix
+LOG_RATIO = math.log(180 / math.pi)  # ln of the ratio of rad/s to deg/s; landmarks are ln|gz| modulo this
+LANDMARK_WIDTH = (
+    0.4  # part of `LOG_RATIO` that contains landmarks: a tenth of all samples, about those of 1 to 1.5 deg/s
+)
+MAX_LANDMARKS = (
+    20_000  # largest number of yaw-rate landmarks; a long drive uses a smaller part of `LOG_RATIO`
+)
+MAX_OCCURRENCES = 100  # occurrences in a drive; a more frequent yaw rate, as of a coarse gyro, is ignored
+MIN_MATCHES = 8  # smallest number of landmarks with different values that must agree
+MIN_MATCH_SHARE = 0.5  # smallest share of the landmarks in the common time that must agree
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,21 +49,21 @@ class Landmarks:
 
     ``sha256``: `fingerprint` of the drive. ``span``: start and end of the IMU samples, s. ``fixes`` (n, 3): time (us)
     and position, latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm). ``rates`` (k, 2): time (s) and
-    ln|gz| modulo ``UNITS``, below ``width``. This value is the same in rad/s and deg/s and for both signs.
+    ln|gz| modulo ``LOG_RATIO``, below ``width``. This value is the same in rad/s and deg/s and for both signs.
     """
 
     name: str
     sha256: str
     span: tuple[float, float]
     geographic: bool
-    fixes: Whole
+    fixes: Integers
     rates: Array
-    width: float = WIDTH
+    width: float = LANDMARK_WIDTH
 
     @property
     def distinguishes_parts(self) -> bool:
         """True if not only the whole drive but also parts of it can be recognized."""
-        return max(len(self.fixes), len(self.rates)) >= FEWEST
+        return max(len(self.fixes), len(self.rates)) >= MIN_MATCHES
 
 
 @dataclass(frozen=True)
@@ -78,7 +82,7 @@ def landmarks(drive: Drive) -> Landmarks:
     gps, imu = drive.gps, drive.imu
     dt = np.maximum(np.diff(gps.time), 1e-3)
     speed = np.hypot(np.diff(gps.x), np.diff(gps.y)) / dt
-    moving = np.maximum(np.append(speed, 0.0), np.append(0.0, speed)) > MOVING
+    moving = np.maximum(np.append(speed, 0.0), np.append(0.0, speed)) > MIN_SPEED
     geographic = drive.origin is not None
     if gps.lat is not None and gps.lon is not None:
         geographic, place = True, 1e7 * np.column_stack([gps.lat, gps.lon])
@@ -89,9 +93,9 @@ def landmarks(drive: Drive) -> Landmarks:
     fixes = np.column_stack([MICRO * gps.time, place])[moving]
     fixes = np.rint(np.clip(np.nan_to_num(fixes), -9e18, 9e18)).astype(np.int64)
     turning = imu.gz != 0
-    digits = np.mod(np.log(np.abs(imu.gz[turning])), UNITS)
-    times, width = imu.time[turning], WIDTH
-    while np.count_nonzero(digits < width) > MOST:
+    digits = np.mod(np.log(np.abs(imu.gz[turning])), LOG_RATIO)
+    times, width = imu.time[turning], LANDMARK_WIDTH
+    while np.count_nonzero(digits < width) > MAX_LANDMARKS:
         width /= 2
     rates = np.column_stack([times, digits])[digits < width]
     span = float(imu.time[0]), float(imu.time[-1])
@@ -134,7 +138,7 @@ def _by_fixes(one: Landmarks, other: Landmarks) -> float | None:
     """Return the clock offset, s, from equal fixes; None if there are too few."""
     if one.geographic != other.geographic:
         return None
-    return _offset(one.fixes.astype(np.float64), other.fixes.astype(np.float64), SAME_PLACE)
+    return _offset(one.fixes.astype(np.float64), other.fixes.astype(np.float64), POSITION_TOLERANCE)
 
 
 def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
@@ -142,10 +146,10 @@ def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
 
     def rates(marks: Landmarks) -> Array:
         time, value = marks.rates[marks.rates[:, 1] < width].T
-        _, level, count = np.unique(np.rint(value / SAME_RATE), return_inverse=True, return_counts=True)
-        return np.column_stack([MICRO * time, value])[count[level] <= COMMON]
+        _, level, count = np.unique(np.rint(value / RATE_TOLERANCE), return_inverse=True, return_counts=True)
+        return np.column_stack([MICRO * time, value])[count[level] <= MAX_OCCURRENCES]
 
-    return _offset(rates(one), rates(other), SAME_RATE)
+    return _offset(rates(one), rates(other), RATE_TOLERANCE)
 
 
 def _offset(a: Array, b: Array, tolerance: float) -> float | None:
@@ -154,28 +158,31 @@ def _offset(a: Array, b: Array, tolerance: float) -> float | None:
     Some pairs agree by chance. At least half of the landmarks in the common time must therefore agree, for the drive
     with fewer landmarks, since a copy may be decimated. Values must differ, since a standing car repeats one value.
     """
-    if min(len(a), len(b)) < FEWEST:
+    if min(len(a), len(b)) < MIN_MATCHES:
         return None
     i, j = _equal(a[:, 1:], b[:, 1:], tolerance)
-    if len(i) < FEWEST:
+    if len(i) < MIN_MATCHES:
         return None
     offsets = a[i, 0] - b[j, 0]
     order = np.argsort(offsets, kind="stable")
-    ends = np.searchsorted(offsets[order], offsets[order] + 2 * SAME_TIME, side="right")
+    ends = np.searchsorted(offsets[order], offsets[order] + 2 * TIME_TOLERANCE, side="right")
     votes = ends - np.arange(len(order))
     best = int(np.argmax(votes))
     chosen = order[best : best + votes[best]]
     offset = float(np.median(offsets[chosen]))
     times = a[:, 0], b[:, 0] + offset
-    start, end = max(t.min() for t in times) - SAME_TIME, min(t.max() for t in times) + SAME_TIME
+    start, end = max(t.min() for t in times) - TIME_TOLERANCE, min(t.max() for t in times) + TIME_TOLERANCE
     there = [np.count_nonzero((t >= start) & (t <= end)) for t in times]
     agreeing = min(len(np.unique(i[chosen])), len(np.unique(j[chosen])))
-    if agreeing < SHARE * min(there) or len(np.unique(np.rint(a[i[chosen], 1] / tolerance))) < FEWEST:
+    if (
+        agreeing < MIN_MATCH_SHARE * min(there)
+        or len(np.unique(np.rint(a[i[chosen], 1] / tolerance))) < MIN_MATCHES
+    ):
         return None
     return offset / MICRO
 
 
-def _equal(a: Array, b: Array, tolerance: float) -> tuple[Whole, Whole]:
+def _equal(a: Array, b: Array, tolerance: float) -> tuple[Integers, Integers]:
     """Return the pairs (i, j) of rows of a and b that differ by at most the tolerance in each column."""
     pairs = KDTree(a).sparse_distance_matrix(KDTree(b), tolerance, np.inf, output_type="ndarray")
     order = np.lexsort([pairs["j"], pairs["i"]])
@@ -190,7 +197,7 @@ def save_landmarks(
         seen = list(seen)
         names = [(marks.name, marks.sha256) for marks in seen]
     # the format of `np.savez_compressed`, which needs all arrays at once
-    with whole_file(path) as file, ZipFile(file, "w", ZIP_DEFLATED) as archive:
+    with atomic_file(path) as file, ZipFile(file, "w", ZIP_DEFLATED) as archive:
 
         def put(name: str, array: NDArray[np.generic]) -> None:
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:

@@ -10,7 +10,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.stale_fixes import STALE, classify_fixes
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 
-SMALL = 500_000  # steps of a time line that is kept in memory: more than an hour, 40 MB
+MAX_CACHED_STEPS = 500_000  # steps of a time line that is kept in memory: more than an hour, 40 MB
 
 
 class PreparedDrive:
@@ -71,11 +71,11 @@ class PreparedDrive:
         self._timelines = {
             (hidden, removed): line
             for (hidden, removed), line in self._timelines.items()
-            if not removed and not any(hidden) and len(line.end) <= SMALL
+            if not removed and not any(hidden) and len(line.end) <= MAX_CACHED_STEPS
         }
 
 
-def prepared(
+def prepare_drive(
     drive: Drive | PreparedDrive, initial: InitialState | None = None, *, as_recorded: bool = False
 ) -> PreparedDrive:
     if isinstance(drive, PreparedDrive):

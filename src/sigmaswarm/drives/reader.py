@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from sigmaswarm.drives.checks import checked
+from sigmaswarm.drives.checks import check_tables
 from sigmaswarm.drives.description import (
     WRITE_IT,
     frame_of,
@@ -162,4 +162,4 @@ def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     drive = Drive(name, frame=frame, origin=origin, metadata=about, **records)
     ignored += ineffective_keys(about, folder / "drive.toml")
     warned = [SigmaswarmWarning(message) for message in ignored]
-    return drive, [*warned, *checked(drive.imu, drive.gps, drive.truth, as_filed)]
+    return drive, [*warned, *check_tables(drive.imu, drive.gps, drive.truth, as_filed)]

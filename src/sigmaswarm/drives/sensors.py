@@ -10,18 +10,20 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
 
-VARIES = 1.5  # 95% / 5% quantile of stated standard deviations; with a larger ratio they are informative
-STARTED = 20.0  # m from the first fix, beyond which the car has moved
-NEAR_GRAVITY = 0.3  # largest deviation of the median of az from gravity, relative to gravity
+MIN_STD_RATIO = (
+    1.5  # 95% / 5% quantile of stated standard deviations; with a larger ratio they are informative
+)
+MIN_START_DISTANCE = 20.0  # m from the first fix, beyond which the car has moved
+GRAVITY_TOLERANCE = 0.3  # largest deviation of the median of az from gravity, relative to gravity
 
-WHITE = 0.4
+MIN_WHITE_SHARE = 0.4
 """Smallest share of white noise in the error of fixes for `has_white_errors`.
 
 The share is 1 in KITTI and colorado, 0.25 with a u-blox M8, and at most 0.02 with car receivers, which smooth their
 fixes (kingston-1, comma2k19, dresden).
 """
 UNSTATED_GPS_STD = 2.1  # m per axis, assumed if a receiver states no accuracy: u-blox M8, 2.5 m CEP
-SHOWN = 0.25 * UNSTATED_GPS_STD
+MIN_WHITE_NOISE = 0.25 * UNSTATED_GPS_STD
 """White noise from fix to fix, m per axis, above which a receiver that states no accuracy does not smooth its fixes.
 
 Noise above this limit is the error of the fixes. The error of fixes with less noise is unknown.
@@ -48,7 +50,7 @@ class SuggestedFilter:
 
 
 @dataclass(frozen=True)
-class Sensors:
+class LogProperties:
     """The properties of a log that determine the choice of a filter and an objective.
 
     Attributes
@@ -80,12 +82,12 @@ class Sensors:
     fixes: int = 0
 
 
-def sensors_of(drive: Drive | Sensors) -> Sensors:
-    if isinstance(drive, Sensors):
+def log_properties(drive: Drive | LogProperties) -> LogProperties:
+    if isinstance(drive, LogProperties):
         return drive
     gps, imu = drive.gps, drive.imu
-    away = gps.time[np.hypot(gps.x - gps.x[:1], gps.y - gps.y[:1]) > STARTED]
-    return Sensors(
+    away = gps.time[np.hypot(gps.x - gps.x[:1], gps.y - gps.y[:1]) > MIN_START_DISTANCE]
+    return LogProperties(
         name=drive.name,
         truth=bool(drive.truth),
         interval=drive.nominal_interval,
@@ -104,7 +106,7 @@ def sensors_of(drive: Drive | Sensors) -> Sensors:
     )
 
 
-def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
+def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
     """Choose the filter for cars from the sensors that all logs have, without running filters.
 
     - **tilted12** if every IMU has six axes, with gravity on az. It estimates roll and pitch, so hills and braking are
@@ -120,7 +122,7 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
     models chosen by held-out likelihood and predictions were 18 to 24% worse than the best on average, and 61 to 122%
     at worst; one good model for all drives was 4 to 12% worse (docs/results.md, "Default filter").
     """
-    found = [sensors_of(drive) for drive in drives]
+    found = [log_properties(drive) for drive in drives]
     six = bool(found) and all(one.attitude for one in found)
     wheels = bool(found) and all(one.odometer for one in found)
     spreads = [one.spread for one in found if one.spread]
@@ -147,7 +149,7 @@ def has_attitude(drive: Drive) -> bool:
     az, gx, gy = drive.imu.az, drive.imu.gx, drive.imu.gy
     if az is None or gx is None or gy is None:
         return False
-    upright = abs(float(np.median(az)) / GRAVITY - 1.0) < NEAR_GRAVITY
+    upright = abs(float(np.median(az)) / GRAVITY - 1.0) < GRAVITY_TOLERANCE
     return upright and bool(np.ptp(gx) > 0) and bool(np.ptp(gy) > 0)
 
 
@@ -156,7 +158,7 @@ def stated_spread(drive: Drive) -> tuple[float, float] | None:
     if (std := drive.gps.std) is None:
         return None
     low, high = np.quantile(std, [0.05, 0.95])
-    return (float(low), float(high)) if high > VARIES * low else None
+    return (float(low), float(high)) if high > MIN_STD_RATIO * low else None
 
 
 def stated_std(drive: Drive) -> tuple[float, float] | None:
@@ -179,7 +181,7 @@ def receiver_std(drive: Drive) -> tuple[float, float]:
         return stated
     gps = drive.gps
     shown, moved = white_noise(gps.x + 1j * gps.y), motion_in_noise(float(np.median(np.diff(gps.time))))
-    std = shown if shown > max(SHOWN, 3 * moved) else UNSTATED_GPS_STD
+    std = shown if shown > max(MIN_WHITE_NOISE, 3 * moved) else UNSTATED_GPS_STD
     return std, std
 
 
@@ -201,7 +203,7 @@ def has_white_errors(drive: Drive) -> bool:
     """
     gps = drive.gps
     off, shown = max(stated_std(drive) or (UNSTATED_GPS_STD,)), white_noise(gps.x + 1j * gps.y)
-    return shown > WHITE * off and shown > 3 * motion_in_noise(float(np.median(np.diff(gps.time))))
+    return shown > MIN_WHITE_SHARE * off and shown > 3 * motion_in_noise(float(np.median(np.diff(gps.time))))
 
 
 def has_lasting_errors(drive: Drive) -> bool:
@@ -210,7 +212,7 @@ def has_lasting_errors(drive: Drive) -> bool:
     Errors that are not visible are correlated, or smaller than the receiver states. The result is False if motion
     between fixes would hide white errors, as with RTK. A repeated fix counts once.
     """
-    position, least = drive.gps.x + 1j * drive.gps.y, WHITE * max(receiver_std(drive))
+    position, least = drive.gps.x + 1j * drive.gps.y, MIN_WHITE_SHARE * max(receiver_std(drive))
     new = np.append(True, np.diff(position) != 0)
     if np.count_nonzero(new) < 4:
         return False
@@ -218,7 +220,7 @@ def has_lasting_errors(drive: Drive) -> bool:
     return white_noise(position[new]) <= least and least > 3 * moved
 
 
-def enough_for_fix_error(drives: Iterable[Sensors]) -> bool:
+def enough_for_fix_error(drives: Iterable[LogProperties]) -> bool:
     return sum(drive.fixes for drive in drives) >= FIXES_FOR_FIX_ERROR
 
 

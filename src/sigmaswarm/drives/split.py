@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sigmaswarm.drives.alignment import NoStart, find_start
+from sigmaswarm.drives.alignment import StartFailure, find_start
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
@@ -82,7 +82,7 @@ def split_time(
     )
     sha256 = fingerprint(drive)
     for part in parts:
-        if isinstance(found := find_start(part), NoStart):
+        if isinstance(found := find_start(part), StartFailure):
             message = f"{part.name} can't be used as a drive: {found.what}; split at another time, or {found.remedy}"
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
     first, last = (

@@ -58,7 +58,7 @@ LAST = 6  # column of LEVEL: time of the last sample
 PIECE = 100_000  # samples per copy, to limit the memory
 
 
-def standing(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
+def detect_standstills(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
     """Detect standstill at each IMU sample, (n,), from earlier data; ``kinds`` of the fixes are as in `stale_fixes`."""
     imu, gps = drive.imu, drive.gps
     stands = np.zeros(len(imu.time), dtype=np.bool_)

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.tables import RECORDS, Array
 from sigmaswarm.errors import DriveError
-from sigmaswarm.limits import MOST_CELLS, MOST_COLUMNS, require_regular, require_text
-from sigmaswarm.wording import names_shown, quoted, shown
+from sigmaswarm.limits import MAX_CELLS, MAX_COLUMNS, require_regular, require_text
+from sigmaswarm.wording import list_names, printable, quoted
 
-LARGEST = 1e7  # largest accepted value, above a car sensor's in SI units, mm, mg or mdeg/s (repairable)
+MAX_VALUE = 1e7  # largest accepted value, above a car sensor's in SI units, mm, mg or mdeg/s (repairable)
 _METERS, _NO_STD = (
     "convert it to meters from a nearby origin",
     "leave the column out if no deviation is stated",
@@ -25,14 +25,18 @@ _METERS, _NO_STD = (
 # Lowest and highest allowed value of a column, and the remedy.
 RANGES: dict[str, tuple[float, float, str]] = {
     "lat": (-90.0, 90.0, "convert it to degrees north; lat and lon may be exchanged"),
-    "alt": (-LARGEST, LARGEST, "convert it to meters above the ellipsoid"),
+    "alt": (-MAX_VALUE, MAX_VALUE, "convert it to meters above the ellipsoid"),
     "lon": (-180.0, 180.0, "convert it to degrees east; subtract 360 if the values are between 0 and 360"),
-    **dict.fromkeys(("x", "y"), (-LARGEST, LARGEST, _METERS)),
-    **dict.fromkeys(("std_x", "std_y", "std_heading"), (1e-6, LARGEST, _NO_STD)),
-    "std_theta": (1e-9, LARGEST, _NO_STD),
+    **dict.fromkeys(("x", "y"), (-MAX_VALUE, MAX_VALUE, _METERS)),
+    **dict.fromkeys(("std_x", "std_y", "std_heading"), (1e-6, MAX_VALUE, _NO_STD)),
+    "std_theta": (1e-9, MAX_VALUE, _NO_STD),
     **dict.fromkeys(
         ("ax", "ay", "az", "gx", "gy", "gz", "speed", "course", "heading", "vx", "vy", "theta"),
-        (-LARGEST, LARGEST, "the value is damaged or in a wrong unit; delete the row or correct the unit"),
+        (
+            -MAX_VALUE,
+            MAX_VALUE,
+            "the value is damaged or in a wrong unit; delete the row or correct the unit",
+        ),
     ),
 }
 
@@ -41,7 +45,7 @@ _LONGEST_LEAP = 1e12  # usual intervals, longest allowed: 300 years at 100 Hz; a
 CSV, PARQUET = FORMS = ".csv", ".parquet"
 TABLES = tuple(f"{name}{form}" for name in RECORDS for form in FORMS)
 
-BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)  # for damaged tables
+POLARS_ERRORS = (pl.exceptions.PolarsError, pl.exceptions.PanicException)  # for damaged tables
 
 
 def one_file(path: Path) -> dict[str, Any]:
@@ -84,7 +88,7 @@ class TableFile:
             cells = pl.read_csv(**one_file(path), infer_schema=False)
         except pl.exceptions.NoDataError:
             raise _empty(path) from None
-        except BROKEN:
+        except POLARS_ERRORS:
             raise _shape_fault(path) from None
         filled = cells.select(~pl.all_horizontal(pl.all().is_null())).to_series().arg_true()
         if filled.is_empty():
@@ -126,10 +130,10 @@ class TableFile:
                     raise DriveError(f"{header}: {what}, and write decimals with a dot")
                 in_memory = f"rename one with columns={{'its name': '{name}'}}"
                 remedy = "rename it" if self.path.suffix else in_memory
-                raise DriveError(f"{header}: no column {name}, only {names_shown(names)}; add or {remedy}")
+                raise DriveError(f"{header}: no column {name}, only {list_names(names)}; add or {remedy}")
         if unknown := [name for name in names if name not in known]:
             self._require_one_line(unknown)
-            ignored = names_shown(unknown, "'")
+            ignored = list_names(unknown, "'")
             remarks.append(f"{self.path}: ignoring {ignored}; the known columns are {', '.join(known)}")
         numbers = {name: self._numbers(name) for name in known if name in names}
         self._require_increasing(numbers["t"])
@@ -148,7 +152,7 @@ class TableFile:
         if text.dtype == pl.String and self.path.suffix == CSV:
             text = text.str.strip_chars()
         elif not text.dtype.is_numeric():
-            what = f"contains {shown(text.dtype)}, not numbers; write it as 64-bit floats"
+            what = f"contains {printable(text.dtype)}, not numbers; write it as 64-bit floats"
             raise DriveError(f"{self.path}, column {column}: {what}")
         values = text.cast(pl.Float64, strict=False)
         if values.null_count() or not values.is_finite().all():
@@ -173,23 +177,23 @@ class TableFile:
             i, what = int(late[0]) + 1, "is not after"
             remedy = "sort the rows by time and delete repeated rows"
         if i:
-            before = f"{shown(self.cells['t'][i - 1])} in row {self.lines[i - 1]}"
+            before = f"{printable(self.cells['t'][i - 1])} in row {self.lines[i - 1]}"
             raise self._fault(i, "t", f"{what} {before}", remedy)
 
     def _fault(self, i: int, column: str, what: str, remedy: str) -> DriveError:
         cell = self.cells[column][i]
         value = "" if cell is None else str(cell)
-        where = f"{self.path}, row {self.lines[i]}, column {shown(column)}"
+        where = f"{self.path}, row {self.lines[i]}, column {printable(column)}"
         return DriveError(f"{where}: {quoted(value)} {what}; {remedy}")
 
 
 def _require_size(path: Path, rows: int, columns: int) -> None:
-    if columns > MOST_COLUMNS:
-        what = f"has {columns} columns; the limit is {MOST_COLUMNS}"
+    if columns > MAX_COLUMNS:
+        what = f"has {columns} columns; the limit is {MAX_COLUMNS}"
         raise DriveError(f"{path}: {what}; leave out columns that a drive does not need")
-    if rows * columns > MOST_CELLS:
+    if rows * columns > MAX_CELLS:
         raise DriveError(
-            f"{path}: has {rows} rows of {columns} columns; the limit is {MOST_CELLS} cells; split the drive"
+            f"{path}: has {rows} rows of {columns} columns; the limit is {MAX_CELLS} cells; split the drive"
         )
 
 
@@ -213,7 +217,7 @@ def _parquet(path: Path) -> pl.DataFrame:
         )  # according to the footer
         kept = [pl.col(n) if kind.is_numeric() else pl.lit(None, kind).alias(n) for n, kind in schema.items()]
         cells = scan.select(kept).collect()
-    except (*BROKEN, OSError):
+    except (*POLARS_ERRORS, OSError):
         raise DriveError(f"{path} is not a readable Parquet file; write the file again") from None
     if cells.is_empty():
         raise DriveError(f"{path} contains no rows; the table needs one row per sample")
@@ -228,7 +232,7 @@ def _plain_numbers(path: Path) -> pl.DataFrame | None:
         names = pl.read_csv(**one_file(path), n_rows=0).columns
         floats = dict.fromkeys(names, pl.Float64)
         cells = pl.read_csv(**one_file(path), schema_overrides=floats, low_memory=True)
-    except (*BROKEN, OSError, UnicodeDecodeError):
+    except (*POLARS_ERRORS, OSError, UnicodeDecodeError):
         return None
     plain = all(name == name.strip() and "_duplicated_" not in name for name in names)
     whole = len(cells) > 0 and all(column.null_count() == 0 and column.is_finite().all() for column in cells)

@@ -21,7 +21,7 @@ from sigmaswarm.drives.alignment import Alignments
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.gaps import gaps_before
 from sigmaswarm.drives.stale_fixes import STALE, classify_fixes
-from sigmaswarm.drives.standstill import standing
+from sigmaswarm.drives.standstill import detect_standstills
 from sigmaswarm.drives.tables import Array, Gps, Indices, Mask, headings_of
 
 DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
@@ -114,7 +114,7 @@ class Timeline:
     @cached_property
     def stands(self) -> Mask:
         """True if the car stands at the step's end, (k,)."""
-        return standing(self.drive, self.kinds)[self.sample]
+        return detect_standstills(self.drive, self.kinds)[self.sample]
 
     @cached_property
     def alignments(self) -> Alignments:

@@ -11,7 +11,7 @@ from typing import Any
 
 from sigmaswarm.drives.table_files import TABLES
 from sigmaswarm.errors import DriveError, InputError, not_installed
-from sigmaswarm.wording import shown
+from sigmaswarm.wording import printable
 
 A_DRIVE = "a drive is a folder with imu.csv, gps.csv and drive.toml"
 
@@ -100,7 +100,7 @@ def _errors_in_one_line(url: str) -> Generator[None]:
             f"{without_secrets(url)} does not exist, or is not accessible from this machine; name the folder of a drive"
         ) from None
     except Exception as error:  # each protocol's library has its own errors
-        why = shown(without_secrets(f"{type(error).__name__}: {error}"), 200)
+        why = printable(without_secrets(f"{type(error).__name__}: {error}"), 200)
         raise DriveError(
             f"{without_secrets(url)}: can't be read ({why}); check the address and your permission to read it"
         ) from None

@@ -11,7 +11,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import has_table, read_with_warnings
 from sigmaswarm.drives.table_files import TABLES
 from sigmaswarm.errors import DriveError
-from sigmaswarm.files import make_folder, whole_folder
+from sigmaswarm.files import atomic_folder, make_folder
 
 Form = Literal["csv", "parquet"]
 FILES = frozenset({"drive.toml", *TABLES})
@@ -50,7 +50,7 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
     require_replaceable(folder, overwrite)
     contents = _contents(drive, folder, form)
     make_folder(folder.parent, "name another folder")
-    with whole_folder(folder, replace=overwrite) as new:
+    with atomic_folder(folder, replace=overwrite) as new:
         new.mkdir()
         for file, content in contents.items():
             (new / file).write_bytes(content)

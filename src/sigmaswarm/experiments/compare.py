@@ -20,26 +20,26 @@ from typing import TYPE_CHECKING, Any, Unpack, get_args
 
 import numpy as np
 
-from sigmaswarm.datasets.dataset import datasets_of
+from sigmaswarm.datasets.dataset import make_datasets
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.drives.sensors import sensors_of
+from sigmaswarm.drives.sensors import log_properties
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.experiments.comparison import Comparison, Contender, Outcome
 from sigmaswarm.experiments.grid import Report, run_grid
-from sigmaswarm.files import locked_folder, write_json, write_whole
+from sigmaswarm.files import locked_folder, write_atomically, write_json
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise
 from sigmaswarm.filters.run import estimate_of
 from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.scoring.score import score_estimate
-from sigmaswarm.scoring.targets import tracking_replay
+from sigmaswarm.scoring.targets import tracking_pass
 from sigmaswarm.tuning.config import TuneConfig, validated_config
 from sigmaswarm.tuning.defaults import default_filter_options, objective_for
 from sigmaswarm.tuning.options import SEEDS, CompareOptions, OptimizerName
 from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.store import ResultFolder
-from sigmaswarm.tuning.tune import check_apart, tune_problem, tuning_folder
+from sigmaswarm.tuning.tune import check_disjoint, tune_problem, tuning_folder
 from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def compare(
         If an option, optimizer, drive or folder is invalid.
     """
     workers = options.pop("workers", None) or (cores() if cluster is None else None)
-    grid = _grid(options, *datasets_of(drives, validation, cluster=cluster))
+    grid = _grid(options, *make_datasets(drives, validation, cluster=cluster))
     with (
         TemporaryDirectory() as scratch,
         locked_folder(Path(scratch if out is None else out)) as folder,
@@ -153,7 +153,7 @@ class _Grid:
         fixes_alone = None
         if self.test:
             alone = partial(_rmse_alone, noise=self.problem.fixes_alone())
-            fixes_alone = _mean(np.array(self.test.replays.of_each_prepared(alone)))
+            fixes_alone = _mean(np.array(self.test.scorer.map_prepared(alone)))
         return Comparison(
             contenders=tuple(self.rivals),
             runs={c.label: tuple(outcomes[c, seed] for seed in range(self.seeds)) for c in self.rivals},
@@ -168,7 +168,7 @@ class _Grid:
         lock, times = threading.Lock(), out / "times.csv"
         spaces = {rival.scale: car_space(rival.config, self.problem.sensors) for rival in self.rivals}
         if not times.exists():
-            write_whole(times, "optimizer,scale,seed,cpu_seconds\n")
+            write_atomically(times, "optimizer,scale,seed,cpu_seconds\n")
 
         def run(task: tuple[Contender, int], report: Report) -> Outcome:
             rival, seed = task
@@ -183,7 +183,7 @@ class _Grid:
                 if fresh:  # the time of an interrupted run is unknown
                     line = f'"{rival.name}",{rival.scale},{seed},{time.thread_time() - start:.3f}\n'
                     with lock:
-                        write_whole(times, times.read_text() + line)
+                        write_atomically(times, times.read_text() + line)
                 write_json(folder / "run.json", asdict(outcome))
             return Outcome.read(folder / "run.json")
 
@@ -196,11 +196,11 @@ def _grid(options: GridOptions, training: "Dataset", held_out: "Dataset") -> _Gr
         raise InputError(f"seeds = {seeds}: at least 1 is needed")
     for name in set(REJECTED_OPTIONS).intersection(options):
         raise InputError(f"{name}: {REJECTED_OPTIONS[name]}")
-    rivals = _contenders(options, [*training.map(sensors_of), *held_out.map(sensors_of)])
+    rivals = _contenders(options, [*training.map(log_properties), *held_out.map(log_properties)])
     problem = car_problem(training, rivals[0].config)
     test = problem.on(held_out) if len(held_out) else None
     if test:
-        check_apart(problem, test)
+        check_disjoint(problem, test)
     if problem.objective.warning:
         warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=3)
     return _Grid(rivals, seeds, problem, test)
@@ -250,7 +250,7 @@ def _contender(name: str, scale: str, shared: Mapping[str, Any]) -> Contender:
 def _outcome(tuning: Tuning, test: CarProblem | None) -> Outcome:
     cost = rmse = heading = None
     if test:
-        scores = test.replays.scores([tuning.parameters])
+        scores = test.scorer.scores([tuning.parameters])
         cost = float(test.objective.costs(scores, tuning.config.worst)[0])
         rmse, heading = _mean(scores.position_rmse[0]), _mean(np.degrees(scores.heading_rmse[0]))
     spent, evaluations, steps = 0, list[int](), list[int]()
@@ -274,7 +274,7 @@ def _outcome(tuning: Tuning, test: CarProblem | None) -> Outcome:
 
 
 def _rmse_alone(ready: PreparedDrive, noise: MotionNoise) -> float:
-    run = FixesAlone(tracking_replay(ready), noise)
+    run = FixesAlone(tracking_pass(ready), noise)
     return score_estimate(ready.drive, estimate_of(run, recover=False)).position_rmse
 
 

@@ -13,7 +13,7 @@ import polars as pl
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.statistics import holm, median_interval, signed_rank
-from sigmaswarm.files import write_whole
+from sigmaswarm.files import write_atomically
 from sigmaswarm.records import load_record
 from sigmaswarm.tuning.config import TuneConfig
 
@@ -208,5 +208,5 @@ class Comparison:
         """Write comparison.csv, runs.csv and curves.csv; return their paths."""
         frames = {"comparison.csv": self.frame, "runs.csv": self.runs_frame, "curves.csv": self.curves}
         for name, frame in frames.items():
-            write_whole(folder / name, frame.write_csv())
+            write_atomically(folder / name, frame.write_csv())
         return [folder / name for name in frames]

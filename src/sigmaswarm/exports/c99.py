@@ -17,13 +17,13 @@ from sigmaswarm.exports.c_names import STATES
 from sigmaswarm.exports.c_rules import rules_of
 from sigmaswarm.exports.features import (
     PARAMETERS,
-    defined,
+    exact_texts,
     features_of,
     fill,
     in_range,
     listed,
-    plain,
     values_of,
+    with_definitions,
 )
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.filters import divergence, schedule
@@ -34,7 +34,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.student import OUTLIERS_SPAN
 from sigmaswarm.geodesy import rotation_of
 from sigmaswarm.versions import __version__
-from sigmaswarm.wording import shown
+from sigmaswarm.wording import printable
 
 FILES = (
     "ins_gps.h",
@@ -51,8 +51,8 @@ FILES = (
     "ins_gps.py",
     "ins_gps_shared.c",
 )
-SHORTEST_INTERVAL = 1e-4  # s; with a shorter IMU interval, the history of one second would take megabytes
-ALONE = Lanes()
+MIN_INTERVAL = 1e-4  # s; with a shorter IMU interval, the history of one second would take megabytes
+SINGLE_LANE = Lanes()
 
 
 def c99(
@@ -60,7 +60,7 @@ def c99(
     interval: float,
     as_recorded: bool = False,
     mounting: Angles | None = None,
-    lanes: Lanes = ALONE,
+    lanes: Lanes = SINGLE_LANE,
     imu_axes: Mapping[str, str] | None = None,
 ) -> dict[str, str]:
     """Return the text of each file by name. Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`.
@@ -73,9 +73,9 @@ def c99(
     InputError
         If a parameter cannot be written as a C constant, or the IMU's sampling rate is too high.
     """
-    if interval < SHORTEST_INTERVAL:
+    if interval < MIN_INTERVAL:
         raise InputError(
-            f"nominal_interval = {interval:g} s: the C library supports at most {1 / SHORTEST_INTERVAL:g} Hz; correct "
+            f"nominal_interval = {interval:g} s: the C library supports at most {1 / MIN_INTERVAL:g} Hz; correct "
             "the interval in [filter] of the filter's file"
         )
     model = MODELS[parameters.model]
@@ -97,13 +97,13 @@ def c99(
         values["MOUNTING"] = "{:g}, {:g} and {:g}".format(*mounting)
         values["ROTATION"] = ", ".join(f"{{{listed(row, 'R({})')}}}" for row in rotation_of(*mounting))
     width = max(map(len, imu_axes or ()), default=0)
-    axes = (f"{shown(axis):{width}} = {shown(text, 1000)}" for axis, text in (imu_axes or {}).items())
+    axes = (f"{printable(axis):{width}} = {printable(text, 1000)}" for axis, text in (imu_axes or {}).items())
     values["BEFORE_MOUNTING"] = ", before the rotation" if mounting is not None else ""
     values["IMU_AXES"] = "\n".join(axes)
     values |= rules_of(features, events.bits_of(schedule.measured_by(parameters)))
     texts = {name: fill(f"{name}.in", features, values) for name in FILES}
     numbers = {name: f"R({value})" for name, value in values.items()} | lanes.numbers(parameters)
-    texts["ins_gps.c"] = defined(texts["ins_gps.c"], numbers, "#define {} {} /* {} */")
+    texts["ins_gps.c"] = with_definitions(texts["ins_gps.c"], numbers, "#define {} {} /* {} */")
     return texts
 
 
@@ -248,7 +248,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "PER_ODOMETER_SCALE": None if p.odometer_noise is None else 1.0 / p.odometer_scale,
         "PATIENCE": (OUTLIERS_SPAN - 1e-6) / interval,
         "LOST_AFTER": divergence.DIVERGED_AFTER,
-        "FEWEST_LOOKS": divergence.FEWEST_CHECKS,
+        "FEWEST_LOOKS": divergence.MIN_CHECKS,
         "SLOTS": round(1.0 / odometer.INTERVAL),
         "BLOCKS": round(1.0 / standstill.BLOCK),
         "HISTORY": max(1, math.ceil(1.0 / interval)),  # default of LiveFilter
@@ -265,7 +265,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         | _texts_of_heading(p.heading_noise is not None)
     )
     return own | {
-        **plain(derived),
+        **exact_texts(derived),
         "PROCESS_NOISE": listed(p.process_noise, "R({})"),
         "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
         "NUMERIC_VERSION": ".".join(__version__.split(".")[:3]),

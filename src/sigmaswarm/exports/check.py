@@ -16,10 +16,10 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c99 import fits_float, replay_events
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.filters.bank.run import BankRun
-from sigmaswarm.filters.filter_run import joined
+from sigmaswarm.filters.filter_run import join_chunks
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.run import replay_of, run_filter
+from sigmaswarm.filters.run import run_filter, whole_pass
 from sigmaswarm.geodesy import wrap_angle
 
 COMPILERS = ("cc", "gcc", "clang")
@@ -37,7 +37,7 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class Checked:
+class ExportCheck:
     """Differences on a drive in double and in float; None in float if the filter exceeds the range of float."""
 
     drive: str
@@ -53,7 +53,7 @@ def check_export(
     as_recorded: bool = False,
     lanes: int = 1,
     seed: int = 0,
-) -> list[Checked]:
+) -> list[ExportCheck]:
     """Compile the exported C library in ``folder`` and compare it on drives, with arguments as in `export_texts`.
 
     If ``lanes`` exceeds 1, the reference is a `LiveFilterBank` without searches.
@@ -69,7 +69,7 @@ def check_export(
     built = [_shared_object(folder, "libins_gps.so")]
     if all(fits_float(p) for p in all_lanes.filters(parameters)):
         built.append(_shared_object(folder, "libins_gps_float.so", "-DINS_GPS_FLOAT"))
-    checked: list[Checked] = []
+    checked: list[ExportCheck] = []
     # A process loads a path only once, so a new build needs another path.
     with tempfile.TemporaryDirectory() as loaded:
         libraries = [Path(shutil.copy(each, loaded)) for each in built]
@@ -79,7 +79,7 @@ def check_export(
             events = replay_events(drive, parameters.model, as_recorded=as_recorded, heading=uses_heading)
             runs = [_replay(folder, library, parameters, events) for library in libraries]
             double, *single = (_difference(run, ours) for run in runs)
-            checked.append(Checked(drive.name, double, single[0] if single else None))
+            checked.append(ExportCheck(drive.name, double, single[0] if single else None))
     return checked
 
 
@@ -87,10 +87,10 @@ def _of_library(drive: Drive, parameters: FilterParameters, lanes: Lanes, *, as_
     """Return the means (k, n) that the library computes."""
     if lanes.n == 1:
         return run_filter(drive, parameters, recover=False, as_recorded=as_recorded).mean
-    replay = replay_of(drive, as_recorded=as_recorded)
+    replay = whole_pass(drive, as_recorded=as_recorded)
     run = BankRun(replay, parameters, seed=lanes.seed, searches=False, as_recorded=as_recorded)
     run.bank.count_only(lanes.n)
-    return joined(run).mean
+    return join_chunks(run).mean
 
 
 def _shared_object(folder: Path, name: str, *flags: str) -> Path:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from types import ModuleType
 
-from sigmaswarm.drives import alignment, events, gyro_seen, standstill
+from sigmaswarm.drives import alignment, events, gyro_bias, standstill
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters import divergence, fuzzy, schedule, student, tilted
 from sigmaswarm.filters.compiled import live
@@ -102,7 +102,7 @@ NUMBERS = {
 """Numbers that a template may use, with the comments of their definitions."""
 
 
-def defined(text: str, numbers: Mapping[str, str], form: str) -> str:
+def with_definitions(text: str, numbers: Mapping[str, str], form: str) -> str:
     """Replace ``@NUMBERS@`` by definitions of those `NUMBERS` that the text uses but does not define."""
     names = set(re.findall(r"\w+", text)) - set(re.findall(r"#define (\w+)", text))
     used = [name for name in NUMBERS if name in names and name in numbers]
@@ -113,7 +113,7 @@ CONSTANTS: Mapping[ModuleType, str] = {
     alignment: "REFITS",
     divergence: "CHECK_INTERVAL LATEST_CHECK MANY_SIGMAS HEADING_OFF POSITION_OFF SPEED_STD",
     fuzzy: "LARGEST_RATIO SLOWER",
-    gyro_seen: "CONTRADICTS STRANGE STRANGE_STD YAW_STD TURN_SHARE LEAN_STD MOST_BIAS",
+    gyro_bias: "CONTRADICTS STRANGE STRANGE_STD YAW_STD TURN_SHARE LEAN_STD MOST_BIAS",
     live: "LEAP AGREES",
     events: "CORNERING INTERVAL",
     schedule: "STANDSTILL_RATE_NOISE SLIP_GATE MOST_REJECTED",
@@ -129,7 +129,7 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
     states = "INS_GPS_STATES" if p.fix_error is None else "INS_GPS_STATES + 2"
     texts = {"VERSION": __version__, "DESCRIPTION": f"{p.model}, {p.kind}", "MODEL": p.model}
     texts |= {"BELIEF_STATES": states, "N": states if p.fix_error is None else f"({states})"}
-    numbers = plain(
+    numbers = exact_texts(
         {
             **constants,
             **{name.upper(): getattr(p, name) for name in PARAMETERS},
@@ -155,7 +155,7 @@ def in_range(value: float, of: str) -> float:
     return value
 
 
-def plain(numbers: Mapping[str, float | None]) -> dict[str, str]:
+def exact_texts(numbers: Mapping[str, float | None]) -> dict[str, str]:
     """Return numbers as exact text; omit None."""
     return {
         name: str(value) if isinstance(value, int) else repr(float(value))

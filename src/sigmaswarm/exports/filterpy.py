@@ -8,10 +8,10 @@ import inspect
 from types import ModuleType
 
 from sigmaswarm import geodesy
-from sigmaswarm.drives import alignment, alignment_fit, gaps, gyro_seen, stale_fixes, standstill, tables
+from sigmaswarm.drives import alignment, alignment_fit, gaps, gyro_bias, stale_fixes, standstill, tables
 from sigmaswarm.drives.mounting import Angles
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.features import defined, features_of, fill, listed, values_of
+from sigmaswarm.exports.features import features_of, fill, listed, values_of, with_definitions
 from sigmaswarm.filters import models, schedule
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.textbook import adaptive, ekf, gaussian
@@ -69,12 +69,12 @@ def filterpy(
         "ALIGNMENT_SOURCE": "\n\n\n".join(
             [
                 source_of(tables, ["NO_HEADING", "headings_of"]),
-                *map(source_of, (gyro_seen, alignment_fit, alignment)),
+                *map(source_of, (gyro_bias, alignment_fit, alignment)),
             ]
         ),
         "STANDSTILL_SOURCE": source_of(standstill),
     }
-    return {FILE: defined(fill("filterpy.py.in", features, values), values, "{} = {}  # {}")}
+    return {FILE: with_definitions(fill("filterpy.py.in", features, values), values, "{} = {}  # {}")}
 
 
 def source_of(module: ModuleType, names: list[str] | None = None) -> str:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.features import NUMBERS, listed, plain
-from sigmaswarm.filters.bank.spread import Spread
+from sigmaswarm.exports.features import NUMBERS, exact_texts, listed
+from sigmaswarm.filters.bank.spread import OffsetPrior
 from sigmaswarm.filters.compiled import swarm
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.models import MODELS, NOISE_OF, SENSORS
@@ -28,10 +28,10 @@ class Lanes:
 
     def filters(self, tuning: FilterParameters) -> list[FilterParameters]:
         """Return the parameters of each lane. Lane 0 is the tuning."""
-        spread = Spread(tuning)
+        spread = OffsetPrior(tuning)
         return [tuning, *(spread.parameters(offsets) for offsets in self._offsets(spread)[1:])]
 
-    def _offsets(self, spread: Spread) -> np.ndarray:
+    def _offsets(self, spread: OffsetPrior) -> np.ndarray:
         return spread.first(np.random.default_rng([self.seed, 0]))[: self.n]
 
     def values(self, tuning: FilterParameters) -> dict[str, str]:
@@ -39,12 +39,12 @@ class Lanes:
         biases = {"GYRO_BIAS_STDS": listed([p.bias_std[1] for p in filters])}  # initial
         if self.n == 1:
             return {"Q": "process_noise", "R": "measurement_noise", "LANES": "1", **biases}
-        spread = Spread(tuning)
+        spread = OffsetPrior(tuning)
         penalties = spread.penalty(self._offsets(spread)).tolist()
         constants = ("EVIDENCE_LASTS", "EVIDENCE_COUNTS", "LARGEST_NIS")
         return {
             **biases,
-            **plain({name: getattr(swarm, name) for name in constants}),
+            **exact_texts({name: getattr(swarm, name) for name in constants}),
             "LANE_FIELDS": "\n".join(
                 f"    real {name}; /* {NUMBERS[name.upper()]} */" for name in _numbers(tuning)
             ),

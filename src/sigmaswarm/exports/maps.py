@@ -15,14 +15,14 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.files import finite, write_whole
+from sigmaswarm.files import nan_to_none, write_atomically
 
 _UNIX_TIMES = (1e9, 2.5e11)  # s, years 2001 to 9892
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 (section 2.2) forbids even when escaped; JSON forbids half a surrogate pair."""
 
 
-_EASTMOST = 179.999999999  # deg, largest longitude in GPX, which excludes 180 deg; the error is 0.1 mm
+_MAX_LONGITUDE = 179.999999999  # deg, largest longitude in GPX, which excludes 180 deg; the error is 0.1 mm
 
 
 def geojson(time: Array, places: Array, path: Path, name: str) -> None:
@@ -30,7 +30,7 @@ def geojson(time: Array, places: Array, path: Path, name: str) -> None:
 
     ``coordTimes`` has the format of togeojson: a list, or a list of lists for a line in parts.
     """
-    parts = cut(time, places)
+    parts = split_at_antimeridian(time, places)
     lines: list[Any] = [[[round(lon, 9), round(lat, 9)] for lat, lon in part.tolist()] for _, part in parts]
     times: list[Any] = [_stamps(t) or t.tolist() for t, _ in parts]
     kind = "MultiLineString"
@@ -39,18 +39,18 @@ def geojson(time: Array, places: Array, path: Path, name: str) -> None:
     properties = {"name": _NOT_XML.sub("\ufffd", name), "coordTimes" if _stamps(time) else "t": times}
     geometry = {"type": kind, "coordinates": lines}
     feature = {"type": "Feature", "properties": properties, "geometry": geometry}
-    write_whole(path, json.dumps(finite(feature)) + "\n")
+    write_atomically(path, json.dumps(nan_to_none(feature)) + "\n")
 
 
 def gpx(time: Array, places: Array, path: Path, name: str) -> None:
     """Write a track, with a new segment at the antimeridian."""
     lines = ['<gpx version="1.1" creator="sigmaswarm" xmlns="http://www.topografix.com/GPX/1/1">']
     start = f"<trk><name>{_escaped(name)}</name><trkseg>"
-    for t, part in cut(time, places):
+    for t, part in split_at_antimeridian(time, places):
         stamps = [f"<time>{stamp}</time>" for stamp in _stamps(t)] or [""] * len(t)
         lines += [start]
         lines += [
-            f'<trkpt lat="{lat:.9f}" lon="{min(lon, _EASTMOST):.9f}">{stamp}</trkpt>'
+            f'<trkpt lat="{lat:.9f}" lon="{min(lon, _MAX_LONGITUDE):.9f}">{stamp}</trkpt>'
             for (lat, lon), stamp in zip(part, stamps, strict=True)
         ]
         start = "</trkseg><trkseg>"
@@ -62,7 +62,7 @@ def kml(time: Array, places: Array, path: Path, name: str) -> None:
     if _stamps(time[:1]):
         _timed_kml(time, places, path, name)
         return
-    parts = cut(time, places)
+    parts = split_at_antimeridian(time, places)
     several = ("<MultiGeometry>", "</MultiGeometry>") if len(parts) > 1 else ("", "")
     start, end = "<LineString><tessellate>1</tessellate><coordinates>", "</coordinates></LineString>"
     lines = ['<kml xmlns="http://www.opengis.net/kml/2.2"><Document><Placemark>']
@@ -79,13 +79,13 @@ def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
         '<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><Document>',
         f"<Placemark><name>{_escaped(name)}</name><gx:MultiTrack>",
     ]
-    for t, part in cut(time, places):
+    for t, part in split_at_antimeridian(time, places):
         lines += ["<gx:Track>", *(f"<when>{stamp}</when>" for stamp in _stamps(t))]
         lines += [*(f"<gx:coord>{lon:.9f} {lat:.9f} 0</gx:coord>" for lat, lon in part), "</gx:Track>"]
     _write_xml(path, [*lines, "</gx:MultiTrack></Placemark></Document></kml>"])
 
 
-def cut(time: Array, places: Array) -> list[tuple[Array, Array]]:
+def split_at_antimeridian(time: Array, places: Array) -> list[tuple[Array, Array]]:
     """Cut a track at the antimeridian; return times (k,), s, and places (k, 2), deg, of each part.
 
     A cut is a new point on the antimeridian, which ends a part and starts the next part.
@@ -111,7 +111,7 @@ def cut(time: Array, places: Array) -> list[tuple[Array, Array]]:
 
 
 def _write_xml(path: Path, lines: list[str]) -> None:
-    write_whole(path, "\n".join(['<?xml version="1.0" encoding="UTF-8"?>', *lines]) + "\n")
+    write_atomically(path, "\n".join(['<?xml version="1.0" encoding="UTF-8"?>', *lines]) + "\n")
 
 
 def _escaped(text: str) -> str:

@@ -11,13 +11,13 @@ from sigmaswarm.drives.mounting import Angles
 from sigmaswarm.exports.features import features_of, fill, in_range, values_of
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.robot_yaml import PLACES
+from sigmaswarm.filters.robot_yaml import STATE_INDICES
 from sigmaswarm.scoring.evaluation import Evaluation
 from sigmaswarm.scoring.methods import AGAINST, BASELINE
 from sigmaswarm.versions import __version__
 
 FILE = "robot_localization.yaml"
-X, Y, VX, VY, YAW, AX, _, YAW_RATE = PLACES
+X, Y, VX, VY, YAW, AX, _, YAW_RATE = STATE_INDICES
 DEFAULT_PROCESS_NOISE = (
     *(0.05, 0.05, 0.06),
     *(0.03, 0.03, 0.06),
@@ -28,7 +28,7 @@ DEFAULT_PROCESS_NOISE = (
 """Default process noise per second: x, y, z; roll, pitch, yaw; their rates; accelerations."""
 SMALL, FIRST_FIX = 1e-6, 1.0
 """Initial variance of states that stay at 0, and smallest initial variance of x and y (m2)."""
-SHOWN = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
+ACCURACY_MEASURES = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
 """Initial variances of vx, vy, yaw, ax, ay, yaw rate if initial_state is set as in README.md."""
 
@@ -75,7 +75,7 @@ def _configuration(p: FilterParameters, interval: float, mounting: Angles | None
     of = "process_noise / nominal_interval"
     noise, start = list(DEFAULT_PROCESS_NOISE), [SMALL] * len(DEFAULT_PROCESS_NOISE)
     first = (*(max(r, FIRST_FIX) for r in p.measurement_noise), *START_VARIANCES)
-    for place, variance, unknown in zip(PLACES, p.process_noise, first, strict=True):
+    for place, variance, unknown in zip(STATE_INDICES, p.process_noise, first, strict=True):
         noise[place], start[place] = in_range(variance / interval, of), unknown
     (r_x, r_y), lateral = p.measurement_noise, yaml_number(p.lateral_noise or 1.0)
     stated = (
@@ -111,7 +111,9 @@ def _configuration(p: FilterParameters, interval: float, mounting: Angles | None
 
 
 def accuracy_section(evaluation: Evaluation) -> str:
-    known = [m for m in SHOWN if any(evaluation.mean(k, m) is not None for k in ("tuned", BASELINE))]
+    known = [
+        m for m in ACCURACY_MEASURES if any(evaluation.mean(k, m) is not None for k in ("tuned", BASELINE))
+    ]
     heads = " | ".join(evaluation.measures[m].heading for m in known)
     lines = [f"| filter | {heads} |", "|---" * (len(known) + 1) + "|"]
     names = {

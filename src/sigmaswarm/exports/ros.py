@@ -17,15 +17,15 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError, SigmaswarmWarning
-from sigmaswarm.exports.body import body_velocity, quaternions, tilts_of
+from sigmaswarm.exports.attitude import body_velocity, quaternions, tilt_indices
 from sigmaswarm.exports.foxglove import LAYOUT_FILE, layout
-from sigmaswarm.files import whole_folder, write_json
+from sigmaswarm.files import atomic_folder, write_json
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.packing import definite
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.geodesy import Origin, enu_to_geodetic
 from sigmaswarm.importing.readers.ros import bag_paths
-from sigmaswarm.importing.source import broken, library
+from sigmaswarm.importing.source import damage_error, import_library
 
 TOPIC = "/sigmaswarm/odometry"
 SIGMA, FIX = "/sigmaswarm/sigma", "/sigmaswarm/fix"
@@ -72,11 +72,11 @@ def ros2(
     store = get_typestore(Stores.ROS2_HUMBLE)
     with (
         _reader(merge, first, last) if merge else nullcontext() as recorded,
-        whole_folder(path) as new,
+        atomic_folder(path) as new,
         Writer(new, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
     ):
         originals = _copied(merge, recorded, writer) if merge else iter(())
-        made = Made(store.types, time_origin)
+        made = MessageFactory(store.types, time_origin)
         own = heapq.merge(
             _messages(pieces, made, origin), _of_innovations(innovations, made), key=itemgetter(0)
         )
@@ -93,7 +93,7 @@ def ros2(
 @contextmanager
 def _reader(path: Path, first: float, last: float) -> Generator[Any]:
     """Open a ROS 2 bag (folder, .db3 or .mcap file) that overlaps the time from ``first`` to ``last``, s."""
-    highlevel, typesys = library("rosbags.highlevel", "ros"), library("rosbags.typesys", "ros")
+    highlevel, typesys = import_library("rosbags.highlevel", "ros"), import_library("rosbags.typesys", "ros")
     if not path.exists():
         raise InputError(f"{path}: no such bag; name the bag from which the drive was imported")
     paths = bag_paths(path)
@@ -115,7 +115,7 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
                 f"{path}: is an MCAP file that ROS 2 did not write, so a ROS 2 bag can't contain its messages; "
                 "leave --merge out"
             ) from None
-        raise broken(path, error) from None
+        raise damage_error(path, error) from None
     try:
         begin, end = reader.start_time, reader.end_time
         if round(last * 1e9) < begin or round(first * 1e9) > end:
@@ -162,7 +162,7 @@ def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
             for old, time, raw in reader.messages(connections=wanted) if wanted else ():
                 yield time, added[old.topic, old.msgtype], raw
         except Exception as error:  # the library raises anything on damaged bytes
-            raise broken(path, error) from None
+            raise damage_error(path, error) from None
 
     return messages()
 
@@ -182,7 +182,7 @@ def _serialized(
 
 
 @dataclass(frozen=True)
-class Made:
+class MessageFactory:
     types: Any
     time_origin: float
 
@@ -202,14 +202,14 @@ class Made:
         return self.message("geometry_msgs/Vector3Stamped", self.header(nanoseconds), vector)
 
 
-def _messages(pieces: Iterable[Estimate], made: Made, origin: Origin | None) -> Iterator[Message]:
+def _messages(pieces: Iterable[Estimate], made: MessageFactory, origin: Origin | None) -> Iterator[Message]:
     """Yield estimates and, every `INTERVAL`, a NavSatFix and standard deviations of x, y (m) and heading (rad)."""
     before = -1
     for estimate in pieces:
         velocity, jacobian = body_velocity(estimate.mean)
         n = estimate.mean.shape[1]
         covariance = estimate.covariance if estimate.covariance.size else np.zeros((len(velocity), n, n))
-        moving, of_pose = [2, 3, THETA, *tilts_of(n)], [*_pose_of(n)]
+        moving, of_pose = [2, 3, THETA, *tilt_indices(n)], [*_pose_of(n)]
         twists = jacobian @ covariance[:, np.array(moving)[:, None], moving] @ jacobian.transpose(0, 2, 1)
         poses = covariance[:, np.array(of_pose)[:, None], of_pose]
         columns = (estimate.time, estimate.mean, poses, velocity, twists)
@@ -224,7 +224,7 @@ def _messages(pieces: Iterable[Estimate], made: Made, origin: Origin | None) -> 
                     yield nanoseconds, FIX, _fix(made, nanoseconds, mean, pose, origin)
 
 
-def _of_innovations(found: Innovations | None, made: Made) -> Iterator[Message]:
+def _of_innovations(found: Innovations | None, made: MessageFactory) -> Iterator[Message]:
     """Yield the innovations of the fixes, m east and north, with standard deviations, m, and NIS."""
     if found is None:
         return
@@ -238,7 +238,7 @@ def _of_innovations(found: Innovations | None, made: Made) -> Iterator[Message]:
         yield nanoseconds, NIS, made.message("std_msgs/Float64", float(nis))
 
 
-def _fix(made: Made, nanoseconds: int, mean: Array, pose: Array, origin: Origin) -> Any:
+def _fix(made: MessageFactory, nanoseconds: int, mean: Array, pose: Array, origin: Origin) -> Any:
     """Make a NavSatFix with the height of the origin, since no model estimates the height."""
     lat, lon, alt = map(float, enu_to_geodetic(np.array([[mean[0], mean[1], 0.0]]), origin)[0])
     covariance = NOT_ESTIMATED * np.eye(3)
@@ -254,10 +254,12 @@ def _pose_of(n: int) -> dict[int, int]:
     These rows are x, y, z and the rotations about the fixed axes x, y, z: roll, pitch, theta, since R = Rz(theta)
     Ry(pitch) Rx(roll).
     """
-    return {0: 0, 1: 1} | dict(zip(tilts_of(n), (3, 4), strict=False)) | {THETA: 5}
+    return {0: 0, 1: 1} | dict(zip(tilt_indices(n), (3, 4), strict=False)) | {THETA: 5}
 
 
-def _odometry(made: Made, nanoseconds: int, mean: Array, pose: Array, velocity: Array, twist: Array) -> Any:
+def _odometry(
+    made: MessageFactory, nanoseconds: int, mean: Array, pose: Array, velocity: Array, twist: Array
+) -> Any:
     """Make an Odometry message. Covariances are 6 x 6: x, y, z and rotations about these axes."""
     still = made.message("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
     moves = made.message("geometry_msgs/Vector3", *map(float, velocity), 0.0)

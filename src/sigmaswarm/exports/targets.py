@@ -11,7 +11,7 @@ from sigmaswarm.exports.filterpy import filterpy
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.names import DESCRIPTIONS, AnyTarget, Target, target_named
 from sigmaswarm.exports.robot_localization import robot_localization
-from sigmaswarm.files import make_folder, staged_files, write_whole
+from sigmaswarm.files import make_folder, staged_files, write_atomically
 from sigmaswarm.filters.models import MODELS, require_driven_by_imu
 from sigmaswarm.filters.parameters import FilterParameters
 
@@ -115,7 +115,7 @@ def write_texts(texts: Mapping[str, str], folder: str | Path, kind: str = "expor
     with staged_files(folder, kind) as new:
         for name, text in texts.items():
             make_folder((new / name).parent)
-            write_whole(new / name, text)
+            write_atomically(new / name, text)
     return [folder / name for name in texts]
 
 

@@ -10,10 +10,10 @@ import polars as pl
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.body import quaternions, rotations
+from sigmaswarm.exports.attitude import quaternions, rotations
 from sigmaswarm.exports.maps import MAPS
 from sigmaswarm.exports.ros import ros2
-from sigmaswarm.files import whole_file
+from sigmaswarm.files import atomic_file
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.geodesy import Origin, enu_to_geodetic
 
@@ -79,7 +79,7 @@ def write_pieces(
         options: dict[str, Any] = {"time_origin": time_origin, "origin": origin, "innovations": innovations}
         ros2(pieces, span, path, merge=Path(merge) if merge else None, **options)
     else:
-        with whole_file(path) as file:
+        with atomic_file(path) as file:
             _WRITERS[path.suffix](pieces, file)
 
 
@@ -107,7 +107,7 @@ def write_fixes(
         name = f"{drive.name}: fixes before the filter's start"
         MAPS[path.suffix](gps.time + time_origin, _degrees(gps.x, gps.y, origin), path, name)
     else:
-        with whole_file(path) as file:
+        with atomic_file(path) as file:
             pl.DataFrame({"t": gps.time, "x": gps.x, "y": gps.y}).write_csv(file)
     return len(gps)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.prepared import PreparedDrive, prepared
+from sigmaswarm.drives.prepared import PreparedDrive, prepare_drive
 from sigmaswarm.filters.compiled.layout import state_rows
 from sigmaswarm.filters.compiled.run import new_cursor
 from sigmaswarm.filters.fix_error import FILTERS, STATES
@@ -18,16 +18,16 @@ from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import THETA, require_driven_by_imu
 from sigmaswarm.filters.packing import sound_lanes, unpack_states
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import run_steps, start_replays
-from sigmaswarm.filters.run import replay_of
+from sigmaswarm.filters.passes import run_steps, start_passes
+from sigmaswarm.filters.run import whole_pass
 from sigmaswarm.filters.schedule import start_of
 
-LONGEST = 60.0  # s; fixes up to this long before the start are used
+MAX_DURATION = 60.0  # s; fixes up to this long before the start are used
 PRIOR_STD = np.array([2.0, 2.0, 1.0, 1.0, 0.03])  # at the first fix: m, m/s, rad; similar to an alignment
 
 
 def dated_back(
-    drive: Drive | PreparedDrive, parameters: FilterParameters, *, longest: float = LONGEST
+    drive: Drive | PreparedDrive, parameters: FilterParameters, *, longest: float = MAX_DURATION
 ) -> InitialState:
     """Estimate the states that an alignment lacks, for a better start at the same time.
 
@@ -53,7 +53,7 @@ def dated_back(
         If IMU samples are measurements of the model, as in robot-localization.
     """
     require_driven_by_imu(parameters.model, "dated_back")
-    ready = prepared(drive)
+    ready = prepare_drive(drive)
     found, gps = ready.initial, ready.drive.gps
     before = (gps.time > max(found.time - longest, ready.drive.imu.time[0])) & (gps.time < found.time)
     fixes = np.flatnonzero(before & ~ready.stale & np.isfinite(gps.x + gps.y))
@@ -105,8 +105,8 @@ def _prior(drive: Drive, found: InitialState, fix: int) -> InitialState:
 
 def _ended(ready: PreparedDrive, parameters: FilterParameters, until: float) -> tuple[Array, Array] | None:
     """Run to a time; return mean (n,) and covariance (n, n) of all states; None if the filter fails."""
-    replay, array = replay_of(ready), KernelArray([parameters])
-    rows = start_replays([replay], array)[0]
+    replay, array = whole_pass(ready), KernelArray([parameters])
+    rows = start_passes([replay], array)[0]
     stop = int(np.searchsorted(replay.timeline.end, until, side="right"))
     run_steps(replay, array, rows, new_cursor(), stop)
     if not sound_lanes(rows[np.newaxis], parameters.kernel)[0, 0]:

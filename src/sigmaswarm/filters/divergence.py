@@ -26,11 +26,13 @@ from sigmaswarm.filters.models import GYRO_BIAS, THETA, planar5
 from sigmaswarm.geodesy import wrap_angle
 
 DIVERGED_AFTER = 10.0  # s of contradiction; errors in a city and the recovery of robust filters are shorter
-FEWEST_CHECKS = 5  # smallest number of checks within the contradiction
+MIN_CHECKS = 5  # smallest number of checks within the contradiction
 MANY_SIGMAS = 5.0  # smallest difference, in combined standard deviations of filter and fixes
 HEADING_OFF = np.radians(20.0)  # rad, smallest difference of the heading from the alignment
 POSITION_OFF = 20.0  # m, smallest difference of a fix from its prediction
-SUSPECT = np.radians(10.0)  # rad; if the heading is this far from a rough one, an alignment is computed
+SUSPECT_HEADING = np.radians(
+    10.0
+)  # rad; if the heading is this far from a rough one, an alignment is computed
 SPEED_STD = 10.0  # m/s per axis, after a reset to the last fix
 
 
@@ -59,7 +61,7 @@ def check_times(line: Timeline) -> CheckTimes:
 
 
 @dataclass(frozen=True, eq=False)
-class Check:
+class StateCheck:
     """One check: a filter's state after an IMU sample, and the last fixes."""
 
     time: float  # s
@@ -99,7 +101,7 @@ class Check:
         theta, heading = float(self.mean[THETA]), self.heading()
         if not math.isfinite(heading):
             return None
-        if abs(math.remainder(heading - theta, math.tau)) < SUSPECT:
+        if abs(math.remainder(heading - theta, math.tau)) < SUSPECT_HEADING:
             return False
         aligned = self.start
         if aligned is None:
@@ -138,7 +140,8 @@ class DivergenceMonitor:
     restarts : list of float
         Times of the resets, s.
     lost : bool
-        True while the filter has diverged and no alignment is available for a reset; the estimate is then `at_fix`.
+        True while the filter has diverged and no alignment is available for a reset; the estimate is then
+        `state_at_fix`.
     """
 
     def __init__(self) -> None:
@@ -146,14 +149,14 @@ class DivergenceMonitor:
         self.lost = False
         self._position, self._heading = _Contradiction(), _Contradiction()
 
-    def take(self, check: Check) -> InitialState | None:
+    def take(self, check: StateCheck) -> InitialState | None:
         """Return the state for a reset after a check; None if the filter continues or becomes ``lost``."""
         if not np.isfinite(check.mean).all():  # a failure, which is reported elsewhere
             return None
         return self.take_all([check.time], lambda _: check)[1]
 
     def take_all(
-        self, times: Sequence[float], check_at: Callable[[int], Check]
+        self, times: Sequence[float], check_at: Callable[[int], StateCheck]
     ) -> tuple[int | None, InitialState | None]:
         """Check a filter at some times, s; return the index of the first divergence, and the state for a reset.
 
@@ -170,7 +173,7 @@ class DivergenceMonitor:
             self._position, self._heading = _Contradiction(), _Contradiction()
         return first, start
 
-    def _first_diverged(self, times: Sequence[float], check_at: Callable[[int], Check]) -> int | None:
+    def _first_diverged(self, times: Sequence[float], check_at: Callable[[int], StateCheck]) -> int | None:
         far = self._position.first_lasting(times, lambda k: check_at(k).position_contradicts)
         times = times if far is None else times[: far + 1]
         turned = self._heading.first_lasting(times, lambda k: check_at(k).heading_contradicts)
@@ -205,7 +208,7 @@ class _Contradiction:
                     break
             for k, result in reversed(results):
                 self._note(times[k], result)
-                if self._checks >= FEWEST_CHECKS and self._now - self._since >= DIVERGED_AFTER:
+                if self._checks >= MIN_CHECKS and self._now - self._since >= DIVERGED_AFTER:
                     return k
             begin = end + 1
         return None
@@ -214,7 +217,7 @@ class _Contradiction:
         """Return the first check that could complete a contradiction of `DIVERGED_AFTER`; if none, the last check."""
         since = self._since if self._checks else times[0]
         lasting = (
-            t - since >= DIVERGED_AFTER and self._checks + k + 1 >= FEWEST_CHECKS for k, t in enumerate(times)
+            t - since >= DIVERGED_AFTER and self._checks + k + 1 >= MIN_CHECKS for k, t in enumerate(times)
         )
         return next((k for k, lasts in enumerate(lasting) if lasts), len(times) - 1)
 
@@ -229,23 +232,23 @@ class _Contradiction:
 
 
 def steps_since(samples: Array, time: float) -> Array:
-    """Return the steps from a time to the last sample, (k, 4), as in `Check.since`; samples are (m, 4 or more)."""
+    """Return the steps from a time to the last sample, (k, 4), as in `StateCheck.since`; samples are (m, 4 or more)."""
     steps = samples[samples[:, 0] >= time, :4]
     steps[:, 0] = np.diff(steps[:, 0], prepend=time)
     return steps
 
 
-_ABSURD = 1e12  # m, m/s2 or rad/s; with larger numbers a fit fails, and LAPACK prints a message
+_MAX_MAGNITUDE = 1e12  # m, m/s2 or rad/s; with larger numbers a fit fails, and LAPACK prints a message
 
 
-def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
+def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
     """Align with the last few seconds of a stream.
 
     ``samples`` (k, 4 or 6): time, ax, ay, gz, gx, gy; ``fixes`` (m, 3), s and m; ``gyro_bias``: known bias about up,
     rad/s.
     """
-    columns = samples[(np.abs(samples[:, 1:]) < _ABSURD).all(axis=1)].T
-    fixes = fixes[(np.abs(fixes[:, 1:]) < _ABSURD).all(axis=1)]
+    columns = samples[(np.abs(samples[:, 1:]) < _MAX_MAGNITUDE).all(axis=1)].T
+    fixes = fixes[(np.abs(fixes[:, 1:]) < _MAX_MAGNITUDE).all(axis=1)]
     columns[3] -= gyro_bias
     imu = Imu(**dict(zip(("time", "ax", "ay", "gz", "gx", "gy"), columns, strict=False)))
     if not len(imu):
@@ -261,7 +264,7 @@ def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> 
     return replace(found, gyro=found.gyro.with_bias(gyro_bias))
 
 
-def at_fix(time: float, fix: Array, variance: Array, theta: float, lever: Array) -> InitialState:
+def state_at_fix(time: float, fix: Array, variance: Array, theta: float, lever: Array) -> InitialState:
     """Return the state at a fix (2,), m, with a variance (2,), m2, and with unknown speed and heading."""
     c, s = np.cos(theta), np.sin(theta)
     turned = np.array([c * lever[0] - s * lever[1], s * lever[0] + c * lever[1]])

@@ -11,16 +11,16 @@ from sigmaswarm.drives.tables import Array, Indices, Mask
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.layout import R, state_rows
 from sigmaswarm.filters.compiled.run import new_cursor
-from sigmaswarm.filters.divergence import Check, DivergenceMonitor, at_fix, check_times
-from sigmaswarm.filters.kernel_array import KernelArray, Sums
+from sigmaswarm.filters.divergence import DivergenceMonitor, StateCheck, check_times, state_at_fix
+from sigmaswarm.filters.kernel_array import KernelArray, KernelSums
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.packing import definite, state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, run_steps, start_replays
+from sigmaswarm.filters.passes import FilterPass, run_steps, start_passes
 from sigmaswarm.geodesy import wrap_angle
 
 ADAPTS_R = ("adaptive-ukf", "fuzzy-ukf")  # R changes at each fix
-SAMPLES = 10_000  # IMU samples in a piece (9 MB for planar8)
+CHUNK_SAMPLES = 10_000  # IMU samples in a piece (9 MB for planar8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class EstimateChunk:
     lost: Mask  # (r,), diverged and not yet reset; the estimate is the last fix
 
 
-def joined(pieces: Iterable[EstimateChunk]) -> EstimateChunk:
+def join_chunks(pieces: Iterable[EstimateChunk]) -> EstimateChunk:
     parts = list(pieces)
     return EstimateChunk(
         *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(EstimateChunk))
@@ -90,15 +90,15 @@ class FilterRun:
 
     def __init__(
         self,
-        replay: Replay,
+        replay: FilterPass,
         parameters: FilterParameters,
         *,
-        samples: int = SAMPLES,
+        samples: int = CHUNK_SAMPLES,
         recover: bool = False,
     ) -> None:
         self._replay, self._array, self._samples = replay, KernelArray((parameters,)), samples
         self.initial = replay.initial
-        self._rows, self._place = start_replays([replay], self._array), new_cursor()
+        self._rows, self._place = start_passes([replay], self._array), new_cursor()
         self._state = state_rows(parameters.kernel)
         self._innovations = np.empty((len(replay.timeline.fixes), 5))
         self._checks = check_times(replay.timeline) if recover else None
@@ -117,7 +117,7 @@ class FilterRun:
         return self._pieces
 
     def whole(self) -> EstimateChunk:
-        return joined(self)
+        return join_chunks(self)
 
     def finished(self) -> Self:
         """Run to the end without estimates and failure detection; return the recording."""
@@ -195,13 +195,13 @@ class FilterRun:
         )
         return len(steps) - 1 if k is None else int(rows[sound[k]]), start
 
-    def _check_at(self, k: int, mean: Array, covariance: Array) -> Check:
+    def _check_at(self, k: int, mean: Array, covariance: Array) -> StateCheck:
         line, times = self._replay.timeline, self._checks
         assert times is not None
         alignments, step, fix, ends = line.alignments, times.step[k], times.fix[k], int(self._ends[k])
         time, end = float(line.fix_time[fix]), float(line.end[step])
         since = [end - time, *line.driving[line.sample[step], :3]]  # ax, ay, gz
-        return Check(
+        return StateCheck(
             time=end,
             mean=mean,
             covariance=covariance,
@@ -220,7 +220,7 @@ class FilterRun:
         line, time = self._replay.timeline, float(self._replay.timeline.end[step])
         fix = int(np.searchsorted(line.fix_time, time, side="right")) - 1
         theta = float(self._estimate()[0][THETA])
-        return at_fix(time, line.fixes[fix, :2], self._variance_of(fix), theta, line.lever)
+        return state_at_fix(time, line.fixes[fix, :2], self._variance_of(fix), theta, line.lever)
 
     def _estimate(self) -> tuple[Array, Array]:
         """Return mean (n,), with the heading not wrapped, and covariance (n, n)."""
@@ -250,8 +250,8 @@ class FilterRun:
         return EstimateChunk(time, mean, covariance, sound, lost)
 
     @property
-    def sums(self) -> Sums:
-        """Sums as in `run_replays` for this replay and set, shape (1, 1), after the last piece."""
+    def sums(self) -> KernelSums:
+        """Sums as in `run_passes` for this replay and set, shape (1, 1), after the last piece."""
         self._need_all()
         return self._array.sums(self._rows)
 

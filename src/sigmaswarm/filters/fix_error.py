@@ -26,7 +26,7 @@ SUFFIX = "+fix-error"  # end of the name of a model with the states b
 
 
 @dataclass(frozen=True)
-class Appended:
+class AugmentedMeasurement:
     """A measurement of a model with the states b; ``gain`` is 1 if the measurement contains b, else 0."""
 
     own: Any
@@ -41,29 +41,31 @@ class Appended:
         return np.hstack([own, self.gain * np.eye(len(own), 2)])
 
 
-def _appended(measure: Callable[[Any, Any], Any], gain: float = 0.0) -> Callable[[Any, Any], Appended]:
-    return lambda a, b: Appended(measure(a, b), gain)
+def _appended(
+    measure: Callable[[Any, Any], Any], gain: float = 0.0
+) -> Callable[[Any, Any], AugmentedMeasurement]:
+    return lambda a, b: AugmentedMeasurement(measure(a, b), gain)
 
 
-def augmented(model: CarModel) -> CarModel:
+def with_fix_error(model: CarModel) -> CarModel:
     """Return a model with the states b appended to the states of the given model."""
 
     def process(state: Array, dt: float, imu: Array) -> Array:
         return np.concatenate([model.process(state[:-2], dt, imu), state[-2:]])
 
-    def heading(near: float) -> Appended:
-        return Appended(model.heading(near))
+    def heading(near: float) -> AugmentedMeasurement:
+        return AugmentedMeasurement(model.heading(near))
 
     return replace(
         model,
         states=(*model.states, *STATES),
         process=process,
         position=_appended(model.position, 1.0),
-        velocity=Appended(model.velocity),
+        velocity=AugmentedMeasurement(model.velocity),
         lateral=_appended(model.lateral),
         odometer=_appended(model.odometer),
         heading=heading,
-        rates_at_rest=Appended(model.rates_at_rest),
+        rates_at_rest=AugmentedMeasurement(model.rates_at_rest),
         tilts=_tilts(model.tilts) if model.tilts else None,
         kinds=("ekf",) if model.tilts else ("ukf", "ekf"),
         fix_error=True,
@@ -93,7 +95,7 @@ UNSCENTED = "tilted12, unscented"
 """Kernel of tilted12 with sigma points. A planar model has one kernel for all filter types."""
 FILTERS = (
     MODELS
-    | {name + SUFFIX: augmented(model) for name, model in MODELS.items() if not model.measures_imu}
+    | {name + SUFFIX: with_fix_error(model) for name, model in MODELS.items() if not model.measures_imu}
     | {UNSCENTED: MODELS["tilted12"]}
 )
 """Compiled models, by the name of the kernel."""
@@ -104,7 +106,7 @@ def kernel_name(model: str, kind: str, fix_error: bool = False) -> str:
     return name + SUFFIX if fix_error else name
 
 
-def own_name(model: str) -> str:
+def base_model_name(model: str) -> str:
     return model.removesuffix(SUFFIX)
 
 
@@ -123,7 +125,7 @@ def transition(n: int, phi: float) -> Array:
     return np.diag([1.0] * (n - 2) + [phi] * 2)
 
 
-def grown(variance: Array, phi: float) -> Array:
+def fix_error_noise(variance: Array, phi: float) -> Array:
     """Return Q of b between two fixes, (2, 2), from the stationary variance g s^2, (2,) m2."""
     return np.diag(variance * (1.0 - phi * phi))
 

@@ -17,8 +17,8 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.drives.timeline import FIX_VAR_X, FIX_X, Timeline
 from sigmaswarm.filters.filter_run import EstimateChunk
-from sigmaswarm.filters.replay import Replay
-from sigmaswarm.filters.run import replay_of
+from sigmaswarm.filters.passes import FilterPass
+from sigmaswarm.filters.run import whole_pass
 
 UNKNOWN_SPEED = 30.0  # m/s, standard deviation per axis before the first fix
 FIRST_GUESS = (0.0, 0.0)  # log10 of the two noise parameters at the start of the search
@@ -67,7 +67,7 @@ def _variances(line: Timeline) -> Array:
     )
 
 
-def fit_noise(replay: Replay) -> MotionNoise:
+def fit_noise(replay: FilterPass) -> MotionNoise:
     """Estimate the noise parameters by maximum likelihood of the fixes of a drive."""
     line = replay.timeline
     fixes, variance = np.ascontiguousarray(line.fixes[:, FIX_X : FIX_X + 2]), _variances(line)
@@ -85,8 +85,8 @@ def fit_noise(replay: Replay) -> MotionNoise:
     return MotionNoise(float(density), float(fix))
 
 
-def noise_of(ready: PreparedDrive) -> MotionNoise:
-    return fit_noise(replay_of(ready))
+def fitted_noise(ready: PreparedDrive) -> MotionNoise:
+    return fit_noise(whole_pass(ready))
 
 
 class FixesAlone:
@@ -95,7 +95,7 @@ class FixesAlone:
     failure: str | None = None
     restarts: Sequence[float] = ()
 
-    def __init__(self, replay: Replay, noise: MotionNoise) -> None:
+    def __init__(self, replay: FilterPass, noise: MotionNoise) -> None:
         self._line, self._noise = replay.timeline, noise
         self.initial: InitialState = replay.initial
 

@@ -30,21 +30,21 @@ from sigmaswarm.filters.compiled.layout import (
 )
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.models import NOISE_OF, THETA
-from sigmaswarm.filters.packing import SHOWN, pack_states, sound_lanes
+from sigmaswarm.filters.packing import RESULT_SUMS, pack_states, sound_lanes
+from sigmaswarm.filters.parameter_table import ParameterTable
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, measured_by, start_std, starts_of
 from sigmaswarm.filters.student import OUTLIERS_SPAN
-from sigmaswarm.filters.table import ParameterTable
 
 Starts = dict[InitialState, tuple[Array, Array]]
 """Initial state rows (N_STATE, columns) and headings (columns,), rad; one column if all columns are equal."""
 
-MOST_STARTS = 20_000  # largest number of starts of columns, 3 kB each, that are computed in advance
-MOST_CACHED = 1_000  # largest number of cached starts, 3 kB each, for the next generations
+MAX_STARTS = 20_000  # largest number of starts of columns, 3 kB each, that are computed in advance
+MAX_CACHED_STARTS = 1_000  # largest number of cached starts, 3 kB each, for the next generations
 
 
 @dataclass(frozen=True, eq=False)
-class Sums:
+class KernelSums:
     """Sums over replays for each parameter set; ``sums["NIS"]`` has shape (n_replays, n_sets).
 
     Attributes
@@ -59,14 +59,14 @@ class Sums:
     failed: Mask
 
     @classmethod
-    def empty(cls, n_replays: int, n_sets: int) -> "Sums":
+    def empty(cls, n_replays: int, n_sets: int) -> "KernelSums":
         shape = n_replays, n_sets
-        return cls(np.empty((SHOWN.stop - SHOWN.start, *shape)), np.empty(shape, dtype=np.bool_))
+        return cls(np.empty((RESULT_SUMS.stop - RESULT_SUMS.start, *shape)), np.empty(shape, dtype=np.bool_))
 
     def __getitem__(self, name: str) -> Array:
         return self.numbers[SUMS.index(name)]
 
-    def put(self, replays: slice, sets: Indices, part: "Sums") -> None:
+    def put(self, replays: slice, sets: Indices, part: "KernelSums") -> None:
         self.numbers[:, replays, sets] = part.numbers
         self.failed[replays, sets] = part.failed
 
@@ -142,7 +142,7 @@ class KernelArray:
     def compute_starts(self, initial: Sequence[InitialState]) -> None:
         """Compute the starts of all sets for later parts; this takes as long as the starts of a few sets."""
         unknown = tuple(dict.fromkeys(initial))
-        if len(unknown) * len(self._start_std) <= MOST_STARTS:
+        if len(unknown) * len(self._start_std) <= MAX_STARTS:
             self._starts = self._starts_at(unknown, self._start_std)
 
     def start(self, initial: Sequence[InitialState], nominal_intervals: Sequence[float]) -> Array:
@@ -154,7 +154,7 @@ class KernelArray:
             starts = self._starts_at(tuple(dict.fromkeys(initial)), self._start_std[chosen])
             chosen = slice(None)
         rows = np.empty((blocks, m, N_KEPT, self.width))
-        rows[:] = _FRESH
+        rows[:] = _INITIAL_ROWS
         for k, (start, interval) in enumerate(zip(initial, nominal_intervals, strict=True)):
             state, heading = starts[start]
             rows[:, k, CONSTANT_ROWS] = _in_blocks(self.constants(interval), blocks)
@@ -163,23 +163,23 @@ class KernelArray:
         return rows.reshape(-1, N_KEPT, self.width)
 
     def _starts_at(self, initial: tuple[InitialState, ...], std: Array) -> Starts:
-        if len(std) == 1 and len(initial) <= MOST_CACHED:
+        if len(std) == 1 and len(initial) <= MAX_CACHED_STARTS:
             return _shared_starts(initial, self.kernel, tuple(std[0].tolist()))
         return _starts_of(initial, self.kernel, std)
 
-    def sums(self, rows: Array) -> Sums:
+    def sums(self, rows: Array) -> KernelSums:
         """Return the sums of the sets from the final rows of m replays that began with the rows of `start`."""
-        found, sums = sound_lanes(rows, self.kernel), rows[:, SHOWN].swapaxes(0, 1)
+        found, sums = sound_lanes(rows, self.kernel), rows[:, RESULT_SUMS].swapaxes(0, 1)
         if self.blocks > 1:  # all columns of a replay side by side
             found, sums = _side_by_side(found, self.blocks), _side_by_side(sums, self.blocks)
         sound = found[:, : self.size] & self.plausible
-        return Sums(np.where(sound, sums[..., : self.size], np.nan), ~sound)
+        return KernelSums(np.where(sound, sums[..., : self.size], np.nan), ~sound)
 
 
 _Q = slice(Q0 - CONSTANT_ROWS.start, Q0 - CONSTANT_ROWS.start + len(MEAN))
-_FRESH = np.zeros((N_KEPT, 1))  # rows of a filter before its first step
-_FRESH[[R.DET, R.TAIL, R.OK, R.QUICK, R.SLOW, R.TIMES_R, R.TIMES_Q]] = 1.0
-_FRESH[R.RECENT] = -1.0
+_INITIAL_ROWS = np.zeros((N_KEPT, 1))  # rows of a filter before its first step
+_INITIAL_ROWS[[R.DET, R.TAIL, R.OK, R.QUICK, R.SLOW, R.TIMES_R, R.TIMES_Q]] = 1.0
+_INITIAL_ROWS[R.RECENT] = -1.0
 
 
 def _starts_of(initial: tuple[InitialState, ...], model: str, std: Array) -> Starts:

@@ -11,7 +11,7 @@ from sigmaswarm.filters.compiled.single import single_step
 from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.step_log import logged_rows
 
-NEARLY = 1e-6  # s, largest rounding error of a lag
+LAG_ROUNDING = 1e-6  # s, largest rounding error of a lag
 
 
 class FixedLag:
@@ -47,7 +47,7 @@ class FixedLag:
         order = (int(counts[live.OLDEST]) + np.arange(kept)) % len(history)
         # The state before a sample is the state after the previous sample.
         moments = history[order, live.TIME]
-        first = int(np.searchsorted(moments, now - self._lag + NEARLY, side="right")) - 1
+        first = int(np.searchsorted(moments, now - self._lag + LAG_ROUNDING, side="right")) - 1
         if not kept:
             return now, filter_state[self._state]
         first = max(first, 0)

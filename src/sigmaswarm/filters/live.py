@@ -12,7 +12,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.events import bits_of
 from sigmaswarm.drives.stale_fixes import STALE
 from sigmaswarm.drives.standstill import FIX_WINDOW, new_memory
-from sigmaswarm.drives.table_files import LARGEST
+from sigmaswarm.drives.table_files import MAX_VALUE
 from sigmaswarm.drives.tables import NO_HEADING
 from sigmaswarm.drives.timeline import AXES
 from sigmaswarm.errors import InputError
@@ -21,7 +21,13 @@ from sigmaswarm.filters.compiled.layout import N_KEPT, R, state_rows
 from sigmaswarm.filters.compiled.memory import LiveArrays, Memory
 from sigmaswarm.filters.compiled.monitor import MONITOR_SPAN
 from sigmaswarm.filters.compiled.single import single_step
-from sigmaswarm.filters.divergence import Check, DivergenceMonitor, aligned_by, at_fix, steps_since
+from sigmaswarm.filters.divergence import (
+    DivergenceMonitor,
+    StateCheck,
+    align_stream,
+    state_at_fix,
+    steps_since,
+)
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.lagged import FixedLag
@@ -31,11 +37,11 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import measured_by
 from sigmaswarm.geodesy import wrap_angle
 
-MOST_RESTARTS = 1000  # largest number of resets in the record of reset times
-MOST_READINGS = 2000  # stored odometer readings: ten seconds at 200 Hz
-FASTER_IMU = 4  # the monitor covers its full time if the IMU is up to this many times as fast as stated
-MOST_HISTORY = 100_000  # IMU intervals in history and lag: 100 s at 1 kHz, 0.2 GB
-MOST_WAITING = 1000  # approximate number of fixes that can wait during a gap of the IMU
+MAX_RESTARTS = 1000  # largest number of resets in the record of reset times
+MAX_READINGS = 2000  # stored odometer readings: ten seconds at 200 Hz
+MAX_RATE_RATIO = 4  # the monitor covers its full time if the IMU is up to this many times as fast as stated
+MAX_HISTORY = 100_000  # IMU intervals in history and lag: 100 s at 1 kHz, 0.2 GB
+MAX_WAITING_FIXES = 1000  # approximate number of fixes that can wait during a gap of the IMU
 _NO_NUMBERS = (TypeError, LookupError, OverflowError)
 """Errors of invalid input such as texts, None, too few numbers, or integers of 400 digits."""
 
@@ -106,7 +112,7 @@ class LiveFilter:
     Attributes
     ----------
     restarts : list of float
-        Times of the last `MOST_RESTARTS` resets, s.
+        Times of the last `MAX_RESTARTS` resets, s.
     too_late : int
         Number of ignored fixes and odometer readings: later than ``history``, or during a long gap in the IMU.
     time_jumps : int
@@ -132,11 +138,11 @@ class LiveFilter:
         if not (
             nominal_interval > 0
             and history >= 0
-            and max(history, lag or 0) <= MOST_HISTORY * nominal_interval < np.inf
+            and max(history, lag or 0) <= MAX_HISTORY * nominal_interval < np.inf
         ):
             raise InputError(
                 f"nominal_interval = {nominal_interval} s, history = {history} s, lag = {lag} s: pass a positive "
-                f"interval, and a history and lag of at most {MOST_HISTORY} intervals"
+                f"interval, and a history and lag of at most {MAX_HISTORY} intervals"
             )
         p = parameters
         require_driven_by_imu(p.model, "a live filter or filter bank")
@@ -162,19 +168,24 @@ class LiveFilter:
                 filter_state,
                 counts,
                 new_memory()[: 0 if p.standstill_noise is None else None],
-                np.zeros((MOST_WAITING + seen, live.N_FIX)),
-                np.zeros((0 if p.odometer_noise is None else MOST_READINGS + int(200 * history), 2)),
+                np.zeros((MAX_WAITING_FIXES + seen, live.N_FIX)),
+                np.zeros((0 if p.odometer_noise is None else MAX_READINGS + int(200 * history), 2)),
                 np.zeros((samples, live.N_RECORD)),
                 np.zeros((0, 0)),
                 np.zeros(
-                    (2 + int(FASTER_IMU * MONITOR_SPAN / nominal_interval) if recover else 0, live.N_SAMPLE)
+                    (
+                        2 + int(MAX_RATE_RATIO * MONITOR_SPAN / nominal_interval) if recover else 0,
+                        live.N_SAMPLE,
+                    )
                 ),
             ),
         )
         self._interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
         self._monitor = DivergenceMonitor() if recover else None
         self._holds = False  # diverged: the estimate is the last fix at each sample
-        self._lag = None if lag is None else FixedLag(kernel, lag, most_steps=MOST_WAITING + seen + samples)
+        self._lag = (
+            None if lag is None else FixedLag(kernel, lag, most_steps=MAX_WAITING_FIXES + seen + samples)
+        )
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
         """Process an IMU sample; ignore a repeated or earlier time; defer a time that is more than 10 s ahead.
@@ -285,7 +296,9 @@ class LiveFilter:
         start = monitor.take(self._check(now, fix, *estimate(), gyro_bias)) if due else None
         if monitor.lost:
             theta = float(estimate()[0][THETA])
-            return at_fix(now, fix[live.FIX_X : live.FIX_Y + 1], self._variance_of(fix), theta, self._lever)
+            return state_at_fix(
+                now, fix[live.FIX_X : live.FIX_Y + 1], self._variance_of(fix), theta, self._lever
+            )
         return start
 
     def _last_fix(self, now: float) -> Array | None:
@@ -299,9 +312,11 @@ class LiveFilter:
         stated = fix[live.FIX_VAR_X : live.FIX_VAR_Y + 1]
         return self._filter_state[[R.RX, R.RY]] + self._filter_state[R.ACCURACY] * stated
 
-    def _check(self, now: float, fix: Array, mean: Array, covariance: Array, gyro_bias: float = 0.0) -> Check:
+    def _check(
+        self, now: float, fix: Array, mean: Array, covariance: Array, gyro_bias: float = 0.0
+    ) -> StateCheck:
         time = float(fix[live.FIX_TIME])
-        return Check(
+        return StateCheck(
             time=now,
             mean=mean,
             covariance=covariance,
@@ -324,7 +339,7 @@ class LiveFilter:
         return samples[max(0, int(np.searchsorted(samples[:, 0], samples[-1, 0] - MONITOR_SPAN)) - 1) :]
 
     def _aligned(self, gyro_bias: float) -> InitialState | None:
-        return aligned_by(self._samples, self._counted_fixes[:, : live.FIX_Y + 1], self._lever, gyro_bias)
+        return align_stream(self._samples, self._counted_fixes[:, : live.FIX_Y + 1], self._lever, gyro_bias)
 
     @property
     def _counted_fixes(self) -> Array:
@@ -352,7 +367,7 @@ class LiveFilter:
     @property
     def restarts(self) -> list[float]:
         """See `LiveFilter`."""
-        return [] if self._monitor is None else self._monitor.restarts[-MOST_RESTARTS:]
+        return [] if self._monitor is None else self._monitor.restarts[-MAX_RESTARTS:]
 
     @property
     def too_late(self) -> int:
@@ -420,10 +435,10 @@ def _known_heading(theta: float, std: float) -> tuple[float, float]:
 
 
 def _squared(std: Sequence[float] | None) -> tuple[float, float]:
-    if std is None or not (len(std) == 2 and 0 <= std[0] <= LARGEST and 0 <= std[1] <= LARGEST):
+    if std is None or not (len(std) == 2 and 0 <= std[0] <= MAX_VALUE and 0 <= std[1] <= MAX_VALUE):
         raise InputError(
             f"std = {std}: the filter weights each fix by the accuracy that the receiver states (accuracy_scale); "
-            f"pass two standard deviations in m, at most {LARGEST:g}, or use a filter that was tuned without accuracy"
+            f"pass two standard deviations in m, at most {MAX_VALUE:g}, or use a filter that was tuned without accuracy"
         )
     return float(std[0]) ** 2, float(std[1]) ** 2
 

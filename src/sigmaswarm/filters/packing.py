@@ -9,11 +9,11 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.tables import Array, Indices, Mask
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.compiled.layout import N_STATE, P0, R, state_rows
-from sigmaswarm.filters.fix_error import FILTERS, own_name
+from sigmaswarm.filters.fix_error import FILTERS, base_model_name
 from sigmaswarm.filters.models import THETA
 
 _FIRST_SHOWN, _LAST_SHOWN = R.SQ_POSITION, R.LOG_DET  # rows of `kernel_array.Sums`
-SHOWN = slice(_FIRST_SHOWN, _LAST_SHOWN + 1)
+RESULT_SUMS = slice(_FIRST_SHOWN, _LAST_SHOWN + 1)
 
 
 def pack_states(mean: Array, covariance: Array, model: str) -> Array:
@@ -52,7 +52,7 @@ def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
     """
     mean, covariance = unpack_states(state, model)
     if FILTERS[model].fix_error:
-        model = own_name(model)
+        model = base_model_name(model)
         n = len(FILTERS[model].states)
         mean, covariance = mean[..., :n], covariance[..., :n, :n]
     if FILTERS[model].measures_imu:

@@ -15,13 +15,13 @@ from pydantic.dataclasses import dataclass
 
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.errors import InputError, SigmaswarmWarning
-from sigmaswarm.files import write_whole
+from sigmaswarm.files import write_atomically
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.models import MEASURED, MODELS, NOISE_OF, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.filters.robot_yaml import IMU_NOISE, YAML, read_configuration
 from sigmaswarm.records import read_content
-from sigmaswarm.wording import first_mistake, shown
+from sigmaswarm.wording import first_mistake, printable
 
 
 def _as_tuple(value: Any) -> Any:
@@ -36,7 +36,7 @@ Variances = Annotated[tuple[Real, ...], BeforeValidator(_as_tuple)]
 NIS, OF_STATED = "NIS, dimensionless", "of the stated variance, dimensionless"  # units
 
 
-class Search(NamedTuple):
+class SearchRange(NamedTuple):
     """Search of a parameter: option of ``tune --use`` and bounds; ``spread``: the bounds span powers of ten."""
 
     option: str
@@ -53,8 +53,8 @@ def _option(
     *,
     spread: bool = True,
 ) -> Any:
-    """Describe an optional parameter; ``use`` and ``bounds`` are those of `Search`."""
-    about = {"unit": unit, "search": Search(use, *bounds, spread) if use else None}
+    """Describe an optional parameter; ``use`` and ``bounds`` are those of `SearchRange`."""
+    about = {"unit": unit, "search": SearchRange(use, *bounds, spread) if use else None}
     return field(default=default, kw_only=True, metadata=about)
 
 
@@ -241,7 +241,7 @@ class FilterParameters:
     def save(self, path: str | Path) -> None:
         """Write a TOML file that `load` reads."""
         text = tomli_w.dumps({"filter": self.to_dict(), "units": units(self)})
-        write_whole(Path(path), text)
+        write_atomically(Path(path), text)
 
     @classmethod
     def load(cls, path: str | Path) -> "FilterParameters":
@@ -303,7 +303,9 @@ class FilterParameters:
         return parameters
 
 
-SEARCHED: dict[str, Search] = {f.name: s for f in fields(FilterParameters) if (s := f.metadata.get("search"))}
+SEARCHED: dict[str, SearchRange] = {
+    f.name: s for f in fields(FilterParameters) if (s := f.metadata.get("search"))
+}
 _ACTIVATES = {s.option: n for n, s in SEARCHED.items() if getattr(FilterParameters, n) is None}
 """Options of ``tune --use`` and the fields that they set."""
 _SCALED = (*NOISE_OF.values(), "accuracy_scale", "fix_error")
@@ -369,8 +371,8 @@ def _warn_of_age(table: dict[str, Any], path: Path) -> None:
     numbers = re.match(r"(\d+)\.(\d+)", version)
     if numbers and tuple(map(int, numbers.groups())) < RULES_SINCE:
         warnings.warn(
-            f"{path}: was tuned by sigmaswarm {shown(version)}, whose filters used stale fixes, treated gaps in the "
-            "IMU as ordinary steps, and detected standstills by another rule: results differ; tune it again",
+            f"{path}: was tuned by sigmaswarm {printable(version)}, whose filters used stale fixes, treated gaps in "
+            "the IMU as ordinary steps, and detected standstills by another rule: results differ; tune it again",
             SigmaswarmWarning,
             stacklevel=3,
         )

@@ -28,7 +28,14 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.robot_yaml import HEADING_NOISE, NOT_FUSED, PROCESS_NOISE, SMALLEST, SPEED_NOISE, YAML
+from sigmaswarm.filters.robot_yaml import (
+    HEADING_NOISE,
+    MIN_VARIANCE,
+    NOT_FUSED,
+    PROCESS_NOISE,
+    SPEED_NOISE,
+    YAML,
+)
 
 PresetName = Literal["defaults", "datasheet", "paper"]
 
@@ -42,7 +49,7 @@ BIAS_WALKS = {"accel": 2 * 0.01**2 / 3600, "gyro": 2 * np.radians(200 / 3600) **
 """Growth of the biases' variances per second, (m/s2)2 and (rad/s)2, from 0.01 m/s2 and 200 deg/h over an hour: values
 of an ICM-20602 (i2Nav's awesome-gins-datasets), since the data sheet of the MPU-6050 states none.
 """
-BY_HAND = {
+TYPICAL_VALUES = {
     "velocity_noise": 0.1**2,
     "lateral_noise": 0.2**2,
     "standstill_noise": 0.05**2,
@@ -71,7 +78,7 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
     The receiver's accuracy is the stated accuracy or, if none is stated, an estimate from the fixes. The IMU's
     densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml,
     plus `MODEL_NOISE`. The random walks of the biases are ``accel_bias_walk`` (m/s2/sqrt(s)) and ``gyro_bias_walk``
-    (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures. Values that no data sheet states are in `BY_HAND`.
+    (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures. Values that no data sheet states are in `TYPICAL_VALUES`.
 
     Parameters
     ----------
@@ -95,13 +102,15 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
         process_noise=(*plain.process_noise, *walks),
         measurement_noise=plain.measurement_noise if like.accuracy_scale is None else (ACCURACY_FLOOR,) * 2,
         rear_axle=HALF_A_WHEELBASE if like.lateral_noise is not None else 0.0,
-        **{name: value for name, value in BY_HAND.items() if getattr(like, name) is not None},
+        **{name: value for name, value in TYPICAL_VALUES.items() if getattr(like, name) is not None},
     )
 
 
 def baseline_of(drive: Drive, model: ModelName, use: Collection[str]) -> FilterParameters:
     """Return the baseline of a model's EKF with options of ``tune --use``."""
-    used: dict[str, Any] = {name: value for name, value in BY_HAND.items() if name.split("_")[0] in use}
+    used: dict[str, Any] = {
+        name: value for name, value in TYPICAL_VALUES.items() if name.split("_")[0] in use
+    }
     noises = (1.0,) * len(MODELS[model].states), (1.0, 1.0)
     return baseline(drive, FilterParameters(0.1, 2.0, 0.0, *noises, model=model, kind="ekf", **used))
 
@@ -148,13 +157,15 @@ def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
     imu = tuple(NOT_FUSED if r == NOT_FUSED else one for r, one in zip(p.imu_noise, stated, strict=True))
     variances: dict[str, Any] = {"measurement_noise": baseline(drive).measurement_noise}
     if drive.gps.std is not None:
-        variances = {"measurement_noise": (SMALLEST,) * 2, "accuracy_scale": 1.0}
+        variances = {"measurement_noise": (MIN_VARIANCE,) * 2, "accuracy_scale": 1.0}
     wheels = p.odometer_noise if drive.odometer is not None else None
     heading, (_, of_fixes) = p.heading_noise, headings_of(drive.gps)
     if not np.isfinite(of_fixes).any():
         heading = None
-    elif heading is not None and np.nanmedian(np.where(np.isfinite(of_fixes), of_fixes, np.nan)) > SMALLEST:
-        heading = SMALLEST
+    elif (
+        heading is not None and np.nanmedian(np.where(np.isfinite(of_fixes), of_fixes, np.nan)) > MIN_VARIANCE
+    ):
+        heading = MIN_VARIANCE
     return replace(p, imu_noise=imu, odometer_noise=wheels, heading_noise=heading, **variances)
 
 

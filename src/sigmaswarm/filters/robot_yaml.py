@@ -13,16 +13,16 @@ from typing import Any, cast
 
 from sigmaswarm.errors import InputError, SigmaswarmWarning, not_installed
 from sigmaswarm.limits import read_toml_text
-from sigmaswarm.wording import shown
+from sigmaswarm.wording import printable
 
 YAML = (".yaml", ".yml")
-PLACES = (0, 1, 6, 7, 5, 12, 13, 11)  # the eight states among robot_localization's 15
+STATE_INDICES = (0, 1, 6, 7, 5, 12, 13, 11)  # the eight states among robot_localization's 15
 PROCESS_NOISE = (0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02)
 """robot_localization's default process noise per second: x, y, vx, vy, yaw, ax, ay, yaw rate."""
 IMU_NOISE = (1e-4, 1e-2)  # typical variances of gz, (rad/s)2, and ax, (m/s2)2
 HEADING_NOISE = math.radians(0.5) ** 2  # rad2, typical of a dual-antenna heading
 SPEED_NOISE = 0.1**2  # (m/s)2, typical of a measured speed
-SMALLEST = 1e-9  # lower limit of measurement variances in robot_localization
+MIN_VARIANCE = 1e-9  # lower limit of measurement variances in robot_localization
 NOT_FUSED = 1e9  # variance of an IMU entry that a configuration does not fuse
 
 _X, _YAW, _VX, _VY, _VYAW, _AX, _AY = 0, 5, 6, 7, 11, 12, 13
@@ -82,7 +82,7 @@ def _loaded(path: Path) -> Any:
         raise InputError(f"{path}: can't be read ({error.strerror}); name an ekf.yaml") from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
-        raise InputError(f"{path}: is not valid YAML ({shown(reason, 160)}); correct it") from None
+        raise InputError(f"{path}: is not valid YAML ({printable(reason, 160)}); correct it") from None
 
 
 def _chosen(content: Any, path: Path) -> Block:
@@ -126,7 +126,7 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
     if len(values) not in (15, 225):
         raise InputError(f"{path}: {key} must be 225 numbers, or the 15 of its diagonal; correct it")
     diagonal = values if len(values) == 15 else values[::16]
-    noise = tuple(diagonal[place] for place in PLACES)
+    noise = tuple(diagonal[place] for place in STATE_INDICES)
     if not all(0 <= variance < math.inf for variance in noise):
         raise InputError(f"{path}: {key} has a variance that is negative or not finite; correct it")
     return noise

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from sigmaswarm import notebook
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.prepared import PreparedDrive, prepared
+from sigmaswarm.drives.prepared import PreparedDrive, prepare_drive
 from sigmaswarm.errors import InputError, SigmaswarmError
-from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun, Innovations, failure_at, joined
+from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun, Innovations, failure_at, join_chunks
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, Targets
+from sigmaswarm.filters.passes import FilterPass, Targets
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.loop import run_steps
 from sigmaswarm.geodesy import wrap_angle
@@ -99,7 +99,7 @@ class Estimate:
             notebook.table(
                 f"Estimate, {len(self.time)} times; the last one{at}", ("", "m, m/s, rad", "sigma"), rows
             )
-            + notebook.listed("To know:", [*([self.failure] if self.failure else []), *restarts])
+            + notebook.html_list("To know:", [*([self.failure] if self.failure else []), *restarts])
             + notebook.track("Estimate", {"estimate": (self.mean[:, 0], self.mean[:, 1])})
         )
 
@@ -137,7 +137,7 @@ def run_filter(
     AlignmentError
         If ``initial`` is not given and the drive never moves far enough.
     """
-    replay = replay_of(drive, initial, as_recorded=as_recorded)
+    replay = whole_pass(drive, initial, as_recorded=as_recorded)
     return estimate_of(FilterRun(replay, parameters, recover=recover), recover=recover)
 
 
@@ -152,20 +152,20 @@ def run_innovations(
 
     Innovations after a failure are NaN or meaningless; `run_filter` reports the failure.
     """
-    replay = replay_of(drive, initial, as_recorded=as_recorded)
+    replay = whole_pass(drive, initial, as_recorded=as_recorded)
     return FilterRun(replay, parameters).finished().innovations
 
 
-def replay_of(
+def whole_pass(
     drive: Drive | PreparedDrive, initial: InitialState | None = None, *, as_recorded: bool = False
-) -> Replay:
+) -> FilterPass:
     """Prepare a whole drive for filters, without targets; raise `InputError` if no IMU sample follows the start."""
-    ready = prepared(drive, initial, as_recorded=as_recorded)
+    ready = prepare_drive(drive, initial, as_recorded=as_recorded)
     timeline = ready.timeline()
     if not len(timeline.imu_time):
         name, start = ready.drive.name, ready.initial.time
         raise InputError(f"{name}: no IMU sample after the start at {start:g} s; start earlier")
-    return Replay(timeline, ready.initial, Targets.none(timeline))
+    return FilterPass(timeline, ready.initial, Targets.none(timeline))
 
 
 class Run(Protocol):
@@ -189,7 +189,7 @@ class Run(Protocol):
 
 def estimate_of(run: Run, *, recover: bool) -> Estimate:
     """Join all pieces of a run; ``recover``: divergence was monitored in the run."""
-    whole = joined(run)
+    whole = join_chunks(run)
     lost = whole.lost if recover else None
     return Estimate(
         whole.time, whole.mean, whole.covariance, run.initial, run.failure, tuple(run.restarts), lost
@@ -234,7 +234,7 @@ def run_textbook(
     Estimate
         ``failure`` is set if the filter failed.
     """
-    replay = replay_of(drive, initial)
+    replay = whole_pass(drive, initial)
     line = replay.timeline
     car = TextbookCar(
         line, parameters, replay.initial, heading_first=heading_first, redraw_sigma_points=redraw_sigma_points
@@ -251,7 +251,7 @@ def run_textbook(
 
 def run_imu_only(drive: Drive | PreparedDrive, *, initial: InitialState | None = None) -> Estimate:
     """Run dead reckoning: integrate the IMU from a filter's initial state, with the steps of `models.planar5`."""
-    ready = prepared(drive, initial)
+    ready = prepare_drive(drive, initial)
     line, initial = ready.timeline(), ready.initial
     x, y, vx, vy, theta = initial.mean
     heading = theta + np.cumsum(line.gz * line.dt)

@@ -7,7 +7,7 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.gyro_seen import GyroSeen, together
+from sigmaswarm.drives.gyro_bias import GyroBiasEvidence, stack_evidence
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.fix_error import FILTERS, add_start, known_states
@@ -103,7 +103,8 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
     """Return means (m, r, n) and covariances (m, r, n, n) for m starts and std of shape (r, 3).
 
     All starts have the same number of states. States that a start lacks begin at 0, with the standard deviation ``std``
-    of a bias or the state's ``start_std``. Gyro biases observed at the start are included: see `GyroSeen.tell`.
+    of a bias or the state's ``start_std``. Gyro biases observed at the start are included: see
+    `GyroBiasEvidence.update`.
     """
     n = len(model.states)
     known = known_states(n, len(initial[0].mean))
@@ -121,20 +122,20 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
     if model.gyro_places:
         gyro = std[:, sensors.index("gyro")]
         for some, seen in _seen(initial):
-            seen.tell(mean[some], covariance[some], model.gyro_places, gyro)
+            seen.update(mean[some], covariance[some], model.gyro_places, gyro)
     if model.fix_error and known < n:
         add_start(mean, covariance, std[:, 2] ** 2)
     return mean, covariance
 
 
-def _seen(initial: Sequence[InitialState]) -> list[tuple[slice, GyroSeen]]:
+def _seen(initial: Sequence[InitialState]) -> list[tuple[slice, GyroBiasEvidence]]:
     """Return gyro observations, each with the indices of its starts; a single one if every start has an observation."""
     each = [(k, start.gyro) for k, start in enumerate(initial) if start.gyro is not None]
     if len(each) == len(initial):
-        return [(slice(None), together([seen for _, seen in each]))]
+        return [(slice(None), stack_evidence([seen for _, seen in each]))]
     return [(slice(k, k + 1), seen) for k, seen in each]
 
 
-def converted(p: FilterParameters, nominal_interval: float) -> Array:
+def process_noise_per_step(p: FilterParameters, nominal_interval: float) -> Array:
     """Convert the diagonal of Q, (n,), from the parameters' own interval to the nominal interval (s) of a drive."""
     return nominal_interval / (p.nominal_interval or nominal_interval) * np.array(p.process_noise)

@@ -25,12 +25,12 @@ from sigmaswarm.filters.compiled.run import NEXT_STEP, NO_INNOVATIONS, logging_k
 from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.step_log import logged_rows
 from sigmaswarm.filters.divergence import DivergenceMonitor
-from sigmaswarm.filters.filter_run import SAMPLES, EstimateChunk, FilterRun
+from sigmaswarm.filters.filter_run import CHUNK_SAMPLES, EstimateChunk, FilterRun
 from sigmaswarm.filters.models import THETA, require_driven_by_imu
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, require_readable
-from sigmaswarm.filters.run import Estimate, estimate_of, replay_of
+from sigmaswarm.filters.passes import FilterPass, require_readable
+from sigmaswarm.filters.run import Estimate, estimate_of, whole_pass
 from sigmaswarm.filters.schedule import measured_by
 from sigmaswarm.geodesy import wrap_angle
 
@@ -64,8 +64,8 @@ def smooth(
     AlignmentError
         If ``initial`` is not given and the drive never moves far enough.
     """
-    replay = replay_of(drive, initial, as_recorded=as_recorded)
-    return estimate_of(Smoothing(replay, parameters, recover=recover), recover=recover)
+    replay = whole_pass(drive, initial, as_recorded=as_recorded)
+    return estimate_of(SmootherRun(replay, parameters, recover=recover), recover=recover)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,9 @@ class _Forward(FilterRun):
     checkpoints.
     """
 
-    def __init__(self, replay: Replay, parameters: FilterParameters, *, samples: int, recover: bool) -> None:
+    def __init__(
+        self, replay: FilterPass, parameters: FilterParameters, *, samples: int, recover: bool
+    ) -> None:
         require_driven_by_imu(parameters.model, "smoothing")
         super().__init__(replay, parameters, samples=samples, recover=recover)
         require_readable(replay, self._array)
@@ -145,7 +147,7 @@ class _Forward(FilterRun):
         self._resets.append((behind, self._rows[0, self._state, 0]))
 
 
-class Smoothing:
+class SmootherRun:
     """A smoother over a replay, as an iterator of pieces; the constructor runs the forward and backward passes.
 
     Parameters and attributes are those of `FilterRun`; ``initial`` is smoothed. The length of the pieces, which is the
@@ -154,10 +156,10 @@ class Smoothing:
 
     def __init__(
         self,
-        replay: Replay,
+        replay: FilterPass,
         parameters: FilterParameters,
         *,
-        samples: int = SAMPLES,
+        samples: int = CHUNK_SAMPLES,
         recover: bool = False,
     ) -> None:
         self._line = replay.timeline

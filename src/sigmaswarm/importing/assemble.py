@@ -12,28 +12,28 @@ from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
 from sigmaswarm.drives.mounting import AXES_KEY, with_rotation
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import Origin, wrap_angle
-from sigmaswarm.importing.dates import GPS_EPOCH, LONG_AGO, SECOND, WEEK, Nanoseconds, gps_to_unix
-from sigmaswarm.importing.gather import Gathered
+from sigmaswarm.importing.dates import GPS_EPOCH, MIN_DATE, SECOND, WEEK, Nanoseconds, gps_to_unix
+from sigmaswarm.importing.gather import PartColumns
 from sigmaswarm.importing.joining import join, without_column
 from sigmaswarm.importing.mounting import parse_mount, rotate
-from sigmaswarm.importing.places import (
-    FASTEST,
-    MOVING,
+from sigmaswarm.importing.positions import (
+    MAX_SPEED,
+    MIN_SPEED,
     Say,
     Values,
-    course_of,
+    add_local_position,
+    chord_course,
     fitting_angle,
-    level,
 )
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.shared_frame import assumed_origin, require_same_axes
 from sigmaswarm.importing.source import ROLES, Role
 from sigmaswarm.importing.timeline import STEPS
-from sigmaswarm.importing.times import FASTEST_IMU, LEAST_INTERVAL, LONGEST_STEP, SLOWEST_IMU
+from sigmaswarm.importing.times import FASTEST_IMU, MAX_STEP, MIN_FIX_INTERVAL, SLOWEST_IMU
 from sigmaswarm.importing.velocities import without_wrong_velocity
 
 # Seed of the noise, and largest number, of fixes that are made from the truth
-SEED, MOST_FIXES = 0, 10_000_000
+SEED, MAX_FIXES = 0, 10_000_000
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 WITHOUT_POSITION = "gps: no column contains a position; map lat and lon (deg), or x and y (m east, north)"
 
@@ -41,7 +41,7 @@ WITHOUT_POSITION = "gps: no column contains a position; map lat and lon (deg), o
 @np.errstate(all="ignore")  # infinite values are refused when the drive is read back
 def assemble(
     name: str,
-    gathered: Mapping[Role, Sequence[Gathered]],
+    gathered: Mapping[Role, Sequence[PartColumns]],
     recipe: Recipe,
     say: Say,
     recording: int | None = None,
@@ -67,7 +67,7 @@ def assemble(
     if "gps" in values:
         gps, origin = placed_fixes(values["gps"], origin, say)
         _require_meters(seconds["gps"], gps, gathered["gps"])
-        course, rows = course_of(seconds["gps"], gps["x"], gps["y"])
+        course, rows = chord_course(seconds["gps"], gps["x"], gps["y"])
         for angle in ("course", "heading"):
             if angle in gps:
                 gps[angle] = fitting_angle(gps[angle], course, rows, f"gps: the {angle}", say)
@@ -121,7 +121,7 @@ def missing_columns(recipe: Recipe) -> Iterator[str]:
         yield WITHOUT_POSITION
 
 
-def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[Gathered]]) -> str:
+def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[PartColumns]]) -> str:
     """Return a remedy if the times of one table are digits hhmmss that were read as numbers; else "".
 
     The tables' times overlap only after conversion of the digits. Within one minute, hhmmss counts like seconds.
@@ -140,7 +140,7 @@ def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[G
 
 
 def _in_one_turn(
-    times: Mapping[Role, Nanoseconds], gathered: Mapping[Role, Sequence[Gathered]], say: Say
+    times: Mapping[Role, Nanoseconds], gathered: Mapping[Role, Sequence[PartColumns]], say: Say
 ) -> dict[Role, Nanoseconds]:
     """Shift tables by whole periods of a clock that restarts, into the IMU's times; a table may begin after a restart.
 
@@ -172,12 +172,12 @@ def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, st
     """Yield offsets of the fixes, s, with which the clocks overlap, and their reasons."""
     imu, gps = seconds["imu"] + zero, seconds["gps"] + zero
     leap = float(max(imu[0], gps[0]) - gps_to_unix(np.array([max(imu[0], gps[0])]))[0])
-    short, dated = min(imu[0], gps[0]), max(imu[0], gps[0]) * SECOND > LONG_AGO
+    short, dated = min(imu[0], gps[0]), max(imu[0], gps[0]) * SECOND > MIN_DATE
     reasons = (
-        (900, 0.0, "the local times differ by this", short * SECOND > LONG_AGO),
+        (900, 0.0, "the local times differ by this", short * SECOND > MIN_DATE),
         (86_400, 0.0, "one clock counts from midnight, UTC", dated and short < 2 * 86_400),
         (WEEK, GPS_EPOCH % WEEK - leap, "one clock is the GPS time of week", dated and short < WEEK),
-        (1e12, GPS_EPOCH - leap, "one clock is GPS time", short * SECOND > LONG_AGO),
+        (1e12, GPS_EPOCH - leap, "one clock is GPS time", short * SECOND > MIN_DATE),
         (2**32 * 1e-6, 0.0, "a counter of microseconds, 2^32, wrapped", not dated),
     )
     for period, begin, why, fits in reasons:
@@ -189,7 +189,7 @@ def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, st
             yield move, why
 
 
-def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[Gathered]]) -> str:
+def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[PartColumns]]) -> str:
     """Return a remedy if the times of IMU and fixes have one unit, but were read in two; else "".
 
     For example, in hundredths of a second, an IMU has steps of 1, like ms, and fixes have steps of 10, like seconds.
@@ -209,7 +209,7 @@ def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[G
     options: list[str] = []
     for k in range(1, 7):
         steps = [10.0**-k * float(np.median(np.diff(time))) for time in (imu, gps)]
-        if FASTEST_IMU < steps[0] < SLOWEST_IMU and LEAST_INTERVAL < steps[1] < LONGEST_STEP["gps"]:
+        if FASTEST_IMU < steps[0] < SLOWEST_IMU and MIN_FIX_INTERVAL < steps[1] < MAX_STEP["gps"]:
             maps = " ".join(f'"{role}.t={column}*1e-{k}"' for role, (column, _) in columns.items())
             options.append(f"{maps} for {1 / steps[0]:.4g} Hz and {1 / steps[1]:.4g} Hz")
     message = "; as plain numbers the times of IMU and fixes overlap, so they have the same unit, "
@@ -220,7 +220,7 @@ def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[G
     )
 
 
-def assemble_imu(parts: Sequence[Gathered], recipe: Recipe, say: Say, recording: int | None = None) -> Imu:
+def assemble_imu(parts: Sequence[PartColumns], recipe: Recipe, say: Say, recording: int | None = None) -> Imu:
     time, values = join(parts, "imu", REQUIRED["imu"], say, recording)
     return _imu(_seconds({"imu": time}, recipe)[0]["imu"], values, recipe)
 
@@ -253,9 +253,9 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
             moved[role] = times[role] + round(offset * SECOND)
     # A time stamp years before the others is wrong; with this stamp as the origin, the others would lose their last
     # digits.
-    begins = {role: int(t[np.searchsorted(t, t[len(t) // 2] - LONG_AGO)]) for role, t in moved.items()}
+    begins = {role: int(t[np.searchsorted(t, t[len(t) // 2] - MIN_DATE)]) for role, t in moved.items()}
     begin = min(t for role, t in begins.items() if role in ("imu", "gps") or "gps" not in moved)
-    zero = begin // SECOND if begin >= LONG_AGO else 0
+    zero = begin // SECOND if begin >= MIN_DATE else 0
     return {role: (time - zero * SECOND) / SECOND for role, time in moved.items()}, zero
 
 
@@ -272,7 +272,7 @@ def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Value
         if not len(values["lat"]):
             raise InputError("gps: no fix remains; --show shows the contents of the log")
         origin = origin or _first_place(values)
-        values = level(values, values.get("alt", origin[2]), origin, "gps")
+        values = add_local_position(values, values.get("alt", origin[2]), origin, "gps")
     elif not {"x", "y"} <= set(values):
         raise InputError(WITHOUT_POSITION)
     for given, missing in (("std_x", "std_y"), ("std_y", "std_x")):
@@ -281,13 +281,13 @@ def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Value
     return values, origin
 
 
-def _require_meters(time: Array, gps: Values, parts: Sequence[Gathered]) -> None:
+def _require_meters(time: Array, gps: Values, parts: Sequence[PartColumns]) -> None:
     """Refuse x and y that are not in meters: the vehicle would move impossibly fast."""
     apart = int(np.searchsorted(time, time[0] + 2.0)) if len(time) else 0
     if "lat" in gps or len(time) < 10 or not 0 < apart < len(time):
         return
     far = np.hypot(*(gps[n][apart:] - gps[n][:-apart] for n in ("x", "y")))
-    if (speed := float(np.median(far / (time[apart:] - time[:-apart])))) > FASTEST:
+    if (speed := float(np.median(far / (time[apart:] - time[:-apart])))) > MAX_SPEED:
         texts = {n: text for one in parts for n, text in one.part.columns.items() if n in ("x", "y")}
         maps = (" ".join(f'"gps.{n}=({text})*1e-{k}"' for n, text in texts.items()) for k in (3, 2))
         raise InputError(
@@ -314,7 +314,9 @@ def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[V
             )
         origin = origin or _first_place(values)
         flat = "lat" in gps and "alt" not in gps
-        values = level(values, origin[2] if flat else values.get("alt", origin[2]), origin, "truth")
+        values = add_local_position(
+            values, origin[2] if flat else values.get("alt", origin[2]), origin, "truth"
+        )
     if not {"x", "y"} <= set(values) or len(values["x"]) < 2:
         raise InputError(
             "truth: no column contains a position; map truth.x and truth.y, or truth.lat and truth.lon"
@@ -329,8 +331,8 @@ def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]
         raise InputError(
             f"{given} can't be used; specify a rate in Hz and a standard deviation in m, for example 5,1"
         )
-    if not (truth.time[-1] - truth.time[0]) * rate <= MOST_FIXES:
-        raise InputError(f"{given} would make more than {MOST_FIXES} fixes; check the truth's times")
+    if not (truth.time[-1] - truth.time[0]) * rate <= MAX_FIXES:
+        raise InputError(f"{given} would make more than {MAX_FIXES} fixes; check the truth's times")
     time = np.arange(truth.time[0] + 0.5 / rate, truth.time[-1], 1 / rate)
     error = noise * np.random.default_rng(SEED).standard_normal((2, len(time)))
     x, y = (np.interp(time, truth.time, column) for column in (truth.x, truth.y))
@@ -353,7 +355,7 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
         say("truth: the heading is the course, and is constant while the vehicle is slower than 1 m/s")
         values["theta"] = _held_course(values["vx"], values["vy"])
     else:
-        course, rows = course_of(time, values["x"], values["y"])
+        course, rows = chord_course(time, values["x"], values["y"])
         values["theta"] = fitting_angle(values["theta"], course, rows, "truth: the heading", say)
     if gps:
         east, north = (float(np.median(values[n]) - np.median(gps[n])) for n in ("x", "y"))
@@ -367,7 +369,7 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
 
 def _held_course(vx: Array, vy: Array) -> Array:
     """Return the course (n,), rad; at low speed, that of the last (at the start, the first) row in motion."""
-    moving = np.hypot(vx, vy) > MOVING
+    moving = np.hypot(vx, vy) > MIN_SPEED
     if not moving.any():
         return np.zeros(len(vx))
     last = np.maximum.accumulate(np.where(moving, np.arange(len(vx)), -1))

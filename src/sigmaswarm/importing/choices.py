@@ -10,7 +10,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.inspection import Inspection
 from sigmaswarm.importing.recipe import COLUMNS
 from sigmaswarm.importing.source import ROLES
-from sigmaswarm.importing.times import written
+from sigmaswarm.importing.times import quoted_column
 
 # By quantity: expressions that convert each unit to that of a drive
 UNITS: dict[str, dict[str, str]] = {
@@ -37,14 +37,14 @@ KINDS = {
     **dict.fromkeys(("mx", "my", "mz"), "field"),
     **{"t": "time", "keep": "condition", "std_heading": "deviation"},
 }
-SAID = {"t": "time", "ax": "ax forward", "ay": "ay left", "az": "az up", "gx": "gx roll rate", "gy": "gy pitch rate",
+LABELS = {"t": "time", "ax": "ax forward", "ay": "ay left", "az": "az up", "gx": "gx roll rate", "gy": "gy pitch rate",
         "gz": "gz yaw rate", "lat": "latitude", "lon": "longitude", "alt": "altitude", "x": "x east", "y": "y north",
         "std_x": "accuracy east", "std_y": "accuracy north", "vx": "velocity east", "vy": "velocity north",
         "theta": "heading", "keep": "condition: row counts"}  # fmt: skip
 NAMES = {"imu": "IMU", "gps": "fixes", "truth": "truth", "odometer": "wheels", "mag": "magnetometer"}
 UNUSED = ""
 TARGETS: dict[str, str] = {UNUSED: "not used"} | {
-    f"{role}.{name}": f"{NAMES[role]}: {SAID.get(name, name)}" for role in ROLES for name in COLUMNS[role]
+    f"{role}.{name}": f"{NAMES[role]}: {LABELS.get(name, name)}" for role in ROLES for name in COLUMNS[role]
 }
 CUSTOM = "expression"
 GIVEN = ("gps", "truth", "tables", "maps")
@@ -84,7 +84,7 @@ def unit_in(target: str, column: str, expression: str) -> str:
     """Return the unit that an expression converts from; `CUSTOM` for a unit outside of `units_of`."""
     plain = expression.replace(" ", "")
     for unit, text in units_of(target).items():
-        if plain in (text.format(written(column)).replace(" ", ""), text.format(column)):
+        if plain in (text.format(quoted_column(column)).replace(" ", ""), text.format(column)):
             return unit
     return CUSTOM
 
@@ -92,7 +92,7 @@ def unit_in(target: str, column: str, expression: str) -> str:
 def expression_of(target: str, column: str, unit: str = "") -> str:
     """Return the expression that converts a column from a unit to a target; "" is the target's first unit."""
     units = units_of(target)
-    return (units[unit] if unit else next(iter(units.values()))).format(written(column))
+    return (units[unit] if unit else next(iter(units.values()))).format(quoted_column(column))
 
 
 def assign(choices: dict[str, Any], inspection: Inspection, table: str, column: str, target: str) -> None:

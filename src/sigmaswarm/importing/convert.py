@@ -15,15 +15,15 @@ from sigmaswarm.drives.description import require_name
 from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import assemble, assemble_imu
-from sigmaswarm.importing.formats import open_log, unread
-from sigmaswarm.importing.gather import Gathered, complete_parts, gather
+from sigmaswarm.importing.formats import open_log, unsupported_format
+from sigmaswarm.importing.gather import PartColumns, complete_parts, gather
 from sigmaswarm.importing.magnetometer import part_of, with_magnetometer
 from sigmaswarm.importing.mounting import AUTO, find_mount
 from sigmaswarm.importing.names import read_names
 from sigmaswarm.importing.rates import unit_of_rates
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, mapped_roles, with_maps
-from sigmaswarm.importing.source import ROLES, Choice, Guess, Limits, Log, Part, Progress, Role
-from sigmaswarm.wording import names_shown
+from sigmaswarm.importing.source import ROLES, Guess, ImportProgress, Limits, Log, Part, Role, TableChoice
+from sigmaswarm.wording import list_names
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Request:
     recipe: Recipe = field(default_factory=Recipe)  # settings, and parts that replace guessed ones
     maps: Sequence[str] = ()  # ``column=expression``
     time: str | None = None  # expression of the time, in every table of the source
-    choice: Choice = field(default_factory=Choice)
+    choice: TableChoice = field(default_factory=TableChoice)
     limits: Limits = field(default_factory=Limits)
     part: int | None = None  # number of the recording, from 1, if a clock restarts within a table
     # Files or folders with .msg definitions of ROS messages, for bags without definitions
@@ -49,7 +49,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Imported:
+class ImportResult:
     drive: Drive
     recipe: Recipe
     notes: tuple[str, ...]
@@ -57,13 +57,13 @@ class Imported:
 
 
 Guesses = Mapping[Path, Guess]
-LOOK = " (--show lists the columns, and proposes a mapping if their names suggest one)"
+SHOW_HINT = " (--show lists the columns, and proposes a mapping if their names suggest one)"
 # Usual orders of columns without names
-ORDERS: dict[Role, tuple[str, ...]] = {
+COLUMN_ORDERS: dict[Role, tuple[str, ...]] = {
     "imu": ("t", "ax", "ay", "az", "gx", "gy", "gz"),
     "gps": ("t", "lat", "lon"),
 }
-MOST_FAULTS = 3  # in one message
+MAX_FAULTS = 3  # in one message
 
 
 def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
@@ -74,19 +74,19 @@ def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
     if "format" in settings:
         settings["form"] = settings.pop("format")
     if "tables" in settings:
-        settings["choice"] = Choice(settings.pop("tables"))
+        settings["choice"] = TableChoice(settings.pop("tables"))
     if isinstance(maps := settings.get("maps"), Mapping):
         settings["maps"] = [f"{column}={expression}" for column, expression in maps.items()]
     own = {f.name for f in fields(Request)} - {"source", "recipe"}
     if unknown := [key for key in settings if key not in own | {f.name for f in fields(Recipe)}]:
-        raise InputError(f"the import has no setting {unknown[0]!r}; choose from {names_shown(sorted(own))}")
+        raise InputError(f"the import has no setting {unknown[0]!r}; choose from {list_names(sorted(own))}")
     logs = {key: Path(settings[key]) for key in ("gps", "truth", "odometer") if settings.get(key)}
     given: dict[str, Any] = {key: value for key, value in settings.items() if key in own} | logs
     changed: dict[str, Any] = {key: value for key, value in settings.items() if key not in own}
     return Request(source=Path(log), recipe=replace(recipe, **changed), **given)
 
 
-def import_drive(request: Request, name: str, progress: Progress = lambda done: None) -> Imported:
+def import_drive(request: Request, name: str, progress: ImportProgress = lambda done: None) -> ImportResult:
     """Make a drive from a log; ``progress`` receives the completed share, 0 to 1.
 
     Raise `InputError` for a damaged or incomplete log, or a column that cannot be computed; the message states the
@@ -115,7 +115,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
         raise InputError(f"{request.source.name}: {error}") from None
     source = os.fsencode(request.source.name).decode("utf-8", "replace")  # a name may not be valid UTF-8
     drive = replace(drive, metadata={**metadata, **drive.metadata, "source": source})
-    return Imported(drive, recipe, tuple(dict.fromkeys(notes)), assumed)
+    return ImportResult(drive, recipe, tuple(dict.fromkeys(notes)), assumed)
 
 
 def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
@@ -129,8 +129,8 @@ def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
 
 
 def _read(
-    request: Request, roles: Sequence[Role], progress: Progress
-) -> tuple[Recipe, dict[Role, list[Gathered]], list[str], tuple[str, ...], dict[str, Any], dict[str, str]]:
+    request: Request, roles: Sequence[Role], progress: ImportProgress
+) -> tuple[Recipe, dict[Role, list[PartColumns]], list[str], tuple[str, ...], dict[str, Any], dict[str, str]]:
     """Return recipe, columns, notes, assumptions on the mounting, metadata of the logs, and columns without a unit."""
     with opened(request) as (logs, guesses):
         recipe = complete_recipe(request, guesses)
@@ -139,9 +139,9 @@ def _read(
         unitless = guesses[request.source].unitless
         if faults := faults_left(request, recipe, guesses):
             faults = _with_unit_of_rates(faults, request, logs, recipe, unitless)
-            raise InputError("; and ".join(faults[:MOST_FAULTS]))
+            raise InputError("; and ".join(faults[:MAX_FAULTS]))
         if fault := missing_sensor(recipe, request, logs, guesses, roles):
-            raise InputError(f"{fault}{LOOK}")
+            raise InputError(f"{fault}{SHOW_HINT}")
         gathered = _gather_all(request, logs, recipe, progress)
         metadata = {key: value for guess in guesses.values() for key, value in guess.metadata.items()}
         notes, assumed = notes_of(logs, guesses, recipe), assumed_mounting(guesses, recipe)
@@ -264,7 +264,7 @@ def missing_sensor(
         if role not in roles or recipe.roles.get(role) or (role == "gps" and recipe.gps_from_truth):
             continue
         path = request.home(role)
-        there = names_shown(logs[path].tables)
+        there = list_names(logs[path].tables)
         if example := _unnamed(logs[path], role):
             remedy = f"{example}; or {remedy}"
         texts = (*logs[path].remarks, *guesses[path].notes)
@@ -277,7 +277,12 @@ def missing_sensor(
             there += " (the log has accelerations, but no column is recognized as an angular rate)"
         around = path.iterdir() if role == "gps" and path.is_dir() else ()
         more = next(
-            (f"; {f.name} is not read, since it is {kind}" for f in around if (kind := unread(f))), ""
+            (
+                f"; {f.name} is not read, since it is {kind}"
+                for f in around
+                if (kind := unsupported_format(f))
+            ),
+            "",
         )
         return (
             f"{path}: no {what} found in {there or 'the log'}{more}; {remedy}, or name the columns with --map"
@@ -287,7 +292,7 @@ def missing_sensor(
 
 def _unnamed(log: Log, role: Role) -> str:
     """Propose a mapping for a table whose columns have numbers instead of names; "" if there is none."""
-    order = ORDERS[role]
+    order = COLUMN_ORDERS[role]
     for name, table in log.tables.items():
         columns = [c for c in table.columns if re.fullmatch(r"(?:c|.*_)\d+", c)]
         if len(columns) < len(table.columns) or not len(order) <= len(columns) < len(order) + 4:
@@ -328,12 +333,12 @@ def complete_all(
 
 
 def _gather_all(
-    request: Request, logs: Mapping[Path, Log], recipe: Recipe, progress: Progress
-) -> dict[Role, list[Gathered]]:
-    gathered: dict[Role, list[Gathered]] = {}
+    request: Request, logs: Mapping[Path, Log], recipe: Recipe, progress: ImportProgress
+) -> dict[Role, list[PartColumns]]:
+    gathered: dict[Role, list[PartColumns]] = {}
     completed, faults = complete_all(request, logs, recipe)
     if faults:
-        raise InputError("; and ".join(faults[:MOST_FAULTS]))
+        raise InputError("; and ".join(faults[:MAX_FAULTS]))
     sizes = {path: _size(path) for path in logs}
     total, before = sum(sizes.values()), 0
     for path, log in logs.items():
@@ -346,7 +351,7 @@ def _gather_all(
     return gathered
 
 
-def _share(progress: Progress, begin: float, part: float) -> Callable[[float], None]:
+def _share(progress: ImportProgress, begin: float, part: float) -> Callable[[float], None]:
     return lambda done: progress(begin + part * done)
 
 

@@ -11,7 +11,7 @@ from sigmaswarm.importing.units import BASES
 Nanoseconds = NDArray[np.int64]
 SECOND = 1_000_000_000
 # Larger times (above 12 days) count from 1970 or from the start of a phone; the drive's times then begin at 0
-LONG_AGO = 1_000_000 * SECOND
+MIN_DATE = 1_000_000 * SECOND
 GPS_EPOCH = 315_964_800  # 1980-01-06 (IS-GPS-200), s since 1970-01-01
 WEEK = 604_800
 # 1970-01-01 in days of spreadsheets, of MATLAB's datenum, and of the Julian date

@@ -20,11 +20,11 @@ import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import SECOND, as_text, gps_time, parse_dates, parse_durations
-from sigmaswarm.wording import names_shown, quoted, shown
+from sigmaswarm.wording import list_names, printable, quoted
 
-LONGEST = 1000  # characters; this also limits the nesting
+MAX_LENGTH = 1000  # characters; this also limits the nesting
 # Largest number of times that polars computes a column; nested functions use their arguments repeatedly
-MOST_USES = 1000
+MAX_USES = 1000
 
 
 def _number(a: pl.Expr) -> pl.Expr:
@@ -143,7 +143,7 @@ def compile_expression(text: str, columns: Collection[str]) -> Expression:
     return Expression(polars, frozenset(compiler.used), frozenset(compiler.numbers))
 
 
-def fits(text: str, columns: Collection[str]) -> bool:
+def is_valid_expression(text: str, columns: Collection[str]) -> bool:
     try:
         compile_expression(text, columns)
     except InputError:
@@ -153,8 +153,10 @@ def fits(text: str, columns: Collection[str]) -> bool:
 
 def _parse(text: str) -> ast.expr:
     """Parse an expression after replacing names in backticks by ``col("...")``."""
-    if len(text) > LONGEST:
-        raise InputError(f"the expression {text[:40]!r}... is longer than {LONGEST} characters; shorten it")
+    if len(text) > MAX_LENGTH:
+        raise InputError(
+            f"the expression {text[:40]!r}... is longer than {MAX_LENGTH} characters; shorten it"
+        )
     plain = re.sub(r"`([^`]*)`", lambda m: f"col({m.group(1)!r})", text.strip())
     try:
         return ast.parse(plain, mode="eval").body
@@ -225,7 +227,7 @@ class _Compiler:
 
     def _argument(self, node: ast.expr, uses: int) -> pl.Expr:
         self.uses *= uses
-        if self.uses > MOST_USES:
+        if self.uses > MAX_USES:
             raise RecursionError
         built = self.build(node)
         self.uses //= uses
@@ -249,7 +251,9 @@ class _Compiler:
     def _use(self, name: str) -> pl.Expr:
         if name not in self.columns:
             near = difflib.get_close_matches(name, self.columns, 1, 0.5)
-            hint = f"perhaps `{shown(near[0])}`" if near else f"choose from {names_shown(self.columns, '`')}"
+            hint = (
+                f"perhaps `{printable(near[0])}`" if near else f"choose from {list_names(self.columns, '`')}"
+            )
             raise InputError(
                 f"{quoted(self.text)} names the column {quoted(name)}, which the table does not have; {hint}"
             )

@@ -11,11 +11,11 @@ from sigmaswarm.drives.reader import has_table, read_with_warnings
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import placed_fixes
 from sigmaswarm.importing.convert import Request, complete_recipe, opened
-from sigmaswarm.importing.dates import LONG_AGO, SECOND, Nanoseconds
+from sigmaswarm.importing.dates import MIN_DATE, SECOND, Nanoseconds
 from sigmaswarm.importing.gather import complete_parts, gather
 from sigmaswarm.importing.joining import join
-from sigmaswarm.importing.places import Say, Values
-from sigmaswarm.wording import names_shown
+from sigmaswarm.importing.positions import Say, Values
+from sigmaswarm.wording import list_names
 
 CLOCK = "time_origin_s"  # key of drive.toml: Unix time at t = 0, s
 
@@ -38,7 +38,7 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
         return _of_drive(read_with_warnings(path)[0], drive, offset)  # the import has printed the warnings
     notes: list[str] = []
     time, values, sure = _gathered(path, notes.append)
-    counted = bool(time[len(time) // 2] >= LONG_AGO)
+    counted = bool(time[len(time) // 2] >= MIN_DATE)
     zero = int(drive.metadata.get(CLOCK, 0)) if counted else 0
     gps = _placed(values, (time - zero * SECOND) / SECOND + offset, drive, path, notes.append)
     return ReceiverLog(gps, sure, tuple(dict.fromkeys(notes)))
@@ -51,7 +51,7 @@ def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.boo
         log, guess = logs[path], guesses[path]
         parts = complete_recipe(request, guesses).roles.get("gps", ()) or guess.roles.get("truth", ())
         if not parts:
-            there = names_shown(log.tables)
+            there = list_names(log.tables)
             raise InputError(
                 f"{path}: no position fixes found in {there}; name the receiver's own log, or convert it to a "
                 "drive with sigmaswarm import and name the drive"

@@ -9,9 +9,9 @@ from shlex import quote
 from typing import Any
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.source import Limits, Log, first_bytes, is_empty, no_log
+from sigmaswarm.importing.source import Limits, Log, first_bytes, is_empty, no_log_error
 from sigmaswarm.limits import require_regular, require_text
-from sigmaswarm.wording import names_shown
+from sigmaswarm.wording import list_names
 
 # By the name for --format: the module in ``readers/``, and a description. The most general format is last. Each module
 # has two functions. ``recognizes(path)`` returns True if the name or the first bytes of a file or folder show the
@@ -85,7 +85,7 @@ def open_log(
     if is_empty(path):
         raise InputError(f"{path} is empty; copy the log again")
     if path.is_dir() and not any(path.iterdir()):
-        raise no_log(path)
+        raise no_log_error(path)
     require_regular(path)
     form = form or format_of(path)
     if path.is_dir() and form in _SINGLE:
@@ -113,14 +113,14 @@ def _texts(path: Path, form: str) -> list[Path]:
 
 def format_of(path: Path) -> str:
     for name in READERS:
-        if name == "csv" and (what := unread(path)):
+        if name == "csv" and (what := unsupported_format(path)):
             raise InputError(f"{path}: is not read, since it is {what}")
         if _reader(name).recognizes(path):
             return name
     below = [*path.glob("*/[!.]*.csv"), *path.glob("*/*/[!.]*.csv")] if path.is_dir() else []
     if below:
         folders = [*dict.fromkeys(file.parent for file in sorted(below))]
-        there = names_shown(folder.relative_to(path) for folder in folders)
+        there = list_names(folder.relative_to(path) for folder in folders)
         several = [folder for folder in folders if sum(file.parent == folder for file in below) > 1]
         remedy = (
             f"import one file, such as {min(below)}, and name the others with --gps, --truth and --odometer"
@@ -128,11 +128,11 @@ def format_of(path: Path) -> str:
         remedy = f"import each log, as {quote(str(several[0]))}" if several else remedy
         raise InputError(f"{path}: contains no log, but folders with tables ({there}); {remedy}")
     if path.is_dir():
-        raise no_log(path)
+        raise no_log_error(path)
     raise InputError(f"{path}: has an unknown format; specify the format with --format: {', '.join(READERS)}")
 
 
-def unread(path: Path) -> str:
+def unsupported_format(path: Path) -> str:
     """Describe the unsupported format of a file, by its suffix or its first bytes; else return ""."""
     if not path.is_file() or path.suffix.lower() == ".csv":
         return ""

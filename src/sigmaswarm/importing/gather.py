@@ -10,20 +10,27 @@ import polars as pl
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import Nanoseconds
-from sigmaswarm.importing.expressions import Expression, compile_expression, fits, time_expression
-from sigmaswarm.importing.guess import SAMPLE
-from sigmaswarm.importing.quantities import FEW_ODD, NO_NUMBER, NO_VALUE, PLACEHOLDERS
-from sigmaswarm.importing.source import FILES, Limits, Log, Part, Progress, Role
+from sigmaswarm.importing.expressions import (
+    Expression,
+    compile_expression,
+    is_valid_expression,
+    time_expression,
+)
+from sigmaswarm.importing.guess import SAMPLE_ROWS
+from sigmaswarm.importing.quantities import MAX_DAMAGED_SHARE, NO_NUMBER, NO_VALUE, PLACEHOLDERS
+from sigmaswarm.importing.source import FILES, ImportProgress, Limits, Log, Part, Role
 from sigmaswarm.importing.times import rising_column, time_of, wrong_unit
-from sigmaswarm.wording import names_shown, quoted, shown
+from sigmaswarm.wording import list_names, printable, quoted
 
 ROW = "row"  # column of row numbers, from 0, in tables without a column of this name
-FEW_ROWS = 10  # most lines of a table without values that can be a header or a footer
-FAR = 10  # smallest distance of a placeholder from the other values, in units of their range
+MAX_TIMELESS_ROWS = 10  # most lines of a table without values that can be a header or a footer
+MIN_PLACEHOLDER_DISTANCE = (
+    10  # smallest distance of a placeholder from the other values, in units of their range
+)
 
 
 @dataclass
-class Gathered:
+class PartColumns:
     """Columns of a part: ``t`` in ns, and other columns, null where the log has no value."""
 
     part: Part
@@ -55,7 +62,7 @@ class Gathered:
             time = time_expression(self.part.columns["t"], frame)
             rows = frame.lazy().select(t=time, **values).collect()
         except pl.exceptions.PolarsError as error:  # a list instead of a number, a text that is not a date
-            said = shown(" ".join(str(error).split("\n")[0].split()), 160)
+            said = printable(" ".join(str(error).split("\n")[0].split()), 160)
             raise InputError(
                 f"{log.path}, {self.part.table}: the columns can't be converted to numbers ({said}); map other columns"
             ) from None
@@ -84,9 +91,9 @@ class Gathered:
             if wrong.fill_null(False).any():
                 i = int(wrong.fill_null(False).arg_max() or 0)
                 raise InputError(
-                    f"{log.path}, {shown(self.part.table)}, row {self.seen + i + 1} of the data, column {shown(name)}: "
-                    f"{quoted(said[i])} is not a number; correct or delete the row, or use utc(...) where the column "
-                    "holds dates, dms(...) for degrees and minutes"
+                    f"{log.path}, {printable(self.part.table)}, row {self.seen + i + 1} of the data, "
+                    f"column {printable(name)}: {quoted(said[i])} is not a number; correct or delete "
+                    "the row, or use utc(...) where the column holds dates, dms(...) for degrees and minutes"
                 )
 
     def _few_timeless(self, frame: pl.DataFrame) -> pl.Series | None:
@@ -95,7 +102,11 @@ class Gathered:
             times = frame.select(time_expression(self.part.columns["t"], frame)).to_series()
         except pl.exceptions.PolarsError:
             return None
-        return times.is_null() if times.null_count() <= max(FEW_ROWS, FEW_ODD * len(frame)) else None
+        return (
+            times.is_null()
+            if times.null_count() <= max(MAX_TIMELESS_ROWS, MAX_DAMAGED_SHARE * len(frame))
+            else None
+        )
 
     def _without_placeholders(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Set placeholders to null: -999 or 1e10, if far from all other values or in both coordinates."""
@@ -123,7 +134,7 @@ def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
     if not len(rest):
         return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)
     low, middle, high = (float(rest.quantile(q) or 0.0) for q in (0.01, 0.5, 0.99))
-    return ((numbers - middle).abs() > FAR * (high - low) + 1e-9).fill_null(False)
+    return ((numbers - middle).abs() > MIN_PLACEHOLDER_DISTANCE * (high - low) + 1e-9).fill_null(False)
 
 
 def complete_parts(
@@ -140,14 +151,14 @@ def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame
     """Add the time to a part, by default the column that is likely a time, and check its columns."""
     columns = log.tables[part.table].columns
     batches = log.batches({part.table: columns}) if first is None else [("", first[part.table], 0.0)]
-    rows = next((rows.head(SAMPLE) for _, rows, _ in batches if len(rows)), None)
+    rows = next((rows.head(SAMPLE_ROWS) for _, rows, _ in batches if len(rows)), None)
     if rows is not None:
         if "t" not in part.columns and (time := time_of(rows)) is not None:
             part = replace(part, columns={"t": time, **part.columns})
         elif unit := wrong_unit(part.columns.get("t", ""), rows, role):
             raise InputError(f"{log.path}: {unit}")
     if "t" not in part.columns and (rows is not None or first is None):
-        where = log.path if log.path.name == part.table else f"{log.path}, {shown(part.table)}"
+        where = log.path if log.path.name == part.table else f"{log.path}, {printable(part.table)}"
         time = "--time {}" if role == "imu" and len(log.tables) == 1 else f'--map "{role}.t={{}}"'
         column, rate = "COLUMN" if rows is None else rising_column(rows), 100 if role == "imu" else 1
         raise InputError(
@@ -158,7 +169,7 @@ def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame
         try:
             compile_expression(text, (*columns, ROW))
         except InputError as error:
-            raise InputError(f"{log.path}, {shown(part.table)}: {error}") from None
+            raise InputError(f"{log.path}, {printable(part.table)}: {error}") from None
     return part
 
 
@@ -171,10 +182,10 @@ def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
         if not part.table or table.kind == FILES:
             return [replace(part, table=name)]
     if part.table:
-        there = names_shown(log.tables)
+        there = list_names(log.tables)
         raise InputError(f"{log.path}: has no {quoted(part.table)} for the {role}; choose from {there}")
     homes = {
-        name: [n for n, table in log.tables.items() if fits(text, table.columns)]
+        name: [n for n, table in log.tables.items() if is_valid_expression(text, table.columns)]
         for name, text in part.columns.items()
     }
     fitting = [n for n in log.tables if all(n in tables for tables in homes.values())]
@@ -186,20 +197,20 @@ def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
         ]
     chosen = quote(fitting[0]) if len(fitting) == 1 else "TABLE"
     raise InputError(
-        f"{log.path}: none of its tables {names_shown(log.tables)} was chosen for {', '.join(part.columns)}; "
+        f"{log.path}: none of its tables {list_names(log.tables)} was chosen for {', '.join(part.columns)}; "
         f"add --{role}-topic {chosen}, or write a recipe with table = ..."
     )
 
 
-def gather(log: Log, parts: Sequence[Part], progress: Progress, limits: Limits) -> list[Gathered]:
-    gathered: list[Gathered] = []
+def gather(log: Log, parts: Sequence[Part], progress: ImportProgress, limits: Limits) -> list[PartColumns]:
+    gathered: list[PartColumns] = []
     wanted: dict[str, set[str]] = {}
     for part in parts:
         columns = log.tables[part.table].columns
         texts = {name: compile_expression(text, (*columns, ROW)) for name, text in part.columns.items()}
         used = {c for expression in texts.values() for c in expression.columns}
         wanted.setdefault(part.table, set()).update(used & {*columns})
-        gathered.append(Gathered(part, texts))
+        gathered.append(PartColumns(part, texts))
     for table, rows, done in log.batches(wanted):
         for columns in gathered:
             if columns.part.table == table:

@@ -13,17 +13,17 @@ from sigmaswarm.importing.quantities import (
     PLACEHOLDERS,
     Columns,
     degrees_as_meters,
+    from_ecef,
+    geographic_position,
     heading,
-    of_earth_center,
-    place,
     quantity,
 )
 from sigmaswarm.importing.source import Fault, Guess, Part, Role
-from sigmaswarm.importing.times import Found, find_time, median_of, numbers_of, written
-from sigmaswarm.wording import names_shown
+from sigmaswarm.importing.times import TimeExpression, column_numbers, find_time, median_of, quoted_column
+from sigmaswarm.wording import list_names
 
 Z_DOWN = "x=x,y=-y"  # mounting of an IMU with x forward, y right and z down
-SAMPLE = 2000  # first rows from which units are guessed, if a format's rows are decoded one by one
+SAMPLE_ROWS = 2000  # first rows from which units are guessed, if a format's rows are decoded one by one
 # Number and length of blocks of rows from which units are guessed. The blocks are spread over the table, since a log
 # may begin without fixes and at standstill. Rows of a block are consecutive, so most time steps are those of the log,
 # even if only 1 of 200 rows has a fix.
@@ -63,12 +63,12 @@ _FIX = (
 )
 # Words for a fix that only a receiver uses
 _SURE_FIX = r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|psr|valid).*"
-MOST_WORDS = 20  # different words in a column of flags
+MAX_WORDS = 20  # different words in a column of flags
 # Names of columns in which 3 means a fix in three dimensions, and 1 means no fix
 _DIMENSIONS = ".*(?:type|mode)"
 # Largest share of the likely fixes that a flag may exclude if the positions do not jump there; smallest ratio of a jump
 # to the 90% quantile of the other steps
-MOST_DROPPED, JUMP = 0.2, 5.0
+MAX_DROPPED, MIN_JUMP_RATIO = 0.2, 5.0
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
     "gps": (
@@ -97,7 +97,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
     faults: list[Fault] = []
     for role, tables in _candidates(found).items():
         if role in chosen and chosen[role] not in samples:
-            raise InputError(f"there is no table {chosen[role]!r}; choose from {names_shown(samples)}")
+            raise InputError(f"there is no table {chosen[role]!r}; choose from {list_names(samples)}")
         if not tables and role not in chosen:
             continue
         # the first table with a fitting name, else the first; positions next to accelerations are likely an estimate
@@ -112,7 +112,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         others = [t for t in tables if t not in (best, *chosen.values())]
         if alike := [t for t in others if samples[t].columns == samples[best].columns]:
             notes.append(
-                f"{names_shown(alike)} {'has' if len(alike) == 1 else 'have'} the same columns as {best}; only {best} "
+                f"{list_names(alike)} {'has' if len(alike) == 1 else 'have'} the same columns as {best}; only {best} "
                 f"is used for the {role}; import each log as a separate drive, as with --{role}-table {alike[0]}"
             )
         rates = [t for t, c in found.items() if "gz" in c and not c.has("ax", "ay")][:1]
@@ -185,18 +185,18 @@ def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
     return {role: [t for t in found if t in tables] for role, tables in chosen.items()}
 
 
-def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[str, Found]]:
+def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[str, TimeExpression]]:
     """Yield the columns of a role in a drive's units, as expressions; ``rows_of``: role that determines the times."""
     if (time := find_time(columns.frame, rows_of)) is not None:
         yield "t", time
     located = columns.has("lat", "lon")
     if located and role in ("gps", "truth"):
-        yield from place(columns, role).items()
-    elif role in ("gps", "truth") and (found := of_earth_center(columns)):
+        yield from geographic_position(columns, role).items()
+    elif role in ("gps", "truth") and (found := from_ecef(columns)):
         yield from found.items()
         located = True
     elif role in ("gps", "truth") and columns.has("x", "y") and (fault := degrees_as_meters(columns, role)):
-        yield "lat", Found("", fault=fault)
+        yield "lat", TimeExpression("", fault=fault)
         located = True
     if role == "gps" and (keep := _with_fix(columns)):
         yield "keep", keep
@@ -215,12 +215,12 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
             yield ("heading" if what == "bearing" and heads else course), heading(columns, what, role)
         elif what == "std_heading" and columns.names[what].unit is None:
             degrees = "radians" in heading(columns, "bearing", role).expression
-            yield what, Found(f"radians({columns.text(what)})" if degrees else columns.text(what))
+            yield what, TimeExpression(f"radians({columns.text(what)})" if degrees else columns.text(what))
         else:
             yield what.removeprefix("wheel_"), quantity(columns, what, role)
 
 
-def _with_fix(columns: Columns) -> Found | None:
+def _with_fix(columns: Columns) -> TimeExpression | None:
     """Select rows with a fix by a column of flags, unless the flags exclude many rows that look like fixes.
 
     In some codes 0 is a fix without fixed ambiguities, and flags and positions may be in different rows.
@@ -237,10 +237,10 @@ def _with_fix(columns: Columns) -> Found | None:
     kept = fixes.select(compile_expression(text, fixes.columns).truth.fill_null(value=False)).to_series()
     if not kept.any():
         return None
-    if kept.sum() >= (1 - MOST_DROPPED) * len(fixes) or _jump(fixes.select(names), kept):
-        return Found(text)
+    if kept.sum() >= (1 - MAX_DROPPED) * len(fixes) or _jump(fixes.select(names), kept):
+        return TimeExpression(text)
     seen = f"{(~kept).sum()} of {len(fixes)} fixes for which {text} is not true are used"
-    return Found("", note=f'{seen}; to leave these fixes out, write --map "gps.keep={text}"')
+    return TimeExpression("", note=f'{seen}; to leave these fixes out, write --map "gps.keep={text}"')
 
 
 def _jump(places: pl.DataFrame, kept: pl.Series) -> bool:
@@ -252,15 +252,15 @@ def _jump(places: pl.DataFrame, kept: pl.Series) -> bool:
 
     usual, before, steps = squares(places.filter(kept)).quantile(0.9), kept.shift(), squares(places)
     jump = max(median_of(steps.filter(kept != before)), median_of(steps.filter(~kept & ~before)))
-    return usual is not None and jump > JUMP**2 * usual
+    return usual is not None and jump > MIN_JUMP_RATIO**2 * usual
 
 
 def _fix_stated(frame: pl.DataFrame) -> str:
     """Return the condition that a row has a fix, by a column of flags in words or numbers; else ""."""
     names = read_names(frame.columns)
     for name in names:
-        cells, column = frame[name.column], written(name.column)
-        if cells.dtype != pl.String or cells.n_unique() > MOST_WORDS:
+        cells, column = frame[name.column], quoted_column(name.column)
+        if cells.dtype != pl.String or cells.n_unique() > MAX_WORDS:
             continue
         texts: list[str] = [text for text in cells.unique(maintain_order=True) if text and "'" not in text]
         words = {text: "_".join(plain_words(text)) for text in texts}
@@ -274,19 +274,19 @@ def _fix_stated(frame: pl.DataFrame) -> str:
         if none or (name.is_one(_FIXED) and cells.fill_null("").eq("").any()):
             return " and ".join(f"{column} != '{text}'" for text in none or [""])
     flag = next((n for pattern in (_FIXED, _SATELLITES) for n in names if n.is_one(pattern)), None)
-    kinds = sorted({*numbers_of(frame[flag.column])}) if flag else []
+    kinds = sorted({*column_numbers(frame[flag.column])}) if flag else []
     if flag is None or not kinds:
         return ""
     none = (
         1 if kinds[-1] == 3 and flag.is_one(_DIMENSIONS) else kinds[0] if kinds[0] in (-1, 0) else -math.inf
     )
-    return f"{written(flag.column)} > {none:g}" if kinds[0] <= none < kinds[-1] else ""
+    return f"{quoted_column(flag.column)} > {none:g}" if kinds[0] <= none < kinds[-1] else ""
 
 
 def _downward(imu: Columns) -> str:
     """Return a sentence if the vertical axis of an IMU points down; else ""."""
     gravity = median_of(imu.norms(["ax", "ay", "az"])) if imu.has("ax", "ay", "az") else 0.0
-    if "az" not in imu or median_of(numbers_of(imu.frame[imu.names["az"].column])) >= -0.5 * gravity:
+    if "az" not in imu or median_of(column_numbers(imu.frame[imu.names["az"].column])) >= -0.5 * gravity:
         return ""  # the sign of an acceleration without gravity has no meaning
     return points_down(imu.names["az"].column)
 

@@ -15,17 +15,17 @@ from sigmaswarm.importing import convert
 from sigmaswarm.importing.assemble import missing_columns
 from sigmaswarm.importing.convert import Request, complete_recipe, opened
 from sigmaswarm.importing.dates import SECOND
-from sigmaswarm.importing.expressions import compile_expression, fits, time_expression
+from sigmaswarm.importing.expressions import compile_expression, is_valid_expression, time_expression
 from sigmaswarm.importing.gather import ROW
 from sigmaswarm.importing.guess import Z_DOWN
-from sigmaswarm.importing.proposal import Proposal, judged, proposed
+from sigmaswarm.importing.proposal import Proposal, check_proposal, propose_columns
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Fault, Log, Role
-from sigmaswarm.importing.times import numbers_of, time_of
+from sigmaswarm.importing.times import column_numbers, time_of
 
-SAMPLE = 5000  # rows of a table from which ranges are computed
+PREVIEW_ROWS = 5000  # rows of a table from which ranges are computed
 # Rows that are read if the rows of tables alternate; a table without rows among these has no values
-LOOKED_AT = 25_000
+MAX_SCANNED_ROWS = 25_000
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Inspection:
     mount: str = ""
 
     def numbers(self, table: str, column: str) -> Array:
-        return numbers_of(self.rows[table][column]).to_numpy().astype(np.float64)
+        return column_numbers(self.rows[table][column]).to_numpy().astype(np.float64)
 
 
 Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]
@@ -112,7 +112,7 @@ def inspect_request(request: Request) -> Inspection:
         notes += (*convert.notes_of(logs, guesses, recipe), *convert.assumed_mounting(guesses, recipe))
     evidence = ""
     if proposal:
-        proposal, evidence, works = judged(proposal, partial(_imported, request))
+        proposal, evidence, works = check_proposal(proposal, partial(_imported, request))
     unread = _unread(tables, recipe, proposal)
     options, settings = (proposal.options, proposal.settings) if proposal else ("", {})
     faults = tuple(fault for guess in guesses.values() for fault in guess.faults)
@@ -147,7 +147,12 @@ def _unread(
         ]
         texts += [t for columns in (proposal.columns if proposal else {}).values() for t in columns.values()]
         known = (*names, ROW)
-        read = {c for text in texts if fits(text, known) for c in compile_expression(text, known).columns}
+        read = {
+            c
+            for text in texts
+            if is_valid_expression(text, known)
+            for c in compile_expression(text, known).columns
+        }
         unread |= {preview.table: left} if (left := tuple(c for c in names if c not in read)) else {}
     return unread
 
@@ -167,7 +172,7 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
         known = {name: text for part in parts for name, text in part.columns.items()}
         chosen = [part.table for part in parts if part.table in there] or list(there)
         names = {table: there[table].columns for table in chosen}
-        if (one := proposed(names, role, known)) is None:
+        if (one := propose_columns(names, role, known)) is None:
             continue
         table, columns = one
         time = time_of(there[table]) if "t" not in known and len(there[table]) else None
@@ -181,10 +186,14 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
 def _elsewhere(names: Mapping[str, Sequence[str]], table: str, known: Mapping[str, str]) -> dict[str, str]:
     """Find missing IMU columns in another table, unless another table has columns of the same names."""
     others = {other: columns for other, columns in names.items() if other != table}
-    if {"ax", "ay", "gz"} <= known.keys() or (one := proposed(others, "imu", known)) is None:
+    if {"ax", "ay", "gz"} <= known.keys() or (one := propose_columns(others, "imu", known)) is None:
         return {}
     own = [columns for other, columns in names.items() if other != one[0]]
-    return {} if any(fits(text, columns) for text in one[1].values() for columns in own) else one[1]
+    return (
+        {}
+        if any(is_valid_expression(text, columns) for text in one[1].values() for columns in own)
+        else one[1]
+    )
 
 
 def beginnings(log: Log) -> dict[str, pl.DataFrame]:
@@ -195,9 +204,9 @@ def beginnings(log: Log) -> dict[str, pl.DataFrame]:
         for table, batch, _ in log.batches(some):
             seen += len(batch)
             before = rows[table]
-            new = batch.head(max(SAMPLE - len(before), 0))
+            new = batch.head(max(PREVIEW_ROWS - len(before), 0))
             rows[table] = pl.concat([before, new], how="vertical_relaxed") if len(before) else new
-            if seen >= LOOKED_AT or all(len(rows[name]) >= SAMPLE for name in some):
+            if seen >= MAX_SCANNED_ROWS or all(len(rows[name]) >= PREVIEW_ROWS for name in some):
                 break
     return rows
 
@@ -219,7 +228,7 @@ def _ranges(rows: pl.DataFrame) -> Iterator[Range]:
     for values in rows:
         filled = values.drop_nulls()
         example = str(filled.first() if len(filled) else "")
-        numbers = numbers_of(filled)
+        numbers = column_numbers(filled)
         shape = (numbers.min(), numbers.median(), numbers.max()) if len(numbers) else (None, None, None)
         low, middle, high = (None if v is None else float(v) for v in shape)  # type: ignore[arg-type]
         yield Range(values.name, low, middle, high, example)

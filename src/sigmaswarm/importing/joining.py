@@ -11,23 +11,23 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.tables import NO_HEADING
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import SECOND, Nanoseconds
-from sigmaswarm.importing.gather import Gathered
-from sigmaswarm.importing.places import Say, Values, good_places, with_longitudes
+from sigmaswarm.importing.gather import PartColumns
+from sigmaswarm.importing.positions import Say, Values, valid_positions, with_longitudes
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.timeline import from_digits, in_order, recordings, require_likely, unwrap
-from sigmaswarm.wording import counted, left_out, shown
+from sigmaswarm.importing.timeline import from_digits, recordings, require_likely, sorted_times, unwrap
+from sigmaswarm.wording import count_of, printable, rows_left_out
 
-LEAST_STD = 1e-6  # m; a standard deviation of at most this value counts as not stated
+MIN_STD = 1e-6  # m; a standard deviation of at most this value counts as not stated
 # A full turn of each angle column, rad or deg
-TURNS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
+PERIODS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
 # Largest share of empty cells in an optional column for which the rows are left out; otherwise the column is left out
-SPARSE = 0.1
+MAX_EMPTY_SHARE = 0.1
 POSITIONS = ("lat", "lon", "x", "y")
-TOGETHER = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
+COLUMN_PAIRS = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
 
 
 def join(
-    parts: Sequence[Gathered], role: Role, required: Sequence[str], say: Say, recording: int | None = None
+    parts: Sequence[PartColumns], role: Role, required: Sequence[str], say: Say, recording: int | None = None
 ) -> tuple[Nanoseconds, Values]:
     """Join a role's parts at the times of the first part; other parts are interpolated linearly.
 
@@ -39,7 +39,7 @@ def join(
             continue
         inside = (time >= other_time[0]) & (time <= other_time[-1])
         if left := int(np.count_nonzero(~inside)):
-            say(f"{role}: {left_out(left)}, since not all tables of the sensor cover the time")
+            say(f"{role}: {rows_left_out(left)}, since not all tables of the sensor cover the time")
         if not inside.any():
             raise InputError(f"{role}: the tables do not overlap in time; convert them to one clock")
         time, values = time[inside], {k: v[inside] for k, v in values.items()}
@@ -49,7 +49,7 @@ def join(
             if known.any():
                 target = name.removeprefix("+")
                 added = values.get(target, 0.0) if name.startswith("+") else 0.0
-                values[target] = added + _between(at, known_at[known], column[known], TURNS.get(target))
+                values[target] = added + _between(at, known_at[known], column[known], PERIODS.get(target))
     return _complete_rows(time, _with_known_headings(values), role, required, say)
 
 
@@ -59,7 +59,7 @@ def _with_known_headings(values: Values) -> Values:
     std, known = values.get("std_heading", np.full(len(heading), np.nan)), np.isfinite(heading)
     if not known.any() or (known.all() and not np.isfinite(std).any()):
         return {name: column for name, column in values.items() if name != "std_heading"}
-    stated = np.where(std > LEAST_STD, std, LEAST_STD)  # not stated: the filter uses its own variance
+    stated = np.where(std > MIN_STD, std, MIN_STD)  # not stated: the filter uses its own variance
     deviation = np.where(known, stated, NO_HEADING)
     return {**values, "heading": np.where(known, heading, 0.0), "std_heading": deviation}
 
@@ -82,28 +82,28 @@ def _between(time: Array, known: Array, values: Array, turn: float | None) -> Ar
     return np.where(wraps, angle - np.copysign(turn, angle), angle)
 
 
-def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple[Nanoseconds, Values]:
+def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tuple[Nanoseconds, Values]:
     time, values = part.finish()
-    table = shown(part.part.table)
+    table = printable(part.part.table)
     where = f"{role}: {table}"
     if part.unkept:
         keep = part.part.columns["keep"]
         say(f"{role}: {part.unkept} of {part.seen} rows of {table} are left out, since {keep} is not true")
     if part.timeless:
-        say(f"{role}: {left_out(part.timeless, f' of {table}')}, since the time is missing")
+        say(f"{role}: {rows_left_out(part.timeless, f' of {table}')}, since the time is missing")
     if not len(time):
         why = "no usable row; --show shows the contents of the log"
         if part.timeless:
             why = "no time within 292 years of 1970; specify the column of the time and its unit with --time"
         raise InputError(f"{role}: {table} contains {why}")
     for name, (value, count) in part.placeholders.items():
-        say(f"{where}: {counted(count, 'value')} of {shown(name)} left out: {value:g} is a placeholder")
+        say(f"{where}: {count_of(count, 'value')} of {printable(name)} left out: {value:g} is a placeholder")
     time, part.period, note = unwrap(time)  # by all rows: a counter may restart before the first fix
     filled = _finite(values, len(time)).any(axis=0)
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
-        say(f"{role}: {left_out(empty)}, since a cell is empty")
+        say(f"{role}: {rows_left_out(empty)}, since a cell is empty")
     if (copies := _copies(time, values)) is not None:
-        say(f"{where}: {left_out(int(copies.sum()))}, as copies of other rows")
+        say(f"{where}: {rows_left_out(int(copies.sum()))}, as copies of other rows")
         filled &= ~copies
     if role == "gps":  # a row that repeats the time and the place of the row before
         same = [np.diff(column) == 0 for column in (time, *(values[n] for n in POSITIONS if n in values))]
@@ -118,12 +118,12 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
         say(f"{where}: {note}")
     ends = [(int(time[r.start]), int(time[r.stop - 1])) for r in recordings(time)[:number]] if number else []
     part.set_back = sum(end - begin for (_, end), (begin, _) in pairwise(ends))
-    time, rows = in_order(time, role, where, number, say)
+    time, rows = sorted_times(time, role, where, number, say)
     require_likely(time, role, where, part.part.columns["t"])
     values = _rows(values, rows)
     if role not in ("gps", "truth"):
         return time, values
-    good = good_places(time, values, role, say)
+    good = valid_positions(time, values, role, say)
     return time[good], with_longitudes(_rows(values, good), role, say)
 
 
@@ -159,15 +159,15 @@ def _complete_rows(
             raise InputError(without_column(role, name))
     values = dict(values)
     for name in values.keys() & {"std_x", "std_y"}:
-        values[name] = np.where(values[name] > LEAST_STD, values[name], np.nan)
+        values[name] = np.where(values[name] > MIN_STD, values[name], np.nan)
     # Positions may be sparse (one table with IMU and fixes); other sparse columns are left out.
     placed = _finite({n: values[n] for n in POSITIONS if n in values}, len(time)).all(axis=0)
     for name in [n for n in values if n not in POSITIONS and n not in required]:
         if name not in values or not placed.any():
             continue
         empty = ~np.isfinite(values[name][placed])
-        if np.mean(empty) > SPARSE:
-            gone = next((pair for pair in TOGETHER if name in pair), (name,))
+        if np.mean(empty) > MAX_EMPTY_SHARE:
+            gone = next((pair for pair in COLUMN_PAIRS if name in pair), (name,))
             if not empty.all():
                 say(
                     f"{role}: {' and '.join(gone)} left out, since {np.mean(empty):.0%} of the rows are empty"
@@ -180,7 +180,7 @@ def _complete_rows(
         )
     sparse = role == "gps" and np.mean(placed) < 0.5
     if (left := int(np.count_nonzero(~full))) and not sparse:
-        say(f"{role}: {left_out(left)}, since a cell is empty")
+        say(f"{role}: {rows_left_out(left)}, since a cell is empty")
     time, values = time[full], _rows(values, full)
     position = [values[n] for n in POSITIONS if n in values]
     if role != "gps" or not position or len(time) < 10:
@@ -189,5 +189,5 @@ def _complete_rows(
     if np.mean(changed) > 0.5:
         return time, values
     # a fix that is repeated up to the next fix (a table at the IMU's rate) counts once
-    say(f"gps: {left_out(int(np.count_nonzero(~changed)))}, since the previous position is repeated")
+    say(f"gps: {rows_left_out(int(np.count_nonzero(~changed)))}, since the previous position is repeated")
     return time[changed], _rows(values, changed)

@@ -15,27 +15,27 @@ from sigmaswarm.drives.tables import NO_HEADING
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.dates import SECOND
-from sigmaswarm.importing.gather import Gathered
+from sigmaswarm.importing.gather import PartColumns
 from sigmaswarm.importing.joining import join
 from sigmaswarm.importing.mounting import parse_mount
-from sigmaswarm.importing.places import Say, Values
+from sigmaswarm.importing.positions import Say, Values
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Part
-from sigmaswarm.importing.times import written
+from sigmaswarm.importing.times import quoted_column
 
-LEAST_TURN = 180  # deg, smallest range of headings that determines the hard iron
+MIN_HEADING_RANGE = 180  # deg, smallest range of headings that determines the hard iron
 BIN = 10
-LEAST_SAMPLES = 5
-DRIFT = 10.0  # s, time constant with which the course corrects the gyro's heading
-MOST_ROWS = 20_000  # rows for the calibration, evenly spread over the drive
+MIN_SAMPLES = 5
+DRIFT_TIME = 10.0  # s, time constant with which the course corrects the gyro's heading
+MAX_ROWS = 20_000  # rows for the calibration, evenly spread over the drive
 # Largest deviation of the field's magnitude (relative) or direction (rad) without steel nearby: in robust standard
 # deviations, and its lower limit
-STEEL = 4.0, 0.03
-AROUND = 1.0  # s before and after a deviation above `STEEL` in which fixes have no heading
+MAX_FIELD_DEVIATION = 4.0, 0.03
+MARGIN = 1.0  # s before and after a deviation above `MAX_FIELD_DEVIATION` in which fixes have no heading
 # rad, largest standard deviation of the heading; a larger one shows a magnetometer that is not fixed to the vehicle
-WORST = np.radians(20)
-LEAST_STD = np.radians(0.5)  # rad, smallest stated standard deviation
-LONGEST_GAP = 1.0  # s, largest interval of samples that is interpolated
+MAX_HEADING_STD = np.radians(20)
+MIN_STD = np.radians(0.5)  # rad, smallest stated standard deviation
+MAX_GAP = 1.0  # s, largest interval of samples that is interpolated
 _UNLIKE = (
     "mag: the field does not rotate like the vehicle (course and gyro); map other columns, or omit the "
     "magnetometer"
@@ -79,12 +79,12 @@ def part_of(table: str, columns: Sequence[str]) -> Part:
     for pattern in _AXES:
         found = {m[1]: column for column in reversed(columns) if (m := re.fullmatch(pattern, column.lower()))}
         if {"x", "y"} <= found.keys():
-            return Part(table, {f"m{axis}": written(found[axis]) for axis in "xyz" if axis in found})
+            return Part(table, {f"m{axis}": quoted_column(found[axis]) for axis in "xyz" if axis in found})
     return Part(table, {})
 
 
 def with_magnetometer(
-    drive: Drive, parts: Sequence[Gathered], recipe: Recipe, say: Say, recording: int | None
+    drive: Drive, parts: Sequence[PartColumns], recipe: Recipe, say: Say, recording: int | None
 ) -> Drive:
     if drive.gps.heading is not None:
         raise InputError(
@@ -94,22 +94,22 @@ def with_magnetometer(
     zero = int(drive.metadata.get("time_origin_s", 0))
     time, field = (stamps - zero * SECOND) / SECOND, _in_vehicle(values, recipe.mount)
     evidence = gather_evidence(drive)
-    late = evidence.clock.late if abs(evidence.clock.late) > evidence.clock.least else 0.0
+    late = evidence.clock.delay if abs(evidence.clock.delay) > evidence.clock.least else 0.0
     reference, moving = _reference(evidence, time, late)
     turned = _turned(reference[moving])
-    if turned < LEAST_TURN:
+    if turned < MIN_HEADING_RANGE:
         raise InputError(
             f"mag: the headings of the drive cover {turned} of 360 deg while the vehicle moves, too little to "
             "determine the hard iron "
-            f"({LEAST_TURN} are needed); import a drive with more turns, or omit the magnetometer"
+            f"({MIN_HEADING_RANGE} are needed); import a drive with more turns, or omit the magnetometer"
         )
     calibration = calibrate(reference[moving], field[moving])
     vector: Array = (field - calibration.center) @ np.linalg.inv(calibration.shape).T
     off: Array = wrap_angle(np.arctan2(vector[:, 1], vector[:, 0]) - reference)
     near_steel = _near_steel(time, np.hypot(*vector.T), off, moving)
     usable = np.abs(off[moving & ~near_steel])
-    std = max(1.4826 * float(np.median(usable)), LEAST_STD) if len(usable) else np.inf
-    if std > WORST:
+    std = max(1.4826 * float(np.median(usable)), MIN_STD) if len(usable) else np.inf
+    if std > MAX_HEADING_STD:
         raise InputError(_UNLIKE)
     turn = _turn(calibration, recipe.declination_deg)
     heading, known = _at(drive.gps.time - late, time, vector, near_steel)
@@ -141,7 +141,7 @@ def _reference(evidence: Evidence, time: Array, late: float) -> tuple[Array, NDA
     seen, moving = course.time + evidence.moved - late, course.moving
     at = seen[moving]
     drift = np.exp(1j * (course.angle[moving] - smoothed(imu.time, angle, at, course.span)))
-    rows = ((at - at[0]) // DRIFT).astype(np.int64)
+    rows = ((at - at[0]) // DRIFT_TIME).astype(np.int64)
     _, rows = np.unique(rows, return_inverse=True)
     count = np.bincount(rows)
     sums = np.bincount(rows, drift.real) + 1j * np.bincount(rows, drift.imag)
@@ -154,12 +154,12 @@ def _reference(evidence: Evidence, time: Array, late: float) -> tuple[Array, NDA
 def _turned(heading: Array) -> int:
     """Return the number of degrees of the circle that headings (n,), rad, cover."""
     bins = (np.degrees(heading) % 360 // BIN).astype(np.int64)
-    return int(np.count_nonzero(np.bincount(bins, minlength=1) >= LEAST_SAMPLES)) * BIN
+    return int(np.count_nonzero(np.bincount(bins, minlength=1) >= MIN_SAMPLES)) * BIN
 
 
 def calibrate(heading: Array, field: Array) -> Calibration:
     """Fit the ellipse of a field (n, 2) to the heading (n,), rad, by least squares with Cauchy weights."""
-    rows = slice(None, None, -(-len(heading) // MOST_ROWS))
+    rows = slice(None, None, -(-len(heading) // MAX_ROWS))
     heading, field = heading[rows], field[rows]
     columns = np.column_stack([np.ones(len(heading)), np.cos(heading), np.sin(heading)])
     weight: Array = np.ones(len(heading))
@@ -175,16 +175,16 @@ def calibrate(heading: Array, field: Array) -> Calibration:
 
 
 def _near_steel(time: Array, size: Array, off: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark samples (n,) within `AROUND` of a field of another magnitude, or a turn that the vehicle does not make."""
+    """Mark samples (n,) within `MARGIN` of a field of another magnitude, or a turn that the vehicle does not make."""
     odd = _odd(size / float(np.median(size[moving])), moving) | (moving & _odd(off, moving))
     wrong = time[odd]
-    return np.searchsorted(wrong, time - AROUND) < np.searchsorted(wrong, time + AROUND, side="right")
+    return np.searchsorted(wrong, time - MARGIN) < np.searchsorted(wrong, time + MARGIN, side="right")
 
 
 def _odd(values: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark values (n,) that differ from their median in motion by more than `STEEL`."""
+    """Mark values (n,) that differ from their median in motion by more than `MAX_FIELD_DEVIATION`."""
     apart = np.abs(values - float(np.median(values[moving])))
-    deviations, least = STEEL
+    deviations, least = MAX_FIELD_DEVIATION
     return apart > max(deviations * 1.4826 * float(np.median(apart[moving])), least)
 
 
@@ -194,7 +194,7 @@ def _at(
     """Return the heading (m,), rad, at the times of fixes (m,), s, and a mask of known headings."""
     x, y = (np.interp(fixes, time, column) for column in vector.T)
     after = np.clip(np.searchsorted(time, fixes), 1, len(time) - 1)
-    close = (time[after] - time[after - 1] <= LONGEST_GAP) & (fixes >= time[0]) & (fixes <= time[-1])
+    close = (time[after] - time[after - 1] <= MAX_GAP) & (fixes >= time[0]) & (fixes <= time[-1])
     return np.arctan2(y, x), close & ~near_steel[after] & ~near_steel[after - 1]
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sigmaswarm.doctor.evidence import gather
-from sigmaswarm.doctor.mounting import turned
+from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.mounting import with_rotation
 from sigmaswarm.errors import InputError
@@ -37,7 +37,7 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
     )
     rotation = parse_mount(mount)
     metadata = with_rotation(drive.metadata, rotation)
-    return replace(drive, imu=turned(drive.imu, rotation), metadata=metadata), mount, note
+    return replace(drive, imu=rotate_imu(drive.imu, rotation), metadata=metadata), mount, note
 
 
 def parse_mount(text: str) -> Array:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 
-from sigmaswarm.importing.units import COUNTS, PARTS_OF_SECONDS, Dimension, Unit, parse_unit
+from sigmaswarm.importing.units import COUNTS, PARTS_OF_SECONDS, Unit, UnitDimension, parse_unit
 
 LONGEST_NAME = 200
 
@@ -71,7 +71,7 @@ _TOTAL = {"gfx", "gfy", "gfz"}  # accelerations in g of Physics Toolbox
 # Names in common Arduino sketches for an MPU-6050
 _MPU = {f"{s}{i}": f"{name}_{i}" for s, name in (("ac", "acc"), ("gy", "gyro")) for i in "xyz"}
 # Names that have a meaning only with a unit of this dimension: "x_acc" may also be an accuracy
-_STATED: tuple[tuple[Dimension, str, str], ...] = (
+_STATED: tuple[tuple[UnitDimension, str, str], ...] = (
     ("time", "t", "temps"),
     *(("acceleration", f"a{i}", f"{i}_?acc(?:el(?:eration)?)?|accsmooth_{i}") for i in "xyz"),
     *(("rate", f"g{i}", f"{i}_?gyro|{i}_rate_of_rotation|gyroadc_{i}|as_?{i}") for i in "xyz"),

@@ -16,11 +16,11 @@ from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.doctor.findings import Diagnosis
 from sigmaswarm.doctor.repairs import ACTIONS
 from sigmaswarm.drives.drive import Drive, Imu
-from sigmaswarm.drives.table_files import LARGEST
+from sigmaswarm.drives.table_files import MAX_VALUE
 from sigmaswarm.errors import InputError, SigmaswarmError
 from sigmaswarm.importing.names import unit_of
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.times import written
+from sigmaswarm.importing.times import quoted_column
 from sigmaswarm.importing.units import in_si
 
 # Words for directions, with their signs in the axes x forward, y left, z up
@@ -53,7 +53,7 @@ NO_PLACE = {
 # Repairs that change expressions; other repairs change the drive
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
 # Largest distance of the elements of a rotation from integers, for an exchange of axes or a change of signs
-EXCHANGED = 0.2
+EXCHANGE_TOLERANCE = 0.2
 # Warnings of contradictory signs, axes or units
 CONTRADICTIONS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}
 IMU = ("ax", "ay", "az", "gx", "gy", "gz")
@@ -72,7 +72,7 @@ def meaning_of(name: str) -> Meaning | None:
     sign = math.prod(CLOCKWISE[w] for w in words if w in CLOCKWISE)
     turns = not CLOCKWISE.keys().isdisjoint(words)
     words = [w for w in words if w not in CLOCKWISE]
-    said, unit = written(name), None
+    said, unit = quoted_column(name), None
     for count in (3, 2, 1):
         if len(words) > count and words[-1] != "turn" and (found := unit_of(words[-count:])) and found.known:
             words, unit = words[:-count], found
@@ -81,9 +81,9 @@ def meaning_of(name: str) -> Meaning | None:
         said = in_si(unit, said)
     rest = set(words)
     if rest & {"lat", "latitude"} and not rest & FORCE:
-        return Meaning("gps", "lat", written(name))
+        return Meaning("gps", "lat", quoted_column(name))
     if rest & {"lon", "lng", "longitude"} or rest == {"long"}:
-        return Meaning("gps", "lon", written(name))
+        return Meaning("gps", "lon", quoted_column(name))
     horizontal = rest & {"h", "horizontal", "pos", "position"} and rest & {"acc", "accuracy"}
     length = unit is None or unit.dimension == "length"
     if (rest & ACCURACY or horizontal) and length and not rest & NO_PLACE:
@@ -125,7 +125,7 @@ class Proposal:
         return " ".join([*tables, "--map", *map(shlex.quote, self.maps)])
 
 
-def proposed(
+def propose_columns(
     tables: Mapping[str, Sequence[str]], wanted: Role, known: Mapping[str, str]
 ) -> tuple[str, dict[str, str]] | None:
     """Return the table with the most columns of a role, and those of its columns that are not ``known``.
@@ -143,7 +143,7 @@ def proposed(
     return best
 
 
-def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str, bool]:
+def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str, bool]:
     """Correct a proposal by the doctor; return the proposal, the evidence, and True if ``make`` can make a drive."""
     try:
         drive = _plausible(make(proposal))
@@ -170,8 +170,8 @@ def _plausible(drive: Drive) -> Drive:
     """Refuse numbers that no sensor reports, since they would overflow the doctor's sums."""
     for table in (drive.imu, drive.gps):
         for name, values in vars(table).items():
-            if name != "time" and values is not None and np.abs(values).max(initial=0.0) > LARGEST:
-                raise InputError(f"{name} has numbers beyond {LARGEST:g}; delete the damaged rows")
+            if name != "time" and values is not None and np.abs(values).max(initial=0.0) > MAX_VALUE:
+                raise InputError(f"{name} has numbers beyond {MAX_VALUE:g}; delete the damaged rows")
     return drive
 
 
@@ -193,7 +193,7 @@ def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Propos
     for repair in sorted(repairs, key=lambda r: CORRECTED.index(r.action)):
         values = np.array(repair.values)
         if repair.action == "rotate":
-            if np.abs(values - np.round(values)).max() >= EXCHANGED:
+            if np.abs(values - np.round(values)).max() >= EXCHANGE_TOLERANCE:
                 continue
             values = np.round(values)
         probe = ACTIONS[repair.action](probe, *values.tolist())

@@ -8,8 +8,8 @@ import polars as pl
 
 from sigmaswarm.importing.names import Name
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.times import Found, median_of, numbers_of, unknown_unit, written
-from sigmaswarm.importing.units import COUNTS, Dimension, in_si
+from sigmaswarm.importing.times import TimeExpression, column_numbers, median_of, quoted_column, unknown_unit
+from sigmaswarm.importing.units import COUNTS, UnitDimension, in_si
 from sigmaswarm.wording import quoted
 
 FRACTIONS = {"3600": " for arcseconds", "3.6e6": " for milliarcseconds"}
@@ -17,7 +17,7 @@ FRACTIONS = {"3600": " for arcseconds", "3.6e6": " for milliarcseconds"}
 NO_NUMBER = r"^[^0-9A-Za-z]*$|#(?:IND|QNAN|SNAN|INF|N/A|NUM!|VALUE!|DIV/0!)"
 PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10)
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-", "invalid", *("*" * n for n in range(1, 20)))
-DIMENSIONS: dict[str, Dimension] = {
+DIMENSIONS: dict[str, UnitDimension] = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
     **dict.fromkeys(("gx", "gy", "gz"), "rate"),
     **dict.fromkeys(("lat", "lon", "course", "bearing", "theta", "std_heading"), "angle"),
@@ -26,12 +26,14 @@ DIMENSIONS: dict[str, Dimension] = {
 }
 # Columns that need a known unit; other columns without a unit are left out
 REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta", "wheel_speed")
-FEW_ODD = 0.02  # largest share of rows, presumably damaged, that may contradict the form of the others
+MAX_DAMAGED_SHARE = (
+    0.02  # largest share of rows, presumably damaged, that may contradict the form of the others
+)
 # Largest ratio of the third to the first quartile of the magnitude of accelerations that contain gravity
-STEADY = 1.5
-MOST_FORCE = 100.0  # m/s2, largest acceleration of a car without bumps
-FASTEST = 250.0  # deg/s, largest angular rate of a car
-HIGHEST = 9000.0  # m, largest altitude; another unit would stretch the track by 0.15% or more
+MAX_QUARTILE_RATIO = 1.5
+MAX_ACCELERATION = 100.0  # m/s2, largest acceleration of a car without bumps
+MAX_RATE = 250.0  # deg/s, largest angular rate of a car
+MAX_ALTITUDE = 9000.0  # m, largest altitude; another unit would stretch the track by 0.15% or more
 RADIUS, EDGE = 6_378_137.0, 2.01e7  # m, radius of Web Mercator's sphere; edge of its map
 # Scales of common sensors per g; mg, cg, ug, mm/s2, cm/s2, ft/s2
 _PER_G = (16384, 8192, 4096, 2048, 1024, 256, 1000, 100, 1e6, 9806.65, 980.665, 9.80665 / 0.3048)
@@ -55,7 +57,7 @@ class Columns:
 
     def numbers(self, what: str) -> pl.Series:
         """Return the numbers of a column, without placeholders."""
-        values = numbers_of(self.frame[self.names[what].column])
+        values = column_numbers(self.frame[self.names[what].column])
         return values.filter(~values.is_in(PLACEHOLDERS))
 
     def largest(self, what: str) -> float:
@@ -77,25 +79,35 @@ class Columns:
         return unit is not None and unit.dimension == DIMENSIONS[what]
 
     def text(self, what: str) -> str:
-        return written(self.names[what].column)
+        return quoted_column(self.names[what].column)
 
 
-def quantity(columns: Columns, what: str, role: Role) -> Found:
+def quantity(columns: Columns, what: str, role: Role) -> TimeExpression:
     name, text, dimension = columns.names[what], columns.text(what), DIMENSIONS[what]
-    if name.unit is None and what == "alt" and columns.largest(what) > HIGHEST:
+    if name.unit is None and what == "alt" and columns.largest(what) > MAX_ALTITUDE:
         seen = f"{name.column} is left out: {columns.largest(what):.6g} is not an altitude in m"
         example = _maps(columns, role, ["alt"], "{}*1e-3")
-        return Found("", note=f"{seen}; map the column: {example} if it is in mm, *1e-2 if it is in cm")
+        return TimeExpression(
+            "", note=f"{seen}; map the column: {example} if it is in mm, *1e-2 if it is in cm"
+        )
     if name.unit is None and what == "y" and (note := _web_mercator(columns, role)):
-        return Found(text, note)
+        return TimeExpression(text, note)
     if name.unit is None:
-        return _without_unit(columns, what, role) if dimension in ("acceleration", "rate") else Found(text)
+        return (
+            _without_unit(columns, what, role)
+            if dimension in ("acceleration", "rate")
+            else TimeExpression(text)
+        )
     if name.unit.dimension == dimension:
-        return Found(in_si(name.unit, text))
+        return TimeExpression(in_si(name.unit, text))
     if name.unit.text.strip().lower() in COUNTS and dimension in ("acceleration", "rate"):
-        return Found("", fault=_raw_counts(columns, what, role))
+        return TimeExpression("", fault=_raw_counts(columns, what, role))
     sentence = unknown_unit(name, what, dimension, role)
-    return Found("", fault=sentence) if what in REQUIRED else Found("", note=f"{sentence}; left out")
+    return (
+        TimeExpression("", fault=sentence)
+        if what in REQUIRED
+        else TimeExpression("", note=f"{sentence}; left out")
+    )
 
 
 def _web_mercator(columns: Columns, role: Role) -> str:
@@ -112,7 +124,7 @@ def _web_mercator(columns: Columns, role: Role) -> str:
     return f"{read}; if they are Web Mercator (EPSG:3857), write --map {maps}"
 
 
-def _without_unit(columns: Columns, what: str, role: Role) -> Found:
+def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
     """Read accelerations as g or mg if their magnitude then equals gravity, and rates above 5 as deg/s.
 
     Other values are in SI units or, if too large for a car, are raw counts.
@@ -125,23 +137,27 @@ def _without_unit(columns: Columns, what: str, role: Role) -> Found:
         size, low, high = median_of(sizes), *(float(sizes.quantile(q) or 0.0) for q in (0.25, 0.75))
         values = {a: columns.numbers(a).abs() for a in {*axes, "az"} if a in columns}
         usual = {a: median_of(v.filter(v > 0)) for a, v in values.items()}
-        steady = high <= STEADY * low  # like gravity; accelerations without gravity are small at rest
+        steady = (
+            high <= MAX_QUARTILE_RATIO * low
+        )  # like gravity; accelerations without gravity are small at rest
         if steady and (0.8 < usual.get("az", 0.0) < 1.2 or 0.9 < size < 1.12):
-            return Found(f"{text}*9.80665", "accelerations are read as g, since gravity appears as about 1")
+            return TimeExpression(
+                f"{text}*9.80665", "accelerations are read as g, since gravity appears as about 1"
+            )
         if 930 < size < 1050 and largest < 8000:
             note = "accelerations are read as mg, since gravity appears as about 1000"
             other = _maps(columns, role, axes, "{}*1e-2")
-            return Found(f"{text}*0.00980665", f"{note}; if they are in cm/s2, write {other}")
-        raw = max(usual[a] for a in axes) > 30 or largest > MOST_FORCE
-        return Found("", fault=_raw_counts(columns, what, role)) if raw else Found(text)
+            return TimeExpression(f"{text}*0.00980665", f"{note}; if they are in cm/s2, write {other}")
+        raw = max(usual[a] for a in axes) > 30 or largest > MAX_ACCELERATION
+        return TimeExpression("", fault=_raw_counts(columns, what, role)) if raw else TimeExpression(text)
     whole = all((columns.numbers(a) == columns.numbers(a).round()).all() for a in axes)
-    if largest > FASTEST or (whole and largest > 0):
-        return Found("", fault=_raw_counts(columns, what, role))
+    if largest > MAX_RATE or (whole and largest > 0):
+        return TimeExpression("", fault=_raw_counts(columns, what, role))
     if largest > 5.0:
         option = _maps(columns, role, axes, "{}")
         note = f"angular rates are read as deg/s, since they exceed 5; if they are in rad/s, write {option}"
-        return Found(f"radians({text})", note)
-    return Found(text)
+        return TimeExpression(f"radians({text})", note)
+    return TimeExpression(text)
 
 
 def _raw_counts(columns: Columns, what: str, role: Role) -> str:
@@ -170,7 +186,7 @@ def _maps(columns: Columns, role: Role, whats: Sequence[str], form: str) -> str:
     return "--map " + " ".join(f'"{role}.{what}={form.format(columns.text(what))}"' for what in whats)
 
 
-def place(columns: Columns, role: Role) -> dict[str, Found]:
+def geographic_position(columns: Columns, role: Role) -> dict[str, TimeExpression]:
     """Convert latitude and longitude to degrees: from radians, 1e-7 degrees, or degrees and minutes; N, S, E, W."""
     both = ("lat", "lon")
     dms = _are_dms(*(columns.frame[columns.names[what].column] for what in both))
@@ -185,18 +201,18 @@ def place(columns: Columns, role: Role) -> dict[str, Found]:
             text = in_si(name.unit, "{}")
             forms[what] = text[len("radians(") : -1] if text.startswith("radians(") else f"degrees({text})"
         else:
-            return {what: Found("", fault=unknown_unit(name, what, "angle", role))}
-    found = Found("{}") if forms else _place_form(columns, role)
+            return {what: TimeExpression("", fault=unknown_unit(name, what, "angle", role))}
+    found = TimeExpression("{}") if forms else _place_form(columns, role)
     if found.fault:
         return dict.fromkeys(both, found)
-    places: dict[str, Found] = {}
+    places: dict[str, TimeExpression] = {}
     hemispheres = _hemispheres(columns)
     for what in both:
         text = forms.get(what, found.expression).format(columns.text(what))
         condition, fault = hemispheres.get(what, ("", ""))
         text = f"where({condition}, -abs({text}), {text})" if condition else text
         remedy = f'{fault}, write --map "{role}.{what}={text}"'
-        places[what] = Found("", fault=remedy) if fault else Found(text, found.note)
+        places[what] = TimeExpression("", fault=remedy) if fault else TimeExpression(text, found.note)
     return places
 
 
@@ -246,11 +262,11 @@ def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
         negative = [text for text in texts if text.strip()[0].lower() == name[1]] or [unset]
         fault = ""
         other = [c for c in cells if re.fullmatch(" *[A-Za-z] *", c) and c not in texts]
-        if named and rows[column].is_in(other).sum() > FEW_ODD * len(rows):
+        if named and rows[column].is_in(other).sum() > MAX_DAMAGED_SHARE * len(rows):
             negative, (first, last) = other[:1], words.split("|")
             fault = f"column {quoted(column)}: {quoted(other[0])} is not {first} or {last}; if it is {last}"
         if named or texts:
-            found[what] = " or ".join(f"{written(column)} == '{text}'" for text in negative), fault
+            found[what] = " or ".join(f"{quoted_column(column)} == '{text}'" for text in negative), fault
     names = {"lat": "ns", "lon": "ew"}
     return {what: one for what, one in found.items() if names[what] in columns or sure == [True, True]}
 
@@ -275,7 +291,7 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
     )
 
 
-def of_earth_center(columns: Columns) -> dict[str, Found]:
+def from_ecef(columns: Columns) -> dict[str, TimeExpression]:
     """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees, by Bowring's formula; {} for others.
 
     UTM coordinates near 57 degrees have the norm of ECEF coordinates, but their z is an altitude.
@@ -290,16 +306,16 @@ def of_earth_center(columns: Columns) -> dict[str, Found]:
     factors = (1.0, 0.01, 1e-3) if unit is None else (unit.factor,)
     factor = next((f for f in factors if 6.34e6 < f * low <= f * high < 6.4e6), None)
     stated = all("ecef" in columns.names[n].plain for n in "xyz")
-    if factor is None or not (stated or factor * median_of(columns.numbers("z").abs()) > HIGHEST):
+    if factor is None or not (stated or factor * median_of(columns.numbers("z").abs()) > MAX_ALTITUDE):
         return {}
     x, y, z = (columns.text(n) if factor == 1 else f"({columns.text(n)}*{factor:g})" for n in "xyz")
     angle = f"atan2({z}*1.00336409, hypot({x}, {y}))"
     lat = f"degrees(atan2({z} + 42841.3115*sin({angle})**3, hypot({x}, {y}) - 42697.6727*cos({angle})**3))"
     note = f"{x}, {y} and {z} are read as coordinates from the center of the earth (ECEF)"
-    return {"lat": Found(lat, note), "lon": Found(f"degrees(atan2({y}, {x}))")}
+    return {"lat": TimeExpression(lat, note), "lon": TimeExpression(f"degrees(atan2({y}, {x}))")}
 
 
-def _place_form(columns: Columns, role: Role) -> Found:
+def _place_form(columns: Columns, role: Role) -> TimeExpression:
     """Guess the unit of latitude and longitude from their magnitude; {} in the expression is the column."""
     both = ("lat", "lon")
     cells = [columns.frame[columns.names[what].column] for what in both]
@@ -308,25 +324,29 @@ def _place_form(columns: Columns, role: Role) -> Found:
         columns = replace(columns, frame=apart)
     lat, lon = (columns.numbers(what).filter(columns.numbers(what) != 0).abs() for what in both)
     if not len(lat) or not len(lon):
-        return Found("{}")
+        return TimeExpression("{}")
     low, high = map(median_of, (lat, lon))
     if low < 1.571 and high < 3.1416:
         radians, degrees = (_maps(columns, role, both, form) for form in ("degrees({})", "{}"))
         options = f"{radians} for radians, {degrees} for degrees"
         fault = f"latitude and longitude are within 1.6 and 3.2 and may be radians; write {options}"
-        return Found("", fault=fault)
+        return TimeExpression("", fault=fault)
     if low <= 90 and high <= 360:
-        return Found("{}")
+        return TimeExpression("{}")
     if low <= 180 and high <= 90:
         exchanged = f'--map "{role}.lat={columns.text("lon")}" "{role}.lon={columns.text("lat")}"'
         fault = f"the latitude of about {low:.6g} exceeds 90: latitude and longitude are exchanged; write {exchanged}"
-        return Found("", fault=fault)
-    if low <= 9000 and high <= 18060 and all((v % 100 >= 60).sum() <= FEW_ODD * len(v) for v in (lat, lon)):
-        return Found("ddmm({})", "latitude and longitude are read as degrees and minutes, ddmm.mmmm")
+        return TimeExpression("", fault=fault)
+    if (
+        low <= 9000
+        and high <= 18060
+        and all((v % 100 >= 60).sum() <= MAX_DAMAGED_SHARE * len(v) for v in (lat, lon))
+    ):
+        return TimeExpression("ddmm({})", "latitude and longitude are read as degrees and minutes, ddmm.mmmm")
     if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 180e6):
         other = f"; if they are milliarcseconds, write {_maps(columns, role, both, '{}/3.6e6')}"
         note = "latitude and longitude are read as 1e-7 degrees"
-        return Found("{}*1e-7", note + (other if low <= 90 * 3.6e6 and high <= 180 * 3.6e6 else ""))
+        return TimeExpression("{}*1e-7", note + (other if low <= 90 * 3.6e6 and high <= 180 * 3.6e6 else ""))
     # among the units with possible degrees, the unit with the largest degrees
     fitting = [
         k for k in ("3600", "1e5", "1e6", "3.6e6", "1e7") if low <= 90 * float(k) and high <= 360 * float(k)
@@ -334,10 +354,10 @@ def _place_form(columns: Columns, role: Role) -> Found:
     options = [_maps(columns, role, both, f"{{}}/{k}") + FRACTIONS.get(k, "") for k in fitting[:3] or ["1e7"]]
     maps = f"{' or '.join(options)} (or another factor)"
     fault = f"latitude and longitude of about {low:.6g} and {high:.6g} are not degrees; write {maps}"
-    return Found("", fault=fault)
+    return TimeExpression("", fault=fault)
 
 
-def heading(columns: Columns, what: str, role: Role) -> Found:
+def heading(columns: Columns, what: str, role: Role) -> TimeExpression:
     """Convert a direction to rad counter-clockwise from east; bearings and courses in deg are clockwise from north."""
     name, text = columns.names[what], columns.text(what)
     if name.unit is not None and name.unit.dimension != "angle":
@@ -347,6 +367,6 @@ def heading(columns: Columns, what: str, role: Role) -> Found:
     degrees = "radians" in angle
     if what == "bearing" or (what == "course" and degrees):
         note = f"{name.column} is read as {'degrees' if degrees else 'radians'} clockwise from north"
-        return Found(f"radians(90-{text})" if angle == f"radians({text})" else f"pi/2-{angle}", note)
+        return TimeExpression(f"radians(90-{text})" if angle == f"radians({text})" else f"pi/2-{angle}", note)
     assumed = what == "theta" and name.unit is None and degrees
-    return Found(angle, f"{name.column} is read as degrees" if assumed else "")
+    return TimeExpression(angle, f"{name.column} is read as degrees" if assumed else "")

@@ -8,13 +8,13 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.importing.places import course_of
+from sigmaswarm.importing.positions import chord_course
 from sigmaswarm.importing.source import Part, Role
 from sigmaswarm.importing.units import in_si, parse_unit
 
 _DEGREE = math.pi / 180
 # Expressions of rates without a unit, with the assumed factor to rad/s; {} is the column
-ASSUMED = {"{}": 1.0, "radians({})": _DEGREE}
+ASSUMED_UNITS = {"{}": 1.0, "radians({})": _DEGREE}
 _NAMED = map(parse_unit, ("rad/s", "deg/s", "mrad/s", "mdps", "cdps", "rpm", "rev/s", "deg/h", "deg/min"))
 # Scales of common 16-bit sensors, in whole numbers: factors to rad/s, and expressions
 COUNTS = {
@@ -27,18 +27,18 @@ UNITS = {
     **COUNTS,
 }
 # Largest relative difference from the factor of a unit; smallest ratio that contradicts the assumed unit
-WITHIN, OTHER = 0.08, 1.4
+FACTOR_TOLERANCE, MIN_FACTOR_RATIO = 0.08, 1.4
 # s, times over which changes of course are compared; largest ratio of an actual time to these times
-APART, GAP = (1.5, 6.0, 24.0), 1.4
+TURN_INTERVALS, MAX_INTERVAL_RATIO = (1.5, 6.0, 24.0), 1.4
 # s, tried delays of the fixes
 DELAYS = (-1.0, -0.5, -0.25, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
 # Share of the changes of course that the rates must explain, to show another unit and to confirm the assumed unit
-EXPLAINED, CONFIRMS = 0.9, 0.5
+MIN_EXPLAINED, MIN_CONFIRMED = 0.9, 0.5
 # rad, smallest standard deviation of the changes of course; their smallest number
-LEAST_TURN, FEWEST = 0.1, 20
-OUTLYING = 3.0  # standard deviations of an outlying change of course, as when a robot spins on the spot
+MIN_TURN_STD, MIN_TURNS = 0.1, 20
+OUTLIER_SIGMAS = 3.0  # standard deviations of an outlying change of course, as when a robot spins on the spot
 # Directions in the space of the axes with less than this share of the largest turn are not used
-SMALL = 0.2
+MIN_AXIS_SHARE = 0.2
 
 
 def unit_of_rates(
@@ -46,7 +46,7 @@ def unit_of_rates(
 ) -> tuple[str, str]:
     """Describe the unit of rates whose turns contradict those of the fixes, with the remedy; return fault and note.
 
-    Only rates with an expression of `ASSUMED` are checked. ``unitless``: columns without a unit, as text in
+    Only rates with an expression of `ASSUMED_UNITS` are checked. ``unitless``: columns without a unit, as text in
     expressions, by column of the drive. The note states that rates are assumed to be in rad/s, but the log does not
     show their turns.
     """
@@ -54,14 +54,14 @@ def unit_of_rates(
     times = {role: parts[0].columns.get("t", "") for role, parts in roles.items() if parts}
     used = {n: text for part in roles["imu"] for n, text in part.columns.items() if n in rates}
     forms = {text.replace(unitless[n], "{}") for n, text in used.items()}
-    if len(forms) != 1 or not forms <= ASSUMED.keys():
+    if len(forms) != 1 or not forms <= ASSUMED_UNITS.keys():
         return "", ""
-    assumed = ASSUMED[forms.pop()]
+    assumed = ASSUMED_UNITS[forms.pop()]
     columns = ", ".join(unitless[n] for n in used)
     raw = [getattr(drive.imu, n) / assumed for n in used]
     share, ratio = _ratio(drive)
-    if share < EXPLAINED:
-        if share > CONFIRMS and 1 / OTHER < ratio < OTHER:
+    if share < MIN_EXPLAINED:
+        if share > MIN_CONFIRMED and 1 / MIN_FACTOR_RATIO < ratio < MIN_FACTOR_RATIO:
             return "", ""
         message = (
             f"no turn of the fixes confirms the unit of {columns}, read as rad/s; if it is deg/s, write "
@@ -70,8 +70,8 @@ def unit_of_rates(
     whole = all(np.allclose(values, np.round(values), rtol=0, atol=1e-6) for values in raw)
     known = UNITS if whole else UNITS.keys() - COUNTS
     apart = {name: abs(math.log(ratio * assumed / UNITS[name][0])) for name in known}
-    likely = sorted((name for name in apart if apart[name] < WITHIN), key=lambda name: apart[name])
-    if 1 / OTHER < ratio < OTHER:
+    likely = sorted((name for name in apart if apart[name] < FACTOR_TOLERANCE), key=lambda name: apart[name])
+    if 1 / MIN_FACTOR_RATIO < ratio < MIN_FACTOR_RATIO:
         return "", ""
     if not likely:
         return _wrong_clock(ratio, columns, times), ""
@@ -87,7 +87,7 @@ def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
     """Describe times whose unit is wrong by a power of ten; "" for other ratios, or times with a date."""
     power = round(math.log10(ratio))
     if (
-        abs(math.log(ratio / 10.0**power)) > WITHIN
+        abs(math.log(ratio / 10.0**power)) > FACTOR_TOLERANCE
         or not all(times.values())
         or "(" in "".join(times.values())
     ):
@@ -104,12 +104,12 @@ def _ratio(drive: Drive) -> tuple[float, float]:
     steps = 0.5 * (axes[:, 1:] + axes[:, :-1]) * np.diff(imu.time)
     angles = np.pad(np.cumsum(steps, axis=1), ((0, 0), (1, 0)))
     noise = float(np.median(np.hypot(np.diff(x, 2), np.diff(y, 2)))) / 2.9 if len(time) > 2 else 0.0
-    course, rows = course_of(time, x, y, chord=float(np.clip(20 * noise, 0.5, 20.0)))
+    course, rows = chord_course(time, x, y, chord=float(np.clip(20 * noise, 0.5, 20.0)))
     at, best = time[rows], (0.0, 0.0)
-    for apart in APART:
+    for apart in TURN_INTERVALS:
         later = np.searchsorted(at, at + apart)
         first = np.flatnonzero(later < len(at))
-        first = first[at[later[first]] - at[first] < GAP * apart]
+        first = first[at[later[first]] - at[first] < MAX_INTERVAL_RATIO * apart]
         later = later[first]
         turns = np.asarray(wrap_angle(course[later] - course[first]))
         for delay in DELAYS:
@@ -122,12 +122,12 @@ def _fitted(measured: Array, turns: Array) -> tuple[float, float]:
     """Fit measured angles (n, axes) to the turns (n,); return explained share and factor, or zeros for few turns."""
     share, ratio = 0.0, 0.0
     for _ in range(4):
-        if len(turns) < FEWEST or np.std(turns) < LEAST_TURN:
+        if len(turns) < MIN_TURNS or np.std(turns) < MIN_TURN_STD:
             return 0.0, 0.0
         measured, turns = measured - np.mean(measured, axis=0), turns - np.mean(turns)
-        factors = np.asarray(np.linalg.lstsq(measured, turns, rcond=SMALL)[0], np.float64)
+        factors = np.asarray(np.linalg.lstsq(measured, turns, rcond=MIN_AXIS_SHARE)[0], np.float64)
         left = turns - measured @ factors
         share, ratio = 1.0 - float(left @ left / (turns @ turns)), float(np.linalg.norm(factors))
-        kept = np.abs(left) <= OUTLYING * float(np.median(np.abs(left))) / 0.6745
+        kept = np.abs(left) <= OUTLIER_SIGMAS * float(np.median(np.abs(left))) / 0.6745
         measured, turns = measured[kept], turns[kept]
     return share, ratio

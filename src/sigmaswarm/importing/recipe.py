@@ -11,10 +11,10 @@ from typing import Any, Self, cast
 import tomli_w
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import make_folder, write_whole
+from sigmaswarm.files import make_folder, write_atomically
 from sigmaswarm.importing.source import ROLES, Part, Role
 from sigmaswarm.limits import read_toml_text
-from sigmaswarm.wording import quoted, shown, value_shown
+from sigmaswarm.wording import printable, printable_value, quoted
 
 # Columns of each role: those of a drive (docs/drives.md), and ``vx, vy`` of fixes (m/s east, north); ``forward, left``
 # (m/s in the body frame), ``speed, course`` and ``lat, lon, alt`` of the truth; ``keep``, true for the rows to read.
@@ -63,11 +63,15 @@ class Recipe:
         except OSError as error:
             raise InputError(f"{path}: can't be read ({error.strerror}); name a recipe file") from None
         except UnicodeDecodeError as error:
-            raise InputError(f"{path} is not valid TOML: {shown(error, 160)}; write it as UTF-8") from None
+            raise InputError(
+                f"{path} is not valid TOML: {printable(error, 160)}; write it as UTF-8"
+            ) from None
         try:
             content = tomllib.loads(text)
         except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
-            raise InputError(f"{path} is not valid TOML: {shown(error, 160)}; correct that line") from None
+            raise InputError(
+                f"{path} is not valid TOML: {printable(error, 160)}; correct that line"
+            ) from None
         known = (*ROLES, *_SETTINGS)
         if unknown := sorted(set(content) - set(known)):
             raise InputError(f"{path}: {quoted(unknown[0])} is unknown; the keys are {', '.join(known)}")
@@ -92,7 +96,7 @@ class Recipe:
                 axes[axis] = f"{axes[axis]} + {text}" if axis != name and axis in axes else text
         return {axis: text for axis, text in axes.items() if axis not in ("t", "keep")}
 
-    def said(self) -> Iterator[str]:
+    def map_arguments(self) -> Iterator[str]:
         """Describe the recipe as arguments of ``--map``, one line per table."""
         for role, parts in self.roles.items():
             for part in parts:
@@ -101,7 +105,7 @@ class Recipe:
 
     def save(self, path: Path) -> None:
         make_folder(path.parent, "name another file")
-        write_whole(path, "# How `sigmaswarm import` makes a drive of a log.\n" + self.to_toml())
+        write_atomically(path, "# How `sigmaswarm import` makes a drive of a log.\n" + self.to_toml())
 
 
 def _setting(value: Any, key: str, path: Path) -> Any:
@@ -114,17 +118,17 @@ def _setting(value: Any, key: str, path: Path) -> Any:
     if kind is not str and sound:
         return tuple(map(float, values)) if isinstance(kind, int) else float(values[0])
     what = f"{kind} numbers" if isinstance(kind, int) else "text" if kind is str else "a number"
-    raise InputError(f"{path}: {key} = {value_shown(value)} can't be used; write {what}")
+    raise InputError(f"{path}: {key} = {printable_value(value)} can't be used; write {what}")
 
 
 def _parts(content: Any, role: Role, path: Path) -> Iterator[Part]:
     for entry in cast("list[Any]", content if isinstance(content, list) else [content]):
         if not isinstance(entry, dict):
             raise InputError(
-                f"{path}: {role} = {value_shown(entry)} can't be used; write [[{role}]] and its columns below"
+                f"{path}: {role} = {printable_value(entry)} can't be used; write [[{role}]] and its columns below"
             )
         cells = cast("dict[str, Any]", entry)
-        columns = {str(k): v if isinstance(v, str) else value_shown(v) for k, v in cells.items()}
+        columns = {str(k): v if isinstance(v, str) else printable_value(v) for k, v in cells.items()}
         table = columns.pop("table", "")
         if unknown := sorted(c for c in columns if c.removeprefix("+") not in COLUMNS[role]):
             raise InputError(

@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import Origin, enu_to_geodetic, geodetic_to_enu
-from sigmaswarm.importing.places import FARTHEST, Values
+from sigmaswarm.importing.positions import MAX_DISTANCE, Values
 from sigmaswarm.importing.source import Part, Role
 
 # Smallest share of the fixes' variance that a turned truth must explain; smallest angle, rad, and relative difference
 # of scale that are reported
-EXPLAINED, TURNED, STRETCHED = 0.9, np.radians(5), 0.05
+MIN_EXPLAINED, MIN_ROTATION, MIN_STRETCH = 0.9, np.radians(5), 0.05
 # s, tried delays of the truth, since on a circle a delay looks like a turn; smallest ratio of the residual variance
 # with the unchanged truth, at the best delay, to that with the turned truth
-LAGS, CLEARLY = np.arange(-20.0, 20.1, 0.5), 4.0
-EXACT = 0.02  # rad, angle within which axes count as exactly exchanged or reversed
+LAGS, MIN_VARIANCE_RATIO = np.arange(-20.0, 20.1, 0.5), 4.0
+ANGLE_TOLERANCE = 0.02  # rad, angle within which axes count as exactly exchanged or reversed
 STEP = 0.01  # s, resolution of a reported delay
 # m per unit of length
 LENGTHS = {
@@ -30,8 +30,8 @@ LENGTHS = {
     "mi": 1609.344,
     "nmi": 1852.0,
 }
-LATEST = 2.5  # s, largest delay of a receiver
-FEWEST = 10  # smallest number of fixes that are compared with the truth
+MAX_DELAY = 2.5  # s, largest delay of a receiver
+MIN_FIXES = 10  # smallest number of fixes that are compared with the truth
 
 
 def require_same_axes(
@@ -43,10 +43,10 @@ def require_same_axes(
     z = a conj(w). Return a sentence if the clocks differ instead of the axes, else "".
     """
     inside, true = _true(seconds, truth)
-    if len(true) < FEWEST:
+    if len(true) < MIN_FIXES:
         return ""
     fixes = np.column_stack([gps[n] for n in ("x", "y")])
-    if "lat" in gps and np.linalg.norm(fixes[inside].mean(axis=0)) > FARTHEST:
+    if "lat" in gps and np.linalg.norm(fixes[inside].mean(axis=0)) > MAX_DISTANCE:
         return ""  # so far from the origin, east and north are other directions
     z, w = (_centered(xy) for xy in (fixes[inside], true))
     power, unexplained = float(np.mean(np.abs(z) ** 2)), float(np.mean(np.abs(z - w) ** 2))
@@ -56,7 +56,10 @@ def require_same_axes(
     left = power - float((dots[mirrored] * np.conj(factor)).real)
     late = [_apart(fixes, seconds, truth, lag) for lag in LAGS]
     best = int(np.argmin(late))
-    if late[best] < min(unexplained / CLEARLY, (1 - EXPLAINED) * power, left) and abs(LAGS[best]) > LATEST:
+    if (
+        late[best] < min(unexplained / MIN_VARIANCE_RATIO, (1 - MIN_EXPLAINED) * power, left)
+        and abs(LAGS[best]) > MAX_DELAY
+    ):
         near = LAGS[best] + np.arange(LAGS[0] - LAGS[1], LAGS[1] - LAGS[0] + STEP / 2, STEP)
         lag = round(float(min(near, key=lambda lag: _apart(fixes, seconds, truth, float(lag)))), 2)
         when = "later" if lag > 0 else "earlier"
@@ -67,16 +70,18 @@ def require_same_axes(
         return f"{message}, or --gps-offset {lag:g} if the fixes have the wrong clock"
     if "lat" in truth:
         return ""
-    stretched = abs(np.log(max(abs(factor), 1e-9))) > STRETCHED
-    if left > (1 - EXPLAINED) * power or not (mirrored or stretched or abs(np.angle(factor)) > TURNED):
+    stretched = abs(np.log(max(abs(factor), 1e-9))) > MIN_STRETCH
+    if left > (1 - MIN_EXPLAINED) * power or not (
+        mirrored or stretched or abs(np.angle(factor)) > MIN_ROTATION
+    ):
         return ""
-    if min(unexplained, *late) < CLEARLY * left:
+    if min(unexplained, *late) < MIN_VARIANCE_RATIO * left:
         return ""
     unit = min(LENGTHS, key=lambda name: abs(np.log(abs(factor) / LENGTHS[name])))
-    known = abs(np.log(abs(factor) / LENGTHS[unit])) < STRETCHED
+    known = abs(np.log(abs(factor) / LENGTHS[unit])) < MIN_STRETCH
     size = 1.0 if not stretched else LENGTHS[unit] if known else abs(factor)
     a, side = factor / abs(factor), -1 if mirrored else 1
-    if abs(a - (quarter := 1j ** np.round(np.angle(a) / (np.pi / 2)))) < EXACT:
+    if abs(a - (quarter := 1j ** np.round(np.angle(a) / (np.pi / 2)))) < ANGLE_TOLERANCE:
         a = complex(np.round(quarter))
     x, y = ({n: t for part in parts for n, t in part.columns.items()}[n] for n in ("x", "y"))
     rows = (a.real, x, -side * a.imag, y), (a.imag, x, side * a.real, y)
@@ -90,7 +95,7 @@ def require_same_axes(
 def _apart(fixes: Array, seconds: Mapping[Role, Array], truth: Values, lag: float) -> float:
     """Return the mean square of the distances, m2, of fixes (n, 2) to the truth ``lag`` s later, about their means."""
     inside, true = _true(seconds, truth, lag)
-    if np.count_nonzero(inside) < max(FEWEST, len(fixes) // 2):
+    if np.count_nonzero(inside) < max(MIN_FIXES, len(fixes) // 2):
         return np.inf
     return float(np.mean(np.abs(_centered(fixes[inside]) - _centered(true)) ** 2))
 
@@ -124,7 +129,7 @@ def assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, or
 
     off = apart(origin)
     (east, north), spread = np.mean(off, axis=0), np.std(off, axis=0) / np.sqrt(len(true))
-    if np.hypot(east, north) > FARTHEST:
+    if np.hypot(east, north) > MAX_DISTANCE:
         return (
             f"{message}, but it is then {np.hypot(east, north) / 1e3:.0f} km from the fixes, so its coordinates are "
             "probably those of a map (UTM); convert it to degrees, for example with pyproj, and map truth.lat and "

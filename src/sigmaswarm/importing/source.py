@@ -12,14 +12,16 @@ from typing import Any, Literal
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.expressions import fits
-from sigmaswarm.wording import names_shown, quoted, shown
+from sigmaswarm.importing.expressions import is_valid_expression
+from sigmaswarm.wording import list_names, printable, quoted
 
 Role = Literal["imu", "gps", "truth", "odometer", "mag"]
 ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer", "mag")
 CHUNK = 5000
 FILES = "columns"
-Progress = Callable[[float], None]  # function that receives the share of the log that has been read, 0 to 1
+ImportProgress = Callable[
+    [float], None
+]  # function that receives the share of the log that has been read, 0 to 1
 Wanted = Mapping[str, Collection[str]]
 # A table, rows with its wanted columns, and the share of the log that has been read, 0 to 1
 Batch = tuple[str, pl.DataFrame, float]
@@ -124,7 +126,7 @@ class Guess:
 
 
 @dataclass(frozen=True)
-class Choice:
+class TableChoice:
     """The user's choices among the tables of a log."""
 
     tables: Mapping[str, str] = field(default_factory=dict[str, str])  # by role
@@ -137,7 +139,7 @@ class Log:
     path: Path
     tables: Mapping[str, Table]
     batches: Callable[[Wanted], Iterator[Batch]]  # reads the wanted columns, in the order of the log
-    guess: Callable[[Choice], Guess]  # makes a recipe
+    guess: Callable[[TableChoice], Guess]  # makes a recipe
     remarks: list[str] = field(default_factory=list[str])  # on the log; some are added while batches are read
     mixed: bool = False  # True if rows of the tables alternate, so all occur near the beginning
 
@@ -145,8 +147,8 @@ class Log:
         return Log(self.path, self.tables, self.batches, lambda _: guess, self.remarks, self.mixed)
 
 
-def of_frames(
-    path: Path, frames: Mapping[str, pl.DataFrame], kind: str, guess: Callable[[Choice], Guess]
+def log_of_frames(
+    path: Path, frames: Mapping[str, pl.DataFrame], kind: str, guess: Callable[[TableChoice], Guess]
 ) -> Log:
     tables = {name: Table(tuple(f.columns), kind, len(f)) for name, f in frames.items()}
 
@@ -157,7 +159,7 @@ def of_frames(
     return Log(path, tables, batches, guess)
 
 
-def of_rows(
+def log_of_rows(
     path: Path,
     table: str,
     columns: tuple[str, ...],
@@ -189,7 +191,9 @@ def roles_of(
     for role, table, columns in parts:
         if table in tables:
             found = {
-                name: text if isinstance(text, str) else next((t for t in text if fits(t, tables[table])), "")
+                name: text
+                if isinstance(text, str)
+                else next((t for t in text if is_valid_expression(t, tables[table])), "")
                 for name, text in columns.items()
             }
             part = Part(table, {name: text for name, text in found.items() if text})
@@ -201,7 +205,7 @@ def roles_of(
 EXTRAS = {"ros": "rosbags mcap mcap-protobuf-support pyyaml", "logs": "pyubx2 pynmeagps pyulog pymavlink"}
 
 
-def library(name: str, extra: str) -> Any:
+def import_library(name: str, extra: str) -> Any:
     """Import the library of a format; if it is missing, state how to install it."""
     try:
         return import_module(name)
@@ -234,30 +238,30 @@ def is_empty(path: Path) -> bool:
     )
 
 
-def no_log(folder: Path) -> InputError:
+def no_log_error(folder: Path) -> InputError:
     """Return the error for a folder without a log; the message names the files in the folder."""
     remedy = "name a log file or the folder of a log"
     if not (files := sorted(entry.name for entry in folder.iterdir())):
         return InputError(f"{folder}: is an empty folder; {remedy}")
     return InputError(
-        f"{folder}: contains no log that is recognized (looked at {names_shown(files)}); {remedy}"
+        f"{folder}: contains no log that is recognized (looked at {list_names(files)}); {remedy}"
     )
 
 
 @contextmanager
-def whole(path: Path, what: str = "", remedy: str = "record or copy it again") -> Generator[None]:
+def errors_as_damage(path: Path, what: str = "", remedy: str = "record or copy it again") -> Generator[None]:
     """Convert any exception of a library on damaged bytes to a one-line error."""
     try:
         yield
     except InputError:
         raise
     except Exception as error:
-        raise broken(path, error, what, remedy) from None
+        raise damage_error(path, error, what, remedy) from None
 
 
-def broken(
+def damage_error(
     path: Path, error: Exception, what: str = "", remedy: str = "record or copy it again"
 ) -> InputError:
     reason = " ".join(str(error).split()) or type(error).__name__
-    reason = shown(re.sub(r"^b'(.*)'$", r"\1", reason), 160)
+    reason = printable(re.sub(r"^b'(.*)'$", r"\1", reason), 160)
     return InputError(f"{path}: {what or 'is cut short or broken'} ({reason}); {remedy}")

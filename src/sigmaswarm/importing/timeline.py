@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.dates import LONG_AGO, SECOND, WEEK, Nanoseconds
-from sigmaswarm.importing.places import Say
+from sigmaswarm.importing.dates import MIN_DATE, SECOND, WEEK, Nanoseconds
+from sigmaswarm.importing.positions import Say
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.times import DISORDERED, LONGEST_STEP, SHORTEST_STEP, UNITS
-from sigmaswarm.wording import counted, left_out, names_shown
+from sigmaswarm.importing.times import MAX_DECREASING_SHARE, MAX_STEP, MIN_STEP, UNITS
+from sigmaswarm.wording import count_of, list_names, rows_left_out
 
 MINUTE = 60 * SECOND
 # Periods after which counters restart, ns
@@ -30,13 +30,13 @@ WRAPS: tuple[tuple[int, str], ...] = (
     (MINUTE, "the seconds of the minute"),
 )
 # Smallest number of rows of a separate recording; shorter runs of rows out of order are sorted
-FEWEST_ROWS = 20
+MIN_ROWS = 20
 # s, least distance of a wrong time from the times of the rows around it; most checked clock jumps
-FAR, MOST_JUMPS = 10.0, 100
-MOST_SECONDS = 5  # recordings of a second each
-LEAST_FALL, STEPS = 0.2, 2  # smallest step back of a clock between recordings: s, and median steps
-REPEATED = 0.02  # share of rows that repeat the previous time, above which rows share stamps
-UNEVEN = 0.1  # largest share of stamps whose number of rows differs from the usual number
+MIN_TIME_ERROR, MAX_JUMPS = 10.0, 100
+MAX_SECONDS = 5  # recordings of a second each
+MIN_STEP_BACK, STEPS = 0.2, 2  # smallest step back of a clock between recordings: s, and median steps
+MAX_REPEATED_SHARE = 0.02  # share of rows that repeat the previous time, above which rows share stamps
+MAX_UNEVEN_SHARE = 0.1  # largest share of stamps whose number of rows differs from the usual number
 
 
 def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
@@ -60,7 +60,7 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, int, str]:
     """Unwrap a counter that restarted; return the times, its period, ns, and a sentence; 0 and "" for other clocks."""
     steps = np.diff(time)
     ahead = steps[steps > 0]
-    if not len(ahead) or not 0 < np.mean(steps < 0) < DISORDERED:
+    if not len(ahead) or not 0 < np.mean(steps < 0) < MAX_DECREASING_SHARE:
         return time, 0, ""
     usual = float(np.median(ahead))
     fitting: list[tuple[float, int, str]] = []
@@ -82,18 +82,18 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, int, str]:
         return time, 0, ""
     _, period, name = min(fitting)
     turns = np.concatenate([[0], np.cumsum(steps < -0.5 * period)])
-    return time + turns * period, period, f"{name}, wraps {counted(int(turns[-1]), 'time')} and is unwrapped"
+    return time + turns * period, period, f"{name}, wraps {count_of(int(turns[-1]), 'time')} and is unwrapped"
 
 
 def recordings(time: Nanoseconds) -> list[slice]:
     falls = np.flatnonzero(np.diff(time) < 0) + 1
     whole = [slice(0, len(time))]
-    if not len(falls) or len(falls) > max(len(time) // FEWEST_ROWS, 1):
+    if not len(falls) or len(falls) > max(len(time) // MIN_ROWS, 1):
         return whole
-    least = max(LEAST_FALL * SECOND, STEPS * float(np.median(np.abs(np.diff(time)))))
+    least = max(MIN_STEP_BACK * SECOND, STEPS * float(np.median(np.abs(np.diff(time)))))
     ends = [0]
     for fall in falls.tolist():
-        enough = min(fall - ends[-1], len(time) - fall) >= FEWEST_ROWS
+        enough = min(fall - ends[-1], len(time) - fall) >= MIN_ROWS
         if enough and int(time[fall - 1]) - int(time[fall]) > least:
             ends.append(fall)
     parts = [slice(*ends) for ends in pairwise([*ends, len(time)])]
@@ -117,15 +117,11 @@ def _stray(time: Nanoseconds) -> NDArray[np.bool_]:
     """Mark rows with wrong times: a few, far from those of the rows around them."""
     stray = np.zeros(len(time), bool)
     steps = np.diff(time)
-    jumps = np.flatnonzero((steps < 0) | (steps > LONG_AGO)) + 1  # forward: the clock was set
-    far = max(FAR * SECOND, 100 * float(np.median(np.abs(steps)))) if len(time) > 1 else 0.0
-    near = (
-        (jumps[:, None] + np.arange(-FEWEST_ROWS, FEWEST_ROWS)).ravel()
-        if len(jumps) <= MOST_JUMPS
-        else jumps[:0]
-    )
+    jumps = np.flatnonzero((steps < 0) | (steps > MIN_DATE)) + 1  # forward: the clock was set
+    far = max(MIN_TIME_ERROR * SECOND, 100 * float(np.median(np.abs(steps)))) if len(time) > 1 else 0.0
+    near = (jumps[:, None] + np.arange(-MIN_ROWS, MIN_ROWS)).ravel() if len(jumps) <= MAX_JUMPS else jumps[:0]
     for k in near[(near >= 0) & (near < len(time))].tolist():
-        around = time[max(k - FEWEST_ROWS, 0) : k + FEWEST_ROWS + 1]
+        around = time[max(k - MIN_ROWS, 0) : k + MIN_ROWS + 1]
         stray[k] = abs(int(time[k]) - int(np.partition(around, len(around) // 2)[len(around) // 2])) > far
     return stray
 
@@ -135,13 +131,13 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
     parts = recordings(time)
     if len(parts) == 1:
         return parts[0], f"{where}: the clock does not restart; all rows are used" if part else ""
-    if part is None and len(parts) > MOST_SECONDS and (rate := _rate_by_rows(time, parts)):
+    if part is None and len(parts) > MAX_SECONDS and (rate := _rate_by_rows(time, parts)):
         raise InputError(
             f"{where}: the clock goes back {len(parts) - 1} times, about once per second; if fractions of seconds are "
             f'written without zeros or whole seconds, count rows: --map "{role}.t=row/{rate:.4g}"'
         )
     lengths = [f"{(int(time[p].max()) - int(time[p].min())) / SECOND:.1f} s" for p in parts]
-    many = f"{len(parts)} recordings ({names_shown(lengths)})"
+    many = f"{len(parts)} recordings ({list_names(lengths)})"
     message = f"{where}: the clock restarts at row {parts[1].start + 1}: {many}"
     if part is None:
         raise InputError(f"{message}; import each recording separately: --part 1 to --part {len(parts)}")
@@ -150,7 +146,7 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
     return parts[part - 1], f"{message}; recording {part} is used"
 
 
-def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]:
+def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]:
     """Spread rows that share a stamp evenly up to the next stamp; refuse stamps with varying numbers of rows."""
     new = np.flatnonzero(np.diff(time, prepend=time[0] - 1) != 0)
     repeated = 1 - len(new) / len(time)
@@ -159,7 +155,7 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
             f"{where}: all {len(time)} rows have the same time; specify a finer time with --map {role}.t=..., or count "
             f'rows where the rate is known: --map "{role}.t=row/100" for 100 Hz'
         )
-    if repeated <= REPEATED or len(new) < 2:
+    if repeated <= MAX_REPEATED_SHARE or len(new) < 2:
         return time, ""
     counts = np.diff(new, append=len(time))
     steps = np.diff(time[new])
@@ -167,7 +163,7 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
     inner = counts[1:-1] if len(counts) > 3 else counts
     odd = np.abs(inner - usual) > max(1.0, 0.05 * usual)
     irregular = np.abs(steps - step) > 0.2 * step
-    if usual < 2 or np.mean(odd) > UNEVEN or np.mean(irregular) > UNEVEN:
+    if usual < 2 or np.mean(odd) > MAX_UNEVEN_SHARE or np.mean(irregular) > MAX_UNEVEN_SHARE:
         if repeated < 0.1:
             return time, ""
         lost, rate = len(time) - len(new), usual * SECOND / step
@@ -189,14 +185,14 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
     return fine, f"{usual:g} rows share a stamp of {step / SECOND:g} s and are spread evenly"
 
 
-def in_order(
+def sorted_times(
     time: Nanoseconds, role: Role, where: str, part: int | None, say: Say
 ) -> tuple[Nanoseconds, NDArray[np.int64]]:
     """Return a table's times (n,), strictly increasing, and the indices of their rows."""
     rows = np.flatnonzero(~_stray(time))
     if len(rows) < len(time):
         say(
-            f"{where}: {left_out(len(time) - len(rows))}, since the time is far from those of the rows around"
+            f"{where}: {rows_left_out(len(time) - len(rows))}, since the time is far from those of the rows around"
         )
     taken, chosen = choose_part(time[rows], part, role, where)
     rows = rows[taken]
@@ -208,23 +204,25 @@ def in_order(
         moved = int(np.count_nonzero(order != np.arange(len(order))))
         say(f"{where}: {moved} rows were out of order (the time decreases {backwards} times); sorted by time")
         time, rows = time[order], rows[order]
-    time, note = spread(time, role, where)
+    time, note = spread_stamps(time, role, where)
     if note:
         say(f"{where}: {note}")
     new = np.diff(time, prepend=time[0] - 1) > 0
     if not new.all():
-        say(f"{where}: {left_out(int(np.count_nonzero(~new)))}, since the time is that of the previous row")
+        say(
+            f"{where}: {rows_left_out(int(np.count_nonzero(~new)))}, since the time is that of the previous row"
+        )
     return time[new], rows[new]
 
 
 def require_likely(time: Nanoseconds, role: Role, where: str, text: str) -> None:
     """Refuse times whose steps are impossible for a car's sensor: their unit cannot be seconds."""
-    step = float(np.median(np.diff(time))) / SECOND if len(time) > 2 else SHORTEST_STEP * 2
-    if SHORTEST_STEP / 2 < step < 4 * LONGEST_STEP[role]:
+    step = float(np.median(np.diff(time))) / SECOND if len(time) > 2 else MIN_STEP * 2
+    if MIN_STEP / 2 < step < 4 * MAX_STEP[role]:
         return
     remedy = "map its time"
     for unit, factor in reversed(UNITS.items()):
-        if SHORTEST_STEP < step * factor < LONGEST_STEP[role]:
+        if MIN_STEP < step * factor < MAX_STEP[role]:
             remedy = f'if they are in {unit}, write --map "{role}.t=({text})*{factor:g}"'
     raise InputError(
         f"{where}: with {text} in seconds, rows of the {role} would be {step:.4g} s apart; {remedy}"

@@ -25,18 +25,18 @@ from sigmaswarm.importing.names import (
 )
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.units import PARTS_OF_SECONDS, SECONDS, in_si
-from sigmaswarm.wording import quoted, shown
+from sigmaswarm.wording import printable, quoted
 
 # Largest plausible sample interval, s
-LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0, "mag": 5.0}
+MAX_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0, "mag": 5.0}
 # s, shortest sample interval of a car's sensor; shortest usual interval of fixes
-SHORTEST_STEP, LEAST_INTERVAL = 1e-4, 0.04
+MIN_STEP, MIN_FIX_INTERVAL = 1e-4, 0.04
 # s, intervals of an IMU outside which the unit of its time is not guessed
 FASTEST_IMU, SLOWEST_IMU = 4e-4, 0.15
 # Share of decreasing steps above which rows are in no order; of a counter that wraps, fewer steps decrease
-DISORDERED = 0.4
+MAX_DECREASING_SHARE = 0.4
 # Smallest step of whole numbers that count as ms; smaller steps may be numbers of rows, or 0.01 s
-LEAST_COUNT = 4
+MIN_COUNT_STEP = 4
 _DAYS_FIRST = (
     *("%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%Y/%m/%d", "%d.%m.%Y", "%d.%m.%y"),
     *("%m/%d/%Y", "%d/%m/%Y", "%m/%d/%y", "%d/%m/%y", "%y/%m/%d"),
@@ -51,8 +51,8 @@ DATE_FORMATS = (
     *("%Y-%m-%d_%H-%M-%S%.f", "%Y-%m-%d %H-%M-%S%.f", "%Y%m%d %H%M%S%.f", "%Y%m%d %H:%M:%S%.f"),
     *("%H:%M:%S%.f", "%H:%M:%S:%3f", "%I:%M:%S%.f %p", "%M:%S%.f"),
 )
-LEAST_FITTING = 0.99  # smallest share of dates that fit their format; other dates are damaged
-COUNTED = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+MIN_FITTING_SHARE = 0.99  # smallest share of dates that fit their format; other dates are damaged
+COUNTER_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 CALENDAR = ("year", "month", "day", "hour", "minute", "second")
 # Last words of the names of a date's six columns
 _CALENDAR = {
@@ -60,7 +60,7 @@ _CALENDAR = {
     **{"mon": "month", "hr": "hour", "min": "minute", "sec": "second"},
 }
 # Units of times, s; those of clock counters come first
-UNITS = {**COUNTED, "days": 86400.0, "h": 3600.0, "min": 60.0}
+UNITS = {**COUNTER_UNITS, "days": 86400.0, "h": 3600.0, "min": 60.0}
 # Ranges of counts from other years than 1970, with the count of 1970-01-01, the unit in s, and a description
 _EPOCHS = (
     (2e4, 8e4, EXCEL_EPOCH, 86400, "days since 1900"),
@@ -73,7 +73,7 @@ _DATES_S = (3e8, 4e9)  # range of dates, s since 1970: 1979 to 2096
 
 
 @dataclass(frozen=True)
-class Found:
+class TimeExpression:
     """Expression of a drive's column."""
 
     expression: str
@@ -81,7 +81,7 @@ class Found:
     fault: str = ""  # reason not to use the expression
 
 
-def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
+def find_time(frame: pl.DataFrame, role: Role) -> TimeExpression | None:
     names = read_names(frame.columns)
     several = _seconds_and_rest(names, frame) or _header_stamp(names, frame, role) or _week(names, frame)
     pairs = [] if several else _dates_and_times(names, frame)
@@ -106,18 +106,18 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 def rising_column(frame: pl.DataFrame) -> str:
     """Return the first column without a known name that increases from row to row, else "COLUMN"."""
     for name in read_names(frame.columns):
-        steps = numbers_of(frame[name.column]).diff().drop_nulls()
+        steps = column_numbers(frame[name.column]).diff().drop_nulls()
         if name.meaning is None and len(steps) and (steps > 0).all():
-            return written(name.column)
+            return quoted_column(name.column)
     return "COLUMN"
 
 
-def written(column: str) -> str:
+def quoted_column(column: str) -> str:
     """Return the name of a column as it is written in an expression."""
     return column if re.fullmatch(r"[A-Za-z_]\w*", column) else f"`{column}`"
 
 
-def numbers_of(values: pl.Series) -> pl.Series:
+def column_numbers(values: pl.Series) -> pl.Series:
     """Return the numbers among the values of a column; empty for lists and bytes."""
     if values.dtype.is_nested() or isinstance(values.dtype, pl.Binary | pl.Object):
         return pl.Series([], dtype=pl.Float64)
@@ -132,9 +132,9 @@ def median_of(values: pl.Series) -> float:
 
 def step_of(values: pl.Series) -> float:
     """Return the median forward step of a time; rows with the same stamp share a step."""
-    steps = numbers_of(values).diff().drop_nulls()
-    if (steps < 0).sum() > DISORDERED * len(steps):
-        steps = numbers_of(values).sort().diff().drop_nulls()
+    steps = column_numbers(values).diff().drop_nulls()
+    if (steps < 0).sum() > MAX_DECREASING_SHARE * len(steps):
+        steps = column_numbers(values).sort().diff().drop_nulls()
     forward = steps.filter(steps > 0)
     shared = len(forward) / (len(forward) + int((steps == 0).sum())) if len(forward) else 1.0
     return median_of(forward) * (shared if shared < 0.9 else 1.0)
@@ -144,15 +144,15 @@ def _scaled(text: str, unit: str) -> str:
     return text if unit == "s" else f"{text}*{UNITS[unit]:.0e}".replace("e-0", "e-")
 
 
-def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
+def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpression | None:
     """Find the stamp in a message's header, which takes precedence over the receive time."""
     stamp = next((n for n in names if n.is_one(STAMP)), None)
-    if stamp is None or not (numbers_of(frame[stamp.column]) > 0).any():
+    if stamp is None or not (column_numbers(frame[stamp.column]) > 0).any():
         return None
     return _of_column(stamp, frame, role)
 
 
-def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[Found | None, Sequence[Name]]:
+def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[TimeExpression | None, Sequence[Name]]:
     """Find a date in six columns (year to second) and fractions in others; return it and the names used."""
     parts = {**PARTS_OF_SECONDS, "milli": 1e-3, "micro": 1e-6, "nano": 1e-9}
     for begin in dict.fromkeys(name.words[:-1] for name in names):
@@ -161,21 +161,21 @@ def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[Found | None,
         if found.keys() != {*CALENDAR}:
             continue
         columns = [found[part].column for part in CALENDAR]
-        year = "%Y" if median_of(numbers_of(frame[columns[0]])) > 99 else "%y"
+        year = "%Y" if median_of(column_numbers(frame[columns[0]])) > 99 else "%y"
         form = f"{year} %m %d %H %M %S%.f"
         dates = frame.select(parse_dates(as_text(columns), form).alias("date"))["date"]
         rest = [(n, parts[word]) for word, n in alike.items() if word in parts]
-        most = sum(scale * float(numbers_of(frame[n.column]).max() or 0) for n, scale in rest)  # pyright: ignore
+        most = sum(scale * float(column_numbers(frame[n.column]).max() or 0) for n, scale in rest)  # pyright: ignore
         if dates.null_count() > 0.1 * len(dates) or most > 1:
             continue
-        text = f"utc({', '.join(map(written, columns))}, '{form}')"
-        text += "".join(f" + {written(n.column)}*{scale:.0e}".replace("e-0", "e-") for n, scale in rest)
+        text = f"utc({', '.join(map(quoted_column, columns))}, '{form}')"
+        text += "".join(f" + {quoted_column(n.column)}*{scale:.0e}".replace("e-0", "e-") for n, scale in rest)
         note = "the time is that of year, month, day, hour, minute and second"
-        return Found(text, note), [*found.values(), *(n for n, _ in rest)]
+        return TimeExpression(text, note), [*found.values(), *(n for n, _ in rest)]
     return None, ()
 
 
-def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
+def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> TimeExpression | None:
     """Find whole seconds in one column, and fractions in another whose name begins in the same way."""
     pairs = [
         (first, rest, PARTS_OF_SECONDS[rest.words[-1]])
@@ -185,37 +185,41 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> Found | Non
         if rest.words and rest.words[:-1] == first.words[:-1] and rest.words[-1] in PARTS_OF_SECONDS
     ]
     for first, rest, scale in sorted(pairs, key=lambda p: "stamp" not in p[0].words):
-        whole, part = numbers_of(frame[first.column]), numbers_of(frame[rest.column])
+        whole, part = column_numbers(frame[first.column]), column_numbers(frame[rest.column])
         fits = (whole == whole.round()).all() and part.is_between(0, 1 / scale - 0.5).all()
         falls = rest.words[-1] != "ms" or (part.diff() < 0).any()  # else ms may count from the start
         if len(whole) and len(part) and fits and falls:
-            text = f"{written(first.column)} + {written(rest.column)}*{scale:.0e}".replace("e-0", "e-")
-            return Found(text, f"the time is {first.column} and {rest.column} together")
+            text = f"{quoted_column(first.column)} + {quoted_column(rest.column)}*{scale:.0e}".replace(
+                "e-0", "e-"
+            )
+            return TimeExpression(text, f"the time is {first.column} and {rest.column} together")
     return None
 
 
-def _week(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
+def _week(names: Sequence[Name], frame: pl.DataFrame) -> TimeExpression | None:
     week = next((n for n in names if n.is_one(WEEK)), None)
     tow = next((n for n in names if n.is_one(TIME_OF_WEEK)), None)
-    if week is None or tow is None or not len(numbers_of(frame[week.column])):
+    if week is None or tow is None or not len(column_numbers(frame[week.column])):
         return None
     if tow.unit is not None and tow.unit.dimension == "time":
-        seconds = in_si(tow.unit, written(tow.column))
+        seconds = in_si(tow.unit, quoted_column(tow.column))
     else:
-        largest = float(numbers_of(frame[tow.column]).max() or 0)  # pyright: ignore[reportArgumentType]
-        unit = next((u for u, scale in COUNTED.items() if largest * scale <= 604_800), "ns")
-        seconds = _scaled(written(tow.column), unit)
-    return Found(f"gps_time({written(week.column)}, {seconds})", "GPS week and time of week converted to UTC")
+        largest = float(column_numbers(frame[tow.column]).max() or 0)  # pyright: ignore[reportArgumentType]
+        unit = next((u for u, scale in COUNTER_UNITS.items() if largest * scale <= 604_800), "ns")
+        seconds = _scaled(quoted_column(tow.column), unit)
+    return TimeExpression(
+        f"gps_time({quoted_column(week.column)}, {seconds})", "GPS week and time of week converted to UTC"
+    )
 
 
-def _dates_and_times(names: Sequence[Name], frame: pl.DataFrame) -> list[tuple[Name, bool, Found]]:
+def _dates_and_times(names: Sequence[Name], frame: pl.DataFrame) -> list[tuple[Name, bool, TimeExpression]]:
     """Read a day in one column of text and the time of day in another.
 
     For each pair, return the clock, True if the names are the usual ones, and the time. Clocks with at most half as
     many distinct times as the finest clock come last.
     """
     schema = frame.schema
-    texts = [n for n in names if schema[n.column] == pl.String and not len(numbers_of(frame[n.column]))]
+    texts = [n for n in names if schema[n.column] == pl.String and not len(column_numbers(frame[n.column]))]
     days, clocks = _prefixed(names, "date|day"), _prefixed(texts, "time|time_of_day|clock")
     pairs = [
         (clock, known, day.column)
@@ -239,11 +243,11 @@ def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
     return found
 
 
-def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
+def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpression | None:
     """Find a column with the name of a time, preferably one that changes and is not always 0; else a running clock."""
     times = [name for name in names if name.meaning == "t"]
     for name in sorted(times, key=lambda name: frame[name.column].n_unique() < 2):
-        numbers = numbers_of(frame[name.column])
+        numbers = column_numbers(frame[name.column])
         if not (len(numbers) > 1 and (numbers == 0).all()):
             return _of_column(name, frame, role)
     clocks = [
@@ -255,23 +259,27 @@ def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | N
 
 def _of_words(values: pl.Series) -> bool:
     """Return True for texts that are not numbers, such as dates."""
-    return values.dtype == pl.String and not len(numbers_of(values)) and bool(values.str.len_chars().max())
+    return (
+        values.dtype == pl.String and not len(column_numbers(values)) and bool(values.str.len_chars().max())
+    )
 
 
-def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> Found:
+def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> TimeExpression:
     """Read the time in one column: dates in text, or numbers, by the unit in the name, their size or their steps."""
-    values, text = frame[name.column], written(name.column)
+    values, text = frame[name.column], quoted_column(name.column)
     if _of_words(values):
         return _of_text([name.column], frame)
     if values.dtype.is_temporal():
-        return Found(text)
+        return TimeExpression(text)
     if name.is_one("sample_?time_?fine"):
-        return Found(f"{text}*1e-4", f"{name.column} is read as ticks of 0.1 ms, as in logs of Xsens")
+        return TimeExpression(
+            f"{text}*1e-4", f"{name.column} is read as ticks of 0.1 ms, as in logs of Xsens"
+        )
     if name.unit is None:
         return _of_numbers(values, text, role)
     if name.unit.dimension == "time":
-        return Found(in_si(name.unit, text))
-    return Found("", fault=unknown_unit(name, "t", "time", role))
+        return TimeExpression(in_si(name.unit, text))
+    return TimeExpression("", fault=unknown_unit(name, "t", "time", role))
 
 
 def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
@@ -280,48 +288,52 @@ def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
     message = (
         f"column {quoted(name.column)}: the unit {quoted(name.unit.text if name.unit else '')} is {kind}"
     )
-    text = f"{written(name.column)}*1.0"
+    text = f"{quoted_column(name.column)}*1.0"
     if name.unit and name.unit.dimension == "angle" and dimension == "rate":
-        text = in_si(name.unit, written(name.column))
+        text = in_si(name.unit, quoted_column(name.column))
     return f'{message}; specify the factor to SI units, for example --map "{role}.{column}={text}"'
 
 
-def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
+def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> TimeExpression:
     """Read dates in text by the format that fits most of them; refuse texts that fit two formats, or no format well."""
     texts = frame.select(as_text(columns).alias("date"))["date"].drop_nulls()
     texts = texts.filter(texts.str.contains(r"\d")).unique(maintain_order=True)  # a placeholder counts once
     read = {form: _read_by(texts, form).count() for form in DATE_FORMATS}
     most = max(read.values())
     fitting = [
-        form for form in sorted(read, key=lambda f: -read[f]) if read[form] >= LEAST_FITTING * most > 0
+        form for form in sorted(read, key=lambda f: -read[f]) if read[form] >= MIN_FITTING_SHARE * most > 0
     ]
-    called = ", ".join(map(written, columns))
-    if len(columns) == 1 and most < LEAST_FITTING * len(texts):
+    called = ", ".join(map(quoted_column, columns))
+    if len(columns) == 1 and most < MIN_FITTING_SHARE * len(texts):
         durations = texts.to_frame("date").select(parse_durations(pl.col("date"))).to_series().count()
-        if durations >= LEAST_FITTING * len(texts):
-            return Found(f"duration({called})", "times are read as durations")
+        if durations >= MIN_FITTING_SHARE * len(texts):
+            return TimeExpression(f"duration({called})", "times are read as durations")
     if not fitting:
         message = f"{quoted(texts[0])} is not a known date" if len(texts) else "has no dates"
         option = (
             f"--time \"utc({called}, '%d.%m.%Y %H:%M:%S%.f')\" with its format, or write the times as numbers"
         )
-        return Found("", fault=f"column {quoted(columns[0])}: {message}; write {option}")
+        return TimeExpression("", fault=f"column {quoted(columns[0])}: {message}; write {option}")
     form = fitting[0]
-    if most < LEAST_FITTING * len(texts):
+    if most < MIN_FITTING_SHARE * len(texts):
         left = texts.filter(_read_by(texts, form).is_null())[0]
         whole = f"utc({called}, '{form}')" if form else f"utc({called})"
         message = (
             f"column {quoted(columns[0])}: {quoted(left)} has a format different from that of {most} of "
             f"{len(texts)} rows"
         )
-        return Found("", fault=f'{message}; correct these rows, or leave them out with --time "{whole}"')
+        return TimeExpression(
+            "", fault=f'{message}; correct these rows, or leave them out with --time "{whole}"'
+        )
     orders = [(word, f) for word in ("day", "month", "year") for f in fitting if f.startswith(f"%{word[0]}/")]
     if len(orders) > 1:
         options = (f"--time \"utc({called}, '{f}')\" if the {word} comes first" for word, f in orders)
-        message = f"{shown(texts[0])} may be two different days"
-        return Found("", fault=f"column {quoted(columns[0])}: {message}; write {' or '.join(options)}")
+        message = f"{printable(texts[0])} may be two different days"
+        return TimeExpression(
+            "", fault=f"column {quoted(columns[0])}: {message}; write {' or '.join(options)}"
+        )
     note = "" if not form or "%d" in form else "times of day without a date"
-    return Found(f"utc({called}, '{form}')" if form else f"utc({called})", note)
+    return TimeExpression(f"utc({called}, '{form}')" if form else f"utc({called})", note)
 
 
 def _read_by(texts: pl.Series, form: str) -> pl.Series:
@@ -330,43 +342,47 @@ def _read_by(texts: pl.Series, form: str) -> pl.Series:
     return texts.to_frame("date").select(parse_dates(dates, form).alias("date"))["date"]
 
 
-def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
+def _of_numbers(values: pl.Series, text: str, role: Role) -> TimeExpression:
     """Read numbers without a unit: by their size if they count from 1970, else by plausible steps."""
-    numbers = numbers_of(values)
+    numbers = column_numbers(values)
     size, step = median_of(numbers.abs()), step_of(values)
     column = text.strip("`")
     for begin, end, epoch, scale, what in _EPOCHS:
-        if begin < size < end and SHORTEST_STEP < step * scale < 4 * LONGEST_STEP[role]:
-            return Found(f"({text} - {epoch})*{scale:g}", f"{column} is read as {what}")
-    dated = [unit for unit, scale in COUNTED.items() if _DATES_S[0] < size * scale < _DATES_S[1]]
-    dated = [unit for unit in dated if unit != "s" or step == 0 or step < LONGEST_STEP[role]]
-    if not dated and 0 < step < (FASTEST_IMU if role == "imu" else SHORTEST_STEP / 2):
+        if begin < size < end and MIN_STEP < step * scale < 4 * MAX_STEP[role]:
+            return TimeExpression(f"({text} - {epoch})*{scale:g}", f"{column} is read as {what}")
+    dated = [unit for unit, scale in COUNTER_UNITS.items() if _DATES_S[0] < size * scale < _DATES_S[1]]
+    dated = [unit for unit in dated if unit != "s" or step == 0 or step < MAX_STEP[role]]
+    if not dated and 0 < step < (FASTEST_IMU if role == "imu" else MIN_STEP / 2):
         return _too_short(numbers, text, column, step, role)
-    likely = [unit for unit, scale in COUNTED.items() if step * scale < LONGEST_STEP[role]]
+    likely = [unit for unit, scale in COUNTER_UNITS.items() if step * scale < MAX_STEP[role]]
     unit = (*dated, *likely, "s")[0]
-    if role == "imu" and not dated and unit == "ms" and step < LEAST_COUNT:
+    if role == "imu" and not dated and unit == "ms" and step < MIN_COUNT_STEP:
         rates = ", ".join(f'"{text}*1e-{k}" for {10**k / step:.4g} Hz' for k in (3, 2))
         message = f"column {quoted(column)}: steps of {step:g} may be ms, hundredths of a second, or numbers of rows"
-        return Found(
+        return TimeExpression(
             "", fault=f'{message}; state the unit with --time: {rates}, or "{text}/100" for 100 rows per s'
         )
-    if role == "imu" and not dated and unit != "s" and step * COUNTED[unit] > SLOWEST_IMU:
-        rates = ", ".join(f'"{_scaled(text, u)}" for {1 / (step * COUNTED[u]):.4g} Hz' for u in ("ms", "us"))
+    if role == "imu" and not dated and unit != "s" and step * COUNTER_UNITS[unit] > SLOWEST_IMU:
+        rates = ", ".join(
+            f'"{_scaled(text, u)}" for {1 / (step * COUNTER_UNITS[u]):.4g} Hz' for u in ("ms", "us")
+        )
         message = f"column {quoted(column)}: steps of {step:g} have no likely unit"
-        return Found(
+        return TimeExpression(
             "",
             fault=f'{message}; specify the unit with --time: {rates}, or "{text}*1e-4" for ticks of 0.1 ms',
         )
-    return Found(_scaled(text, unit), "" if unit == "s" else f"the times in {column} are read as {unit}")
+    return TimeExpression(
+        _scaled(text, unit), "" if unit == "s" else f"the times in {column} are read as {unit}"
+    )
 
 
-def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> Found:
+def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> TimeExpression:
     """Read numbers whose steps are too short for seconds as fractions of a day, or refuse them."""
-    if SHORTEST_STEP < step * 86400 < 4 * LONGEST_STEP[role] and numbers.is_between(1e-3, 1).all():
-        return Found(f"{text}*86400", f"{column} read as days (fractions of a day)")
+    if MIN_STEP < step * 86400 < 4 * MAX_STEP[role] and numbers.is_between(1e-3, 1).all():
+        return TimeExpression(f"{text}*86400", f"{column} read as days (fractions of a day)")
     message = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes, *1 for seconds'
     seen = f"column {quoted(column)}: steps of {step:.2g} are too short for seconds"
-    return Found("", fault=f"{seen}; state the unit; write {message}")
+    return TimeExpression("", fault=f"{seen}; state the unit; write {message}")
 
 
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
@@ -382,11 +398,11 @@ def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
         scale = float(plain[2] or 1.0) / float(plain[3] or 1.0)
     except (ValueError, ZeroDivisionError):
         return ""
-    step, size, longest = step_of(rows[name]), median_of(numbers_of(rows[name]).abs()), 4 * LONGEST_STEP[role]
-    likely = [(u, f) for u, f in UNITS.items() if SHORTEST_STEP < step * f < longest]
-    if not step or SHORTEST_STEP < step * scale < longest or not likely:
+    step, size, longest = step_of(rows[name]), median_of(column_numbers(rows[name]).abs()), 4 * MAX_STEP[role]
+    likely = [(u, f) for u, f in UNITS.items() if MIN_STEP < step * f < longest]
+    if not step or MIN_STEP < step * scale < longest or not likely:
         return ""
-    low, high = (FASTEST_IMU, SLOWEST_IMU) if role == "imu" else (LEAST_INTERVAL, longest)
+    low, high = (FASTEST_IMU, SLOWEST_IMU) if role == "imu" else (MIN_FIX_INTERVAL, longest)
     unit, factor = min(
         likely, key=lambda u: (not _DATES_S[0] < size * u[1] < _DATES_S[1], not low < step * u[1] < high)
     )

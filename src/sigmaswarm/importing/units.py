@@ -8,10 +8,10 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-Dimension = Literal["time", "acceleration", "rate", "angle", "length", "speed"]
+UnitDimension = Literal["time", "acceleration", "rate", "angle", "length", "speed"]
 
 G = 9.80665  # m/s2
-LONGEST = 40
+MAX_LENGTH = 40
 
 _DEGREE = math.pi / 180
 # Words for units of length, time and angle, by factor to m, s and rad
@@ -41,7 +41,7 @@ BASES = {
 }
 SECONDS = frozenset(_BASE_WORDS["T"][1.0].split())
 PARTS_OF_SECONDS = {w: f for w, (kind, f) in BASES.items() if kind == "T" and f < 1}
-_DIMENSIONS: dict[tuple[int, int, int], Dimension] = {
+_DIMENSIONS: dict[tuple[int, int, int], UnitDimension] = {
     (1, 0, 0): "length",
     (0, 1, 0): "time",
     (0, 0, 1): "angle",
@@ -49,7 +49,7 @@ _DIMENSIONS: dict[tuple[int, int, int], Dimension] = {
     (1, -2, 0): "acceleration",
     (0, -1, 1): "rate",
 }
-_MORE: tuple[tuple[Dimension, float, str], ...] = (
+_MORE: tuple[tuple[UnitDimension, float, str], ...] = (
     ("acceleration", G, "g g0 gs g's gee"),
     ("acceleration", G / 1e3, "mg milli-g millig"),
     ("acceleration", G / 1e6, "ug micro-g"),
@@ -74,11 +74,11 @@ _MORE: tuple[tuple[Dimension, float, str], ...] = (
     ("speed", 1e-3, "mmps"),
     ("angle", _DEGREE * 1e-7, "dege7 deg_e7 1e-7deg deg1e-7 1e7deg deg1e7 deg*1e7 deg*1e-7 e7"),
 )
-_WORDS: dict[str, tuple[Dimension, float]] = {
+_WORDS: dict[str, tuple[UnitDimension, float]] = {
     word: (dimension, factor) for dimension, factor, text in _MORE for word in text.split()
 }
 # Words in brackets that are not units
-NONE = (
+NOT_UNITS = (
     "",
     *("-", "1", "unitless", "dimensionless", "utc", "gps", "gnss", "wgs84", "enu"),
     *("unix", "unix time", "epoch"),
@@ -97,7 +97,7 @@ class Unit:
     """A unit as written, its dimension, and its factor to SI; None and 0 for an unknown unit."""
 
     text: str
-    dimension: Dimension | None
+    dimension: UnitDimension | None
     factor: float
 
     @property
@@ -108,9 +108,9 @@ class Unit:
 def parse_unit(text: str) -> Unit | None:
     """Parse a unit; None if the text states none, a `Unit` without dimension if it is not recognized."""
     plain = text.strip().lower().translate(_PLAIN)
-    if plain in NONE:
+    if plain in NOT_UNITS:
         return None
-    if len(plain) > LONGEST:
+    if len(plain) > MAX_LENGTH:
         return Unit(text, None, 0.0)
     if (word := _WORDS.get(re.sub(r"[\s^]", "", plain))) is not None:
         return Unit(text, *word)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.importing.places import FASTEST, MOVING, Say, Values
+from sigmaswarm.importing.positions import MAX_SPEED, MIN_SPEED, Say, Values
 from sigmaswarm.importing.source import Part
 
 # Units of speed: the name, the number per m/s, and the conversion in an expression
@@ -16,13 +16,15 @@ UNITS = (("mm/s", 1e3, "*1e-3"), ("cm/s", 100.0, "*1e-2"), ("km/h", 3.6, "/3.6")
          ("mph", 2.23694, "*0.44704"), ("knots", 1.94384, "*0.514444444444"))  # fmt: skip
 # Ratio of the stated speed to that of the positions above which the speed is wrong; largest ratio of the 90% quantile
 # of this ratio to its 10% quantile, since a wrong unit changes the speed by a constant factor
-ALIKE, CONSTANT = 1.5, 2.0
-SLOWEST = 0.2  # m/s, lowest speed at which positions are compared with a stated speed: robots are slow
-MOVED = 0.3  # smallest share of the rows in motion that the compared stretches must contain
+MAX_SPEED_RATIO, MAX_RATIO_SPREAD = 1.5, 2.0
+MIN_COMPARED_SPEED = (
+    0.2  # m/s, lowest speed at which positions are compared with a stated speed: robots are slow
+)
+MIN_MOVING_SHARE = 0.3  # smallest share of the rows in motion that the compared stretches must contain
 # rad, median difference from the course of the positions at which a stated course contradicts them. A course that lags
 # in turns, or that is computed from noisy positions, differs by less.
-ACROSS = np.radians(40)
-FEWEST = 5  # smallest number of stretches for a contradiction
+MAX_COURSE_ERROR = np.radians(40)
+MIN_STRETCHES = 5  # smallest number of stretches for a contradiction
 _SPEED = ("speed", "course", "vx", "vy")
 
 
@@ -32,7 +34,7 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
     The messages state the expressions of the role's ``parts``.
     """
     texts = {name: text for part in parts for name, text in part.columns.items() if name in _SPEED}
-    slowest = MOVING if "speed" not in values and "vx" not in values else SLOWEST
+    slowest = MIN_SPEED if "speed" not in values and "vx" not in values else MIN_COMPARED_SPEED
     begin, end = _stretches(time, values["x"], values["y"], slowest)
     speed, course = values.get("speed"), values.get("course")
     if speed is None and course is None and "vx" in values and "vy" in values:
@@ -40,20 +42,20 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
     if speed is not None and course is not None:
         course = np.where(speed < 0, course + np.pi, course)  # a vehicle in reverse
     if speed is not None:  # slow wander of the positions is not motion: the speed must show motion as well
-        moves = np.concatenate([[0], np.cumsum(np.abs(speed) > SLOWEST)])
+        moves = np.concatenate([[0], np.cumsum(np.abs(speed) > MIN_COMPARED_SPEED)])
         both = moves[end + 1] - moves[begin] > 0.5 * (end + 1 - begin)
-        enough = np.sum((end - begin)[both]) >= MOVED * moves[-1]
+        enough = np.sum((end - begin)[both]) >= MIN_MOVING_SHARE * moves[-1]
         begin, end = begin[both & enough], end[both & enough]
     wrong = ""
-    if speed is not None and len(begin) < FEWEST:
+    if speed is not None and len(begin) < MIN_STRETCHES:
         usual = float(np.median(np.abs(speed))) if len(speed) else 0.0
-        wrong = f"{usual:.4g} m/s (median) is not the speed of a vehicle" if usual > FASTEST else ""
-    elif speed is not None and (ratio := _ratio(time, values, speed, begin, end)) > ALIKE:
+        wrong = f"{usual:.4g} m/s (median) is not the speed of a vehicle" if usual > MAX_SPEED else ""
+    elif speed is not None and (ratio := _ratio(time, values, speed, begin, end)) > MAX_SPEED_RATIO:
         wrong = f"the speed is {ratio:.3g} times that of the positions (median){_remedy(ratio, texts, role)}"
-    elif course is not None and len(begin) >= FEWEST:
+    elif course is not None and len(begin) >= MIN_STRETCHES:
         dx, dy = (values[n][end] - values[n][begin] for n in ("x", "y"))
         apart = np.abs(wrap_angle(course[(begin + end) // 2] - np.arctan2(dy, dx)))
-        if (middle := float(np.median(apart))) > ACROSS:
+        if (middle := float(np.median(apart))) > MAX_COURSE_ERROR:
             wrong = f"the course differs from that of the positions by {np.degrees(middle):.0f} deg (median)"
     if not wrong:
         return values
@@ -70,7 +72,7 @@ def _ratio(
     stated = (sums[end + 1] - sums[begin]) / (end + 1 - begin)
     moved = np.hypot(*(values[n][end] - values[n][begin] for n in ("x", "y"))) / (time[end] - time[begin])
     low, middle, high = np.quantile(stated / moved, (0.1, 0.5, 0.9))
-    return float(middle) if high <= CONSTANT * low else 1.0
+    return float(middle) if high <= MAX_RATIO_SPREAD * low else 1.0
 
 
 def _remedy(ratio: float, texts: dict[str, str], role: str) -> str:
@@ -96,7 +98,7 @@ def _stretches(
         np.append(True, (np.diff(x) != 0) | (np.diff(y) != 0))
     )  # repeated positions count once
     none = np.zeros(0, np.int64)
-    if len(rows) < 4 * FEWEST:
+    if len(rows) < 4 * MIN_STRETCHES:
         return none, none
     x, y, time = x[rows], y[rows], time[rows]
     step = np.hypot(np.diff(x), np.diff(y))
@@ -105,7 +107,9 @@ def _stretches(
     )  # Rayleigh, of x[i] - 2 x[i+1] + x[i+2]
     least = max(3.0, 10 * noise)
     apart = int(
-        np.clip(np.ceil(1.5 * least / max(float(np.quantile(step, 0.9)), 1e-3)), 4, len(rows) // FEWEST)
+        np.clip(
+            np.ceil(1.5 * least / max(float(np.quantile(step, 0.9)), 1e-3)), 4, len(rows) // MIN_STRETCHES
+        )
     )
     begin = np.arange(0, len(rows) - apart, apart)
     end = begin + apart

@@ -63,7 +63,7 @@ class Schedule:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class TrainingResult:
     """Weights after the best epoch, and losses.
 
     ``losses``, shape (epochs + 1, 2): means over the training and the validation examples, initially and after each
@@ -95,7 +95,7 @@ def fit(
     *,
     checkpoint: Path | None = None,
     progress: Callable[[int, float], None] | None = None,
-) -> Fit:
+) -> TrainingResult:
     """Minimize the loss by Adam; return the weights with the least loss on the validation examples.
 
     A stopped training continues from the file ``checkpoint``. ``progress`` is called after each epoch with the number
@@ -132,7 +132,7 @@ def fit(
                 save_checkpoint(checkpoint, state.arrays(), {})
             if progress:
                 progress(epoch + 1, float(np.nanmin(state.losses[:, 1])))
-    return Fit(state.best, state.losses)
+    return TrainingResult(state.best, state.losses)
 
 
 @lru_cache(maxsize=4)

@@ -20,9 +20,9 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.drives.overlap import Landmarks, load_landmarks
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import read_arrays, whole_file, write_whole
+from sigmaswarm.files import atomic_file, read_arrays, write_atomically
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay
+from sigmaswarm.filters.passes import FilterPass
 from sigmaswarm.learned import outage_lstm
 from sigmaswarm.learned.cells import n_weights, new_weights
 from sigmaswarm.learned.noise_gru import FEATURES, NoiseRun
@@ -68,7 +68,7 @@ class LearnedRecord(BaseModel):
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
+class LearnedNetwork:
     record: LearnedRecord
     weights: Mapping[str, Array]
 
@@ -77,7 +77,7 @@ class Learned:
         return self.record.kind
 
     def run(
-        self, replay: Replay, parameters: FilterParameters, *, recover: bool = False
+        self, replay: FilterPass, parameters: FilterParameters, *, recover: bool = False
     ) -> "OutageRun | NoiseRun":
         net = self.record.network
         if self.kind == outage_lstm.NAME:
@@ -88,18 +88,18 @@ class Learned:
 
     def save(self, folder: Path) -> list[Path]:
         paths = [folder / WEIGHTS_FILE, folder / LEARNED_FILE]
-        with whole_file(paths[0]) as file:
+        with atomic_file(paths[0]) as file:
             np.savez(file, allow_pickle=False, **dict(sorted(self.weights.items())))
-        write_whole(paths[1], tomli_w.dumps(self.record.model_dump(mode="json", exclude_none=True)))
+        write_atomically(paths[1], tomli_w.dumps(self.record.model_dump(mode="json", exclude_none=True)))
         return paths
 
 
-def seen_in(folder: Path) -> list[Landmarks]:
+def training_landmarks(folder: Path) -> list[Landmarks]:
     """Return the landmarks of the training drives of a folder's network, if any."""
     return [] if not folder.is_dir() else load_landmarks(folder / LEARNED_SEEN) or []
 
 
-def load_learned(folder: Path) -> Learned | None:
+def load_learned(folder: Path) -> LearnedNetwork | None:
     """Read the network of a folder, if any; raise `InputError` if a file is damaged."""
     folder = folder if folder.is_dir() else folder.parent
     file, weights = folder / LEARNED_FILE, folder / WEIGHTS_FILE
@@ -112,14 +112,14 @@ def load_learned(folder: Path) -> Learned | None:
         raise InputError(f"{weights}: not readable; repeat the command that made the folder") from None
     if n_weights(arrays) != record.network.numbers or not _fits(record, arrays):
         raise InputError(f"{weights}: does not match {file.name}; repeat the command that made the folder")
-    return Learned(record, arrays)
+    return LearnedNetwork(record, arrays)
 
 
 def _fits(record: LearnedRecord, weights: Mapping[str, Array]) -> bool:
     units, rng = record.network.units, np.random.default_rng(0)
     if record.kind == outage_lstm.NAME:
         features = np.zeros((1, 1, 2 * len(record.network.axes)))
-        wanted = outage_lstm.untrained(rng, (), 1.0, units, features, np.zeros((1, 2))).weights
+        wanted = outage_lstm.new_network(rng, (), 1.0, units, features, np.zeros((1, 2))).weights
     else:
         wanted = new_weights(rng, 3, FEATURES, units, 2)
     shapes = all(name in weights and weights[name].shape == array.shape for name, array in wanted.items())

@@ -12,16 +12,22 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.fingerprint import DriveRecord, record_of
+from sigmaswarm.drives.fingerprint import DriveRecord, drive_record
 from sigmaswarm.drives.overlap import TRAINING_DATA_FILE, landmarks, save_landmarks
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import staged_files, write_json, write_whole
+from sigmaswarm.files import staged_files, write_atomically, write_json
 from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned import noise_gru, outage_lstm
 from sigmaswarm.learned.cells import n_weights
-from sigmaswarm.learned.fitting import Fit, Schedule, Settings, double_precision, fit, part_of
-from sigmaswarm.learned.folder import LEARNED_SEEN, Learned, LearnedRecord, NetworkRecord, TrainingRecord
+from sigmaswarm.learned.fitting import Schedule, Settings, TrainingResult, double_precision, fit, part_of
+from sigmaswarm.learned.folder import (
+    LEARNED_SEEN,
+    LearnedNetwork,
+    LearnedRecord,
+    NetworkRecord,
+    TrainingRecord,
+)
 from sigmaswarm.learned.noise_training import NoiseLearner
 from sigmaswarm.learned.outage_training import OutageLearner
 from sigmaswarm.records import ARRAYS
@@ -34,7 +40,7 @@ POPULATION = 4  # settings in a batch of the search
 
 
 @dataclass(frozen=True)
-class Progress:
+class TrainingProgress:
     """Progress after an epoch; ``done`` and ``total`` count the epochs of all trainings."""
 
     trial: int
@@ -88,8 +94,8 @@ class LearnConfig:
             "filter": self.parameters.to_dict(),
             "search": self.search,
             "seed": self.seed,
-            "data": [record_of(drive) for drive in self.drives],
-            "validation": [record_of(drive) for drive in self.validation],
+            "data": [drive_record(drive) for drive in self.drives],
+            "validation": [drive_record(drive) for drive in self.validation],
             "versions": versions() | {"jax": version("jax")},
         }
 
@@ -107,8 +113,8 @@ def learn(
     *,
     tuning: Path | None = None,
     resume: bool = False,
-    progress: Callable[[Progress], None] | None = None,
-) -> Learned:
+    progress: Callable[[TrainingProgress], None] | None = None,
+) -> LearnedNetwork:
     """Train a network that supports a tuned filter, without truth.
 
     Parameters
@@ -157,20 +163,20 @@ def learn(
     kept = LearnedRecord(
         kind=config.kind, network=network, training=training, versions=record["versions"], data=data
     )
-    learned = Learned(kept, weights)
+    learned = LearnedNetwork(kept, weights)
     _save(learned, config, tuning, out)
     write_json(out / "timings.json", {"processor_s": time.process_time() - began})
     return learned
 
 
-def _save(learned: Learned, config: LearnConfig, tuning: Path | None, out: Path) -> None:
+def _save(learned: LearnedNetwork, config: LearnConfig, tuning: Path | None, out: Path) -> None:
     with staged_files(out) as new:
         learned.save(new)
         save_landmarks([landmarks(drive) for drive in config.drives], new / LEARNED_SEEN)
         if tuning is None:
             config.parameters.save(new / FILE)
         else:
-            write_whole(new / FILE, tuning.read_bytes())
+            write_atomically(new / FILE, tuning.read_bytes())
             if (tuning.parent / TRAINING_DATA_FILE).exists():
                 shutil.copyfile(tuning.parent / TRAINING_DATA_FILE, new / TRAINING_DATA_FILE)
 
@@ -190,16 +196,19 @@ class FinishedHistoryRecord(BaseModel):
 
 
 def _best_training(
-    learner: Learner, folder: ResultFolder, config: LearnConfig, progress: Callable[[Progress], None] | None
-) -> tuple[Settings, Fit]:
-    found, total = list[tuple[float, Settings, Fit]](), (1 + config.search) * learner.epochs
+    learner: Learner,
+    folder: ResultFolder,
+    config: LearnConfig,
+    progress: Callable[[TrainingProgress], None] | None,
+) -> tuple[Settings, TrainingResult]:
+    found, total = list[tuple[float, Settings, TrainingResult]](), (1 + config.search) * learner.epochs
 
     def train(settings: Settings) -> float:
         number = len(found)
 
         def report(epoch: int, loss: float) -> None:
             if progress:
-                progress(Progress(number, epoch, number * learner.epochs + epoch, total, loss))
+                progress(TrainingProgress(number, epoch, number * learner.epochs + epoch, total, loss))
 
         trained = _trained(learner, settings, config.seed, folder, number, report)
         cost = trained.best if np.isfinite(trained.best) else float("inf")
@@ -228,13 +237,13 @@ def _trained(
     folder: ResultFolder,
     number: int,
     progress: Callable[[int, float], None],
-) -> Fit:
+) -> TrainingResult:
     if (done := folder.finished(number, FinishedRecord, FinishedHistoryRecord)) is not None:
-        return Fit(part_of(done[1], "weights"), done[1]["losses"])
+        return TrainingResult(part_of(done[1], "weights"), done[1]["losses"])
     problem = learner.training_problem(settings, seed)
     schedule = Schedule(settings["learning_rate"], learner.epochs, learner.batch, learner.patience, seed)
     found = fit(problem, schedule, checkpoint=folder.checkpoint(number), progress=progress)
-    found = Fit({**found.weights, **problem.fixed}, found.losses)
+    found = TrainingResult({**found.weights, **problem.fixed}, found.losses)
     history = {f"weights/{name}": array for name, array in found.weights.items()}
     result = {"cost": found.best, "settings": dict(settings)}
     folder.finish(number, result, history | {"losses": found.losses})

@@ -16,14 +16,14 @@ from sigmaswarm.drives.events import FIX, IMU, LATERAL, STANDSTILL, events_of
 from sigmaswarm.drives.timeline import AX, AY, DT, GAP, GZ, Q_SCALE
 from sigmaswarm.filters.models import GYRO_BIAS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay
+from sigmaswarm.filters.passes import FilterPass
 from sigmaswarm.filters.schedule import (
     GAP_ACCELERATION_STD,
     GAP_TURN_STD,
     MOST_REJECTED,
     STANDSTILL_RATE_NOISE,
-    converted,
     measured_by,
+    process_noise_per_step,
 )
 from sigmaswarm.filters.student import INNOVATION_DOF, INNOVATION_SCALE, ITERATIONS
 from sigmaswarm.learned.cells import gru
@@ -37,7 +37,7 @@ stated variances of x and y, m2.
 """
 
 
-def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array]:
+def columns_of(replay: FilterPass, parameters: FilterParameters) -> tuple[Array, Array]:
     """Return the steps of a replay for `run`, (k, N_COLUMNS), and their end times, (k,) s."""
     line = replay.timeline
     flags = events_of(line, measured_by(parameters)).flags
@@ -49,7 +49,7 @@ def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Arr
 
 
 @dataclass(frozen=True, eq=False)
-class Settings:
+class FilterConstants:
     """Constants of a filter over one drive: the diagonal of Q per nominal step, (n,), and the lever arm, (2,) m."""
 
     q: Array
@@ -57,9 +57,9 @@ class Settings:
     parameters: FilterParameters
 
     @classmethod
-    def of(cls, replay: Replay, parameters: FilterParameters) -> "Settings":
+    def of(cls, replay: FilterPass, parameters: FilterParameters) -> "FilterConstants":
         line = replay.timeline
-        return cls(converted(parameters, line.nominal_interval), line.lever[:2], parameters)
+        return cls(process_noise_per_step(parameters, line.nominal_interval), line.lever[:2], parameters)
 
 
 def _inverse(s: Any) -> Any:
@@ -116,7 +116,7 @@ def _weight(dof: float, seen: Any, noise: Any, nu: Any) -> Any:
     return weight
 
 
-def _take_fix(settings: Settings, state: tuple[Any, ...], u: Any, scale: Any) -> tuple[Any, ...]:
+def _take_fix(settings: FilterConstants, state: tuple[Any, ...], u: Any, scale: Any) -> tuple[Any, ...]:
     """Update mean, covariance and number of rejected fixes with a fix; ``scale`` is the logarithm of R's factor.
 
     Also return nu, m, and xx, xy, yy of S, m2, before the update.
@@ -159,7 +159,7 @@ def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
     return m, c
 
 
-def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: Any) -> tuple[Any, Any]:
+def run(settings: FilterConstants, weights: Any, mean: Any, covariance: Any, columns: Any) -> tuple[Any, Any]:
     """Run the filter with its network over k steps, from a mean (n,) and a covariance (n, n).
 
     Return (k, 6): nu, m, xx, xy, yy of S, m2, before the update, and 1 if the step has a fix, else 0. Also return the
@@ -192,7 +192,7 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
     return innovations, means
 
 
-def innovation_loss(settings: Settings, innovations: Any) -> tuple[Any, Any]:
+def innovation_loss(settings: FilterConstants, innovations: Any) -> tuple[Any, Any]:
     """Return the sum of the fixes' negative log-likelihoods, nats, and the number of fixes.
 
     The likelihood is Student's t for a robust filter (see `student`), else Gaussian.

@@ -12,10 +12,10 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.compiled.layout import Q0, R
-from sigmaswarm.filters.filter_run import SAMPLES, InterruptibleRun
+from sigmaswarm.filters.filter_run import CHUNK_SAMPLES, InterruptibleRun
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay
+from sigmaswarm.filters.passes import FilterPass
 from sigmaswarm.learned.cells import Weights, gru, head
 
 NAME = "noise-gru"
@@ -59,11 +59,11 @@ class NoiseRun(InterruptibleRun):
 
     def __init__(
         self,
-        replay: Replay,
+        replay: FilterPass,
         parameters: FilterParameters,
         weights: Mapping[str, Array],
         *,
-        samples: int = SAMPLES,
+        samples: int = CHUNK_SAMPLES,
         recover: bool = False,
     ) -> None:
         super().__init__(replay, parameters, samples=samples, recover=recover)

@@ -13,7 +13,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.run import replay_of
+from sigmaswarm.filters.run import whole_pass
 from sigmaswarm.learned.cells import new_weights
 from sigmaswarm.learned.fitting import VALIDATION_SHARE, Examples, Loss, Settings, TrainingProblem
 from sigmaswarm.learned.noise_gru import FEATURES
@@ -38,7 +38,7 @@ def segments_of(
 
     The arrays are means (s, n) and covariances (s, n, n), steps (s, k, N_COLUMNS), Q (s, n) and lever arms (s, 2).
     """
-    from sigmaswarm.learned.noise_filter import Settings, columns_of
+    from sigmaswarm.learned.noise_filter import FilterConstants, columns_of
 
     require_supported(parameters)
     twin = replace(parameters, kind="ekf")
@@ -46,8 +46,8 @@ def segments_of(
     for group, all_held in [(drives, False), (validation, True)] if validation else [(drives, None)]:
         before = len(parts)
         for drive in group:
-            replay = replay_of(drive)
-            settings = Settings.of(replay, twin)
+            replay = whole_pass(drive)
+            settings = FilterConstants.of(replay, twin)
             columns, ends = columns_of(replay, twin)
             estimate = FilterRun(replay, twin).whole()
             last = float(estimate.time[-1])
@@ -75,12 +75,12 @@ def loss(parameters: FilterParameters) -> Loss:
     import jax
     import jax.numpy as jnp
 
-    from sigmaswarm.learned.noise_filter import Settings, innovation_loss, run
+    from sigmaswarm.learned.noise_filter import FilterConstants, innovation_loss, run
 
     twin = replace(parameters, kind="ekf")
 
     def of_one(weights: Any, mean: Any, covariance: Any, columns: Any, q: Any, lever: Any) -> Any:
-        settings = Settings(q, lever, twin)
+        settings = FilterConstants(q, lever, twin)
         return innovation_loss(settings, run(settings, weights, mean, covariance, columns)[0])
 
     def of(weights: Any, batch: tuple[Any, ...]) -> Any:

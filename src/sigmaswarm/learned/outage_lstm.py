@@ -22,12 +22,12 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.layout import R
-from sigmaswarm.filters.filter_run import SAMPLES, InterruptibleRun
+from sigmaswarm.filters.filter_run import CHUNK_SAMPLES, InterruptibleRun
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay
+from sigmaswarm.filters.passes import FilterPass
 from sigmaswarm.learned.cells import Weights, head, lstm, new_weights
-from sigmaswarm.learned.relative import Begin, Displacements, in_body
+from sigmaswarm.learned.displacements import Displacements, DisplacementStart, to_body_axes
 
 Indices = NDArray[np.intp]
 HORIZON = 1.0  # s, duration of a displacement
@@ -141,7 +141,7 @@ VELOCITY_Q = [R.Q_U, R.Q_V]
 MIN_STD, MAX_STD = 0.02, 20.0  # m, bounds of the standard deviation of a displacement over a second
 
 
-class Forecast(NamedTuple):
+class DisplacementForecast(NamedTuple):
     """Outputs of a network for a window in an outage.
 
     - ``begin``, ``first``: numbers of the IMU samples at the start of the displacement, and after the last fix.
@@ -184,13 +184,13 @@ class OutageLstm:
         """Return the share of an error, (..., 2), that remains after ``age`` s."""
         return self.weights["kept"] * np.exp(-np.asarray(age)[..., np.newaxis] / self.weights["lasts"])
 
-    def forecasts(self, windows: Windows) -> dict[int, Forecast]:
+    def forecasts(self, windows: Windows) -> dict[int, DisplacementForecast]:
         """Return the forecast at the end of each window, by the index of the last sample."""
         numbers = (column.tolist() for column in (windows.begin, windows.first, windows.age))
         outputs = *self.displacements(windows.features), self.displacements(windows.features_at_first)[0]
-        return dict(zip(windows.end.tolist(), map(Forecast, *numbers, *outputs), strict=True))
+        return dict(zip(windows.end.tolist(), map(DisplacementForecast, *numbers, *outputs), strict=True))
 
-    def corrected(self, forecast: Forecast, velocity: Array) -> tuple[Array, Array]:
+    def corrected(self, forecast: DisplacementForecast, velocity: Array) -> tuple[Array, Array]:
         """Return a displacement (2,), m, and its variance (2,), m2, corrected by the velocity at the last fix."""
         left = self.remains(forecast.age)
         moved = forecast.moved + left * (HORIZON * velocity - forecast.before)
@@ -212,7 +212,7 @@ def outputs_of(xp: Any, weights: Weights, features: Any) -> Any:
     return head(weights, state[0])
 
 
-def untrained(
+def new_network(
     rng: np.random.Generator, axes: tuple[str, ...], window: float, units: int, features: Array, moved: Array
 ) -> OutageLstm:
     """Make a new network; ``features`` (k, WINDOW_STEPS, f) and ``moved`` (k, 2), m, determine its scales."""
@@ -236,11 +236,11 @@ class OutageRun(InterruptibleRun):
 
     def __init__(
         self,
-        replay: Replay,
+        replay: FilterPass,
         parameters: FilterParameters,
         network: OutageLstm,
         *,
-        samples: int = SAMPLES,
+        samples: int = CHUNK_SAMPLES,
         recover: bool = False,
         windows: Windows | None = None,
     ) -> None:
@@ -248,10 +248,10 @@ class OutageRun(InterruptibleRun):
         self.accepted = self.rejected = 0
         self._displacements = Displacements(replay, parameters)
         self._network = network
-        self._begin: dict[int, Begin] = {}
+        self._begin: dict[int, DisplacementStart] = {}
         self._velocity: dict[int, Array] = {}
         self._own_q = self._rows[0, VELOCITY_Q].copy()
-        self._forecasts: dict[int, Forecast] = {}
+        self._forecasts: dict[int, DisplacementForecast] = {}
         self._marks = np.empty(0, dtype=np.intp)
         if np.isfinite(network.inflation):
             if windows is None:
@@ -280,9 +280,9 @@ class OutageRun(InterruptibleRun):
             self._rows[0, VELOCITY_Q] = self._own_q
         if sample in self._firsts and not lost:
             _, _, east, north = self._rows[0, :4, 0]
-            self._velocity[sample] = in_body(east, north, self._estimate()[0][THETA])
+            self._velocity[sample] = to_body_axes(east, north, self._estimate()[0][THETA])
         if sample in self._begins and not lost:
-            self._begin[sample] = Begin(self._rows[0].copy(), self._place.copy())
+            self._begin[sample] = DisplacementStart(self._rows[0].copy(), self._place.copy())
 
     def _reset(self, start: InitialState) -> None:
         super()._reset(start)

@@ -17,22 +17,22 @@ from sigmaswarm.drives.outages import hidden_fixes, random_windows
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, Targets
-from sigmaswarm.filters.run import replay_of
-from sigmaswarm.filters.smoothing import Smoothing
+from sigmaswarm.filters.passes import FilterPass, Targets
+from sigmaswarm.filters.run import whole_pass
+from sigmaswarm.filters.smoothing import SmootherRun
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
+from sigmaswarm.learned.displacements import body_displacement
 from sigmaswarm.learned.fitting import VALIDATION_SHARE, Examples, Loss, Settings, TrainingProblem
 from sigmaswarm.learned.outage_lstm import (
     OutageLstm,
     OutageRun,
     Windows,
     features_at,
+    new_network,
     outage_windows,
     outputs_of,
     pairs_of,
-    untrained,
 )
-from sigmaswarm.learned.relative import body_displacement
 from sigmaswarm.scoring.score import negative_log_t
 from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER
 
@@ -65,7 +65,9 @@ def tracks_of(
     tracks: list[Track] = []
     for drive in (*drives, *validation):
         ready = PreparedDrive(drive)
-        mean = np.concatenate([p.mean[:, :5] for p in Smoothing(replay_of(ready), parameters, recover=True)])
+        mean = np.concatenate(
+            [p.mean[:, :5] for p in SmootherRun(whole_pass(ready), parameters, recover=True)]
+        )
         start, end = ready.initial.time, float(drive.imu.time[-1])
         since = end - VALIDATION_SHARE * (end - start)
         if validation:
@@ -74,9 +76,9 @@ def tracks_of(
     return tracks
 
 
-def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[Replay, float]]:
+def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[FilterPass, float]]:
     """Place outages on validation data several times; return the replays and the starts of their data, s."""
-    cases: list[tuple[Replay, float]] = []
+    cases: list[tuple[FilterPass, float]] = []
     for number, track in enumerate(tracks):
         drive, initial = track.ready.drive, track.ready.initial
         end = float(drive.imu.time[-1])
@@ -90,7 +92,7 @@ def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[Replay, float]]:
                 start, end, rng, length=(LENGTHS[0], longest), first_after=OUTAGE_FIRST_AFTER
             )
             line = track.ready.timeline(hidden_fixes(drive.gps.time, windows))
-            cases.append((Replay(line, initial, Targets.none(line)), track.held_back_from))
+            cases.append((FilterPass(line, initial, Targets.none(line)), track.held_back_from))
     return cases
 
 
@@ -131,7 +133,7 @@ def training_problem(
     examples: Examples, axes: tuple[str, ...], *, window: float, units: int, seed: int
 ) -> tuple[OutageLstm, TrainingProblem]:
     shown = examples.part(held_back=False)
-    network = untrained(np.random.default_rng([seed, 1]), axes, window, units, *shown)
+    network = new_network(np.random.default_rng([seed, 1]), axes, window, units, *shown)
     fixed = {name: network.weights[name] for name in FIXED_WEIGHTS}
     moving = {name: w for name, w in network.weights.items() if name not in FIXED_WEIGHTS}
     return network, TrainingProblem(_loss(fixed), moving, shown, examples.part(held_back=True), fixed)
@@ -163,7 +165,7 @@ class OutageLearner:
     def finish(
         self, settings: Settings, weights: Mapping[str, Array]
     ) -> tuple[Mapping[str, Array], dict[str, Any]]:
-        network = with_lasting(OutageLstm(self._axes, settings["window"], weights), self._tracks)
+        network = with_error_decay(OutageLstm(self._axes, settings["window"], weights), self._tracks)
         cases = cases_of(self._tracks, self._seed)
         if not cases:
             raise InputError(
@@ -174,7 +176,7 @@ class OutageLearner:
         return found.weights, {"axes": list(self._axes), "inflation": inflation, "unsure": found.unsure}
 
 
-def with_lasting(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm:
+def with_error_decay(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm:
     """Fit ``kept`` exp(-t / ``lasts``) to the autocorrelation of errors on the validation data."""
     parts: list[Array] = []
     for track in tracks:
@@ -200,7 +202,7 @@ def with_lasting(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm:
 
 
 def calibrate(
-    network: OutageLstm, cases: Sequence[tuple[Replay, float]], parameters: FilterParameters
+    network: OutageLstm, cases: Sequence[tuple[FilterPass, float]], parameters: FilterParameters
 ) -> OutageLstm:
     """Choose the factors of `OutageLstm` that maximize the likelihood of hidden fixes.
 
@@ -228,7 +230,7 @@ def calibrate(
 
 def forecast_losses(
     network: OutageLstm,
-    cases: Sequence[tuple[Replay, float]],
+    cases: Sequence[tuple[FilterPass, float]],
     windows: Sequence[Windows],
     parameters: FilterParameters,
 ) -> Array:

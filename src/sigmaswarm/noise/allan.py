@@ -10,7 +10,9 @@ from sigmaswarm.drives.tables import Array
 FLICKER = 2 * math.log(2) / math.pi  # Allan variance of flicker noise / square of its coefficient
 MARKOV_PEAK = 0.3811  # largest Allan variance of a unit Gauss-Markov process, at 1.89 correlation times
 PER_DECADE = 8  # averaging times per decade
-LONGEST = 5  # longest stretch / longest averaging time; estimates at longer times scatter by more than half
+MIN_STRETCH_RATIO = (
+    5  # longest stretch / longest averaging time; estimates at longer times scatter by more than half
+)
 PIECE = 32_768  # samples per batch, which fits into the processor's cache
 
 
@@ -29,7 +31,7 @@ def allan_deviation(parts: Sequence[Array], interval: float) -> tuple[Array, Arr
     tau, deviation : array (m,)
         Averaging times, s, and the deviation in the unit of the signal.
     """
-    most = max(map(len, parts)) // LONGEST
+    most = max(map(len, parts)) // MIN_STRETCH_RATIO
     decades = math.log10(max(most, 1))
     factors = np.unique(np.round(np.logspace(0, decades, round(decades * PER_DECADE) + 1)).astype(int))
     squares, counts = np.zeros(len(factors)), np.zeros(len(factors))

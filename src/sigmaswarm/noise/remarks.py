@@ -9,20 +9,20 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.tables import Array, Imu
 from sigmaswarm.noise.allan import model_parts
 from sigmaswarm.noise.records import DEG_PER_HOUR, HOUR, MGAL, AxisNoise
-from sigmaswarm.noise.spectrum import Fit
+from sigmaswarm.noise.spectrum import NoiseFit
 from sigmaswarm.noise.static import Stretches, step_of
-from sigmaswarm.wording import counted
+from sigmaswarm.wording import count_of
 
-LONG = 1800.0  # s, shortest stretch that shows bias instability and rate random walk
-LONG_TREND = 300.0  # s, shortest stretch whose trend is tested
-STATIC = 0.95  # share of a static log at rest
-UNLIKELY = 0.1  # relative error of gravity that suggests another unit
+MIN_DURATION = 1800.0  # s, shortest stretch that shows bias instability and rate random walk
+MIN_TREND_DURATION = 300.0  # s, shortest stretch whose trend is tested
+MIN_STATIC_SHARE = 0.95  # share of a static log at rest
+MAX_GRAVITY_ERROR = 0.1  # relative error of gravity that suggests another unit
 # 10 deg/sqrt(h) in rad/s/sqrt(Hz). Gyros in rad/s have less white noise, gyros in deg/s usually more.
-ROUGH_GYRO = 3e-3
-MANY = 30.0  # averaging intervals (duration / tau) for an accurate Allan deviation
+MAX_GYRO_NOISE = 3e-3
+MIN_INTERVALS = 30.0  # averaging intervals (duration / tau) for an accurate Allan deviation
 MISFIT = 1.5  # smallest reported ratio of the Allan deviation to the model, or its inverse
 TREND = 4.0  # smallest reported trend / standard deviation of the trend under the fitted processes
-COARSE = 0.5  # smallest reported ratio of the quantization step to the standard deviation
+MIN_STEP_RATIO = 0.5  # smallest reported ratio of the quantization step to the standard deviation
 
 
 def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
@@ -30,15 +30,15 @@ def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
     remarks: list[str] = []
     if stretches.gaps:
         remarks.append(
-            f"{counted(stretches.gaps, 'gap')} in the log; each part between gaps is a separate stretch"
+            f"{count_of(stretches.gaps, 'gap')} in the log; each part between gaps is a separate stretch"
         )
-    if stretches.share < STATIC:
+    if stretches.share < MIN_STATIC_SHARE:
         remarks.append(
             f"the sensor moves or is disturbed in {100 * (1 - stretches.share):.0f}% of the log; only "
-            f"{counted(len(lengths), 'standstill')}, {total:.0f} s in all, are used; an engine's vibration counts as "
+            f"{count_of(len(lengths), 'standstill')}, {total:.0f} s in all, are used; an engine's vibration counts as "
             f"noise"
         )
-    if longest < LONG:
+    if longest < MIN_DURATION:
         remarks.append(
             f"the longest stretch at rest lasts {longest:.0f} s, long enough for the white noise but too short for "
             "bias instability and rate random walk; use the upper ends of their intervals, or log an hour at rest"
@@ -50,7 +50,7 @@ def on_gravity(imu: Imu, part: slice) -> list[str]:
     if imu.az is None:
         return []
     force = math.hypot(*(float(np.mean(column[part])) for column in (imu.ax, imu.ay, imu.az)))
-    if abs(force / GRAVITY - 1) < UNLIKELY:
+    if abs(force / GRAVITY - 1) < MAX_GRAVITY_ERROR:
         return []
     return [
         f"the accelerometer measures {force:.3g} m/s2 at rest instead of {GRAVITY:.3g}: the unit looks wrong "
@@ -59,7 +59,7 @@ def on_gravity(imu: Imu, part: slice) -> list[str]:
 
 
 def on_gyro(axes: Sequence[AxisNoise]) -> list[str]:
-    rough = [a.axis for a in axes if a.axis[0] == "g" and a.white.value > ROUGH_GYRO]
+    rough = [a.axis for a in axes if a.axis[0] == "g" and a.white.value > MAX_GYRO_NOISE]
     if not rough:
         return []
     return [
@@ -70,7 +70,7 @@ def on_gyro(axes: Sequence[AxisNoise]) -> list[str]:
 
 def on_step(axis: str, values: Array) -> list[str]:
     step, deviation = step_of(values), float(np.std(values))
-    if step <= COARSE * deviation:
+    if step <= MIN_STEP_RATIO * deviation:
         return []
     return [
         f"{axis} is quantized in steps of {step:.3g}, {step / deviation:.1f} times its standard deviation: the white "
@@ -94,7 +94,7 @@ def on_misfit(axes: Sequence[AxisNoise], duration: float) -> list[str]:
     found: list[str] = []
     for a in axes:
         parts = model_parts(a.tau, a.white.value, a.instability.value, a.walk.value, a.correlation_time)
-        ratio = (a.deviation / np.sqrt(np.sum(np.square(parts), axis=0)))[a.tau <= duration / MANY]
+        ratio = (a.deviation / np.sqrt(np.sum(np.square(parts), axis=0)))[a.tau <= duration / MIN_INTERVALS]
         worst = int(np.argmax(np.abs(np.log(ratio))))
         if not 1 / MISFIT < ratio[worst] < MISFIT:
             found.append(f"{a.axis} {ratio[worst]:.2g} times at {a.tau[worst]:.2g} s")
@@ -106,11 +106,11 @@ def on_misfit(axes: Sequence[AxisNoise], duration: float) -> list[str]:
     ]
 
 
-def trend_of(values: Array, interval: float, found: Fit) -> float:
+def trend_of(values: Array, interval: float, found: NoiseFit) -> float:
     """Return the least-squares trend, unit/s; 0 if the fitted processes explain it."""
     n = len(values)
     duration = n * interval
-    if duration < LONG_TREND:
+    if duration < MIN_TREND_DURATION:
         return 0.0
     time = (np.arange(n) - (n - 1) / 2) * interval
     trend = float(np.dot(time, values - np.mean(values)) / np.dot(time, time))

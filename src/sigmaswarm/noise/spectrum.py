@@ -21,11 +21,15 @@ from scipy.fft import prev_fast_len, rfft
 from sigmaswarm.drives.tables import Array
 
 BAND = 0.1  # highest used frequency / sampling rate; filters and engine vibration change higher frequencies
-ENOUGH = 200  # smallest number of used frequencies; for fewer, the band is extended to half the sampling rate
-FIRST = 2  # lowest used frequency, periods per stretch; the subtracted trend contains most lower frequencies
+MIN_FREQUENCIES = (
+    200  # smallest number of used frequencies; for fewer, the band is extended to half the sampling rate
+)
+MIN_PERIODS = (
+    2  # lowest used frequency, periods per stretch; the subtracted trend contains most lower frequencies
+)
 PER_DECADE = 24  # number of bands over which the periodogram is averaged
 TAPER = 1.5  # number of neighboring frequencies that the sine taper correlates
-CERTAIN = 5.99
+DEVIANCE_95 = 5.99
 """Largest excess deviance inside a 95% interval: chi-square with two degrees of freedom.
 
 The unknown correlation time widens the intervals of the other parameters. These intervals cover 93 to 100%
@@ -33,9 +37,9 @@ The unknown correlation time widens the intervals of the other parameters. These
 """
 POINTS = 11  # number of values of a parameter in a pass of its profile
 PASSES = 3  # number of refinements of each end of an interval
-TIMES = 8  # number of finite correlation times
-STEPS = 15  # number of steps of Fisher's scoring; enough for convergence
-SHORTEST = 10.0  # s; noise with a shorter correlation time looks like a sensor's low-pass filter
+N_TIMES = 8  # number of finite correlation times
+N_STEPS = 15  # number of steps of Fisher's scoring; enough for convergence
+MIN_CORRELATION_TIME = 10.0  # s; noise with a shorter correlation time looks like a sensor's low-pass filter
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +62,7 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class Fit:
+class NoiseFit:
     """The fitted N, B, K and T (s); T is inf if the log does not show that it is finite."""
 
     white: Interval
@@ -73,7 +77,7 @@ def spectrum_of(parts: Sequence[Array], interval: float) -> Spectrum:
     The sine taper keeps the power of a drift away from higher frequencies (Riedel and Sidorenko 1995).
     """
     duration = interval * sum(map(len, parts))
-    highest = min(0.5, max(BAND, ENOUGH * interval / duration)) / interval
+    highest = min(0.5, max(BAND, MIN_FREQUENCIES * interval / duration)) / interval
     frequencies, densities = list[Array](), list[Array]()
     for part in parts:
         n = int(prev_fast_len(len(part), real=True) or 1)
@@ -82,8 +86,8 @@ def spectrum_of(parts: Sequence[Array], interval: float) -> Spectrum:
         values -= time * (np.dot(time, values) / np.dot(time, time))
         values *= np.cos(np.pi / n * time)
         last = int(min(highest * n * interval, (n - 1) // 2))
-        power = np.abs(np.asarray(rfft(values))[FIRST : last + 1]) ** 2
-        frequencies.append(np.arange(FIRST, last + 1) / (n * interval))
+        power = np.abs(np.asarray(rfft(values))[MIN_PERIODS : last + 1]) ** 2
+        frequencies.append(np.arange(MIN_PERIODS, last + 1) / (n * interval))
         densities.append(power * interval * 2 / n)
     frequency, density = np.concatenate(frequencies), np.concatenate(densities)
     band = np.floor(PER_DECADE * np.log10(frequency / np.min(frequency))).astype(int)
@@ -93,18 +97,22 @@ def spectrum_of(parts: Sequence[Array], interval: float) -> Spectrum:
     return Spectrum(inverse**-0.5, density, count[used] / TAPER, interval)
 
 
-def fit(spectrum: Spectrum, duration: float) -> Fit:
+def fit(spectrum: Spectrum, duration: float) -> NoiseFit:
     """Fit the noise model to a spectrum; the longest stretch, ``duration`` (s), is the largest correlation time."""
     s, angle = spectrum, 2 * np.pi * spectrum.frequency * spectrum.interval
-    times = np.geomspace(SHORTEST, duration, TIMES) if duration > 2 * SHORTEST else np.zeros(0)
+    times = (
+        np.geomspace(MIN_CORRELATION_TIME, duration, N_TIMES)
+        if duration > 2 * MIN_CORRELATION_TIME
+        else np.zeros(0)
+    )
     rates = np.concatenate([[0.0], 1 / times])
     flicker = s.interval / (2 * np.sin(angle / 2))
     shapes = np.array([[np.ones_like(angle), flicker, _walk(angle, s.interval, rate)] for rate in rates])
     variances, deviance = _smallest(s, np.zeros((len(rates), 1)), shapes)
     best = int(np.argmin(deviance))
-    limit = float(deviance[best]) + CERTAIN
+    limit = float(deviance[best]) + DEVIANCE_95
     white, instability, walk = (_interval(s, shapes, k, float(variances[best, k]), limit) for k in range(3))
-    return Fit(white, instability, walk, math.inf if deviance[0] <= limit else 1 / float(rates[best]))
+    return NoiseFit(white, instability, walk, math.inf if deviance[0] <= limit else 1 / float(rates[best]))
 
 
 def _walk(angle: Array, interval: float, rate: float) -> Array:
@@ -123,7 +131,7 @@ def _smallest(s: Spectrum, known: Array, shapes: Array) -> tuple[Array, Array]:
     shapes = shapes / size
     variances = np.zeros(0)
     model = np.broadcast_to(s.density, np.broadcast_shapes(known.shape, shapes[..., 0, :].shape))
-    for step in range(STEPS):
+    for step in range(N_STEPS):
         weighted = shapes * (s.count / model**2)[..., None, :]
         matrix = weighted @ np.swapaxes(shapes, -1, -2)
         right = weighted @ (s.density - known)[..., None]

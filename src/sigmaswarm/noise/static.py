@@ -11,18 +11,25 @@ from sigmaswarm.drives.tables import Array, Gps, Imu, Mask
 from sigmaswarm.errors import InputError
 
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
-SHORTEST = 10.0  # s, shortest stretch
-FEWEST = 50  # samples of the shortest stretch
+MIN_DURATION = 10.0  # s, shortest stretch
+MIN_SAMPLES = 50  # samples of the shortest stretch
 BLOCK = 1.0  # s, length of the blocks whose mean and standard deviation show motion
-SMALLEST = 20  # samples of a block; the standard deviation of fewer samples scatters too much
-JUMP = {"a": 0.1, "g": np.radians(0.5)}  # m/s2, rad/s: change of the mean between blocks that shows motion
-RESTLESS = 3.0  # deviation / deviation of the quietest blocks; a moving block exceeds this and `CALM`
-CALM = {"a": 0.02, "g": np.radians(0.1)}  # m/s2, rad/s: standard deviation without motion
-ROUGH = 0.3  # m/s2, standard deviation of an accelerometer in motion
+MIN_BLOCK_SAMPLES = 20  # samples of a block; the standard deviation of fewer samples scatters too much
+MIN_MEAN_CHANGE = {
+    "a": 0.1,
+    "g": np.radians(0.5),
+}  # m/s2, rad/s: change of the mean between blocks that shows motion
+MAX_STD_RATIO = (
+    3.0  # deviation / deviation of the quietest blocks; a moving block exceeds this and `STATIC_STD`
+)
+STATIC_STD = {"a": 0.02, "g": np.radians(0.1)}  # m/s2, rad/s: standard deviation without motion
+MOTION_STD = 0.3  # m/s2, standard deviation of an accelerometer in motion
 FIX_SPEED = 0.5  # m/s, speed of the line through a stretch's fixes that shows motion
 SAMPLE = 100_000  # approximate number of samples for the quantization step
-PILED = 3.0  # smallest count at the end of the range / count at the next value, for a saturated axis
-LEAST_PILED = 1e-3  # share of samples at the end of the range of a saturated axis
+MIN_SATURATION_RATIO = (
+    3.0  # smallest count at the end of the range / count at the next value, for a saturated axis
+)
+MIN_SATURATION_SHARE = 1e-3  # share of samples at the end of the range of a saturated axis
 
 
 @dataclass(frozen=True)
@@ -43,16 +50,16 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         If no stretch is long enough.
     """
     steps = np.diff(imu.time)
-    if len(imu) < FEWEST or not np.all(steps > 0):
+    if len(imu) < MIN_SAMPLES or not np.all(steps > 0):
         raise InputError(
-            f"at least {FEWEST} samples with increasing times are needed, but the log has {len(imu)} samples; "
-            f"record at least {SHORTEST:g} s"
+            f"at least {MIN_SAMPLES} samples with increasing times are needed, but the log has {len(imu)} samples; "
+            f"record at least {MIN_DURATION:g} s"
         )
     columns = [axis for axis in AXES if getattr(imu, axis) is not None]
     if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:
         raise InputError(f"{wrong[0]} has values that are not numbers; leave these samples out")
     interval = float(np.median(steps))
-    size = max(round(BLOCK / interval), SMALLEST)
+    size = max(round(BLOCK / interval), MIN_BLOCK_SAMPLES)
     gap = max(gaps.MANY * interval, gaps.SHORTEST)
     begins = np.concatenate([[0], np.flatnonzero(steps > gap) + 1])
     ends = np.append(begins[1:], len(imu))
@@ -66,13 +73,13 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         # The car still rocks in the first and the last block of a standstill.
         first, last = (run.start, run.stop) if whole else (run.start + 1, run.stop - 1)
         part = slice(int(starts[first]), int(starts[last - 1]) + size) if last > first else slice(0, 0)
-        if (part.stop - part.start) * interval >= SHORTEST and part.stop - part.start >= FEWEST:
+        if (part.stop - part.start) * interval >= MIN_DURATION and part.stop - part.start >= MIN_SAMPLES:
             parts += [] if gps is not None and _drives(imu, gps, part) else [part]
     if not parts:
         duration = imu.time[-1] - imu.time[0]
-        what = f"log is {duration:.3g} s long" if duration < 2 * SHORTEST else "IMU moves"
+        what = f"log is {duration:.3g} s long" if duration < 2 * MIN_DURATION else "IMU moves"
         raise InputError(
-            f"the {what}, without a standstill of {SHORTEST:g} s; record the IMU at rest, for an hour to "
+            f"the {what}, without a standstill of {MIN_DURATION:g} s; record the IMU at rest, for an hour to "
             "determine all noise terms"
         )
     static = sum(part.stop - part.start for part in parts)
@@ -92,12 +99,12 @@ def _calm_blocks(imu: Imu, starts: NDArray[np.int_], size: int, fresh: Mask) -> 
         for k in range(size):
             squares += (values[starts + k] - mean) ** 2 / size
         spread = np.sqrt(squares)
-        jumps = (np.abs(np.diff(mean)) > JUMP[axis[0]]) & ~fresh[1:]
+        jumps = (np.abs(np.diff(mean)) > MIN_MEAN_CHANGE[axis[0]]) & ~fresh[1:]
         calm[1:] &= ~jumps
         calm[:-1] &= ~jumps
-        calm &= spread <= max(RESTLESS * np.percentile(spread, 10), CALM[axis[0]])
+        calm &= spread <= max(MAX_STD_RATIO * np.percentile(spread, 10), STATIC_STD[axis[0]])
         if axis[0] == "a":
-            calm &= spread <= ROUGH
+            calm &= spread <= MOTION_STD
     return calm
 
 
@@ -143,7 +150,7 @@ def fault_of(values: Sequence[Array]) -> str | None:
         inner = [v[v != end] for v in values]
         follows = -inward * max(float(np.max(-inward * v)) for v in inner if len(v))
         at_end, at_next = (sum(int(np.count_nonzero(v == x)) for v in values) for x in (end, follows))
-        if at_end > max(PILED * at_next, LEAST_PILED * count, 5):
+        if at_end > max(MIN_SATURATION_RATIO * at_next, MIN_SATURATION_SHARE * count, 5):
             return (
                 f"saturated: {100 * at_end / count:.2g}% of the samples are {end:.6g}, the end of its range"
             )

@@ -14,7 +14,7 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
-from sigmaswarm.drives.checks import FEWEST_SHARED_FIXES
+from sigmaswarm.drives.checks import MIN_SHARED_FIXES
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.outages import hidden_fixes, random_windows
 from sigmaswarm.drives.prepared import PreparedDrive
@@ -32,13 +32,13 @@ from sigmaswarm.scoring.truth import share_known
 from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.tune import tune
 
-ACCURACY = 0.1  # m per axis, largest standard deviation of the truth
-HIDDEN = (2.0, 20.0)  # s, durations of hidden fixes; in 2 s, IMUs of cars drift by a decimeter
+MAX_STD = 0.1  # m per axis, largest standard deviation of the truth
+HIDDEN_DURATIONS = (2.0, 20.0)  # s, durations of hidden fixes; in 2 s, IMUs of cars drift by a decimeter
 HIDDEN_FIRST = 10.0  # s from the start to the first window, and between windows
 PLACEMENTS = 3  # number of placements of the hidden windows
-COVERED = 0.95, 1.96  # share of the hidden fixes in an interval per axis; half the width in sigmas
+COVERAGE = 0.95, 1.96  # share of the hidden fixes in an interval per axis; half the width in sigmas
 OBJECTIVE = "innovation-t"
-SLIP = math.radians(0.1)  # rad, added to the heading's deviation; fixes do not show slip of the rear axle
+SLIP_STD = math.radians(0.1)  # rad, added to the heading's deviation; fixes do not show slip of the rear axle
 
 
 class ReferenceOptions(TypedDict, total=False):
@@ -53,7 +53,7 @@ class ReferenceOptions(TypedDict, total=False):
 class _Options:
     lever_arm: tuple[float, float, float] | None = None
     offset: float = 0.0
-    accuracy: float = ACCURACY
+    accuracy: float = MAX_STD
     fix_std: float | None = None
     seed: int = 0
 
@@ -200,7 +200,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
         std_x, std_y = np.maximum(np.full((2, len(gps)), fix_std), 0.0 if gps.std is None else gps.std)
         gps = replace(gps, std_x=std_x, std_y=std_y)
     within = (gps.time >= start) & (gps.time <= end)
-    if np.count_nonzero(within) < FEWEST_SHARED_FIXES:
+    if np.count_nonzero(within) < MIN_SHARED_FIXES:
         there = f"t = {gps.time[0]:.1f} to {gps.time[-1]:.1f} s" if len(gps) else "nothing"
         raise InputError(
             f"{name}: covers {there} on the drive's clock, but the IMU covers t = {start:.1f} to {end:.1f} s, with "
@@ -208,7 +208,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
         )
     sure = within & log.sure
     known = sure & np.all(_stated(gps) <= accuracy, axis=0)
-    if np.count_nonzero(known) < FEWEST_SHARED_FIXES:
+    if np.count_nonzero(known) < MIN_SHARED_FIXES:
         raise InputError(
             f"{name}: of {np.count_nonzero(within)} fixes {np.count_nonzero(sure)} are fixed solutions, and "
             f"{np.count_nonzero(known)} of these have a stated standard deviation of at most {accuracy:g} m per "
@@ -222,7 +222,9 @@ def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.
     gps, start, end = ready.drive.gps, ready.initial.time, float(ready.drive.imu.time[-1])
     off: list[Array] = []
     for _ in range(PLACEMENTS):
-        windows = random_windows(start, end, rng, length=HIDDEN, first_after=HIDDEN_FIRST, apart=HIDDEN_FIRST)
+        windows = random_windows(
+            start, end, rng, length=HIDDEN_DURATIONS, first_after=HIDDEN_FIRST, apart=HIDDEN_FIRST
+        )
         if not len(windows):
             return 1.0
         hidden = hidden_fixes(gps.time, windows)
@@ -233,7 +235,7 @@ def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.
         off.append(_off(estimate, gps.select(hidden), ready.drive))
     if not off:
         return 1.0
-    share, sigmas = COVERED
+    share, sigmas = COVERAGE
     return max(1.0, float(np.quantile(np.concatenate(off), share)) / sigmas)
 
 
@@ -278,6 +280,6 @@ def _truth(estimate: Estimate, good: Gps, stretched: float, accuracy: float) -> 
     if np.count_nonzero(known) < 2:
         return None
     x, y, vx, vy, theta = mean[:, : THETA + 1].T
-    std_theta = np.hypot(deviation[:, THETA], SLIP)
+    std_theta = np.hypot(deviation[:, THETA], SLIP_STD)
     whole = Truth(time, x, y, vx, vy, np.asarray(wrap_angle(theta)), std_x, std_y, std_theta)
     return whole.select(known)

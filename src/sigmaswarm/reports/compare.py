@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sigmaswarm.experiments.comparison import MEASURES, MIN_SEEDS, Comparison
-from sigmaswarm.files import staged_files, write_whole
+from sigmaswarm.files import staged_files, write_atomically
 from sigmaswarm.reports.figures import Chart, band, curve, figure_of, name_rows, save
 from sigmaswarm.reports.style import NO_LINE, Look, many_styles
 from sigmaswarm.tables import Cell, Column, Table
@@ -17,7 +17,7 @@ from sigmaswarm.tables import Cell, Column, Table
 def save_comparison(comparison: Comparison, folder: Path) -> list[Path]:
     with staged_files(folder) as new:
         table = new / "comparison.md"
-        write_whole(table, comparison_table(comparison).to_markdown())
+        write_atomically(table, comparison_table(comparison).to_markdown())
         figure = save(comparison_figure(comparison), new / "comparison.png")
         written = [table, *comparison.write(new), figure]
     return [folder / file.name for file in written]

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from sigmaswarm.drives.overlap import TRAINING_DATA_FILE
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import staged_files, write_whole
-from sigmaswarm.learned.folder import Learned
+from sigmaswarm.files import staged_files, write_atomically
+from sigmaswarm.learned.folder import LearnedNetwork
 from sigmaswarm.reports.figures import (
     Chart,
     as_map,
@@ -44,10 +44,10 @@ from sigmaswarm.scoring.evaluation import DriveResult, Evaluation
 from sigmaswarm.scoring.measures import Measure, with_outages
 from sigmaswarm.scoring.methods import AGAINST, BASELINE, FIXES, LEARNED
 from sigmaswarm.scoring.records import EVALUATION, EVALUATION_FILE, write_checksums
-from sigmaswarm.scoring.tracks import CLOSE_UP, MOVED, SHARES, Columns, Picture, Tracks
+from sigmaswarm.scoring.tracks import CLOSE_UP_SIZE, MOVED, SHARES, Columns, Picture, Tracks
 from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, tuning_file
-from sigmaswarm.wording import names_shown
+from sigmaswarm.wording import list_names
 
 DRAWING_ORDER = ("raw_gps", BASELINE, AGAINST, "tuned", *LEARNED, "swarm", "smoothed", "truth")
 """Series of a track from bottom to top. The truth is drawn above the tuned filter, whose line is wider."""
@@ -55,7 +55,7 @@ HEADING_LIMITS = (1.0, 30.0)  # deg, limits of the heading axis's range; a diver
 
 
 def save_evaluation(
-    evaluation: Evaluation, folder: Path, tuning: Path | None = None, network: Learned | None = None
+    evaluation: Evaluation, folder: Path, tuning: Path | None = None, network: LearnedNetwork | None = None
 ) -> list[Path]:
     """Write the records and pictures of an evaluation into a folder; return the paths of all files.
 
@@ -85,7 +85,7 @@ def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
     for name in (FILE, HISTORY_FILE, TRAINING_DATA_FILE):
         source = file if name == FILE else file.parent / name
         if source.is_file():
-            write_whole(folder / name, source.read_bytes())
+            write_atomically(folder / name, source.read_bytes())
             written.append(folder / name)
     return written
 
@@ -93,7 +93,7 @@ def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
 def track_figure(evaluation: Evaluation, drive: str) -> Figure:
     found = evaluation.drives.get(drive)
     if found is None or found.picture is None:
-        raise InputError(f"no track of {drive!r}; choose from {names_shown(evaluation.drives)}")
+        raise InputError(f"no track of {drive!r}; choose from {list_names(evaluation.drives)}")
     return tracks(found.picture, LABELS | dict(evaluation.names))
 
 
@@ -191,7 +191,7 @@ def consistency(name: str, evaluated: DriveResult) -> Figure | None:
 
 def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
     """Draw the whole track and a close-up of the sharpest turn (the paper's Fig. 3)."""
-    half, (x, y) = CLOSE_UP / 2, picture.turn
+    half, (x, y) = CLOSE_UP_SIZE / 2, picture.turn
 
     def paths(ax: Axes, series: Mapping[str, Columns]) -> None:
         for name in (name for name in DRAWING_ORDER if name in series):

@@ -17,7 +17,15 @@ from sigmaswarm.reports.tuning import (
     shown_config,
     what_was_tuned,
 )
-from sigmaswarm.scoring.methods import AGAINST, ALSO, BANK, BASELINE, FIXES, SMOOTHED, method_names
+from sigmaswarm.scoring.methods import (
+    AGAINST,
+    BANK,
+    BASELINE,
+    FIXES,
+    OPTIONAL_METHODS,
+    SMOOTHED,
+    method_names,
+)
 from sigmaswarm.scoring.records import (
     EVALUATION_FILE,
     SCORES_FILE,
@@ -34,11 +42,11 @@ from sigmaswarm.scoring.view import (
     with_training,
 )
 from sigmaswarm.tuning.record import NOT_VALIDATED_TEXTS, TuningRecord
-from sigmaswarm.wording import in_order
+from sigmaswarm.wording import sort_remarks
 
 # Series of the tracks, from top to bottom.
-TRACK_SERIES = ("truth", *ALSO, "tuned", AGAINST, BASELINE, FIXES, "imu_only", "raw_gps")
-VISIBLE_SERIES = ("truth", "tuned", *ALSO, AGAINST, BASELINE, "raw_gps")
+TRACK_SERIES = ("truth", *OPTIONAL_METHODS, "tuned", AGAINST, BASELINE, FIXES, "imu_only", "raw_gps")
+VISIBLE_SERIES = ("truth", "tuned", *OPTIONAL_METHODS, AGAINST, BASELINE, "raw_gps")
 # Verdicts on the consistency that the page shows as warnings.
 WARNING_VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
 BANK_TEXT = (
@@ -60,13 +68,13 @@ def evaluation_report(folder: Path) -> Report:
             f"{folder}: scores.json, evaluation.json and tracks.npz contain different drives; "
             "repeat `sigmaswarm evaluate`"
         )
-    absent = {AGAINST, FIXES, *ALSO} - {*scores.mean}
+    absent = {AGAINST, FIXES, *OPTIONAL_METHODS} - {*scores.mean}
     labels = LABELS | dict(view.names)
     tracks = TrackView(
         drives, {m: labels[m] for m in TRACK_SERIES if m not in absent}, STYLES, VISIBLE_SERIES, "tuned"
     )
     swarm = tuple(chart for drive in drives for chart in swarm_charts(drive))
-    also = [method for method in (AGAINST, *ALSO) if method in scores.mean]
+    also = [method for method in (AGAINST, *OPTIONAL_METHODS) if method in scores.mean]
     command, note = evaluate_command(list(scores.drives), setup, also=also)
     verdicts = view.verdicts()
     remarks = [
@@ -79,7 +87,7 @@ def evaluation_report(folder: Path) -> Report:
         title=f"Evaluation of {filter_name(file)}",
         lead=(view.result(), *(view.coverage() if view.blind else ()), what_was_tuned(file)),
         figures=_figures(view),
-        remarks=tuple(in_order(remarks)),
+        remarks=tuple(sort_remarks(remarks)),
         sections=(
             Section("Tracks and errors over time" if nees else "Tracks over time", tracks=tracks),
             _comparison(view),
@@ -110,7 +118,9 @@ def read_view(folder: Path, file: TuningRecord) -> EvaluationView:
     verify_checksums(folder, setup)
     other = setup.against and (setup.against.kind, setup.against.model)
     kind, model = str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5"))
-    names = method_names(kind, model, also=[m for m in (AGAINST, *ALSO) if m in scores.mean], against=other)
+    names = method_names(
+        kind, model, also=[m for m in (AGAINST, *OPTIONAL_METHODS) if m in scores.mean], against=other
+    )
     data = [with_training(drive, file.data) for drive in setup.data]
     return EvaluationView(scores, setup.model_copy(update={"data": data}), names)
 

@@ -26,9 +26,9 @@ from matplotlib.ticker import Formatter
 from numpy.typing import ArrayLike
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import whole_file, write_whole
+from sigmaswarm.files import atomic_file, write_atomically
 from sigmaswarm.reports.style import Look
-from sigmaswarm.wording import visible
+from sigmaswarm.wording import escape_controls
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,14 +137,14 @@ def _plain(artist: Artist) -> None:
     """
     if isinstance(artist, Text):
         artist.set_parse_math(False)
-        artist.set_text(visible(artist.get_text()))
+        artist.set_text(escape_controls(artist.get_text()))
     for child in () if isinstance(artist, Axis) else artist.get_children():
         _plain(child)
 
 
 def save(figure: Figure, path: Path) -> Path:
     _plain(figure)
-    with whole_file(path) as file, warnings.catch_warnings():
+    with atomic_file(path) as file, warnings.catch_warnings():
         # the font may lack letters of a name
         warnings.filterwarnings("ignore", message="Glyph")
         figure.dpi = 130  # `savefig` would draw the figure twice, with the layout each time
@@ -154,7 +154,7 @@ def save(figure: Figure, path: Path) -> Path:
 
 def save_both(figure: Figure, stem: Path) -> list[Path]:
     path = stem.with_name(f"{stem.name}.svg")
-    write_whole(path, _svg(figure))
+    write_atomically(path, _svg(figure))
     return [save(figure, stem.with_name(f"{stem.name}.png")), path]
 
 

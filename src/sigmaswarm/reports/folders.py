@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import add_to_result, write_whole
+from sigmaswarm.files import add_to_result, write_atomically
 from sigmaswarm.reports.evaluation_page import evaluation_report
 from sigmaswarm.reports.figures import check_file
 from sigmaswarm.reports.page import Report, page
@@ -38,5 +38,5 @@ def save_page(folder: Path, out: Path | None = None) -> Path:
     check_file(file, ".html")
     if out is None:
         add_to_result(folder, file.name)
-    write_whole(file, page(read))
+    write_atomically(file, page(read))
     return file

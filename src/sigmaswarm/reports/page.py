@@ -17,13 +17,13 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from sigmaswarm.files import finite
+from sigmaswarm.files import nan_to_none
 from sigmaswarm.reports.figures import Chart, svg
 from sigmaswarm.reports.style import Look
 from sigmaswarm.scoring.consistency import GATE_95
-from sigmaswarm.scoring.thinning import Thinned
+from sigmaswarm.scoring.thinning import ThinnedSeries
 from sigmaswarm.scoring.tracks import Tracks
-from sigmaswarm.tables import Cell, Column, Table, numbers_of, shown
+from sigmaswarm.tables import Cell, Column, Table, cell_numbers, format_cell
 from sigmaswarm.versions import __version__
 
 LONG_CELL = 24  # characters of a cell above which the column gets a minimum width
@@ -166,22 +166,22 @@ def _tracks(tracks: Tracks, share: float) -> dict[str, Any]:
     for name, columns in tracks.series.items():
         if share < 1.0:
             n = len(columns["time"])
-            thin = Thinned(n, max(int(share * n), 50))
+            thin = ThinnedSeries(n, max(int(share * n), 50))
             thin.add(columns)
             columns = thin.columns
         numbers = {
             column: np.round(np.asarray(values - origin * (column == "time"), np.float64), 3).tolist()
             for column, values in columns.items()
         }
-        series[name] = finite(numbers)
+        series[name] = nan_to_none(numbers)
     return {"name": tracks.name, "origin": origin, "series": series}
 
 
 def _cell(cell: Cell, column: Column) -> dict[str, Any]:
     if isinstance(cell, str):
         return {"text": cell, "style": "long" if len(cell) > LONG_CELL else "", "key": None}
-    known = numbers_of(cell)
-    return {"text": shown(cell, column, "–"), "style": "number", "key": known and repr(known[0])}
+    known = cell_numbers(cell)
+    return {"text": format_cell(cell, column, "–"), "style": "number", "key": known and repr(known[0])}
 
 
 def _terms(text: str) -> Markup:

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sigmaswarm.experiments.study.config import ALL, BASELINE, MAIN_METHOD
-from sigmaswarm.experiments.study.record import Convergence, CurvePoint, Results, Spread
+from sigmaswarm.experiments.study.record import Convergence, CurvePoint, Results, ScoreQuantiles
 from sigmaswarm.experiments.study.study import Study
-from sigmaswarm.files import make_folder, staged_files, write_whole
+from sigmaswarm.files import make_folder, staged_files, write_atomically
 from sigmaswarm.reports import study_tables as tables
 from sigmaswarm.reports.figures import (
     Chart,
@@ -29,7 +29,7 @@ from sigmaswarm.reports.figures import (
 from sigmaswarm.reports.study_tables import ELSEWHERE_MEASURES, curve_points
 from sigmaswarm.reports.style import CHARCOAL, GREEN, MIST, NO_LINE, ORANGE, SLATE, STUDY_STYLES, STYLES, Look
 from sigmaswarm.scoring.consistency import GATE_95
-from sigmaswarm.scoring.tracks import CLOSE_UP, NIS, Columns, Picture
+from sigmaswarm.scoring.tracks import CLOSE_UP_SIZE, NIS, Columns, Picture
 
 PROTOCOL_COLORS = {
     BASELINE: SLATE,
@@ -96,7 +96,7 @@ def _ends(interval: tuple[float | None, float | None]) -> str:
 
 def spread_chart(
     results: Results,
-    spreads: Sequence[Spread],
+    spreads: Sequence[ScoreQuantiles],
     measure: str,
     mark: float | None = None,
     *,
@@ -212,7 +212,7 @@ def trajectory_chart(picture: Picture) -> Chart:
         named = {"raw_gps": ("GPS", STYLES["raw_gps"]), **DRAWN_FILTERS, "truth": ("truth", STYLES["truth"])}
         for series, (name, look) in named.items():
             curve(ax, picture.close[series]["x"], picture.close[series]["y"], look, name)
-        (x, y), half = picture.turn, CLOSE_UP / 2
+        (x, y), half = picture.turn, CLOSE_UP_SIZE / 2
         as_map(ax, (x - half, x + half), (y - half, y + half))
 
     return Chart(f"{picture.whole.name}: the sharpest turn", draw)
@@ -277,7 +277,7 @@ def save_study(study: Study, folder: Path) -> list[Path]:
             texts = {"md": table.to_markdown(), "tex": table.to_latex(), "csv": table.to_csv()}
             for ending, text in texts.items():
                 written.append(texts_in / f"{name}.{ending}")
-                write_whole(written[-1], text)
+                write_atomically(written[-1], text)
         for name, figure in study_figures(study).items():
             written += save_both(figure, figures / name)
     return [folder / file.relative_to(new) for file in written]

@@ -97,7 +97,7 @@ def _table(
 
 
 # Beginnings of the names of tables that `sigmaswarm study` only writes to files.
-UNPRINTED = ("comparison-", "conditions-", "trials")
+FILE_ONLY_TABLES = ("comparison-", "conditions-", "trials")
 
 
 def study_tables(results: Results) -> dict[str, Table]:

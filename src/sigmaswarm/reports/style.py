@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from sigmaswarm.scoring.methods import AGAINST, ALSO, BASELINE, FIXES, METHODS, method_names
+from sigmaswarm.scoring.methods import AGAINST, BASELINE, FIXES, METHODS, OPTIONAL_METHODS, method_names
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ STUDY_STYLES: dict[str, Look] = {
     "imu_only": Look("#51585F", 1.2, ":"),
     "raw_gps": STYLES["raw_gps"],
 }
-LABELS = {"truth": "truth", **method_names(also=(AGAINST, *ALSO)), **METHODS}
+LABELS = {"truth": "truth", **method_names(also=(AGAINST, *OPTIONAL_METHODS)), **METHODS}
 
 
 def many_styles(n: int, width: float) -> list[Look]:

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import write_whole
+from sigmaswarm.files import write_atomically
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.reports.evaluation import tracks
 from sigmaswarm.reports.figures import Chart, curve, figure_of, logarithmic, save
@@ -30,7 +30,7 @@ from sigmaswarm.tuning.diagnostics import describe_forecasts
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, TuningRecord, history_of, load_history
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
-from sigmaswarm.wording import counted
+from sigmaswarm.wording import count_of
 
 # Options that the command contains even at their defaults.
 STATED_OPTIONS = ("objective", "particles", "generations", "trials", "seed", "model", "use")
@@ -60,7 +60,7 @@ def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Pa
 
 
 def save_history(tuning: Tuning, folder: Path) -> None:
-    write_whole(folder / HISTORY_FILE, history_of(tuning.trials).write_csv())
+    write_atomically(folder / HISTORY_FILE, history_of(tuning.trials).write_csv())
 
 
 def convergence(tuning: Tuning) -> Figure:
@@ -107,7 +107,7 @@ def tuning_report(folder: Path) -> Report:
         how = f"{abs(gap):.1%} {'worse' if gap > 0 else 'better'} than on the training drives"
         figures.append(("cost on held-out drives", f"{cost:.4g}", how))
         held_out = (
-            f"On {counted(len(result.validation_drives), 'drive')} that the search did not use, the cost is "
+            f"On {count_of(len(result.validation_drives), 'drive')} that the search did not use, the cost is "
             f"{cost:.4g}, {how}. The cost on the training drives is {result.cost:.4g}."
         )
     figures.append(("candidates tried", f"{result.evaluations}", f"{result.failures} of them failed"))
@@ -147,7 +147,7 @@ def what_was_tuned(file: TuningRecord) -> str:
     if file.result is None:
         return f"The filter is {filter_name(file)}; its file has no record of a tuning."
     length = sum(d.duration_s or 0 for d in file.data)
-    on = counted(len(file.data), "drive") + (f" ({length / 60:.1f} min)" if length else "")
+    on = count_of(len(file.data), "drive") + (f" ({length / 60:.1f} min)" if length else "")
     meaning = f": {file.result.objective_meaning}" if file.result.objective_meaning else ""
     return f"{filter_name(file)} was tuned on {on} for {file.result.objective}{meaning}."
 

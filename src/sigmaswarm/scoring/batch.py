@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from sigmaswarm.datasets.dataset import LocalDataset
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.prepared import PreparedDrive, prepared
+from sigmaswarm.drives.prepared import PreparedDrive, prepare_drive
 from sigmaswarm.drives.tables import Array, Indices, Mask
-from sigmaswarm.filters.kernel_array import KernelArray, Sums
+from sigmaswarm.filters.kernel_array import KernelArray, KernelSums
+from sigmaswarm.filters.parameter_table import group_tables
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, run_array
+from sigmaswarm.filters.passes import FilterPass, run_array
 from sigmaswarm.filters.student import INNOVATION_DOF
-from sigmaswarm.filters.table import tables_of
 from sigmaswarm.scoring.jobs import Job, cores, jobs_for, run_jobs
 from sigmaswarm.scoring.score import Score
-from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_replay, outage_replay, tracking_replay
+from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_pass, outage_pass, tracking_pass
 
 T = TypeVar("T")
 LOG_2PI = math.log(2 * math.pi)
@@ -64,7 +64,7 @@ _NUMBERS = tuple(field.name for field in fields(Scores) if field.name != "failed
 
 
 @dataclass(frozen=True)
-class Passes:  # options of BatchScorer and PreparedDrive
+class PassOptions:  # options of BatchScorer and PreparedDrive
     outages: bool = False
     forecasts: bool = False
     outage_seed: int = 0
@@ -87,16 +87,16 @@ class BatchScorer:
         outage_length: float = OUTAGE_LENGTH,
         outage_seed: int = 0,
     ) -> None:
-        self._ready = tuple(prepared(drive) for drive in drives)
-        self._passes = {"tracking": tuple(map(tracking_replay, self._ready))}
+        self._ready = tuple(prepare_drive(drive) for drive in drives)
+        self._passes = {"tracking": tuple(map(tracking_pass, self._ready))}
         if outages:
             length, seed = outage_length, outage_seed
-            self._passes["outages"] = tuple(outage_replay(r, length=length, seed=seed) for r in self._ready)
+            self._passes["outages"] = tuple(outage_pass(r, length=length, seed=seed) for r in self._ready)
         if forecasts:
-            self._passes["forecasts"] = tuple(forecast_replay(r, seed=outage_seed) for r in self._ready)
+            self._passes["forecasts"] = tuple(forecast_pass(r, seed=outage_seed) for r in self._ready)
 
     @staticmethod
-    def together(parts: Sequence["BatchScorer"]) -> "BatchScorer":
+    def joined(parts: Sequence["BatchScorer"]) -> "BatchScorer":
         """Join scorers with the same passes, without preparing drives again."""
         whole = BatchScorer.__new__(BatchScorer)
         whole._ready = tuple(one for part in parts for one in part._ready)
@@ -169,13 +169,15 @@ class BatchScorer:
         """Score the parameter sets; return the result of ``take``, shape (n_sets, n_drives)."""
         return np.asfortranarray(take(self.scores(parameter_sets, executor)))
 
-    def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
+    def map_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
         return [function(one) for one in self._ready]
 
-    def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
+    def _run(
+        self, parameter_sets: Sequence[FilterParameters], executor: Executor | None
+    ) -> dict[str, KernelSums]:
         workers = cores() if executor else 1
         work: list[tuple[Job, Indices, KernelArray]] = []
-        for places, table in tables_of(parameter_sets):
+        for places, table in group_tables(parameter_sets):
             array = KernelArray(table)
             array.compute_starts(self.initial)
             key = len(table), array.kernel, workers
@@ -189,17 +191,17 @@ class BatchScorer:
         tasks = [
             (self._passes[job.name][job.replays.start : job.replays.stop], array) for job, _, array in work
         ]
-        sums = {name: Sums.empty(len(self.drives), len(parameter_sets)) for name in self._passes}
+        sums = {name: KernelSums.empty(len(self.drives), len(parameter_sets)) for name in self._passes}
         for (job, places, _), part in zip(work, run_jobs(run_array, tasks, executor), strict=True):
             sums[job.name].put(slice(job.replays.start, job.replays.stop), places, part)
         return sums
 
 
-def scores_of(passes: Mapping[str, Sequence[Replay]], sums: Mapping[str, Sums]) -> Scores:
+def scores_from_sums(passes: Mapping[str, Sequence[FilterPass]], sums: Mapping[str, KernelSums]) -> Scores:
     return _scores_by({name: _divisors_of(passes[name]) for name in sums}, sums)
 
 
-def _divisors_of(replays: Sequence[Replay]) -> Array:
+def _divisors_of(replays: Sequence[FilterPass]) -> Array:
     """Return the divisors of the sums of each replay, shape (5, n_drives, 1); NaN replaces 0.
 
     Divisors in this order: number of positions, weight of all positions, weight of all headings, number of fixes,
@@ -216,18 +218,18 @@ def _divisors_of(replays: Sequence[Replay]) -> Array:
     return np.where(counts > 0, counts, np.nan).T[..., np.newaxis]
 
 
-def _scores_by(divisors: Mapping[str, Array], sums: Mapping[str, Sums]) -> Scores:
+def _scores_by(divisors: Mapping[str, Array], sums: Mapping[str, KernelSums]) -> Scores:
     shape = next(iter(sums.values())).failed.T.shape
     columns = dict.fromkeys(_NUMBERS, np.full(shape, np.nan))
     failed = np.zeros(shape, dtype=np.bool_)
     for name, added in sums.items():
-        for score, values in _scores_in(name, divisors[name], added).items():
+        for score, values in _pass_scores(name, divisors[name], added).items():
             columns[score] = values.T
         failed |= added.failed.T
     return Scores(**columns, failed=failed)
 
 
-def _scores_in(name: str, divisors: Array, sums: Sums) -> dict[str, Array]:
+def _pass_scores(name: str, divisors: Array, sums: KernelSums) -> dict[str, Array]:
     """Return the scores of a pass by name; each array has shape (n_drives, n_sets)."""
     moments, positions, headings, fixes, hidden = divisors
     if name == "outages":

@@ -17,8 +17,8 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Innovations, run_innovations
 
 GATE_95 = -2 * math.log(0.05)  # 95% quantile of NIS for a consistent filter: 5.99
-FAR_NEES = 4.0  # mean NEES that is clearly too large; NEES has no band, since position errors are correlated
-RIGHT_NEES = 1.5  # smallest mean NEES of a consistent position covariance; the largest is FAR_NEES
+MAX_NEES = 4.0  # mean NEES that is clearly too large; NEES has no band, since position errors are correlated
+MIN_NEES = 1.5  # smallest mean NEES of a consistent position covariance; the largest is MAX_NEES
 LAGS = 10  # fixes, largest lag of the autocorrelation
 _KEYS = {  # in scores.json
     "nis_band": "nis_band_95",
@@ -134,8 +134,8 @@ Kind = Literal[
 - ``lasting``: smaller, but errors against truth agree with the covariances, since predictions share the fixes' errors.
 - ``correlated``: of the expected size, but correlated; reported only if there is no truth.
 """
-ALIKE = 0.5  # lag-1 correlation above which consecutive innovations are nearly equal
-CORRELATED = 0.2  # lag-1 correlation above which a mean NIS of 2 does not prove consistency
+EQUAL_CORRELATION = 0.5  # lag-1 correlation above which consecutive innovations are nearly equal
+MAX_CORRELATION = 0.2  # lag-1 correlation above which a mean NIS of 2 does not prove consistency
 FORECASTS = "this result is for predictions of the fixes; without truth, position errors can't be assessed"
 
 VERDICTS: dict[Kind, str] = {
@@ -190,22 +190,22 @@ def _kinds(one: Consistency) -> Iterator[Kind]:
         yield "optimistic"
     elif nis < low:
         if nees is None:
-            yield "alike" if neighbors > ALIKE else "pessimistic"
+            yield "alike" if neighbors > EQUAL_CORRELATION else "pessimistic"
         else:
-            yield "lasting" if RIGHT_NEES <= nees <= FAR_NEES and nees > 2 * nis else "pessimistic"
+            yield "lasting" if MIN_NEES <= nees <= MAX_NEES and nees > 2 * nis else "pessimistic"
     else:
-        yield "correlated" if nees is None and neighbors > CORRELATED else "consistent"
-    if nis <= high and nees is not None and nees > FAR_NEES:
+        yield "correlated" if nees is None and neighbors > MAX_CORRELATION else "consistent"
+    if nis <= high and nees is not None and nees > MAX_NEES:
         yield "optimistic_position"
 
 
 def _size(mean_squares: Sequence[float], what: str) -> str:
     """Describe the size of sigmas, from the mean NIS or NEES on each drive (2 if sigmas are correct)."""
     mean = sum(mean_squares) / max(len(mean_squares), 1)
-    return f"{size_of(math.sqrt(2 / mean) if mean > 0 else math.inf)} (mean {what} {mean:.2g}, should be 2)"
+    return f"{describe_ratio(math.sqrt(2 / mean) if mean > 0 else math.inf)} (mean {what} {mean:.2g}, should be 2)"
 
 
-def size_of(ratio: float) -> str:
+def describe_ratio(ratio: float) -> str:
     """Describe the ratio of sigmas to the correct values, such as ``20% too small``."""
     size = "large" if ratio > 1 else "small"
     if 0.5 < ratio < 2:

@@ -9,24 +9,24 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.tables import Array, Indices
 from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, joined, run_replays
+from sigmaswarm.filters.passes import FilterPass, join_sums, run_passes
 from sigmaswarm.filters.run import Estimate, Run
-from sigmaswarm.scoring.batch import scores_of
+from sigmaswarm.scoring.batch import scores_from_sums
 from sigmaswarm.scoring.records import DriftRecord
 from sigmaswarm.scoring.targets import (
     Seed,
     drift_reference,
     drift_weights,
-    outage_replay,
+    outage_pass,
     outage_windows,
     placements,
 )
 from sigmaswarm.scoring.truth import root_mean
 
-Runs = Mapping[str, Callable[[Replay], Run]]
+RunFactories = Mapping[str, Callable[[FilterPass], Run]]
 
 
-class Outages:
+class OutageDrifts:
     """Outages of one length on a drive, in several placements, and the drift of each method.
 
     ``seeds`` has one seed per placement, and is empty if no outage fits. ``failed`` has the methods that failed in any
@@ -55,7 +55,7 @@ class Outages:
     def run(
         self,
         filters: Mapping[str, FilterParameters],
-        also: Runs = MappingProxyType({}),
+        also: RunFactories = MappingProxyType({}),
         *,
         monitored: bool = True,
     ) -> None:
@@ -69,16 +69,16 @@ class Outages:
         self._ready.forget()
 
     def _run_placed(
-        self, seed: Seed, filters: Mapping[str, FilterParameters], also: Runs, *, monitored: bool
+        self, seed: Seed, filters: Mapping[str, FilterParameters], also: RunFactories, *, monitored: bool
     ) -> None:
         """Run one placement; a separate function frees its memory before the next placement."""
-        outages = outage_replay(self._ready, length=self._length, seed=seed)
+        outages = outage_pass(self._ready, length=self._length, seed=seed)
         ends = self._ends[self.seeds.index(seed)]
         if monitored:
-            sums = joined([self._recorded(m, outages, p, ends).sums for m, p in filters.items()])
+            sums = join_sums([self._recorded(m, outages, p, ends).sums for m, p in filters.items()])
         else:
-            sums = run_replays([outages], [*filters.values()])
-        scores = scores_of({"outages": [outages]}, {"outages": sums})
+            sums = run_passes([outages], [*filters.values()])
+        scores = scores_from_sums({"outages": [outages]}, {"outages": sums})
         for i, method in enumerate(filters):
             self._add(method, scores[i, 0].outage_drift, failed=scores[i, 0].failed)
         for method, make in also.items():
@@ -86,7 +86,9 @@ class Outages:
             places = [np.empty((0, 2)), *(piece.mean[_rows_at(ends, piece), :2] for piece in run)]
             self._add(method, _drift(self._ready, ends, np.vstack(places)), failed=bool(run.failure))
 
-    def _recorded(self, method: str, outages: Replay, parameters: FilterParameters, ends: Array) -> FilterRun:
+    def _recorded(
+        self, method: str, outages: FilterPass, parameters: FilterParameters, ends: Array
+    ) -> FilterRun:
         """Run a filter; store variances and errors at the ends of the outages if it is the tuned filter."""
         recording = FilterRun(outages, parameters, recover=True)
         if method != "tuned":

@@ -10,26 +10,35 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm import notebook
-from sigmaswarm.datasets.dataset import datasets_of
-from sigmaswarm.doctor.diagnose import findings_of
+from sigmaswarm.datasets.dataset import make_datasets
+from sigmaswarm.doctor.diagnose import finding_sentences
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.fingerprint import DriveRecord, record_of
+from sigmaswarm.drives.fingerprint import DriveRecord, drive_record
 from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError, warn_deprecated
-from sigmaswarm.files import write_json, write_whole
+from sigmaswarm.files import write_atomically, write_json
 from sigmaswarm.filters.bank.run import BankRun
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, fit_noise
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.passes import FilterPass, join_sums
 from sigmaswarm.filters.presets import filter_for
-from sigmaswarm.filters.replay import Replay, joined
 from sigmaswarm.filters.run import Innovations, run_imu_only
-from sigmaswarm.filters.smoothing import Smoothing
-from sigmaswarm.scoring.batch import scores_of
+from sigmaswarm.filters.smoothing import SmootherRun
+from sigmaswarm.scoring.batch import scores_from_sums
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
-from sigmaswarm.scoring.drifts import Outages, Run, Runs
+from sigmaswarm.scoring.drifts import OutageDrifts, Run, RunFactories
 from sigmaswarm.scoring.measures import DRIFTS, MEASURES, Measure, measures
-from sigmaswarm.scoring.methods import AGAINST, ALSO, BANK, BASELINE, FIXES, METHODS, SMOOTHED, method_names
+from sigmaswarm.scoring.methods import (
+    AGAINST,
+    BANK,
+    BASELINE,
+    FIXES,
+    METHODS,
+    OPTIONAL_METHODS,
+    SMOOTHED,
+    method_names,
+)
 from sigmaswarm.scoring.radius import TRACKING, RadiusRecord, lasting_variance, radius_record
 from sigmaswarm.scoring.records import (
     AGAINST_FILE,
@@ -42,7 +51,7 @@ from sigmaswarm.scoring.records import (
 )
 from sigmaswarm.scoring.remarks import restarted, worse_than_raw, worse_than_untuned
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
-from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH, tracking_replay
+from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH, tracking_pass
 from sigmaswarm.scoring.tracks import (
     NOTHING_STATED,
     TRACKS_FILE,
@@ -65,7 +74,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Options:
+class EvaluationOptions:
     """Options of an evaluation.
 
     Attributes
@@ -84,7 +93,8 @@ class Options:
     bank : bool
         Also evaluate a filter bank: see `sigmaswarm.LiveFilterBank`.
     more : mapping of str to callable
-        Further methods, with names from `ALSO`: functions that run a method on a replay, such as a trained network.
+        Further methods, with names from `OPTIONAL_METHODS`: functions that run a method on a replay, such as a trained
+        network.
     fixes_alone : MotionNoise, optional
         Noise parameters of the filter that uses only the fixes, as in ``tuning.fixes_alone``. By default, the
         parameters are fitted to each evaluated drive, so the errors of this filter are lower bounds.
@@ -96,13 +106,13 @@ class Options:
     as_recorded: bool = False
     smooth: bool = False
     bank: bool = False
-    more: Runs = field(default_factory=dict[str, Callable[[Replay], Run]])
+    more: RunFactories = field(default_factory=dict[str, Callable[[FilterPass], Run]])
     fixes_alone: MotionNoise | None = None
 
-    def further(self, parameters: FilterParameters) -> dict[str, Callable[[Replay], Run]]:
-        runs: dict[str, Callable[[Replay], Run]] = {}
+    def optional_runs(self, parameters: FilterParameters) -> dict[str, Callable[[FilterPass], Run]]:
+        runs: dict[str, Callable[[FilterPass], Run]] = {}
         if self.smooth:
-            runs[SMOOTHED] = partial(Smoothing, parameters=parameters, recover=True)
+            runs[SMOOTHED] = partial(SmootherRun, parameters=parameters, recover=True)
         if self.bank:
             bank = partial(BankRun, parameters=parameters, recover=True, as_recorded=self.as_recorded)
             runs[BANK] = bank
@@ -298,7 +308,7 @@ class Evaluation:
         """Write scores.json, scores.csv, evaluation.json, tracks.npz and the other filter, if any; return the paths."""
         paths = [folder / name for name in (SCORES_FILE, "scores.csv", EVALUATION_FILE, TRACKS_FILE)]
         write_json(paths[0], self.to_dict())
-        write_whole(paths[1], self._frame({m: m for m in self.names}).write_csv())
+        write_atomically(paths[1], self._frame({m: m for m in self.names}).write_csv())
         write_json(paths[2], self.setup.model_dump())
         save_tracks([found.tracks for found in self.drives.values() if found.tracks], paths[3])
         if self.against is not None:
@@ -319,11 +329,11 @@ def evaluate(
 
     ``seen``: landmarks of the training drives, by which parts of training drives are recognized. ``cluster``: Dask
     cluster whose workers read the drives (also given as paths or URLs) and run the filters. ``options``: attributes of
-    `Options`.
+    `EvaluationOptions`.
     """
     if isinstance(drives, FilterParameters):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
-    (dataset,) = datasets_of(drives, cluster=cluster)
+    (dataset,) = make_datasets(drives, cluster=cluster)
     if not len(dataset):
         raise InputError("no drives were given; name at least one drive folder")
     if "swarm" in options:
@@ -331,7 +341,7 @@ def evaluate(
         options["bank"] = options.pop("swarm")
     if (other := options.pop("against", None)) is not None:
         other = filter_for(other, dataset)
-    chosen = Options(other, **options)
+    chosen = EvaluationOptions(other, **options)
     one = partial(_evaluated, parameters=parameters, options=chosen, marked=seen is not None)
     found: dict[str, DriveResult] = {}
     for drive, each, marks in dataset.imap(one):
@@ -340,7 +350,7 @@ def evaluate(
         found[name] = each if name == drive else each.called(name)
         if seen is not None and marks is not None and (overlap := known_overlap(marks, seen)) is not None:
             found[name] = found[name].seen_in(overlap)
-    also = (*([AGAINST] if other else []), *chosen.further(parameters))
+    also = (*([AGAINST] if other else []), *chosen.optional_runs(parameters))
     against = None if other is None else (other.kind, other.model)
     names = method_names(parameters.kind, parameters.model, also=also, against=against)
     return Evaluation(
@@ -356,7 +366,7 @@ def evaluate(
 
 
 def _evaluated(
-    drive: Drive, parameters: FilterParameters, options: Options, marked: bool
+    drive: Drive, parameters: FilterParameters, options: EvaluationOptions, marked: bool
 ) -> tuple[str, DriveResult, Landmarks | None]:
     """Run every method over a drive; return the drive's name, the results and, if ``marked``, the landmarks."""
     marks = landmarks(drive) if marked else None
@@ -365,7 +375,7 @@ def _evaluated(
     ready = PreparedDrive(drive, as_recorded=options.as_recorded)
     tracker = Tracker(ready, picture=True)
     lengths = dict(zip(DRIFTS, (SHORT_OUTAGE_LENGTH, options.outage_length, LONG_OUTAGE_LENGTH), strict=True))
-    outages = {m: Outages(ready, length=each, seed=options.outage_seed) for m, each in lengths.items()}
+    outages = {m: OutageDrifts(ready, length=each, seed=options.outage_seed) for m, each in lengths.items()}
 
     imu_only = run_imu_only(ready)  # runs first, before the filters' targets take memory
     tracker.keep_estimate("imu_only", imu_only)
@@ -389,18 +399,22 @@ def _evaluated(
     radii = {m: _radius(drive, parameters, of.stated) for m, of in outages.items()}
     found = replace(
         passed,
-        scores={method: scores[method] for method in (AGAINST, "tuned", *ALSO, *METHODS) if method in scores},
+        scores={
+            method: scores[method]
+            for method in (AGAINST, "tuned", *OPTIONAL_METHODS, *METHODS)
+            if method in scores
+        },
         consistency=consistency,
         tracks=tracker.tracks(drive.name),
         picture=tracker.picture(drive.name),
         record=DriveRecord(
-            **record_of(drive),
+            **drive_record(drive),
             scored_from_s=round(start - float(drive.imu.time[0]), 3),
             truth_share=share_known(drive.truth, start, end),
         ),
         stale_fixes=int(ready.stale.sum()),
         drifts={measure: of.record for measure, of in outages.items() if of.seeds},
-        findings=findings_of(drive),
+        findings=finding_sentences(drive),
         truth_offset=truth_offset(drive),
         radius={**passed.radius, **{measure: one for measure, one in radii.items() if one}},
     )
@@ -417,19 +431,22 @@ def _radius(
 
 
 def _tracked(
-    ready: PreparedDrive, tracker: Tracker, filters: Mapping[str, FilterParameters], options: Options
-) -> tuple[DriveResult, Runs]:
+    ready: PreparedDrive,
+    tracker: Tracker,
+    filters: Mapping[str, FilterParameters],
+    options: EvaluationOptions,
+) -> tuple[DriveResult, RunFactories]:
     """Run every method over all fixes; return the results, and a function for each method that is not a single filter.
 
     A separate function frees the memory of this pass before the next one.
     """
-    replay = tracking_replay(ready)
-    further = options.further(filters["tuned"])
+    replay = tracking_pass(ready)
+    further = options.optional_runs(filters["tuned"])
     further[FIXES] = partial(FixesAlone, noise=options.fixes_alone or fit_noise(replay))
     recorded = {m: tracker.record(m, replay, p, recover=True) for m, p in filters.items()}
     restarts = {m: tuple(recording.restarts) for m, recording in recorded.items()}
-    sums = joined([recording.sums for recording in recorded.values()])
-    whole = scores_of({"tracking": [replay]}, {"tracking": sums})
+    sums = join_sums([recording.sums for recording in recorded.values()])
+    whole = scores_from_sums({"tracking": [replay]}, {"tracking": sums})
     scores = {
         m: replace(whole[i, 0], position_median=score.position_median, position_95=score.position_95)
         for i, (m, score) in enumerate(tracker.scores.items())

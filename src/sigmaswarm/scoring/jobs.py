@@ -13,8 +13,8 @@ from sigmaswarm.filters.compiled.layout import WIDEST, most_lanes
 
 Result = TypeVar("Result")
 
-MOST_SETS = 64  # largest number in a job of a single worker, to limit the memory
-SHORT = 20_000  # steps; shorter replays share a job unless workers would be idle
+MAX_SETS = 64  # largest number in a job of a single worker, to limit the memory
+MIN_JOB_STEPS = 20_000  # steps; shorter replays share a job unless workers would be idle
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Job:
 def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, workers: int) -> list[Job]:
     """Divide a batch into jobs; ``steps`` contains the number of steps of each replay, by pass."""
     total = sum(map(sum, steps.values()))
-    parts = list(_parts(steps, total if workers == 1 else min(SHORT, total / workers)))
-    most = MOST_SETS if workers == 1 else most_lanes(kernel)
+    parts = list(_parts(steps, total if workers == 1 else min(MIN_JOB_STEPS, total / workers)))
+    most = MAX_SETS if workers == 1 else most_lanes(kernel)
     # Parts that fill whole rounds of all workers have the full width. The shortest parts, which do not fill a round,
     # are split among the workers.
     left_over = sorted(parts, key=lambda part: part.steps)[: len(parts) % workers]

@@ -17,11 +17,13 @@ METHODS = {
     "imu_only": "IMU only",
 }
 """Display names of the rows of every comparison."""
-HOW_FIXES = "Fixes alone is a constant-velocity filter without the IMU; its noise parameters are fitted to {}"
+FIXES_ALONE_NOTE = (
+    "Fixes alone is a constant-velocity filter without the IMU; its noise parameters are fitted to {}"
+)
 HOW_TO_COMPARE = (
     "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
 )
-ALSO = {SMOOTHED: "tuned, smoothed", BANK: "tuned, filter bank"} | {
+OPTIONAL_METHODS = {SMOOTHED: "tuned, smoothed", BANK: "tuned, filter bank"} | {
     name: f"tuned, {name}" for name in LEARNED
 }
 """Optional rows after the tuned filter."""
@@ -41,12 +43,17 @@ def method_names(
 ) -> dict[str, str]:
     """Return the display names of the methods.
 
-    ``also``: optional rows from `ALSO`; `AGAINST` adds the row of another filter. ``against``: type and model of that
-    filter, if known.
+    ``also``: optional rows from `OPTIONAL_METHODS`; `AGAINST` adds the row of another filter. ``against``: type and
+    model of that filter, if known.
     """
     first = {AGAINST: f"other {filter_called(*against) if against else 'filter'}"} if AGAINST in also else {}
     first |= {"tuned": f"tuned {filter_called(kind, model)}"}
-    return first | {method: name for method, name in ALSO.items() if method in also} | METHODS | first
+    return (
+        first
+        | {method: name for method, name in OPTIONAL_METHODS.items() if method in also}
+        | METHODS
+        | first
+    )
 
 
 def baseline_note(tuned: str) -> str:

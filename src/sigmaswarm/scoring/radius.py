@@ -28,7 +28,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 DOF = 7.0  # degrees of freedom; chosen on parts of development drives that tunings with seed 0 did not use
 LEVELS = 0.95, 0.999  # probabilities
 TRACKING = "tracking"  # key of the radii with all fixes
-LOW = 0.85  # share of errors inside the 95% radius below which a warning is given
+MIN_COVERAGE = 0.85  # share of errors inside the 95% radius below which a warning is given
 
 
 class RadiusRecord(BaseModel):

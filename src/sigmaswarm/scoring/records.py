@@ -16,7 +16,7 @@ from sigmaswarm.scoring.radius import RadiusRecord
 
 SCORES_FILE, EVALUATION_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
 Measured = dict[str, float | None]
-FEW = 4  # number of outages in a placement; with fewer, all placements hide nearly the same fixes
+MIN_OUTAGES = 4  # number of outages in a placement; with fewer, all placements hide nearly the same fixes
 
 
 class DriftRecord(BaseModel):
@@ -57,7 +57,7 @@ class ScoresRecord(BaseModel):
         outages = sum(one.outages for one in found)
         few = (
             "; all placements are on one short stretch, and the drift on another stretch may be far larger"
-        ) * (outages < FEW * count)
+        ) * (outages < MIN_OUTAGES * count)
         single = f"the drift in a single placement is {min(means):.3g} to {max(means):.3g} m"
         return f"{outages} outages in {count} placements; {single}{few}"
 

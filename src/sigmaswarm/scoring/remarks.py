@@ -6,16 +6,18 @@ import numpy as np
 
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.filters.divergence import describe_restarts
-from sigmaswarm.scoring.consistency import CORRELATED, Consistency
+from sigmaswarm.scoring.consistency import MAX_CORRELATION, Consistency
 from sigmaswarm.scoring.measures import DRIFTS, POSITION_MEASURES, Measure
 from sigmaswarm.scoring.methods import BASELINE, FIXES, METHODS
 from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import FirstTrack
-from sigmaswarm.wording import counted
+from sigmaswarm.wording import count_of
 
-ALL_OF_IT = 0.99  # share of the time with truth above which gaps are not reported
-FAR_BELOW = 1.0  # mean NIS below which predicted fixes do not measure the position error
-NOTABLE = 0.9  # ratio to the tuned filter's error below which a method without tuning is reported as better
+COMPLETE_SHARE = 0.99  # share of the time with truth above which gaps are not reported
+MIN_INFORMATIVE_NIS = 1.0  # mean NIS below which predicted fixes do not measure the position error
+MAX_ERROR_RATIO = (
+    0.9  # ratio to the tuned filter's error below which a method without tuning is reported as better
+)
 
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:
@@ -33,7 +35,7 @@ def describe_training_drives(drive: DriveRecord) -> str:
 
 
 def describe_drives(data: Sequence[DriveRecord]) -> str:
-    called = counted(len(data), "drive")
+    called = count_of(len(data), "drive")
     each = [describe_training_drives(drive) for drive in data if drive.seen_s]
     if each:
         return f"{called} ({'PARTLY ' if len(each) < len(data) else ''}TRAINING DATA: {'; '.join(each)})"
@@ -45,7 +47,7 @@ def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:
         f"errors on {drive.name} cover {drive.truth_share:.0%} of the time from the filters' start: the other "
         "times have no truth"
         for drive in data
-        if drive.has_truth and drive.truth_share is not None and drive.truth_share < ALL_OF_IT
+        if drive.has_truth and drive.truth_share is not None and drive.truth_share < COMPLETE_SHARE
     )
 
 
@@ -74,7 +76,7 @@ def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tu
             and (tuned := scores.mean_of("tuned", m)) is not None
             and (other := scores.mean_of(method, m)) is not None
         }
-        worse = {m: pair for m, pair in known.items() if pair[1] < NOTABLE * pair[0]}
+        worse = {m: pair for m, pair in known.items() if pair[1] < MAX_ERROR_RATIO * pair[0]}
         each = ", ".join(
             f"{shown[m].title} {tuned:.3g} {shown[m].unit} instead of {other:.3g} {shown[m].unit}"
             for m, (tuned, other) in worse.items()
@@ -122,8 +124,8 @@ def describe_position(found: Consistency) -> str:
     """
     own, missed, expected = found.own_sigma or 0.0, found.missed or 0.0, found.expected or 0.0
     (low, high), nis = found.nis_band, f"mean NIS {found.mean_nis:.2g}, should be 2"
-    alike = found.autocorrelation[0] > CORRELATED
-    if found.mean_nis < low and (alike or found.mean_nis < FAR_BELOW):
+    alike = found.autocorrelation[0] > MAX_CORRELATION
+    if found.mean_nis < low and (alike or found.mean_nis < MIN_INFORMATIVE_NIS):
         guess = ""
         if expected > own:
             fixes = (expected**2 - own**2) ** 0.5

@@ -10,20 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.datasets.dataset import Dataset
-from sigmaswarm.datasets.remote import RemoteDataset, in_order
+from sigmaswarm.datasets.remote import RemoteDataset, results_in_order
 from sigmaswarm.datasets.worker import CachedDrive, apply_to_each
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.parameter_table import ParameterTable
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.table import ParameterTable
-from sigmaswarm.scoring.batch import BatchScorer, Passes, Scores
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions, Scores
 
 T = TypeVar("T")
-Check = Callable[[BatchScorer], None]
+DriveCheck = Callable[[BatchScorer], None]
 """Picklable function that raises `InputError` if prepared drives are not usable."""
 
 
-def replays_on(dataset: Dataset, passes: Passes, check: Check) -> "AnyBatchScorer":
+def make_scorer(dataset: Dataset, passes: PassOptions, check: DriveCheck) -> "AnyBatchScorer":
     """Prepare the drives of a local or remote dataset; ``check`` rejects unusable drives."""
     if isinstance(dataset, RemoteDataset):
         remote = RemoteBatchScorer(dataset, passes, check)
@@ -33,7 +33,7 @@ def replays_on(dataset: Dataset, passes: Passes, check: Check) -> "AnyBatchScore
     return _scorer(drives, passes, check)
 
 
-def _scorer(drives: Sequence[PreparedDrive], passes: Passes, check: Check) -> BatchScorer:
+def _scorer(drives: Sequence[PreparedDrive], passes: PassOptions, check: DriveCheck) -> BatchScorer:
     scorer = BatchScorer(
         drives, outages=passes.outages, forecasts=passes.forecasts, outage_seed=passes.outage_seed
     )
@@ -46,13 +46,13 @@ class RemoteBatchScorer:
     """A `BatchScorer` of a remote dataset. It ignores executors, since the cluster's workers run the filters."""
 
     dataset: RemoteDataset
-    passes: Passes
-    check: Check
+    passes: PassOptions
+    check: DriveCheck
 
     @cached_property
     def steps(self) -> NDArray[np.int64]:
         steps = partial(_steps, passes=self.passes, check=self.check)
-        return np.array(in_order(self.dataset.call(apply_to_each, steps)), np.int64)
+        return np.array(results_in_order(self.dataset.call(apply_to_each, steps)), np.int64)
 
     def subset(self, drives: Sequence[int]) -> "RemoteBatchScorer":
         part = RemoteBatchScorer(self.dataset.subset(drives), self.passes, self.check)
@@ -77,7 +77,7 @@ class RemoteBatchScorer:
             whole[..., places] = part
         return whole
 
-    def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
+    def map_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
         return map_prepared(self.dataset, function, as_recorded=self.passes.as_recorded)
 
 
@@ -87,7 +87,7 @@ AnyBatchScorer = BatchScorer | RemoteBatchScorer
 def map_prepared(
     dataset: RemoteDataset, function: Callable[[PreparedDrive], T], *, as_recorded: bool
 ) -> list[T]:
-    return in_order(dataset.call(apply_to_each, partial(_with_prepared, function, as_recorded)))
+    return results_in_order(dataset.call(apply_to_each, partial(_with_prepared, function, as_recorded)))
 
 
 def _with_prepared(function: Callable[[PreparedDrive], Any], as_recorded: bool, drive: CachedDrive) -> Any:
@@ -98,21 +98,21 @@ def _prepared(drive: CachedDrive, as_recorded: bool) -> PreparedDrive:
     return drive.once(("prepared", as_recorded), partial(PreparedDrive, as_recorded=as_recorded))
 
 
-def _cached_scorer(drive: CachedDrive, passes: Passes, check: Check) -> BatchScorer:
+def _cached_scorer(drive: CachedDrive, passes: PassOptions, check: DriveCheck) -> BatchScorer:
     return drive.once(passes, lambda _: _scorer([_prepared(drive, passes.as_recorded)], passes, check))
 
 
-def _steps(drive: CachedDrive, passes: Passes, check: Check) -> int:
+def _steps(drive: CachedDrive, passes: PassOptions, check: DriveCheck) -> int:
     return int(_cached_scorer(drive, passes, check).steps[0])
 
 
 def _taken(
     drives: Sequence[CachedDrive],
     pool: Executor | None,
-    passes: Passes,
-    check: Check,
+    passes: PassOptions,
+    check: DriveCheck,
     take: Callable[[Scores], Array],
     parameter_sets: Sequence[FilterParameters],
 ) -> Array:
-    scorer = BatchScorer.together([_cached_scorer(drive, passes, check) for drive in drives])
+    scorer = BatchScorer.joined([_cached_scorer(drive, passes, check) for drive in drives])
     return take(scorer.scores(parameter_sets, pool))

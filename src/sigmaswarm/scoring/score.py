@@ -16,7 +16,7 @@ from sigmaswarm.filters.run import Estimate
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.truth import heading_weights, is_known, root_mean, weights_at
 
-HEADING_COUNTS_ABOVE = 2.0  # m/s, true speed
+MIN_HEADING_SPEED = 2.0  # m/s, true speed
 PIECE = 100_000  # estimates scored at once, to limit the memory
 
 
@@ -107,7 +107,7 @@ class PieceErrors:
         if not self._off:
             return Score()
         truth, scored = self._truth, slice(self._first, self._next)
-        fast = np.hypot(truth.vx[scored], truth.vy[scored]) > HEADING_COUNTS_ABOVE
+        fast = np.hypot(truth.vx[scored], truth.vy[scored]) > MIN_HEADING_SPEED
         wrong, weights = np.concatenate(self._turned)[fast], heading_weights(truth)
         score = _position_score(np.concatenate(self._off), weights_at(truth, truth.time[scored]))
         weights = None if weights is None else weights[scored][fast]

@@ -8,8 +8,8 @@ from sigmaswarm.drives.drive import Array, Drive, Gps, Truth
 from sigmaswarm.drives.outages import balanced_windows, hidden_fixes, random_windows, snap_ends
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.replay import Replay, Targets
-from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE
+from sigmaswarm.filters.passes import FilterPass, Targets
+from sigmaswarm.scoring.score import MIN_HEADING_SPEED
 from sigmaswarm.scoring.truth import heading_weights, is_known, weights_at
 
 OUTAGE_LENGTH = 5.0  # s, medium outages
@@ -17,19 +17,19 @@ LONG_OUTAGE_LENGTH = 30.0  # s; shows errors of the estimated biases
 SHORT_OUTAGE_LENGTH = 1.0  # s, about the time to the next fix
 FORECAST_LENGTHS = (SHORT_OUTAGE_LENGTH, OUTAGE_LENGTH, LONG_OUTAGE_LENGTH)
 Seed = int | tuple[int, ...]
-OUTAGES_WANTED = 200  # number per drive for which the drift is accurate to about 10%
-MOST_PLACEMENTS = 8  # more placements would hide the same fixes again
+TARGET_OUTAGES = 200  # number per drive for which the drift is accurate to about 10%
+MAX_PLACEMENTS = 8  # more placements would hide the same fixes again
 OUTAGE_FIRST_AFTER = 10.0  # s, from the start to the first outage
 OUTAGE_APART = 5.0  # s, shortest time between outages
 
 
-def tracking_replay(ready: PreparedDrive) -> Replay:
+def tracking_pass(ready: PreparedDrive) -> FilterPass:
     """Create a replay with all fixes, compared with truth where it is known."""
     timeline = ready.timeline()
-    return Replay(timeline, ready.initial, _truth_targets(ready.drive.truth, timeline))
+    return FilterPass(timeline, ready.initial, _truth_targets(ready.drive.truth, timeline))
 
 
-def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: Seed = 0) -> Replay:
+def outage_pass(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: Seed = 0) -> FilterPass:
     """Create a replay with random outages; the errors at their ends are relative to truth, else to the fixes."""
     windows = outage_windows(ready.drive, ready.initial, length=length, seed=seed)
     timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows), removed=True)
@@ -39,7 +39,7 @@ def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: 
     weights = drift_weights(ready, ends)
     noise = np.empty((0, 4)) if weights is None else np.column_stack([weights, np.zeros((len(ends), 3))])
     targets = Targets(np.ones_like(ends), x, y, *no_headings, _end(timeline, ends), noise)
-    return Replay(timeline, ready.initial, targets)
+    return FilterPass(timeline, ready.initial, targets)
 
 
 def drift_reference(ready: PreparedDrive) -> Gps | Truth:
@@ -54,11 +54,11 @@ def drift_weights(ready: PreparedDrive, ends: Array) -> Array | None:
     return None if truth is None else weights_at(truth, ends)
 
 
-def forecast_replay(ready: PreparedDrive, *, seed: int = 0) -> Replay:
+def forecast_pass(ready: PreparedDrive, *, seed: int = 0) -> FilterPass:
     """Create a replay with fixes hidden in random windows of 3 to 5 s."""
     windows = forecast_windows(ready.drive, ready.initial, seed=seed)
     timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows))
-    return Replay(timeline, ready.initial, Targets.none(timeline))
+    return FilterPass(timeline, ready.initial, Targets.none(timeline))
 
 
 def forecast_windows(drive: Drive, initial: InitialState, *, seed: int) -> Array:
@@ -69,10 +69,10 @@ def forecast_windows(drive: Drive, initial: InitialState, *, seed: int) -> Array
 def placements(drive: Drive, initial: InitialState, *, length: float, seed: int) -> list[Seed]:
     """Return seeds for several random placements of outages of ``length`` s, since the drift depends on the placement.
 
-    There are 2 to `MOST_PLACEMENTS` seeds, or none if no outage fits. The first one is ``seed`` itself.
+    There are 2 to `MAX_PLACEMENTS` seeds, or none if no outage fits. The first one is ``seed`` itself.
     """
     fitting = len(outage_windows(drive, initial, length=length, seed=seed))
-    wanted = min(max(-(-OUTAGES_WANTED // fitting), 2), MOST_PLACEMENTS) if fitting else 0
+    wanted = min(max(-(-TARGET_OUTAGES // fitting), 2), MAX_PLACEMENTS) if fitting else 0
     return [seed, *((seed, i) for i in range(1, wanted))][:wanted]
 
 
@@ -104,7 +104,7 @@ def _truth_targets(truth: Truth | None, timeline: Timeline) -> Targets:
     nodes = np.concatenate([[timeline.start], timeline.imu_time])
     later = np.maximum(np.searchsorted(nodes, truth.time, side="left"), 1)
     weight = (truth.time - nodes[later - 1]) / (nodes[later] - nodes[later - 1])
-    counts = np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE
+    counts = np.hypot(truth.vx, truth.vy) > MIN_HEADING_SPEED
     noise, position, heading = np.empty((0, 4)), weights_at(truth, truth.time), heading_weights(truth)
     if position is not None and (std := truth.std) is not None:
         heading = np.ones(len(truth)) if heading is None else heading

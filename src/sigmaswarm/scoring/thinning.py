@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Columns = Mapping[str, NDArray[np.floating[Any]]]
 
 
-class Thinned:
+class ThinnedSeries:
     """A limited number of rows of a series, including the peaks of the position error or of the NIS.
 
     The first and the last row are kept. The rows in between are divided into equal parts. In each part, the rows with

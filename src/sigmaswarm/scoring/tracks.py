@@ -13,30 +13,30 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import read_arrays, whole_file
+from sigmaswarm.files import atomic_file, read_arrays
 from sigmaswarm.filters.bank.run import BankRun
 from sigmaswarm.filters.bank.spread import START
 from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.passes import FilterPass
 from sigmaswarm.filters.presets import baseline
-from sigmaswarm.filters.replay import Replay
-from sigmaswarm.filters.run import Estimate, replay_of
+from sigmaswarm.filters.run import Estimate, whole_pass
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
 from sigmaswarm.scoring.drifts import Run
 from sigmaswarm.scoring.methods import BASELINE
 from sigmaswarm.scoring.score import PieceErrors, Score, distance_from, score_raw_gps
-from sigmaswarm.scoring.thinning import CloseUp, Columns, Thinned
+from sigmaswarm.scoring.thinning import CloseUp, Columns, ThinnedSeries
 from sigmaswarm.scoring.truth import is_known
 
 TRACKS_FILE = "tracks.npz"
 NIS = ".nis"
 SHARES, MOVED = ".shares", ".moved"  # series of a filter bank: weights, distance from the tuned parameters
-MOST_POINTS = 1500  # largest number of points of a series in a file, above the pixel columns of most charts
-MOST_DRAWN = 20_000  # largest number of points of a series in a static plot
+MAX_POINTS = 1500  # largest number of points of a series in a file, above the pixel columns of most charts
+MAX_PLOT_POINTS = 20_000  # largest number of points of a series in a static plot
 NOTHING_STATED: tuple[Array, Array, Array | None] = np.empty(0), np.empty(0), None
-CLOSE_UP = 50.0  # m, side of the close-up of a track
+CLOSE_UP_SIZE = 50.0  # m, side of the close-up of a track
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +82,7 @@ class Tracker:
     times and variances of all estimates. With ``picture``, the data of a static plot are also recorded.
     """
 
-    def __init__(
-        self, ready: PreparedDrive, most_points: int = MOST_POINTS, *, picture: bool = False
-    ) -> None:
+    def __init__(self, ready: PreparedDrive, most_points: int = MAX_POINTS, *, picture: bool = False) -> None:
         self._ready, self._most, self._picture = ready, most_points, picture
         self._turn = sharpest_turn(ready) if picture else np.zeros(2)
         self._thin: dict[str, Columns] = {}
@@ -99,7 +97,7 @@ class Tracker:
             self._keep("truth", [{"time": truth.time, "x": truth.x, "y": truth.y}], len(truth))
 
     def record(
-        self, series: str, replay: Replay, parameters: FilterParameters, *, recover: bool = False
+        self, series: str, replay: FilterPass, parameters: FilterParameters, *, recover: bool = False
     ) -> FilterRun:
         recording = FilterRun(replay, parameters, recover=recover)
         self._follow(series, recording, replay.initial)
@@ -162,8 +160,8 @@ class Tracker:
         return columns
 
     def _keep(self, series: str, pieces: Iterable[Columns], n: int) -> None:
-        thin, fine = Thinned(n, self._most), Thinned(n, MOST_DRAWN)
-        close = CloseUp(self._turn, CLOSE_UP)
+        thin, fine = ThinnedSeries(n, self._most), ThinnedSeries(n, MAX_PLOT_POINTS)
+        close = CloseUp(self._turn, CLOSE_UP_SIZE)
         for columns in pieces:
             thin.add(columns)
             if self._picture:
@@ -213,7 +211,7 @@ def first_track(drive: Drive, parameters: FilterParameters, *, as_recorded: bool
     ready = PreparedDrive(drive, as_recorded=as_recorded)
     tracker = Tracker(ready, picture=True)
     filters = compared(drive, parameters)
-    recorded = {series: tracker.record(series, replay_of(ready), each) for series, each in filters.items()}
+    recorded = {series: tracker.record(series, whole_pass(ready), each) for series, each in filters.items()}
     rmse = {series: score.position_rmse for series, score in tracker.scores.items()}
     rmse["raw_gps"] = score_raw_gps(drive, ready.initial).position_rmse
     consistency = None
@@ -243,7 +241,7 @@ def save_tracks(tracks: Sequence[Tracks], path: Path) -> Path:
         for series, columns in one.series.items()
         for column, values in columns.items()
     }
-    with whole_file(path) as file:
+    with atomic_file(path) as file:
         np.savez_compressed(file, allow_pickle=False, names=np.array([t.name for t in tracks]), **arrays)
     return path
 

@@ -16,9 +16,9 @@ This is the accuracy of the best filters with cheap receivers. If the weight had
 parts under open sky, where every filter is accurate.
 """
 HEADING_FLOOR = math.radians(0.3)  # rad, the same limit for the true heading
-BLOCKS = 8  # parts of a drive; the spread of their means shows the effect of correlated errors
-CLEAR = 5.0  # smallest ratio of a reported offset to its standard deviation
-LEAST = 0.3, 0.3  # smallest reported offset: m, and share of the scatter of the fixes
+N_BLOCKS = 8  # parts of a drive; the spread of their means shows the effect of correlated errors
+MIN_OFFSET_SIGMAS = 5.0  # smallest ratio of a reported offset to its standard deviation
+MIN_OFFSET = 0.3, 0.3  # smallest reported offset: m, and share of the scatter of the fixes
 
 
 def weights_at(truth: Truth, time: Array) -> Array | None:
@@ -74,7 +74,7 @@ def truth_offset(drive: Drive) -> str:
     """Return a sentence on a constant offset of the fixes from truth, with its remedy; "" if there is none.
 
     The offset is in the map frame (east, north) or in the vehicle frame (forward, left): the one in which the averages
-    over `BLOCKS` parts of the drive agree better.
+    over `N_BLOCKS` parts of the drive agree better.
     """
     gps, truth = drive.gps, drive.truth
     if truth is None or len(truth) < 2 or not np.any(used := is_known(truth, gps.time)):
@@ -87,7 +87,9 @@ def truth_offset(drive: Drive) -> str:
     (world, world_clear), (body, body_clear) = _constant(error), _constant(error / heading)
     offset = world if world_clear > body_clear else body
     scatter = float(np.median(np.abs(error - np.median(error.real) - 1j * np.median(error.imag))))
-    if max(world_clear, body_clear) < CLEAR or abs(offset) < max(LEAST[0], LEAST[1] * scatter):
+    if max(world_clear, body_clear) < MIN_OFFSET_SIGMAS or abs(offset) < max(
+        MIN_OFFSET[0], MIN_OFFSET[1] * scatter
+    ):
         return ""
     origin = (
         f"the truth has another origin or datum, so import with --origin, or add {world.real:.2f} and "
@@ -102,7 +104,7 @@ def truth_offset(drive: Drive) -> str:
     causes = [
         cause
         for cause, clear, other in ((lever, body_clear, world_clear), (origin, world_clear, body_clear))
-        if clear > CLEAR and clear > other / 2  # a straight road does not distinguish the frames
+        if clear > MIN_OFFSET_SIGMAS and clear > other / 2  # a straight road does not distinguish the frames
     ]
     return (
         f"the fixes of {drive.name} lie {abs(offset):.2f} m from the truth on average ({world.real:+.2f} m east, "
@@ -113,11 +115,11 @@ def truth_offset(drive: Drive) -> str:
 
 def _constant(error: Complex) -> tuple[complex, float]:
     """Return the mean of the parts' medians, m, and the ratio of this mean to its standard deviation."""
-    if len(error) < 2 * BLOCKS:
+    if len(error) < 2 * N_BLOCKS:
         return 0j, 0.0
     means = np.array(
-        [np.median(part.real) + 1j * np.median(part.imag) for part in np.array_split(error, BLOCKS)]
+        [np.median(part.real) + 1j * np.median(part.imag) for part in np.array_split(error, N_BLOCKS)]
     )
     mean = complex(np.mean(means))
-    std = float(np.sqrt(np.sum(np.abs(means - mean) ** 2) / (BLOCKS - 1) / BLOCKS))
+    std = float(np.sqrt(np.sum(np.abs(means - mean) ** 2) / (N_BLOCKS - 1) / N_BLOCKS))
     return mean, abs(mean) / max(std, 1e-9)

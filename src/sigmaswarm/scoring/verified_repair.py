@@ -19,7 +19,7 @@ from sigmaswarm.scoring.batch import BatchScorer
 CLOCKS = {"shift-clock", "shift-fixes"}
 VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
 """Repairs of axes, signs, units and clocks, which change the motion that a filter computes."""
-WORSE = 1.05
+MAX_ERROR_RATIO = 1.05
 """Smallest ratio (after / before) of forecast errors at which a repair is withheld.
 
 A rotation is judged by the geometric mean of four errors. After the rotation of a tilted phone, one error of planar8,
@@ -30,13 +30,13 @@ DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
 
 With these densities, the filter follows the fixes over seconds and the IMU over shorter times.
 """
-LEAST_STD = 0.5  # m, smallest assumed standard deviation of the fixes
+MIN_STD = 0.5  # m, smallest assumed standard deviation of the fixes
 
 
 def checking_filter(drive: Drive) -> FilterParameters:
     """Return the filter that verifies repairs: planar8 with the lateral constraint and fixed noise."""
     dt = drive.nominal_interval
-    std = max(*(stated_std(drive) or (0.0,)), white_noise(drive.gps.x + 1j * drive.gps.y), LEAST_STD)
+    std = max(*(stated_std(drive) or (0.0,)), white_noise(drive.gps.x + 1j * drive.gps.y), MIN_STD)
     return FilterParameters(
         0.1,
         2.0,
@@ -94,7 +94,7 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
     while doubtful and np.isfinite(before).any():
         ratio = (_forecasts(repairs.repair(drive, kept), judges) / before)[~np.isnan(before)]
         rotated = {f.repair.action for f in kept.findings if f.repair} & VERIFIED == {"rotate"}
-        if (np.exp(np.mean(np.log(ratio))) if rotated else np.max(ratio)) <= WORSE:
+        if (np.exp(np.mean(np.log(ratio))) if rotated else np.max(ratio)) <= MAX_ERROR_RATIO:
             break
         # The responsible repair is the one without which the predictions are best.
         errors: dict[str, float] = {}

@@ -5,10 +5,17 @@ from dataclasses import dataclass
 
 from sigmaswarm import notebook
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
-from sigmaswarm.scoring.consistency import FORECASTS, Consistency, size_of, verdicts
+from sigmaswarm.scoring.consistency import FORECASTS, Consistency, describe_ratio, verdicts
 from sigmaswarm.scoring.measures import DRIFTS, NO_OUTAGES, Measure, measures, with_outages
-from sigmaswarm.scoring.methods import AGAINST, BASELINE, FIXES, HOW_FIXES, HOW_TO_COMPARE, baseline_note
-from sigmaswarm.scoring.radius import DOF, LEVELS, LOW, TRACKING, RadiusRecord, factor_of
+from sigmaswarm.scoring.methods import (
+    AGAINST,
+    BASELINE,
+    FIXES,
+    FIXES_ALONE_NOTE,
+    HOW_TO_COMPARE,
+    baseline_note,
+)
+from sigmaswarm.scoring.radius import DOF, LEVELS, MIN_COVERAGE, TRACKING, RadiusRecord, factor_of
 from sigmaswarm.scoring.records import EvaluationRecord, Measured, ScoresRecord
 from sigmaswarm.scoring.remarks import (
     describe_drives,
@@ -21,7 +28,7 @@ from sigmaswarm.scoring.remarks import (
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 from sigmaswarm.tables import Cell, Column, Table
 
-LATE = 5.0  # s from the start of a drive; if scores begin later, this is reported
+LATE_START = 5.0  # s from the start of a drive; if scores begin later, this is reported
 NO_TRUTH = (
     "without truth, errors of position and heading can't be computed. The tables contain the drift of each "
     "filter relative to fixes that are hidden from it (including the errors of these fixes), and the "
@@ -125,7 +132,7 @@ class EvaluationView:
         def cells(of: RadiusRecord) -> tuple[Cell, ...]:
             known: tuple[Cell, ...] = (None,) * 4
             if of.inside_95 is not None and of.inside_999 is not None and of.sigma_ratio is not None:
-                known = float(of.n), 100 * of.inside_95, 100 * of.inside_999, size_of(of.sigma_ratio)
+                known = float(of.n), 100 * of.inside_95, 100 * of.inside_999, describe_ratio(of.sigma_ratio)
             return (of.radius_95_m, of.radius_999_m, of.lasting_m, *known)[: len(columns)]
 
         shown = self.measures
@@ -182,7 +189,9 @@ class EvaluationView:
 
     def coverage(self) -> tuple[str, ...]:
         data = self.setup.data
-        late = [f"{d.scored_from_s:.0f} s into {d.name}" for d in data if (d.scored_from_s or 0.0) > LATE]
+        late = [
+            f"{d.scored_from_s:.0f} s into {d.name}" for d in data if (d.scored_from_s or 0.0) > LATE_START
+        ]
         blind = [drive.name for drive in data if drive.has_truth is False]
         sentences = [f"Filters and scores start {', '.join(late)}, at {START_RULE}."] if late else []
         sentences += map(_sentence, partly_scored(data))
@@ -200,7 +209,7 @@ class EvaluationView:
         fitted = "the training drives" if self.setup.fixes_alone else "each drive"
         return (
             *([f"{baseline_note(self.names['tuned'])}."] if BASELINE in methods else []),
-            *([f"{HOW_FIXES.format(fitted)}."] if FIXES in methods else []),
+            *([f"{FIXES_ALONE_NOTE.format(fitted)}."] if FIXES in methods else []),
             *([] if AGAINST in methods else [f"{HOW_TO_COMPARE}."]),
         )
 
@@ -211,7 +220,7 @@ class EvaluationView:
                 continue
             inside, ratio = found.inside_95, found.sigma_ratio
             held = "" if inside is None else f", and {100 * inside:.0f}% are"
-            sigma = "" if ratio is None else f"; the filter's own sigma is {size_of(ratio)}"
+            sigma = "" if ratio is None else f"; the filter's own sigma is {describe_ratio(ratio)}"
             lasts = f", including {found.lasting_m:.2g} m per axis of correlated fix errors"
             lasts = lasts if found.lasting_m else ""
             sentences.append(
@@ -240,7 +249,7 @@ class EvaluationView:
         sentences += [
             f"on {drive} the stated 95% radius contains only {100 * found.inside_95:.0f}% of the position errors"
             for drive, of in self.scores.radius.items()
-            if (found := of.get(TRACKING)) and found.inside_95 is not None and found.inside_95 < LOW
+            if (found := of.get(TRACKING)) and found.inside_95 is not None and found.inside_95 < MIN_COVERAGE
         ]
         sentences += self.setup.truth_offsets.values()
         if len(data) == 1 and data[0].duration_s:
@@ -288,7 +297,7 @@ class EvaluationView:
         return "\n".join([self.result(), *lines, *self.warnings()[:3]])
 
     def to_html(self) -> str:
-        each, remarks = self.drive_table().to_html(), notebook.listed("To know:", self.warnings())
+        each, remarks = self.drive_table().to_html(), notebook.html_list("To know:", self.warnings())
         if len(self.scores.drives) == 1:
             return each + remarks
         return f"{self.mean_table().to_html()}{remarks}<details><summary>each drive</summary>{each}</details>"

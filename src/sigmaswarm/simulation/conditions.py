@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from sigmaswarm.datasets.cluster import Cluster
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError, SigmaswarmWarning
-from sigmaswarm.simulation.environments import ENVIRONMENTS, named
+from sigmaswarm.simulation.environments import ENVIRONMENTS, lookup
 from sigmaswarm.simulation.maneuvers import MANEUVERS
 from sigmaswarm.simulation.scenarios import check_duration, drive_name, simulate
 
@@ -70,9 +70,9 @@ def simulate_many(
     duration = options.pop("duration", None)
     # Check the names for later drives; the first drive checks all other options.
     for maneuver in maneuvers:
-        named(maneuver, MANEUVERS, "maneuver")
+        lookup(maneuver, MANEUVERS, "maneuver")
     for environment in environments:
-        named(environment, ENVIRONMENTS, "environment")
+        lookup(environment, ENVIRONMENTS, "environment")
     if runs < 1:
         raise InputError(f"runs is {runs}; choose 1 or more")
     check_duration("urban" if "urban" in maneuvers else maneuvers[0], duration)

@@ -61,7 +61,7 @@ ENVIRONMENTS = by_name(
 )
 
 
-def named(value: str | T, table: dict[str, T], what: str) -> T:
+def lookup(value: str | T, table: dict[str, T], what: str) -> T:
     """Look up a name in a table, or return a record unchanged; raise `InputError` for an unknown name."""
     if not isinstance(value, str):
         return value

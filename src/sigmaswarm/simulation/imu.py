@@ -131,7 +131,9 @@ def gauss_markov(rng: np.random.Generator, count: int, axes: int, ratio: float) 
     return np.asarray(lfilter([1.0], [1.0, -keep], shocks, axis=0))
 
 
-def _spoil(true: Array, triad: Triad, interval: float, bias_time: float, rng: np.random.Generator) -> Array:
+def _add_errors(
+    true: Array, triad: Triad, interval: float, bias_time: float, rng: np.random.Generator
+) -> Array:
     """Add the errors of a triad to true values (n, 3); the number of draws does not depend on the grade."""
     turn_on = triad.turn_on * rng.uniform(-1, 1, 3)
     mixing = triad.misalignment * rng.uniform(-1, 1, (3, 3))
@@ -148,8 +150,8 @@ def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Ge
     if grade.carla:
         force, rate, times = carla_force(times, motion), rate[2:], times[2:]
     interval = float(np.median(np.diff(times)))
-    force = _spoil(force, grade.accel, interval, grade.bias_time, rng)
-    rate = _spoil(rate, grade.gyro, interval, grade.bias_time, rng)
+    force = _add_errors(force, grade.accel, interval, grade.bias_time, rng)
+    rate = _add_errors(rate, grade.gyro, interval, grade.bias_time, rng)
     (ax, ay, az), (gx, gy, gz) = force.T, rate.T
     return Imu(times, ax, ay, gz, az=az, gx=gx, gy=gy)
 

@@ -22,9 +22,9 @@ from sigmaswarm.simulation.dynamics import (
     run_closed_loop,
     start_state,
 )
-from sigmaswarm.simulation.environments import Environment, named
-from sigmaswarm.simulation.maneuvers import KMH, MANEUVERS, Maneuver, Road, urban
-from sigmaswarm.simulation.planning import DRIVER_STEP, SPACING, draw_sway, lay_path, plan_speed
+from sigmaswarm.simulation.environments import Environment, lookup
+from sigmaswarm.simulation.maneuvers import KMH, MANEUVERS, AccelerationLimits, Maneuver, urban
+from sigmaswarm.simulation.planning import DRIVER_STEP, SPACING, build_path, draw_sway, plan_speed
 
 STANDSTILL_TIME = 1.0  # s of standstill at the beginning
 URBAN_DURATION = 180.0  # s, default
@@ -39,7 +39,7 @@ class Journey:
     outages: list[tuple[float, float]]  # (start, end), s, without fixes
 
 
-def take_journey(
+def drive_maneuver(
     name: str,
     where: Environment,
     car: Vehicle,
@@ -48,12 +48,12 @@ def take_journey(
     warm_up: bool = True,
 ) -> Journey:
     """Draw a maneuver and drive it; parameters are as in `simulate`."""
-    road = Road(where.friction)
+    road = AccelerationLimits(where.friction)
     seconds = URBAN_DURATION if duration is None else duration
-    drawn = urban(road, rng, seconds) if name == "urban" else named(name, MANEUVERS, "maneuver")(road, rng)
+    drawn = urban(road, rng, seconds) if name == "urban" else lookup(name, MANEUVERS, "maneuver")(road, rng)
     heading, sway = float(rng.uniform(-np.pi, np.pi)), draw_sway(rng)
     legs, first = (drawn.legs, drawn.first) if warm_up else (drawn.legs[drawn.first :], 0)
-    path = lay_path(legs, heading, sway)
+    path = build_path(legs, heading, sway)
     plan = plan_speed(legs, sway, stand=STANDSTILL_TIME if warm_up else None)
     if name == "urban":
         plan = plan[: round(seconds / DRIVER_STEP)]

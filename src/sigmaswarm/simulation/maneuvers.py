@@ -20,7 +20,7 @@ _LIMIT = 0.96  # share of the friction limit; the rest is for steering
 
 
 @dataclass(frozen=True)
-class Road:
+class AccelerationLimits:
     """Limits of the accelerations on a road of a given friction."""
 
     friction: float
@@ -43,11 +43,11 @@ class Maneuver:
     first: int = 0  # index of the first leg after the warm-up, on which a filter starts
 
 
-def straight(road: Road, length: float, kmh: float) -> Leg:
+def straight(road: AccelerationLimits, length: float, kmh: float) -> Leg:
     return Leg(length, kmh * KMH, road.easy(2.5), road.easy(2.5))
 
 
-def turn(road: Road, angle: float, radius: float, kmh: float, lateral: float) -> list[Leg]:
+def turn(road: AccelerationLimits, angle: float, radius: float, kmh: float, lateral: float) -> list[Leg]:
     """Turn by an angle (rad, left positive): clothoid, arc, clothoid.
 
     The speed keeps the lateral acceleration below `lateral` (m/s2) and below 70% of the friction limit, as a margin for
@@ -67,14 +67,14 @@ def hard(length: float, speed: float, acceleration: float, braking: float, wait:
     return Leg(length, speed, acceleration, braking, wait=wait, ease=HARD_EASE, fading=0.0)
 
 
-def warm_up(road: Road, kmh: float = 34.0) -> list[Leg]:
+def warm_up(road: AccelerationLimits, kmh: float = 34.0) -> list[Leg]:
     """Drive at least 30 m at 5 m/s or more, so that a filter can start."""
     kmh = kmh if road.friction > 0.4 else 0.8 * kmh
     pull_away = 1.15 * (kmh * KMH) ** 2 / 2 / road.easy(2.5)
     return [straight(road, pull_away + 32.0, kmh)]
 
 
-def cruise(road: Road, rng: np.random.Generator) -> Maneuver:
+def cruise(road: AccelerationLimits, rng: np.random.Generator) -> Maneuver:
     """(i) Straight cruise for 500 m."""
     kmh = rng.uniform(85, 95) if road.friction > 0.4 else rng.uniform(60, 70)
     speed, push = kmh * KMH, road.easy(3.0)
@@ -85,7 +85,7 @@ def cruise(road: Road, rng: np.random.Generator) -> Maneuver:
     return Maneuver(legs, {"distance_m": 500.0, "speed_kmh": round(kmh, 1)}, [], first=1)
 
 
-def turns(road: Road, rng: np.random.Generator) -> Maneuver:
+def turns(road: AccelerationLimits, rng: np.random.Generator) -> Maneuver:
     """(ii) Sharp 90 degree turns at intersections, one to each side."""
     side = 1 if rng.random() < 0.5 else -1
     legs = warm_up(road)
@@ -96,7 +96,7 @@ def turns(road: Road, rng: np.random.Generator) -> Maneuver:
     return Maneuver(legs, {"left_deg": 90.0, "right_deg": -90.0, "peak_lateral_ms2": 4.0}, [], first)
 
 
-def accelerate(road: Road, rng: np.random.Generator) -> Maneuver:
+def accelerate(road: AccelerationLimits, rng: np.random.Generator) -> Maneuver:
     """(iii) 0-60 km/h in 5 s."""
     speed = 60 * KMH
     push = road.hard(speed / 4.95)
@@ -107,7 +107,7 @@ def accelerate(road: Road, rng: np.random.Generator) -> Maneuver:
     return Maneuver([halt, away], {"speed_kmh": 60.0, "time_s": 5.0}, [], first=1)
 
 
-def brake(road: Road, rng: np.random.Generator) -> Maneuver:
+def brake(road: AccelerationLimits, rng: np.random.Generator) -> Maneuver:
     """(iv) 50 km/h to 0 within 2 s, then continue."""
     speed = 1.02 * 50 * KMH
     push = road.hard(50 * KMH / 1.88)
@@ -118,7 +118,7 @@ def brake(road: Road, rng: np.random.Generator) -> Maneuver:
     return Maneuver([approach, stop, away], {"speed_kmh": 50.0, "time_s": 2.0}, [], first=1)
 
 
-def outages(road: Road, rng: np.random.Generator) -> Maneuver:
+def outages(road: AccelerationLimits, rng: np.random.Generator) -> Maneuver:
     """(v) GPS outages of 3-5 s in a mix of cruise, turns, acceleration and braking."""
     side = 1 if rng.random() < 0.5 else -1
     legs = warm_up(road, 40.0)
@@ -137,7 +137,7 @@ def outages(road: Road, rng: np.random.Generator) -> Maneuver:
     )
 
 
-def urban(road: Road, rng: np.random.Generator, duration: float = 180.0) -> Maneuver:
+def urban(road: AccelerationLimits, rng: np.random.Generator, duration: float = 180.0) -> Maneuver:
     """(vi) Minutes of mixed driving: streets, bends, intersections, lane changes, stops; `duration` in s."""
     legs = warm_up(road, 40.0)
     first, spent = len(legs), 12.0
@@ -148,7 +148,7 @@ def urban(road: Road, rng: np.random.Generator, duration: float = 180.0) -> Mane
     return Maneuver(legs, {"duration_s": float(duration)}, [], first)
 
 
-def _city_block(road: Road, rng: np.random.Generator) -> list[Leg]:
+def _city_block(road: AccelerationLimits, rng: np.random.Generator) -> list[Leg]:
     kmh = float(rng.choice([30.0, 40.0, 50.0, 60.0], p=[0.25, 0.2, 0.4, 0.15]))
     push, slow = road.easy(rng.uniform(1.4, 2.8)), road.easy(rng.uniform(1.5, 3.2))
     street = Leg(rng.uniform(40, 160), kmh * KMH, push, slow)
@@ -171,7 +171,7 @@ def _city_block(road: Road, rng: np.random.Generator) -> list[Leg]:
 
 
 # By name; the first five are the paper's.
-MANEUVERS: dict[str, Callable[[Road, np.random.Generator], Maneuver]] = {
+MANEUVERS: dict[str, Callable[[AccelerationLimits, np.random.Generator], Maneuver]] = {
     "cruise": cruise,
     "turns": turns,
     "accelerate": accelerate,

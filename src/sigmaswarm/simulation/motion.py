@@ -45,7 +45,7 @@ LeverArm = tuple[float, float, float]
 FORCE_DENSITY = (0.06, 0.025, 0.04)  # m/s2/sqrt(Hz) forward, left, up, density at `FULL_SPEED` and above
 RATE_DENSITY = (0.002, 0.003, 0.0005)  # rad/s/sqrt(Hz), same axes; the only left recording has 0.010
 FULL_SPEED = 5.0  # m/s; vibration is proportional to speed below this speed
-SPRINGS = 1.0  # Hz, natural frequency of the body on its springs; an assumption
+BODY_FREQUENCY = 1.0  # Hz, natural frequency of the body on its springs; an assumption
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def vibrate(motion: Motion, rate: float, strength: float, rng: np.random.Generat
     speed = np.linalg.norm(motion.velocity, axis=1, keepdims=True)
     level = strength * np.sqrt(rate) * np.minimum(speed / FULL_SPEED, 1.0)
     shaking = rng.standard_normal((2, *motion.specific_force.shape)) * level
-    kept = math.exp(-2 * math.pi * SPRINGS / rate)
+    kept = math.exp(-2 * math.pi * BODY_FREQUENCY / rate)
     # first-order high pass
     shaking[1, :, :2] = lfilter([kept, -kept], [1.0, -kept], shaking[1, :, :2], axis=0)
     return replace(

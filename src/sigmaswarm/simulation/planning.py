@@ -49,7 +49,7 @@ def draw_sway(rng: np.random.Generator) -> Sway:
     return Sway(rng.uniform(0, 2 * np.pi, (2, 3)), rng.uniform([110, 150, 200], [150, 200, 260]))
 
 
-def lay_path(legs: Sequence[Leg], heading: float, sway: Sway) -> Array:
+def build_path(legs: Sequence[Leg], heading: float, sway: Sway) -> Array:
     """Return the path, shape (n, 4): east m, north m, heading rad, curvature 1/m, every `SPACING` m.
 
     The path begins at the origin. The integration uses trapezoids for the curvature and midpoints for the heading.

@@ -14,7 +14,7 @@ import numpy as np
 from sigmaswarm.drives.drive import Array, Drive, Truth
 from sigmaswarm.errors import InputError
 from sigmaswarm.simulation.dynamics import STEP, Vehicle
-from sigmaswarm.simulation.environments import ENVIRONMENTS, Environment, named
+from sigmaswarm.simulation.environments import ENVIRONMENTS, Environment, lookup
 from sigmaswarm.simulation.gps import (
     GPS_GRADES,
     HEADING_GRADES,
@@ -25,10 +25,18 @@ from sigmaswarm.simulation.gps import (
     with_heading,
 )
 from sigmaswarm.simulation.imu import IMU_GRADES, ImuGrade, measure_imu
-from sigmaswarm.simulation.journey import achieved_figures, take_journey
+from sigmaswarm.simulation.journey import achieved_figures, drive_maneuver
 from sigmaswarm.simulation.motion import LeverArm, Motion, motion_at, sample, vibrate
 from sigmaswarm.simulation.odometer import ODOMETER_GRADES, OdometerGrade, measure_odometer
-from sigmaswarm.simulation.terrain import HEIGHT, ROAD_PITCH, ROAD_ROLL, TERRAINS, Terrain, drive_on, lay_road
+from sigmaswarm.simulation.terrain import (
+    HEIGHT,
+    ROAD_PITCH,
+    ROAD_ROLL,
+    TERRAINS,
+    Terrain,
+    add_slopes,
+    build_road_profile,
+)
 from sigmaswarm.simulation.vehicle import find_vehicle
 
 
@@ -124,9 +132,9 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
 
 
 def _drive(s: Scenario) -> Drive:
-    where, ground = named(s.environment, ENVIRONMENTS, "environment"), named(s.terrain, TERRAINS, "terrain")
-    imu, gps = named(s.imu, IMU_GRADES, "IMU grade"), named(s.gps, GPS_GRADES, "GPS grade")
-    wheels = s.odometer and named(s.odometer, ODOMETER_GRADES, "odometer")
+    where, ground = lookup(s.environment, ENVIRONMENTS, "environment"), lookup(s.terrain, TERRAINS, "terrain")
+    imu, gps = lookup(s.imu, IMU_GRADES, "IMU grade"), lookup(s.gps, GPS_GRADES, "GPS grade")
+    wheels = s.odometer and lookup(s.odometer, ODOMETER_GRADES, "odometer")
     vehicle, car = find_vehicle(s.vehicle)
     if s.gnss_degradation:
         gps = degrade(gps, where.gnss_noise_factor)
@@ -135,10 +143,10 @@ def _drive(s: Scenario) -> Drive:
         names = (zlib.crc32(name.encode()) for name in (s.maneuver, where.name, sensor))
         return np.random.default_rng(np.random.SeedSequence([s.seed, s.run, *names]))
 
-    journey = take_journey(s.maneuver, where, car, stream("driver"), s.duration, s.warm_up)
+    journey = drive_maneuver(s.maneuver, where, car, stream("driver"), s.duration, s.warm_up)
     record, slopes = journey.record, {}  # without keys for a flat road, as in files of early versions
     if ground != TERRAINS["flat"]:
-        record = drive_on(record, lay_road(journey.path[:, 3], ground, stream("road")), car)
+        record = add_slopes(record, build_road_profile(journey.path[:, 3], ground, stream("road")), car)
         slopes = {"terrain": ground.name} | _slope_figures(record)
 
     def motion(times: Array, place: Array) -> Motion:
@@ -157,7 +165,7 @@ def _drive(s: Scenario) -> Drive:
     fixes = measure_gps(stamps, seen, gps, stream("gps"), journey.outages)
     odometer, about = None, dict[str, Any]()
     if s.heading:
-        two = named(s.heading, HEADING_GRADES, "heading")
+        two = lookup(s.heading, HEADING_GRADES, "heading")
         fixes = with_heading(fixes, stamps, seen.yaw, two, stream("heading"))
         about["heading"] = {"grade": two.name, "mounting_rad": two.mounting}
     if wheels:

@@ -115,7 +115,7 @@ TERRAINS = by_name(
 
 
 @dataclass(frozen=True)
-class Road:
+class RoadProfile:
     """Pitch (positive downhill) and roll (positive left side up) of a road (rad), over distance (m)."""
 
     pitch: CubicSpline
@@ -139,7 +139,7 @@ def _wander(rng: np.random.Generator, count: int, std: float, length: float, lim
     return np.sign(values) * (np.abs(values) - beyond + soft * np.tanh(beyond / soft))
 
 
-def lay_road(curvature: Array, terrain: Terrain, rng: np.random.Generator) -> Road:
+def build_road_profile(curvature: Array, terrain: Terrain, rng: np.random.Generator) -> RoadProfile:
     """Draw the slopes of a road; ``curvature`` (p,), 1/m, is the curvature of the path at each `SPACING` m."""
     length = len(curvature) * SPACING
     at = np.arange(-_PROFILE_MARGIN, length + _PROFILE_MARGIN, _KNOT_SPACING)
@@ -152,10 +152,10 @@ def lay_road(curvature: Array, terrain: Terrain, rng: np.random.Generator) -> Ro
     lean = -terrain.superelevation * 2 * sharp / (1 + sharp**2)
     bank += terrain.crossfall + np.interp(at, np.arange(len(curvature)) * SPACING, lean)
     pitch = -np.arctan(grade)
-    return Road(CubicSpline(at, pitch), CubicSpline(at, np.arctan(bank * np.cos(pitch))))
+    return RoadProfile(CubicSpline(at, pitch), CubicSpline(at, np.arctan(bank * np.cos(pitch))))
 
 
-def drive_on(record: Array, road: Road, car: Vehicle) -> Array:
+def add_slopes(record: Array, road: RoadProfile, car: Vehicle) -> Array:
     """Add the columns ROAD_ROLL to CLIMB_ACCEL, and effects on the suspension, to a record (n, 21) of a flat road."""
     vx, vy, turn = record[:, VX], record[:, VY], record[:, YAW_RATE]
     # Derivatives in the rotating body axes.

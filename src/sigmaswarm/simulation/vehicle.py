@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from sigmaswarm.simulation.dynamics import GRAVITY, Vehicle
-from sigmaswarm.simulation.environments import named
+from sigmaswarm.simulation.environments import lookup
 
 
 def _table(*values: float) -> np.ndarray:
@@ -77,4 +77,4 @@ VEHICLES = {"model3": MODEL_3, "model3-carla": MODEL_3_CARLA}
 
 def find_vehicle(vehicle: str | Vehicle) -> tuple[str, Vehicle]:
     name = vehicle if isinstance(vehicle, str) else "custom"
-    return name, named(vehicle, VEHICLES, "vehicle")
+    return name, lookup(vehicle, VEHICLES, "vehicle")

@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.datasets.dataset import Dataset, datasets_of
-from sigmaswarm.drives.drive import Drive, listed
-from sigmaswarm.drives.sensors import Sensors, sensors_of
+from sigmaswarm.datasets.dataset import Dataset, make_datasets
+from sigmaswarm.drives.drive import Drive, as_list
+from sigmaswarm.drives.sensors import LogProperties, log_properties
 from sigmaswarm.drives.tables import Array, Mask
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.scoring.batch import BatchScorer, Passes
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 from sigmaswarm.scoring.jobs import cores
-from sigmaswarm.scoring.remote import AnyBatchScorer, replays_on
+from sigmaswarm.scoring.remote import AnyBatchScorer, make_scorer
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import forecast_windows
 from sigmaswarm.tuning.objectives import Objective, parse_objective
-from sigmaswarm.wording import shown
+from sigmaswarm.wording import printable
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,30 +80,30 @@ def run_batch(
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
-    (dataset,) = datasets_of(drives, takes="run_batch takes Drives")
-    sets: list[Any] = listed(parameter_sets)
+    (dataset,) = make_datasets(drives, takes="run_batch takes Drives")
+    sets: list[Any] = as_list(parameter_sets)
     stray = [type(one).__name__ for one in sets if not isinstance(one, FilterParameters)]
     if stray:
         raise InputError(f"got a {stray[0]}; run_batch takes FilterParameters")
     given: Any = executor
     if given is not None and not isinstance(given, Executor):
         raise InputError(
-            f"executor = {shown(given)}: is not an executor; use concurrent.futures.ThreadPoolExecutor(2), "
+            f"executor = {printable(given)}: is not an executor; use concurrent.futures.ThreadPoolExecutor(2), "
             "or leave it out"
         )
     goal = parse_objective(objective)
-    check_drives(dataset.map(sensors_of), goal)
-    scorer = replays_for(goal, dataset, outage_seed, as_recorded=as_recorded)
+    check_drives(dataset.map(log_properties), goal)
+    scorer = scorer_for(goal, dataset, outage_seed, as_recorded=as_recorded)
     with nullcontext(executor) if executor else ThreadPoolExecutor(cores()) as pool:
         scores = scorer.scores(sets, pool)
     each = tuple(tuple(scores[i, j] for j in range(len(dataset))) for i in range(len(sets)))
     return BatchResult(goal.costs(scores, worst), each, np.asarray(scores.failed.any(axis=1)))
 
 
-def check_drives(drives: Sequence[Drive | Sensors], objective: Objective) -> None:
+def check_drives(drives: Sequence[Drive | LogProperties], objective: Objective) -> None:
     if not drives:
         raise InputError("no drives were given; name at least one drive folder")
-    missing = [drive.name for drive in map(sensors_of, drives) if not drive.truth]
+    missing = [drive.name for drive in map(log_properties, drives) if not drive.truth]
     if objective.needs_truth and missing:
         raise InputError(
             f"{missing[0]}: has no truth, which the objective {objective.name} needs; "
@@ -111,9 +111,9 @@ def check_drives(drives: Sequence[Drive | Sensors], objective: Objective) -> Non
         )
 
 
-def replays_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded: bool) -> AnyBatchScorer:
-    passes = Passes(objective.needs_outages, objective.needs_forecasts, seed, as_recorded)
-    return replays_on(dataset, passes, partial(require_fit, objective=objective.name, seed=seed))
+def scorer_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded: bool) -> AnyBatchScorer:
+    passes = PassOptions(objective.needs_outages, objective.needs_forecasts, seed, as_recorded)
+    return make_scorer(dataset, passes, partial(require_fit, objective=objective.name, seed=seed))
 
 
 def require_fit(scorer: BatchScorer, objective: str, seed: int) -> None:

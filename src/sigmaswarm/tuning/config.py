@@ -13,7 +13,7 @@ from sigmaswarm.wording import first_mistake
 
 SWARM = ("inertia", "cognitive", "social", "zero_velocity_at_bounds")
 """Options of the optimizer pso only."""
-DECIDED_LATER = ("model", "kind", "use")
+DEFERRED_OPTIONS = ("model", "kind", "use")
 """Options whose default depends on the drives or on the model."""
 RENAMED = {"margin": "inflation"}
 """Current names of options of version 0.3.0."""
@@ -144,7 +144,7 @@ class ModelTuneConfig(SearchConfig):
     """Result of `Model.identity`."""
 
 
-INSTEAD = {
+MODEL_REMEDIES = {
     "use": "add the sensor to h, measurement_noise and the logs",
     "kind": "give kind to Model",
     "prior": "narrow the bounds of the parameters of measurement_noise",
@@ -153,7 +153,7 @@ INSTEAD = {
 """Remedies if options of built-in models are given for a custom model; other options must be left out."""
 
 
-PAPER: dict[str, Any] = {
+PAPER_OPTIONS: dict[str, Any] = {
     **{
         name: TuneConfig.model_fields[name].default
         for name in (
@@ -175,13 +175,13 @@ PAPER: dict[str, Any] = {
 def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """Add the paper's settings, and reject options that contradict them."""
     for name, value in options.items():
-        if name in PAPER and (tuple(value) if name == "use" else value) != PAPER[name]:
-            papers = "nothing" if PAPER[name] in ((), None) else PAPER[name]
+        if name in PAPER_OPTIONS and (tuple(value) if name == "use" else value) != PAPER_OPTIONS[name]:
+            papers = "nothing" if PAPER_OPTIONS[name] in ((), None) else PAPER_OPTIONS[name]
             raise InputError(
                 f"{name} = {value!r}: contradicts the paper's setting, which is {papers}; "
                 f"leave out {name} or the paper's setting"
             )
-    return {**options, **PAPER}
+    return {**options, **PAPER_OPTIONS}
 
 
 def current_options(
@@ -196,17 +196,17 @@ def current_options(
         if name in RENAMED and RENAMED[name] in known:
             warn_deprecated(f"the option {name}", RENAMED[name])
         elif config is ModelTuneConfig and name not in known and name in TuneConfig.model_fields:
-            remedy = INSTEAD.get(name, f"leave {name} out")
+            remedy = MODEL_REMEDIES.get(name, f"leave {name} out")
             raise InputError(f"{name} = {value!r}: is an option of built-in models; {remedy}")
         elif name not in known:
-            nearest = suggested(name, [*known, *arguments])
+            nearest = similar_name(name, [*known, *arguments])
             hint = f"did you mean {nearest}?" if nearest else f"choose from {', '.join(known)}"
             raise InputError(f"{name} = {value!r}: no such option; {hint}")
         current[RENAMED.get(name, name)] = value
     return current
 
 
-def suggested(name: str, known: Iterable[str]) -> str | None:
+def similar_name(name: str, known: Iterable[str]) -> str | None:
     """Return the known option that is most similar to a name, or None."""
     names = [*known]
     synonym = SYNONYMS.get(name.lower().replace("-", "_"))

@@ -54,10 +54,10 @@ class ModelProblem(Problem[dict[str, float]]):
         each = np.array(list((executor.map if executor else map)(self._cost, *zip(*jobs, strict=True))))
         return each.reshape(len(points), len(drives))
 
-    def rise(self, costs: Array | float, best: float) -> Array:
+    def relative_increase(self, costs: Array | float, best: float) -> Array:
         present = (~np.isnan(steps.measurements) for steps in self.runner.steps)
         elements = float(np.mean([each.sum(axis=1).mean() for each in present]))
-        return parse_objective(self.config.objective).rise(costs, best, elements)
+        return parse_objective(self.config.objective).relative_increase(costs, best, elements)
 
     def on(self, data: Sequence[Log]) -> "ModelProblem":
         return model_problem(data, self.model, self.config)

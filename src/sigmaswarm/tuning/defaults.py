@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.sensors import Sensors, enough_for_fix_error, sensors_of, suggest_filter
+from sigmaswarm.drives.sensors import LogProperties, enough_for_fix_error, log_properties, suggest_filter
 from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
@@ -14,19 +14,19 @@ from sigmaswarm.filters.parameters import incompatibility
 from sigmaswarm.tuning.config import C, TuneConfig, validated_config
 from sigmaswarm.tuning.inflation import INFLATION, TILTED_INFLATION, WITH_TRUTH
 from sigmaswarm.tuning.objectives import parse_objective
-from sigmaswarm.wording import counted
+from sigmaswarm.wording import count_of
 
-PLAIN = "planar5"  # the paper's model
+PAPER_MODEL = "planar5"  # the paper's model
 OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
 """Objectives with and without truth; see docs/objectives.md, "Outliers"."""
-WITH_FORECASTS = "0.5 innovation-t + 0.5 forecast-t"
+FORECAST_OBJECTIVE = "0.5 innovation-t + 0.5 forecast-t"
 """Objective without truth, for a model with roll and pitch and receivers with white errors.
 
 If the fix errors are correlated, a filter tuned by forecasts reproduces these errors: with a u-blox M8, the filter's
 error was 11 m instead of 4 m. A planar filter overfits to the training roads: on roads of another car, the filter's
 error was 3.6 times that of the fixes.
 """
-WITH_FIX_ERROR = "innovation-t + 0.2 truth-pose + 0.2 nees"
+FIX_ERROR_OBJECTIVE = "innovation-t + 0.2 truth-pose + 0.2 nees"
 """Objective with truth and fix-error: mainly the likelihood, since a drive has few independent position errors.
 
 With a larger share of truth-pose, the filter fits the errors of the training drive.
@@ -37,7 +37,7 @@ OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
 
 
 def default_filter_options(
-    options: dict[str, Any], drives: Sequence[Drive | Sensors]
+    options: dict[str, Any], drives: Sequence[Drive | LogProperties]
 ) -> tuple[dict[str, Any], str]:
     """Add missing ``model`` and ``use``; return the options and one line that explains them, or "" if none was missing.
 
@@ -54,7 +54,7 @@ def default_filter_options(
     if "use" in options:
         return {**options, "model": model}, f"{_described(model, options['use'])}, as given: {found.because}"
     use, because = [], "the paper's model; add measurements with --use"
-    if model != PLAIN:
+    if model != PAPER_MODEL:
         allowed = MODELS[model].options if model in MODELS else ()
         offered = (*found.use, "gate") if allowed else found.use
         use = [name for name in offered if name in (allowed or (name,)) and _fits(name, options)]
@@ -67,14 +67,14 @@ def default_filter_options(
     return {**options, "model": model, "use": tuple(use)}, f"{described}: {because}"
 
 
-def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> bool:
+def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive | LogProperties]) -> bool:
     """Check that all logs show correlated fix errors, the filter can model them, and the objective suits them.
 
     Without truth, the states for these errors reduce the position RMSE by 25% on kingston-1 and by 13% on comma2k19.
     With simulated receivers and errors that last minutes, only the covariance improves. With truth, these states are
     used only for models with roll and pitch: `space.search_space` states the reason.
     """
-    have, objective = [sensors_of(one) for one in drives], options.get("objective") or "auto"
+    have, objective = [log_properties(one) for one in drives], options.get("objective") or "auto"
     known = model in MODELS
     if objective == "auto":
         suits = not all(one.truth for one in have) or (known and MODELS[model].tilts is not None)
@@ -97,19 +97,22 @@ def _fits(name: str, options: dict[str, Any]) -> bool:
 
 
 def objective_for(
-    data: Sequence[Drive | Sensors | Log], objective: str, model: str = PLAIN, use: Sequence[str] = ()
+    data: Sequence[Drive | LogProperties | Log],
+    objective: str,
+    model: str = PAPER_MODEL,
+    use: Sequence[str] = (),
 ) -> str:
     """Return the objective, with ``auto`` replaced by the default."""
     if objective != "auto":
         return objective
     logs = any(isinstance(one, Log) for one in data)
     with_truth, without = OBJECTIVES_OF_LOGS if logs else OBJECTIVES_OF_CARS
-    cars = [sensors_of(one) for one in data if not isinstance(one, Log)]
+    cars = [log_properties(one) for one in data if not isinstance(one, Log)]
     tilts = model in MODELS and MODELS[model].tilts
     if "fix-error" in use:
-        with_truth = WITH_FIX_ERROR
+        with_truth = FIX_ERROR_OBJECTIVE
     if not logs and tilts and _allows_forecasts(cars):
-        without = WITH_FORECASTS
+        without = FORECAST_OBJECTIVE
     blind = [one.name for one in data if not one.truth]
     if blind and len(blind) < len(data):
         warnings.warn(
@@ -121,24 +124,24 @@ def objective_for(
     return without if blind else with_truth
 
 
-def _allows_forecasts(cars: Sequence[Sensors]) -> bool:
+def _allows_forecasts(cars: Sequence[LogProperties]) -> bool:
     return 2 * sum(one.white for one in cars) > len(cars) and all(one.driven > MIN_DRIVEN for one in cars)
 
 
-def settled(config: C, data: Sequence[Sensors | Log]) -> C:
+def complete_config(config: C, data: Sequence[LogProperties | Log]) -> C:
     """Set the objective, the prior on R and the process-noise inflation that the user did not set."""
     car = isinstance(config, TuneConfig)
-    model, use = (config.model, config.use) if car else (PLAIN, ())
+    model, use = (config.model, config.use) if car else (PAPER_MODEL, ())
     objective = objective_for(data, config.objective, model, use)
     return with_default_guards(config.model_copy(update={"objective": objective}))
 
 
-def explain_tuning(drives: Sequence[Drive | Sensors], **options: Any) -> list[str]:
+def explain_tuning(drives: Sequence[Drive | LogProperties], **options: Any) -> list[str]:
     """Explain the filter, objective and search that `tune` would use, in three sentences."""
-    sensors = [sensors_of(one) for one in drives]
+    sensors = [log_properties(one) for one in drives]
     options, because = default_filter_options(options, sensors)
-    config = settled(validated_config(TuneConfig, options), sensors)
-    sets, trials = config.particles * config.generations * config.trials, counted(config.trials, "trial")
+    config = complete_config(validated_config(TuneConfig, options), sensors)
+    sets, trials = config.particles * config.generations * config.trials, count_of(config.trials, "trial")
     given = config.model + (f" with {', '.join(config.use)}" if config.use else "")
     return [
         f"Filter: {because or given}",

@@ -18,40 +18,40 @@ from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.passes import FilterPass
 from sigmaswarm.filters.presets import baseline
-from sigmaswarm.filters.replay import Replay
-from sigmaswarm.filters.run import replay_of
-from sigmaswarm.scoring.drifts import Outages
+from sigmaswarm.filters.run import whole_pass
+from sigmaswarm.scoring.drifts import OutageDrifts
 from sigmaswarm.scoring.methods import BASELINE, FIXES
 from sigmaswarm.scoring.remote import AnyBatchScorer
 from sigmaswarm.scoring.targets import FORECAST_LENGTHS, LONG_OUTAGE_LENGTH
 from sigmaswarm.tuning.objectives import Objective
 from sigmaswarm.wording import to_do
 
-NAMED = 3  # drives named in one message, and checked for drift
-MONITORED = 3600.0  # s of a drive that are checked for divergence; a longer check needs more memory
-FAR = 1.5  # ratio to the baseline's drift above which a warning is given
-FEW = 2  # outage placements checked first
-NEAR = 1.2
-"""Ratio of the filter's drift to the baseline's above which all placements are measured, not only `FEW`.
+MAX_NAMED_DRIVES = 3  # drives named in one message, and checked for drift
+MONITORED_TIME = 3600.0  # s of a drive that are checked for divergence; a longer check needs more memory
+MAX_DRIFT_RATIO = 1.5  # ratio to the baseline's drift above which a warning is given
+FIRST_PLACEMENTS = 2  # outage placements checked first
+RECHECK_RATIO = 1.2
+"""Ratio of the filter's drift to the baseline's above which all placements are measured, not only `FIRST_PLACEMENTS`.
 
-With `FEW` placements the ratio is accurate to 10%.
+With `FIRST_PLACEMENTS` placements the ratio is accurate to 10%.
 """
-LOOK = 600.0  # s in the middle of a drive that are checked for drift
+CHECKED_TIME = 600.0  # s in the middle of a drive that are checked for drift
 REMEDY = "DO NOT USE THIS FILTER; check the drive with `sigmaswarm doctor`, or tune with more trials or on more drives"
-CORRELATED = 0.3
+MAX_CORRELATION = 0.3
 """Lag-1 autocorrelation of innovations above which a warning is given.
 
 For three filters tuned without truth, the median autocorrelations were -0.05 and 0.12 with white errors, 0.15 with a
 simulated u-blox M8, and 0.33 to 0.91 with real receivers.
 """
 SCALE_REMEDY = "tune with '{objective} + 0.2 {measure}'"
-SCALE_MOVED = 0.02  # largest relative change of the position RMSE for which the factor is suggested
-SCALE_NEAR = 0.2  # largest difference of the scaled mean NIS / 2 from 1 for which the factor is suggested
+MAX_RMSE_CHANGE = 0.02  # largest relative change of the position RMSE for which the factor is suggested
+MAX_NIS_ERROR = 0.2  # largest difference of the scaled mean NIS / 2 from 1 for which the factor is suggested
 
 
 @dataclass(frozen=True)
-class Forecast:
+class DriftComparison:
     """RMS drifts (m) over outages of one length (s) on training drives: tuned filter, fixes alone, baseline."""
 
     length_s: float
@@ -65,7 +65,7 @@ class Forecast:
         return f"{self.length_s:g} s {self.tuned_m:.3g} m ({others})"
 
 
-def describe_forecasts(forecasts: Sequence[Forecast], durations: Sequence[float] = ()) -> list[str]:
+def describe_forecasts(forecasts: Sequence[DriftComparison], durations: Sequence[float] = ()) -> list[str]:
     """Return a sentence on the drifts, and a second one if a drift is larger than that of the baseline.
 
     ``durations``: durations of the training drives, s, since only a part of many or long drives is measured.
@@ -77,8 +77,14 @@ def describe_forecasts(forecasts: Sequence[Forecast], durations: Sequence[float]
         for one in forecasts
         if one.tuned_m > one.baseline_m and f"{one.tuned_m:.3g}" != f"{one.baseline_m:.3g}"
     ]
-    on = f"the first {NAMED} training drives" if len(durations) > NAMED else "the training drives"
-    on += f", {LOOK:g} s in the middle of each" * any(duration > LOOK for duration in durations[:NAMED])
+    on = (
+        f"the first {MAX_NAMED_DRIVES} training drives"
+        if len(durations) > MAX_NAMED_DRIVES
+        else "the training drives"
+    )
+    on += f", {CHECKED_TIME:g} s in the middle of each" * any(
+        duration > CHECKED_TIME for duration in durations[:MAX_NAMED_DRIVES]
+    )
     message = [f"drift without fixes on {on}: {', '.join(map(str, forecasts))}"]
     if worse:
         message.append(
@@ -88,43 +94,45 @@ def describe_forecasts(forecasts: Sequence[Forecast], durations: Sequence[float]
 
 
 def forecasts_of(
-    parameters: FilterParameters, noise: MotionNoise, replays: AnyBatchScorer
-) -> Iterator[Forecast]:
+    parameters: FilterParameters, noise: MotionNoise, scorer: AnyBatchScorer
+) -> Iterator[DriftComparison]:
     """Measure the drift over outages of several lengths, in the middle of the first drives.
 
     The outages are those of an evaluation, so an evaluation of the same drive reports the same drift.
     """
-    some = replays.subset(range(min(len(replays.dataset), NAMED)))
+    some = scorer.subset(range(min(len(scorer.dataset), MAX_NAMED_DRIVES)))
     for length in FORECAST_LENGTHS:
         measure = partial(drifts_of, parameters=parameters, length=length, noise=noise)
-        drifts = _together(some.of_each_prepared(measure))
+        drifts = _mean_drifts(some.map_prepared(measure))
         if drifts[0] > 0:
-            yield Forecast(length, *drifts)
+            yield DriftComparison(length, *drifts)
 
 
-def loss_warnings(parameters: FilterParameters, replays: AnyBatchScorer, *, outages: bool) -> list[str]:
-    found = divergence_warnings(replays.of_each_prepared(partial(restarts_of, parameters=parameters)))
+def loss_warnings(parameters: FilterParameters, scorer: AnyBatchScorer, *, outages: bool) -> list[str]:
+    found = divergence_warnings(scorer.map_prepared(partial(restarts_of, parameters=parameters)))
     if found or not outages:
         return found
-    some = replays.subset(range(min(len(replays.dataset), NAMED)))
-    few = some.of_each_prepared(partial(drifts_of, parameters=parameters, most=FEW))
-    if not drift_warnings(few, NEAR):
+    some = scorer.subset(range(min(len(scorer.dataset), MAX_NAMED_DRIVES)))
+    few = some.map_prepared(partial(drifts_of, parameters=parameters, most=FIRST_PLACEMENTS))
+    if not drift_warnings(few, RECHECK_RATIO):
         return []
-    return drift_warnings(some.of_each_prepared(partial(drifts_of, parameters=parameters)))
+    return drift_warnings(some.map_prepared(partial(drifts_of, parameters=parameters)))
 
 
 def divergence_warnings(found: Iterable[tuple[str, list[float]]]) -> list[str]:
     diverged = [describe_restarts(name, times) for name, times in found if times]
     if not diverged:
         return []
-    more = f"; and on {len(diverged) - NAMED} more drives" if len(diverged) > NAMED else ""
+    more = (
+        f"; and on {len(diverged) - MAX_NAMED_DRIVES} more drives" if len(diverged) > MAX_NAMED_DRIVES else ""
+    )
     these = "this drive" if len(diverged) == 1 else "these drives"
-    why = f"the tuned filter {'; it '.join(diverged[:NAMED])}{more}, although it was tuned on {these}"
+    why = f"the tuned filter {'; it '.join(diverged[:MAX_NAMED_DRIVES])}{more}, although it was tuned on {these}"
     return [to_do(REMEDY, why)]
 
 
-def drift_warnings(found: Iterable[tuple[float, ...]], most: float = FAR) -> list[str]:
-    tuned, other = _together(found)[:2]
+def drift_warnings(found: Iterable[tuple[float, ...]], most: float = MAX_DRIFT_RATIO) -> list[str]:
+    tuned, other = _mean_drifts(found)[:2]
     if tuned <= most * other:
         return []
     why = (
@@ -157,7 +165,7 @@ def correlation_warnings(
     known = [value for value in found if np.isfinite(value)]
     augmented = kernel_name(parameters.model, parameters.kind, fix_error=True)
     supported = parameters.kind in ("ukf", "ekf") and augmented in FILTERS
-    if parameters.fix_error is not None or not supported or not known or np.median(known) < CORRELATED:
+    if parameters.fix_error is not None or not supported or not known or np.median(known) < MAX_CORRELATION:
         return []
     why = (
         f"the innovations and the errors of the fixes are correlated from fix to fix (lag 1: {np.median(known):.2f}), "
@@ -166,9 +174,9 @@ def correlation_warnings(
     return [to_do(f"tune with --use {' '.join([*use, 'fix-error'])}", why)]
 
 
-def _first_part(ready: PreparedDrive) -> Replay:
+def _first_part(ready: PreparedDrive) -> FilterPass:
     start = float(ready.drive.imu.time[0])
-    return replay_of(_part(ready, start, start + MONITORED))
+    return whole_pass(_part(ready, start, start + MONITORED_TIME))
 
 
 def _part(ready: PreparedDrive, start: float, end: float) -> PreparedDrive:
@@ -188,9 +196,9 @@ def drifts_of(
 ) -> tuple[float, ...]:
     """Return the RMS drifts, m, of a filter, the baseline and, with ``noise``, fixes alone; NaN if no outage fits."""
     middle = float(ready.drive.imu.time[0] + ready.drive.imu.time[-1]) / 2
-    part = _part(ready, middle - LOOK / 2, middle + LOOK / 2)
+    part = _part(ready, middle - CHECKED_TIME / 2, middle + CHECKED_TIME / 2)
     try:
-        outages = Outages(part, length=length, seed=0, most=most)
+        outages = OutageDrifts(part, length=length, seed=0, most=most)
     except InputError:  # the car does not move in this part
         return np.nan, np.nan
     filters = {"tuned": parameters, BASELINE: baseline(ready.drive, like=parameters)}
@@ -199,16 +207,16 @@ def drifts_of(
     return tuple(outages.drift(method) for method in (*filters, *also))
 
 
-def _together(found: Iterable[tuple[float, ...]]) -> list[float]:
+def _mean_drifts(found: Iterable[tuple[float, ...]]) -> list[float]:
     known = np.array([drifts for drifts in found if np.isfinite(drifts).all()])
     return np.mean(known, axis=0).tolist() if len(known) else [0.0, 0.0]
 
 
-def scale_warnings(objective: Objective, parameters: FilterParameters, replays: AnyBatchScorer) -> list[str]:
+def scale_warnings(objective: Objective, parameters: FilterParameters, scorer: AnyBatchScorer) -> list[str]:
     """Warn if the objective does not determine the scale of the covariance; if possible, propose a factor."""
     if not objective.scale_free:
         return []
-    before = replays.scores([parameters])
+    before = scorer.scores([parameters])
     nis = float(before.mean_nis.mean())
     name = objective.name
     message = (
@@ -216,9 +224,9 @@ def scale_warnings(objective: Objective, parameters: FilterParameters, replays: 
     )
     remedy = SCALE_REMEDY.format(objective=name, measure="nees" if objective.needs_truth else "nis")
     if parameters.model != "planar5" and nis > 0:
-        after = replays.scores([parameters.scaled(nis / 2)])
+        after = scorer.scores([parameters.scaled(nis / 2)])
         moved = float(after.position_rmse.mean() / before.position_rmse.mean() - 1)
-        if abs(moved) <= SCALE_MOVED and abs(float(after.mean_nis.mean()) / 2 - 1) <= SCALE_NEAR:
+        if abs(moved) <= MAX_RMSE_CHANGE and abs(float(after.mean_nis.mean()) / 2 - 1) <= MAX_NIS_ERROR:
             right = (
                 f"a factor of {nis / 2:.3g} on all variances changes mean NIS to 2 and the position RMSE by "
                 f"{moved:+.1%}"

@@ -38,7 +38,7 @@ from sigmaswarm.tuning.problem import Problem
 
 INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
 """Default relative cost increases: planar without truth, other models without truth, tilted12 with truth."""
-ENOUGH_DRIVES = 3  # drives with truth that determine the deviations of the initial biases
+MIN_DRIVES = 3  # drives with truth that determine the deviations of the initial biases
 REFERENCE_DURATION, TILTED_DURATION = 100.0, 150.0
 """Driving times, s, for which the whole cost increase is allowed: for planar models, and with roll and pitch.
 
@@ -49,16 +49,16 @@ its errors were inside the 95% radius; the position RMSE on the training roads w
 not allow a larger increase: after tuning on 60 s of a highway, an increase of 0.086 instead of 0.05 raised the 5 s
 drift on other roads by 20%.
 """
-BIASED = 5.0
+MIN_BIAS_RATIO = 5.0
 """Mean of bias^2 / variance over starts and axes above which the starts show biases of the gyro.
 
 This mean is at most 1.4 on real drives and with a simulated ICM-20602, and 7 to 90 with a simulated MPU-6050.
 """
-DECADES = 4.0  # decades; the largest factor is 10^4
+MAX_DECADES = 4.0  # decades; the largest factor is 10^4
 STEP = 0.1  # decades between two factors
 
 
-def inflated(
+def inflate(
     problem: Problem[Any], point: Array, cost: float, allowed: float, executor: Executor | None
 ) -> tuple[Array, float, float]:
     """Inflate the process noise of a point, shape (d,), within the bounds, until its cost has increased by ``allowed``.
@@ -67,13 +67,13 @@ def inflated(
     factor.
     """
     space = problem.space
-    decades = np.arange(0.0, DECADES + STEP / 2, STEP)
+    decades = np.arange(0.0, MAX_DECADES + STEP / 2, STEP)
     points = np.minimum(point + decades[:, None] * space.inflation, np.maximum(space.high, point))
     costs = problem.costs(points, executor)
     tilted = isinstance(problem.config, TuneConfig) and MODELS[problem.config.model].tilts
     reference = TILTED_DURATION if tilted else REFERENCE_DURATION
     share = allowed * min(1.0, reference / sum(entry["duration_s"] for entry in problem.data))
-    within = np.logical_and.accumulate(problem.rise(costs, cost) <= share)
+    within = np.logical_and.accumulate(problem.relative_increase(costs, cost) <= share)
     last = int(within.sum()) - 1 if within.any() else 0
     chosen = np.maximum(points[last], _limits(problem))
     if np.array_equal(chosen, points[last]):
@@ -84,7 +84,7 @@ def inflated(
 def _limits(problem: Problem[Any]) -> Array:
     space, objective = problem.space, parse_objective(problem.config.objective)
     least = space.least
-    if len(problem.data) >= ENOUGH_DRIVES and objective.needs_truth:
+    if len(problem.data) >= MIN_DRIVES and objective.needs_truth:
         least = np.where([one.field == "bias_std" for one in space.dimensions], -np.inf, least)
     if shown := shown_bias(problem.starts()):
         gyro = [name == "gyro_bias_std" for name in space.names]
@@ -100,6 +100,6 @@ def shown_bias(starts: Sequence[InitialState]) -> float:
         variance
     )  # an axis that was not observed has an infinite variance
     squares, variance = np.square(bias[known]), variance[known]
-    if not known.any() or np.mean(squares / variance) < BIASED:
+    if not known.any() or np.mean(squares / variance) < MIN_BIAS_RATIO:
         return 0.0
     return float(np.sqrt(max(np.mean(squares - variance), 0.0)))

@@ -14,20 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array, Drive, listed
+from sigmaswarm.drives.drive import Array, Drive, as_list
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.drives.sensors import sensors_of, suggest_filter
+from sigmaswarm.drives.sensors import log_properties, suggest_filter
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.filter_run import FilterRun, Innovations
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.passes import FilterPass, Targets
 from sigmaswarm.filters.presets import HALF_A_WHEELBASE, baseline_of
-from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.config import TuneConfig, validated_config
-from sigmaswarm.tuning.defaults import settled
+from sigmaswarm.tuning.defaults import complete_config
 from sigmaswarm.tuning.problem import car_problem
-from sigmaswarm.tuning.search import Search
+from sigmaswarm.tuning.search import TrialRunner
 
 ARM = ("forward", "left")
 UNKNOWN_STD, STATED_STD = 2.0, 1.0
@@ -42,15 +42,15 @@ STEP = {"forward": 0.1, "left": 0.1, "latency": 0.01, "rear_axle": 0.1, "tire_sl
 )
 """Steps of finite differences: lever arm in m, the others in the units of `PRIOR_STD`."""
 DOF = 8.0  # degrees of freedom of Student's t, which reduces the weight of outliers
-BLOCK = 20.0  # s, length of a block; fix errors may be correlated within a block
-FITTED = 1.2
+BLOCK_LENGTH = 20.0  # s, length of a block; fix errors may be correlated within a block
+STD_FACTOR = 1.2
 """Factor on the standard deviations: the noise is fitted to the same fixes, and tire slip is not exactly linear.
 
 Without it, 93% of the errors on 65 simulated drives were within 1.96 standard deviations.
 """
-ROUNDS, CONVERGED = 8, 0.005
+MAX_ROUNDS, STEP_TOLERANCE = 8, 0.005
 """Largest number of Gauss-Newton steps, and size of the last step (m)."""
-SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
+NOISE_SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
 """Options for tuning the noise; without tuning, the standard deviations are two to six times as large."""
 Values = dict[str, float]
 Whitened = tuple[Array, Array, Array, Array]
@@ -152,7 +152,7 @@ def estimate_lever_arm(
     InputError
         If there are no drives, they state different lever arms, or ``within`` is not positive and finite.
     """
-    read = [replace(drive, truth=None) for drive in listed(drives)]
+    read = [replace(drive, truth=None) for drive in as_list(drives)]
     if not read:
         raise InputError("there are no drives; pass at least one")
     if not 0 < within < math.inf:
@@ -196,11 +196,13 @@ def _with_arm(drive: Drive, arm: Sequence[float], **more: Any) -> Drive:
 
 def _tuned(drives: Sequence[Drive], options: Mapping[str, Any]) -> FilterParameters:
     use = (*options["use"], "slip") if "lateral" in options["use"] else options["use"]
-    chosen = {**options, **SEARCH, "use": use, "kind": "ekf", "objective": "innovation-t"}
-    config = settled(validated_config(TuneConfig, chosen), [sensors_of(drive) for drive in drives])
+    chosen = {**options, **NOISE_SEARCH, "use": use, "kind": "ekf", "objective": "innovation-t"}
+    config = complete_config(
+        validated_config(TuneConfig, chosen), [log_properties(drive) for drive in drives]
+    )
     problem = car_problem(drives, config)
     with ThreadPoolExecutor(cores()) as pool:
-        return problem.parameters(Search(problem, pool).trial(0).point)
+        return problem.parameters(TrialRunner(problem, pool).trial(0).point)
 
 
 def _maximum(
@@ -214,8 +216,8 @@ def _maximum(
     values = {name: mean for name, (mean, _) in prior.items()} | dict(start or {})
     values = {name: getattr(parameters, name, values[name]) for name in prior}
     found = _step(drives, parameters, values, prior)
-    for _ in range(ROUNDS - 1):
-        if np.abs(found[0][: len(ARM)]).max() < CONVERGED:
+    for _ in range(MAX_ROUNDS - 1):
+        if np.abs(found[0][: len(ARM)]).max() < STEP_TOLERANCE:
             break
         values = _moved(values, found[0])
         found = _step(drives, parameters, values, prior)
@@ -254,12 +256,12 @@ def _deviations(
     spread, inverse = before.copy(), np.linalg.inv(information)
     for time, nu, columns, weight in whitened:
         scores = np.einsum("f,fik,fi->fk", weight, columns, nu - columns @ step)
-        block = ((time - time[0]) / BLOCK).astype(np.intp)
+        block = ((time - time[0]) / BLOCK_LENGTH).astype(np.intp)
         sums = np.zeros((block[-1] + 1, len(step)))
         np.add.at(sums, block, scores)
         spread += sums.T @ sums
     both = np.diag(inverse), np.diag(inverse @ spread @ inverse)
-    forward, left, *_ = (FITTED * np.sqrt(np.maximum(*both))).tolist()
+    forward, left, *_ = (STD_FACTOR * np.sqrt(np.maximum(*both))).tolist()
     return forward, left
 
 
@@ -299,5 +301,5 @@ def _run(ready: PreparedDrive, p: FilterParameters, at: Values, values: Values) 
     lever = np.array([*(values[name] for name in ARM), line.lever[2]])
     moved = replace(line, lever=lever, driving=driving)
     p = replace(p, **{name: value for name, value in values.items() if hasattr(p, name)})
-    replay = Replay(moved, replace(start, mean=mean), Targets.none(moved))
+    replay = FilterPass(moved, replace(start, mean=mean), Targets.none(moved))
     return FilterRun(replay, p).finished().innovations

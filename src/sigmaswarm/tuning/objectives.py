@@ -58,7 +58,7 @@ class Objective:
         costs = self.per_drive(scores)
         return np.where(scores.failed | ~np.isfinite(costs), np.inf, costs)
 
-    def rise(self, costs: Array | float, best: float, elements: float = 2) -> Array:
+    def relative_increase(self, costs: Array | float, best: float, elements: float = 2) -> Array:
         """Return the relative increase of costs; 0.01 means that errors are 1% larger.
 
         ``elements`` is the mean number of elements of a measurement.

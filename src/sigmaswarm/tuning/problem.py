@@ -14,22 +14,22 @@ from numpy.typing import NDArray
 from sigmaswarm.datasets.dataset import Dataset, LocalDataset
 from sigmaswarm.drives.alignment_fit import InitialState
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.fingerprint import record_of
+from sigmaswarm.drives.fingerprint import drive_record
 from sigmaswarm.drives.overlap import Landmarks, landmarks
-from sigmaswarm.drives.sensors import Sensors, enough_for_fix_error, sensors_of
+from sigmaswarm.drives.sensors import LogProperties, enough_for_fix_error, log_properties
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.run import run_kernel
 from sigmaswarm.filters.fix_error import kernel_name
-from sigmaswarm.filters.fixes_alone import MotionNoise, noise_of
+from sigmaswarm.filters.fixes_alone import MotionNoise, fitted_noise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import require_named_axes
 from sigmaswarm.scoring.batch import Scores
 from sigmaswarm.scoring.remote import AnyBatchScorer
-from sigmaswarm.tuning.batch import check_drives, replays_for
+from sigmaswarm.tuning.batch import check_drives, scorer_for
 from sigmaswarm.tuning.bounds import Bounds
 from sigmaswarm.tuning.config import SearchConfig, TuneConfig
 from sigmaswarm.tuning.diagnostics import (
-    Forecast,
+    DriftComparison,
     correlation_of,
     correlation_warnings,
     forecasts_of,
@@ -40,10 +40,10 @@ from sigmaswarm.tuning.objectives import Objective, mean_cost, parse_objective
 from sigmaswarm.tuning.receiver import (
     accuracy_warnings,
     fix_noise,
+    median_stated_std,
     noise_warnings,
     prior_costs,
     prior_warnings,
-    stated,
 )
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
@@ -80,7 +80,7 @@ class Problem(ABC, Generic[P]):
         """Return the costs, shape (n, len(drives)), of points, shape (n, d), on some drives; ``inf`` for failures."""
 
     @abstractmethod
-    def rise(self, costs: Array | float, best: float) -> Array:
+    def relative_increase(self, costs: Array | float, best: float) -> Array:
         """Return the relative increase of costs over ``best``; 0.01 means 1%."""
 
     @abstractmethod
@@ -107,7 +107,7 @@ class Problem(ABC, Generic[P]):
         """Fit the noise parameters of a constant-velocity filter that uses only fixes."""
         return None
 
-    def forecasts(self, point: Array, noise: MotionNoise) -> list[Forecast]:
+    def forecasts(self, point: Array, noise: MotionNoise) -> list[DriftComparison]:
         """Compare the drift of a filter with that of fixes alone, by outage length."""
         return []
 
@@ -126,7 +126,7 @@ class CarProblem(Problem[FilterParameters]):
 
     config: TuneConfig
     space: SearchSpace
-    replays: AnyBatchScorer
+    scorer: AnyBatchScorer
 
     @cached_property
     def objective(self) -> Objective:
@@ -138,29 +138,29 @@ class CarProblem(Problem[FilterParameters]):
 
     @cached_property
     def _landmarks(self) -> list[Landmarks]:
-        return self.replays.dataset.map(landmarks)
+        return self.scorer.dataset.map(landmarks)
 
     @property
     def seen(self) -> Iterable[Landmarks]:
         """Landmarks of each drive; those of a remote dataset are computed one by one, to save memory."""
-        dataset = self.replays.dataset
+        dataset = self.scorer.dataset
         return self._landmarks if isinstance(dataset, LocalDataset) else dataset.imap(landmarks)
 
     @property
     def steps(self) -> NDArray[np.int64]:
-        return self.replays.steps
+        return self.scorer.steps
 
     def parameters(self, point: Array) -> FilterParameters:
         return self.space.decode(point[np.newaxis])[0]
 
     @cached_property
-    def sensors(self) -> list[Sensors]:
-        return self.replays.dataset.map(sensors_of)
+    def sensors(self) -> list[LogProperties]:
+        return self.scorer.dataset.map(log_properties)
 
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
-        replays = self.replays.subset(drives)
+        scorer = self.scorer.subset(drives)
         parameter_sets = self.space.decode(points)
-        costs = replays.measured(partial(costs_of_each, self.config.objective), parameter_sets, executor)
+        costs = scorer.measured(partial(costs_of_each, self.config.objective), parameter_sets, executor)
         if self.config.prior:
             costs += self.config.prior * prior_costs(parameter_sets, self._receiver_std[list(drives)])
         return costs
@@ -169,36 +169,36 @@ class CarProblem(Problem[FilterParameters]):
         plain = replace(self, config=self.config.model_copy(update={"prior": 0.0}))
         return float(plain.costs(point[np.newaxis], executor)[0])
 
-    def rise(self, costs: Array | float, best: float) -> Array:
-        return self.objective.rise(costs, best)
+    def relative_increase(self, costs: Array | float, best: float) -> Array:
+        return self.objective.relative_increase(costs, best)
 
     def on(self, data: Sequence[Drive] | Dataset) -> "CarProblem":
         return car_problem(data, self.config, self.space)
 
     def fixes_alone(self) -> MotionNoise:
-        return MotionNoise.typical(self.replays.of_each_prepared(noise_of))
+        return MotionNoise.typical(self.scorer.map_prepared(fitted_noise))
 
     def starts(self) -> Sequence[InitialState]:
-        return self.replays.of_each_prepared(attrgetter("initial"))
+        return self.scorer.map_prepared(attrgetter("initial"))
 
-    def forecasts(self, point: Array, noise: MotionNoise) -> list[Forecast]:
-        return [*forecasts_of(self.parameters(point), noise, self.replays)]
+    def forecasts(self, point: Array, noise: MotionNoise) -> list[DriftComparison]:
+        return [*forecasts_of(self.parameters(point), noise, self.scorer)]
 
     def warnings(self, point: Array) -> list[str]:
-        parameters, replays, objective = self.parameters(point), self.replays, self.objective
-        found = loss_warnings(parameters, replays, outages=not objective.needs_outages)
+        parameters, scorer, objective = self.parameters(point), self.scorer, self.objective
+        found = loss_warnings(parameters, scorer, outages=not objective.needs_outages)
         if parameters.accuracy_scale is not None:
-            found += accuracy_warnings(parameters, replays.dataset.map(stated), self.config.use)
-        found += scale_warnings(objective, parameters, replays)
+            found += accuracy_warnings(parameters, scorer.dataset.map(median_stated_std), self.config.use)
+        found += scale_warnings(objective, parameters, scorer)
         # Skipped with truth, since estimating the noise of the fixes takes as long as reading a drive.
         if not (objective.needs_truth and all(drive.truth for drive in self.sensors)):
-            noise = replays.dataset.map(fix_noise)
+            noise = scorer.dataset.map(fix_noise)
             prior = self.config.prior or 0.0
             names = [drive.name for drive in self.sensors]
             decided = prior_warnings(parameters, prior, names, self._receiver_std, noise) if prior else []
             found += decided or noise_warnings(parameters, noise, self.config.use)
             if enough_for_fix_error(self.sensors):  # with fewer fixes, the remedy increases errors
-                correlations = replays.of_each_prepared(partial(correlation_of, parameters=parameters))
+                correlations = scorer.map_prepared(partial(correlation_of, parameters=parameters))
                 found += correlation_warnings(parameters, correlations, self.config.use)
         return found
 
@@ -218,19 +218,19 @@ def car_problem(
             "innovation-nll or innovation-t"
         )
     dataset = LocalDataset(drives) if isinstance(drives, Sequence) else drives
-    have = dataset.map(sensors_of)
+    have = dataset.map(log_properties)
     check_drives(have, objective)
     _check_columns(have, config)
-    replays = replays_for(objective, dataset, config.outage_seed, as_recorded=config.as_recorded)
-    data = dataset.map(record_of)
+    scorer = scorer_for(objective, dataset, config.outage_seed, as_recorded=config.as_recorded)
+    data = dataset.map(drive_record)
     # Compiled before the threads start, since all of them would wait for the kernel.
     run_kernel(kernel_name(config.model, config.kind, "fix-error" in config.use))
-    return CarProblem(config, space or car_space(config, have), data, replays)
+    return CarProblem(config, space or car_space(config, have), data, scorer)
 
 
-def car_space(config: TuneConfig, drives: Sequence[Drive | Sensors]) -> SearchSpace:
+def car_space(config: TuneConfig, drives: Sequence[Drive | LogProperties]) -> SearchSpace:
     """Return the search space of a configuration; Q refers to the median IMU interval of the drives."""
-    have = [sensors_of(drive) for drive in drives]
+    have = [log_properties(drive) for drive in drives]
     return search_space(
         config.model,
         config.scale,
@@ -242,7 +242,7 @@ def car_space(config: TuneConfig, drives: Sequence[Drive | Sensors]) -> SearchSp
     )
 
 
-def _check_columns(drives: Sequence[Sensors], config: TuneConfig) -> None:
+def _check_columns(drives: Sequence[LogProperties], config: TuneConfig) -> None:
     for drive in drives:
         if "accuracy" in config.use and not drive.accuracy:
             lacks, option = "std_x and std_y", "accuracy"

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.tables import Array, Mask
 from sigmaswarm.tuning.problem import Problem
 
-FIRST = 12  # a race starts with 1 / FIRST of the drives
-MANY = 96
+FIRST_DIVISOR = 12  # a race starts with 1 / FIRST_DIVISOR of the drives
+MIN_DRIVES = 96
 """Smallest number of drives for a race against the leader; 1/12 of fewer drives is too few for a test."""
 Order = Sequence[int] | NDArray[np.int64]
 
@@ -35,7 +35,7 @@ class Leader:
 
 
 @dataclass(frozen=True, eq=False)
-class Raced:
+class RaceResult:
     """Costs of a batch, shape (n,), number of filter steps, and number of failures.
 
     Costs are exact for candidates that were evaluated on all drives.
@@ -46,14 +46,14 @@ class Raced:
     failures: int
     leader: Leader | None = None
 
-    def __add__(self, other: "Raced") -> "Raced":
+    def __add__(self, other: "RaceResult") -> "RaceResult":
         costs = np.concatenate([self.costs, other.costs])
-        return Raced(costs, self.steps + other.steps, self.failures + other.failures, other.leader)
+        return RaceResult(costs, self.steps + other.steps, self.failures + other.failures, other.leader)
 
 
 def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
     """Return numbers of candidates and drives per rung; each next rung has half the candidates and twice the drives."""
-    found = [(n_candidates, n_drives // FIRST if n_drives >= MANY else min(1, n_drives))]
+    found = [(n_candidates, n_drives // FIRST_DIVISOR if n_drives >= MIN_DRIVES else min(1, n_drives))]
     while (drives := found[-1][1]) < n_drives:
         found.append(((found[-1][0] + 1) // 2, min(2 * drives, n_drives)))
     return found
@@ -71,13 +71,13 @@ def race(
     order: Order,
     executor: Executor | None,
     leader: Leader | None = None,
-) -> Raced:
+) -> RaceResult:
     """Evaluate points, shape (n, d), on the drives in the given order, and drop the worse half at each rung.
 
     With many drives, the points race against ``leader``. Without it, or for one point, all drives are used.
     """
     order = np.asarray(order)
-    many, n, m = len(order) >= MANY, len(points), len(order)
+    many, n, m = len(order) >= MIN_DRIVES, len(points), len(order)
     rival = leader if many and n > 1 else None
     each, costs = np.empty((n, 0)), np.full(n, np.inf)
     alive, dropped, steps = np.arange(n), list[NDArray[np.int64]](), 0
@@ -101,12 +101,12 @@ def race(
     failures = int(np.isinf(costs).sum())
     costs = _behind(costs, alive, dropped, rival.cost if rival else np.inf)
     if not many:
-        return Raced(costs, steps, failures)
+        return RaceResult(costs, steps, failures)
     if len(alive):
         best = int(alive[np.argmin(costs[alive])])
         if costs[best] < (leader.cost if leader else np.inf):  # at equal costs the leader stays
             leader = Leader(float(costs[best]), _in_order(each, order)[best])
-    return Raced(costs, steps, failures, leader)
+    return RaceResult(costs, steps, failures, leader)
 
 
 def _ahead(each: Array, costs: Array, rival: Leader, seen: NDArray[np.int64]) -> Mask:

@@ -11,25 +11,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sigmaswarm.doctor.checks.noise import LASTS
-from sigmaswarm.doctor.evidence import scatter_of
+from sigmaswarm.doctor.checks.noise import MAX_SCATTER_RATIO
+from sigmaswarm.doctor.evidence import fix_scatter
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import DriveError
+from sigmaswarm.filters.parameter_table import ParameterTable
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.table import ParameterTable
 from sigmaswarm.wording import to_do
 
-DECADES = 0.5  # prior standard deviation of log10 R below the receiver's variance
-DECADES_ABOVE = 0.25  # the same for R above that variance; only for fix-error, which needs a small R
-FAR_BELOW = 3.0  # ratio of the receiver's standard deviation to that of R above which a warning is given
-NO_PART = 0.05  # smallest share of R from stated variances at which these have an effect
-LOOK = 600.0  # s of a drive in which the scatter of the fixes is measured; a longer part does not change the result
-PRIOR_DECIDED = 0.02  # nats per fix; a larger cost of the prior leads to a remark
-SMOOTH = 0.5  # m; if fixes scatter less, the receiver smooths them or uses RTK
+PRIOR_STD = 0.5  # prior standard deviation of log10 R below the receiver's variance
+PRIOR_STD_ABOVE = 0.25  # the same for R above that variance; only for fix-error, which needs a small R
+MAX_STD_RATIO = 3.0  # ratio of the receiver's standard deviation to that of R above which a warning is given
+MIN_STATED_SHARE = 0.05  # smallest share of R from stated variances at which these have an effect
+SPAN = 600.0  # s of a drive in which the scatter of the fixes is measured; a longer part does not change the result
+MIN_PRIOR_COST = 0.02  # nats per fix; a larger cost of the prior leads to a remark
+MIN_SCATTER = 0.5  # m; if fixes scatter less, the receiver smooths them or uses RTK
 UNKNOWN = "without truth a log does not show the error that all fixes have in common"
-STATE = (
+STATE_REMEDY = (
     "write the line `gps_std_m = 1.5` at the top of drive.toml, with the standard deviation of the receiver's fixes, "
     "m per axis, in place of 1.5"
 )
@@ -44,7 +44,7 @@ def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array
     """
     log = np.log10(typical_variance(parameter_sets, std) / std**2)
     lasts = ParameterTable.of(parameter_sets).column("fix_error")[:, None, None] > 0.0
-    off = np.minimum(log / DECADES, 0.0) + np.where(lasts, np.maximum(log / DECADES_ABOVE, 0.0), 0.0)
+    off = np.minimum(log / PRIOR_STD, 0.0) + np.where(lasts, np.maximum(log / PRIOR_STD_ABOVE, 0.0), 0.0)
     return 0.5 * np.mean(off**2, axis=2)
 
 
@@ -70,13 +70,13 @@ class FixNoise:
 def fix_noise(drive: Drive) -> FixNoise:
     middle = float(drive.imu.time[0] + drive.imu.time[-1]) / 2
     try:
-        scatter = scatter_of(clip(drive, middle - LOOK / 2, middle + LOOK / 2)) or np.nan
+        scatter = fix_scatter(clip(drive, middle - SPAN / 2, middle + SPAN / 2)) or np.nan
     except DriveError:
         scatter = np.nan
-    return FixNoise(stated(drive), float(scatter))
+    return FixNoise(median_stated_std(drive), float(scatter))
 
 
-def stated(drive: Drive) -> float:
+def median_stated_std(drive: Drive) -> float:
     """Return the median standard deviation that the receiver states, m per axis; NaN if none."""
     return float(np.mean(stated_std(drive) or np.nan))
 
@@ -91,18 +91,18 @@ def noise_warnings(
     stated, scatter = (_median([getattr(one, what) for one in drives]) for what in ("stated", "scatter"))
     if parameters.fix_error is not None:
         why = f"the receiver states no accuracy; its errors are modeled as correlated, {UNSTATED_GPS_STD:g} m per axis"
-        return [to_do(STATE, why)] if np.isnan(stated) and scatter < SMOOTH else []
-    lasting = stated > LASTS * scatter
-    remedy = STATE if np.isnan(stated) else f"tune with --use {' '.join([*use, 'accuracy'])}"
+        return [to_do(STATE_REMEDY, why)] if np.isnan(stated) and scatter < MIN_SCATTER else []
+    lasting = stated > MAX_SCATTER_RATIO * scatter
+    remedy = STATE_REMEDY if np.isnan(stated) else f"tune with --use {' '.join([*use, 'accuracy'])}"
     remedy += ", or score against a reference receiver"
-    if r * FAR_BELOW < stated:
+    if r * MAX_STD_RATIO < stated:
         why = f"the receiver states {stated:.2g} m"
-    elif r * FAR_BELOW < scatter:
+    elif r * MAX_STD_RATIO < scatter:
         why = f"the fixes scatter by {scatter:.2g} m about a path that is consistent with the IMU"
     elif lasting:
         why = f"the receiver states {stated:.2g} m per axis and its fixes scatter by {scatter:.2g} m"
         return [to_do(remedy, f"{why}: their errors are correlated, and {UNKNOWN}")]
-    elif np.isnan(stated) and scatter < SMOOTH:
+    elif np.isnan(stated) and scatter < MIN_SCATTER:
         why = f"the fixes scatter by {scatter:.2g} m per axis and their receiver states no accuracy"
         return [
             to_do(
@@ -127,18 +127,18 @@ def prior_warnings(
     costs = weight * prior_costs([parameters], receiver)[0]
     r = np.sqrt(np.mean(typical_variance([parameters], receiver)[0], axis=1))
     for name, std, one, near, cost in zip(names, receiver.mean(axis=1), noise, r, costs, strict=True):
-        if cost <= PRIOR_DECIDED or near * FAR_BELOW < std:
+        if cost <= MIN_PRIOR_COST or near * MAX_STD_RATIO < std:
             continue
         if np.isfinite(one.stated):
             lasting = f"; its fixes scatter less, so their errors are correlated, and {UNKNOWN}"
-            more = lasting if std > LASTS * one.scatter else ""
+            more = lasting if std > MAX_SCATTER_RATIO * one.scatter else ""
             return [f"{name}: R was kept near the {std:.2g} m per axis that the receiver states{more}"]
         if std == UNSTATED_GPS_STD:
             why = (
                 f"{name} does not state the accuracy of its fixes, so R was kept near that of a typical receiver, "
                 f"{std:.2g} m per axis. NIS will be low if the receiver smooths its fixes"
             )
-            return [to_do(f"if you know the receiver, {STATE}", why)]
+            return [to_do(f"if you know the receiver, {STATE_REMEDY}", why)]
         return [f"{name}: R was kept near the {std:.2g} m per axis of white noise that the fixes show"]
     return []
 
@@ -152,7 +152,7 @@ def accuracy_warnings(
         return []
     share = parameters.accuracy_scale * std**2
     share /= share + float(np.mean(parameters.measurement_noise))
-    if share > NO_PART:
+    if share > MIN_STATED_SHARE:
         return []
     why = (
         f"the accuracy that the receiver states is {share:.0%} of R, so `accuracy` has no effect: the stated "

@@ -17,7 +17,7 @@ from sigmaswarm.filters.robot_yaml import YAML
 from sigmaswarm.limits import require_text
 from sigmaswarm.records import load_record
 from sigmaswarm.tuning.bounds import TouchedBound
-from sigmaswarm.tuning.diagnostics import Forecast
+from sigmaswarm.tuning.diagnostics import DriftComparison
 from sigmaswarm.tuning.search import Trial
 
 End = float | Literal["-"]
@@ -79,7 +79,7 @@ class TuningRecord(BaseModel):
     within_1_percent_of_the_cost: dict[str, tuple[End, End]] = Field(default_factory=dict)
     config: dict[str, Any] = Field(default_factory=dict)
     fixes_alone: MotionNoise | None = None
-    forecasts: list[Forecast] = Field(default_factory=list[Forecast])
+    forecasts: list[DriftComparison] = Field(default_factory=list[DriftComparison])
     versions: dict[str, str] = Field(default_factory=dict)
     data: list[DriveRecord] = Field(default_factory=list[DriveRecord])
 

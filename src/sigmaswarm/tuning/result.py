@@ -13,7 +13,7 @@ from sigmaswarm import notebook
 from sigmaswarm.drives.mounting import KEY, Angles, axes_of, common_axes, common_mounting
 from sigmaswarm.drives.overlap import Landmarks
 from sigmaswarm.errors import InputError, warn_deprecated
-from sigmaswarm.files import write_whole
+from sigmaswarm.files import write_atomically
 from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters, densities, units
@@ -21,23 +21,23 @@ from sigmaswarm.records import load_record
 from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
-from sigmaswarm.tuning.diagnostics import Forecast, describe_forecasts
+from sigmaswarm.tuning.diagnostics import DriftComparison, describe_forecasts
 from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.record import NOT_VALIDATED, TuningRecord, training_data_of, tuning_file
 from sigmaswarm.tuning.search import Trial, saved_trials
-from sigmaswarm.tuning.sensitivity import NOISE_SCALE, RISE, Sensitivity
+from sigmaswarm.tuning.sensitivity import MAX_INCREASE, NOISE_SCALE, Sensitivity
 from sigmaswarm.tuning.space import search_space
 from sigmaswarm.versions import versions
-from sigmaswarm.wording import counted, in_order, to_do
+from sigmaswarm.wording import count_of, sort_remarks, to_do
 
 P = TypeVar("P", default=FilterParameters)
 SHOWN_REMARKS = 5  # number of remarks in the printed text
-INFLATED = (
+INFLATION_REMARK = (
     "process-noise inflation multiplied {}: the costs with and without inflation hardly differ; on other roads and "
     "with other IMUs the inflated filter is more accurate. On the roads used for tuning, it drifts slightly more in "
     "outages; --inflation 0 turns the inflation off"
 )
-OF_THESE_SENSORS = (
+SENSORS_REMARK = (
     "a filter tuned with truth is valid only for the receiver and the IMU of these drives: with other sensors it "
     "may be far less accurate than the fixes. For other sensors tune without truth (--objective innovation-t)"
 )
@@ -119,7 +119,7 @@ class Tuning(Generic[P]):
     inflation_factor: float = 1.0
     start_cost: float | None = None
     fixes_alone: MotionNoise | None = None
-    forecasts: tuple[Forecast, ...] = ()
+    forecasts: tuple[DriftComparison, ...] = ()
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -151,7 +151,7 @@ class Tuning(Generic[P]):
     @property
     def remarks(self) -> list[str]:
         """Remarks on the result; those with a remedy come first."""
-        return in_order(_remarks(self))
+        return sort_remarks(_remarks(self))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of tuning.toml as plain types."""
@@ -208,7 +208,7 @@ class Tuning(Generic[P]):
         return "log" if isinstance(self.config, ModelTuneConfig) else "drive"
 
     def _headline(self) -> str:
-        on = counted(len(self.data), self._noun)
+        on = count_of(len(self.data), self._noun)
         return f"Tuned for {self.config.objective}: cost {notebook.number(self.cost)} on {on}"
 
     def __repr__(self) -> str:
@@ -223,13 +223,13 @@ class Tuning(Generic[P]):
             parameters = ["parameters: " + ", ".join(value.strip() for value in values)]
         lines = [self._headline(), f"filter: {filtered}, {len(self.trial_costs)} trial(s)", *parameters]
         if v := self.validation:
-            on = counted(len(v.drives), f"validation {self._noun}")
+            on = count_of(len(v.drives), f"validation {self._noun}")
             lines.append(f"cost {notebook.number(v.cost)} on {on}, errors {v.gap:+.1%}")
         lines += describe_forecasts(self.forecasts, [one["duration_s"] for one in self.data])
         remarks = self.remarks
         lines += remarks[:SHOWN_REMARKS]
         if (more := len(remarks) - SHOWN_REMARKS) > 0:
-            lines.append(f"and {counted(more, 'more remark')}: see .remarks")
+            lines.append(f"and {count_of(more, 'more remark')}: see .remarks")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -243,11 +243,11 @@ class Tuning(Generic[P]):
             )
             for s in self.sensitivities
         ]
-        return notebook.table(self._headline(), heads, rows) + notebook.listed("Warnings:", self.remarks)
+        return notebook.table(self._headline(), heads, rows) + notebook.html_list("Warnings:", self.remarks)
 
     def save(self, path: str | Path) -> None:
         """Write a tuning.toml, which `Tuning.load` and `FilterParameters.load` read."""
-        write_whole(Path(path), tomli_w.dumps(self.to_dict()))
+        write_atomically(Path(path), tomli_w.dumps(self.to_dict()))
 
     @classmethod
     def load(cls, path: str | Path) -> "Tuning[Any]":
@@ -318,7 +318,7 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
             inflated = (
                 f"the random walks of biases by {factor:.3g} and the noise of position and velocity by {root}"
             )
-        yield INFLATED.format(inflated)
+        yield INFLATION_REMARK.format(inflated)
     for touched in t.touched_bounds:
         if touched.parameter not in t.unidentified:
             yield f"{touched}: the optimum may lie beyond the bounds"
@@ -341,11 +341,11 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
         )
         yield to_do(remedy, why)
     better = min(t.sensitivities, key=lambda s: s.lowest_rise, default=None)
-    if better and better.lowest_rise < -RISE and factor == 1.0:
+    if better and better.lowest_rise < -MAX_INCREASE and factor == 1.0:
         why = f"a change of {better.name} alone lowers the cost by {-better.lowest_rise:.0%}"
         yield to_do("search longer, with more trials, or polish", why)
     if car and objective.needs_truth:
-        yield OF_THESE_SENSORS
+        yield SENSORS_REMARK
     if t.mounting is None and any(KEY in entry for entry in t.data):
         yield f"the training drives state different mountings ({KEY}), so an export does not rotate raw samples"
     if t.start_cost is not None:

@@ -17,14 +17,14 @@ from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.optimizers.asktell import AskTell
 from sigmaswarm.tuning.optimizers.budget import Budgeted
 from sigmaswarm.tuning.problem import Problem
-from sigmaswarm.tuning.racing import MANY, Leader, Raced, leader_at, race
+from sigmaswarm.tuning.racing import MIN_DRIVES, Leader, RaceResult, leader_at, race
 from sigmaswarm.tuning.store import (
     ResultFolder,
     TrialHistoryRecord,
+    checkpoint_error,
     finished_trial,
     load_checkpoint,
     save_checkpoint,
-    unreadable,
 )
 
 HISTORY: dict[str, type] = {"best": np.float64, "median": np.float64, "steps": np.int64}
@@ -87,7 +87,7 @@ def _trial(result: dict[str, Any], history: dict[str, Any]) -> Trial:
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class TrialRunner:
     """Settings that the trials of one tuning share; the first generation includes ``start``, shape (d,)."""
 
     problem: Problem[Any]
@@ -151,12 +151,12 @@ class Search:
             f"{folder / 'history.npz'}: the point does not belong to this search; delete {folder} to redo this trial"
         )
 
-    def _generation(self, number: int, optimizer: Budgeted, best: Array, leader: Leader | None) -> Raced:
+    def _generation(self, number: int, optimizer: Budgeted, best: Array, leader: Leader | None) -> RaceResult:
         """Run one generation; the costs are empty after the end of the trial."""
-        found = Raced(np.empty(0), 0, 0, leader)
+        found = RaceResult(np.empty(0), 0, 0, leader)
         patience = self.config.patience
         stalled = patience is not None and len(best) > patience and best[-1] >= best[-1 - patience]
-        if stalled and not optimizer.settle():
+        if stalled and not optimizer.end_global_search():
             return found
         while len(found.costs) < self.config.particles and len(points := optimizer.ask()):
             batch = self._batch(number, optimizer.spent, points, found.leader)
@@ -164,11 +164,11 @@ class Search:
             found += batch
         return found
 
-    def _batch(self, number: int, spent: int, points: Array, leader: Leader | None) -> Raced:
+    def _batch(self, number: int, spent: int, points: Array, leader: Leader | None) -> RaceResult:
         steps = self.problem.steps
         if not self.config.racing:
             costs = self.problem.costs(points, self.executor)
-            return Raced(costs, len(points) * int(steps.sum()), int(np.isinf(costs).sum()))
+            return RaceResult(costs, len(points) * int(steps.sum()), int(np.isinf(costs).sum()))
         chance = np.random.SeedSequence(self.config.seed, spawn_key=(number, spent))
         order = np.random.default_rng(chance).permutation(len(steps))
         return race(self.problem, points, order, self.executor, leader)
@@ -189,9 +189,9 @@ class Search:
             history = {name: arrays[name] for name in HISTORY}
             TrialHistoryRecord(point=optimizer.global_best, **history)
             failures = int(notes["failures"])
-            races = self.config.racing and len(self.problem.steps) >= MANY
+            races = self.config.racing and len(self.problem.steps) >= MIN_DRIVES
             if not races or not np.isfinite(optimizer.global_cost):
                 return history, failures, None
             return history, failures, leader_at(self.problem, optimizer.global_best, self.executor)
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError):
-            raise unreadable(checkpoint) from None
+            raise checkpoint_error(checkpoint) from None

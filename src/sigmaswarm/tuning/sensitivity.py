@@ -12,7 +12,7 @@ import numpy as np
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.tuning.problem import Problem
 
-RISE = 0.01
+MAX_INCREASE = 0.01
 NOISE_SCALE = "all noise variances times"
 
 
@@ -63,7 +63,9 @@ def sensitivities(
     steps = np.stack([down, up], axis=1)
     points = (point + shares[:, np.newaxis] * steps[:, :, np.newaxis]).reshape(-1, len(point))
     tried, of = np.unique(points, axis=0, return_inverse=True)  # a parameter at a bound moves one way only
-    rises = problem.rise(problem.costs(tried, executor)[of], cost).reshape(len(names), 2, len(shares))
+    rises = problem.relative_increase(problem.costs(tried, executor)[of], cost).reshape(
+        len(names), 2, len(shares)
+    )
     found: list[Sensitivity] = []
     for k, name in enumerate(names):
         reached = [_crossing(shares, rise) for rise in rises[k]]
@@ -77,11 +79,11 @@ def sensitivities(
 
 def _crossing(shares: Array, rise: Array) -> float | None:
     """Return the share of the distance at which the cost has increased by 1%, interpolated; None if it never does."""
-    above = np.flatnonzero(~(rise < RISE))
+    above = np.flatnonzero(~(rise < MAX_INCREASE))
     if not len(above):
         return None
     k = int(above[0])
     left, before = (0.0, 0.0) if k == 0 else (float(shares[k - 1]), float(rise[k - 1]))
     if not np.isfinite(rise[k]):
         return left
-    return left + (float(shares[k]) - left) * (RISE - before) / (float(rise[k]) - before)
+    return left + (float(shares[k]) - left) * (MAX_INCREASE - before) / (float(rise[k]) - before)

@@ -15,8 +15,8 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
+from sigmaswarm.filters.parameter_table import ParameterTable
 from sigmaswarm.filters.parameters import SEARCHED, FilterParameters, incompatibility
-from sigmaswarm.filters.table import ParameterTable
 from sigmaswarm.tuning.bounds import Bounds, Dimension
 from sigmaswarm.tuning.options import Option, Scale
 
@@ -29,7 +29,7 @@ SCALING = (
     Dimension("kappa", "kappa", 0, 0.0, 5.0, spread=False),
 )
 """Scaling parameters of the sigma points, with the paper's bounds."""
-TIME = "fix_error_time"
+FIX_ERROR_TIME = "fix_error_time"
 """Parameter that is searched only with truth, for models with roll and pitch.
 
 Without truth, the likelihood hardly depends on this time. In a planar filter, slopes also cause correlated errors.
@@ -41,21 +41,21 @@ TYPICAL_SLIP = 0.005
 It is 0.004 to 0.012 on real drives (course relative to the gyro's heading) and 0.006 on simulated drives. A likelihood
 without truth finds 0.010 to 0.018, since cars turn at similar speeds, so it determines only rear_axle - slip v^2.
 """
-LEAST_WHITE = 0.04
+MIN_WHITE_SHARE = 0.04
 """Lower bound of R, relative to the receiver's variance, for fix-error with a fixed time.
 
 With a smaller R, Student's t treats correlated errors as outliers.
 """
 ACCURACY_FLOOR = (1e-4, 1e3)
 """Bounds, m2, of the variance added to the stated variance of each fix."""
-LEAST = {
+INFLATION_MINIMA = {
     "tilt": 2e-7,
     "gyro_bias_xy": 1e-10,
     "accel_bias_std": 0.005,
     "gyro_bias_std": 2e-4,
 }
 """Lower limits that `tuning.inflation` applies, in rad2/s, (rad/s)2/s, m/s2 and rad/s."""
-USUAL_INTERVAL = 0.01  # IMU interval, s, if no drive is known yet
+DEFAULT_INTERVAL = 0.01  # IMU interval, s, if no drive is known yet
 IMU_DIMENSIONS = (
     Dimension("r_gyro", "imu_noise", 1, 1e-9, 1.0),
     Dimension("r_accel", "imu_noise", 1, 1e-6, 1e2),
@@ -63,7 +63,7 @@ IMU_DIMENSIONS = (
 """Variances that the IMU's messages state, for robot-localization."""
 ENTRIES = {"imu_gate": ("gate_gyro", "gate_accel")}
 """Names of the entries of a tuple."""
-ONE_NOISE = ("lateral", "odometer")
+NOISE_ONLY_OPTIONS = ("lateral", "odometer")
 """Options that have only a noise parameter in robot-localization: its twists are in m/s, at the IMU, without delay."""
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     **dict.fromkeys(
@@ -170,7 +170,7 @@ def search_space(
     searched: list[Option] = [option for option in use if option != "slip" or has_truth]
     if len(searched) < len(use):
         fixed["tire_slip"] = TYPICAL_SLIP
-    dimensions = tuple(_dimensions(model, kind, searched, nominal_interval or USUAL_INTERVAL))
+    dimensions = tuple(_dimensions(model, kind, searched, nominal_interval or DEFAULT_INTERVAL))
     if "fix-error" in use and not (has_truth and MODELS[model].tilts):
         dimensions = tuple(_with_fixed_time(dimensions, fix_std, "accuracy" in use))
     return SearchSpace(dimensions, scale, fixed)
@@ -179,10 +179,10 @@ def search_space(
 def _with_fixed_time(dimensions: Sequence[Dimension], fix_std: float, weighs: bool) -> Iterator[Dimension]:
     """Yield the dimensions for fix-error without its time; ``weighs``: R grows with the stated variance of a fix."""
     field, least = (
-        ("accuracy_scale", LEAST_WHITE) if weighs else ("measurement_noise", LEAST_WHITE * fix_std**2)
+        ("accuracy_scale", MIN_WHITE_SHARE) if weighs else ("measurement_noise", MIN_WHITE_SHARE * fix_std**2)
     )
     for one in dimensions:
-        if one.field != TIME:
+        if one.field != FIX_ERROR_TIME:
             yield replace(one, lowest=max(one.lowest, least)) if one.field == field else one
 
 
@@ -205,7 +205,7 @@ def _dimensions(
         scale = interval if alike[0].per_second else 1.0
         box, inflation, least = (scale * lowest, scale * highest), 1.0, -math.inf
         if described.tilts:  # `tuning.inflation` states the measurements behind these numbers
-            least = scale * LEAST.get(name, 0.0)
+            least = scale * INFLATION_MINIMA.get(name, 0.0)
             inflation = 1.0 if alike[0].bias_of else 0.0 if alike[0].unit == "rad" else 0.5
         elif alike[0].bias_of == "gyro" or (described.measures_imu and alike[0].unit.startswith("rad")):
             inflation = 0.0
@@ -217,12 +217,12 @@ def _dimensions(
         yield from IMU_DIMENSIONS
     for sensor in described.sensors:
         name, box = f"{sensor}_bias_std", SENSORS[sensor].start_std
-        least = LEAST[name] if described.tilts else -math.inf
+        least = INFLATION_MINIMA[name] if described.tilts else -math.inf
         yield Dimension(name, "bias_std", 1, *box, least=least)
     yield from KIND_DIMENSIONS.get(kind, ())
     for option in (option for option in OPTIONS if option in use):
         wanted = [name for name, search in SEARCHED.items() if search.option == option]
-        for field in wanted[:1] if described.measures_imu and option in ONE_NOISE else wanted:
+        for field in wanted[:1] if described.measures_imu and option in NOISE_ONLY_OPTIONS else wanted:
             _, *box, spread = SEARCHED[field]
             for name in ENTRIES.get(field, (field,)):
                 yield Dimension(name, field, int(field in ENTRIES), *box, spread=spread)

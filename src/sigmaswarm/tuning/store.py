@@ -18,13 +18,13 @@ import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import make_folder, read_arrays, whole_file, whole_folder, write_json
+from sigmaswarm.files import atomic_file, atomic_folder, make_folder, read_arrays, write_json
 from sigmaswarm.records import ARRAYS, Vector, load_record
 from sigmaswarm.tuning.config import RENAMED
 from sigmaswarm.versions import same_results
-from sigmaswarm.wording import names_shown, shown
+from sigmaswarm.wording import list_names, printable
 
-LONGEST = 120  # characters of a value in a message
+MAX_LENGTH = 120  # characters of a value in a message
 
 
 class ConfigRecord(BaseModel, extra="allow"):
@@ -62,7 +62,7 @@ class TrialHistoryRecord(BaseModel):
 
 
 def save_checkpoint(path: Path, arrays: dict[str, Any], notes: dict[str, Any]) -> None:
-    with whole_file(path) as file:
+    with atomic_file(path) as file:
         np.savez(file, **arrays, notes=json.dumps(notes))
 
 
@@ -73,7 +73,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
         arrays: dict[str, Any] = {**read_arrays(path)}
         return arrays, json.loads(str(arrays.pop("notes")))
     except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
-        raise unreadable(path) from None
+        raise checkpoint_error(path) from None
 
 
 def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -98,7 +98,7 @@ def saved_history(path: Path) -> dict[int, list[float]]:
     return history
 
 
-def unreadable(checkpoint: Path) -> InputError:
+def checkpoint_error(checkpoint: Path) -> InputError:
     return InputError(f"{checkpoint}: not a readable checkpoint; delete it to redo this trial")
 
 
@@ -136,10 +136,10 @@ def _difference(key: str, saved: Any, wanted: Any) -> tuple[str, str]:
 def _short(key: str, value: Any) -> str:
     with suppress(LookupError, TypeError):  # a damaged file lacks names or hashes
         if key == "data" and isinstance(value, list):
-            return "the drives " + names_shown(f"{d['name']} ({d['sha256'][:8]})" for d in value)
+            return "the drives " + list_names(f"{d['name']} ({d['sha256'][:8]})" for d in value)
         if key == "model" and isinstance(value, dict):  # a custom model is too long for a message
-            return "the model " + shown(f"{value['name']} ({value['sha256'][:8]})")
-    return f"{shown(key)} = {shown(value, LONGEST)}"
+            return "the model " + printable(f"{value['name']} ({value['sha256'][:8]})")
+    return f"{printable(key)} = {printable(value, MAX_LENGTH)}"
 
 
 class ResultFolder:
@@ -162,7 +162,7 @@ class ResultFolder:
         record = load_record(ConfigRecord, file, remedy, infinite=True)
         saved, wanted = _with_current_names(record.model_extra), json.loads(json.dumps(config))
         if not same_results(record.versions, wanted.pop("versions", {})):
-            made = names_shown(" ".join(one) for one in record.versions.items())
+            made = list_names(" ".join(one) for one in record.versions.items())
             raise InputError(
                 f"{file}: the tuning was started with other software versions, {made}; continue with these versions, "
                 "or choose another --out"
@@ -187,7 +187,7 @@ class ResultFolder:
     def finish(self, trial: int, result: dict[str, Any], history: dict[str, Any]) -> None:
         folder = self.path / f"trial-{trial:03d}"
         if not folder.exists():
-            with whole_folder(folder) as new:
+            with atomic_folder(folder) as new:
                 new.mkdir()
                 write_json(new / "result.json", result)
                 np.savez(new / "history.npz", **history)

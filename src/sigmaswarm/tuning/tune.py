@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NotRequired, Required, TypedDict, TypeVar
 
 import numpy as np
 
-from sigmaswarm.datasets.dataset import Dataset, datasets_of
-from sigmaswarm.drives.drive import Array, Drive, listed
+from sigmaswarm.datasets.dataset import Dataset, make_datasets
+from sigmaswarm.drives.drive import Array, Drive, as_list
 from sigmaswarm.drives.overlap import (
     TRAINING_DATA_FILE,
     Landmarks,
@@ -19,7 +19,7 @@ from sigmaswarm.drives.overlap import (
     overlap_of,
     save_landmarks,
 )
-from sigmaswarm.drives.sensors import sensors_of
+from sigmaswarm.drives.sensors import log_properties
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import locked_folder
 from sigmaswarm.filters.custom.log import Log
@@ -28,7 +28,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import filter_for
 from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.config import (
-    INSTEAD,
+    MODEL_REMEDIES,
     ModelTuneConfig,
     TuneConfig,
     current_options,
@@ -36,13 +36,13 @@ from sigmaswarm.tuning.config import (
     validated_config,
 )
 from sigmaswarm.tuning.custom import model_problem
-from sigmaswarm.tuning.defaults import default_filter_options, settled
-from sigmaswarm.tuning.inflation import inflated
+from sigmaswarm.tuning.defaults import complete_config, default_filter_options
+from sigmaswarm.tuning.inflation import inflate
 from sigmaswarm.tuning.options import SearchOptions, TuneOptions
 from sigmaswarm.tuning.problem import Problem, car_problem
 from sigmaswarm.tuning.record import FILE
 from sigmaswarm.tuning.result import Tuning, Validation
-from sigmaswarm.tuning.search import Progress, Search
+from sigmaswarm.tuning.search import Progress, TrialRunner
 from sigmaswarm.tuning.sensitivity import sensitivities
 from sigmaswarm.tuning.space import SearchSpace
 from sigmaswarm.tuning.store import ResultFolder
@@ -179,19 +179,21 @@ def _problem_of(
         if cluster is not None:
             raise InputError("cluster: a model of your own runs on this machine only; leave cluster out")
         if start is not None:
-            raise InputError(f"start: is an option of built-in models; {INSTEAD['start']}")
-        data, others = listed(drives), listed(validation)
+            raise InputError(f"start: is an option of built-in models; {MODEL_REMEDIES['start']}")
+        data, others = as_list(drives), as_list(validation)
         stray = [type(thing).__name__ for thing in (*data, *others) if not isinstance(thing, Log)]
         if stray:
             raise InputError(f"got a {stray[0]}; {TAKES}")
         config = validated_config(ModelTuneConfig, options | {"model": model.identity()})
-        problem = model_problem(data, model, settled(config, [*data, *others]))
+        problem = model_problem(data, model, complete_config(config, [*data, *others]))
     else:
-        data, others = datasets_of(drives, validation, cluster=cluster, executor=executor, takes=TAKES)
-        sensors = [*data.map(sensors_of), *others.map(sensors_of)]
+        data, others = make_datasets(drives, validation, cluster=cluster, executor=executor, takes=TAKES)
+        sensors = [*data.map(log_properties), *others.map(log_properties)]
         given = None if start is None else filter_for(start, data)
         options = options if given is None else {"model": given.model, "kind": given.kind, **options}
-        config = settled(validated_config(TuneConfig, default_filter_options(options, sensors)[0]), sensors)
+        config = complete_config(
+            validated_config(TuneConfig, default_filter_options(options, sensors)[0]), sensors
+        )
         problem = car_problem(data, config)
         first = None if given is None else start_point(problem.space, given)
         robust = "robust" in config.use and "innovation-nll" in config.objective
@@ -201,7 +203,7 @@ def _problem_of(
     if not len(others):
         return problem, None, first
     held_back = problem.on(others)
-    check_apart(problem, held_back)
+    check_disjoint(problem, held_back)
     return problem, held_back, first
 
 
@@ -238,7 +240,7 @@ def tune_problem(
     The result is ``start`` if its cost is lower than that of every trial. ``diagnose`` checks for faults that the
     objective does not show.
     """
-    config, search = problem.config, Search(problem, executor, folder, progress, start)
+    config, search = problem.config, TrialRunner(problem, executor, folder, progress, start)
     trials = tuple(search.trial(i) for i in range(config.trials))
     best = int(np.argmin([trial.cost for trial in trials]))
     point, cost, factor = trials[best].point, trials[best].cost, 1.0
@@ -251,12 +253,12 @@ def tune_problem(
             + (problem.failure_reason(point) or "check the drives for NaN and for values in wrong units")
         )
     if isinstance(config, TuneConfig) and config.inflation:
-        point, cost, factor = inflated(problem, point, cost, config.inflation, executor)
+        point, cost, factor = inflate(problem, point, cost, config.inflation, executor)
     validation = None
     if held_back:
         own, other = (each.cost_without_prior(point, executor) for each in (problem, held_back))
         names = tuple(entry["name"] for entry in held_back.data)
-        validation = Validation(other, float(problem.rise(other, own)), names)
+        validation = Validation(other, float(problem.relative_increase(other, own)), names)
     evaluations = sum(trial.evaluations for trial in trials)
     noise = problem.fixes_alone() if diagnose else None
     tuning = Tuning(
@@ -285,7 +287,7 @@ def tune_problem(
     return tuning
 
 
-def check_apart(problem: Problem[Any], held_back: Problem[Any]) -> None:
+def check_disjoint(problem: Problem[Any], held_back: Problem[Any]) -> None:
     """Raise `InputError` if a validation drive overlaps with a training drive."""
     seen = {entry["sha256"] for entry in problem.data}
     both = [entry["name"] for entry in held_back.data if entry["sha256"] in seen]

@@ -7,8 +7,8 @@ from nicegui import ui
 
 import sigmaswarm
 from sigmaswarm import Agreement, Diagnosis, Drive, Finding, agreements, shown_by
-from sigmaswarm.wording import counted
-from sigmaswarm.workbench.parts import Page, box, button, card, line, link, message, select, text
+from sigmaswarm.wording import count_of
+from sigmaswarm.workbench.elements import Page, box, button, card, line, link, message, select, text
 from sigmaswarm.workbench.plots import agreement_plot, show_map, time_plot
 from sigmaswarm.workbench.state import CHECKED, LEFT_OUT, Workbench
 
@@ -17,7 +17,7 @@ Step = dict[str, Any]  # ``{"repair": [codes]}`` or ``{"keep": [start, end]}``, 
 Agreements = dict[str, Agreement]
 Repaired = dict[str, tuple[Agreements, str]]
 """By code of a finding: agreements after the repair, and the reason if the repair is withheld, else ""."""
-Checked = tuple[list[Drive], list[Step], Diagnosis, Agreements]
+CheckState = tuple[list[Drive], list[Step], Diagnosis, Agreements]
 """Drive before and after each step, the steps, and diagnosis and agreements of the last drive."""
 
 
@@ -92,7 +92,7 @@ class CheckPage(Page):
             self.done = f"wrote drives/{names[0]} and {names[1]}; check both. Tunings will not use {whole}"
         self.refresh()
 
-    def _taken(self, checked: Checked | None) -> None:
+    def _taken(self, checked: CheckState | None) -> None:
         if checked is not None:
             self.stages, self.steps, self.diagnosis, self.before = checked
             self.after = {}
@@ -104,7 +104,7 @@ class CheckPage(Page):
         if self.after:
             self._evidence.refresh()  # without the buttons, since the user may click one at this moment
 
-    def _checked(self, name: str, steps: list[Step] | None) -> Checked:
+    def _checked(self, name: str, steps: list[Step] | None) -> CheckState:
         """Apply ``steps``, by default the saved steps, to a drive, write the result, and check it."""
         stages, known, target = self.stages, self.steps, name + CHECKED
         if steps is None:
@@ -140,7 +140,7 @@ class CheckPage(Page):
         with box("section"):
             serious = sum(finding.severity == "serious" for finding in findings)
             with line("between"):
-                text("h2", f"{counted(serious, 'serious finding')}" if serious else "No serious finding")
+                text("h2", f"{count_of(serious, 'serious finding')}" if serious else "No serious finding")
                 mendable = list(dict.fromkeys(f.code for f in findings if f.repair is not None))
                 if len(mendable) > 1:
                     every = button("Mend all", lambda: self.add({"repair": mendable}), "done_all", main=True)
@@ -149,7 +149,7 @@ class CheckPage(Page):
                 if finding.severity != "note":
                     self._card(finding)
             if notes := [f for f in findings if f.severity == "note"]:
-                with ui.expansion(counted(len(notes), "note")).classes("card"):
+                with ui.expansion(count_of(len(notes), "note")).classes("card"):
                     for finding in notes:
                         self._card(finding)
 

@@ -9,9 +9,9 @@ from nicegui.events import MultiUploadEventArguments
 
 from sigmaswarm import write_drive
 from sigmaswarm.importing import choices as columns
+from sigmaswarm.workbench.elements import box, button, card, command, line, link, select, text
 from sigmaswarm.workbench.mounting_panel import FIND, MountingPanel
 from sigmaswarm.workbench.open_log import OpenLog
-from sigmaswarm.workbench.parts import box, button, card, command, line, link, select, text
 from sigmaswarm.workbench.plots import agreement_plot, show_map
 from sigmaswarm.workbench.state import CHECKED, MAX_UPLOAD_SIZE, NAME, Workbench, attempt
 from sigmaswarm.workbench.table_panel import TablePanel

@@ -11,8 +11,8 @@ from sigmaswarm import parse_mount
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.geodesy import roll_pitch_yaw
 from sigmaswarm.reports.style import BLUE, GREEN, VERMILION
+from sigmaswarm.workbench.elements import box, button, card, line, message, text
 from sigmaswarm.workbench.open_log import OpenLog
-from sigmaswarm.workbench.parts import box, button, card, line, message, text
 from sigmaswarm.workbench.state import attempt
 
 FIND = "Find the mounting in the log"

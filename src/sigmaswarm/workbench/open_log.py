@@ -10,7 +10,7 @@ from nicegui import ui
 import sigmaswarm
 from sigmaswarm import Agreement, Drive, Inspection, agreements, find_mount
 from sigmaswarm.importing import choices as columns
-from sigmaswarm.workbench.parts import Page, message, text
+from sigmaswarm.workbench.elements import Page, message, text
 from sigmaswarm.workbench.state import Workbench, attempt
 
 Reading = tuple[Inspection | None, Drive | None, tuple[Agreement, ...], str, list[str]]

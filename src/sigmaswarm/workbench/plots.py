@@ -10,7 +10,7 @@ from nicegui.events import GenericEventArguments
 from sigmaswarm import Agreement, Drive
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.reports.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
-from sigmaswarm.workbench.parts import box
+from sigmaswarm.workbench.elements import box
 
 PIXELS = 600  # columns of a plot, with two points each
 EAST = "east, m"  # label of the horizontal axis of a map, which gives a plot equal scales

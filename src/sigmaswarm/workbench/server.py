@@ -23,13 +23,13 @@ from nicegui import app, ui
 import sigmaswarm
 from sigmaswarm import InputError, SigmaswarmWarning
 from sigmaswarm.workbench.check_page import CheckPage
-from sigmaswarm.workbench.judge_page import JudgePage
+from sigmaswarm.workbench.elements import Page, box, text
+from sigmaswarm.workbench.evaluate_page import EvaluatePage
+from sigmaswarm.workbench.export_page import ExportPage
 from sigmaswarm.workbench.log_page import LogPage
-from sigmaswarm.workbench.parts import Page, box, text
-from sigmaswarm.workbench.runs import Runs
 from sigmaswarm.workbench.state import MAX_UPLOAD_SIZE, Workbench, attempt
-from sigmaswarm.workbench.take_page import TakePage
 from sigmaswarm.workbench.tune_page import TunePage
+from sigmaswarm.workbench.tuning_runs import TuningRuns
 
 STEPS = {
     "log": ("Log", "its content"),
@@ -49,13 +49,13 @@ class Frame:
     """Pages of the steps; all tabs share one page per step."""
 
     def __init__(self, bench: Workbench) -> None:
-        self.bench, self.runs = bench, Runs(bench)
+        self.bench, self.runs = bench, TuningRuns(bench)
         self.pages: dict[str, Page] = {
             "log": LogPage(bench),
             "check": CheckPage(bench),
             "tune": TunePage(bench, self.runs),
-            "judge": JudgePage(bench),
-            "take": TakePage(bench),
+            "judge": EvaluatePage(bench),
+            "take": ExportPage(bench),
         }
 
     def register(self) -> None:

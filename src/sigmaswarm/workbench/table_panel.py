@@ -9,8 +9,8 @@ from nicegui import ui
 from sigmaswarm import Inspection, Range, TablePreview
 from sigmaswarm.importing import choices as columns
 from sigmaswarm.importing.choices import CUSTOM, NAMES, TARGETS, UNUSED, Uses
+from sigmaswarm.workbench.elements import box, number, select, table, text
 from sigmaswarm.workbench.open_log import OpenLog
-from sigmaswarm.workbench.parts import box, number, select, table, text
 from sigmaswarm.workbench.plots import sparkline
 
 MAX_COLUMNS = 30  # columns of a table on the page; columns in use are first

@@ -9,8 +9,8 @@ from nicegui import ui
 
 import sigmaswarm
 from sigmaswarm import Drive, FilterParameters, Option, TuneConfig, Tuning, explain_tuning, saved_history
-from sigmaswarm.wording import counted
-from sigmaswarm.workbench.parts import (
+from sigmaswarm.wording import count_of
+from sigmaswarm.workbench.elements import (
     Page,
     box,
     button,
@@ -24,8 +24,8 @@ from sigmaswarm.workbench.parts import (
     text,
 )
 from sigmaswarm.workbench.plots import lines, map_lines, redraw, show_map, show_plot
-from sigmaswarm.workbench.runs import Run, Runs, best_so_far
 from sigmaswarm.workbench.state import CHECKED, LEFT_OUT, Workbench, attempt
+from sigmaswarm.workbench.tuning_runs import TuningRun, TuningRuns, best_so_far
 
 TRAIN, SPLIT, HOLD = "tune on it", "tune on the first 70%, hold back the rest", "hold it back"
 MODELS = {
@@ -40,7 +40,7 @@ Update = Callable[[], None]
 
 
 class TunePage(Page):
-    def __init__(self, bench: Workbench, runs: Runs) -> None:
+    def __init__(self, bench: Workbench, runs: TuningRuns) -> None:
         super().__init__(bench)
         self.runs = runs
         self.why: list[str] = []
@@ -186,7 +186,7 @@ class TunePage(Page):
             if name not in updates:
                 with card("warning"), line("between"):
                     saved = attempt(saved_history, self.bench.path("tunings", name))[0] or {}
-                    done = counted(sum(map(len, saved.values())), "generation")
+                    done = count_of(sum(map(len, saved.values())), "generation")
                     text("h3", f"{name}: not finished, {done} saved")
                     button("Resume", lambda name=name: self._resume(name), "play_arrow", main=True)
         return updates
@@ -195,7 +195,7 @@ class TunePage(Page):
         _, self.wrong = attempt(self.runs.resume, name)
         self.refresh()
 
-    def _run_card(self, run: Run) -> Update:
+    def _run_card(self, run: TuningRun) -> Update:
         """Show a tuning run; return a function that updates the card."""
         with card("warning" if run.error else ""):
             with line("between"):

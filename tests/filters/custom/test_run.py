@@ -19,7 +19,7 @@ from sigmaswarm import (
 )
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters.custom import run as module
-from sigmaswarm.filters.custom.run import SAME, Runner, _same, run_kernel
+from sigmaswarm.filters.custom.run import MAX_DIFFERENCE, Runner, _same, run_kernel
 from sigmaswarm.filters.models import planar5
 from sigmaswarm.filters.parameters import FilterParameters
 from support import make_drive
@@ -227,7 +227,12 @@ def test_compiled_functions_may_differ_from_the_textbook_by_rounding_alone():
         model, None, Runner(model, [POINT_LOG]).steps[0], {"q": 0.5, "r": 0.3}, covariances=True
     )
     std = np.sqrt(np.diagonal(book.covariance, axis1=1, axis2=2))
-    for off, same in ((0.0, True), (0.5 * SAME, True), (2.0 * SAME, False), (np.nan, False)):
+    for off, same in (
+        (0.0, True),
+        (0.5 * MAX_DIFFERENCE, True),
+        (2.0 * MAX_DIFFERENCE, False),
+        (np.nan, False),
+    ):
         moved = np.where(np.arange(len(std))[:, np.newaxis] == 7, off * std, 0.0)
         assert _same(replace(book, mean=book.mean + moved), book) == same
 

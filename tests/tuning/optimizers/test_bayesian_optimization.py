@@ -13,13 +13,13 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.tuning import options
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.optimizers.bayesian_optimization import (
-    MOST,
+    MAX_POINTS,
     NOISE,
     BayesianOptimization,
     Improvement,
     _fitted,
-    leveled,
-    suggested,
+    next_points,
+    normalized_costs,
 )
 from sigmaswarm.tuning.tune import tune
 from support import make_drive, require
@@ -72,7 +72,7 @@ def naive_improvement(points, costs, length, at):
 
 def data(n: int) -> tuple[np.ndarray, np.ndarray]:
     points = np.random.default_rng(4).random((n, 2))
-    return points, leveled(valley(LOW + points * (HIGH - LOW)))
+    return points, normalized_costs(valley(LOW + points * (HIGH - LOW)))
 
 
 def test_the_improvement_is_that_of_the_book_and_its_slope_its_own():
@@ -82,9 +82,12 @@ def test_the_improvement_is_that_of_the_book_and_its_slope_its_own():
     at = np.random.default_rng(1).random((40, 2))
     np.testing.assert_allclose(ours(at), naive_improvement(points, costs, lengths, at), rtol=1e-6, atol=1e-12)
     for place in at:
-        _, slope = ours.downhill(place)
+        _, slope = ours.negative_log_improvement(place)
         steps = 1e-6 * np.eye(2)
-        by_steps = [(ours.downhill(place + s)[0] - ours.downhill(place - s)[0]) / 2e-6 for s in steps]
+        by_steps = [
+            (ours.negative_log_improvement(place + s)[0] - ours.negative_log_improvement(place - s)[0]) / 2e-6
+            for s in steps
+        ]
         np.testing.assert_allclose(slope, by_steps, rtol=1e-4, atol=1e-4)
 
 
@@ -111,7 +114,7 @@ def test_forecasts_and_improvements_are_those_of_the_package():
 
 def test_the_next_point_is_where_the_improvement_is_highest():
     points, costs = data(14)
-    (found,) = suggested(points, costs, 1, (2000, 3), np.random.default_rng(5))
+    (found,) = next_points(points, costs, 1, (2000, 3), np.random.default_rng(5))
     grid = np.stack(np.meshgrid(*2 * [np.linspace(0, 1, 60)]), axis=2).reshape(-1, 2)
     lengths = _fitted(points, costs)
     best = naive_improvement(points, costs, lengths, grid).max()
@@ -119,7 +122,7 @@ def test_the_next_point_is_where_the_improvement_is_highest():
 
 
 def test_points_of_one_batch_lie_apart():
-    batch = suggested(*data(10), 4, (500, 2), np.random.default_rng(5))
+    batch = next_points(*data(10), 4, (500, 2), np.random.default_rng(5))
     apart = np.linalg.norm(batch[:, None] - batch, axis=2)[np.triu_indices(4, 1)]
     assert apart.min() > 1e-3
 
@@ -133,17 +136,17 @@ def test_leveled_costs_keep_their_order_and_failures_are_the_worst(costs: list[f
     finite = np.isfinite(told)
     if not finite.any():
         return
-    found = leveled(told)
+    found = normalized_costs(told)
     assert np.isfinite(found).all() and found.min() == 0
     assert (np.diff(found[finite][np.argsort(told[finite], kind="stable")]) >= 0).all()
     assert (found[~finite] == found.max()).all()
-    np.testing.assert_array_equal(leveled(scale * told), found)  # units do not matter
+    np.testing.assert_array_equal(normalized_costs(scale * told), found)  # units do not matter
 
 
 def test_leveled_costs_are_even_near_the_best_and_logarithmic_far_off():
     costs = np.array([2.0, 2.1, 2.2, 3.0, 4.0, 1002.0, np.inf])
     above = np.array([0.0, 0.1, 0.2, 1.0, 2.0, 1000.0, 1000.0])
-    np.testing.assert_allclose(leveled(costs), np.log(1 + above / 1.0))
+    np.testing.assert_allclose(normalized_costs(costs), np.log(1 + above / 1.0))
 
 
 def test_of_many_costs_the_best_and_the_latest_are_fitted():
@@ -151,7 +154,7 @@ def test_of_many_costs_the_best_and_the_latest_are_fitted():
     rng = np.random.default_rng(1)
     search.points, search.costs = rng.uniform(LOW, HIGH, (700, 2)), rng.permutation(np.arange(700.0))
     chosen = search._remembered()
-    assert len(chosen) <= MOST
+    assert len(chosen) <= MAX_POINTS
     assert set(range(600, 700)) <= set(chosen)
     assert set(range(100)) <= set(search.costs[chosen])
 

@@ -5,25 +5,28 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sigmaswarm.doctor.checks.gyro import upside_down
+from sigmaswarm.doctor.checks.gyro import is_upside_down
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_by_margin, confidence_of, finding_of
-from sigmaswarm.doctor.mounting import levelling
-from sigmaswarm.doctor.verdicts import Mount
+from sigmaswarm.doctor.mounting import leveling_rotation
+from sigmaswarm.doctor.verdicts import PlanarMounting
 from sigmaswarm.doctor.windows import moving_mean, smoothed
 from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array, Imu
 
-MOUNTING = (math.radians(5), math.radians(10))  # rad about z, for a warning and for a serious finding
+MOUNTING_LIMITS = (math.radians(5), math.radians(10))  # rad about z, for a warning and for a serious finding
 # m/s2, residuals of ax and ay above which there is a warning or a serious finding. Roads and the biases of cheap
 # sensors cause residuals below the second limit.
-TILT = (0.5, 1.2)
+RESIDUAL_LIMITS = (0.5, 1.2)
 # m/s2, errors of the median specific force above which there is a note or a warning. Errors of cheap sensors reach 0.8
 # m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
-SIZE = (0.3, 1.0)
-LIKELY, CLEAR = 2.5, 3.5  # ratio of a rotation to its standard deviation, to report or to repair it
+MAGNITUDE_LIMITS = (0.3, 1.0)
+REPORT_RATIO, REPAIR_RATIO = (
+    2.5,
+    3.5,
+)  # ratio of a rotation to its standard deviation, to report or to repair it
 WRONG_SCALE = 0.4
-LEAST_PUSH = 0.4  # m/s2, smallest spread of the acceleration that determines its scale
+MIN_ACCELERATION_SPREAD = 0.4  # m/s2, smallest spread of the acceleration that determines its scale
 WHERE = "imu.csv, ax, ay"
 
 
@@ -38,7 +41,7 @@ def check_accelerometer(evidence: Evidence) -> Iterator[Finding]:
     yield from _upward(evidence)
 
 
-def _axes(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
+def _axes(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
     axes, az, span = mount.axes, evidence.drive.imu.az, evidence.span
     confidence = confidence_by_margin(mount.margin)
     if not np.array_equal(axes, np.eye(2)):
@@ -66,14 +69,14 @@ def _axes(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
         yield Finding("accelerometer-unit", "serious", what, f"{WHERE}, az", span, confidence, remedy, repair)
 
 
-def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
+def _size(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
     """Check the angle about the vertical, and the scale of each axis."""
     angle, std, imu, span = mount.angle, mount.angle_std, evidence.drive.imu, evidence.span
-    if abs(angle) >= max(MOUNTING[0], LIKELY * std):
+    if abs(angle) >= max(MOUNTING_LIMITS[0], REPORT_RATIO * std):
         # With six axes, the check of the mounting reports the rotation, with its own confidence.
         six = evidence.mounting is not None and np.array_equal(mount.axes, np.eye(2))
-        clear = abs(angle) >= CLEAR * std and not six
-        severity = ("serious" if abs(angle) > MOUNTING[1] else "warning") if clear else "note"
+        clear = abs(angle) >= REPAIR_RATIO * std and not six
+        severity = ("serious" if abs(angle) > MOUNTING_LIMITS[1] else "warning") if clear else "note"
         degrees, side = (
             math.degrees(angle),
             "left" if angle > 0 else "right",
@@ -90,13 +93,17 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
     wrong = [
         (name, scale, std)
         for name, (scale, std), row in zip(("forward", "leftward"), mount.scale, force, strict=True)
-        if np.std(smoothed(imu.time, row, second, 1.0)) > LEAST_PUSH
+        if np.std(smoothed(imu.time, row, second, 1.0)) > MIN_ACCELERATION_SPREAD
         and abs(scale - 1) > max(WRONG_SCALE, 5 * std)
     ]
     remedy = "check the sensor's range setting and low-pass filter"
     (forward, std), (left, other) = mount.scale
     alike = all(mount.known) and abs(forward - left) < 3 * math.hypot(std, other)
-    if alike and imu.az is not None and abs(_size_of(_force(imu, mount.unit)) - GRAVITY) < SIZE[1]:
+    if (
+        alike
+        and imu.az is not None
+        and abs(_size_of(_force(imu, mount.unit)) - GRAVITY) < MAGNITUDE_LIMITS[1]
+    ):
         # the accelerometer measures gravity correctly
         remedy = "check unit and projection of the positions, such as Web Mercator (EPSG:3857), which stretches them"
     for name, scale, std in wrong:
@@ -113,14 +120,14 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
     assert evidence.acceleration is not None
     leak = -np.median(evidence.acceleration.bias, axis=0)
     size = float(np.hypot(*leak))
-    margin = CLEAR * float(np.hypot(*(leak * evidence.acceleration.bias_std))) / max(size, 1e-9)
-    if size < TILT[0] + margin:
+    margin = REPAIR_RATIO * float(np.hypot(*(leak * evidence.acceleration.bias_std))) / max(size, 1e-9)
+    if size < RESIDUAL_LIMITS[0] + margin:
         return
     tilt = math.degrees(math.asin(min(size / GRAVITY, 1.0)))
     offsets = f"{leak[0]:+.2f} and {leak[1]:+.2f} m/s2"
     what = f"ax and ay contain constant offsets of {offsets}, which the motion does not explain"
     severity, confidence = "warning", 0.95
-    if size > TILT[1] + margin:
+    if size > RESIDUAL_LIMITS[1] + margin:
         severity, confidence = "serious", 0.99
         what = f"{what}; this is gravity, since the IMU is tilted by about {tilt:.0f} deg"
     else:
@@ -135,7 +142,7 @@ def _leveled(imu: Imu, leak: Array) -> Repair:
     if imu.az is not None and imu.gx is not None and imu.gy is not None:
         up = np.append(leak, np.median(imu.az))
         if abs(float(np.linalg.norm(up)) - GRAVITY) < abs(float(up[2]) - GRAVITY):
-            return Repair("rotate", tuple(levelling(up).ravel().tolist()))
+            return Repair("rotate", tuple(leveling_rotation(up).ravel().tolist()))
     return Repair("level", (float(leak[0]), float(leak[1])))
 
 
@@ -150,7 +157,7 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
         yield from _magnitude(evidence, unit)
     elif mount is not None and np.array_equal(mount.axes, -np.eye(2)) and up < 0:
         return  # reported with the axes
-    elif upside_down(evidence):
+    elif is_upside_down(evidence):
         what = (
             "az, gx and gy show that the IMU is upside down; the fixes do not show which axis points forward"
         )
@@ -189,9 +196,9 @@ def _magnitude(evidence: Evidence, unit: float) -> Iterator[Finding]:
     force = _force(evidence.drive.imu, unit)
     size = _size_of(force)
     off = size - GRAVITY
-    if abs(off) < SIZE[0]:
+    if abs(off) < MAGNITUDE_LIMITS[0]:
         return
-    large = abs(off) > SIZE[1]
+    large = abs(off) > MAGNITUDE_LIMITS[1]
     # Gravity is mostly on az, so a factor of az corrects the magnitude.
     level = float(np.median(np.sum(force[:2] ** 2, axis=0)))
     factor = math.sqrt(GRAVITY**2 - level) / float(np.median(force[2])) if level < GRAVITY**2 / 2 else 1.0

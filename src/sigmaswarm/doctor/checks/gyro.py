@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sigmaswarm.doctor.acceleration_fit import drift_of
+from sigmaswarm.doctor.acceleration_fit import gyro_drift
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.doctor.verdicts import DEGREE
@@ -18,20 +18,22 @@ from sigmaswarm.doctor.yaw_fit import yaw_windows
 from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
 from sigmaswarm.drives.drive import Array
 
-WRONG = 0.1  # smallest reported difference of a gain from 1
-LEAST_TURN = np.radians(1.0)  # rad; smaller changes of course within a few seconds are due to swaying
-BIAS = (np.radians(0.1), np.radians(1.0))  # rad/s, for a note and for a warning
+MIN_GAIN_ERROR = 0.1  # smallest reported difference of a gain from 1
+MIN_TURN = np.radians(1.0)  # rad; smaller changes of course within a few seconds are due to swaying
+BIAS_LIMITS = (np.radians(0.1), np.radians(1.0))  # rad/s, for a note and for a warning
 
 # s, windows for the mean of the force, and for the change of its direction. Longer windows contain more of the car's
 # acceleration, shorter windows more vibration. On seven recordings every correct sign is significant by 9.5 standard
 # deviations or more.
-SMOOTHED, LAG = 0.3, 0.5
-CLEAR = 7.0  # standard deviations of a significant sign; high, since neighboring changes share samples
-CLEARER = 2.0  # smallest ratio of the significance of a column to that of the other column
-OUTLYING = 3.0  # standard deviations from which a change is an outlier
+MEAN_WINDOW, LAG = 0.3, 0.5
+MIN_SIGNIFICANCE = (
+    7.0  # standard deviations of a significant sign; high, since neighboring changes share samples
+)
+MIN_SIGNIFICANCE_RATIO = 2.0  # smallest ratio of the significance of a column to that of the other column
+OUTLIER_SIGMAS = 3.0  # standard deviations from which a change is an outlier
 
 # Column that a direction follows (0: gx, 1: gy), its sign, and its significance in standard deviations
-Follows = tuple[int, float, float]
+RateMatch = tuple[int, float, float]
 
 
 def check_gyro(evidence: Evidence) -> Iterator[Finding]:
@@ -73,16 +75,16 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
             what = f"{what} ({seen})"
             yield Finding(code, "serious", what, where, span, confidence, remedy, Repair("gyro", repair))
     off = fit.gain / yaw.factor - 1
-    clear = fit.course_change > LEAST_TURN and abs(off) > max(WRONG, 4 * fit.std / abs(yaw.factor))
-    if clear and abs(_whole_gain(evidence) - 1) > WRONG / 2:
+    clear = fit.course_change > MIN_TURN and abs(off) > max(MIN_GAIN_ERROR, 4 * fit.std / abs(yaw.factor))
+    if clear and abs(_whole_gain(evidence) - 1) > MIN_GAIN_ERROR / 2:
         what, remedy = (
             f"the car turns {1 + off:.2f} times as far as the gyro measures",
             "check the gyro's range setting",
         )
         yield Finding("gyro-scale", "warning", what, where, span, confidence_of(4), remedy)
-    bias = -drift_of(imu.time, course, yaw.factor * getattr(imu, yaw.column), evidence.clock.late)
-    if abs(bias) > BIAS[0]:
-        severity = "warning" if abs(bias) > BIAS[1] else "note"
+    bias = -gyro_drift(imu.time, course, yaw.factor * getattr(imu, yaw.column), evidence.clock.delay)
+    if abs(bias) > BIAS_LIMITS[0]:
+        severity = "warning" if abs(bias) > BIAS_LIMITS[1] else "note"
         what = f"the gyro's bias is about {np.degrees(bias):.2f} deg/s"
         remedy = "use a filter that estimates the bias: --model planar8"
         yield Finding("gyro-bias", severity, what, where, span, 0.95, remedy)
@@ -97,14 +99,14 @@ def _whole_gain(evidence: Evidence) -> float:
     assert course is not None and fit is not None
     ends = yaw_windows(course)[:, [0, -1]]
     total = integral(imu.time, yaw.factor * getattr(imu, yaw.column))
-    measured = np.diff(smoothed(imu.time, total, course.time - fit.late, course.span)[ends])
+    measured = np.diff(smoothed(imu.time, total, course.time - fit.delay, course.span)[ends])
     return float(np.sum(np.diff(course.angle[ends]) * measured) / max(np.sum(measured**2), 1e-12))
 
 
 def check_tilt(evidence: Evidence) -> Iterator[Finding]:
     """Find faults of gx and gy, unless an axis is missing or gravity is not in az."""
     follows = _tilt_rates(evidence)
-    if not follows or upside_down(evidence):
+    if not follows or is_upside_down(evidence):
         return
     seen, span = [axis for axis in follows if axis], evidence.span
     if any(axis and axis[0] != right for right, axis in enumerate(follows)):
@@ -139,7 +141,7 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
         yield Finding("unseen-tilt", "note", what, f"imu.csv, {', '.join(columns)}", span, 0.95, remedy)
 
 
-def upside_down(evidence: Evidence) -> bool:
+def is_upside_down(evidence: Evidence) -> bool:
     """Return True if az, gx and gy show that the IMU is upside down, and the course determines no other axis."""
     imu, mount = evidence.drive.imu, evidence.mount
     if imu.az is None or float(np.median(imu.az)) > 0 or evidence.yaw.known:
@@ -149,7 +151,7 @@ def upside_down(evidence: Evidence) -> bool:
     return level and bool(seen) and all(axis[:2] == (column, -1.0) for column, axis in seen)
 
 
-def _tilt_rates(evidence: Evidence) -> list[Follows | None]:
+def _tilt_rates(evidence: Evidence) -> list[RateMatch | None]:
     """Return `_follows` for the drive; empty if a column or gravity is missing."""
     read = _force_and_rates(evidence)
     return _follows(evidence.drive.imu.time, *read) if read else []
@@ -172,10 +174,10 @@ def _force_and_rates(evidence: Evidence) -> tuple[Array, Array] | None:
     return force, np.array([unit * rates["gx"], unit * rates["gy"], yaw.factor * rates["gz"]])
 
 
-def _follows(time: Array, force: Array, rates: Array) -> list[Follows | None]:
+def _follows(time: Array, force: Array, rates: Array) -> list[RateMatch | None]:
     """Find the rate that the force's direction follows in roll, and in pitch; None where it is unclear."""
     interval = float(np.median(np.diff(time)))
-    count, lag = (max(round(seconds / interval), 1) for seconds in (SMOOTHED, LAG))
+    count, lag = (max(round(seconds / interval), 1) for seconds in (MEAN_WINDOW, LAG))
     first = np.arange(0, len(time) - lag, max(lag // 2, 1))
     first = first[time[first + lag] - time[first] < 2 * LAG]  # the rates within a gap are unknown
     if len(first) < 20:
@@ -198,7 +200,7 @@ def _deviations(angle: Array, change: Array) -> Array:
     factors, left, kept = np.zeros(4), np.zeros(len(change)), np.ones(len(change), dtype=np.bool_)
     for _ in range(3):
         kept = (
-            np.abs(left) <= OUTLYING * float(np.median(np.abs(left))) / 0.6745 + 1e-9
+            np.abs(left) <= OUTLIER_SIGMAS * float(np.median(np.abs(left))) / 0.6745 + 1e-9
         )  # all in the first round
         factors = np.asarray(np.linalg.lstsq(columns[kept], change[kept], rcond=None)[0], np.float64)
         left = change - columns @ factors
@@ -206,9 +208,9 @@ def _deviations(angle: Array, change: Array) -> Array:
     return factors[:2] / np.sqrt(np.maximum(np.diag(covariance)[:2], 1e-30))
 
 
-def _clear(deviations: Array) -> Follows | None:
+def _clear(deviations: Array) -> RateMatch | None:
     column = int(np.argmax(np.abs(deviations)))
     size, other = float(abs(deviations[column])), float(abs(deviations[1 - column]))
-    if size < max(CLEAR, CLEARER * other):
+    if size < max(MIN_SIGNIFICANCE, MIN_SIGNIFICANCE_RATIO * other):
         return None
     return column, float(np.sign(deviations[column])), size

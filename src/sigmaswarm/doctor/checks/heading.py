@@ -21,11 +21,17 @@ HEADINGS: dict[str, Callable[[Array], Array]] = {
     "rad clockwise from east": np.negative,
     "deg clockwise from east": lambda angle: -np.radians(angle),
 }
-ALIKE = math.radians(15)  # rad, largest median difference from the course, apart from a constant
-TURNED = math.radians(2), math.radians(10)  # rad from the course, for a warning and for a serious finding
-LATE, WORSE = 0.15, 0.8  # s, delay for a warning; largest ratio of the misfits with and without this delay
+MAX_DEVIATION = math.radians(15)  # rad, largest median difference from the course, apart from a constant
+ROTATION_LIMITS = (
+    math.radians(2),
+    math.radians(10),
+)  # rad from the course, for a warning and for a serious finding
+MIN_DELAY, MAX_MISFIT_RATIO = (
+    0.15,
+    0.8,
+)  # s, delay for a warning; largest ratio of the misfits with and without this delay
 WINDOW = 5.0  # s, over which turns of the heading and of the gyro are compared
-FEWEST = 30
+MIN_FIXES = 30
 WHERE = "gps.csv, heading"
 
 
@@ -36,13 +42,13 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
     known = np.isfinite(headings_of(gps)[1])[evidence.used]
     theta, seen = gps.heading[evidence.used], course.moving & known
     best = 0
-    if np.count_nonzero(seen) >= FEWEST:
+    if np.count_nonzero(seen) >= MIN_FIXES:
         offsets = [_offset(read(theta[seen]) - course.angle[seen]) for read in HEADINGS.values()]
         best = _fitting(offsets)
         yield from _of_convention(evidence, best, *offsets[best])
-    if np.count_nonzero(known) >= FEWEST and (late := _delay(evidence, theta, known, best)):
-        way = "later" if late > 0 else "earlier"
-        what = f"the heading is {abs(late):.2f} s {way} than the positions of the same rows"
+    if np.count_nonzero(known) >= MIN_FIXES and (delay := _delay(evidence, theta, known, best)):
+        way = "later" if delay > 0 else "earlier"
+        what = f"the heading is {abs(delay):.2f} s {way} than the positions of the same rows"
         remedy = (
             "a filter assumes the same time for both, so map headings with their own times, or leave the column "
             "out"
@@ -59,19 +65,19 @@ def _offset(off: Array) -> tuple[float, float]:
 
 def _fitting(offsets: list[tuple[float, float]]) -> int:
     """Return the index of the convention with the smallest constant offset among those that follow the course well."""
-    limit = min(ALIKE, min(rest for _, rest in offsets) + TURNED[0])
+    limit = min(MAX_DEVIATION, min(rest for _, rest in offsets) + ROTATION_LIMITS[0])
     fitting = [k for k, (_, rest) in enumerate(offsets) if rest <= limit]
     return min(fitting, key=lambda k: abs(offsets[k][0]), default=0)
 
 
 def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) -> Iterator[Finding]:
     span = evidence.span
-    if rest > ALIKE:
+    if rest > MAX_DEVIATION:
         what = "heading does not follow the positions in any known convention"
         remedy = "convert the heading to rad, counter-clockwise from east, or leave the column out"
         yield Finding("heading-convention", "serious", what, WHERE, span, 0.95, remedy)
         return
-    turned = offset if abs(offset) >= TURNED[0] else 0.0
+    turned = offset if abs(offset) >= ROTATION_LIMITS[0] else 0.0
     repair = Repair("heading", (float(best), turned))
     if best:
         what, remedy = (
@@ -80,7 +86,7 @@ def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) ->
         )
         yield Finding("heading-convention", "serious", what, WHERE, span, 0.99, remedy, repair)
     elif turned:
-        degrees, serious = math.degrees(offset), abs(offset) >= TURNED[1]
+        degrees, serious = math.degrees(offset), abs(offset) >= ROTATION_LIMITS[1]
         what = f"heading differs from the course by {degrees:+.1f} deg, as if the antennas were mounted at that angle"
         remedy = f"subtract {math.radians(degrees):.4f} rad, if the car does not drive sideways or in reverse"
         severity = "serious" if serious else "warning"
@@ -99,13 +105,13 @@ def _delay(evidence: Evidence, theta: Array, known: Mask, best: int) -> float:
     begin = np.flatnonzero(end < len(time))
     end = end[begin]
 
-    def misfit(late: float) -> float:
-        seen = np.interp(time - late, imu.time, turned)
+    def misfit(delay: float) -> float:
+        seen = np.interp(time - delay, imu.time, turned)
         off = (angle[end] - angle[begin]) - (seen[end] - seen[begin])
         return float(np.mean(np.abs(off - np.median(off)))) if len(off) else 0.0
 
     tried = np.arange(-1.5, 1.51, 0.05)
-    each = [misfit(float(late)) for late in tried]
-    own = evidence.clock.late - evidence.moved if evidence.clock.visible else 0.0
-    late = float(tried[int(np.argmin(each))]) - own
-    return late if abs(late) >= LATE and min(each) < WORSE * misfit(own) else 0.0
+    each = [misfit(float(delay)) for delay in tried]
+    own = evidence.clock.delay - evidence.moved if evidence.clock.visible else 0.0
+    delay = float(tried[int(np.argmin(each))]) - own
+    return delay if abs(delay) >= MIN_DELAY and min(each) < MAX_MISFIT_RATIO * misfit(own) else 0.0

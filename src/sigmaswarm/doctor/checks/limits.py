@@ -5,26 +5,26 @@ from collections.abc import Iterator
 import numpy as np
 
 from sigmaswarm.doctor.checks.heading import check_heading
-from sigmaswarm.doctor.checks.velocity import agrees
-from sigmaswarm.doctor.clock_search import WIDEST
+from sigmaswarm.doctor.checks.velocity import velocity_agrees
+from sigmaswarm.doctor.clock_search import MAX_OFFSET
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding
-from sigmaswarm.drives.alignment import NoStart, find_start
+from sigmaswarm.drives.alignment import StartFailure, find_start
 from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, stated_spread, suggest_filter
 from sigmaswarm.drives.split import part_of
-from sigmaswarm.wording import counted
+from sigmaswarm.wording import count_of
 
 CIRCLE = 2 * np.pi  # rad, smallest range of the course of a car that drives in circles
-MORE = "use a drive with turns, starts and stops to check for these faults"
+REMEDY = "use a drive with turns, starts and stops to check for these faults"
 # RMS change of the course within windows, in standard deviations, above which the car turns
-ABOVE_NOISE = 3.0
-LEAST_TURN = np.radians(5.0)  # rad, RMS change of the course within windows; swaying causes less
+MIN_TURN_SIGMAS = 3.0
+MIN_TURN = np.radians(5.0)  # rad, RMS change of the course within windows; swaying causes less
 
 
 def check_observability(evidence: Evidence) -> Iterator[Finding]:
     span = evidence.span
     start = find_start(evidence.drive)
-    if isinstance(start, NoStart):
+    if isinstance(start, StartFailure):
         yield Finding("no-start", "warning", start.what, "gps.csv", span, 0.99, start.remedy)
     if not evidence.drives:
         what = "the fixes show no motion, so heading, axes, units and clocks can't be checked"
@@ -39,7 +39,7 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
     for axis, seen, motion in zip(("ax", "ay"), known, ("changes of speed", "cornering"), strict=True):
         if not seen:
             what = f"the fixes hardly show {motion}, so sign, unit and bias of {axis} can't be checked"
-            yield Finding(f"unseen-{axis}", "note", what, f"imu.csv, {axis}", span, 0.95, MORE)
+            yield Finding(f"unseen-{axis}", "note", what, f"imu.csv, {axis}", span, 0.95, REMEDY)
 
 
 def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
@@ -53,19 +53,19 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
         f"where the car is faster than {course.slowest:.1f} m/s"
     )
     if fit is None:
-        return f"{shown}, but never for long enough", MORE
+        return f"{shown}, but never for long enough", REMEDY
     change = np.degrees(fit.course_change)
     if fit.course_change > max(
-        LEAST_TURN, ABOVE_NOISE * course.std / np.median(np.abs(course.velocity[moving]))
+        MIN_TURN, MIN_TURN_SIGMAS * course.std / np.median(np.abs(course.velocity[moving]))
     ):
         return (
             f"the course changes by {change:.0f} deg within 20 s, and no column of the gyro follows this change",
-            f"check the gyro's unit and the clocks; offsets beyond {WIDEST:.0f} s are not searched",
+            f"check the gyro's unit and the clocks; offsets beyond {MAX_OFFSET:.0f} s are not searched",
         )
     if np.ptp(course.angle[moving]) > CIRCLE:
         steady = "turns at a nearly constant rate, which does not separate the gyro's scale from its bias"
-        return f"{shown}, and the car {steady}", MORE
-    return f"{shown}, and changes there by {change:.1f} deg within 20 s; slower turns are not visible", MORE
+        return f"{shown}, and the car {steady}", REMEDY
+    return f"{shown}, and changes there by {change:.1f} deg within 20 s; slower turns are not visible", REMEDY
 
 
 def check_use(evidence: Evidence) -> Iterator[Finding]:
@@ -82,11 +82,11 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
             f"the stated standard deviations range from {stated[0]:.2g} to {stated[1]:.2g} m"
         )
     if count := int(np.count_nonzero(evidence.outlying)):
-        reasons["robust"] = f"{counted(count, 'fix')} {'lie' if count > 1 else 'lies'} far off the path"
+        reasons["robust"] = f"{count_of(count, 'fix')} {'lie' if count > 1 else 'lies'} far off the path"
     if chosen.model == "tilted12":
         reasons["model"] = "the IMU has az, gx and gy, which distinguish hills from motion"
     because = "; ".join(filter(None, reasons.values()))
-    may = ["velocity to --use: the receiver measures speed and course"] if agrees(evidence) else []
+    may = ["velocity to --use: the receiver measures speed and course"] if velocity_agrees(evidence) else []
     if drive.gps.heading is not None and not any(check_heading(evidence)):
         may.append("heading to --use: the fixes have a heading")
     what = f"tune uses {chosen.options}{f': {because}' if because else ''}"

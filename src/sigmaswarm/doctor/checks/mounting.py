@@ -9,18 +9,16 @@ from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.doctor.mounting import SERIOUS, Mounting, angle_of
 from sigmaswarm.doctor.windows import integral, smoothed
-from sigmaswarm.drives.alignment import NoStart, find_start
+from sigmaswarm.drives.alignment import StartFailure, find_start
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.geodesy import roll_pitch_yaw
 
 # Smallest change of gravity's direction if the IMU was moved: in rad, and in typical errors of a median. In fault-free
 # drives with 20 s of hard maneuvers at one end, the change was up to 16 degrees.
-MOVED, STANDS_OUT = math.radians(18.0), 4.0
-SCATTER = 0.5  # rad, largest typical deviation of directions from their median that shows gravity
-LEAST_DIFFERENCE = math.radians(
-    0.5
-)  # smallest difference from the mounting of drive.toml that a note reports
+MIN_MOVEMENT, MIN_MOVEMENT_RATIO = math.radians(18.0), 4.0
+MAX_SCATTER = 0.5  # rad, largest typical deviation of directions from their median that shows gravity
+MIN_DIFFERENCE = math.radians(0.5)  # smallest difference from the mounting of drive.toml that a note reports
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 
 # An IMU is handled in the first or last ENDS s of a log if its mean rate of tilting over half a second exceeds HANDLED
@@ -32,7 +30,7 @@ STANDS, OF_USUAL = 1.0, 0.3
 STEP = 2.0  # s, for changes of speed and the integral of ax
 # Smallest slope of speed changes on the integral of ax that determines the direction: in standard deviations, and
 # absolute.
-CLEAR, LEAST = 3.0, 0.4
+MIN_SLOPE_SIGMAS, MIN_SLOPE = 3.0, 0.4
 
 
 def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
@@ -57,7 +55,7 @@ def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
 
 def check_mounting(evidence: Evidence) -> Iterator[Finding]:
     mounting = evidence.mounting
-    if change := moved(evidence.drive):
+    if change := find_movement(evidence.drive):
         time, angle = change
         what = f"the IMU was moved at t = {time:.0f} s: gravity's direction changes by {math.degrees(angle):.0f} deg"
         remedy = (
@@ -85,16 +83,14 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
             f"turn all six axes: import with --mount {mount}",
             Repair("rotate", tuple(mounting.repair.ravel().tolist())),
         )  # fmt: skip
-    elif (
-        evidence.drive.mounting and (apart := angle_of(mounting.mount @ mounting.before.T)) > LEAST_DIFFERENCE
-    ):
+    elif evidence.drive.mounting and (apart := angle_of(mounting.mount @ mounting.before.T)) > MIN_DIFFERENCE:
         what = f"the log shows the mounting {mount} deg {sure}; the mounting in drive.toml differs by "
         what += f"{math.degrees(apart):.1f} deg, which needs no repair"
         remedy = f"keep a measured mounting; otherwise import with --mount {mount}"
         yield Finding("mounting", "note", what, WHERE, evidence.span, confidence_of(apart / total), remedy)
 
 
-def moved(drive: Drive) -> tuple[float, float] | None:
+def find_movement(drive: Drive) -> tuple[float, float] | None:
     """Find the time, s, at which the IMU was moved, and gravity's change of direction, rad; None if it was not moved.
 
     The directions of the specific force, averaged over 5 s, scatter least about one median before this time and one
@@ -117,10 +113,10 @@ def moved(drive: Drive) -> tuple[float, float] | None:
     before, after = (np.median(part, axis=0) for part in parts)
     angle = float(np.arccos(np.clip(before @ after / np.linalg.norm(before) / np.linalg.norm(after), -1, 1)))
     off = np.concatenate([np.linalg.norm(p - m, axis=1) for p, m in zip(parts, (before, after), strict=True)])
-    if float(np.median(off)) > SCATTER:
+    if float(np.median(off)) > MAX_SCATTER:
         return None
     noise = float(np.median(off)) / math.sqrt(min(len(part) for part in parts))
-    return (float(times[cut]), angle) if angle > max(MOVED, STANDS_OUT * noise) else None
+    return (float(times[cut]), angle) if angle > max(MIN_MOVEMENT, MIN_MOVEMENT_RATIO * noise) else None
 
 
 def _means(time: Array, columns: Sequence[Array], step: float) -> tuple[Array, Array]:
@@ -135,7 +131,7 @@ def _means(time: Array, columns: Sequence[Array], step: float) -> tuple[Array, A
 def check_handled(evidence: Evidence) -> Iterator[Finding]:
     """Find parts at both ends of a log in which someone has the IMU, such as a phone, in the hand."""
     first, last = evidence.span
-    begin, end = steady(evidence.drive)
+    begin, end = find_steady_span(evidence.drive)
     if (begin, end) == (first, last):
         return
     ends = [f"until t = {begin:.1f} s"] if begin > first else []
@@ -146,7 +142,7 @@ def check_handled(evidence: Evidence) -> Iterator[Finding]:
     yield Finding("mounting-handled", "warning", what, WHERE, evidence.span, 0.99, remedy, repair)
 
 
-def steady(drive: Drive) -> tuple[float, float]:
+def find_steady_span(drive: Drive) -> tuple[float, float]:
     """Return the first and last time, s, of the part in which the IMU tilts like a vehicle."""
     imu, step = drive.imu, 0.5
     first, last = float(imu.time[0]), float(imu.time[-1])
@@ -155,11 +151,11 @@ def steady(drive: Drive) -> tuple[float, float]:
     times, mean = _means(imu.time, (imu.ax, imu.ay, imu.az, imu.gx, imu.gy, imu.gz), step)
     up = np.median(mean[:, :3], axis=0)
     tilting = np.linalg.norm(np.cross(mean[:, 3:], up / max(float(np.linalg.norm(up)), 1e-9)), axis=1)
-    early, late = times < first + ENDS, times + step > last - ENDS
-    usual = float(np.max(tilting[~early & ~late], initial=0.0))
+    early, delay = times < first + ENDS, times + step > last - ENDS
+    usual = float(np.max(tilting[~early & ~delay], initial=0.0))
     limit = max(HANDLED, UNLIKE * usual) if np.linalg.norm(up) > GRAVITY / 2 else np.inf
     begin = float(times[early & (tilting > usual)].max()) + step if np.any(tilting[early] > limit) else first
-    end = float(times[late & (tilting > usual)].min()) if np.any(tilting[late] > limit) else last
+    end = float(times[delay & (tilting > usual)].min()) if np.any(tilting[delay] > limit) else last
     return begin, end
 
 
@@ -172,9 +168,9 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
     if course is None or mount is None or not evidence.drives or mount.axes[0, 0] <= 0:
         return
     start, drive = find_start(evidence.drive), evidence.drive
-    if isinstance(start, NoStart) or drive.heading is not None or drive.gps.heading is not None:
+    if isinstance(start, StartFailure) or drive.heading is not None or drive.gps.heading is not None:
         return
-    gained = smoothed(imu.time, integral(imu.time, imu.ax), course.time - evidence.clock.late, course.span)
+    gained = smoothed(imu.time, integral(imu.time, imu.ax), course.time - evidence.clock.delay, course.span)
     speed = np.abs(course.velocity)
     moving = speed > min(STANDS, OF_USUAL * float(np.quantile(speed, 0.9)))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], moving.astype(int), [0]])))
@@ -208,4 +204,4 @@ def _slope(time: Array, speed: Array, gained: Array) -> tuple[float, float] | No
         return None
     slope = float(x @ y) / power
     std = float(np.sqrt(step * np.sum((x * (y - slope * x)) ** 2)) / power) + 1e-6
-    return slope, max(CLEAR * std, LEAST)
+    return slope, max(MIN_SLOPE_SIGMAS * std, MIN_SLOPE)

@@ -4,23 +4,23 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sigmaswarm.doctor.acceleration_fit import LEAST_NOISE
+from sigmaswarm.doctor.acceleration_fit import MIN_NOISE
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.drives.sensors import motion_in_noise, stated_std
 
-TOO_SMALL = 2.0  # largest ratio of observed noise to stated noise
+MAX_OBSERVED_RATIO = 2.0  # largest ratio of observed noise to stated noise
 # m, standard deviation that no receiver reaches in motion (data sheets of RTK state 0.006 to 0.01 m). A smaller
 # deviation is compared with the noise from fix to fix, since the scatter about a path of 10 s includes IMU errors.
-LEAST_STATED = 0.003
+MIN_STATED_STD = 0.003
 # Largest ratio of stated noise to observed white noise; high, since slow errors are not observed
-TOO_LARGE = 6.5
+MAX_STATED_RATIO = 6.5
 # Ratio of the stated noise to the scatter about a path of 10 s above which most of the error lasts longer than 10 s
-LASTS = 2.5
+MAX_SCATTER_RATIO = 2.5
 # m, distance of the first fix from the others; a farther outlier displaces the drive's origin
-FAR_FIRST = 1000.0
+MAX_FIRST_DISTANCE = 1000.0
 # Ratio of the noise from fix to fix to the scatter about a path of 10 s above which noise is white (ratio 1).
-WHITE = 0.7
+MIN_WHITE_RATIO = 0.7
 
 
 def check_noise(evidence: Evidence) -> Iterator[Finding]:
@@ -34,7 +34,7 @@ def check_noise(evidence: Evidence) -> Iterator[Finding]:
     share, then = 100 * len(time) / len(gps), int(evidence.used[0])
     what = f"{len(time)} {lie} far from the path ({share:.1f}% of all), at t = {first} s"
     severity, jump = "warning", float(np.hypot(gps.x[then] - gps.x[0], gps.y[then] - gps.y[0]))
-    if off[0] and jump > FAR_FIRST:
+    if off[0] and jump > MAX_FIRST_DISTANCE:
         severity, what = "serious", f"{what}; the first fix lies {jump / 1e3:.3g} km from the others"
     span, repair = (float(time[0]), float(time[-1])), Repair("drop-fixes", tuple(time.tolist()))
     remedy = "leave these fixes out, or use a filter that reduces their weight: --use robust"
@@ -49,16 +49,18 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
     stated = float(np.mean(known))
     where = "drive.toml, gps_std_m" if gps.std_x is None else "gps.csv, std_x, std_y"
     unseen = motion_in_noise(float(np.median(np.diff(gps.time))))
-    if stated < LEAST_STATED:
+    if stated < MIN_STATED_STD:
         scatter, unseen = noise, 0.0
     # Errors of a receiver that smooths are correlated, so its stated accuracy may be right despite little scatter.
-    white = noise > WHITE * scatter and scatter > LEAST_NOISE
-    if noise - unseen > TOO_SMALL * stated:
-        how, confidence = "smaller", confidence_of(3 + noise / stated / TOO_SMALL)
-    elif white and stated > TOO_LARGE * scatter:
-        how, confidence = "larger", confidence_of(2 * stated / TOO_LARGE / scatter)
+    white = noise > MIN_WHITE_RATIO * scatter and scatter > MIN_NOISE
+    if noise - unseen > MAX_OBSERVED_RATIO * stated:
+        how, confidence = "smaller", confidence_of(3 + noise / stated / MAX_OBSERVED_RATIO)
+    elif white and stated > MAX_STATED_RATIO * scatter:
+        how, confidence = "larger", confidence_of(2 * stated / MAX_STATED_RATIO / scatter)
     else:
-        if stated > LASTS * max(scatter, LEAST_NOISE) or (noise < WHITE * scatter and scatter > LEAST_NOISE):
+        if stated > MAX_SCATTER_RATIO * max(scatter, MIN_NOISE) or (
+            noise < MIN_WHITE_RATIO * scatter and scatter > MIN_NOISE
+        ):
             what = (
                 f"the fixes scatter by {noise:.2g} m per axis from one to the next and by {scatter:.2g} m about a path "
                 f"of ten seconds, but the receiver states {stated:.2g} m: their errors are correlated, so the mean of "

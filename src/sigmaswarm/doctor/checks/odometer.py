@@ -14,25 +14,31 @@ from sigmaswarm.drives.drive import Array, Odometer
 
 # s, bounds of the duration of the compared paths; the duration is a tenth of the drive's duration. Longer paths are
 # less sensitive to noise, and the gyro's bias has little effect within 20 s.
-SPAN = (6.0, 20.0)
-SHORTEST = 15.0  # m, shortest straight distance of a compared path
-FEWEST = 6  # smallest number of compared paths
-WRONG = 0.02  # smallest reported error of the scale; it must also exceed three standard deviations
+SPAN_LIMITS = (6.0, 20.0)
+MIN_DISTANCE = 15.0  # m, shortest straight distance of a compared path
+MIN_PATHS = 6  # smallest number of compared paths
+MIN_SCALE_ERROR = 0.02  # smallest reported error of the scale; it must also exceed three standard deviations
 # Ratio of the speeds, or its inverse, above which the unit is wrong rather than the tire size
-FAMILIAR = 1.25
+MAX_SCALE_RATIO = 1.25
 
-LATE = 0.15  # s, delay for a warning; a filter's latency corrects smaller delays
-LARGEST_LAG, STEP, SMOOTH = 3.0, 0.02, 0.4  # s: largest delay, its step, averaging time of both accelerations
-ALIKE = 0.6  # smallest correlation of the accelerations at a delay
+MIN_DELAY = 0.15  # s, delay for a warning; a filter's latency corrects smaller delays
+MAX_LAG, STEP, AVERAGING_TIME = (
+    3.0,
+    0.02,
+    0.4,
+)  # s: largest delay, its step, averaging time of both accelerations
+MIN_CORRELATION = 0.6  # smallest correlation of the accelerations at a delay
 
-STUCK = 4.0  # s, shortest constant reading that counts as stuck
-APART = 2.5  # m/s, smallest median difference of a stuck reading from the fixes
+MIN_STUCK_TIME = 4.0  # s, shortest constant reading that counts as stuck
+MIN_STUCK_ERROR = 2.5  # m/s, smallest median difference of a stuck reading from the fixes
 
-# m/s, change of speed within WITHIN s without acceleration at which wheels spin or lock. A slope of 10% looks like a
-# change of 1 m/s, a delay of 0.3 s like a change of 2 m/s during full braking.
-JUMP = 2.5
-WITHIN, LASTS_AT_MOST = 1.0, 10.0  # s: longest jump, longest time until the wheels return
-AGREE = 0.5  # m/s, largest median difference of speed changes; with a larger one, slip cannot be checked
+# m/s, change of speed within MAX_JUMP_TIME s without acceleration at which wheels spin or lock. A slope of 10% looks
+# like a change of 1 m/s, a delay of 0.3 s like a change of 2 m/s during full braking.
+MIN_JUMP = 2.5
+MAX_JUMP_TIME, MAX_SLIP_TIME = 1.0, 10.0  # s: longest jump, longest time until the wheels return
+MAX_DIFFERENCE = (
+    0.5  # m/s, largest median difference of speed changes; with a larger one, slip cannot be checked
+)
 
 Spans = list[tuple[float, float]]  # start and end, s
 SPEED = "odometer.csv, speed"
@@ -40,7 +46,7 @@ SPEED = "odometer.csv, speed"
 
 def check_odometer(evidence: Evidence) -> Iterator[Finding]:
     odometer, course = evidence.drive.odometer, evidence.course
-    if odometer is None or course is None or not course.moving.any() or len(odometer) < FEWEST:
+    if odometer is None or course is None or not course.moving.any() or len(odometer) < MIN_PATHS:
         return
     for code, confidence, fault, find in (
         ("stuck", 0.95, "the reading is constant while the fixes move at another speed", _stuck),
@@ -59,14 +65,14 @@ def check_odometer(evidence: Evidence) -> Iterator[Finding]:
             span, remedy = (spans[0][0], spans[-1][1]), "leave these readings out"
             what = f"{fault}: t = {named}"
             yield Finding(f"odometer-{code}", "warning", what, SPEED, span, confidence, remedy, repair)
-            odometer = without(odometer, spans)
-            if len(odometer) < FEWEST:
+            odometer = without_spans(odometer, spans)
+            if len(odometer) < MIN_PATHS:
                 return
     yield from _scale(odometer, course, evidence)
     yield from _clock(odometer, evidence)
 
 
-def without(odometer: Odometer, spans: Iterable[tuple[float, float]]) -> Odometer:
+def without_spans(odometer: Odometer, spans: Iterable[tuple[float, float]]) -> Odometer:
     keep = np.ones(len(odometer), dtype=np.bool_)
     for first, last in spans:
         keep &= (odometer.time < first) | (odometer.time > last)
@@ -80,14 +86,14 @@ def _stuck(odometer: Odometer, course: Course, _: Evidence) -> Spans:
     ends = np.append(begins[1:], len(time)) - 1
     wheels = np.interp(course.time, time, speed)[course.moving]
     usual = float(np.median(seen[course.moving])) / max(float(np.median(wheels)), 1e-3)
-    factor = usual if not 1 / FAMILIAR < usual < FAMILIAR else 1.0
-    long = time[ends] - time[begins] >= STUCK
+    factor = usual if not 1 / MAX_SCALE_RATIO < usual < MAX_SCALE_RATIO else 1.0
+    long = time[ends] - time[begins] >= MIN_STUCK_TIME
     found: Spans = []
     for a, b in zip(begins[long], ends[long], strict=True):
         inside = seen[(course.time >= time[a]) & (course.time <= time[b])]
         if (
             len(inside) >= 3
-            and np.median(np.abs(inside - (speed[a] * factor if speed[a] > 0 else 0.0))) > APART
+            and np.median(np.abs(inside - (speed[a] * factor if speed[a] > 0 else 0.0))) > MIN_STUCK_ERROR
         ):
             found.append((float(time[a]), float(time[b])))
     return found
@@ -96,31 +102,33 @@ def _stuck(odometer: Odometer, course: Course, _: Evidence) -> Spans:
 def _slips(odometer: Odometer, _: Course, evidence: Evidence) -> Spans:
     """Return spans in which the wheels spin or lock: from a jump of the speed to its reversal, or around a jump."""
     imu, time = evidence.drive.imu, odometer.time
-    a, b = max(imu.time[0], time[0]) + WITHIN, min(imu.time[-1], time[-1]) - WITHIN
+    a, b = max(imu.time[0], time[0]) + MAX_JUMP_TIME, min(imu.time[-1], time[-1]) - MAX_JUMP_TIME
     at = np.arange(a, b, max(0.1, (b - a) / 1_000_000)) if b > a else np.zeros(0)
-    ends = np.searchsorted(time, [at - WITHIN / 2, at + WITHIN / 2])
-    at = at[(ends[1] - ends[0] >= 3) & (np.interp(at, time[1:], np.diff(time)) < WITHIN / 2)]
+    ends = np.searchsorted(time, [at - MAX_JUMP_TIME / 2, at + MAX_JUMP_TIME / 2])
+    at = at[(ends[1] - ends[0] >= 3) & (np.interp(at, time[1:], np.diff(time)) < MAX_JUMP_TIME / 2)]
     if len(at) < 100:
         return []
-    apart = _gain(time, odometer.speed, at, WITHIN) - _gain(imu.time, integral(imu.time, imu.ax), at, WITHIN)
+    apart = _gain(time, odometer.speed, at, MAX_JUMP_TIME) - _gain(
+        imu.time, integral(imu.time, imu.ax), at, MAX_JUMP_TIME
+    )
     apart -= np.median(apart)
-    quiet = np.abs(apart) < JUMP
-    if np.median(np.abs(apart)) > AGREE or np.count_nonzero(quiet) < 0.5 * len(at):
+    quiet = np.abs(apart) < MIN_JUMP
+    if np.median(np.abs(apart)) > MAX_DIFFERENCE or np.count_nonzero(quiet) < 0.5 * len(at):
         return []
     jumps: list[tuple[float, float]] = []  # time and size of each jump
     for jump in zip(at[~quiet].tolist(), apart[~quiet].tolist(), strict=True):
-        if jumps and jump[0] - jumps[-1][0] <= WITHIN and jump[1] * jumps[-1][1] > 0:
+        if jumps and jump[0] - jumps[-1][0] <= MAX_JUMP_TIME and jump[1] * jumps[-1][1] > 0:
             jumps[-1] = max(jumps[-1], jump, key=lambda jump: abs(jump[1]))
         else:
             jumps.append(jump)
     found: Spans = []
     begun = -math.inf, 0.0
     for t, by in jumps:
-        if by * begun[1] < 0 and t - begun[0] < LASTS_AT_MOST:
-            found[-1] = (found[-1][0], t + WITHIN)
+        if by * begun[1] < 0 and t - begun[0] < MAX_SLIP_TIME:
+            found[-1] = (found[-1][0], t + MAX_JUMP_TIME)
             begun = -math.inf, 0.0
         else:
-            found.append((t - WITHIN, t + WITHIN))
+            found.append((t - MAX_JUMP_TIME, t + MAX_JUMP_TIME))
             begun = t, by
     return found
 
@@ -131,7 +139,7 @@ def _gain(time: Array, values: Array, at: Array, span: float) -> Array:
 
 def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[Finding]:
     found, span = _ratios(odometer, course, evidence), evidence.span
-    if len(found) < FEWEST:
+    if len(found) < MIN_PATHS:
         return
     ratio, chord = np.array(found).T
     scale = float(np.median(ratio))
@@ -149,12 +157,12 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
     if scale <= 0:
         return
     for unit, factor in UNITS.items():
-        if not 1 / FAMILIAR < size < FAMILIAR and abs(math.log(size * factor)) < 0.1:
+        if not 1 / MAX_SCALE_RATIO < size < MAX_SCALE_RATIO and abs(math.log(size * factor)) < 0.1:
             what = f"speed is in {unit}: {size:.2f} times the speed of the fixes"
             remedy, repair = f"multiply speed by {factor:.4g}", Repair("odometer", (factor,))
             yield Finding("odometer-unit", "serious", what, SPEED, span, 0.99, remedy, repair)
             return
-    if size > 0.1 and abs(size - 1) > max(WRONG, 3 * unsure):
+    if size > 0.1 and abs(size - 1) > max(MIN_SCALE_ERROR, 3 * unsure):
         way = "more" if size > 1 else "less"
         what = f"the odometer measures {abs(size - 1):.1%} {way} than the fixes (+- {unsure:.1%})"
         remedy = f"divide speed by {size:.4f}, or tune the scale with --use odometer"
@@ -170,7 +178,7 @@ def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tupl
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)
     place = integral(time, east) + 1j * integral(time, north)
     along = integral(time, odometer.speed)
-    span = float(np.clip((course.time[-1] - course.time[0]) / 10, *SPAN))
+    span = float(np.clip((course.time[-1] - course.time[0]) / 10, *SPAN_LIMITS))
     found: list[tuple[float, float]] = []
     first = 0
     for i in range(1, len(course.time)):
@@ -181,7 +189,7 @@ def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tupl
         inside = time[slice(*np.searchsorted(time, ends))]
         chord = float(abs(course.position[i] - course.position[first]))
         known = time[0] <= ends[0] and ends[1] <= time[-1] and len(inside) >= 3 and length < 2 * span
-        if known and chord > SHORTEST and float(np.max(np.diff(inside))) < 1.0:
+        if known and chord > MIN_DISTANCE and float(np.max(np.diff(inside))) < 1.0:
             way = float(abs(np.diff(np.interp(ends, time, place))[0]))
             ahead = float(np.diff(np.interp(ends, time, along))[0])
             if way > 0.5 * abs(ahead):  # the path has no U-turn
@@ -195,19 +203,19 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
     a, b = max(imu.time[0], odometer.time[0]), min(imu.time[-1], odometer.time[-1])
     if b - a < 20.0 or b - a > 1e6:
         return
-    at = np.arange(a + LARGEST_LAG + SMOOTH, b - LARGEST_LAG - SMOOTH, max(STEP, (b - a) / 200_000))
+    at = np.arange(a + MAX_LAG + AVERAGING_TIME, b - MAX_LAG - AVERAGING_TIME, max(STEP, (b - a) / 200_000))
     if len(at) < 500:
         return
-    lags = np.arange(-LARGEST_LAG, LARGEST_LAG + STEP / 2, STEP)
+    lags = np.arange(-MAX_LAG, MAX_LAG + STEP / 2, STEP)
     felt = _quick(imu.time, integral(imu.time, imu.ax), at)
     alike = np.abs([_correlation(felt, _quick(odometer.time, odometer.speed, at + lag)) for lag in lags])
     best = int(np.argmax(alike))
-    late = float(lags[best])
-    if abs(late) >= LATE and alike[best] > max(ALIKE, float(alike[len(lags) // 2]) + 0.05):
-        way = "late" if late > 0 else "early"
-        what = f"the wheels' speed changes {abs(late):.2f} s {way} relative to the acceleration"
-        remedy = f"add {-late:+.2f} s to the times of odometer.csv, or tune the latency with --use odometer"
-        repair = Repair("shift-odometer", (-late,))
+    delay = float(lags[best])
+    if abs(delay) >= MIN_DELAY and alike[best] > max(MIN_CORRELATION, float(alike[len(lags) // 2]) + 0.05):
+        way = "late" if delay > 0 else "early"
+        what = f"the wheels' speed changes {abs(delay):.2f} s {way} relative to the acceleration"
+        remedy = f"add {-delay:+.2f} s to the times of odometer.csv, or tune the latency with --use odometer"
+        repair = Repair("shift-odometer", (-delay,))
         yield Finding(
             "odometer-clock", "warning", what, "odometer.csv, t", evidence.span, 0.9, remedy, repair
         )
@@ -215,7 +223,7 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
 
 def _quick(time: Array, values: Array, at: Array) -> Array:
     """Return accelerations around times, minus their mean over 10 s to remove the slope of the road from ax."""
-    slope = _gain(time, values, at, SMOOTH) / SMOOTH
+    slope = _gain(time, values, at, AVERAGING_TIME) / AVERAGING_TIME
     n = max(3, min(len(slope) // 2, round(10.0 / STEP)))
     total = np.append(0.0, np.cumsum(slope))
     edges = np.arange(len(slope))

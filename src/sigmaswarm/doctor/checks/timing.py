@@ -6,49 +6,49 @@ import numpy as np
 
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, finding_of
-from sigmaswarm.doctor.mounting import LEAST_SHARE
-from sigmaswarm.doctor.verdicts import CLEAR_OFFSET, LEAST_TURN
-from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, Gaps, gaps_in, unshared_times
+from sigmaswarm.doctor.mounting import MIN_EXPLAINED
+from sigmaswarm.doctor.verdicts import MIN_TURN, OFFSET_SIGMAS
+from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, GapSummary, gaps_in, unshared_times
 from sigmaswarm.drives.drive import Array, Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
-GRAVE = 0.3  # s, clock offset above which errors are meters
-SLOW_IMU = 8.0  # Hz, rate below which turns are lost between samples
-UNEVEN = 0.5  # largest range of the middle 90% of the intervals, as a share of their median
-HELD = 0.2  # share of repeated IMU samples above which a slower sensor was logged too often
+SERIOUS_OFFSET = 0.3  # s, clock offset above which errors are meters
+MIN_IMU_RATE = 8.0  # Hz, rate below which turns are lost between samples
+MAX_INTERVAL_RANGE = 0.5  # largest range of the middle 90% of the intervals, as a share of their median
+MAX_REPEATED_SHARE = 0.2  # share of repeated IMU samples above which a slower sensor was logged too often
 LONG_GAP = 0.5  # s without IMU samples, above which a filter's step is inaccurate
-FEWEST_STALE = 3
+MIN_STALE_FIXES = 3
 # Smallest excess of an interval between fixes, in usual intervals, that shows missing fixes
-LEAST_MISSED = 0.3
-AROUND = 2.0  # s on each side of a gap in which the speed is measured
+MIN_EXCESS = 0.3
+SPEED_WINDOW = 2.0  # s on each side of a gap in which the speed is measured
 SIGMAS = 3.0  # standard deviations that distinguish a pause from a clock jump
 
 
 def check_clock(evidence: Evidence) -> Iterator[Finding]:
-    late, std, span, fit = evidence.clock.late, evidence.clock.std, evidence.span, evidence.yaw_fit
-    way, where, size = "late" if late > 0 else "early", "gps.csv, t", f"{abs(late):.2f} s"
-    move = f"subtract {size} from" if late > 0 else f"add {size} to"
+    delay, std, span, fit = evidence.clock.delay, evidence.clock.std, evidence.span, evidence.yaw_fit
+    way, where, size = "late" if delay > 0 else "early", "gps.csv, t", f"{abs(delay):.2f} s"
+    move = f"subtract {size} from" if delay > 0 else f"add {size} to"
     if evidence.moved:
-        what = f"turns of the gyro and the course show that the fixes are {abs(late):.1f} s {way} relative to the IMU"
-        leap = "; GPS time is 18 s ahead of UTC" if abs(abs(late) - 18) < 1 else ""
+        what = f"turns of the gyro and the course show that the fixes are {abs(delay):.1f} s {way} relative to the IMU"
+        leap = "; GPS time is 18 s ahead of UTC" if abs(abs(delay) - 18) < 1 else ""
         repair = Repair("shift-clock", (-evidence.moved,))
         yield Finding(
             "clock-offset", "serious", what, where, span, 0.999, f"{move} the fixes' times{leap}", repair
         )
-    elif abs(late) >= evidence.clock.least:
+    elif abs(delay) >= evidence.clock.least:
         # Changes of speed alone, as on a motorway, are not evidence for a repair.
-        turns = fit is not None and fit.course_change > LEAST_TURN and fit.share > LEAST_SHARE
-        clear = turns and abs(late) > CLEAR_OFFSET[1] * std
-        grave = abs(late) > max(GRAVE, CLEAR_OFFSET[2] * std)
+        turns = fit is not None and fit.course_change > MIN_TURN and fit.share > MIN_EXPLAINED
+        clear = turns and abs(delay) > OFFSET_SIGMAS[1] * std
+        grave = abs(delay) > max(SERIOUS_OFFSET, OFFSET_SIGMAS[2] * std)
         yield Finding(
             "clock-offset", ("serious" if grave else "warning") if clear else "note",
             f"the fixes {'are' if clear else 'may be'} {size} {way} relative to the IMU "
             f"(standard deviation {std:.2f} s)",
-            where, span, confidence_of(late / std),
+            where, span, confidence_of(delay / std),
             f"{move} the fixes' times{'' if clear else ' if other drives also show it'}, or tune the delay with --use "
             "latency; the tuned value leads to the best forecasts, and may differ from this offset by a few "
             "standard deviations",
-            Repair("shift-fixes", (-late,)) if clear else None,
+            Repair("shift-fixes", (-delay,)) if clear else None,
         )  # fmt: skip
     elif evidence.drives:
         visible = evidence.clock.visible
@@ -79,7 +79,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
         yield finding_of(remark, "note", _ends(imu.time), 1.0)
     yield from clock_jumps(imu.time, gps)
     same = np.append(False, (np.diff(imu.ax) == 0) & (np.diff(imu.ay) == 0) & (np.diff(imu.gz) == 0))
-    if same.mean() > HELD:
+    if same.mean() > MAX_REPEATED_SHARE:
         share, fresh = 100 * same.mean(), (1 - same.mean()) / float(np.median(np.diff(imu.time)))
         what = (
             f"{share:.0f}% of the samples repeat the previous one, so the sensor measures about {fresh:.0f} "
@@ -89,7 +89,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
         where, remedy = "imu.csv, ax, ay, gz", "log only new samples"
         yield Finding("imu-repeats", "warning", what, where, _ends(imu.time), 0.99, remedy, repair)
     stale = gps.time[evidence.stale]
-    if len(stale) >= FEWEST_STALE:
+    if len(stale) >= MIN_STALE_FIXES:
         what = f"{len(stale)} fixes repeat the previous one to the last digit while the car drives"
         remedy = (
             "filters ignore these old positions with new times; remove the fixes for use with other programs"
@@ -105,15 +105,15 @@ def _rate(sensor: str, counted: str, time: Array) -> Finding:
     usual = float(np.median(interval))
     low, high = np.quantile(interval, [0.05, 0.95])
     what = f"{len(time)} {counted} at {1 / usual:.3g} Hz over {time[-1] - time[0]:.0f} s"
-    if high - low > UNEVEN * usual:
+    if high - low > MAX_INTERVAL_RANGE * usual:
         what += f", uneven: 9 of 10 intervals last {1e3 * low:.0f} to {1e3 * high:.0f} ms"
     severity, remedy = "note", "filters use the true intervals; no action is needed"
-    if sensor == "imu" and usual > 1 / SLOW_IMU:
+    if sensor == "imu" and usual > 1 / MIN_IMU_RATE:
         severity, remedy = "warning", "record at 25 Hz or more"
     return Finding(f"{sensor}-rate", severity, what, f"{sensor}.csv, t", _ends(time), 1.0, remedy)
 
 
-def _gaps(sensor: str, gaps: Gaps | None, remedy: str) -> Iterator[Finding]:
+def _gaps(sensor: str, gaps: GapSummary | None, remedy: str) -> Iterator[Finding]:
     if gaps:
         many = f"{gaps.count} gaps, the longest" if gaps.count > 1 else "a gap of"
         what = f"{many} {gaps.length:.2g} s (usual interval {gaps.usual:.3g} s)"
@@ -132,7 +132,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
             continue
         missed, fix_missed = float(interval[i]) - usual, float(fix_interval[j]) - fix_usual
         apart = abs(missed - fix_missed)
-        if apart > 1.1 * fix_usual or fix_missed < LEAST_MISSED * fix_usual:
+        if apart > 1.1 * fix_usual or fix_missed < MIN_EXCESS * fix_usual:
             continue
         passed, std = _time_passed(gps, j)
         code, severity, remedy, repair = (
@@ -166,14 +166,15 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
 def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
     """Estimate the time from fix j to the next, and its standard deviation, s, by the speeds before and after.
 
-    Each speed is that of a line through the fixes of `AROUND` s. If both differ, any speed between them is possible.
+    Each speed is that of a line through the fixes of `SPEED_WINDOW` s. If both differ, any speed between them is
+    possible.
     """
     position, time = gps.x + 1j * gps.y, gps.time
     noise = max(white_noise(position), motion_in_noise(float(np.median(np.diff(time)))))
     lines, variance = [], 0.0
     for at, side in (
-        (time[j], (time <= time[j]) & (time >= time[j] - AROUND)),
-        (time[j + 1], (time >= time[j + 1]) & (time <= time[j + 1] + AROUND)),
+        (time[j], (time <= time[j]) & (time >= time[j] - SPEED_WINDOW)),
+        (time[j + 1], (time >= time[j + 1]) & (time <= time[j + 1] + SPEED_WINDOW)),
     ):
         if side.sum() < 2:
             return 0.0, np.inf

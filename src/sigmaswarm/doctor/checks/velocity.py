@@ -7,7 +7,7 @@ import numpy as np
 
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
-from sigmaswarm.doctor.verdicts import FAMILIAR
+from sigmaswarm.doctor.verdicts import FACTOR_TOLERANCE
 from sigmaswarm.doctor.windows import smoothed
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.geodesy import wrap_angle
@@ -19,9 +19,9 @@ CONVENTIONS: dict[str, Callable[[Array], Array]] = {
     "rad clockwise from north": lambda c: math.pi / 2 - c,
     "deg counter-clockwise from east": np.radians,
 }
-ALIKE = math.radians(15)
-LATE = 0.2  # s, delay for a warning
-FEWEST = 30
+MAX_DEVIATION = math.radians(15)
+MIN_DELAY = 0.2  # s, delay for a warning
+MIN_FIXES = 30
 REMEDY = (
     "a filter assumes the same time for both. Leave speed and course out, or map them with their own times (in "
     "a recipe, by a second [[gps]] for the same table, with a shifted t), and test this on another drive"
@@ -34,10 +34,10 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
         return
     speed = gps.speed[evidence.used]
     seen = course.moving & (speed > 0)
-    if np.count_nonzero(seen) < FEWEST:
+    if np.count_nonzero(seen) < MIN_FIXES:
         return
     ratio = float(np.median(np.abs(course.velocity[seen]) / speed[seen]))
-    usual = 1 / FAMILIAR < ratio < FAMILIAR
+    usual = 1 / FACTOR_TOLERANCE < ratio < FACTOR_TOLERANCE
     for unit, factor in UNITS.items():
         if abs(math.log(ratio / factor)) < 0.07 and not usual:
             what = f"speed is in {unit}: the fixes move at {ratio:.2f} times this speed"
@@ -47,7 +47,7 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
     angle, direction = gps.course[evidence.used][seen], course.angle[seen]
 
     def alike(angle: Array) -> bool:
-        return float(np.median(np.abs(wrap_angle(angle - direction)))) <= ALIKE
+        return float(np.median(np.abs(wrap_angle(angle - direction)))) <= MAX_DEVIATION
 
     if not alike(angle):
         fitting = [(k, name) for k, (name, read) in enumerate(CONVENTIONS.items(), 1) if alike(read(angle))]
@@ -62,20 +62,20 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
             "course-convention", "serious", what, "gps.csv, course", span, confidence, remedy, repair
         )
         return
-    late, share = _delay(evidence, gps.course, speed * (1.0 if usual else ratio))
-    if abs(late) >= LATE and share < 0.8:
-        way = "later" if late > 0 else "earlier"
-        what = f"speed and course are {abs(late):.2f} s {way} than the positions of the same rows; the default filter "
+    delay, share = _delay(evidence, gps.course, speed * (1.0 if usual else ratio))
+    if abs(delay) >= MIN_DELAY and share < 0.8:
+        way = "later" if delay > 0 else "earlier"
+        what = f"speed and course are {abs(delay):.2f} s {way} than the positions of the same rows; the default filter "
         what += "does not use them, so no action is needed without velocity in --use"
         yield Finding("velocity-delay", "note", what, "gps.csv, speed, course", span, 0.95, REMEDY)
 
 
-def agrees(evidence: Evidence) -> bool:
+def velocity_agrees(evidence: Evidence) -> bool:
     """Return True if the receiver's speed and course agree best with the positions at a delay of zero."""
     gps = evidence.drive.gps
     if gps.speed is None or gps.course is None or evidence.course is None or any(check_velocity(evidence)):
         return False
-    return abs(_delay(evidence, gps.course, gps.speed[evidence.used])[0]) < LATE
+    return abs(_delay(evidence, gps.course, gps.speed[evidence.used])[0]) < MIN_DELAY
 
 
 def _delay(evidence: Evidence, angle: Array, speed: Array) -> tuple[float, float]:
@@ -83,7 +83,7 @@ def _delay(evidence: Evidence, angle: Array, speed: Array) -> tuple[float, float
     course = evidence.course
     assert course is not None
     velocity = speed * np.exp(1j * angle[evidence.used])
-    late = np.arange(-1.5, 1.51, 0.05)
-    shifted = (smoothed(course.time, velocity, course.time + d, course.span) for d in late)
+    delay = np.arange(-1.5, 1.51, 0.05)
+    shifted = (smoothed(course.time, velocity, course.time + d, course.span) for d in delay)
     apart = [float(np.mean(np.abs(moved - course.velocity)[course.moving])) for moved in shifted]
-    return float(late[int(np.argmin(apart))]), min(apart) / apart[len(late) // 2]
+    return float(delay[int(np.argmin(apart))]), min(apart) / apart[len(delay) // 2]

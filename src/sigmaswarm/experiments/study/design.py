@@ -21,7 +21,7 @@ from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.drives.overlap import Landmarks, landmarks, overlap_of
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import Location, all_drive_locations, read_drive
-from sigmaswarm.drives.sensors import Sensors, sensors_of
+from sigmaswarm.drives.sensors import LogProperties, log_properties
 from sigmaswarm.drives.split import split_drives
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import (
@@ -34,12 +34,12 @@ from sigmaswarm.experiments.study.config import (
     StudyConfig,
 )
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.scoring.batch import BatchScorer, Passes
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 from sigmaswarm.scoring.remote import AnyBatchScorer, RemoteBatchScorer, map_prepared
 from sigmaswarm.simulation.conditions import simulate_many, simulated_source
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.defaults import default_filter_options, objective_for
-from sigmaswarm.tuning.racing import MANY
+from sigmaswarm.tuning.racing import MIN_DRIVES
 from sigmaswarm.tuning.search import Trial
 
 if TYPE_CHECKING:
@@ -81,12 +81,12 @@ def tuning_name(protocol: str, method: str, group: str) -> str:
 class Design:
     """The drives of a study and their use.
 
-    ``drives`` have truth and unique names; drives on a cluster (``remote``) are represented by `Sensors`. ``strata``:
-    stratum of each drive; each stratum is split into training and test drives. ``apart``: True if all drives are test
-    drives.
+    ``drives`` have truth and unique names; drives on a cluster (``remote``) are represented by `LogProperties`.
+    ``strata``: stratum of each drive; each stratum is split into training and test drives. ``apart``: True if all
+    drives are test drives.
     """
 
-    drives: tuple[Drive | Sensors, ...]
+    drives: tuple[Drive | LogProperties, ...]
     conditions: tuple[tuple[str, str], ...]
     strata: tuple[str, ...]
     config: StudyConfig
@@ -104,18 +104,20 @@ class Design:
         drives = (drive for drive in self.drives if isinstance(drive, Drive))
         return tuple(PreparedDrive(drive, as_recorded=True) for drive in drives)
 
-    def of_each(self, function: Callable[[PreparedDrive], T], drives: Sequence[int] | None = None) -> list[T]:
+    def map_prepared(
+        self, function: Callable[[PreparedDrive], T], drives: Sequence[int] | None = None
+    ) -> list[T]:
         """Apply a module-level function to prepared drives, local or remote; by default all, else by index."""
         chosen = range(len(self.drives)) if drives is None else drives
         if self.remote is None:
             return [function(self.prepared[i]) for i in chosen]
         return map_prepared(self.remote.subset(chosen), function, as_recorded=True)
 
-    def replays(self, *, outages: bool) -> AnyBatchScorer:
+    def scorer(self, *, outages: bool) -> AnyBatchScorer:
         seed = self.config.seed
         if self.remote is None:
             return BatchScorer(self.prepared, outages=outages, outage_seed=seed)
-        passes = Passes(outages=outages, outage_seed=seed, as_recorded=True)
+        passes = PassOptions(outages=outages, outage_seed=seed, as_recorded=True)
         return RemoteBatchScorer(self.remote, passes, _accept)
 
     @cached_property
@@ -152,7 +154,7 @@ class Design:
         if self.config.racing is not None:
             return self.config.racing
         train = set(self.split(0)[0])
-        return min(len(train.intersection(self.members(group))) for group in self.groups) >= MANY
+        return min(len(train.intersection(self.members(group))) for group in self.groups) >= MIN_DRIVES
 
     @cached_property
     def _default_options(self) -> dict[str, Any]:
@@ -187,7 +189,7 @@ class Design:
                     yield Task(protocol, method, group, trial)
 
     def fingerprint(self) -> str:
-        return hashlib.sha256("".join(self.of_each(_identity)).encode()).hexdigest()
+        return hashlib.sha256("".join(self.map_prepared(_identity)).encode()).hexdigest()
 
 
 def make_design(
@@ -195,12 +197,12 @@ def make_design(
 ) -> Design:
     """Simulate or read the drives of a study, locally or on the workers of a cluster."""
     remote: RemoteDataset | None = None
-    drives: Sequence[Drive | Sensors]
+    drives: Sequence[Drive | LogProperties]
     if cluster is not None:
         (remote,), warned = remote_datasets(Cluster(cluster), [_sources(config)])
         for warning in warned:
             warnings.warn(warning, stacklevel=2)
-        drives = remote.map(sensors_of)
+        drives = remote.map(log_properties)
     elif config.drives:
         drives = [read_drive(place) for place in all_drive_locations(config.drives)]
     else:
@@ -283,7 +285,7 @@ def _require_apart(marks: Sequence[Landmarks]) -> None:
             )
 
 
-def _require_truth(drives: Sequence[Drive | Sensors]) -> None:
+def _require_truth(drives: Sequence[Drive | LogProperties]) -> None:
     names: set[str] = set()
     for drive in drives:
         if not drive.truth:

@@ -20,14 +20,14 @@ from sigmaswarm.experiments.study.config import ALL, NETWORK_FILTER, NETWORKS
 from sigmaswarm.experiments.study.design import Design, Filters, Task
 from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.learned.folder import Learned, load_learned
+from sigmaswarm.learned.folder import LearnedNetwork, load_learned
 from sigmaswarm.learned.learn import LEARNERS, LearnConfig, learn
 from sigmaswarm.learned.noise_gru import NoiseRun
 from sigmaswarm.learned.outage_lstm import OutageRun
-from sigmaswarm.scoring.batch import scores_of
+from sigmaswarm.scoring.batch import scores_from_sums
 from sigmaswarm.scoring.drifts import rms_drift
 from sigmaswarm.scoring.score import PieceErrors
-from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_windows, tracking_replay
+from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_pass, outage_windows, tracking_pass
 
 MIN_DRIVING_TIME = 21.0
 """Shortest usable drive, s after the filter's start: for segments of 20 s, and for 10 s outages that begin at 10 s."""
@@ -41,7 +41,7 @@ MIN_DRIVES_TO_SPLIT = 3
 class TrainingDrives:
     """Training and validation drives of a network, and the time of each group after the filters' start, s."""
 
-    shown: tuple[Drive, ...]
+    training: tuple[Drive, ...]
     held_back: tuple[Drive, ...]
     driven: float
 
@@ -71,7 +71,7 @@ class Training:
 @dataclass(frozen=True, eq=False)
 class TrainedNetwork:
     parameters: FilterParameters
-    learned: Learned
+    learned: LearnedNetwork
     driven: float  # s
 
     @property
@@ -150,7 +150,7 @@ def train_all(
         learned = load_learned(out) if finished else None
         seed = design.config.seed + training.trial
         learned = learned or learn(
-            LearnConfig(training.network, helped, drives.shown, drives.held_back, seed=seed),
+            LearnConfig(training.network, helped, drives.training, drives.held_back, seed=seed),
             out,
             resume=True,
             progress=lambda now, before=done, task=training.task: progress(before + now.epoch, task),
@@ -184,13 +184,13 @@ def _score(
     trained: TrainedNetwork, ready: PreparedDrive, long: Mapping[str, float], seed: int
 ) -> dict[str, float]:
     """Score a network on one drive, without resets of the filter."""
-    replay, truth = tracking_replay(ready), ready.drive.truth
+    replay, truth = tracking_pass(ready), ready.drive.truth
     assert truth is not None
     run = trained.run(replay)
     errors = PieceErrors(truth, ready.initial)
     for piece in run:
         errors.add(piece.time, piece.mean)
-    sums = scores_of({"tracking": [replay]}, {"tracking": run.sums})[0, 0]
+    sums = scores_from_sums({"tracking": [replay]}, {"tracking": run.sums})[0, 0]
     found = {
         "position_rmse_m": errors.score.position_rmse,
         "gps_rmse_m": sums.fix_rmse,
@@ -202,7 +202,7 @@ def _score(
         ends = outage_windows(ready.drive, ready.initial, length=length, seed=seed)[:, 1]
         found[measure] = np.nan
         if len(ends):
-            run = trained.run(outage_replay(ready, length=length, seed=seed))
+            run = trained.run(outage_pass(ready, length=length, seed=seed))
             whole = run.whole()
             found[measure] = np.inf if run.failure else rms_drift(ready, whole, ends)
     return found

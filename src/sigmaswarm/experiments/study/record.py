@@ -26,7 +26,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import ALL, BASELINE, Protocol, StudyConfig
-from sigmaswarm.files import finite, write_json
+from sigmaswarm.files import nan_to_none, write_json
 from sigmaswarm.records import load_record
 from sigmaswarm.scoring.tracks import Tracks, load_tracks
 from sigmaswarm.tuning.bounds import TouchedBound
@@ -34,9 +34,9 @@ from sigmaswarm.tuning.bounds import TouchedBound
 Variant = tuple[str, str]  # protocol, method
 
 
-Figure = Annotated[float | None, BeforeValidator(finite)]
+OptionalFloat = Annotated[float | None, BeforeValidator(nan_to_none)]
 """A number; None instead of NaN and infinity, which JSON does not have."""
-Interval = tuple[Figure, Figure]
+Interval = tuple[OptionalFloat, OptionalFloat]
 Touched = Annotated[TouchedBound, BeforeValidator(TouchedBound.read), PlainSerializer(str)]
 
 
@@ -64,8 +64,8 @@ class ScoreStatistics(_Part):
     n_trials, n_drives : number of trials with values, and number of drives with values
     """
 
-    mean: Figure
-    sd: Figure
+    mean: OptionalFloat
+    sd: OptionalFloat
     trial_interval: Interval
     corrected_t_interval: Interval
     bootstrap_interval: Interval
@@ -96,11 +96,11 @@ class PairedStatistics(_Part):
     improvement, improvement_interval : %, the paper's equation 5
     """
 
-    mean_difference: Figure
+    mean_difference: OptionalFloat
     interval: Interval
     p: float
     rank_biserial: float
-    improvement: Figure
+    improvement: OptionalFloat
     improvement_interval: Interval
     n_drives: int
 
@@ -142,9 +142,9 @@ class Convergence(_Part):
     protocol: str
     method: str
     group: str
-    low: list[Figure]
-    median: list[Figure]
-    high: list[Figure]
+    low: list[OptionalFloat]
+    median: list[OptionalFloat]
+    high: list[OptionalFloat]
     stable: int
 
 
@@ -159,7 +159,7 @@ class Effort(_Part):
     protocol: str
     method: str
     labelled_s: float
-    learned_s: Figure
+    learned_s: OptionalFloat
     numbers: float
 
 
@@ -178,7 +178,7 @@ class CurvePoint(_Part):
     method: str
     minutes: float
     measure: str
-    mean: Figure
+    mean: OptionalFloat
     interval: Interval
     n_drives: int
 
@@ -234,7 +234,7 @@ class Results(_Part):
 QUANTILES = {"low": 0.05, "first": 0.25, "median": 0.5, "third": 0.75, "high": 0.95}
 
 
-class Spread(_Part):
+class ScoreQuantiles(_Part):
     """Quantiles over drives of the mean over a drive's trials; ``failed``: number of drives with failures."""
 
     protocol: str
@@ -248,7 +248,7 @@ class Spread(_Part):
     failed: int
 
 
-def spreads_of(scores: pl.DataFrame | pl.LazyFrame) -> list[Spread]:
+def spreads_of(scores: pl.DataFrame | pl.LazyFrame) -> list[ScoreQuantiles]:
     keys = ["protocol", "method", "measure"]
     value = pl.col("value").filter(pl.col("value").is_finite())
     drives = scores.lazy().group_by([*keys, "drive"], maintain_order=True).agg(pl.col("value").mean())
@@ -256,10 +256,10 @@ def spreads_of(scores: pl.DataFrame | pl.LazyFrame) -> list[Spread]:
         *[value.quantile(q, "linear").alias(name) for name, q in QUANTILES.items()],
         (~pl.col("value").is_finite()).sum().alias("failed"),
     )
-    return [Spread(**row) for row in found.drop_nulls().collect().to_dicts()]
+    return [ScoreQuantiles(**row) for row in found.drop_nulls().collect().to_dicts()]
 
 
-def read_spreads(folder: Path) -> list[Spread]:
+def read_spreads(folder: Path) -> list[ScoreQuantiles]:
     path = folder / "scores.csv"
     try:
         return spreads_of(pl.scan_csv(path, glob=False, schema_overrides={"value": pl.Float64()}))
@@ -288,7 +288,7 @@ class StudyRecord:
     """
 
     results: Results
-    spreads: list[Spread]
+    spreads: list[ScoreQuantiles]
     live: Times
     rival_times: Times
     tracks: list[Tracks]

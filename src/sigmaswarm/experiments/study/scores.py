@@ -16,8 +16,8 @@ from sigmaswarm.experiments.study.config import ALL, BASELINE, MAIN_METHOD, Prot
 from sigmaswarm.experiments.study.design import Design, Filters, Task
 from sigmaswarm.experiments.study.networks import Networks, score_networks
 from sigmaswarm.experiments.study.record import Variant
-from sigmaswarm.files import write_whole
-from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, noise_of
+from sigmaswarm.files import write_atomically
+from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, fitted_noise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, PAPER, baseline
 from sigmaswarm.filters.run import estimate_of, run_imu_only
@@ -25,7 +25,7 @@ from sigmaswarm.scoring.batch import BatchScorer, Scores
 from sigmaswarm.scoring.drifts import rms_drift
 from sigmaswarm.scoring.remote import AnyBatchScorer
 from sigmaswarm.scoring.score import score_estimate, score_raw_gps
-from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_windows, tracking_replay
+from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_pass, outage_windows, tracking_pass
 from sigmaswarm.scoring.tracks import Picture, Tracker, Tracks
 from sigmaswarm.scoring.truth import root_mean
 
@@ -74,7 +74,7 @@ class ScoreTable:
         return pl.concat(parts)
 
     def write(self, folder: Path) -> None:
-        write_whole(folder / "scores.csv", self.to_frame().write_csv())
+        write_atomically(folder / "scores.csv", self.to_frame().write_csv())
 
 
 def manual(ready: PreparedDrive, method: str) -> FilterParameters:
@@ -117,7 +117,7 @@ def score_all(
 class _Pass:
     """Prepared drives, a mask of the drives with room for an outage, and functions that compute measures."""
 
-    replays: AnyBatchScorer
+    scorer: AnyBatchScorer
     fits: NDArray[np.bool_]
     take: Mapping[str, Callable[[Scores], Array]]
 
@@ -125,7 +125,7 @@ class _Pass:
 def _passes(design: Design) -> list[_Pass]:
     """Prepare the drives of each pass; longer outages are measured only on local drives."""
     passes = [
-        _Pass(design.replays(outages=True), np.ones(len(design.drives), dtype=np.bool_), SCORE_OF_MEASURE)
+        _Pass(design.scorer(outages=True), np.ones(len(design.drives), dtype=np.bool_), SCORE_OF_MEASURE)
     ]
     seed = design.config.seed
     for measure, length in design.config.long_outages.items():
@@ -150,7 +150,7 @@ def _score_sets(
     found: dict[str, Array] = {}
     for drives, sets in jobs:
         for one in passes:
-            scores = one.replays.subset(drives).scores(sets, executor)
+            scores = one.scorer.subset(drives).scores(sets, executor)
             for measure, take in one.take.items():
                 column = found.setdefault(measure, np.full((len(sets), len(design.drives)), np.nan))
                 column[:, drives] = np.where(scores.failed & one.fits[drives], np.inf, take(scores))
@@ -160,7 +160,7 @@ def _score_sets(
 def _manual_jobs(method: str, design: Design) -> list[tuple[list[int], list[FilterParameters]]]:
     """Return the distinct parameter sets of a method without tuning, each with its drives."""
     drives: dict[FilterParameters, list[int]] = {}
-    for i, parameters in enumerate(design.of_each(partial(manual, method=method))):
+    for i, parameters in enumerate(design.map_prepared(partial(manual, method=method))):
         drives.setdefault(parameters, []).append(i)
     return [(own, [parameters]) for parameters, own in drives.items()]
 
@@ -171,8 +171,10 @@ def _unfiltered(method: str, design: Design) -> dict[str, Array]:
     The filter of the fixes alone uses the medians of the noise parameters fitted to the drives.
     """
     lengths, seed = {"outage_drift_m": OUTAGE_LENGTH} | design.config.long_outages, design.config.seed
-    noise = MotionNoise.typical(design.of_each(noise_of)) if method == "fixes-alone" else None
-    each = design.of_each(partial(_score_unfiltered, method=method, noise=noise, lengths=lengths, seed=seed))
+    noise = MotionNoise.typical(design.map_prepared(fitted_noise)) if method == "fixes-alone" else None
+    each = design.map_prepared(
+        partial(_score_unfiltered, method=method, noise=noise, lengths=lengths, seed=seed)
+    )
     return {measure: np.array([[scores[measure] for scores in each]]) for measure in each[0]}
 
 
@@ -186,12 +188,12 @@ def _score_unfiltered(
     else:
         whole = run_imu_only(ready)
         if noise is not None:
-            whole = estimate_of(FixesAlone(tracking_replay(ready), noise), recover=False)
+            whole = estimate_of(FixesAlone(tracking_pass(ready), noise), recover=False)
         score = score_estimate(drive, whole)
         for measure, length in lengths.items():
             ends, hidden = outage_windows(drive, start, length=length, seed=seed)[:, 1], whole
             if noise is not None:
-                outages = outage_replay(ready, length=length, seed=seed)
+                outages = outage_pass(ready, length=length, seed=seed)
                 hidden = estimate_of(FixesAlone(outages, noise), recover=False)
             drifts[measure] = rms_drift(ready, hidden, ends)
         if method == "imu-only":
@@ -224,7 +226,7 @@ def record_tracks(design: Design, parameters: Filters, trial: int) -> tuple[list
     pictures: list[Picture] = []
     for i in tracked_drives(design, trial):
         tuned = {f"{p}-{m}": parameters[Task(p, m, design.group_of(i), trial)] for p, m in TRACKED_FILTERS}
-        ((found, picture),) = design.of_each(partial(_followed, tuned=tuned, drawn=not pictures), [i])
+        ((found, picture),) = design.map_prepared(partial(_followed, tuned=tuned, drawn=not pictures), [i])
         tracks.append(found)
         pictures += [picture] if picture else []
     return tracks, pictures[0]
@@ -234,7 +236,7 @@ def _followed(
     ready: PreparedDrive, tuned: Mapping[str, FilterParameters], *, drawn: bool
 ) -> tuple[Tracks, Picture | None]:
     name = ready.drive.name
-    replay, tracker = tracking_replay(ready), Tracker(ready, MAX_TRACK_POINTS, picture=drawn)
+    replay, tracker = tracking_pass(ready), Tracker(ready, MAX_TRACK_POINTS, picture=drawn)
     by_hand = {method: manual(ready, method) for method in MANUAL_FILTERS}
     for series, one in {**tuned, **by_hand}.items():
         tracker.record(series, replay, one)

@@ -35,7 +35,7 @@ from sigmaswarm.experiments.study.record import Results, StudyRecord, spreads_of
 from sigmaswarm.experiments.study.results import results_of, rival_results
 from sigmaswarm.experiments.study.scores import record_tracks, score_all
 from sigmaswarm.experiments.study.timings import Stopwatch, rival_times, stored_time, write_timings
-from sigmaswarm.files import locked_folder, make_folder, staged_files, write_whole
+from sigmaswarm.files import locked_folder, make_folder, staged_files, write_atomically
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned.fitting import double_precision
@@ -44,7 +44,7 @@ from sigmaswarm.scoring.tracks import Picture, save_tracks
 from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.options import require_packages
 from sigmaswarm.tuning.problem import CarProblem, car_space
-from sigmaswarm.tuning.search import Search, Trial
+from sigmaswarm.tuning.search import Trial, TrialRunner
 from sigmaswarm.tuning.space import SearchSpace
 from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.versions import versions
@@ -162,7 +162,7 @@ def run_study(
 def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
     file = out / "study.toml"
     if not file.exists():
-        write_whole(file, config.to_toml())
+        write_atomically(file, config.to_toml())
         return
     if not resume:
         raise InputError(
@@ -243,7 +243,7 @@ def _tune_all(
 ) -> Trials:
     configs = design.configs
     outages = {v: parse_objective(config.objective).needs_outages for v, config in configs.items()}
-    replays = {needed: design.replays(outages=needed) for needed in set(outages.values())}
+    replays = {needed: design.scorer(outages=needed) for needed in set(outages.values())}
     problems = {v: CarProblem(configs[v], spaces[v], [], replays[outages[v]]) for v in configs}
     folders = _result_folders(design, out)
     splits = [set(design.split(trial)[0]) for trial in range(design.config.trials)]
@@ -251,8 +251,8 @@ def _tune_all(
     def one(task: Task, report: Report) -> Trial:
         train = [i for i in design.members(task.group) if i in splits[task.trial]]
         folder, config, problem = folders[task.folder], configs[task.variant], problems[task.variant]
-        own = CarProblem(config, problem.space, [], problem.replays.subset(train))
-        search = Search(own, None, folder, lambda now: report(now.generation))
+        own = CarProblem(config, problem.space, [], problem.scorer.subset(train))
+        search = TrialRunner(own, None, folder, lambda now: report(now.generation))
         timed = design.config.rivals and folder.finished(task.trial) is None
         file = folder.path / f"trial-{task.trial:03d}" / "timings.json"
         with stored_time(file) if timed else nullcontext():

@@ -19,7 +19,7 @@ from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.parameters import FilterKind, FilterParameters, ModelName
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.records import content_if_readable
-from sigmaswarm.scoring.targets import tracking_replay
+from sigmaswarm.scoring.targets import tracking_pass
 
 LIVE_FILTERS: dict[str, tuple[FilterKind, ModelName]] = {
     "EKF": ("ekf", "planar5"),
@@ -79,7 +79,7 @@ def _sample_us(own: TrainedNetwork | FilterParameters, ready: PreparedDrive) -> 
     """Measure the processor time per IMU sample, us, in the second of two runs."""
     took = 0.0
     for _ in range(2):
-        replay = tracking_replay(ready)
+        replay = tracking_pass(ready)
         began = time.process_time()
         run = own.run(replay) if isinstance(own, TrainedNetwork) else FilterRun(replay, own)
         run.finished()
@@ -90,7 +90,7 @@ def _sample_us(own: TrainedNetwork | FilterParameters, ready: PreparedDrive) -> 
 def write_timings(out: Path, design: Design, watch: Stopwatch, rivals: Times) -> Times:
     """Append this run's laps to timings.json; return the times of the live filters, ms."""
     runs = content_if_readable(out / "timings.json").get("runs")
-    (live,) = design.of_each(_live_times, [0])
+    (live,) = design.map_prepared(_live_times, [0])
     more = {"rivals": rivals} if rivals else {}
     runs = [*(runs if isinstance(runs, list) else []), watch.laps]
     write_json(out / "timings.json", {"runs": runs, "live_filter": live, **more})

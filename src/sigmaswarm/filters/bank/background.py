@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from sigmaswarm.filters.bank.search import Found, search
+from sigmaswarm.filters.bank.search import SearchResult, search
 
 
 @cache
@@ -20,7 +20,7 @@ if hasattr(os, "register_at_fork"):
 
 
 @dataclass(frozen=True, eq=False)
-class Pending:
+class PendingSearch:
     """A running search, which replays the log up to step ``logged`` from the ancestor of lane ``led``.
 
     A forked or unpickled copy searches in the calling thread.
@@ -30,14 +30,14 @@ class Pending:
     led: int
     arguments: tuple[Any, ...]
     process: int
-    found: "Future[Found | None]"
+    found: "Future[SearchResult | None]"
 
     @classmethod
-    def begun(cls, logged: int, led: int, *arguments: Any) -> "Pending":
+    def begun(cls, logged: int, led: int, *arguments: Any) -> "PendingSearch":
         return cls(logged, led, arguments, os.getpid(), _searcher().submit(search, *arguments))
 
-    def result(self) -> Found | None:
+    def result(self) -> SearchResult | None:
         return self.found.result() if self.process == os.getpid() else search(*self.arguments)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Pending.begun, (self.logged, self.led, *self.arguments)
+        return PendingSearch.begun, (self.logged, self.led, *self.arguments)

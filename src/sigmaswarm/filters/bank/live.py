@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.gyro_seen import UP
+from sigmaswarm.drives.gyro_bias import UP
 from sigmaswarm.drives.tables import Array, Indices
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.bank.background import Pending
+from sigmaswarm.filters.bank.background import PendingSearch
 from sigmaswarm.filters.bank.mixture import Mixture, is_definite
-from sigmaswarm.filters.bank.search import SCALED, Evidence, Found, Steps
-from sigmaswarm.filters.bank.spread import FIXED, START, Spread
+from sigmaswarm.filters.bank.search import FUZZY_FACTORS, FilterEvidence, LoggedSteps, SearchResult
+from sigmaswarm.filters.bank.spread import FIXED_OFFSETS, START, OffsetPrior
 from sigmaswarm.filters.compiled import live, swarm
 from sigmaswarm.filters.compiled.lagged import again_call
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, at, state_rows
@@ -29,12 +29,12 @@ from sigmaswarm.filters.live import LiveFilter, LiveState, live_state
 from sigmaswarm.filters.models import GYRO_BIAS
 from sigmaswarm.filters.parameters import FilterParameters
 
-SEARCH_EVERY = 10.0  # s between the starts of two searches
-SEARCH_TAKES = 1.0  # s of samples until the result of a search is used; a search takes about 15 ms
-REPLAYED = 60.0  # s of samples that a search replays
-FASTER = 2.0  # m/s; at lower speeds no lane is replaced, since fixes hardly determine headings and biases
-REPLACED = 7  # lanes replaced per search: one by its result, the others by changed copies of good lanes
-JITTER = 0.6  # standard deviation of a copy's random change, in standard deviations of the offset
+SEARCH_INTERVAL = 10.0  # s between the starts of two searches
+SEARCH_DELAY = 1.0  # s of samples until the result of a search is used; a search takes about 15 ms
+REPLAY_SPAN = 60.0  # s of samples that a search replays
+MIN_SPEED = 2.0  # m/s; at lower speeds no lane is replaced, since fixes hardly determine headings and biases
+N_REPLACED = 7  # lanes replaced per search: one by its result, the others by changed copies of good lanes
+COPY_STD = 0.6  # standard deviation of a copy's random change, in standard deviations of the offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ class LiveFilterBank(LiveFilter):
         )
         self._seed, self._searches, self.n_searches = seed, searches, 0
         self._counted = LANES
-        self.spread = Spread(parameters)
+        self.spread = OffsetPrior(parameters)
         self.offsets = self.spread.first(np.random.default_rng([seed, 0]))
         self._population = self.offsets * self.spread.lasting
         self._kernel = parameters.kernel
@@ -119,17 +119,17 @@ class LiveFilterBank(LiveFilter):
         self._together = DivergenceMonitor() if recover else None
         self._last_sound = self._mixed()
         self._snapshots = [self._snapshot(self._numbers, initial.time)]
-        self._pending: Pending | None = None
-        self._due = initial.time + SEARCH_EVERY
+        self._pending: PendingSearch | None = None
+        self._due = initial.time + SEARCH_INTERVAL
         self._n_begun = 0
-        Steps(self._kernel, np.empty((0, N_LOG_ROW)), np.zeros(3)).run(
+        LoggedSteps(self._kernel, np.empty((0, N_LOG_ROW)), np.zeros(3)).run(
             self._rows_of(self._numbers)[:, :8].copy()
         )
         again_call()
 
     def _with_lanes(self, nominal_interval: float) -> Memory:
         of_one = self._memory.arrays
-        longest = SEARCH_EVERY + SEARCH_TAKES + REPLAYED
+        longest = SEARCH_INTERVAL + SEARCH_DELAY + REPLAY_SPAN
         step_log = int(2.5 * longest / nominal_interval) + self._settled  # at most as many fixes as samples
         wider = np.zeros(live.BEHIND + STEP_LOG + step_log * N_LOG_ROW)
         wider[: live.N_ALL] = of_one.filter_state
@@ -192,7 +192,7 @@ class LiveFilterBank(LiveFilter):
                 self._replace(found, pending.logged, pending.led)
         elif self._searches:
             self._pending = self._begin()
-        self._due = now + (SEARCH_TAKES if self._pending else SEARCH_EVERY - SEARCH_TAKES)
+        self._due = now + (SEARCH_DELAY if self._pending else SEARCH_INTERVAL - SEARCH_DELAY)
 
     def _settled_checkpoint(self) -> tuple[int, Array, Array] | None:
         """Return the last checkpoint before all late fixes: its record's number, the record, and the checkpoint."""
@@ -212,27 +212,27 @@ class LiveFilterBank(LiveFilter):
             int(numbers[swarm.LOGGED]), time, float(numbers[swarm.FIXED_AT]), rows, evidence, np.arange(LANES)
         )
 
-    def _begin(self) -> Pending | None:
+    def _begin(self) -> PendingSearch | None:
         checkpoint = self._settled_checkpoint()
         if checkpoint is None:
             return None
         _, record, numbers = checkpoint
         here = self._snapshot(numbers, float(record[live.TIME]))
-        self._snapshots = [s for s in (*self._snapshots, here) if s.time >= here.time - REPLAYED - 1e-6]
+        self._snapshots = [s for s in (*self._snapshots, here) if s.time >= here.time - REPLAY_SPAN - 1e-6]
         if not numbers[swarm.WEIGHT].any():  # all lanes have failed
             return None
         leads = int(np.argmax(numbers[swarm.WEIGHT]))
-        if np.hypot(*here.lanes[[R.U, R.V], leads]) <= FASTER:
+        if np.hypot(*here.lanes[[R.U, R.V], leads]) <= MIN_SPEED:
             return None
         begins = next(s for s in self._snapshots if self._is_logged(s.logged))
         self._n_begun += 1
         was = int(begins.ancestors[leads])
         lever = self._filter_state[live.LEVER].copy()
-        steps = Steps(self._kernel, self._logged_steps(begins.logged, here.logged), lever)
+        steps = LoggedSteps(self._kernel, self._logged_steps(begins.logged, here.logged), lever)
         chance = self._seed, self._n_begun
-        return Pending.begun(
+        return PendingSearch.begun(
             *(here.logged, leads, self.spread, steps, begins.lanes[:, was]),
-            *(Evidence(float(begins.evidence[was]), begins.fixed_at), self.offsets[leads].copy()),
+            *(FilterEvidence(float(begins.evidence[was]), begins.fixed_at), self.offsets[leads].copy()),
             *(self._population, self._interval, chance),
         )
 
@@ -245,7 +245,7 @@ class LiveFilterBank(LiveFilter):
         step_log = self._numbers[STEP_LOG:].reshape(length, N_LOG_ROW)
         return step_log[np.arange(first, last) % length]
 
-    def _replace(self, found: Found, replayed: int, led: int) -> None:
+    def _replace(self, found: SearchResult, replayed: int, led: int) -> None:
         """Replace the worst lanes, and reprocess the last samples."""
         checkpoint = self._settled_checkpoint()
         if checkpoint is None:
@@ -258,12 +258,14 @@ class LiveFilterBank(LiveFilter):
         rows, weight = self._rows_of(numbers), numbers[swarm.WEIGHT].copy()
         evidence = numbers[swarm.EVIDENCE]
         leads = int(np.argmax(weight))
-        worst = [int(lane) for lane in np.argsort(weight, kind="stable") if lane >= len(FIXED)][:REPLACED]
+        worst = [int(lane) for lane in np.argsort(weight, kind="stable") if lane >= len(FIXED_OFFSETS)][
+            :N_REPLACED
+        ]
         parents = rng.choice(LANES, size=len(worst) - 1, p=weight / weight.sum())
         state, evidence_now = self._brought_on(found, since)
         offsets, states, known = [found.offsets], [state], [evidence_now]
         for parent in parents:
-            jitter = JITTER * self.spread.std * rng.standard_normal(len(self.spread.names))
+            jitter = COPY_STD * self.spread.std * rng.standard_normal(len(self.spread.names))
             offsets.append((self.offsets[parent] + jitter) * self.spread.lasting)
             states.append(rows[:, parent].copy())
             known.append(float(evidence[parent]))
@@ -279,7 +281,7 @@ class LiveFilterBank(LiveFilter):
             snapshot.ancestors[failed] = of[leads]
         new = [*worst, *failed]  # the constants of the other lanes may have been adapted
         rows[CONSTANT_ROWS, new] = self.spread.constants(self._own_constants, self.offsets[new])
-        rows[np.ix_(np.array(SCALED), np.array(new))] = 1.0
+        rows[np.ix_(np.array(FUZZY_FACTORS), np.array(new))] = 1.0
         numbers[swarm.PENALTY] = self.spread.penalty(self.offsets)
         self._population = found.population
         self.n_searches += 1
@@ -292,9 +294,9 @@ class LiveFilterBank(LiveFilter):
             self._memory.step.address, filter_state, counts, fixes, speeds, history, checkpoints, place, True
         )
 
-    def _brought_on(self, found: Found, since: Array) -> tuple[Array, float]:
+    def _brought_on(self, found: SearchResult, since: Array) -> tuple[Array, float]:
         """Return the found lane (N_KEPT,) and its evidence after the steps that followed the replay."""
-        steps = Steps(self._kernel, since, self._filter_state[live.LEVER].copy())
+        steps = LoggedSteps(self._kernel, since, self._filter_state[live.LEVER].copy())
         lane, known = steps.followed(found.lane, found.known)
         return lane, known.evidence
 
@@ -349,7 +351,9 @@ class LiveFilterBank(LiveFilter):
         contradicts = seen is not None and seen.taken != gyro_bias
         if surer or contradicts or not np.isfinite(mean.sum() + covariance.sum()):
             return
-        lanes = [lane for lane in range(1, LANES) if lane >= len(FIXED) or START not in FIXED[lane]]
+        lanes = [
+            lane for lane in range(1, LANES) if lane >= len(FIXED_OFFSETS) or START not in FIXED_OFFSETS[lane]
+        ]
         biases = self._biases
         rows, state = self._rows_of(self._numbers), state_rows(self._kernel)
         of_state = state[:, np.newaxis], np.array(lanes)

@@ -20,13 +20,13 @@ from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, require_readable
-from sigmaswarm.filters.run import Estimate, estimate_of, replay_of
+from sigmaswarm.filters.passes import FilterPass, require_readable
+from sigmaswarm.filters.run import Estimate, estimate_of, whole_pass
 from sigmaswarm.geodesy import wrap_angle
 
-SETTLED_OVER = 60.0  # s at the end of a drive over which offsets are averaged
+AVERAGING_SPAN = 60.0  # s at the end of a drive over which offsets are averaged
 LOG_INTERVAL = 1.0  # s
-_AT_ONCE = 500  # samples per computation of mixtures
+_BATCH_SIZE = 500  # samples per computation of mixtures
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class BankLog:
     @property
     def settled(self) -> Array:
         """Mean offsets from the tuning in the last minute, (d,)."""
-        return self.moved[self.time >= self.time[-1] - SETTLED_OVER].mean(axis=0)
+        return self.moved[self.time >= self.time[-1] - AVERAGING_SPAN].mean(axis=0)
 
     @property
     def shares(self) -> dict[str, Array]:
@@ -71,7 +71,7 @@ class BankRun:
 
     def __init__(
         self,
-        replay: Replay,
+        replay: FilterPass,
         parameters: FilterParameters,
         *,
         seed: int = 0,
@@ -132,7 +132,7 @@ class BankRun:
             states.append(state)
             weights.append(weight)
             lost.append(bank.lost)
-            if len(states) == _AT_ONCE or k == last:
+            if len(states) == _BATCH_SIZE or k == last:
                 yield self._piece(line.imu_time[at : at + len(states)], states, weights, lost)
                 at += len(states)
                 states, weights, lost = [], [], []
@@ -160,8 +160,8 @@ class BankRun:
 
 
 def _rows(columns: Sequence[Array]) -> Iterator[list[float]]:
-    for first in range(0, len(columns[0]), _AT_ONCE):
-        yield from np.column_stack([column[first : first + _AT_ONCE] for column in columns]).tolist()
+    for first in range(0, len(columns[0]), _BATCH_SIZE):
+        yield from np.column_stack([column[first : first + _BATCH_SIZE] for column in columns]).tolist()
 
 
 def _events(drive: Drive) -> Iterator[tuple[float, Any, Any]]:
@@ -206,6 +206,6 @@ def run_bank(
     AlignmentError
         If ``initial`` is not given and the drive never moves far enough.
     """
-    replay = replay_of(drive, initial, as_recorded=as_recorded)
+    replay = whole_pass(drive, initial, as_recorded=as_recorded)
     run = BankRun(replay, parameters, seed=seed, searches=searches, recover=recover, as_recorded=as_recorded)
     return estimate_of(run, recover=recover)

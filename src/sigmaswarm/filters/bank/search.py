@@ -12,7 +12,7 @@ import numpy as np
 from sigmaswarm.drives.events import FIX, ODOMETER
 from sigmaswarm.drives.tables import Array, Mask
 from sigmaswarm.drives.timeline import FIRST_AXIS, Q_SCALE
-from sigmaswarm.filters.bank.spread import Spread
+from sigmaswarm.filters.bank.spread import OffsetPrior
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, SUM_ROWS, WIDEST, R
 from sigmaswarm.filters.compiled.run import (
     NO_INNOVATIONS,
@@ -38,28 +38,28 @@ from sigmaswarm.filters.student import INNOVATION_DOF
 
 GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9  # F and CR of differential evolution
-NOT_SCORED = 2.0  # s at the start of a replay without scores, while a filter with new offsets converges
-FEWEST_SCORED_FIXES = 8  # smallest number of scored fixes for a result
-FARTHEST = 8.0  # bound of an offset, in standard deviations of this offset
+CONVERGENCE_TIME = 2.0  # s at the start of a replay without scores, while a filter with new offsets converges
+MIN_SCORED_FIXES = 8  # smallest number of scored fixes for a result
+MAX_OFFSET = 8.0  # bound of an offset, in standard deviations of this offset
 
 
 @dataclass(frozen=True)
-class Evidence:
+class FilterEvidence:
     """Evidence of a filter, and the time of its last fix, s."""
 
     evidence: float
     at: float
 
-    def then(self, time: Array, lost: Array) -> "Evidence":
+    def then(self, time: Array, lost: Array) -> "FilterEvidence":
         """Return the evidence after fixes at some times, s; each fix lowers the evidence by its loss."""
         if not len(time):
             return self
         left = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)
-        return Evidence(float(left[0] * self.evidence - left[1:] @ lost), float(time[-1]))
+        return FilterEvidence(float(left[0] * self.evidence - left[1:] @ lost), float(time[-1]))
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
+class LoggedSteps:
     """Logged steps of a filter bank (k, N_LOG_ROW), and the other inputs of `run_lanes`."""
 
     kernel: str
@@ -73,14 +73,16 @@ class Steps:
         """
         place = self._place
         scored = (
-            int(np.searchsorted(self.rows[:, T_TIME], self._begins + NOT_SCORED)) if len(self.rows) else 0
+            int(np.searchsorted(self.rows[:, T_TIME], self._begins + CONVERGENCE_TIME))
+            if len(self.rows)
+            else 0
         )
         self._run(lanes, place, scored)
         before = _lost(lanes)
         self._run(lanes, place, len(self.rows))
         return _lost(lanes) - before
 
-    def followed(self, lane: Array, known: Evidence) -> tuple[Array, Evidence]:
+    def followed(self, lane: Array, known: FilterEvidence) -> tuple[Array, FilterEvidence]:
         """Return a lane (N_KEPT,) and its evidence after all steps."""
         lanes = np.repeat(lane[:, np.newaxis], WIDEST, axis=1)
         fixes = np.flatnonzero(self.rows[:, T_FLAGS].astype(np.uint16) & FIX)
@@ -121,7 +123,7 @@ class Steps:
         if not len(self.rows):
             return 0
         is_fix = (self.rows[:, T_FLAGS].astype(np.int64) & FIX) > 0
-        return int((is_fix & (self.rows[:, T_TIME] >= self._begins + NOT_SCORED)).sum())
+        return int((is_fix & (self.rows[:, T_TIME] >= self._begins + CONVERGENCE_TIME)).sum())
 
 
 @np.errstate(all="ignore")  # a lane may fail
@@ -139,11 +141,11 @@ def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
     return np.where((det > 0.0) & np.isfinite(det) & (nis >= 0.0), lost, np.inf)
 
 
-SCALED = R.TIMES_R, R.TIMES_Q
+FUZZY_FACTORS = R.TIMES_R, R.TIMES_Q
 """Factors of a fuzzy filter's R and Q, which are 1 after the constants are replaced."""
 
 
-def as_at_start(lanes: Array) -> Array:
+def with_zero_sums(lanes: Array) -> Array:
     """Return lanes (N_KEPT, m) in the same state, with all sums at 0."""
     fresh = lanes.copy()
     sums = fresh[SUM_ROWS]
@@ -152,42 +154,42 @@ def as_at_start(lanes: Array) -> Array:
     remembered = sums[kept].copy()
     sums[:] = 0.0
     sums[kept] = remembered
-    fresh[[R.DET, R.TAIL, *SCALED]] = 1.0
+    fresh[[R.DET, R.TAIL, *FUZZY_FACTORS]] = 1.0
     return fresh
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SearchResult:
     """The best filter's offsets (d,), and the population (LANES, d) at the start of the next search."""
 
     offsets: Array
     lane: Array  # (N_KEPT,), at the end of the replay
-    known: Evidence
+    known: FilterEvidence
     population: Array
 
 
 def search(
-    spread: Spread,
-    steps: Steps,
+    spread: OffsetPrior,
+    steps: LoggedSteps,
     start: Array,
-    known: Evidence,
+    known: FilterEvidence,
     leader: Array,
     population: Array,
     nominal_interval: float,
     seed: Sequence[int],
-) -> Found | None:
+) -> SearchResult | None:
     """Search for better offsets over some steps; return None if too few fixes are scored or all filters fail.
 
     ``start`` (N_KEPT,) and ``known`` are the filter and its evidence before the steps. ``leader`` (d,) are the offsets
     of the lane with the largest weight, which replace the last member of ``population`` (LANES, d).
     """
     rng = np.random.default_rng(seed)
-    if steps.n_scored < FEWEST_SCORED_FIXES:
+    if steps.n_scored < MIN_SCORED_FIXES:
         return None
     own = KernelArray((spread.tuning,)).constants(nominal_interval)[:, :1]
 
     def begun(offsets: Array) -> Array:
-        lanes = np.repeat(as_at_start(start[:, np.newaxis]), len(offsets), axis=1)
+        lanes = np.repeat(with_zero_sums(start[:, np.newaxis]), len(offsets), axis=1)
         lanes[CONSTANT_ROWS] = spread.constants(own, offsets)
         return lanes
 
@@ -209,10 +211,10 @@ def search(
     if not np.isfinite(cost[best]):
         return None
     lane, known = steps.followed(begun(offsets[best : best + 1])[:, 0], known)
-    return Found(offsets[best], lane, known, offsets)
+    return SearchResult(offsets[best], lane, known, offsets)
 
 
-def _trials(offsets: Array, spread: Spread, rng: np.random.Generator) -> Array:
+def _trials(offsets: Array, spread: OffsetPrior, rng: np.random.Generator) -> Array:
     """Return a trial for each member: the member crossed with another one plus the scaled difference of two more."""
     n, d = offsets.shape
     others = np.array([rng.permutation(np.delete(np.arange(n), i))[:3] for i in range(n)])
@@ -221,4 +223,4 @@ def _trials(offsets: Array, spread: Spread, rng: np.random.Generator) -> Array:
     crossed = rng.random((n, d)) < CROSSOVER
     crossed[np.arange(n), rng.integers(d, size=n)] = True
     trial = np.where(crossed, moved, offsets)
-    return np.clip(trial, -FARTHEST * spread.std, FARTHEST * spread.std) * spread.lasting
+    return np.clip(trial, -MAX_OFFSET * spread.std, MAX_OFFSET * spread.std) * spread.lasting

@@ -18,7 +18,7 @@ SCALE_STD = 0.7  # decades, for a common factor of all variances, which hardly c
 START_STD = 1.5  # decades, for the initial variance of the biases; the first draws do not reduce it
 AXLE_STD = 0.7  # m, standard deviation of the offset of the rear axle
 R, SCALE, START, AXLE = "r", "scale", "bias_start", "rear_axle"
-FIXED = (
+FIXED_OFFSETS = (
     {},
     {START: 2.0},
     {START: 4.0},
@@ -30,7 +30,7 @@ FIXED = (
 )
 """Offsets of the first lanes, which are never replaced: the tuning, other biases, other receivers."""
 
-FAR, FAR_AXLE = 0.5, 0.5  # largest offsets without a warning, decades and m
+WARNING_OFFSET, WARNING_AXLE_OFFSET = 0.5, 0.5  # largest offsets without a warning, decades and m
 _MEANS = {
     R: "R is {times}, which indicates another receiver",
     SCALE: "all variances together are {times}, which indicates a tuning that ignored the covariance",
@@ -41,7 +41,7 @@ _MEANS = {
 
 
 @dataclass(frozen=True)
-class Spread:
+class OffsetPrior:
     """The offsets from a tuning that the filters of a bank can have."""
 
     tuning: FilterParameters
@@ -79,7 +79,7 @@ class Spread:
         if START in self.names:
             start = self.names.index(START)
             offsets[:, start] = np.abs(offsets[:, start])
-        for lane, fixed in enumerate(FIXED):
+        for lane, fixed in enumerate(FIXED_OFFSETS):
             if fixed and not set(fixed) & set(self.names):
                 continue  # a model without biases
             offsets[lane] = [fixed.get(name, 0.0) for name in self.names]
@@ -87,9 +87,9 @@ class Spread:
 
     @cached_property
     def groups(self) -> dict[str, list[int]]:
-        biased = [lane for lane, by in enumerate(FIXED) if START in by and R not in by]
-        receivers = [lane for lane, by in enumerate(FIXED) if R in by]
-        others = [*range(len(FIXED), LANES)]
+        biased = [lane for lane, by in enumerate(FIXED_OFFSETS) if START in by and R not in by]
+        receivers = [lane for lane, by in enumerate(FIXED_OFFSETS) if R in by]
+        others = [*range(len(FIXED_OFFSETS), LANES)]
         if START not in self.names:
             return {
                 "the tuning": [0],
@@ -139,16 +139,16 @@ class Spread:
         """Return warnings of offsets (d,) that are too large for the tuned vehicle."""
         found, by = list[str](), dict(zip(self.names, moved.tolist(), strict=True))
         common = by[SCALE]
-        if abs(common) > FAR:
+        if abs(common) > WARNING_OFFSET:
             found.append(_MEANS[SCALE].format(times=_times(common)))
         for name, offset in by.items():
             if name == AXLE:
-                if abs(offset) > FAR_AXLE:
+                if abs(offset) > WARNING_AXLE_OFFSET:
                     where = "back" if offset > 0 else "ahead"
                     found.append(f"the rear axle lies {abs(offset):.1f} m farther {where} than in the tuning")
             elif name not in (START, SCALE):
-                is_its_own = abs(offset) > FAR or abs(common) <= FAR
-                if is_its_own and abs(offset + common) > FAR:
+                is_its_own = abs(offset) > WARNING_OFFSET or abs(common) <= WARNING_OFFSET
+                if is_its_own and abs(offset + common) > WARNING_OFFSET:
                     sentence = _MEANS.get(name, "the noise of {name} is {times}, which indicates another IMU")
                     found.append(sentence.format(name=name.removeprefix("q_"), times=_times(offset + common)))
         return tuple(found)

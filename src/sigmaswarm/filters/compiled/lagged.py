@@ -2,7 +2,7 @@
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
-from sigmaswarm.compilation import once
+from sigmaswarm.compilation import call_once
 from sigmaswarm.filters.compiled.live import N_ALL, replay
 from sigmaswarm.filters.compiled.run import cached_by_sources
 
@@ -20,7 +20,7 @@ def _again(sources):
     return again
 
 
-@once
+@call_once
 def again_call():
     """Return `live.replay` as a compiled function.
 

@@ -26,7 +26,7 @@ import numpy as np
 from numba import float64, int64, njit
 from numba.core.dispatcher import Dispatcher
 
-from sigmaswarm.compilation import once
+from sigmaswarm.compilation import call_once
 from sigmaswarm.drives.events import FIX, HEADING, STANDSTILL, VELOCITY, sample_events, slot_of
 from sigmaswarm.drives.gaps import gap_of, usual_after
 from sigmaswarm.drives.odometer import INTERVAL, LARGEST_AGE
@@ -563,7 +563,7 @@ class LiveCalls:
         return live_calls, ()
 
 
-@once
+@call_once
 def live_calls():
     """Compile the functions once, for one signature; numbers of other types are converted."""
     makers = (_make_sample, _make_fix, _make_speed, _make_heading, _make_definite)

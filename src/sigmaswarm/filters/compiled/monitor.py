@@ -10,7 +10,7 @@ import math
 
 from numba import njit
 
-from sigmaswarm.drives.alignment import ALIGNMENT_FIXES, MAX_DURATION, MIN_DURATION, WORTH_TRAVEL
+from sigmaswarm.drives.alignment import ALIGNMENT_FIXES, MAX_DURATION, MIN_CHORD, MIN_DURATION
 from sigmaswarm.drives.stale_fixes import STALE
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 
@@ -58,7 +58,7 @@ def rough_heading(samples, newest, n, fixes, end, gyro_bias):
         f -= 1
     east, north = fixes[last, _X] - fixes[first, _X], fixes[last, _Y] - fixes[first, _Y]
     span = fixes[last, _T] - fixes[first, _T]
-    if span < MIN_DURATION or count < ALIGNMENT_FIXES or not math.hypot(east, north) >= WORTH_TRAVEL:
+    if span < MIN_DURATION or count < ALIGNMENT_FIXES or not math.hypot(east, north) >= MIN_CHORD:
         return math.nan
     begin, steps = newest, 0
     while steps < n - 1 and samples[begin, 0] > fixes[first, _T]:

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sigmaswarm.compilation import Recipe, cached, once
+from sigmaswarm.compilation import FunctionRecipe, cached, call_once
 from sigmaswarm.drives import alignment, gaps, odometer, stale_fixes, standstill, timeline
 from sigmaswarm.drives import events as drive_events
 from sigmaswarm.drives.events import FIX, HIDDEN, IMU, ODOMETER
@@ -275,9 +275,9 @@ def named_by_sources(make, name, known=None):
         return function
 
     if known is None:
-        return Recipe(named(make), sources, lambda: named(make))
+        return FunctionRecipe(named(make), sources, lambda: named(make))
     like = named(partial(make, **dict.fromkeys(inspect.getfullargspec(make).kwonlyargs)))
-    return Recipe(like, sources, lambda: named(unrolled(make, **known())))
+    return FunctionRecipe(like, sources, lambda: named(unrolled(make, **known())))
 
 
 def cached_by_sources(make, name, known=None):
@@ -313,12 +313,12 @@ def _kernel_of(model, step, rows, name):
     return cached_by_sources(_machine_code, name, known)
 
 
-@once
+@call_once
 def run_kernel(model):
     return _kernel_of(model, partial(step_of, model), state_rows(model), model)
 
 
-@once
+@call_once
 def logging_kernel(model):
     """Return a kernel that records `step_log.logged_rows`, of every step if all flags contain IMU."""
     return _kernel_of(model, partial(step_of, model, noted=True), logged_rows(model), f"{model}, logged")

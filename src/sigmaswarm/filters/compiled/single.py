@@ -14,7 +14,7 @@ from llvmlite import ir
 from numba import config, float64, int64, types
 from numba.extending import intrinsic
 
-from sigmaswarm.compilation import address_of, once
+from sigmaswarm.compilation import address_of, call_once
 from sigmaswarm.filters.compiled.lanes import exchange_control
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, N_KEPT, WIDEST, R, state_rows
 from sigmaswarm.filters.compiled.rows import new_rows
@@ -68,7 +68,7 @@ class SingleStep:
         return self.made_by[0], self.made_by[1:]
 
 
-@once
+@call_once
 def single_step(model, step_log=-1):
     """Return the compiled step of a model.
 

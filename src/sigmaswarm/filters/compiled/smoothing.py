@@ -17,14 +17,14 @@ import math
 import numpy as np
 from numba import njit
 
-from sigmaswarm.compilation import once
+from sigmaswarm.compilation import call_once
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 from sigmaswarm.filters.compiled.layout import QUATERNION, state_rows
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.step_log import phi_place
 from sigmaswarm.filters.compiled.transition import COEFFICIENTS, TRANSITIONS
 from sigmaswarm.filters.compiled.unroll import unrolled
-from sigmaswarm.filters.fix_error import FILTERS, own_name
+from sigmaswarm.filters.fix_error import FILTERS, base_model_name
 
 
 def _plain(function, **known):
@@ -175,13 +175,13 @@ def _backwards(sources, *, n, step_back):
     return backwards
 
 
-@once
+@call_once
 def _kernel_of(name):
     n, tilted = len(FILTERS[name].states), int(FILTERS[name].tilts is not None)
     first = n + (len(QUATERNION) if tilted else 0)
 
     def known():
-        own = own_name(name)
+        own = base_model_name(name)
         transition_times = _plain(
             _transition_times, n=len(FILTERS[own].states), coefficients=range(len(COEFFICIENTS[own])),
             transition=_plain(TRANSITIONS[own]),

@@ -15,7 +15,7 @@ from sigmaswarm.filters.compiled.planar8 import predict_planar8
 from sigmaswarm.filters.compiled.tilted12 import COLUMNS, predict_tilted12, propagate, settle
 from sigmaswarm.filters.compiled.tilted12_unscented import add_curvature, linearize
 from sigmaswarm.filters.compiled.transition import COEFFICIENTS, TRANSITIONS
-from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED, own_name
+from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED, base_model_name
 from sigmaswarm.filters.schedule import GAP_ACCELERATION_STD, GAP_TILT_STD, GAP_TURN_STD
 from sigmaswarm.filters.tilted import N
 
@@ -104,7 +104,7 @@ def step_of(name, *, noted=False):
     model = FILTERS[name]
     if model.measures_imu:
         return robot_localization.step
-    predict, settle = _PREDICTIONS.get(name) or _PREDICTIONS[own_name(name)]
+    predict, settle = _PREDICTIONS.get(name) or _PREDICTIONS[base_model_name(name)]
     carries = model.fix_error and not model.tilts  # a prediction with tilts carries all columns
     biases = int(model.gyro_bias is not None)
     note_prior = step_log.note_prior(name) if noted else None

@@ -11,11 +11,11 @@ import numpy as np
 from sigmaswarm.filters.compiled.lanes import kernel
 from sigmaswarm.filters.compiled.layout import LANES, MOVE, PRIOR, state_rows
 from sigmaswarm.filters.compiled.transition import COEFFICIENTS
-from sigmaswarm.filters.fix_error import FILTERS, own_name
+from sigmaswarm.filters.fix_error import FILTERS, base_model_name
 
 
 def _moves_of(name):
-    return COEFFICIENTS[own_name(name)]
+    return COEFFICIENTS[base_model_name(name)]
 
 
 def logged_rows(name):

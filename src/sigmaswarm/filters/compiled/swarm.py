@@ -21,7 +21,7 @@ from numba import float64, njit, types
 from numba.core import cgutils, config
 from numba.extending import intrinsic
 
-from sigmaswarm.compilation import address_of, once
+from sigmaswarm.compilation import address_of, call_once
 from sigmaswarm.drives.events import FIX
 from sigmaswarm.drives.timeline import DT
 from sigmaswarm.filters.compiled.lanes import OPTIONS, exchange_control
@@ -182,7 +182,7 @@ def _swarm_step(sources, *, step, kept):
     return swarm_step
 
 
-@once
+@call_once
 def swarm_step(model):
     kept = (*(int(r) for r in state_rows(model)), *range(CONSTANT_ROWS.start, N_KEPT))
     function = named_by_sources(_swarm_step, f"swarm {model}", lambda: {"step": step_of(model), "kept": kept})

@@ -25,12 +25,12 @@ T = TypeVar("T")
 Names = dict[str, Any]
 
 
-class Written(NamedTuple):
+class ParsedFunction(NamedTuple):
     definition: ast.FunctionDef
     names: Names
 
 
-def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
+def written_out(function: Callable[..., Any], /, **known: Any) -> ParsedFunction:
     """Return a function's syntax tree, with its keyword-only parameters bound to ``known``; see `unrolled`."""
     if not known and (there := getattr(function, "written", None)) is not None:
         return there
@@ -43,7 +43,7 @@ def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
     definition.decorator_list, definition.args.kwonlyargs, definition.args.kw_defaults = [], [], []
     writer = _Writer(names, {k: v for k, v in known.items() if isinstance(v, int)})
     definition.body = writer.block(definition.body)
-    written = Written(definition, names)
+    written = ParsedFunction(definition, names)
     if not known:
         function.__dict__["written"] = written
     return written
@@ -64,7 +64,7 @@ class Kernel:
         self.__name__ = function.__name__
 
     @cached_property
-    def written(self) -> Written:
+    def written(self) -> ParsedFunction:
         return _with_retries(_transformed, self.source, self._change, self.known)
 
     @cached_property
@@ -107,15 +107,15 @@ def _qualified_name(function: Callable[..., Any], known: Names) -> str:
     return f"{function.__qualname__}_{_hash_of(known)}" if known else function.__qualname__
 
 
-def _transformed(function: Callable[..., Any], change: Change | None, known: Names) -> Written:
+def _transformed(function: Callable[..., Any], change: Change | None, known: Names) -> ParsedFunction:
     definition, names = written_out(function, **known)
     definition = _copied(definition)
     if change is not None:
         change(definition, names)
-    return Written(definition, names)
+    return ParsedFunction(definition, names)
 
 
-def _compiled(function: Callable[..., Any], written: Written, name: str) -> Callable[..., Any]:
+def _compiled(function: Callable[..., Any], written: ParsedFunction, name: str) -> Callable[..., Any]:
     tree = ast.fix_missing_locations(ast.Module([written.definition], []))
     defined: Names = {}
     exec(compile(tree, function.__code__.co_filename, "exec"), written.names, defined)
@@ -190,7 +190,7 @@ class _Writer(ast.NodeTransformer):
         kernel: Any = self.names.get(call.func.id)
         return self._spliced(kernel.written, call.args) if isinstance(kernel, Kernel) else node
 
-    def _spliced(self, written: Written, arguments: list[ast.expr]) -> list[ast.stmt]:
+    def _spliced(self, written: ParsedFunction, arguments: list[ast.expr]) -> list[ast.stmt]:
         """Replace a call of a kernel by its statements, with unique names."""
         self.calls += 1
         definition = _copied(written.definition)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.custom.log import Log, Steps, build_steps
+from sigmaswarm.filters.custom.log import FilterSteps, Log, build_steps
 from sigmaswarm.filters.custom.model import Model, as_covariance
 from sigmaswarm.filters.custom.run import check, kernel_of, run_kernel
 from sigmaswarm.filters.live import LiveState
@@ -147,7 +147,7 @@ class LiveModel:
     def _process(self, sample: _Sample) -> None:
         seen, now, (mean, covariance, runs) = sample.measurements, sample.time, self._state
         ends = np.array([*(t for t, _ in seen), now])
-        steps = Steps(
+        steps = FilterSteps(
             dt=np.diff(ends, prepend=self._time),
             source=np.zeros(len(ends), dtype=np.int64),
             updates=np.where(np.arange(len(ends)) < len(seen), np.arange(len(ends)), -1),

@@ -217,7 +217,7 @@ def _check_overlap(log: str, name: str, moments: Array, time: Array) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
+class FilterSteps:
     """Steps of a filter over a log. The first step has length zero, for a measurement at the first time."""
 
     dt: Array  # (k,), s
@@ -231,11 +231,11 @@ class Steps:
     covariance: Array  # (n, n), at the start
 
 
-def build_steps(log: Log) -> Steps:
+def build_steps(log: Log) -> FilterSteps:
     usable = (log.measurement_time >= log.time[0]) & (log.measurement_time <= log.time[-1])
     moments = log.measurement_time[usable]
     ends = np.union1d(log.time, moments)
-    return Steps(
+    return FilterSteps(
         dt=np.diff(ends, prepend=ends[0]),
         source=np.searchsorted(log.time, ends).astype(np.int64),  # the first input at or after the step's end
         updates=_rows(moments, ends),

@@ -12,15 +12,19 @@ from numba.core.errors import NumbaError
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.compiled.custom import build_kernel
-from sigmaswarm.filters.custom.log import Log, Steps, build_steps
+from sigmaswarm.filters.custom.log import FilterSteps, Log, build_steps
 from sigmaswarm.filters.custom.model import SCALING_NAMES, Model, as_covariance, fingerprint
 from sigmaswarm.filters.textbook.custom import TextbookModel
 from sigmaswarm.filters.textbook.ekf import complex_step
 from sigmaswarm.filters.textbook.loop import FAILURES, Trajectory, run_steps, smooth_steps
 from sigmaswarm.geodesy import wrap_angle
 
-TRIED = 20  # steps over which the compiled filter is compared with the textbook filter before its use
-SAME = 1e-6  # largest difference in standard deviations; rounding is far below, a compilation error above
+VERIFIED_STEPS = (
+    20  # steps over which the compiled filter is compared with the textbook filter before its use
+)
+MAX_DIFFERENCE = (
+    1e-6  # largest difference in standard deviations; rounding is far below, a compilation error above
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +118,7 @@ def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> Mod
     return _estimate(log, model, steps, replace(smoothed, failed=failed))
 
 
-def _estimate(log: Log, model: Model, steps: Steps, run: "Filtered") -> ModelEstimate:
+def _estimate(log: Log, model: Model, steps: FilterSteps, run: "ModelTrajectory") -> ModelEstimate:
     angles = model.places(model.angles)
     run.mean[:, angles] = wrap_angle(run.mean[:, angles])
     failure = failure_in(log, steps, run.failed)
@@ -123,7 +127,7 @@ def _estimate(log: Log, model: Model, steps: Steps, run: "Filtered") -> ModelEst
     )
 
 
-def failure_in(log: Log, steps: Steps, failed: int) -> str | None:
+def failure_in(log: Log, steps: FilterSteps, failed: int) -> str | None:
     if failed < 0:
         return None
     moment = log.time[0] + steps.dt[: failed + 1].sum()
@@ -134,7 +138,7 @@ def failure_in(log: Log, steps: Steps, failed: int) -> str | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Filtered(Trajectory):
+class ModelTrajectory(Trajectory):
     """Trajectory of a filter at the times of a log, and NIS and NLL of each measurement, (f,)."""
 
     nis: Array
@@ -152,19 +156,19 @@ class Runner:
         absent = any(np.isnan(steps.measurements).any() for steps in self.steps)
         self.kernel = kernel_of(model, self.steps[0], absent=absent)
 
-    def run(self, i: int, parameters: Mapping[str, float], *, covariances: bool = False) -> Filtered:
+    def run(self, i: int, parameters: Mapping[str, float], *, covariances: bool = False) -> ModelTrajectory:
         return run_kernel(self.model, self.kernel, self.steps[i], parameters, covariances=covariances)
 
 
 def run_kernel(
     model: Model,
     kernel: Any,
-    steps: Steps,
+    steps: FilterSteps,
     parameters: Mapping[str, float],
     *,
     covariances: bool,
     runs: Array | None = None,
-) -> Filtered:
+) -> ModelTrajectory:
     """Run the compiled filter, else the textbook filter; ``runs`` (m, 2): see `TextbookModel`, changed in place."""
     runs = np.zeros((steps.measurements.shape[1], 2)) if runs is None else runs
     p = model.values(parameters)
@@ -187,17 +191,17 @@ def run_kernel(
 
 
 def _run_textbook(
-    model: Model, steps: Steps, parameters: Mapping[str, float], runs: Array, *, covariances: bool
-) -> Filtered:
+    model: Model, steps: FilterSteps, parameters: Mapping[str, float], runs: Array, *, covariances: bool
+) -> ModelTrajectory:
     stepper = _textbook(model, steps, parameters, runs)
     if stepper is None:
         return _nothing(steps, covariances=covariances, failed=0)
     trajectory = run_steps(stepper, steps.records.tolist(), n_rows=len(steps.inputs), covariances=covariances)
-    return Filtered(**vars(trajectory), nis=stepper.nis, nll=stepper.nll)
+    return ModelTrajectory(**vars(trajectory), nis=stepper.nis, nll=stepper.nll)
 
 
 def _textbook(
-    model: Model, steps: Steps, parameters: Mapping[str, float], runs: Array
+    model: Model, steps: FilterSteps, parameters: Mapping[str, float], runs: Array
 ) -> TextbookModel | None:
     """Return the textbook filter at the start of a log; None if the user's functions fail there."""
     try:
@@ -211,10 +215,10 @@ def _scaling(parameters: Mapping[str, float]) -> Array:
     return np.array([parameters.get(name, np.nan) for name in SCALING_NAMES])
 
 
-def _nothing(steps: Steps, *, covariances: bool, failed: int = -1) -> Filtered:
+def _nothing(steps: FilterSteps, *, covariances: bool, failed: int = -1) -> ModelTrajectory:
     k, n, each = len(steps.inputs), len(steps.mean), np.full((2, len(steps.measurements)), np.nan)
     trajectory = Trajectory.empty(k, n, covariances=covariances, failed=failed)
-    return Filtered(**vars(trajectory), nis=each[0], nll=each[1])
+    return ModelTrajectory(**vars(trajectory), nis=each[0], nll=each[1])
 
 
 _KERNELS: "WeakKeyDictionary[Model, dict[bool, Any]]" = WeakKeyDictionary()
@@ -222,7 +226,7 @@ _BUILT: "WeakValueDictionary[str, Any]" = WeakValueDictionary()
 """Kernels by the functions of a model, since other bounds or another R do not need another compilation."""
 
 
-def kernel_of(model: Model, steps: Steps, *, absent: bool = False) -> Any:
+def kernel_of(model: Model, steps: FilterSteps, *, absent: bool = False) -> Any:
     """Return the kernel of a model, compiled at the first use; None if the model cannot be compiled.
 
     ``absent``: elements of measurements may be NaN.
@@ -233,10 +237,11 @@ def kernel_of(model: Model, steps: Steps, *, absent: bool = False) -> Any:
     return kernels[absent]
 
 
-def _compiled(model: Model, steps: Steps, *, absent: bool) -> Any:
+def _compiled(model: Model, steps: FilterSteps, *, absent: bool) -> Any:
     """Compile the filter and compare it with the textbook filter; warn and return None if it fails or differs."""
     few = replace(
-        steps, **{name: getattr(steps, name)[:TRIED] for name in ("dt", "source", "updates", "records")}
+        steps,
+        **{name: getattr(steps, name)[:VERIFIED_STEPS] for name in ("dt", "source", "updates", "records")},
     )
     trial = trial_parameters(model)
     diagonal = np.ndim(model.process_noise(1.0, model.values(trial))) == 1
@@ -266,12 +271,12 @@ def _compiled(model: Model, steps: Steps, *, absent: bool) -> Any:
     return None
 
 
-def _same(a: Filtered, b: Filtered) -> bool:
+def _same(a: ModelTrajectory, b: ModelTrajectory) -> bool:
     deviation = np.sqrt(np.diagonal(b.covariance, axis1=1, axis2=2))
     apart = np.abs(a.mean - b.mean) / deviation
     return (
         a.failed == b.failed
-        and not np.any(apart > SAME)
+        and not np.any(apart > MAX_DIFFERENCE)
         and bool(np.array_equal(np.isnan(a.mean), np.isnan(b.mean)))
     )
 

@@ -17,9 +17,9 @@ from sigmaswarm.filters.schedule import (
     MOST_REJECTED,
     SLIP_GATE,
     STANDSTILL_RATE_NOISE,
-    converted,
     gap_covariance,
     measured_by,
+    process_noise_per_step,
     require_accuracy,
     require_axes,
     require_odometer,
@@ -70,7 +70,7 @@ class TextbookCar:
             redraw_sigma_points=redraw_sigma_points,
         )
         self._beyond = np.zeros(len(mean) - p.n_states)  # states without process noise from step to step
-        q = converted(p, timeline.nominal_interval)
+        q = process_noise_per_step(p, timeline.nominal_interval)
         r = np.array(p.measurement_noise)
         fuzzy = p.kind == "fuzzy-ukf"
         self.fuzzy = FuzzyNoise(q, r, p.forgetting, p.fuzzy_widths, p.fuzzy_gains) if fuzzy else None
@@ -160,7 +160,9 @@ class TextbookCar:
         p, filter = self.parameters, self.filter
         phi = float(np.exp(-self._since * self.timeline.nominal_interval / p.fix_error_time))
         f, q = fix_error.transition(len(filter.mean), phi), np.zeros_like(filter.covariance)
-        q[-2:, -2:] = fix_error.grown((p.fix_error or 0.0) * np.where(stated > 0, stated, p.fix_std**2), phi)
+        q[-2:, -2:] = fix_error.fix_error_noise(
+            (p.fix_error or 0.0) * np.where(stated > 0, stated, p.fix_std**2), phi
+        )
         filter.mean, filter.covariance = f @ filter.mean, f @ filter.covariance @ f.T + q
         filter.prediction = Prediction(filter.mean, filter.covariance, filter.prediction.cross @ f.T)
 

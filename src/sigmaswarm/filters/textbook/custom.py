@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.filters.custom.log import Steps
+from sigmaswarm.filters.custom.log import FilterSteps
 from sigmaswarm.filters.custom.model import Model, as_covariance
 from sigmaswarm.filters.student import OUTLIERS, OUTLIERS_SPAN
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
@@ -23,7 +23,7 @@ class TextbookModel:
     time since the first, s.
     """
 
-    def __init__(self, model: Model, steps: Steps, scaling: Array, p: Any, runs: Array) -> None:
+    def __init__(self, model: Model, steps: FilterSteps, scaling: Array, p: Any, runs: Array) -> None:
         self.model, self.steps, self.p, self.runs = model, steps, p, runs
         self.noise = as_covariance(model.measurement_noise(p))
         self.limits = model.limits(len(self.noise))
@@ -57,7 +57,7 @@ class TextbookModel:
         return above and not ((count >= OUTLIERS) & (since >= OUTLIERS_SPAN - 1e-6)).all()
 
 
-def textbook_filter(model: Model, steps: Steps, scaling: Array, p: Any) -> GaussianFilter:
+def textbook_filter(model: Model, steps: FilterSteps, scaling: Array, p: Any) -> GaussianFilter:
     def f(state: Array, dt: float, u: Array) -> Array:
         return np.asarray(model.f(state.copy(), dt, u, p))  # a copy: f may work in place
 

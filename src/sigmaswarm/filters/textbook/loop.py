@@ -62,7 +62,7 @@ def run_steps(
 
 
 @dataclass(frozen=True, eq=False)
-class Smoothed:
+class SmoothedStates:
     """Smoothed states of a filter at the start and after each of k steps; steps after a failure are omitted."""
 
     mean: Array  # (k + 1, n)
@@ -72,7 +72,7 @@ class Smoothed:
 
 def smooth_steps(
     stepper: Stepper, n_steps: int, *, plus: Retraction = add, minus: Retraction = sub
-) -> Smoothed:
+) -> SmoothedStates:
     """Compute all steps, and smooth. ``plus`` adds an error to a state; ``minus`` is the inverse: see `manifold`."""
     filter, failed = stepper.filter, -1
     filtered, predictions = [(filter.mean, filter.covariance)], list[Prediction]()
@@ -91,7 +91,7 @@ def smooth_steps(
             break
         filtered.append((filter.mean, filter.covariance))
         predictions.append(filter.prediction)
-    return Smoothed(*rauch_tung_striebel(filtered, predictions, plus, minus), failed)
+    return SmoothedStates(*rauch_tung_striebel(filtered, predictions, plus, minus), failed)
 
 
 def rauch_tung_striebel(

@@ -18,15 +18,15 @@ from sigmaswarm.importing.source import (
     Limits,
     Log,
     Role,
+    errors_as_damage,
     first_bytes,
-    library,
-    of_frames,
+    import_library,
+    log_of_frames,
     roles_of,
-    whole,
 )
 
 # Largest number of bytes outside of messages; pymavlink takes about a second to skip them
-MOST_SKIPPED = 200_000
+MAX_SKIPPED = 200_000
 MAGIC, TEXTS = b"\xa3\x95\x80", (b"FMT, 128,", b"FMT,128,")
 _T = {"t": "TimeUS*1e-6"}
 _PLACE = _T | {"lat": "Lat", "lon": "Lng", "alt": "Alt"}
@@ -55,8 +55,8 @@ class _Skipped(StringIO):
 
     def write(self, text: str, /) -> int:
         self.count += text.startswith("bad header")
-        if self.count > MOST_SKIPPED:
-            raise ValueError(f"more than {MOST_SKIPPED} bytes between messages belong to no message")
+        if self.count > MAX_SKIPPED:
+            raise ValueError(f"more than {MAX_SKIPPED} bytes between messages belong to no message")
         return len(text)
 
 
@@ -67,12 +67,12 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    module = library("pymavlink.DFReader", "logs")
+    module = import_library("pymavlink.DFReader", "logs")
     kind = module.DFReader_binary if first_bytes(path, 3) == MAGIC else module.DFReader_text
     log = kind.__new__(kind)  # so that its files can be closed if __init__ fails
     log.init_arrays_fast = log.init_arrays  # the output of the compiled function can't be caught
     try:
-        with whole(path), redirect_stderr(_Skipped()), redirect_stdout(StringIO()):  # its reports
+        with errors_as_damage(path), redirect_stderr(_Skipped()), redirect_stdout(StringIO()):  # its reports
             log.__init__(str(path), zero_time_base=True)
             rows = _rows(log, path, limits)
     finally:
@@ -94,7 +94,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         roles_of(parts, {name: _COLUMNS[name] for name in frames}),
         ("ArduPilot's axes are converted from forward, right, down to forward, left, up",),
     )
-    return of_frames(path, frames, "dataflash message", lambda _: guess)
+    return log_of_frames(path, frames, "dataflash message", lambda _: guess)
 
 
 def _rows(log: Any, path: Path, limits: Limits) -> dict[str, list[tuple[float, ...]]]:

@@ -12,32 +12,32 @@ from typing import Any, cast
 
 import polars as pl
 
-from sigmaswarm.drives.table_files import BROKEN, one_file
+from sigmaswarm.drives.table_files import POLARS_ERRORS, one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import SECOND
 from sigmaswarm.importing.expressions import time_expression
-from sigmaswarm.importing.guess import SAMPLE, guess_roles, spread_rows
+from sigmaswarm.importing.guess import SAMPLE_ROWS, guess_roles, spread_rows
 from sigmaswarm.importing.readers.dialect import BLANKS, Dialect, dialect_of, is_table, uneven_row
 from sigmaswarm.importing.readers.packed import paths_in, unpacked
 from sigmaswarm.importing.source import (
     FILES,
     Batch,
-    Choice,
     Guess,
     Limits,
     Log,
     Table,
+    TableChoice,
     Wanted,
     first_bytes,
     is_empty,
-    no_log,
+    no_log_error,
 )
 from sigmaswarm.importing.times import time_of
-from sigmaswarm.wording import names_shown, quoted, shown
+from sigmaswarm.wording import list_names, printable, quoted
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
 CHUNK = 100_000
-LONGEST_BREAK = 10.0  # s, longest time between files that are joined
+MAX_BREAK = 10.0  # s, longest time between files that are joined
 
 
 def recognizes(path: Path) -> bool:
@@ -71,11 +71,11 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         outer = [folder for folder in folders if len(folder.parts) == min(len(f.parts) for f in folders)]
         if len(outer) > 1:
             raise InputError(
-                f"{path}: contains tables in several folders ({names_shown(map(str, outer))}); unpack it, then import "
+                f"{path}: contains tables in several folders ({list_names(map(str, outer))}); unpack it, then import "
                 "one folder, or one file, and name other files with --gps, --truth and --odometer"
             )
         names = [*dict.fromkeys(file.name for file in packed)]
-        return of_names(path, names, limits, stack, None)
+        return log_of_names(path, names, limits, stack, None)
     remarks: list[str] = []
     files, folder = [path], path.parent
     if path.is_dir():
@@ -85,9 +85,9 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         empty = sorted(f.name for f in path.iterdir() if f.suffix.lower() in SUFFIXES and is_empty(f))
         remarks += [f"{name} is empty; copy it again" for name in empty]
         if not files:
-            raise no_log(path)
+            raise no_log_error(path)
     scans = {f.relative_to(folder).as_posix(): scan(f, f, limits, remarks) for f in files}
-    return of_files(path, _joined(scans, remarks), FILES, None, remarks)
+    return log_of_files(path, _joined(scans, remarks), FILES, None, remarks)
 
 
 def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, pl.LazyFrame]:
@@ -110,12 +110,12 @@ def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, 
     for names in groups.values():
         spans = sorted((_span(renamed[name]), name) for name in names) if len(names) > 1 else []
         gaps = [later[0][0] - former[0][1] for former, later in pairwise(spans)]
-        if not gaps or not all(0 <= gap < LONGEST_BREAK for gap in gaps):
+        if not gaps or not all(0 <= gap < MAX_BREAK for gap in gaps):
             whole |= {name: scans[name] for name in names}
             continue
         names = [name for _, name in spans]
         whole[names[0]] = pl.concat([renamed[name] for name in names], how="vertical_relaxed")
-        reason = f"{names_shown(names)} are joined, since their times continue each other"
+        reason = f"{list_names(names)} are joined, since their times continue each other"
         remarks[:] = [r for r in remarks if not any(r.startswith(f"{n}: has no header") for n in names)] + [
             reason
         ]
@@ -124,7 +124,7 @@ def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, 
 
 def _span(rows: pl.LazyFrame) -> tuple[float, float]:
     """Return the first and the last time of a table, s; NaN if they cannot be read."""
-    head = rows.head(SAMPLE).collect()
+    head = rows.head(SAMPLE_ROWS).collect()
     text = time_of(head) or time_of(head, "gps")
     ends = (
         pl.concat([rows.head(1), rows.tail(1)]).select(time_expression(text, head)).collect()
@@ -135,14 +135,14 @@ def _span(rows: pl.LazyFrame) -> tuple[float, float]:
     return (math.nan, math.nan) if first is None or last is None else (first / SECOND, last / SECOND)
 
 
-def of_names(
+def log_of_names(
     path: Path, names: Collection[str], limits: Limits, stack: ExitStack, guessed: Guess | None
 ) -> Log:
-    """Open the named tables of a folder or zip; ``guessed``: see `of_files`."""
+    """Open the named tables of a folder or zip; ``guessed``: see `log_of_files`."""
     folder, remarks = unpacked(path, names, limits, stack), list[str]()
     there = [name for name in names if (folder / name).is_file()]
     scans = {name: scan(folder / name, path / name, limits, remarks) for name in there}
-    return of_files(path, scans if guessed else _joined(scans, remarks), "CSV", guessed, remarks)
+    return log_of_files(path, scans if guessed else _joined(scans, remarks), "CSV", guessed, remarks)
 
 
 def _is_prose(file: Path) -> bool:
@@ -153,7 +153,7 @@ def _is_prose(file: Path) -> bool:
     return len(dialect.names) < 2 or not dialect.numeric
 
 
-def of_files(
+def log_of_files(
     path: Path,
     scans: Mapping[str, pl.LazyFrame],
     kind: str,
@@ -171,10 +171,10 @@ def of_files(
                 for frame in rows.collect_batches(chunk_size=CHUNK, maintain_order=True):
                     seen += len(frame)
                     yield table, frame, (number + min(seen / max(size, seen), 1.0)) / len(wanted)
-            except BROKEN as error:
+            except POLARS_ERRORS as error:
                 raise broken_table(path, table, error) from None
 
-    def guess(choice: Choice) -> Guess:
+    def guess(choice: TableChoice) -> Guess:
         if guessed is not None:
             return guessed
         for table in choice.tables.values():
@@ -198,7 +198,7 @@ def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.L
             frame = pl.scan_parquet(**one_file(file))
             limits.check_rows(frame.select(pl.len()).collect().item(), shown_as, shown_as.name)
             names = frame.collect_schema().names()
-        except (*BROKEN, OSError) as error:
+        except (*POLARS_ERRORS, OSError) as error:
             raise broken_table(shown_as, shown_as.name, error) from None
         _check_names(names, shown_as, limits)
     else:
@@ -260,7 +260,7 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
             raise pl.exceptions.ComputeError("a row has more cells than the header")
     except pl.exceptions.NoDataError:
         return pl.LazyFrame(schema=dict.fromkeys(columns[: len(dialect.names)], pl.String))
-    except (*BROKEN, OSError) as error:
+    except (*POLARS_ERRORS, OSError) as error:
         if (uneven := uneven_row(file, dialect)) is not None:
             row, cells = uneven
             raise InputError(
@@ -271,7 +271,7 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
             frame = _separated(file, dialect, None, truncate_ragged_lines=True)
             frame = frame.rename(dict(zip(frame.collect_schema(), columns, strict=False)))
             there = frame.collect_schema()
-        except BROKEN:
+        except POLARS_ERRORS:
             raise broken_table(shown_as, shown_as.name, error) from None
     missing = [pl.lit(None, pl.Float64).alias(c) for c in columns if c not in there]
     texts = [columns[k] for k in dialect.numeric if there.get(columns[k]) == pl.String]
@@ -348,7 +348,7 @@ def _plain(names: Sequence[str], file: Path, remarks: list[str]) -> list[str]:
     for first, again in others.items():
         if first:
             often = "twice; the other is" if len(again) == 1 else f"{len(again) + 1} times; the others are"
-            called = names_shown(again, mark="'")
+            called = list_names(again, mark="'")
             remarks.append(f"{file.name}: column {quoted(first)} appears {often} {called}")
     return list(plain)
 
@@ -375,11 +375,11 @@ def collect(
     """Return the rows that ``read`` selects, by default all; errors of polars become one-line errors."""
     try:
         return read(rows)
-    except BROKEN as error:
+    except POLARS_ERRORS as error:
         raise broken_table(path, table, error) from None
 
 
 def broken_table(path: Path, table: str, error: Exception) -> InputError:
     where = path if path.name == table else path / table
-    reason = shown(" ".join(str(error).split("\n")[0].split()), 160)
+    reason = printable(" ".join(str(error).split("\n")[0].split()), 160)
     return InputError(f"{where}: can't be read as a table ({reason}); export it again")

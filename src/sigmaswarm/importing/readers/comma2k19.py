@@ -14,7 +14,7 @@ import pymap3d
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.source import Guess, Limits, Log, Role, of_frames, roles_of, whole
+from sigmaswarm.importing.source import Guess, Limits, Log, Role, errors_as_damage, log_of_frames, roles_of
 
 _TURNED = ("forward", "right", "down")
 # By table: folders that may contain it, and its columns
@@ -60,12 +60,12 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     parts = [p for p in PARTS if p[0] != "imu" or {"accelerometer", "gyro"} <= frames.keys()]
     roles = roles_of(parts, {name: frame.columns for name, frame in frames.items()})
     guess = Guess(roles, (_NOTE,), metadata={"licence": "MIT", "dataset": "comma2k19"})
-    return of_frames(path, frames, "", lambda _: guess)
+    return log_of_frames(path, frames, "", lambda _: guess)
 
 
 def _load(path: Path, width: int, rows: int | None = None) -> Array:
     """Load an array (rows, width) of numbers; for a width of 1, the shape may be (rows,)."""
-    with whole(path, "can't be read as a NumPy array", "unpack the segment again"):
+    with errors_as_damage(path, "can't be read as a NumPy array", "unpack the segment again"):
         # mapped, so that a header with a shape larger than the file is refused before memory is allocated
         array = np.load(path, allow_pickle=False, mmap_mode="r")
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub":

@@ -16,10 +16,10 @@ from sigmaswarm.importing.quantities import NO_NUMBER, NO_VALUE
 from sigmaswarm.importing.readers.packed_cells import packed_cells
 from sigmaswarm.importing.source import first_bytes
 from sigmaswarm.importing.units import COUNTS, parse_unit
-from sigmaswarm.wording import names_shown
+from sigmaswarm.wording import list_names
 
-HEAD = 4_000_000  # bytes in which a header is searched
-SAMPLE, MOST_LINES = 200_000, 300  # most characters and most lines that are examined below the header
+HEADER_BYTES = 4_000_000  # bytes in which a header is searched
+SAMPLE, MAX_LINES = 200_000, 300  # most characters and most lines that are examined below the header
 SEPARATORS = (";", "\t", "|", ",")  # in order of preference if two fit equally well; commas may be decimal
 BLANKS = " "  # a separator of any number of blanks
 COMMENTS = "#%!"
@@ -126,7 +126,7 @@ def _require_one_kind(rows: Rows, shown_as: Path) -> None:
     if named and 1 < len(names) <= 20 and len({width for _, width in kinds}) > 1:
         bare = names[0].strip("$")
         raise InputError(
-            f"{shown_as}: has rows of several kinds, {names_shown(names)}; write each kind to a separate file, "
+            f"{shown_as}: has rows of several kinds, {list_names(names)}; write each kind to a separate file, "
             f"for example with: grep '^ *[$]*{bare}[^A-Za-z0-9_]' {quote(shown_as.name)} > {bare.lower()}.csv, "
             "and add a header line to each file"
         )
@@ -156,7 +156,7 @@ def _has_decimal_commas(cells: Sequence[str]) -> bool:
 
 
 def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
-    head = first_bytes(file, HEAD)
+    head = first_bytes(file, HEADER_BYTES)
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError(
             f"{shown_as}: is text in UTF-16; save it as UTF-8, for example with: iconv -f UTF-16 -t UTF-8 "
@@ -167,7 +167,7 @@ def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
             f"{shown_as}: the lines end in a carriage return alone; convert the file, for example with: "
             f"tr '\\r' '\\n' < {quote(shown_as.name)} > new.csv"
         )
-    cut = head if len(head) < HEAD else head[: head.rfind(b"\n") + 1]
+    cut = head if len(head) < HEADER_BYTES else head[: head.rfind(b"\n") + 1]
     try:
         return cut.decode("utf-8-sig").split("\n"), "utf8"
     except UnicodeDecodeError:
@@ -176,7 +176,7 @@ def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
 
 def _first_lines(lines: Sequence[str], begin: int) -> list[int]:
     size, places = 0, list[int]()
-    for i, line in enumerate(lines[begin : begin + MOST_LINES], begin):
+    for i, line in enumerate(lines[begin : begin + MAX_LINES], begin):
         size += len(line)
         places.append(i)
         if size > SAMPLE and len(places) > 3:

@@ -11,8 +11,8 @@ from typing import Any
 
 from sigmaswarm.importing.source import Limits
 
-DEEPEST = 6
-MOST_ELEMENTS = 36  # elements of a fixed array or a JSON list that become columns, as of a 6 x 6 covariance
+MAX_DEPTH = 6
+MAX_ELEMENTS = 36  # elements of a fixed array or a JSON list that become columns, as of a 6 x 6 covariance
 
 
 def getter(column: str) -> Callable[[Any], Any]:
@@ -76,7 +76,7 @@ def _paths(typestore: Any, msgtype: str, before: str, depth: int) -> Iterator[st
     """Yield the paths, depth first; a list of unknown length or a text yields an empty name."""
     from rosbags.interfaces import Nodetype
 
-    if depth > DEEPEST or msgtype not in typestore.fielddefs:
+    if depth > MAX_DEPTH or msgtype not in typestore.fielddefs:
         return
     for name, (node, detail) in typestore.fielddefs[msgtype][1]:
         path = before + name
@@ -85,7 +85,7 @@ def _paths(typestore: Any, msgtype: str, before: str, depth: int) -> Iterator[st
             yield path
         elif node == Nodetype.NAME:
             yield from _paths(typestore, detail, path + ".", depth + 1)
-        elif node == Nodetype.ARRAY and detail[1] <= MOST_ELEMENTS:
+        elif node == Nodetype.ARRAY and detail[1] <= MAX_ELEMENTS:
             (kind, about), length = detail
             if kind == Nodetype.BASE and about[0] != "string":
                 yield from (f"{path}[{i}]" for i in range(length))
@@ -109,5 +109,5 @@ def _json_paths(content: dict[str, Any], before: str) -> Iterator[str]:
         elif isinstance(value, int | float):
             yield before + name
         elif isinstance(value, list):
-            first: list[Any] = value[:MOST_ELEMENTS]
+            first: list[Any] = value[:MAX_ELEMENTS]
             yield from (f"{before}{name}[{i}]" for i, v in enumerate(first) if isinstance(v, int | float))

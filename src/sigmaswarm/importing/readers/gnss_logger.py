@@ -11,8 +11,8 @@ from pathlib import Path
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.readers.columns import collect, of_files, text_lines
-from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68
+from sigmaswarm.importing.readers.columns import collect, log_of_files, text_lines
+from sigmaswarm.importing.readers.phones import FLAT_NOTE, RADIUS_68
 from sigmaswarm.importing.source import (
     Guess,
     Limits,
@@ -70,7 +70,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     for row, line, _ in collect(lines.filter(cells < widths).head(1), path, path.name).iter_rows():
         raise InputError(f"{path}, row {row}: {line.strip()[:40]!r} is cut short; delete the row")
     scans = {kind: _cells(lines.filter(pl.col("kind") == kind), names) for kind, names in columns.items()}
-    return of_files(path, scans, "lines", _guess(columns))
+    return log_of_files(path, scans, "lines", _guess(columns))
 
 
 def _cells(lines: pl.LazyFrame, names: list[str]) -> pl.LazyFrame:
@@ -102,4 +102,4 @@ def _guess(columns: Wanted) -> Guess:
         parts.append(("imu", acceleration[0], {"t": t, "ax": y, "ay": f"-{x}", "az": z}))
         parts.append(("imu", gyro[0], {"t": t, "gx": q, "gy": f"-{p}", "gz": r}))
     late = () if shared else ("Fix has no elapsedRealtimeNanos, so the times are UTC in milliseconds",)
-    return Guess(roles_of(parts, columns), late, flat=FLAT)
+    return Guess(roles_of(parts, columns), late, flat=FLAT_NOTE)

@@ -14,8 +14,8 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.source import Guess, Limits, Log, Part, of_frames
-from sigmaswarm.wording import shown
+from sigmaswarm.importing.source import Guess, Limits, Log, Part, log_of_frames
+from sigmaswarm.wording import printable
 
 COLUMNS = (
     *("lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu"),
@@ -65,7 +65,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     frame = pl.DataFrame({"stamp": times, **dict(zip(COLUMNS, rows.T[1:], strict=True))})
     lost = np.iinfo(np.int64).min  # NaT: a sample with an empty line has no time
     frame = frame.with_columns(pl.col("stamp").replace(lost, None))
-    return of_frames(path, {TABLE: frame}, "OXTS RT3003", lambda _: GUESS)
+    return log_of_frames(path, {TABLE: frame}, "OXTS RT3003", lambda _: GUESS)
 
 
 def _stamps(path: Path) -> np.ndarray:
@@ -77,7 +77,7 @@ def _stamps(path: Path) -> np.ndarray:
             times = np.array(said, dtype="datetime64[ns]")
             days = np.array([text[:10] for text in said], dtype="datetime64[D]")
     except (ValueError, UserWarning) as error:
-        raise InputError(f"{path}: {shown(error, 160)}; unpack the drive again") from None
+        raise InputError(f"{path}: {printable(error, 160)}; unpack the drive again") from None
     if not len(times):
         raise InputError(f"{path} is empty; unpack the drive again")
     if np.any(times.astype("datetime64[D]") != days, where=~np.isnat(days)):  # ns reach from 1678 to 2262

@@ -17,20 +17,29 @@ import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import guess_roles, spread_rows
-from sigmaswarm.importing.source import FILES, Choice, Guess, Limits, Log, first_bytes, of_frames, whole
-from sigmaswarm.wording import shown
+from sigmaswarm.importing.source import (
+    FILES,
+    Guess,
+    Limits,
+    Log,
+    TableChoice,
+    errors_as_damage,
+    first_bytes,
+    log_of_frames,
+)
+from sigmaswarm.wording import printable
 
-LOOSE = "variables"  # name of the table of vectors outside of structs
-DEEPEST = 5
-MOST_STRUCTS = 100_000
-MOST_PARTS = 9  # columns of a matrix that become separate columns
+ROOT_TABLE = "variables"  # name of the table of vectors outside of structs
+MAX_DEPTH = 5
+MAX_STRUCTS = 100_000
+MAX_MATRIX_COLUMNS = 9  # columns of a matrix that become separate columns
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 # Types of elements in files of version 5 to 7 (MathWorks, "MAT-File Format")
 _SHAPE, _FLAGS, _ARRAY, _COMPRESSED = 5, 6, 14, 15
 _NUMBERS = (1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18)
 _OF_ARRAYS = (1, 2, 3, 16, 17)  # classes of arrays of arrays: cell, struct, object, function, opaque
 _SPARSE, _OPAQUE_CLASS, _COMPLEX = 5, 17, 0x800
-_DEEPEST_ARRAY = 50
+_MAX_ARRAY_DEPTH = 50
 _OPAQUE = ("MatlabOpaque", "MatlabFunction")
 
 
@@ -47,12 +56,12 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
             f"{path}: is a MATLAB file of version 7.3, which is not supported; in MATLAB type: "
             f"s = load('{path.name}'); save('{path.stem}_v7.mat', '-struct', 's', '-v7')"
         )
-    with whole(path):
+    with errors_as_damage(path):
         _require_known_elements(path, limits)
         for name, shape, kind in whosmat(path):
-            if kind in ("struct", "cell") and math.prod(shape) > MOST_STRUCTS:  # SciPy creates all elements
+            if kind in ("struct", "cell") and math.prod(shape) > MAX_STRUCTS:  # SciPy creates all elements
                 raise InputError(
-                    f"{path}: {shown(name)} has more than {MOST_STRUCTS} structs; save vectors in one struct"
+                    f"{path}: {printable(name)} has more than {MAX_STRUCTS} structs; save vectors in one struct"
                 )
             limits.check_unpacked(8 * math.prod(shape), path)
         content = cast("dict[str, Any]", loadmat(path, squeeze_me=True, struct_as_record=False))
@@ -70,10 +79,10 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     for name, frame in frames.items():
         limits.check_rows(len(frame), path, name)
 
-    def guess(choice: Choice) -> Guess:
+    def guess(choice: TableChoice) -> Guess:
         return guess_roles({name: spread_rows(frame.lazy()) for name, frame in frames.items()}, choice.tables)
 
-    return of_frames(path, frames, FILES, guess)
+    return log_of_frames(path, frames, FILES, guess)
 
 
 def _require_known_elements(path: Path, limits: Limits) -> None:
@@ -113,7 +122,7 @@ def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]
 
 def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int) -> None:
     """Refuse elements that are not arrays, and arrays with contradictory class, shape and content."""
-    if kind != _ARRAY or depth > _DEEPEST_ARRAY:
+    if kind != _ARRAY or depth > _MAX_ARRAY_DEPTH:
         raise ValueError(f"an element of type {kind}, at depth {depth}, instead of an array")
     elements = _elements(file, file.tell() + size, order)
     if next(elements, (_FLAGS, 8)) != (_FLAGS, 8):
@@ -132,7 +141,7 @@ def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int
         elif inner not in _NUMBERS:
             raise ValueError(f"an element of type {inner} instead of numbers")
     if array in _OF_ARRAYS:
-        lacks = depth > 0 and count > MOST_STRUCTS  # `open_log` names a variable with too many structs
+        lacks = depth > 0 and count > MAX_STRUCTS  # `open_log` names a variable with too many structs
     elif array == _SPARSE:
         lacks = parts < 4 + bool(flags & _COMPLEX)  # a name, rows, columns, values
     else:
@@ -145,7 +154,7 @@ def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple
     """Yield the tables of a struct: its vectors of equal length, the most common length first, and its structs."""
     vectors: dict[str, Any] = {}
     for field, value in content.items():
-        if hasattr(value, "_fieldnames") and depth < DEEPEST:
+        if hasattr(value, "_fieldnames") and depth < MAX_DEPTH:
             inner = {f: getattr(value, f) for f in value._fieldnames}
             yield from _tables(inner, f"{name}.{field}" if name else field, depth + 1)
         elif isinstance(value, np.ndarray):
@@ -155,7 +164,7 @@ def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple
         columns = {f: v for f, v in vectors.items() if len(v) == length}
         if len(columns) > 1:
             first = length == max(lengths, key=lengths.count)
-            yield (name or LOOSE) + ("" if first else f" ({length})"), columns
+            yield (name or ROOT_TABLE) + ("" if first else f" ({length})"), columns
 
 
 def _columns(field: str, value: "np.ndarray[Any, Any]") -> Iterator[tuple[str, Any]]:
@@ -166,6 +175,6 @@ def _columns(field: str, value: "np.ndarray[Any, Any]") -> Iterator[tuple[str, A
         yield field, value
     elif value.ndim == 2:
         matrix = value if value.shape[0] >= value.shape[1] else value.T
-        if 1 < matrix.shape[1] <= MOST_PARTS:
+        if 1 < matrix.shape[1] <= MAX_MATRIX_COLUMNS:
             axes = "xyz" if matrix.shape[1] == 3 else [str(k) for k in range(matrix.shape[1])]
             yield from ((f"{field}_{a}", np.ascontiguousarray(matrix[:, k])) for k, a in enumerate(axes))

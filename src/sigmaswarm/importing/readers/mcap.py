@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.readers.fields import DEEPEST, MOST_ELEMENTS, columns_of, json_columns
+from sigmaswarm.importing.readers.fields import MAX_DEPTH, MAX_ELEMENTS, columns_of, json_columns
 from sigmaswarm.importing.readers.messages import Message, message_log
-from sigmaswarm.importing.source import Limits, Log, Table, first_bytes, library, whole
+from sigmaswarm.importing.source import Limits, Log, Table, errors_as_damage, first_bytes, import_library
 
 Decode = Callable[[bytes], Any]
-LOOKED_AT = 20  # messages that determine the columns of a topic without a definition
+SAMPLE_MESSAGES = 20  # messages that determine the columns of a topic without a definition
 _LZ4_RATIO = 255  # largest expansion ratio of LZ4
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -24,9 +24,9 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    reading = library("mcap.reader", "ros")
+    reading = import_library("mcap.reader", "ros")
     file = stack.enter_context(path.open("rb"))
-    with whole(path):
+    with errors_as_damage(path):
         reader = reading.make_reader(file, validate_crcs=True)
         summary = reader.get_summary()
         if summary is None or not summary.channels:
@@ -47,9 +47,9 @@ def _unpacked(file: BinaryIO, offset: int, limits: Limits) -> int:
     data = file.read(min(packed, 32))
     stated, most = 0, limits.unpacked_mb * 1_000_000
     if kind == b"zstd":
-        stated = library("zstandard", "ros").frame_content_size(data)
+        stated = import_library("zstandard", "ros").frame_content_size(data)
     elif kind == b"lz4":
-        lz4 = library("lz4.frame", "ros")
+        lz4 = import_library("lz4.frame", "ros")
         stated = lz4.get_frame_info(data)["content_size"]
         if not stated and packed * _LZ4_RATIO > most:
             data += file.read(packed - len(data))
@@ -59,7 +59,9 @@ def _unpacked(file: BinaryIO, offset: int, limits: Limits) -> int:
 
 def _log(path: Path, reader: Any, summary: Any, limits: Limits) -> Log:
     counts = summary.statistics.channel_message_counts if summary.statistics else {}
-    store = library("rosbags.typesys", "ros").get_typestore(library("rosbags.typesys", "ros").Stores.EMPTY)
+    store = import_library("rosbags.typesys", "ros").get_typestore(
+        import_library("rosbags.typesys", "ros").Stores.EMPTY
+    )
     tables: dict[str, Table] = {}
     decoders: dict[int, Decode] = {}
     unread: list[str] = []
@@ -90,12 +92,12 @@ def _decoder(
     encoding = channel.message_encoding
     if encoding == "json" or (encoding == "protobuf" and schema is not None):
         decode = _json if encoding == "json" else _protobuf(schema)
-        first = islice(reader.iter_messages(topics=[channel.topic]), LOOKED_AT)
+        first = islice(reader.iter_messages(topics=[channel.topic]), SAMPLE_MESSAGES)
         contents = (decode(message.data) for _, _, message in first)
         return limits.first_columns(json_columns(contents), path), decode
     if encoding not in ("cdr", "ros1") or schema is None:
         return (), None
-    typesys = library("rosbags.typesys", "ros")
+    typesys = import_library("rosbags.typesys", "ros")
     name = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/", 1)
     try:
         text = schema.data.decode()
@@ -115,7 +117,7 @@ def _json(data: bytes) -> dict[str, Any]:
 
 
 def _protobuf(schema: Any) -> Callable[[bytes], dict[str, Any]]:
-    parse = library("mcap_protobuf.decoder", "ros").DecoderFactory().decoder_for("protobuf", schema)
+    parse = import_library("mcap_protobuf.decoder", "ros").DecoderFactory().decoder_for("protobuf", schema)
     return lambda data: _fields(parse(data), 0)
 
 
@@ -124,11 +126,11 @@ def _fields(message: Any, depth: int) -> dict[str, Any]:
     if message.DESCRIPTOR.full_name == "google.protobuf.Timestamp":
         return {"sec": message.seconds, "nanosec": message.nanos}
     content: dict[str, Any] = {}
-    for field in message.DESCRIPTOR.fields if depth < DEEPEST else ():
+    for field in message.DESCRIPTOR.fields if depth < MAX_DEPTH else ():
         value = getattr(message, field.name)
         if field.message_type is None:
             many = not isinstance(value, int | float | str | bytes)
-            content[field.name] = list(value)[:MOST_ELEMENTS] if many else value
+            content[field.name] = list(value)[:MAX_ELEMENTS] if many else value
         elif hasattr(value, "DESCRIPTOR"):
             content[field.name] = _fields(value, depth + 1)
     return content

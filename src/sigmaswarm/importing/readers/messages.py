@@ -13,28 +13,28 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.guess import SAMPLE, guess_roles
+from sigmaswarm.importing.guess import SAMPLE_ROWS, guess_roles
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.readers.fields import getter, has_header
 from sigmaswarm.importing.readers.frames import frame_of, placement, static_topic
-from sigmaswarm.importing.readers.px4 import TURNED, part_of
+from sigmaswarm.importing.readers.px4 import AXES_NOTE, part_of
 from sigmaswarm.importing.readers.topics import STANDARD, Topics, prefix
 from sigmaswarm.importing.source import (
     CHUNK,
     Batch,
-    Choice,
     Guess,
     Log,
     Part,
     Placement,
     Role,
     Table,
+    TableChoice,
     Wanted,
-    whole,
+    errors_as_damage,
 )
 from sigmaswarm.importing.times import time_of
 
-LATE = 0.1  # s, median difference between receive times and header stamps above which it is reported
+MIN_DELAY = 0.1  # s, median difference between receive times and header stamps above which it is reported
 Message = tuple[str, int, Any]  # topic, receive time in ns, and message with its fields as attributes or keys
 # Decoded messages of some topics, in the order of the log
 Stream = Callable[[Collection[str]], Iterator[Message]]
@@ -44,7 +44,7 @@ def message_log(path: Path, tables: Mapping[str, Table], stream: Stream, unread:
     """Make a log of messages; ``unread``: topics that can't be decoded."""
     messages = _Messages(path, tables, stream)
 
-    def guess(choice: Choice) -> Guess:
+    def guess(choice: TableChoice) -> Guess:
         found = messages.guess(choice)
         left = (f"{topic} can't be decoded and is left out" for topic in unread)
         return replace(found, notes=tuple(dict.fromkeys((*found.notes, *left))))
@@ -74,10 +74,10 @@ class _Messages:
             self.remarks.extend(collector.remarks())
 
     def _messages(self, topics: Collection[str]) -> Iterator[Message]:
-        with whole(self.path):
+        with errors_as_damage(self.path):
             yield from self.stream(topics)
 
-    def guess(self, choice: Choice) -> Guess:
+    def guess(self, choice: TableChoice) -> Guess:
         """Guess by the message types and names of topics; for other message types by the names of numbers."""
         own: dict[str, str] = {}
         for role, chosen in choice.tables.items():
@@ -117,13 +117,13 @@ class _Messages:
         sent = islice(self._messages([static]), self.tables[static].rows)
         return placement((message for _, _, message in sent), imu, antenna)
 
-    def _own_messages(self, role: Role, topic: str | None, choice: Choice) -> Guess:
+    def _own_messages(self, role: Role, topic: str | None, choice: TableChoice) -> Guess:
         """Guess a role's part by PX4's types or by names of columns; only the time if the user maps the rest."""
         wanted = {"lat", "lon"} if role == "gps" else {"ax", "ay", "gz"}
         topics = [topic] if topic else list(self.tables)
         for name in topics:
             if (part := part_of(name, self.tables[name], role)) is not None:
-                return Guess({role: (part,)}, (TURNED,) if role == "imu" else ())
+                return Guess({role: (part,)}, (AXES_NOTE,) if role == "imu" else ())
         named = {t: {read_name(c).meaning for c in self.tables[t].columns} for t in topics}
         samples = {t: self._sample(t) for t in topics if wanted <= named[t]}
         if samples:
@@ -140,7 +140,7 @@ class _Messages:
 
     def _sample(self, topic: str) -> pl.DataFrame:
         collector = _Collector(topic, list(self.tables[topic].columns))
-        for _, received, message in islice(self._messages([topic]), SAMPLE):
+        for _, received, message in islice(self._messages([topic]), SAMPLE_ROWS):
             collector.add(received, message)
         empty = pl.DataFrame(schema=dict.fromkeys(collector.columns, pl.Float64))
         return collector.take() if collector.rows else empty
@@ -171,7 +171,7 @@ class _Collector:
 
     def remarks(self) -> Iterator[str]:
         delay = float(np.median(self.delays)) if self.delays else 0.0
-        if abs(delay) > LATE:
+        if abs(delay) > MIN_DELAY:
             when = "before" if delay > 0 else "after"
             yield (
                 f"{self.topic}: header stamps are {abs(delay):.3f} s {when} the receive times (median); "

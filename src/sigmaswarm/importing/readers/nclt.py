@@ -12,7 +12,7 @@ import polars as pl
 
 from sigmaswarm.drives.table_files import one_file
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.readers.columns import collect, of_files
+from sigmaswarm.importing.readers.columns import collect, log_of_files
 from sigmaswarm.importing.source import Guess, Limits, Log, Part, Role
 
 ORIGIN = (42.293227, -83.709657, 270.0)  # deg, deg, m, of the truth's frame
@@ -60,4 +60,4 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
                 raise InputError(f"{file} is empty; unpack the session again")
             scans[file.name], roles[role] = rows, (Part(file.name, expressions),)
     guess = Guess(roles, (_NOTE,), ORIGIN, {"dataset": "NCLT", "licence": "ODbL"})
-    return of_files(path, scans, "NCLT", guess)
+    return log_of_files(path, scans, "NCLT", guess)

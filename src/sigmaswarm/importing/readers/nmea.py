@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, library, of_rows
+from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, import_library, log_of_rows
 
-KNOT, STILL = 1852 / 3600, 0.5  # m/s: a knot, and the speed below which the course has no meaning
+KNOT, MIN_SPEED = 1852 / 3600, 0.5  # m/s: a knot, and the speed below which the course has no meaning
 COLUMNS = (
     *("t", "lat", "lon", "alt", "quality", "hdop", "speed", "course", "std_lat", "std_lon"),
     *("heading", "std_heading"),
@@ -52,9 +52,9 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    pynmeagps = library("pynmeagps", "logs")
+    pynmeagps = import_library("pynmeagps", "logs")
     remarks: list[str] = []
-    return of_rows(path, "fixes", COLUMNS, lambda: _rows(path, pynmeagps, remarks), GUESS, remarks)
+    return log_of_rows(path, "fixes", COLUMNS, lambda: _rows(path, pynmeagps, remarks), GUESS, remarks)
 
 
 def _rows(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
@@ -146,7 +146,7 @@ def _values(message: Any) -> dict[str, float]:
         if kind == "GLL":
             return place
         speed, course = number("spd") * KNOT, number("cog")
-        if math.isnan(course) and speed < STILL:
+        if math.isnan(course) and speed < MIN_SPEED:
             course = 0.0  # receivers leave the course empty at standstill
         return {"speed": speed, "course": course, **place}
     if kind == "GST":

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path, PurePosixPath
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.source import Limits, whole
+from sigmaswarm.importing.source import Limits, errors_as_damage
 from sigmaswarm.limits import require_text
 
 
@@ -35,7 +35,10 @@ def unpacked(path: Path, names: Collection[str], limits: Limits, stack: ExitStac
     if path.is_dir():
         return path
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-    with whole(path, "is damaged or not a zip file", "export it again"), zipfile.ZipFile(path) as archive:
+    with (
+        errors_as_damage(path, "is damaged or not a zip file", "export it again"),
+        zipfile.ZipFile(path) as archive,
+    ):
         for name, member in _wanted(archive, path, names, limits).items():
             with archive.open(member) as packed, (folder / name).open("wb") as file:
                 shutil.copyfileobj(packed, file)

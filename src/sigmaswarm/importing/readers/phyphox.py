@@ -13,7 +13,7 @@ from pathlib import Path
 import polars as pl
 
 from sigmaswarm.importing.readers.packed import names_in
-from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, phone_files
+from sigmaswarm.importing.readers.phones import FLAT_NOTE, RADIUS_68, phone_files
 from sigmaswarm.importing.source import Guess, Limits, Log, Part, Role, first_bytes
 from sigmaswarm.importing.times import median_of
 
@@ -43,7 +43,7 @@ _REQUIRED = {"imu": {"t", "x", "y", "z"}, "gps": {"t", "lat", "lon"}}
 _PLACE = {"time": "s", "latitude": "°", "longitude": "°", "height": "m", "velocity": "m/s", "direction": "°"}
 _META = {"time.csv", "device.csv"}
 # m/s2, smallest median of an acceleration with gravity; linear acceleration has the same columns
-LEAST_GRAVITY = 5.0
+MIN_GRAVITY = 5.0
 
 
 def recognizes(path: Path) -> bool:
@@ -93,7 +93,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
             roles[role] = (*roles.get(role, ()), part)
     if len(roles.get("imu", ())) < 2:
         roles.pop("imu", None)
-    return log.guessed(Guess(roles, flat=FLAT))
+    return log.guessed(Guess(roles, flat=FLAT_NOTE))
 
 
 def _unit(column: str) -> str:
@@ -122,5 +122,5 @@ def _by_units(log: Log) -> dict[str, tuple[str, dict[str, str]]]:
 def _has_gravity(log: Log, table: str, axes: dict[str, str]) -> bool:
     for _, rows, _ in log.batches({table: [axes[i] for i in "xyz"]}):
         squares = [rows[axes[i]].cast(pl.Float64, strict=False) ** 2 for i in "xyz"]
-        return median_of((squares[0] + squares[1] + squares[2]).sqrt()) > LEAST_GRAVITY
+        return median_of((squares[0] + squares[1] + squares[2]).sqrt()) > MIN_GRAVITY
     return False

@@ -19,15 +19,15 @@ from sigmaswarm.importing.source import (
     Part,
     Role,
     Table,
+    errors_as_damage,
     first_bytes,
-    library,
-    of_frames,
+    import_library,
+    log_of_frames,
     roles_of,
-    whole,
 )
 
 MAGIC = b"ULog\x01\x12\x35"
-TURNED = "PX4's axes are converted from forward, right, down to forward, left, up"
+AXES_NOTE = "PX4's axes are converted from forward, right, down to forward, left, up"
 _T = {"t": "timestamp*1e-6"}
 _IMU = _T | {
     **{"ax": "accelerometer_m_s2[0]", "ay": "-accelerometer_m_s2[1]", "az": "-accelerometer_m_s2[2]"},
@@ -63,8 +63,8 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    core = library("pyulog.core", "logs")
-    with whole(path), _Log(io.FileIO(path)) as file, redirect_stdout(io.StringIO()):  # its reports
+    core = import_library("pyulog.core", "logs")
+    with errors_as_damage(path), _Log(io.FileIO(path)) as file, redirect_stdout(io.StringIO()):  # its reports
         log = core.ULog(file, message_name_filter_list=list(_TOPICS))
     if log.file_corruption or file.stopped < path.stat().st_size:
         raise InputError(f"{path}: is cut short or broken before byte {file.stopped}; copy the log again")
@@ -77,7 +77,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
             f"{path}: contains none of {', '.join(_TOPICS)}; enable these topics (SDLOG_PROFILE), and record again"
         )
     guess = _guess(frames)
-    return of_frames(path, frames, "uORB topic", lambda _: guess)
+    return log_of_frames(path, frames, "uORB topic", lambda _: guess)
 
 
 class _Log(io.BufferedReader):
@@ -110,7 +110,7 @@ class _Log(io.BufferedReader):
 def _guess(frames: dict[str, pl.DataFrame]) -> Guess:
     parts: list[tuple[Role, str, dict[str, str | tuple[str, ...]]]] = [("imu", "sensor_combined", {**_IMU})]
     origin = None
-    notes = [TURNED]
+    notes = [AXES_NOTE]
     if fixes := next((t for t in _TOPICS[1:3] if t in frames), None):
         parts.append(("gps", fixes, _FIX))
         notes.append(f"{fixes}: the stated horizontal accuracy is split evenly between east and north")

@@ -9,7 +9,15 @@ from typing import Any
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.readers.fields import columns_of
 from sigmaswarm.importing.readers.messages import Message, message_log
-from sigmaswarm.importing.source import Limits, Log, Table, broken, first_bytes, library, whole
+from sigmaswarm.importing.source import (
+    Limits,
+    Log,
+    Table,
+    damage_error,
+    errors_as_damage,
+    first_bytes,
+    import_library,
+)
 
 _FILES = (".bag", ".db3", ".mcap")
 
@@ -30,14 +38,14 @@ def bag_paths(path: Path) -> list[Path]:
 
 def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence[Path] = ()) -> Log:
     """Open a bag; definitions that a ROS 2 bag lacks are from ``definitions``, or else from the latest ROS."""
-    anyreader = library("rosbags.highlevel", "ros")
-    typesys = library("rosbags.typesys", "ros")
+    anyreader = import_library("rosbags.highlevel", "ros")
+    typesys = import_library("rosbags.typesys", "ros")
     paths = bag_paths(path)
     if not paths:
         raise InputError(
             f"{path}: contains no bag; name the folder with metadata.yaml, or a .bag, .db3 or .mcap file"
         )
-    with whole(path):
+    with errors_as_damage(path):
         store = typesys.get_typestore(typesys.Stores.LATEST)
         reader = anyreader.AnyReader(paths, default_typestore=store)
         reader.open()
@@ -73,7 +81,7 @@ def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
 
 def _bound_chunks(reader: Any, limits: Limits, path: Path) -> None:
     """Limit the unpacked size of a ROS 1 bag's chunks."""
-    lz4 = library("lz4.frame", "ros")
+    lz4 = import_library("lz4.frame", "ros")
     streams = {bz2.decompress: bz2.BZ2Decompressor, lz4.decompress: lz4.LZ4FrameDecompressor}
     for bag in reader.readers:
         chunks = getattr(bag, "chunks", {})  # a ROS 2 bag has no chunks
@@ -100,7 +108,9 @@ def _log(path: Path, reader: Any, limits: Limits) -> Log:
     try:
         topics = reader.topics
     except TypeError as error:  # a number of messages in metadata.yaml that is not a number
-        raise broken(path, error, "its metadata.yaml is damaged", "run `ros2 bag reindex` on it") from None
+        raise damage_error(
+            path, error, "its metadata.yaml is damaged", "run `ros2 bag reindex` on it"
+        ) from None
     for topic, info in topics.items():
         kind = info.msgtype or "several types"
         if columns := columns_of(reader.typestore, kind, limits, path):

@@ -14,8 +14,8 @@ import numpy as np
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import GPS_EPOCH, WEEK, gps_to_unix
-from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, of_rows, require_distinct
-from sigmaswarm.wording import names_shown
+from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, log_of_rows, require_distinct
+from sigmaswarm.wording import list_names
 
 _UNIT = re.compile(r"^(latitude|longitude|height|sd[neu]|age|v[neu])\((?:deg|m|s|m/s)\)$")
 _TARGETS = {
@@ -39,7 +39,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     }
     fixed = "Q == 1" if "Q" in columns else ""
     guess = Guess({"gps": (Part("solution", {"t": "t", **targets}),)}, (notes[system],), fixed=fixed)
-    return of_rows(
+    return log_of_rows(
         path, "solution", ("t", *columns), lambda: _rows(path, len(columns), system == "GPST"), guess, []
     )
 
@@ -58,7 +58,7 @@ def _header(path: Path) -> tuple[str, list[str]]:
     columns = [re.sub(_UNIT, r"\1", word) for word in words[1:]]
     if not {"latitude", "longitude"} <= set(columns):
         raise InputError(
-            f"{path}: has {names_shown(words[1:4])}; write the solution as latitude, longitude, height"
+            f"{path}: has {list_names(words[1:4])}; write the solution as latitude, longitude, height"
         )
     require_distinct(columns, path)
     return words[0], columns

@@ -12,7 +12,7 @@ import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.readers.packed import names_in
-from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, phone_files
+from sigmaswarm.importing.readers.phones import FLAT_NOTE, RADIUS_68, phone_files
 from sigmaswarm.importing.source import Guess, Limits, Log, Role, roles_of
 
 FILES = ("TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv", "Gyroscope.csv", "Location.csv")
@@ -40,7 +40,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         imu = {**acceleration, _RATES: {"gx": "y", "gy": "-x", "gz": "z"}}
         parts.extend(("imu", table, {**_T, **columns}) for table, columns in imu.items())
     roles = roles_of(parts, {name: table.columns for name, table in log.tables.items()})
-    return log.guessed(Guess(roles, tuple(notes), flat=FLAT))
+    return log.guessed(Guess(roles, tuple(notes), flat=FLAT_NOTE))
 
 
 def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:

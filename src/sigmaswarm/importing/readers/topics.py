@@ -10,8 +10,8 @@ from typing import Any
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import points_down
 from sigmaswarm.importing.readers.fields import getter, stamp_of
-from sigmaswarm.importing.source import Choice, Guess, Part, Role, Table
-from sigmaswarm.wording import names_shown
+from sigmaswarm.importing.source import Guess, Part, Role, Table, TableChoice
+from sigmaswarm.wording import list_names
 
 _IMU = {
     **{f"a{i}": f"linear_acceleration.{i}" for i in "xyz"},
@@ -52,7 +52,7 @@ def prefix(table: Table, paths: Mapping[str, str]) -> str | None:
 class Topics:
     path: Path
     tables: Mapping[str, Table]
-    choice: Choice
+    choice: TableChoice
     first: Callable[[str], tuple[str, int, Any] | None]  # first message of a topic
     notes: list[str] = field(default_factory=list[str])  # the choices
 
@@ -82,7 +82,7 @@ class Topics:
         if truth:
             roles["truth"] = (self._part(truth, self._motion(truth)),)
         elif poses := sorted(t for t, one in self.tables.items() if "Odometry" in one.kind and t != fixes):
-            there = names_shown(poses)
+            there = list_names(poses)
             self.notes.append(
                 f"{there} not used as truth, since no name indicates truth; choose a topic with --truth-topic"
             )
@@ -107,7 +107,7 @@ class Topics:
         if chosen is not None:
             near = {chosen, "/" + chosen.lstrip("/")} & set(self.tables)
             if not near:
-                there = names_shown(self.tables)
+                there = list_names(self.tables)
                 raise InputError(
                     f"{self.path}: has no topic {chosen!r} for --{role}-topic; choose from {there}"
                 )
@@ -115,7 +115,7 @@ class Topics:
         ranked = sorted(candidates, key=lambda t: (-(self.tables[t].rows or 0), t))
         ranked = [t for t in ranked if self.tables[t].rows != 0]
         if len(ranked) > 1:
-            others = names_shown(ranked[1:])
+            others = list_names(ranked[1:])
             self.notes.append(
                 f"{ranked[0]} is used for the {role}, not {others}; choose another topic with --{role}-topic"
             )

@@ -18,14 +18,14 @@ import numpy as np
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import GPS_EPOCH, WEEK, gps_to_unix
-from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, library, of_rows
-from sigmaswarm.wording import names_shown
+from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, import_library, log_of_rows
+from sigmaswarm.wording import list_names
 
 SYNC = b"\xb5\x62"
 NAV_PVT, NAV_RELPOSNED = b"\x01\x07", b"\x01\x3c"
 NAV_POSLLH, NAV_SOL, NAV_STATUS, NAV_VELNED = b"\x01\x02", b"\x01\x06", b"\x01\x03", b"\x01\x12"
 NAV_TIMEGPS, NAV_TIMEUTC = b"\x01\x20", b"\x01\x21"
-OF_FIX = (NAV_POSLLH, NAV_SOL, NAV_STATUS, NAV_VELNED, NAV_TIMEGPS, NAV_TIMEUTC)
+FIX_MESSAGES = (NAV_POSLLH, NAV_SOL, NAV_STATUS, NAV_VELNED, NAV_TIMEGPS, NAV_TIMEUTC)
 COLUMNS = ("t", "lat", "lon", "height", "hAcc", "velE", "velN", "gSpeed", "fixType", "gnssFixOk", "carrSoln")
 HEADING = ("relPosHeading", "accHeading")
 COLUMNS_6 = ("t", "lat", "lon", "height", "hAcc", "velE", "velN", "gpsFix")
@@ -48,7 +48,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    pyubx2 = library("pyubx2", "logs")
+    pyubx2 = import_library("pyubx2", "logs")
     if SYNC not in first_bytes(path, 1 << 20):
         raise InputError(f"{path}: contains no UBX messages; specify the format with --format")
     remarks: list[str] = []
@@ -58,17 +58,19 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         fixed = "gnssFixOk == 1 and carrSoln == 2"
         guess = Guess({"gps": (Part("NAV-PVT", PVT),)}, (f"NAV-PVT: times are UTC; {split}",), fixed=fixed)
         columns = (*COLUMNS, *HEADING)
-        return of_rows(path, "NAV-PVT", columns, lambda: _rows(path, pyubx2, remarks), guess, remarks)
+        return log_of_rows(path, "NAV-PVT", columns, lambda: _rows(path, pyubx2, remarks), guess, remarks)
     if NAV_POSLLH in kinds:
         guess = Guess(
             {"gps": (Part("NAV-POSLLH", POSLLH),)}, (f"NAV-POSLLH: GPS time converted to UTC; {split}",)
         )
-        return of_rows(path, "NAV-POSLLH", COLUMNS_6, lambda: _rows_6(path, pyubx2, remarks), guess, remarks)
+        return log_of_rows(
+            path, "NAV-POSLLH", COLUMNS_6, lambda: _rows_6(path, pyubx2, remarks), guess, remarks
+        )
     there = sorted(pyubx2.UBX_MSGIDS.get(kind, kind.hex()) for kind in kinds)
     raw = any(kind[:1] == b"\x02" for kind in kinds)
     what = RAW if raw else "configure the receiver to send NAV-PVT, or NAV-POSLLH and NAV-SOL"
     raise InputError(
-        f"{path}: contains {names_shown(there) or 'no whole message'}, and neither NAV-PVT nor NAV-POSLLH; {what}"
+        f"{path}: contains {list_names(there) or 'no whole message'}, and neither NAV-PVT nor NAV-POSLLH; {what}"
     )
 
 
@@ -131,7 +133,7 @@ def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple
         if raw is None:
             broken += 1
             continue
-        if raw[2:4] not in OF_FIX or len(raw) < 12:
+        if raw[2:4] not in FIX_MESSAGES or len(raw) < 12:
             continue
         try:
             message = pyubx2.UBXReader.parse(raw)

@@ -17,13 +17,13 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 from sigmaswarm.tuning.optimizers.sampling import SobolSearch
 from sigmaswarm.tuning.options import require_packages
 
-MOST = 200  # largest number n of costs in a fit, which takes a time proportional to n^3
+MAX_POINTS = 200  # largest number n of costs in a fit, which takes a time proportional to n^3
 NOISE = 1e-6  # variance of the noise of a cost, relative to the variance of all costs
-LEAST = 1e-12  # smallest variance of a predicted cost, relative to the variance of all costs
-FEW_BEST, NEAR = 5, 0.02
+MIN_VARIANCE = 1e-12  # smallest variance of a predicted cost, relative to the variance of all costs
+N_BEST, NEAR_STD = 5, 0.02
 """Number of best points near which half of the candidates are drawn; standard deviation in widths of the bounds."""
-SHORTEST, LONGEST = 0.2, 10.0  # smallest and largest length scale, in widths of the bounds
-_ALONE = threading.Lock()
+MIN_LENGTH_SCALE, MAX_LENGTH_SCALE = 0.2, 10.0  # smallest and largest length scale, in widths of the bounds
+_LOCK = threading.Lock()
 """Lock for fits, since warning filters and thread limits apply to the whole process."""
 
 
@@ -52,21 +52,25 @@ class BayesianOptimization(AskTell):
             return self.rng.uniform(self.low, self.high, (self.batch, len(self.low)))
         chosen = self._remembered()
         points = (self.points[chosen] - self.low) / (self.high - self.low)
-        found = suggested(
-            points, leveled(self.costs[chosen]), self.batch, (self.candidates, self.searches), self.rng
+        found = next_points(
+            points,
+            normalized_costs(self.costs[chosen]),
+            self.batch,
+            (self.candidates, self.searches),
+            self.rng,
         )
         return self.low + found * (self.high - self.low)
 
     def _remembered(self) -> NDArray[np.intp]:
         """Return the indices of the points for the fit: the best and the latest."""
-        last = len(self.costs) - MOST // 2
-        if last <= MOST // 2:
+        last = len(self.costs) - MAX_POINTS // 2
+        if last <= MAX_POINTS // 2:
             return np.arange(len(self.costs))
-        best = np.argsort(self.costs, kind="stable")[: MOST // 2]
+        best = np.argsort(self.costs, kind="stable")[: MAX_POINTS // 2]
         return np.union1d(best, np.arange(last, len(self.costs)))
 
 
-def leveled(costs: Array) -> Array:
+def normalized_costs(costs: Array) -> Array:
     """Transform costs, shape (n,), to log(1 + (cost - best) / (median - best)); at least one must be finite.
 
     A diverged filter may cost a thousand times as much as a good one. Without the transformation, the Gaussian process
@@ -79,7 +83,7 @@ def leveled(costs: Array) -> Array:
     return np.log1p(above / usual)
 
 
-def suggested(
+def next_points(
     points: Array, costs: Array, count: int, effort: tuple[int, int], rng: np.random.Generator
 ) -> Array:
     """Select ``count`` points with the highest expected improvement in the unit cube, shape (count, d).
@@ -90,11 +94,11 @@ def suggested(
     from threadpoolctl import threadpool_limits
 
     n = len(points)
-    with _ALONE, threadpool_limits(1, "blas"):
+    with _LOCK, threadpool_limits(1, "blas"):
         lengths = _fitted(points, costs)
         while len(points) < n + count:
             improvement = Improvement(lengths, points, costs)
-            point = _highest(improvement, points[np.argsort(costs, kind="stable")[:FEW_BEST]], effort, rng)
+            point = _highest(improvement, points[np.argsort(costs, kind="stable")[:N_BEST]], effort, rng)
             points = np.vstack([points, point])
             costs = np.append(costs, improvement.forecast(point))
     return points[n:]
@@ -106,7 +110,7 @@ def _fitted(points: Array, costs: Array) -> Array:
     from sklearn.gaussian_process.kernels import Matern
 
     begin: Any = np.full(points.shape[1], 0.5)
-    kernel: Any = Matern(begin, (SHORTEST, LONGEST), nu=2.5)
+    kernel: Any = Matern(begin, (MIN_LENGTH_SCALE, MAX_LENGTH_SCALE), nu=2.5)
     process: Any = GaussianProcessRegressor(kernel, alpha=NOISE, normalize_y=True)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the length of a parameter without influence is at its bound
@@ -126,10 +130,10 @@ class Improvement:
         self.middle, self.scale = float(np.mean(costs)), float(np.std(costs)) or 1.0
         y = (costs - self.middle) / self.scale
         self.lowest = float(y.min())
-        self.factor = cho_factor(self._alike(points)[0] + NOISE * np.eye(len(points)), lower=True)
+        self.factor = cho_factor(self._kernel(points)[0] + NOISE * np.eye(len(points)), lower=True)
         self.weights = self._solved(self.factor, y)
 
-    def _alike(self, at: Array) -> tuple[Array, Array, Array]:
+    def _kernel(self, at: Array) -> tuple[Array, Array, Array]:
         """Return the Matern 5/2 kernel of m candidates and n points, and factors and offsets for its gradient."""
         offsets = (at[:, np.newaxis] - self.points) / self.lengths
         r = np.sqrt(5 * np.sum(offsets**2, axis=2))
@@ -137,22 +141,22 @@ class Improvement:
         return (1 + r + r**2 / 3) * fading, (1 + r) * fading, offsets
 
     def forecast(self, point: Array) -> float:
-        return self.middle + self.scale * float(self._alike(point[np.newaxis])[0][0] @ self.weights)
+        return self.middle + self.scale * float(self._kernel(point[np.newaxis])[0][0] @ self.weights)
 
     def __call__(self, at: Array) -> Array:
         """Return the expected improvement, (m,), at candidates, shape (m, d): Jones et al. (1998), equation 15."""
-        near = self._alike(at)[0]
+        near = self._kernel(at)[0]
         variance = 1 - np.sum(near * self._solved(self.factor, near.T).T, axis=1)
-        deviation = np.sqrt(np.maximum(variance, LEAST))
+        deviation = np.sqrt(np.maximum(variance, MIN_VARIANCE))
         z = (self.lowest - near @ self.weights) / deviation
         return deviation * (z * self._below(z) + _density(z))
 
-    def downhill(self, point: Array) -> tuple[float, Array]:
+    def negative_log_improvement(self, point: Array) -> tuple[float, Array]:
         """Return the negative logarithm of the expected improvement at a point, and its gradient, shape (d,)."""
-        near, fading, offsets = (part[0] for part in self._alike(point[np.newaxis]))
+        near, fading, offsets = (part[0] for part in self._kernel(point[np.newaxis]))
         slope = -5 / 3 * fading[:, np.newaxis] * offsets / self.lengths
         back = self._solved(self.factor, near)
-        deviation = np.sqrt(max(1 - near @ back, LEAST))
+        deviation = np.sqrt(max(1 - near @ back, MIN_VARIANCE))
         z = (self.lowest - near @ self.weights) / deviation
         gain = max(deviation * (z * self._below(z) + _density(z)), np.finfo(float).tiny)
         rise = -self._below(z) * (self.weights @ slope) - _density(z) * (back @ slope) / deviation
@@ -170,13 +174,17 @@ def _highest(
     from scipy.optimize import minimize
 
     d, (places, searches) = best.shape[1], effort
-    near = best[rng.integers(len(best), size=places // 2)] + NEAR * rng.standard_normal((places // 2, d))
+    near = best[rng.integers(len(best), size=places // 2)] + NEAR_STD * rng.standard_normal((places // 2, d))
     tried = np.vstack([rng.random((places - places // 2, d)), np.clip(near, 0, 1)])
     ranked = np.argsort(-improvement(tried), kind="stable")
     ends = [tried[ranked[0]]]
     for start in ranked[:searches]:
         found: Any = minimize(
-            improvement.downhill, tried[start], jac=True, bounds=[(0, 1)] * d, method="L-BFGS-B"
+            improvement.negative_log_improvement,
+            tried[start],
+            jac=True,
+            bounds=[(0, 1)] * d,
+            method="L-BFGS-B",
         )
         ends.append(np.clip(found.x, 0, 1))
     return ends[int(np.argmax(improvement(np.array(ends))))]

@@ -65,7 +65,7 @@ class Budgeted:
         (self.local or self.first).tell(np.concatenate([costs, cut]))
         self.spent += len(costs)
 
-    def settle(self) -> bool:
+    def end_global_search(self) -> bool:
         """End the search of the whole space; return True if the local search follows or has begun."""
         if self.local is None:
             if not self.polish or not np.isfinite(self.global_cost):

@@ -13,7 +13,7 @@ import numpy as np
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 INITIAL_STEP = 0.3  # in widths of the bounds, as the tutorial recommends
-NARROWEST, WIDEST, LARGEST_CONDITION = 1e-12, 10.0, 1e14
+MIN_WIDTH, MAX_WIDTH, MAX_CONDITION = 1e-12, 10.0, 1e14
 """Limits of the width, in widths of the bounds, and of the condition number; beyond them the search restarts."""
 
 
@@ -61,7 +61,7 @@ class CmaEs(AskTell):
     def _next(self) -> Array:
         variances, axes = np.linalg.eigh(self.covariance)
         width = self.step * np.sqrt(max(variances[-1], 0.0))
-        if not NARROWEST < width < WIDEST or variances[0] * LARGEST_CONDITION < variances[-1]:
+        if not MIN_WIDTH < width < MAX_WIDTH or variances[0] * MAX_CONDITION < variances[-1]:
             self._restart(self.rng.random(len(self.mean)))
             variances, axes = np.linalg.eigh(self.covariance)
         self.samples = self._drawn(self.population, variances, axes)

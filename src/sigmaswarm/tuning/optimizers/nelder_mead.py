@@ -10,7 +10,7 @@ import numpy as np
 
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
-SMALLEST = 1e-12  # size of the last simplex, in widths of the bounds
+MIN_SIZE = 1e-12  # size of the last simplex, in widths of the bounds
 
 
 class NelderMead(AskTell):
@@ -56,7 +56,7 @@ class NelderMead(AskTell):
             return self.simplex[0] + self.shrinkage * (self.simplex[1:] - self.simplex[0])
         if self.phase == "follow":
             return self._through_the_middle(self.reach)[self.reach != 0]
-        if np.all(np.ptp(self.simplex, axis=0) <= SMALLEST * (self.high - self.low)):
+        if np.all(np.ptp(self.simplex, axis=0) <= MIN_SIZE * (self.high - self.low)):
             return np.empty((0, len(self.low)))
         return self._through_the_middle(np.ones(self.moved))
 

@@ -71,7 +71,7 @@ class ParameterTable(Sequence[FilterParameters]):
         return replace(self.like, **{k: None if v == _ABSENT.get(k) else v for k, v in values.items()})
 
 
-def tables_of(parameter_sets: Sequence[FilterParameters]) -> list[tuple[Indices, ParameterTable]]:
+def group_tables(parameter_sets: Sequence[FilterParameters]) -> list[tuple[Indices, ParameterTable]]:
     """Return a table for each kernel and choice of measurements, and the indices of its sets."""
     if isinstance(parameter_sets, ParameterTable):
         return [(np.arange(len(parameter_sets)), parameter_sets)]

@@ -13,15 +13,15 @@ from sigmaswarm.drives.events import COMPARED, events_of
 from sigmaswarm.drives.tables import Array, Indices, Mask
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled import run
-from sigmaswarm.filters.kernel_array import KernelArray, Sums
+from sigmaswarm.filters.kernel_array import KernelArray, KernelSums
 from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.parameter_table import group_tables
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import (
     require_accuracy,
     require_axes,
     require_odometer,
 )
-from sigmaswarm.filters.table import tables_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class Targets:
 
 
 @dataclass(frozen=True, eq=False)
-class Replay:
+class FilterPass:
     """Inputs of filters for one pass over a drive: start, steps and targets."""
 
     timeline: Timeline
@@ -95,28 +95,28 @@ class Replay:
         return self._arrays[used]
 
 
-def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParameters]) -> Sums:
+def run_passes(replays: Sequence[FilterPass], parameter_sets: Sequence[FilterParameters]) -> KernelSums:
     """Run one filter per parameter set over each replay. The sums of a set do not depend on the other sets."""
-    sums = Sums.empty(len(replays), len(parameter_sets))
-    for places, table in tables_of(parameter_sets):
+    sums = KernelSums.empty(len(replays), len(parameter_sets))
+    for places, table in group_tables(parameter_sets):
         sums.put(slice(None), places, run_array(replays, KernelArray(table)))
     return sums
 
 
-def run_array(replays: Sequence[Replay], array: KernelArray) -> Sums:
-    rows = start_replays(replays, array)
+def run_array(replays: Sequence[FilterPass], array: KernelArray) -> KernelSums:
+    rows = start_passes(replays, array)
     for replay, block in zip(cycle(replays), rows, strict=False):
         run_steps(replay, array, block, run.new_cursor(), len(replay.timeline.dt))
     return array.sums(rows)
 
 
-def start_replays(replays: Sequence[Replay], array: KernelArray) -> Array:
+def start_passes(replays: Sequence[FilterPass], array: KernelArray) -> Array:
     """Return the rows of an array's filters at the start of each replay, in the format of `KernelArray.start`."""
     return array.start([r.initial for r in replays], [r.timeline.nominal_interval for r in replays])
 
 
 def run_steps(
-    replay: Replay,
+    replay: FilterPass,
     array: KernelArray,
     rows: Array,
     place: Array,
@@ -130,7 +130,7 @@ def run_steps(
     run.run_lanes(array.kernel, drive, rows, place, stop, record, innovations)
 
 
-def require_readable(replay: Replay, array: KernelArray) -> None:
+def require_readable(replay: FilterPass, array: KernelArray) -> None:
     if array.reads in replay.readable:
         return
     model, accuracy, measured = array.reads
@@ -142,7 +142,7 @@ def require_readable(replay: Replay, array: KernelArray) -> None:
     replay.readable.add(array.reads)
 
 
-def joined(parts: Sequence[Sums]) -> Sums:
+def join_sums(parts: Sequence[KernelSums]) -> KernelSums:
     """Join sums of the same replays and of different sets."""
     numbers, failed = zip(*((part.numbers, part.failed) for part in parts), strict=True)
-    return Sums(np.concatenate(numbers, axis=-1), np.concatenate(failed, axis=-1))
+    return KernelSums(np.concatenate(numbers, axis=-1), np.concatenate(failed, axis=-1))

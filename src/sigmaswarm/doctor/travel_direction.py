@@ -12,29 +12,29 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.doctor.acceleration_fit import drift_of, usable_windows
+from sigmaswarm.doctor.acceleration_fit import gyro_drift, usable_windows
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.windows import Complex, Regression, integral, regress, smoothed
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Imu
 
 WINDOW, DEGREE = 20.0, 2  # s, duration of a window; degree of its polynomial in time
-FORWARD = 4.0  # ratio of the velocity's noise along and across the direction of travel
+NOISE_RATIO = 4.0  # ratio of the velocity's noise along and across the direction of travel
 ROUNDS = 2  # fits; each uses the IMU's speed from the previous fit
-LEAST_STRAIGHT = 0.5  # smallest assumed ratio of mean velocity to speed, which sharp turns lower
+MIN_STRAIGHTNESS = 0.5  # smallest assumed ratio of mean velocity to speed, which sharp turns lower
 
 
-def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, Array] | None:
+def direction_of_travel(imu: Imu, course: Course, delay: float) -> tuple[Array, Array] | None:
     """Fit the slopes (2,) of the direction of travel to the left and up, and their standard deviations.
 
-    The IMU's axes must nearly agree with the vehicle's; ``late`` is the delay of the fixes, s. The result is None if no
-    window is usable.
+    The IMU's axes must nearly agree with the vehicle's; ``delay`` is the delay of the fixes, s. The result is None if
+    no window is usable.
     """
     rows = usable_windows(imu.time, course, WINDOW)
     if not len(rows) or imu.gx is None or imu.gy is None or imu.az is None:
         return None
-    time, at = imu.time, (course.time - late)[rows]
-    rate = imu.gz + drift_of(time, course, imu.gz, late)
+    time, at = imu.time, (course.time - delay)[rows]
+    rate = imu.gz + gyro_drift(time, course, imu.gz, delay)
     heading = np.exp(1j * integral(time, rate))
     force: Complex = heading * (imu.ax + 1j * imu.ay)
     tilt = integral(time, heading * (imu.gx - imu.gx.mean() + 1j * (imu.gy - imu.gy.mean())))
@@ -50,8 +50,8 @@ def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, A
     up = since(integral(time, imu.az - np.median(imu.az) + np.imag(np.conj(tilt) * force)))
     up = up.real - np.imag(np.conj(leaned) * gained)
     # In turns the mean velocity is less than the speed.
-    straight = np.abs(smoothed(time, heading, course.time - late, course.span))
-    speed = (np.abs(course.velocity) / np.maximum(straight, LEAST_STRAIGHT))[rows]
+    straight = np.abs(smoothed(time, heading, course.time - delay, course.span))
+    speed = (np.abs(course.velocity) / np.maximum(straight, MIN_STRAIGHTNESS))[rows]
     back, zero = np.conj(turned), np.zeros(at.shape)
 
     def stack(across: Complex, up: Array) -> Complex:
@@ -62,7 +62,7 @@ def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, A
     own = [stack(back * factor * power, zero) for power in powers for factor in (1, 1j)]
     own += [stack(0j * back, zero + power) for power in powers]
     yaw_rate, pitch_rate = (np.interp(at, time, v) for v in (rate, imu.gy))
-    weight = np.hstack([zero + 1 / FORWARD, zero + 1, zero + 1])
+    weight = np.hstack([zero + 1 / NOISE_RATIO, zero + 1, zero + 1])
 
     def fit(own_speed: Array) -> Regression:
         y = stack(back * level - speed, up - own_speed * np.imag(np.conj(lean) * turned))

@@ -15,7 +15,7 @@ from sigmaswarm.workbench.state import Workbench
 
 
 @dataclass
-class Run:
+class TuningRun:
     """A running or finished tuning.
 
     Attributes
@@ -73,16 +73,16 @@ class Run:
             self.ended, self.version = True, self.version + 1
 
 
-class Runs:
+class TuningRuns:
     def __init__(self, bench: Workbench) -> None:
         self.bench = bench
-        self.runs: dict[str, Run] = {}
+        self.runs: dict[str, TuningRun] = {}
         self._threads: list[threading.Thread] = []
 
     def begin(
         self, name: str, drives: Sequence[Drive], held: Sequence[Drive], options: Mapping[str, Any]
     ) -> None:
-        run, folder = Run(name, (held or drives)[0]), self.bench.path("tunings", name)
+        run, folder = TuningRun(name, (held or drives)[0]), self.bench.path("tunings", name)
         if options.get("resume"):
             run.history = {n: list(best) for n, best in saved_history(folder).items()}
         self.runs[name] = run

@@ -28,8 +28,8 @@ MOST_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that suggest a larger bi
 
 
 @dataclass(frozen=True, eq=False)
-class GyroSeen:
-    """Evidence about the gyro bias from one alignment, or from several: see `together`.
+class GyroBiasEvidence:
+    """Evidence about the gyro bias from one alignment, or from several: see `stack_evidence`.
 
     ``bias`` and ``variance`` (3,), about forward, left and up, are in rad/s and (rad/s)^2; an unknown axis has infinite
     variance. The alignment's mean and covariance are valid for the bias ``taken`` about up; ``turns`` (5,) is the
@@ -41,13 +41,13 @@ class GyroSeen:
     taken: float
     turns: Array
 
-    def with_bias(self, known: float) -> "GyroSeen":
+    def with_bias(self, known: float) -> "GyroBiasEvidence":
         """Return the evidence for the original gyro, before a known bias about up, rad/s, was subtracted."""
         bias = self.bias.copy()
         bias[UP] += known
         return replace(self, bias=bias, taken=self.taken + known)
 
-    def tell(self, mean: Array, covariance: Array, places: Mapping[int, int], std: Array) -> None:
+    def update(self, mean: Array, covariance: Array, places: Mapping[int, int], std: Array) -> None:
         """Update ``mean`` (..., n) and ``covariance`` (..., n, n) of the states at the start, in place.
 
         The bias follows from two measurements: 0 with standard deviation ``std`` (...), rad/s, and the observed bias.
@@ -77,7 +77,9 @@ class GyroSeen:
         return seen * left / variance, left, -0.5 * surprise.sum(axis=-1, keepdims=True)
 
 
-def together(seen: Sequence[GyroSeen]) -> GyroSeen:
+def stack_evidence(seen: Sequence[GyroBiasEvidence]) -> GyroBiasEvidence:
     """Stack the evidence of m alignments for filters with means (m, r, n); arrays have shape (m, 1, ...)."""
-    stacked = (np.array([getattr(one, f.name) for one in seen])[:, np.newaxis] for f in fields(GyroSeen))
-    return GyroSeen(*stacked)  # pyright: ignore[reportArgumentType] (``taken`` is an array, too)
+    stacked = (
+        np.array([getattr(one, f.name) for one in seen])[:, np.newaxis] for f in fields(GyroBiasEvidence)
+    )
+    return GyroBiasEvidence(*stacked)  # pyright: ignore[reportArgumentType] (``taken`` is an array, too)

@@ -7,14 +7,14 @@ from sigmaswarm.filters import tilted
 from sigmaswarm.filters.models import THETA
 
 
-def tilts_of(n: int) -> tuple[int, ...]:
+def tilt_indices(n: int) -> tuple[int, ...]:
     """Return the indices of roll and pitch in a state of n numbers; empty for planar models."""
     return tilted.ATTITUDE[:2] if n == tilted.N else ()
 
 
 def quaternions(mean: Array) -> Array:
     """Return quaternions (..., 4), order x, y, z, w as in files, of means (..., n)."""
-    if tilts_of(mean.shape[-1]):
+    if tilt_indices(mean.shape[-1]):
         return np.roll(tilted.quaternion_of(mean), -1, axis=-1)
     half = mean[..., THETA] / 2
     zero = np.zeros_like(half)
@@ -23,7 +23,7 @@ def quaternions(mean: Array) -> Array:
 
 def rotations(mean: Array) -> Array:
     """Return rotations (k, 3, 3) from body to local frame of means (k, n)."""
-    if tilts_of(mean.shape[-1]):
+    if tilt_indices(mean.shape[-1]):
         return tilted.rotation(mean)
     c, s = np.cos(mean[:, THETA]), np.sin(mean[:, THETA])
     zero, one = np.zeros_like(c), np.ones_like(c)
@@ -38,7 +38,7 @@ def body_velocity(mean: Array) -> tuple[Array, Array]:
     """
     c, s, vx, vy = np.cos(mean[:, THETA]), np.sin(mean[:, THETA]), mean[:, 2], mean[:, 3]
     ahead, left = c * vx + s * vy, c * vy - s * vx  # planar
-    tilts = tilts_of(mean.shape[1])
+    tilts = tilt_indices(mean.shape[1])
     roll, pitch = mean[:, tilts].T if tilts else np.zeros((2, len(mean)))
     cr, cp, tr, tp = np.cos(roll), np.cos(pitch), np.tan(roll), np.tan(pitch)
     velocity = np.stack([ahead / cp - tp * tr * left, left / cr], axis=-1)

@@ -11,8 +11,8 @@ import sigmaswarm
 from sigmaswarm import time_origin_of, write_estimate
 from sigmaswarm.exports.names import DESCRIPTIONS, Description, next_command
 from sigmaswarm.files import make_folder
-from sigmaswarm.wording import counted
-from sigmaswarm.workbench.parts import Page, button, card, command, line, link, message, select, text
+from sigmaswarm.wording import count_of
+from sigmaswarm.workbench.elements import Page, button, card, command, line, link, message, select, text
 from sigmaswarm.workbench.state import Workbench, attempt
 
 ENDINGS = {".csv": "CSV with standard deviations", ".tum": "TUM poses, for evo", ".kitti": "KITTI poses",
@@ -20,7 +20,7 @@ ENDINGS = {".csv": "CSV with standard deviations", ".tum": "TUM poses, for evo",
            ".ros2": "ROS 2 bag"}  # fmt: skip
 
 
-class TakePage(Page):
+class ExportPage(Page):
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
         self.chosen: dict[str, Any] = {}
@@ -117,4 +117,4 @@ class TakePage(Page):
         then = next_command(target, folder, texts)
         if name:
             then = then.replace(" DRIVE ", f" {shlex.quote(str(self.bench.path('drives', name)))} ")
-        return f"wrote {counted(len(texts), 'file')} to {folder}", then
+        return f"wrote {count_of(len(texts), 'file')} to {folder}", then

@@ -6,11 +6,11 @@ from nicegui import ui
 
 import sigmaswarm
 from sigmaswarm import Tuning, save_evaluation
-from sigmaswarm.workbench.parts import Page, box, button, card, line, link, select, text
+from sigmaswarm.workbench.elements import Page, box, button, card, line, link, select, text
 from sigmaswarm.workbench.state import Workbench, attempt
 
 
-class JudgePage(Page):
+class EvaluatePage(Page):
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
         self.chosen: dict[str, Any] = {}

@@ -8,19 +8,19 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import geodetic_to_enu, wrap_angle
-from sigmaswarm.wording import left_out
+from sigmaswarm.wording import rows_left_out
 
 Say = Callable[[str], None]
 Values = dict[str, Array]
 
-# m, largest distance of a fix from the median position, plus `FASTEST` times the duration
-FARTHEST = 100_000.0
-FASTEST = 150.0  # m/s
-FIT = 0.35  # rad, largest median difference between a heading and the course in the same convention
-MOVING = 1.0  # m/s, lowest speed at which the course equals the heading
+# m, largest distance of a fix from the median position, plus `MAX_SPEED` times the duration
+MAX_DISTANCE = 100_000.0
+MAX_SPEED = 150.0  # m/s
+MAX_MISFIT = 0.35  # rad, largest median difference between a heading and the course in the same convention
+MIN_SPEED = 1.0  # m/s, lowest speed at which the course equals the heading
 
 
-def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:
+def valid_positions(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:
     """Mark rows (n,) with a position: not a placeholder, within the range of degrees, and not far from others."""
     if "lat" not in values or "lon" not in values:
         return np.ones(len(time), bool)
@@ -28,11 +28,11 @@ def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) ->
     zero = (lat == lon) & (lat == np.round(lat))  # the same whole number in both is a placeholder
     if zero.any() and not zero.all():
         placed = f" at latitude {lat[zero][0]:g}, longitude {lon[zero][0]:g}"
-        say(f"{role}: {left_out(int(zero.sum()), placed)}, since such positions are not fixes")
+        say(f"{role}: {rows_left_out(int(zero.sum()), placed)}, since such positions are not fixes")
     good = ~zero if not zero.all() else np.ones(len(time), bool)
     outside = good & ((np.abs(lat) > 90) | (np.abs(lon) > 360))
     if outside.any() and outside.sum() < 0.5 * good.sum():
-        say(f"{role}: {left_out(int(outside.sum()))}, since the latitude or longitude is impossible")
+        say(f"{role}: {rows_left_out(int(outside.sum()))}, since the latitude or longitude is impossible")
         good &= ~outside
     if not good.any() or np.abs(lat[good]).max() > 90:
         return good
@@ -41,11 +41,11 @@ def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) ->
     east = np.asarray(wrap_angle(np.radians(lon - center[1]))) * 6_371_000 * np.cos(np.radians(center[0]))
     away = np.hypot(north, east)
     span = float(time[good][-1] - time[good][0]) * 1e-9
-    far = good & (away > FARTHEST + FASTEST * span)
+    far = good & (away > MAX_DISTANCE + MAX_SPEED * span)
     if far.any() and far.sum() < 0.1 * good.sum():
         first = ", including the first" if far[np.argmax(good)] else ""
         away_km = f" {away[far].max() / 1e3:.0f} km from the others"
-        say(f"{role}: {left_out(int(far.sum()), away_km)}{first}")
+        say(f"{role}: {rows_left_out(int(far.sum()), away_km)}{first}")
         good &= ~far
     return good
 
@@ -58,14 +58,14 @@ def with_longitudes(values: Values, role: str, say: Say) -> Values:
     return {**values, "lon": np.mod(values["lon"] + 180, 360) - 180}
 
 
-def course_of(time: Array, x: Array, y: Array, chord: float = 6.0) -> tuple[Array, NDArray[np.int64]]:
+def chord_course(time: Array, x: Array, y: Array, chord: float = 6.0) -> tuple[Array, NDArray[np.int64]]:
     """Return the course (m,), rad, between positions about ``chord`` meters apart, and the rows (m,) between them."""
     if len(time) < 10:
         return np.zeros(0), np.zeros(0, np.int64)
     step = float(np.median(np.hypot(np.diff(x), np.diff(y))))
     apart = int(np.clip(np.ceil(chord / max(step, 1e-3)), 1, len(time) // 4))
     dx, dy, dt = x[apart:] - x[:-apart], y[apart:] - y[:-apart], time[apart:] - time[:-apart]
-    moving = np.hypot(dx, dy) > np.maximum(MOVING * dt * min(chord / 6.0, 1.0), chord / 2)
+    moving = np.hypot(dx, dy) > np.maximum(MIN_SPEED * dt * min(chord / 6.0, 1.0), chord / 2)
     return np.arctan2(dy, dx)[moving], (np.arange(len(dx)) + apart // 2)[moving]
 
 
@@ -85,8 +85,8 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
     )
     errors = [float(np.median(np.abs(wrap_angle(a[rows] - course)))) for _, a in conventions]
     best = int(np.argmin(errors))
-    if errors[0] <= FIT or errors[best] > FIT:
-        if errors[0] > FIT and "heading" in what:
+    if errors[0] <= MAX_MISFIT or errors[best] > MAX_MISFIT:
+        if errors[0] > MAX_MISFIT and "heading" in what:
             apart = np.degrees(errors[0])
             say(f"{what} differs from the course by {apart:.0f} deg (median); check or map the column")
         return angle
@@ -94,7 +94,9 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
     return np.asarray(wrap_angle(conventions[best][1]))
 
 
-def level(values: Values, altitude: Array | float, origin: tuple[float, float, float], role: str) -> Values:
+def add_local_position(
+    values: Values, altitude: Array | float, origin: tuple[float, float, float], role: str
+) -> Values:
     """Add x and y (m) of latitude and longitude (deg), relative to an origin."""
     for name, most in (("lat", 90.0), ("lon", 180.0)):
         wrong = values[name][np.abs(values[name]) > most]

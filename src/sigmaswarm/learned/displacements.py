@@ -20,13 +20,13 @@ from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.packing import definite, pack_states, unpack_states
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, run_steps
+from sigmaswarm.filters.passes import FilterPass, run_steps
 
 _DIFFERENCE_STEP = 1e-3  # step of the finite differences, in standard deviations
 GATE = 13.8  # largest NIS of a displacement: 99.9% quantile of chi-square with two degrees of freedom
 
 
-class Begin(NamedTuple):
+class DisplacementStart(NamedTuple):
     """Filter at the start of a displacement: its rows (N_KEPT, lanes), and the place of its run (5,)."""
 
     rows: Array
@@ -34,7 +34,7 @@ class Begin(NamedTuple):
 
 
 class Displacements:
-    def __init__(self, replay: Replay, parameters: FilterParameters) -> None:
+    def __init__(self, replay: FilterPass, parameters: FilterParameters) -> None:
         self._replay = replay
         self._model = parameters.kernel
         n = len(FILTERS[self._model].states)
@@ -42,7 +42,7 @@ class Displacements:
         tilts = FILTERS[self._model].tilts
         self._plus, self._minus = (tilts.plus, tilts.minus) if tilts else (np.add, np.subtract)
 
-    def update(self, begin: Begin, rows: Array, stop: int, moved: Array, noise: Array) -> bool:
+    def update(self, begin: DisplacementStart, rows: Array, stop: int, moved: Array, noise: Array) -> bool:
         """Update with a displacement that ends before step ``stop``; return False if it was rejected.
 
         ``rows``, (N_KEPT, lanes), is changed in place. ``moved``, (2,), m, is forward and left in the body frame at the
@@ -88,7 +88,7 @@ class Displacements:
         mean, covariance = unpack_states(rows[state_rows(self._model), :1], self._model)
         return mean[0], covariance[0]
 
-    def _transported(self, begin: Begin, x0: Array, p0: Array, stop: int) -> Array:
+    def _transported(self, begin: DisplacementStart, x0: Array, p0: Array, stop: int) -> Array:
         """Return A, the transition of an error since the start of the displacement, (n, n)."""
         n, step = len(x0), _DIFFERENCE_STEP * np.sqrt(np.diag(p0))
         moved = np.array([x0, *(self._plus(x0, e) for e in np.diag(step))])
@@ -103,10 +103,10 @@ class Displacements:
 
 def body_displacement(begin: Array, end: Array) -> Array:
     """Return the displacement between states (..., n), m forward and left at the start, (..., 2)."""
-    return in_body(end[..., 0] - begin[..., 0], end[..., 1] - begin[..., 1], begin[..., THETA])
+    return to_body_axes(end[..., 0] - begin[..., 0], end[..., 1] - begin[..., 1], begin[..., THETA])
 
 
-def in_body(x: Any, y: Any, theta: Any) -> Array:
+def to_body_axes(x: Any, y: Any, theta: Any) -> Array:
     """Return a vector (x east, y north) as components forward and left, (..., 2), at a heading, rad."""
     c, s = np.cos(theta), np.sin(theta)
     return np.stack([c * x + s * y, c * y - s * x], axis=-1)
