@@ -55,11 +55,11 @@ class Journal:
 
     @property
     def friction(self) -> list[list[float]]:
-        """Pairs of tire_friction and measured friction; empty without --brake-sweep."""
+        """Pairs of tire_friction and measured friction; empty if --brake-sweep was not used."""
         return self._content.get("friction", [])
 
     def tire_friction(self, friction: float) -> float | None:
-        """Return the tire_friction for a friction of the road; None without --brake-sweep."""
+        """Return the tire_friction for a friction of the road; None if --brake-sweep was not used."""
         if not self.friction:
             return None
         table = sorted((measured, tire) for tire, measured in self.friction)

@@ -15,7 +15,7 @@ GPS_EVERY = 20  # ticks from fix to fix (5 Hz); CARLA's sensor_tick does not sta
 STANDSTILL_TIME = 1.0  # s of standstill at the beginning of a drive
 GRAVITY = 9.81
 KMH = 1 / 3.6
-DRY = 0.85  # friction of stock tires without --brake-sweep
+DRY = 0.85  # friction of stock tires if --brake-sweep was not used
 BRAKE_GAIN = 2.0
 """Factor of max_brake_torque. Stock brakes stop the car from 50 km/h in 2.7 s, but the paper's car needs 2 s."""
 

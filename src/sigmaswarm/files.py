@@ -320,7 +320,7 @@ def _remove(hidden: Path) -> None:
 def _lock(file: Path, *, wait: bool = True) -> "BaseFileLock | None":
     """Lock a file until its release or the end of the process; return None where files can't be locked.
 
-    Without ``wait``, raise `TimeoutError` if another run has the lock.
+    If ``wait`` is False, raise `TimeoutError` if another run has the lock.
     """
     from filelock import FileLock, Timeout  # not needed by commands that only read
 

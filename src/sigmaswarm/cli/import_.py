@@ -201,7 +201,6 @@ def _request(source: Path, options: ImportOptions) -> "Request":
 
 
 def _import(request: "Request", out: Path, options: ImportOptions) -> None:
-    """Write the drive, and print a summary and the assumptions."""
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.drives.writer import require_replaceable, write_drive
     from sigmaswarm.importing.convert import import_drive

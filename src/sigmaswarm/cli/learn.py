@@ -29,7 +29,7 @@ class LearnOptions:
     validation
         Drives for early stopping and calibration, which the training does not use; by default a part of the drives.
     search
-        Number of additional settings (units, window, learning rate) to try.
+        Number of additional settings (hidden units, window, learning rate) to try.
     seed
         Seed of all random numbers. The same seed gives the same result.
     resume

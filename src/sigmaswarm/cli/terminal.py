@@ -88,7 +88,7 @@ def progress_bar(
     """Show a bar and the remaining time on stderr; yield a function of done, total and fields that updates the bar.
 
     The bar appears at the first update, so that an earlier error prints one line only. Before it, a terminal shows
-    ``waiting``. Without ``counted``, the bar shows a percentage.
+    ``waiting``. If ``counted`` is empty, the bar shows a percentage.
     """
     from rich.console import Console
     from rich.progress import (

@@ -55,7 +55,7 @@ class AlignmentFit:
     """A fit to the fixes of the last few seconds; unknowns east, north, theta, v, b at ``time``.
 
     ``taken`` is the subtracted gyro bias, rad/s. ``yaw_bias`` and ``yaw_std``, rad/s, are the estimated bias and its
-    standard deviation; ``bias_std`` is its standard deviation from the fit alone, without prior. ``turns`` is the
+    standard deviation; ``bias_std`` is its standard deviation from the fit alone. ``turns`` is the
     change of the unknowns per rad/s of bias.
     """
 

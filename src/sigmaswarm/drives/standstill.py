@@ -31,7 +31,7 @@ RISES = 0.1
 """Growth of the estimated noise at rest while the car is nearly calm, 1/s; one second is too short to estimate it."""
 DEPARTS = 0.12  # m/s2, change of the forward or left acceleration of a departing car
 FOLLOWS = 1.0  # s, time constant with which the acceleration of the stop follows sensors that warm up
-FORGETS = 3.0  # s without calm and constant fixes after which a new stop begins
+FORGETS = 3.0  # s without a calm IMU and constant fixes after which a new stop begins
 FIX_WINDOW = 3.0  # s, window in which the fixes must be constant
 FILLED = 1.5  # mean fix intervals, longest time from the start of the window to the first fix
 FIX_SPEED = 0.8  # m/s, largest speed of the line through constant fixes

@@ -231,7 +231,7 @@ def new_network(
 class OutageRun(InterruptibleRun):
     """Run of a filter over a replay with forecasts of displacements in outages.
 
-    Without outages the run equals that of `FilterRun`. ``accepted`` and ``rejected`` count displacements.
+    If the drive has no outages, the run equals that of `FilterRun`. ``accepted`` and ``rejected`` count displacements.
     """
 
     def __init__(

@@ -35,7 +35,7 @@ class Triad:
     reach : float
         Limit of the measured value.
     resolution : float
-        Quantization step; 0 without quantization.
+        Quantization step; 0 if there is no quantization.
     """
 
     noise_density: float = 0.0

@@ -186,7 +186,6 @@ def add_slopes(record: Array, road: RoadProfile, car: Vehicle) -> Array:
 
 
 def _integral(values: Array) -> Array:
-    """Integrate values at each `STEP` by trapezoids."""
     return np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2)]) * STEP
 
 

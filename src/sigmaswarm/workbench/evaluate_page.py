@@ -51,7 +51,7 @@ class EvaluatePage(Page):
         self.refresh()
 
     def _held(self, name: str) -> list[str]:
-        """Return the validation drives of a tuning or, without validation, the drives that the tuning did not use."""
+        """Return the validation drives of a tuning or, if there are none, the drives that the tuning did not use."""
         tuning, _ = attempt(Tuning.load, self.bench.path("tunings", name))
         if tuning is None:
             return []
@@ -71,7 +71,6 @@ class EvaluatePage(Page):
         self.refresh()
 
     def _evaluate(self, chosen: dict[str, Any]) -> str:
-        """Evaluate, save, and write the report; return the name of the evaluation."""
         folder, rival = self.bench.path("tunings", chosen["tuning"]), chosen.get("against")
         tuning = Tuning.load(folder)
         against = Tuning.load(self.bench.path("tunings", rival)) if rival else None

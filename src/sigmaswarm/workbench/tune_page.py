@@ -180,7 +180,6 @@ class TunePage(Page):
         return drives, held
 
     def _cards(self) -> dict[str, Update]:
-        """Show running, failed and interrupted tuning runs; return functions that update the cards."""
         updates = {r.name: self._run_card(r) for r in self.runs.runs.values() if not r.ended or r.error}
         for name in self.bench.unfinished:
             if name not in updates:
@@ -196,7 +195,6 @@ class TunePage(Page):
         self.refresh()
 
     def _run_card(self, run: TuningRun) -> Update:
-        """Show a tuning run; return a function that updates the card."""
         with card("warning" if run.error else ""):
             with line("between"):
                 with ui.element("h2"):

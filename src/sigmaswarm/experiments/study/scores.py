@@ -145,7 +145,7 @@ def _score_sets(
 ) -> dict[str, Array]:
     """Score the parameter sets of each job on its drives: arrays of shape (sets, all drives) by measure.
 
-    A score is ``inf`` if the filter failed, and NaN on drives without a job.
+    A score is ``inf`` if the filter failed, and NaN if no job includes the drive.
     """
     found: dict[str, Array] = {}
     for drives, sets in jobs:
@@ -248,7 +248,7 @@ def tracked_drives(design: Design, trial: int) -> list[int]:
     """Choose test drives of a trial: one of each condition, or of each maneuver if there are many conditions.
 
     The drives are from different parts of the lists of drives, so that environments differ. A drive with turns is
-    first. Without conditions, the first test drives are chosen.
+    first. If drives have no conditions, the first test drives are chosen.
     """
     _, test = design.split(trial)
     named = {i: design.conditions[i] for i in test}
