@@ -41,8 +41,8 @@ CAPTIONS = (
     "**One tuning run**: 30 particles, 50 generations, ten minutes at 100 Hz. The ratio is the median; lowest value.",
     "**Two cores.** Wall time in ms to score parameter sets over the drive, if both cores were idle before.",
     "**Live filters.** Time of one call from Python in us: median; 99.9% quantile. A fix is processed with the next "
-    "sample, so the third column contains the time of both calls. The last two columns contain the times of "
-    "FilterPy, with the same filter and with planar5's UKF, divided by this time (a sample without a fix; with a fix).",
+    'sample, so "sample with fix" is the time of both calls. A ratio is FilterPy\'s time, with the same filter or with '
+    "planar5's UKF, divided by the time in the same row (a sample without a fix; with a fix).",
 )
 TUNINGS = {
     "test_tuning_pyswarms_filterpy": "PySwarms + FilterPy",

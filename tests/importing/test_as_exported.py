@@ -227,7 +227,7 @@ def test_the_unit_of_a_time_of_week_follows_from_its_size(tmp_path: Path):
 def test_small_steps_of_whole_numbers_are_no_ms(tmp_path: Path):
     """Hundredths of a second at 50 Hz have steps of 2; numbers of rows have steps of 1."""
     write(tmp_path, clock=lambda t: np.round(t * 20).astype(int))
-    with pytest.raises(InputError, match="steps of 1 may be ms, hundredths of a second, or numbers of rows"):
+    with pytest.raises(InputError, match="steps of 1 may be ms, hundredths of a second, or rows"):
         imported(tmp_path)
     write(tmp_path, clock=lambda t: np.round(t * 60).astype(int))
     with pytest.raises(InputError, match=r'"t\*1e-2" for 33.33 Hz'):

@@ -73,7 +73,7 @@ def tune(
         forecast-t      likelihood of fixes that were hidden for 3 to 5 s
         outage-rmse     error at fixes that were hidden for 3 to 5 s
         nis, nees       scale of the covariance, as a term of a sum
-        gps-rmse        distance to the fixes after the update (paper)
+        gps-rmse        distance of updated estimates to the fixes (paper)
 
     Values of --use:
 

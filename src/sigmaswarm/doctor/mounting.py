@@ -351,9 +351,12 @@ def _confidence(seen: _Round) -> tuple[Confidence, str]:
         (seen.mirrored > MIN_LEAD, "the accelerometers' axes are a mirror image"),
         (
             seen.margin < MIN_RIVAL_LEAD,
-            "the car hardly changes its speed, which would show the forward direction",
+            "the car's speed hardly changes, so it does not show the forward direction",
         ),
-        (lateral <= 0.4 or lateral >= 1.6, f"the lateral force is {lateral:.1f} times speed x yaw rate"),
+        (
+            lateral <= 0.4 or lateral >= 1.6,
+            f"the lateral acceleration is {lateral:.1f} times speed x yaw rate, not 1",
+        ),
         (total > LIKELY_STD, uncertain),
     ):
         if fault:

@@ -235,7 +235,7 @@ def _are_dms(lat: pl.Series, lon: pl.Series) -> bool:
 def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
     """Return the conditions for the southern and western hemispheres, and faults in their letters.
 
-    The letters are in columns of these names, or in the columns that follow the coordinates. The latter
+    The letters are in columns named ns and ew, or in the columns that follow the coordinates. The latter
     columns must contain only these letters, and their coordinates must have no signs.
     """
     frame, found, sure = columns.frame, dict[str, tuple[str, str]](), list[bool]()

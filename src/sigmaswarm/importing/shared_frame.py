@@ -131,9 +131,9 @@ def assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, or
     (east, north), spread = np.mean(off, axis=0), np.std(off, axis=0) / np.sqrt(len(true))
     if np.hypot(east, north) > MAX_DISTANCE:
         return (
-            f"{message}, but it is then {np.hypot(east, north) / 1e3:.0f} km from the fixes, so its coordinates are "
-            "probably those of a map (UTM); convert it to degrees, for example with pyproj, and map truth.lat and "
-            "truth.lon"
+            f"{message}, but the truth is then {np.hypot(east, north) / 1e3:.0f} km from the fixes, so its "
+            "coordinates are probably those of a map (UTM); convert them to degrees, for "
+            "example with pyproj, and map truth.lat and truth.lon"
         )
     best = origin
     for _ in range(3):  # north turns with the place

@@ -35,7 +35,7 @@ MIN_STEP, MIN_FIX_INTERVAL = 1e-4, 0.04
 FASTEST_IMU, SLOWEST_IMU = 4e-4, 0.15
 # Share of decreasing steps above which rows are in no order; of a counter that wraps, fewer steps decrease
 MAX_DECREASING_SHARE = 0.4
-# Smallest step of whole numbers that count as ms; smaller steps may be numbers of rows, or 0.01 s
+# Smallest step of whole numbers that count as ms; smaller steps may be row numbers, or 0.01 s
 MIN_COUNT_STEP = 4
 _DAYS_FIRST = (
     *("%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%Y/%m/%d", "%d.%m.%Y", "%d.%m.%y"),
@@ -358,7 +358,7 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> TimeExpression:
     unit = (*dated, *likely, "s")[0]
     if role == "imu" and not dated and unit == "ms" and step < MIN_COUNT_STEP:
         rates = ", ".join(f'"{text}*1e-{k}" for {10**k / step:.4g} Hz' for k in (3, 2))
-        message = f"column {quoted(column)}: steps of {step:g} may be ms, hundredths of a second, or numbers of rows"
+        message = f"column {quoted(column)}: steps of {step:g} may be ms, hundredths of a second, or rows"
         return TimeExpression(
             "", fault=f'{message}; state the unit with --time: {rates}, or "{text}/100" for 100 rows per s'
         )

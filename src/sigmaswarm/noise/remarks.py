@@ -97,7 +97,7 @@ def on_misfit(axes: Sequence[AxisNoise], duration: float) -> list[str]:
         ratio = (a.deviation / np.sqrt(np.sum(np.square(parts), axis=0)))[a.tau <= duration / MIN_INTERVALS]
         worst = int(np.argmax(np.abs(np.log(ratio))))
         if not 1 / MISFIT < ratio[worst] < MISFIT:
-            found.append(f"{a.axis} {ratio[worst]:.2g} times at {a.tau[worst]:.2g} s")
+            found.append(f"{a.axis} {ratio[worst]:.2g} times the model's at tau = {a.tau[worst]:.2g} s")
     if not found:
         return []
     return [

@@ -140,7 +140,7 @@ def _tables(results: Results) -> Section:
     ]
     text = (
         "Values of the paper and of this study: means over trials, each on its held-out drives. The paper's RMSE is "
-        "relative to the GPS fixes after the update, so a filter that copies the fixes has an RMSE of 0.",
+        "that of the updated estimates relative to the GPS fixes, so a filter that copies the fixes has an RMSE of 0.",
         f"Improvement over the manual UKF (equation 5): {'; '.join(improvements)}.",
     )
     found = (tables.table_1(results), tables.table_2(results), tables.table_3(results))

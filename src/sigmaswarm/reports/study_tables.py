@@ -151,8 +151,8 @@ def table_1(results: Results) -> Table:
     columns += _with_intervals(["ours, against truth"])
     columns += [_figures("improvement (eq. 5), %: paper"), *_with_intervals(["ours"])]
     note = (
-        "Mean over trials on held-out drives, with the 95% interval for new drives. The paper's RMSE is against the "
-        "GPS after the update. Our improvement (equation 5) is against truth, relative to "
+        "Mean over trials on held-out drives, with the 95% interval for new drives. The paper's RMSE is that of "
+        "the updated estimates against the GPS. Our improvement (equation 5) is against truth, relative to "
         f"{results.label(MANUAL_METHOD)}."
     )
     return _table("Table I. RMSE, m", columns, rows, results, note)

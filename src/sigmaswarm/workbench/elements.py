@@ -36,7 +36,7 @@ class Page:
     def start(
         self, waiting: str, work: Callable[..., T], *arguments: Any, then: Callable[[T | None], Any]
     ) -> None:
-        """Work on a thread, also after the tab is closed; a new request replaces the previous request.
+        """Run ``work`` on a thread, even after the tab is closed; a new request replaces the previous request.
 
         ``then`` receives the result, or None after an error, which ``wrong`` contains.
         """

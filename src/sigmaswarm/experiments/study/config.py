@@ -90,7 +90,7 @@ BO_EVALUATIONS = 100  # with more, the optimizer takes longer than the filters (
 LONG_OUTAGES = {f"outage_drift_{length:g}_s_m": length for length in (15.0, 30.0, 60.0)}
 MEASURES = {
     "position_rmse_m": "position RMSE against truth, m",
-    "gps_rmse_m": "RMSE against the GPS fix after the update (equation 4), m",
+    "gps_rmse_m": "RMSE of the updated estimates against the GPS (equation 4), m",
     "heading_rmse_deg": "heading error, deg",
     "outage_drift_m": "drift over a 5 s outage, m",
     "nis": "mean NIS, 2 if the filter is consistent",

@@ -21,7 +21,7 @@ if hasattr(os, "register_at_fork"):
 
 @dataclass(frozen=True, eq=False)
 class PendingSearch:
-    """A running search, which replays the log up to step ``logged`` from the ancestor of lane ``led``.
+    """A search that replays the steps before ``logged`` from the lane that the leading lane ``led`` was copied from.
 
     A forked or unpickled copy searches in the calling thread.
     """

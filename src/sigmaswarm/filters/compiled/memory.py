@@ -86,4 +86,4 @@ def _as_it_is(handle):
 
 
 memory_at = _as_it_is if config.DISABLE_JIT else _at
-"""``(handle)``, for compiled code: the address of the step, and the arrays of a `Memory`."""
+"""For compiled code: ``memory_at(handle)`` returns the address of the step, and the arrays of a `Memory`."""

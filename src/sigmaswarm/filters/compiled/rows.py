@@ -46,7 +46,7 @@ def _in_python(lanes):
 
 
 new_rows = _in_python if config.DISABLE_JIT else _on_the_stack
-"""``(lanes)``: an uninitialized array of rows on the calling kernel's stack.
+"""Make an uninitialized array of rows, with argument ``(lanes)``, on the calling kernel's stack.
 
 The type of the array has ``lanes`` columns, its memory has LANES: lane LANES + k of row r is lane k of row N_ROWS + r.
 Without compilation the array always has LANES columns.

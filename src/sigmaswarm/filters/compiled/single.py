@@ -108,7 +108,7 @@ def _called(step, v, u, events, z, wheels, lever, since):
 
 
 take_step = _called if config.DISABLE_JIT else _call
-"""``(step, v, u, events, z, wheels, lever, since)``, for compiled code: one step of one filter.
+"""Compute one step of one filter in compiled code, with ``(step, v, u, events, z, wheels, lever, since)``.
 
 - ``step``: the address of the result of `single_step`
 - ``v``: (N_KEPT or more,) the filter before and after

@@ -192,7 +192,7 @@ def settle(w):
 
 
 def measure_fix_tilted(w, z, lever, *, n):
-    """Compute nu, H P H^T, C and R of z = p + (R lever) - latency v.
+    """Compute nu, H P H^T, C and R of z = p + arm - latency v, where arm is the rotated lever arm.
 
     H is in `tilted.Antenna`.
     """

@@ -366,7 +366,7 @@ def _up(w, l):
 
 @kernel
 def measure_fix_unscented(w, z, lever):
-    """Compute nu, H P H^T, C and R of z = p + (R lever) - latency v, like `tilted12.measure_fix_tilted`."""
+    """Compute nu, H P H^T, C and R of z = p + arm - latency v, like `tilted12.measure_fix_tilted`."""
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
     _root_of_rotation(w)

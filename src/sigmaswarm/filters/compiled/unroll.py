@@ -50,7 +50,7 @@ def written_out(function: Callable[..., Any], /, **known: Any) -> ParsedFunction
 
 
 Change = Callable[[ast.FunctionDef, Names], None]
-"""``(definition, names)``: changes generated code in place."""
+"""A function of ``(definition, names)`` that changes generated code in place."""
 
 
 class Kernel:
