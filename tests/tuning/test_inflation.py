@@ -91,7 +91,8 @@ def test_it_is_kept_with_the_tuning(tmp_path, model: str, said: str):
     tuning = tune([town()], **options)
     assert tuning.to_dict()["result"]["inflation_factor"] == tuning.inflation_factor
     said = said.format(tuning.inflation_factor, tuning.inflation_factor**0.5)
-    assert [remark for remark in tuning.remarks if remark.startswith(said)]
+    (remark,) = (remark for remark in tuning.remarks if remark.startswith(said))
+    assert remark.endswith(": inflation is for other roads and IMUs (--inflation 0: none)")
     again = tune([town()], resume=True, **options)
     assert again.parameters == tuning.parameters
     assert not [remark for remark in tuning.remarks if "search longer" in remark]

@@ -33,9 +33,7 @@ from sigmaswarm.wording import count_of, sort_remarks, to_do
 P = TypeVar("P", default=FilterParameters)
 SHOWN_REMARKS = 5  # number of remarks in the printed text
 INFLATION_REMARK = (
-    "process-noise inflation multiplied {}: the costs with and without inflation hardly differ; on other roads and "
-    "with other IMUs the inflated filter is more accurate. On the roads used for tuning, it drifts slightly more in "
-    "outages; --inflation 0 turns the inflation off"
+    "process-noise inflation multiplied {}: inflation is for other roads and IMUs (--inflation 0: none)"
 )
 SENSORS_REMARK = (
     "a filter tuned with truth is valid only for the receiver and the IMU of these drives: with other sensors it "
