@@ -16,7 +16,7 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.exports.c99 import replay_rows
-from sigmaswarm.exports.targets import export_texts, kind_of, write_texts
+from sigmaswarm.exports.targets import export_texts, write_texts
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
@@ -54,12 +54,12 @@ export = cache(export_texts)
 
 def export_filter(parameters: FilterParameters, target: str, folder: Path, **options) -> list[Path]:
     """Write the files of a filter, with options as in `export_texts`; return their paths."""
-    return write_texts(export_texts(parameters, target, **options), folder, kind_of(target))
+    return write_texts(export_texts(parameters, target, **options), folder, target)
 
 
 def write(folder: Path, parameters: FilterParameters, **options: int) -> None:
     """Write an exported C library."""
-    write_texts(export(parameters, "c99", **options), folder)
+    write_texts(export(parameters, "c99", **options), folder, "c99")
 
 
 def build(

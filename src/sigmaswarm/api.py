@@ -242,13 +242,13 @@ def export(
     InputError
         If the target is unknown or does not support the model.
     """
-    from sigmaswarm.exports.targets import export_texts, kind_of, write_texts
+    from sigmaswarm.exports.targets import export_texts, write_texts
 
     tuned = tuned_filter(parameters)
     settings = tuned.settings("as_recorded", "mounting", "imu_axes", **options)
     texts = export_texts(tuned.parameters, to, **settings)
     if folder is not None:
-        write_texts(texts, folder, kind_of(to))
+        write_texts(texts, folder, to)
     return texts
 
 

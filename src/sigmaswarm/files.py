@@ -12,7 +12,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Generator, Set
+from collections.abc import Generator, Sequence, Set
 from contextlib import contextmanager, suppress
 from errno import EDQUOT, EEXIST, EFBIG, ENOSPC, ENOTEMPTY
 from functools import cache
@@ -184,12 +184,15 @@ def _result_in(folder: Path) -> dict[str, Any]:
 
 
 @contextmanager
-def staged_files(folder: Path, kind: str = "", mark: str = "") -> Generator[Path]:
+def staged_files(
+    folder: Path, kind: str = "", mark: str = "", *, built: Sequence[str] = ()
+) -> Generator[Path]:
     """Yield a hidden folder for files; when the block ends, all or none of them are moved into ``folder``.
 
     If this run is killed between two replacements, the next run that writes into the folder restores the old files.
     With ``kind``, the files are a whole result, which replaces an earlier result (see `earlier_result`): surplus files
-    of the earlier result are removed, and no other file is replaced.
+    of the earlier result are removed, and no other file is replaced. ``built``: files that users' commands make from an
+    earlier result; they are also removed if one of its files is replaced.
     """
     before = earlier_result(folder, kind, mark, alone=False) if kind else None
     make_folder(folder)
@@ -211,7 +214,10 @@ def staged_files(folder: Path, kind: str = "", mark: str = "") -> Generator[Path
         if kind:
             (new / RESULT_FILE).write_text(json.dumps({"kind": kind, "files": sorted(names)}) + "\n")
         _flush(new)
-        _exchange(hidden, folder, (before or frozenset()) - names)
+        stale = (before or frozenset()) - names
+        if before or any((folder / name).exists() for name in names):
+            stale |= {*built}
+        _exchange(hidden, folder, stale)
 
 
 def _is_code_of_ours(file: Path) -> bool:

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -124,6 +125,28 @@ def test_the_c_is_checked_on_drives(sigmaswarm: Command, tuned: Path, drives: Pa
     )
     (checked,) = json.loads(ended.out)["checked"]
     assert checked["drive"] == "urban-clear-00" and checked["double"]["state"] < 1e-9
+
+
+@needs_gcc
+@pytest.mark.usefixtures("unoptimized")
+def test_a_new_export_removes_what_was_built_from_an_earlier_one(
+    sigmaswarm: Command, tuned: Path, drives: Path, here: Path
+):
+    export = ("export", tuned, "--to", "c99", "--out", "c")
+    assert sigmaswarm(*export, "--check", drives / "urban-clear-00").code == 0
+    assert {"libins_gps.so", "libins_gps_float.so"} <= {file.name for file in Path("c").iterdir()}
+    for name in ("replay", "estimate.csv", "main.c"):
+        Path("c", name).write_text("")
+    ended = sigmaswarm(*export)
+    assert ended.code == 0, ended.err
+    exported = {
+        Path(line.removeprefix("wrote c/")).parts[0] for line in ended.out.splitlines() if "wrote" in line
+    }
+    left = {file.name for file in Path("c").iterdir()} - exported
+    assert left <= {"main.c", ".sigmaswarm-result.json", "__pycache__"}, left
+    load = "import sys; sys.path.insert(0, 'c'); import ins_gps; ins_gps.Filter(0.0, [0.0] * 5, [0.0] * 25)"
+    loaded = subprocess.run([sys.executable, "-c", load], capture_output=True, text=True, check=False)
+    assert "libins_gps.so: cannot open shared object file" in loaded.stderr
 
 
 def test_export_says_how_to_go_on(sigmaswarm: Command, tuned: Path, here: Path):

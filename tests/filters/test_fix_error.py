@@ -234,7 +234,7 @@ def test_it_is_consistent_where_errors_last_and_white_noise_is_far_too_sure():
 )
 def test_c_library_gives_the_estimates_of_a_run(model: str, kind: str, option: str, tmp_path: Path):
     p = filter_of(model, kind, option, nominal_interval=0.01)
-    write_texts(export_texts(p, "c99"), tmp_path)
+    write_texts(export_texts(p, "c99"), tmp_path, "c99")
     for checked in check_export(tmp_path, p, [straying()]):
         assert checked.double.state < 1e-11
         assert checked.single is not None and checked.single.position < 1e-3

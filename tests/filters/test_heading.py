@@ -187,7 +187,7 @@ def test_lane_zero_of_a_bank_takes_headings_and_its_searches_replay_them():
 def test_c_library_gives_the_estimates_of_a_run(model: str, kind: str, option: str, tmp_path: Path):
     drive = hilly() if model == "tilted12" and option == "all" else driven(option)
     p = filter_of(model, kind, option, nominal_interval=0.01)
-    write_texts(export_texts(p, "c99", replay=drive), tmp_path)
+    write_texts(export_texts(p, "c99", replay=drive), tmp_path, "c99")
     (checked,) = check_export(tmp_path, p, [drive])
     assert checked.double.state < 1e-11
     assert checked.single is not None and checked.single.position < 2e-3
@@ -198,7 +198,7 @@ def test_c_library_gives_the_estimates_of_a_run(model: str, kind: str, option: s
 @pytest.mark.usefixtures("unoptimized")
 def test_c_lanes_give_the_estimates_of_a_bank(tmp_path: Path):
     p, drive = filter_of(nominal_interval=0.01), driven()
-    write_texts(export_texts(p, "c99", lanes=3), tmp_path)
+    write_texts(export_texts(p, "c99", lanes=3), tmp_path, "c99")
     (checked,) = check_export(tmp_path, p, [drive], lanes=3)
     assert checked.double.state < 1e-9
 

@@ -26,7 +26,7 @@ class ExportOptions:
         filterpy: a Python script. c99: a C library. robot_localization: parameters, which are a starting point unless
         tuned with --model robot-localization.
     out
-        Folder to write to; an earlier export in it is replaced, your other files are kept.
+        Folder to write to; an earlier export, with what was built from it, is replaced; your other files are kept.
     replay
         c99: also write this drive as the input of the replay program.
     check
@@ -70,7 +70,7 @@ def export(
     from sigmaswarm.api import tuned_filter
     from sigmaswarm.exports.check import check_export
     from sigmaswarm.exports.robot_localization import accuracy_section
-    from sigmaswarm.exports.targets import export_texts, kind_of, write_texts
+    from sigmaswarm.exports.targets import export_texts, write_texts
     from sigmaswarm.filters.models import MODELS
     from sigmaswarm.scoring.evaluation import evaluate
     from sigmaswarm.tuning.record import TuningRecord
@@ -93,7 +93,7 @@ def export(
     if drives and ros:
         found = evaluate(drives, parameters, against=options.against, seen=tuned.seen)
         texts["README.md"] += accuracy_section(found)
-    written = write_texts(texts, out, kind_of(to))
+    written = write_texts(texts, out, to)
     checked: list[ExportCheck] = []
     if drives and not ros:
         checked = check_export(out, parameters, drives, **settings)

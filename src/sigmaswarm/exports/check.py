@@ -15,6 +15,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c99 import fits_float, replay_events
 from sigmaswarm.exports.lanes import Lanes
+from sigmaswarm.exports.names import LIBRARIES
 from sigmaswarm.filters.bank.run import BankRun
 from sigmaswarm.filters.filter_run import join_chunks
 from sigmaswarm.filters.models import MODELS
@@ -66,9 +67,10 @@ def check_export(
         If a drive has no start for the filter.
     """
     all_lanes = Lanes(lanes, seed)
-    built = [_shared_object(folder, "libins_gps.so")]
+    double, single_precision = LIBRARIES
+    built = [_shared_object(folder, double)]
     if all(fits_float(p) for p in all_lanes.filters(parameters)):
-        built.append(_shared_object(folder, "libins_gps_float.so", "-DINS_GPS_FLOAT"))
+        built.append(_shared_object(folder, single_precision, "-DINS_GPS_FLOAT"))
     checked: list[ExportCheck] = []
     # A process loads a path only once, so a new build needs another path.
     with tempfile.TemporaryDirectory() as loaded:

@@ -9,6 +9,7 @@ from typing import Literal
 Target = Literal["c99", "filterpy", "robot_localization"]
 AnyTarget = Literal[Target, "robot-localization"]
 """Targets and the name of the model, accepted for the target robot_localization."""
+LIBRARIES = ("libins_gps.so", "libins_gps_float.so")  # C libraries in double and in float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +26,9 @@ class Description:
         Options of `tune` that the target does not support.
     tilts : bool
         True if the target supports models with attitude.
+    built : tuple of str
+        Files that the commands of the exported README.md and ``--check`` make in the folder. They contain the exported
+        filter, so a new export removes them.
     """
 
     title: str
@@ -32,6 +36,7 @@ class Description:
     commands: Mapping[str, str]
     lacks: tuple[str, ...] = ()
     tilts: bool = False
+    built: tuple[str, ...] = ()
 
 
 DESCRIPTIONS: dict[Target, Description] = {
@@ -43,6 +48,7 @@ DESCRIPTIONS: dict[Target, Description] = {
             "replay.csv": " && ./replay < replay.csv > estimate.csv",
         },
         tilts=True,
+        built=(*LIBRARIES, "replay", "estimate.csv"),
     ),
     "filterpy": Description(
         title="Python",

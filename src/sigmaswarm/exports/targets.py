@@ -109,15 +109,14 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
     return parameters.nominal_interval
 
 
-def write_texts(texts: Mapping[str, str], folder: str | Path, kind: str = "export") -> list[Path]:
-    """Write the files of an export into a folder, which is created if missing; replace an earlier result."""
-    folder = Path(folder)
-    with staged_files(folder, kind) as new:
+def write_texts(texts: Mapping[str, str], folder: str | Path, target: AnyTarget) -> list[Path]:
+    """Write the files of an export into a folder, which is created if missing.
+
+    An earlier export to the same target is replaced, and the files that were built from it are removed.
+    """
+    folder, target = Path(folder), target_named(target)
+    with staged_files(folder, f"export to {target}", built=DESCRIPTIONS[target].built) as new:
         for name, text in texts.items():
             make_folder((new / name).parent)
             write_atomically(new / name, text)
     return [folder / name for name in texts]
-
-
-def kind_of(target: str) -> str:
-    return f"export to {target.replace('-', '_')}"
