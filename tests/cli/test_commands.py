@@ -471,9 +471,10 @@ def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest
         "| default filter of tune (honest) |",
         "| UKF | 1.20 |",
         "**Parameters found by the PSO, best trial**",
-        "page:    show/page.html\n",
+        "page:    show/page.html\nnext:    sigmaswarm import LOG --show ",
     ):
         assert words in ended.out
+    assert "DRIVE..." not in ended.out  # the filters are for simulated sensors
     results = json.loads(Path("show/results.json").read_text())
     assert (results["drives"]["count"], results["config"]["trials"]) == (4, 2)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from cli.conftest import Command
+from sigmaswarm.cli.study import _next_steps
 
 SMALL = ("--runs", 2, "--trials", 2, "--particles", 2, "--generations", 1, "--workers", 2)
 
@@ -29,6 +30,11 @@ def test_a_small_study_and_its_tables(sigmaswarm: Command, here: Path):
     (here / "out" / "page.html").unlink()
     assert sigmaswarm("report", "out").code == 0
     assert (here / "out" / "page.html").stat().st_size > 2e5
+
+
+def test_a_study_of_own_drives_ends_in_an_evaluation():
+    (line,) = _next_steps(own_drives=True, best=Path("out/best/honest-default.toml"))
+    assert line == "next:    sigmaswarm evaluate out/best/honest-default.toml DRIVE..."
 
 
 def test_mistakes_take_one_line(sigmaswarm: Command, here: Path):

@@ -7,7 +7,7 @@ from sigmaswarm.cli.study import study
 
 
 def demo(*, out: Path = Path("demo"), seed: Seed = 0, json: Json = False) -> None:
-    """Run a small version of the paper's experiment, in about a minute.
+    """Run a small version of the paper's experiment, in about two minutes.
 
     Example:
 

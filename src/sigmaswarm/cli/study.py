@@ -1,6 +1,7 @@
 """`sigmaswarm study`."""
 
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from sigmaswarm.cli.common import cluster_at, print_json, require_result_folder, say
@@ -64,7 +65,7 @@ def study(
     config
         A study.toml whose values the other options override; by default the paper's study.
     quick
-        Run a small study: 50 drives and 3 trials, in about half a minute.
+        Run a small study: 50 drives and 3 trials, in about two minutes.
     workers
         Number of processes (Linux) or threads, one per core by default; with --cluster, of simultaneous tuning runs.
     resume
@@ -117,5 +118,15 @@ def _print(done: "Study", out: Path, page: Path) -> None:
         f"tables:  {out / 'tables'}",
         f"figures: {out / 'figures'}",
         f"page:    {page}",
-        f"next:    sigmaswarm evaluate {out / 'best' / name}.toml DRIVE...",
+        *_next_steps(own_drives=bool(done.design.config.drives), best=out / "best" / f"{name}.toml"),
     )
+
+
+def _next_steps(*, own_drives: bool, best: Path) -> list[str]:
+    """Suggest the next commands; a filter for simulated sensors is wrong for drives with other sensors."""
+    if own_drives:
+        return [f"next:    sigmaswarm evaluate {quote(str(best))} DRIVE..."]
+    return [
+        "next:    sigmaswarm import LOG --show    (a log of your own; these filters are for simulated sensors)",
+        "or:      sigmaswarm simulate --out drives",
+    ]

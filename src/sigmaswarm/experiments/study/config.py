@@ -95,7 +95,7 @@ MEASURES = {
     "outage_drift_m": "drift over a 5 s outage, m",
     "nis": "mean NIS, 2 if the filter is consistent",
 }
-QUICK_STUDY = {"runs": 2, "trials": 3}  # options of `sigmaswarm demo`: 50 drives, half a minute on two cores
+QUICK_STUDY = {"runs": 2, "trials": 3}  # options of `sigmaswarm demo`: 50 drives
 RIVAL_OPTIONS = ("rivals", "learn_minutes", "elsewhere")
 
 
