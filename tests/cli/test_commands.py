@@ -16,6 +16,7 @@ import pytest
 
 import sigmaswarm as library
 from sigmaswarm.cli.app import app
+from sigmaswarm.cli.remarks import name_files, name_training_files
 from sigmaswarm.cli.tune import _costs
 from sigmaswarm.drives.drive import Imu
 from sigmaswarm.drives.reader import read_drive
@@ -27,6 +28,7 @@ from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.diagnostics import DriftComparison, describe_forecasts
 from sigmaswarm.tuning.objectives import OBJECTIVES
 from sigmaswarm.tuning.options import Option
+from sigmaswarm.tuning.receiver import STATE_REMEDY
 from support import make_drive, no_pictures
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -150,6 +152,26 @@ def test_a_remedy_in_drive_toml_names_the_file_and_the_line(sigmaswarm, drives: 
     about = Path("logs/car/drive.toml")
     about.write_text("gps_std_m = 1.5\n" + about.read_text())
     assert "gps_std_m" not in sigmaswarm("tune", "logs/car", "--out", "u", *QUICK, "--model", "planar8").out
+
+
+def test_a_line_for_a_part_belongs_into_the_whole_drive(here: Path):
+    Path("logs/car").mkdir(parents=True)
+    Path("logs/car/drive.toml").write_text('name = "car"\n')
+    for part in ("train", "test"):
+        Path(f"parts/car-{part}").mkdir(parents=True)
+        Path(f"parts/car-{part}/drive.toml").write_text('[cut_from]\ndrive = "car"\n')
+        Path(f"parts/car-{part}/imu.csv").touch()
+    here_it_is = "at the top of logs/car/drive.toml (the whole drive), with "
+    again = "; then run sigmaswarm split logs/car --out parts --overwrite and tune into a new folder"
+    named = name_files(STATE_REMEDY, [Path("parts/car-train")])
+    assert here_it_is in named and named.endswith(again)
+    assert name_training_files([STATE_REMEDY], ["car-train"], ["parts/car-test"]) == [named]
+    (named,) = name_training_files([STATE_REMEDY], ["bus"], ["parts/car-test"])
+    assert "at the top of drive.toml of bus, with " in named
+    Path("parts/car-train/drive.toml").write_text('repaired = ["x"]\n[cut_from]\ndrive = "lost"\n')
+    named = name_files(STATE_REMEDY, [Path("parts/car-train")])
+    assert "at the top of drive.toml of the whole drive lost, with " in named
+    assert named.endswith("; then split and repair this drive again and tune into a new folder")
 
 
 def test_version(sigmaswarm):

@@ -20,6 +20,7 @@ from sigmaswarm.cli.common import (
 )
 from sigmaswarm.cli.findings import Remedy
 from sigmaswarm.cli.options import FIELDS, AsRecorded, Cluster, Json, Places, Seed, TrustLog
+from sigmaswarm.cli.remarks import name_training_files
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 
 if TYPE_CHECKING:
@@ -116,8 +117,13 @@ def evaluate(
     if options.json:
         print_json(result.to_dict())
         return
-    record = TuningRecord.read(tuning).result
-    print_evaluation(result, verbose=options.verbose, more=record.warnings if record else ())
+    record = TuningRecord.read(tuning)
+    more = (
+        name_training_files(record.result.warnings, [d.name for d in record.data], drives)
+        if record.result
+        else ()
+    )
+    print_evaluation(result, verbose=options.verbose, more=more)
     if written:
         names = ", ".join(path.name for path in written) if options.verbose else f"{len(written)} files"
         say(f"wrote {names} to {out}")

@@ -18,6 +18,7 @@ from sigmaswarm.cli.common import (
 )
 from sigmaswarm.cli.findings import Remedy
 from sigmaswarm.cli.options import MORE, Cluster, Json, Places, TrustLog, Workers, options_of
+from sigmaswarm.cli.remarks import local_folders, name_files
 from sigmaswarm.cli.terminal import tuning_progress
 from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.config import DEFERRED_OPTIONS, RENAMED, TuneConfig
@@ -165,28 +166,14 @@ def _tune(
 def _remarks(tuning: "Tuning[Any]", track: "FirstTrack", given: Places) -> Iterable[str]:
     from sigmaswarm.scoring.remarks import describe_first_track
 
-    described = _descriptions(given)
-
+    folders = local_folders(given)
     if position := describe_first_track(track):
         yield f"position: {position.removeprefix('Position ')}"
     for remark in tuning.remarks[:MAX_REMARKS]:
-        remark = remark.replace("drive.toml", described)
+        remark = name_files(remark, folders)
         yield remark if remark.startswith(TO_DO) else f"note: {remark}"
     if (left := len(tuning.remarks) - MAX_REMARKS) > 0:
         yield f"note: {count_of(left, 'more remark')} in tuning.toml"
-
-
-def _descriptions(given: Places) -> str:
-    """Return the path of the drives' drive.toml, with a placeholder for several drives."""
-    from sigmaswarm.drives.reader import drive_folders
-    from sigmaswarm.drives.urls import is_url
-
-    local = [Path(place) for place in given if not is_url(place)]
-    folders = [folder for place in local for folder in drive_folders(place)]
-    if len(local) < len(given) or not folders:
-        return "drive.toml"
-    first = quote(str(folders[0] / "drive.toml"))
-    return first if len(folders) == 1 else f"{first} and of the other drives"
 
 
 def _is_part(drive: "Drive") -> bool:

@@ -29,9 +29,11 @@ SPAN = 600.0  # s of a drive in which the scatter of the fixes is measured; a lo
 MIN_PRIOR_COST = 0.02  # nats per fix; a larger cost of the prior leads to a remark
 MIN_SCATTER = 0.5  # m; if fixes scatter less, the receiver smooths them or uses RTK
 UNKNOWN = "without truth a log does not show the error that all fixes have in common"
+AT_THE_TOP = "at the top of drive.toml"
+TUNE_AGAIN = "tune into a new folder"
 STATE_REMEDY = (
-    "write the line `gps_std_m = 1.5` at the top of drive.toml, with the standard deviation of the receiver's fixes, "
-    "m per axis, in place of 1.5"
+    f"write the line `gps_std_m = 1.5` {AT_THE_TOP}, with the standard deviation of the receiver's fixes, m per axis, "
+    f"in place of 1.5; then {TUNE_AGAIN}"
 )
 
 

@@ -1,0 +1,75 @@
+"""Name the files of drives in the remarks on a tuning."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from glob import escape
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Any
+
+from sigmaswarm.wording import printable
+
+if TYPE_CHECKING:
+    from sigmaswarm.drives.reader import Location
+
+_DESCRIPTION = "drive.toml"
+
+
+def name_files(remark: str, folders: Sequence[Path]) -> str:
+    """Replace drive.toml in a remark by its path; a line for a part of a drive belongs into that of the whole drive."""
+    from sigmaswarm.tuning.receiver import AT_THE_TOP, TUNE_AGAIN
+
+    if not folders or _DESCRIPTION not in remark:
+        return remark
+    first, others = folders[0], " and of the other drives" * (len(folders) > 1)
+    cut = _description(first).get("cut_from")
+    if AT_THE_TOP not in remark or cut is None:
+        return remark.replace(_DESCRIPTION, quote(str(first / _DESCRIPTION)) + others)
+    name = str(cut["drive"])
+    whole = next(_places(first, name), None)
+    file = f"the whole drive {name}" if whole is None else quote(str(whole / _DESCRIPTION))
+    file = f"{_DESCRIPTION} of {file}" if whole is None else f"{file} (the whole drive)"
+    repaired = " and repair" if "repaired" in _description(first) else ""
+    again = f"split{repaired} this drive again"
+    if whole is not None and not repaired:
+        again = f"run sigmaswarm split {quote(str(whole))} --out {quote(str(first.parent))} --overwrite"
+    remark = remark.replace(TUNE_AGAIN, f"{again} and {TUNE_AGAIN}")
+    return remark.replace(AT_THE_TOP, AT_THE_TOP.replace(_DESCRIPTION, file + others))
+
+
+def _places(part: Path, name: str) -> Iterator[Path]:
+    """Yield the folders near a part in which the whole drive ``name`` was found."""
+    for above in (part.parent, part.parent.parent):
+        for found in (above / name, *sorted(above.glob(f"*/{escape(name)}"))):
+            if (found / _DESCRIPTION).is_file() and _description(found).get("name", name) == name:
+                yield found
+
+
+def _description(folder: Path) -> dict[str, Any]:
+    from sigmaswarm.drives.description import read_description
+    from sigmaswarm.errors import DriveError
+
+    try:
+        return read_description(folder / _DESCRIPTION)
+    except DriveError:
+        return {}
+
+
+def local_folders(places: "Sequence[Location]") -> list[Path]:
+    """Return the folders of all drives, or none if a drive has a URL."""
+    from sigmaswarm.drives.reader import drive_folders
+    from sigmaswarm.drives.urls import is_url
+
+    if any(map(is_url, places)):
+        return []
+    return [folder for place in places for folder in drive_folders(Path(place))]
+
+
+def name_training_files(
+    remarks: Iterable[str], names: Sequence[str], evaluated: "Sequence[Location]"
+) -> list[str]:
+    """Name drive.toml of the training drives ``names``: its path if the drives are next to the evaluated drives."""
+    near = dict.fromkeys(folder.parent for folder in local_folders(evaluated))
+    folders = [above / name for name in names for above in near if _description(above / name)]
+    if folders or not names:
+        return [name_files(remark, folders) for remark in remarks]
+    return [remark.replace(_DESCRIPTION, f"{_DESCRIPTION} of {printable(names[0])}") for remark in remarks]
