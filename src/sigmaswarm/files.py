@@ -12,10 +12,11 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Generator, Sequence, Set
+from collections.abc import Generator, Iterator, Sequence, Set
 from contextlib import contextmanager, suppress
 from errno import EDQUOT, EEXIST, EFBIG, ENOSPC, ENOTEMPTY
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
@@ -70,6 +71,14 @@ def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
     except OSError as error:
         raise InputError(f"{path}: can't be created as a folder ({error.strerror}); {remedy}") from None
     return path
+
+
+def numbered(path: Path) -> Iterator[Path]:
+    """Yield a path, and then the path with a number: tuned, tuned-2, tuned-3 and so on."""
+    yield path
+    path = path.resolve() if path.name in ("", "..") else path
+    for number in count(2):
+        yield path.with_name(f"{path.name}-{number}")
 
 
 @contextmanager

@@ -227,6 +227,12 @@ def started(tmp_path: Path) -> Path:
 
 def test_a_folder_with_results_needs_resume(started: Path):
     assert "already contains a tuning; add --resume" in refusal(DRIVES, started, **OPTIONS)
+    (started.parent / "out-2").mkdir()
+    for drives, options in ((DRIVES, {**OPTIONS, "seed": 4}), (DRIVES[:1], OPTIONS)):
+        said = refusal(drives, started, **options)
+        assert said.endswith(
+            f"already contains a tuning; choose another folder, for example --out {started}-3"
+        )
 
 
 @pytest.mark.parametrize(

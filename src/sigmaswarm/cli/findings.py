@@ -4,11 +4,11 @@ import re
 import shlex
 import warnings
 from collections.abc import Iterator, Sequence
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sigmaswarm.cli.terminal import console
+from sigmaswarm.files import numbered
 from sigmaswarm.wording import count_of
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def exchanging(diagnosis: "Diagnosis", folder: "Location") -> Remedy | None:
 
 def _free(diagnosis: "Diagnosis") -> Path:
     """Return a path for a copy of the drive that does not exist."""
-    folders = (Path("mended" if i == 1 else f"mended-{i}") / diagnosis.drive for i in count(1))
+    folders = (folder / diagnosis.drive for folder in numbered(Path("mended")))
     return next(out for out in folders if not out.exists())
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import atomic_file, atomic_folder, make_folder, read_arrays, write_json
+from sigmaswarm.files import atomic_file, atomic_folder, make_folder, numbered, read_arrays, write_json
 from sigmaswarm.records import ARRAYS, Vector, load_record
 from sigmaswarm.tuning.config import RENAMED
 from sigmaswarm.versions import same_results
@@ -146,7 +146,8 @@ class ResultFolder:
     """The folder of a tuning run, created if missing.
 
     With ``resume`` the folder may contain an unfinished run with the same configuration. Raises `InputError` if the
-    folder contains another tuning, or if it contains any tuning and ``resume`` is False.
+    folder contains another tuning, or if it contains any tuning and ``resume`` is False. The message proposes
+    ``--resume`` only if the configuration is the same.
     """
 
     def __init__(self, path: Path, config: dict[str, Any], *, resume: bool) -> None:
@@ -155,9 +156,11 @@ class ResultFolder:
             write_json(file, config)
             return
         if not resume:
-            raise InputError(
-                f"{path}: already contains a tuning; add --resume to continue it, or choose another --out"
-            )
+            remedy = f"choose another folder, for example --out {next(p for p in numbered(path) if not p.exists())}"
+            with suppress(InputError):
+                ResultFolder(path, config, resume=True)
+                remedy = "add --resume to continue it, or choose another --out"
+            raise InputError(f"{path}: already contains a tuning; {remedy}")
         remedy = "not written by a tuning; choose another --out"
         record = load_record(ConfigRecord, file, remedy, infinite=True)
         saved, wanted = _with_current_names(record.model_extra), json.loads(json.dumps(config))
