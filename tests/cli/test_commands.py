@@ -601,3 +601,11 @@ def test_tune_says_which_filter_it_takes_and_why(sigmaswarm, here: Path):
     assert "model:" not in ended.out  # the user has said it all
     assert tomllib.loads(Path("v/tuning.toml").read_text())["config"]["use"] == []
     assert "model:" not in sigmaswarm("tune", "plain", "--out", "w", *QUICK, "--json").out
+
+
+def test_drives_of_different_vehicles_are_reported_once(sigmaswarm, drives: Path, here: Path):
+    write_drive(make_drive(duration=30.0, imu_rate=25.0, name="bus"), here / "bus")
+    ended = sigmaswarm("tune", drives / "urban-clear-00", "bus", "--out", "t", *QUICK, "--model", "planar5")
+    assert (ended.code, ended.err.count("different vehicles or sensors: the IMU of ")) == (0, 1)
+    alone = sigmaswarm("tune", drives, "--out", "u", *QUICK, "--model", "planar5")
+    assert "different vehicles" not in alone.err

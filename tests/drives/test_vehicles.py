@@ -1,0 +1,48 @@
+"""Drives of different vehicles are recognized, and those of one vehicle are not reported."""
+
+from dataclasses import replace
+
+import pytest
+
+from sigmaswarm.drives.mounting import AXES_KEY, KEY
+from sigmaswarm.drives.vehicles import differences, sensor_setup
+from sigmaswarm.simulation import simulate
+from support import make_drive
+
+IMPORTED = {AXES_KEY: {"ax": "acc_x"}}
+
+
+def found(*drives) -> list[str]:
+    return [*differences([sensor_setup(drive) for drive in drives])]
+
+
+@pytest.mark.parametrize(
+    ("rates", "first", "second", "said"),
+    [
+        ({"imu_rate": 60.0}, {}, {}, ["the IMU of a has 100 Hz, and the IMU of b 60 Hz"]),
+        ({"gps_rate": 1.0}, {}, {}, ["the receiver of a has 5 Hz, and the receiver of b 1 Hz"]),
+        ({"imu_rate": 80.0, "gps_rate": 4.0}, {}, {}, []),
+        ({}, {KEY: [0, 0, 90]}, IMPORTED, ["the mountings of the IMU in a and b differ by 90 deg"]),
+        (
+            {},
+            {KEY: [0, 0, 170]},
+            {KEY: [0, 0, -175]},
+            ["the mountings of the IMU in a and b differ by 15 deg"],
+        ),
+        ({}, {KEY: [0, 0, 179]}, {KEY: [2, 0, -176]}, []),
+        ({}, {KEY: [0, 0, 90]}, {}, []),  # the second drive states nothing
+    ],
+)
+def test_clear_differences_are_described(rates: dict, first: dict, second: dict, said: list[str]):
+    drives = make_drive(duration=20.0, name="a"), make_drive(duration=20.0, name="b", **rates)
+    pair = [replace(drive, metadata=about) for drive, about in zip(drives, (first, second), strict=True)]
+    assert found(*pair) == said
+    assert found(pair[0]) == found(pair[1]) == []
+
+
+def test_simulated_drives_of_one_grade_have_the_same_sensors():
+    drives = [
+        simulate("urban", environment=where, duration=30.0, gps="ublox-m8", seed=i)
+        for i, where in enumerate(("clear", "rain"))
+    ]
+    assert found(*drives) == []
