@@ -120,6 +120,9 @@ def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(ev
     of = f"{told.outages} outages in 8 placements"
     few = "; all placements are on one short stretch, and the drift on another stretch may be far larger"
     assert said == f"{of}; the drift in a single placement is {low:.3g} to {high:.3g} m{few}"
+    two = {each: {"outage_drift_m": told.model_copy(update={"outages": 8})} for each in (name, "drive-1")}
+    said = evaluation.record.model_copy(update={"drifts": two}).describe_drift("outage_drift_m")
+    assert "; all placements are on one short stretch of each drive, and the drift" in said
     many = {name: {"outage_drift_m": told.model_copy(update={"outages": 8 * 5})}}
     assert few not in evaluation.record.model_copy(update={"drifts": many}).describe_drift("outage_drift_m")
     long = make_drive(duration=3600.0, imu_rate=10.0, gps_rate=1.0)

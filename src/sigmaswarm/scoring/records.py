@@ -55,9 +55,9 @@ class ScoresRecord(BaseModel):
             return ""
         means = [sum(one[i] or 0.0 for one in drawn) / len(drawn) for i in range(count)]
         outages = sum(one.outages for one in found)
-        few = (
-            "; all placements are on one short stretch, and the drift on another stretch may be far larger"
-        ) * (outages < MIN_OUTAGES * count)
+        short = "one short stretch" if len(found) == 1 else "one short stretch of each drive"
+        few = f"; all placements are on {short}, and the drift on another stretch may be far larger"
+        few *= outages < MIN_OUTAGES * count
         single = f"the drift in a single placement is {min(means):.3g} to {max(means):.3g} m"
         return f"{outages} outages in {count} placements; {single}{few}"
 
