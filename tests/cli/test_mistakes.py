@@ -230,11 +230,28 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     ),
     "compare-out-is-a-file": (file("c"), "compare good --out c", ["c:", "folder", "--out"]),
     "no-tuning": (nothing, "evaluate nowhere good", ["nowhere", "no such file"]),
-    "evaluate-swapped": (nothing, "evaluate good tuning.toml", ["good: is a drive", "pass the tuning first"]),
+    "evaluate-swapped": (
+        nothing,
+        "evaluate good tuning.toml",
+        ["good: is a drive", "as in sigmaswarm evaluate TUNING good"],
+    ),
+    "export-a-drive": (
+        nothing,
+        "export good --to filterpy --out py",
+        [
+            "good: is a drive",
+            "sigmaswarm tune good --out tuned, then sigmaswarm export tuned --to filterpy --out py",
+        ],
+    ),
+    "learn-a-drive": (
+        nothing,
+        "learn outage-lstm good good --out l",
+        ["good: is a drive", "as in sigmaswarm learn outage-lstm TUNING good"],
+    ),
     "run-swapped": (
         nothing,
         "run good tuning.toml --out x.csv",
-        ["good: is a drive", "pass the tuning first"],
+        ["good: is a drive", "as in sigmaswarm run TUNING good"],
     ),
     "tuning-without-filter": (file("p.toml", "a = 1"), "evaluate p.toml good", ["p.toml", "[filter]"]),
     "tuning-broken": (file("p.toml", "a ="), "evaluate p.toml good", ["p.toml", "not readable"]),

@@ -68,6 +68,16 @@ def require_result_folder(out: Path, sources: "Iterable[Location | None]", kind:
     earlier_result(out, kind, mark)
 
 
+def require_tuning(tuning: Path, remedy: str) -> None:
+    """Raise `InputError` with ``remedy`` if a drive was passed in place of a tuning."""
+    from sigmaswarm.drives.reader import has_table
+    from sigmaswarm.errors import InputError
+    from sigmaswarm.tuning.record import FILE
+
+    if has_table(tuning, "imu") and not (tuning / FILE).exists():
+        raise InputError(f"{tuning}: is a drive; {remedy}")
+
+
 def cluster_at(address: str | None) -> "AbstractContextManager[Client | None]":
     """Connect to a cluster until the block ends; the client is None if there is no address."""
     from sigmaswarm.datasets.cluster import connected

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from math import inf
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
@@ -16,6 +17,7 @@ from sigmaswarm.cli.common import (
     print_json,
     read_datasets,
     require_result_folder,
+    require_tuning,
     say,
 )
 from sigmaswarm.cli.findings import Remedy
@@ -107,6 +109,7 @@ def evaluate(
             f"{tuning}: is a configuration of robot_localization, not a tuning; evaluate a tuning and add --against "
             f"{tuning}, or use `sigmaswarm run`"
         )
+    require_tuning(tuning, f"pass the tuning first, as in sigmaswarm evaluate TUNING {quote(str(tuning))}")
     learned, tuned, out = load_learned(tuning), tuned_filter(tuning), options.out
     if out:
         require_result_folder(out, [tuning, options.against], EVALUATION, EVALUATION_FILE)

@@ -3,12 +3,13 @@
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_drives, read_silently, say
+from sigmaswarm.cli.common import print_json, read_drives, read_silently, require_tuning, say
 from sigmaswarm.cli.options import FIELDS, Json
 from sigmaswarm.exports.names import AnyTarget, next_command
 
@@ -75,7 +76,10 @@ def export(
     from sigmaswarm.scoring.evaluation import evaluate
     from sigmaswarm.tuning.record import TuningRecord
 
-    to, out, tuned = options.to, options.out, tuned_filter(tuning)
+    to, out = options.to, options.out
+    following = f"sigmaswarm export tuned --to {to} --out {quote(str(out))}"
+    require_tuning(tuning, f"tune first: sigmaswarm tune {quote(str(tuning))} --out tuned, then {following}")
+    tuned = tuned_filter(tuning)
     parameters, mounting = tuned.parameters, tuned.mounting
     ros = to != "c99" and MODELS[parameters.model].measures_imu
     if options.check and to != "c99" and not ros:

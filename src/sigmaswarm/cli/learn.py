@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_result, read_drives, require_result_folder
+from sigmaswarm.cli.common import print_result, read_drives, require_result_folder, require_tuning
 from sigmaswarm.cli.options import FIELDS, Seed
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.filters.names import NetworkName
@@ -82,6 +82,9 @@ def _learn(network: NetworkName, tuning: Path, drives: list[str], options: Learn
     from sigmaswarm.learned.learn import learn as train
     from sigmaswarm.tuning.record import tuning_file
 
+    require_tuning(
+        tuning, f"pass a tuning first, as in sigmaswarm learn {network} TUNING {quote(str(tuning))}"
+    )
     parameters = sigmaswarm.FilterParameters.load(tuning)
     read, held_back = read_drives(drives), read_drives(options.validation or [])
     counted = "epochs at most, loss {task.fields[loss]}, remaining"

@@ -3,11 +3,12 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.common import print_result, read_silently
+from sigmaswarm.cli.common import print_result, read_silently, require_tuning
 from sigmaswarm.cli.options import FIELDS, AsRecorded
 from sigmaswarm.errors import InputError
 
@@ -118,6 +119,10 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
         raise InputError(
             "--smooth and --bank can't be combined, since a filter bank is not smoothed; leave one out"
         )
+    remedy = (
+        f"pass the tuning first, as in sigmaswarm run TUNING {quote(str(tuning))} --out {quote(str(out))}"
+    )
+    require_tuning(tuning, remedy)
     learned = None if smooth or options.bank else load_learned(tuning)
     place = _place(options.origin) if options.origin else None
     tuned, read = tuned_filter(tuning), read_silently(drive)

@@ -266,7 +266,7 @@ class FilterParameters:
 
             if has_table(path, "imu") and not (path / "tuning.toml").exists():
                 raise InputError(
-                    f"{path}: is a drive; pass the tuning first, as in sigmaswarm evaluate TUNING DRIVE"
+                    f"{path}: is a drive; pass a tuning, as written by sigmaswarm tune {path} --out tuned"
                 )
             path = path / "tuning.toml"
         table = read_content(
