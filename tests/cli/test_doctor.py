@@ -62,6 +62,24 @@ def test_a_held_out_part_is_evaluated_and_never_tuned_on(sigmaswarm, good, here:
     assert "sigmaswarm evaluate TUNING mended/urban-clear-00-test" in mended
 
 
+def test_a_part_is_repaired_only_with_the_whole_drive(sigmaswarm, sick: Path):
+    assert sigmaswarm("split", sick, "--out", "parts", "--train-fraction", "0.5").code == 0
+    part = f"{read_drive(sick).name}-test"
+    said = sigmaswarm("doctor", f"parts/{part}").out
+    assert "repair the whole drive urban-clear-00, then split again (change" in " ".join(said.split())
+    assert "--fix does this" not in said and f"parts/{part} --fix" not in said
+    repair, split = re.findall(r"(?:next|then): sigmaswarm (.*?)(?:    \(.*)?\n", said)
+    assert repair == "doctor sick --fix mended" and split.endswith("--out parts-2")
+    for command in (repair, split):
+        assert sigmaswarm(*shlex.split(command)).code == 0
+    assert sigmaswarm("doctor", f"parts-2/{part}").code == 0
+    with pytest.warns(SigmaswarmWarning, match="run sigmaswarm doctor sick --fix mended-2,"):
+        read_datasets([f"parts/{part}"], remedies=[])
+    sick.rename("elsewhere-with-another-name")
+    (sick.parent / "elsewhere-with-another-name" / "imu.csv").unlink()
+    assert "next: repair the whole drive urban-clear-00 (" in sigmaswarm("doctor", f"parts/{part}").out
+
+
 def test_no_tuning_is_proposed_if_no_filter_can_start(sigmaswarm, good, here: Path):
     parked = replace(good.gps, x=0 * good.gps.x, y=0 * good.gps.y)
     write_drive(replace(good, gps=parked, truth=None), here / "parked")

@@ -71,6 +71,22 @@ def test_the_estimate_of_a_turned_drive_is_the_turned_estimate(name: str, seeds:
         assert np.degrees(angle_of(found.rotation @ rotation @ plain.rotation.T)) < 0.1
 
 
+def test_a_small_rotation_is_repaired_in_a_whole_drive_and_not_in_a_part():
+    drive = drive_of("adis16405", "flat")
+    stated = replace(
+        drive, imu=rotate_imu(drive.imu, rotation_of(0, 0, 6)), metadata={"imu_mounting_deg": [180, 0, 0]}
+    )
+    (whole,) = (found for found in sigmaswarm.diagnose(stated).findings if found.code == "mounting")
+    cut = {"cut_from": {"drive": "log", "sha256": ""}}
+    part = sigmaswarm.diagnose(replace(stated, metadata={**stated.metadata, **cut}))
+    (small,) = (found for found in part.findings if found.code == "mounting")
+    assert (whole.severity, small.severity) == ("warning", "note")
+    assert whole.repair and not small.repair and part.whole == "log"
+    alone = {"cut_from": {"drive": "log", "sha256": "", "repair_alone": True}}
+    other = sigmaswarm.diagnose(replace(stated, metadata={**stated.metadata, **alone}))
+    assert "warning" in [found.severity for found in other.findings if found.code == "mounting"]
+
+
 WRONG = [(180, 0, 0), (0, 180, 0), (0, 0, 180), (90, 0, 0), (0, 90, 0), (0, 0, 90), (60, 0, 0), (0, -60, 30)]
 
 

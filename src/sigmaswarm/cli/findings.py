@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from sigmaswarm.cli.terminal import console
 from sigmaswarm.files import numbered
-from sigmaswarm.wording import count_of
+from sigmaswarm.wording import count_of, printable
 
 if TYPE_CHECKING:
     from sigmaswarm.datasets.dataset import Dataset
@@ -36,7 +36,7 @@ def print_diagnosis(diagnosis: "Diagnosis", seen: set[str] | None = None) -> Non
     table.add_column(overflow="fold")
     seen, repeated = set() if seen is None else seen, 0
     for finding in diagnosis.findings:
-        message = _in_words(finding)
+        message = _in_words(finding, part=bool(diagnosis.whole))
         if finding.severity == "note" and message in seen:
             repeated += 1
             continue
@@ -48,8 +48,11 @@ def print_diagnosis(diagnosis: "Diagnosis", seen: set[str] | None = None) -> Non
     out.print()
 
 
-def _in_words(finding: "Finding") -> str:
-    """Format a finding as three lines (fault, place and confidence, remedy) and a note as one line."""
+def _in_words(finding: "Finding", *, part: bool) -> str:
+    """Format a finding as three lines (fault, place and confidence, remedy) and a note as one line.
+
+    ``part``: True for a part of a drive, which is not repaired alone.
+    """
     what = f"{finding.what[0].upper()}{finding.what[1:]}."
     if finding.severity == "note":
         return f"{what} [{finding.where}]"
@@ -58,7 +61,7 @@ def _in_words(finding: "Finding") -> str:
         f"{what}\n"
         f"[{finding.code}] {finding.where}; t = {start:.1f} to {end:.1f} s; "
         f"confidence {100 * finding.confidence:.3g}%\n"
-        f"-> {finding.remedy}{' (--fix does this)' if finding.repair else ''}"
+        f"-> {finding.remedy}{' (--fix does this)' if finding.repair and not part else ''}"
     )
 
 
@@ -111,12 +114,42 @@ def repair_command(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
     """Return the command that repairs a drive, and the folder of the repaired copy.
 
     If the doctor can repair no fault, or not every serious fault, return the command that shows the faults, and None.
+    For a part of a drive, return the command that repairs the whole drive.
     """
     command = _doctor(folder)
+    if diagnosis.whole:
+        whole = diagnosis_of_whole(folder)
+        return repair_command(*whole) if whole and has_repairable(whole[0]) else (command, None)
     if not has_repairable(diagnosis) or has_unrepairable(diagnosis):
         return command, None
     out = _free(diagnosis)
     return f"{command} --fix {out.parent}", out
+
+
+def diagnosis_of_whole(part: "Location") -> "tuple[Diagnosis, Path] | None":
+    """Diagnose the drive from which a part was split; None if its folder is not found."""
+    from sigmaswarm.cli.whole_drive import find_whole
+    from sigmaswarm.doctor.diagnose import diagnose
+    from sigmaswarm.drives.reader import read_with_warnings
+
+    folder = find_whole(part)
+    return (diagnose(read_with_warnings(folder)[0]), folder) if folder else None
+
+
+def repair_and_split(diagnosis: "Diagnosis", folder: Path, options: str = "") -> Iterator[str]:
+    """Yield the commands that repair a drive and split it again with these options; nothing if there is no repair."""
+    if cut := split_command(diagnosis, folder):
+        yield f"next: {cut}"
+        return
+    if not (diagnosis.serious or has_repairable(diagnosis)):
+        return
+    command, mended = exchanging(diagnosis, folder) or repair_command(diagnosis, folder)
+    if mended is None:
+        yield f"next: {command}    (then correct the serious faults in the log, and split again)"
+        return
+    yield f"next: {command}    (repair the whole drive, then split again)"
+    again = shlex.join(["sigmaswarm", "split", str(mended), "--out", str(free_path("parts"))])
+    yield f"then: {again}{options}"
 
 
 def exchanging(diagnosis: "Diagnosis", folder: "Location") -> Remedy | None:
@@ -131,12 +164,21 @@ def exchanging(diagnosis: "Diagnosis", folder: "Location") -> Remedy | None:
 
 def _free(diagnosis: "Diagnosis") -> Path:
     """Return a path for a copy of the drive that does not exist."""
-    folders = (folder / diagnosis.drive for folder in numbered(Path("mended")))
-    return next(out for out in folders if not out.exists())
+    return free_path("mended", diagnosis.drive)
+
+
+def free_path(name: str, inside: str = "") -> Path:
+    """Return the first of NAME, NAME-2, NAME-3 ... that does not exist, or in which ``inside`` does not exist."""
+    paths = (folder / inside for folder in numbered(Path(name)))
+    return next(path for path in paths if not path.exists())
 
 
 def _doctor(folder: "Location") -> str:
     return f"sigmaswarm doctor {shlex.quote(str(folder))}"
+
+
+def _unknown_whole(name: str) -> str:
+    return f"next: repair the whole drive {printable(name)} (sigmaswarm doctor DRIVE --fix mended), then split again"
 
 
 def next_steps(diagnosis: "Diagnosis", out: Path, part: str = "") -> Iterator[str]:
@@ -148,7 +190,14 @@ def next_steps(diagnosis: "Diagnosis", out: Path, part: str = "") -> Iterator[st
     if cut := split_command(diagnosis, out):
         yield from (f"next: {cut}", "then: sigmaswarm doctor parts --fix mended")
         return
-    if diagnosis.serious or has_repairable(diagnosis):
+    if diagnosis.whole and (diagnosis.serious or has_repairable(diagnosis)):
+        whole = diagnosis_of_whole(out)
+        lines = [*repair_and_split(*whole)] if whole else [_unknown_whole(diagnosis.whole)]
+        if lines or not whole:
+            yield from lines
+            return
+        following = f"{_doctor(whole[1])}    (this whole drive needs no repair)"
+    elif diagnosis.serious or has_repairable(diagnosis):
         command, mended = exchanging(diagnosis, out) or repair_command(diagnosis, out)
         go_on = f"{command}    (then continue with {mended}, not with {out})"
         following, ready = (go_on, mended) if mended else ("correct the serious faults in the log", out)

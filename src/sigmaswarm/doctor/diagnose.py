@@ -1,5 +1,6 @@
 """Diagnose one drive by all checks."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from sigmaswarm.doctor.checks.accelerometer import check_accelerometer
@@ -12,11 +13,13 @@ from sigmaswarm.doctor.checks.odometer import check_odometer
 from sigmaswarm.doctor.checks.timing import check_clock, check_sampling
 from sigmaswarm.doctor.checks.velocity import check_velocity
 from sigmaswarm.doctor.evidence import gather
-from sigmaswarm.doctor.findings import SEVERITIES, Diagnosis, finding_of
+from sigmaswarm.doctor.findings import SEVERITIES, Diagnosis, Finding, finding_of
 from sigmaswarm.drives.checks import invalid_times, shortage_of
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
+from sigmaswarm.drives.split import name_of_whole
 from sigmaswarm.errors import DriveError
+from sigmaswarm.wording import printable
 
 # In the order of findings of equal severity
 CHECKS = (
@@ -78,7 +81,15 @@ def _diagnosed(drive: Drive) -> Diagnosis:
     withheld = drive.metadata.get("withheld", ())
     found = [replace(finding, repair=None) if finding.code in withheld else finding for finding in found]
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
-    return Diagnosis(drive.name, tuple(found), evidence.clock.visible)
+    whole = name_of_whole(drive)
+    return Diagnosis(drive.name, tuple(_of_part(found, whole)), evidence.clock.visible, whole)
+
+
+def _of_part(found: Sequence[Finding], whole: str) -> Iterator[Finding]:
+    """Replace the remedies of repairs, since a part that is repaired alone differs from the other part."""
+    for finding in found:
+        remedy = f"repair the whole drive {printable(whole)}, then split again ({finding.remedy})"
+        yield replace(finding, remedy=remedy) if whole and finding.repair else finding
 
 
 def finding_sentences(drive: Drive) -> tuple[str, ...]:

@@ -81,11 +81,14 @@ class Diagnosis:
     findings : tuple of Finding
     visible_clock_offset : float or None
         Smallest detectable offset between the clocks of IMU and GPS, s; None if no offset is detectable.
+    whole : str
+        Name of the drive with which a part is repaired; "" if the drive is no part.
     """
 
     drive: str
     findings: tuple[Finding, ...]
     visible_clock_offset: float | None = None
+    whole: str = ""
 
     @property
     def serious(self) -> bool:

@@ -31,7 +31,8 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "imu_stated_noise": ((2,), "[1e-4, 1e-2]"),
 }
 CUT = "cut_from"  # table in the drive.toml of a part of a drive
-CUT_KEYS = frozenset({"drive", "sha256", "start_s", "end_s"})  # keys of the table `CUT`
+REPAIR_ALONE = "repair_alone"  # true: the IMU has another mounting than in the rest of the drive
+CUT_KEYS = frozenset({"drive", "sha256", "start_s", "end_s", REPAIR_ALONE})  # keys of the table `CUT`
 MIN_SIMILARITY = (
     0.8  # similarity of an unknown key to a known one, 0 to 1, above which it counts as misspelled
 )

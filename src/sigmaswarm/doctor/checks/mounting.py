@@ -12,6 +12,7 @@ from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.drives.alignment import StartFailure, find_start
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.split import name_of_whole
 from sigmaswarm.geodesy import roll_pitch_yaw
 
 # Smallest change of gravity's direction if the IMU was moved: in rad, and in typical errors of a median. In fault-free
@@ -74,7 +75,9 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
     mount = ",".join(f"{degrees:g}" for degrees in roll_pitch_yaw(mounting.mount, 1))
     total, angle = float(np.linalg.norm(mounting.std)), angle_of(mounting.repair)
     sure = f"(standard deviation {math.degrees(total):.1f} deg in total, {mounting.confidence})"
-    if mounting.needed:
+    # The mounting is constant in a drive, and a part determines it less accurately than the whole drive.
+    whole = name_of_whole(evidence.drive)
+    if mounting.needed and (angle > SERIOUS or not whole):
         roll, pitch, yaw = roll_pitch_yaw(mounting.repair, 1)
         yield Finding(
             "mounting", "serious" if angle > SERIOUS else "warning",
@@ -85,8 +88,11 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
         )  # fmt: skip
     elif evidence.drive.mounting and (apart := angle_of(mounting.mount @ mounting.before.T)) > MIN_DIFFERENCE:
         what = f"the log shows the mounting {mount} deg {sure}; the mounting in drive.toml differs by "
-        what += f"{math.degrees(apart):.1f} deg, which needs no repair"
-        remedy = f"keep a measured mounting; otherwise import with --mount {mount}"
+        what += f"{math.degrees(apart):.1f} deg, "
+        what += "which alone needs no repair in a part of a drive" if whole else "which needs no repair"
+        remedy = (
+            f"keep a measured mounting; otherwise import {'the whole log ' * bool(whole)}with --mount {mount}"
+        )
         yield Finding("mounting", "note", what, WHERE, evidence.span, confidence_of(apart / total), remedy)
 
 

@@ -1,0 +1,50 @@
+"""Find the drive from which a part was split."""
+
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+from sigmaswarm.drives.description import CUT
+from sigmaswarm.drives.fingerprint import fingerprint
+from sigmaswarm.drives.reader import Location, has_table, read_with_warnings
+from sigmaswarm.drives.urls import is_url
+from sigmaswarm.errors import DriveError
+
+MAX_FOLDERS = 1000  # folders that are searched
+
+
+def find_whole(part: Location) -> Path | None:
+    """Return the folder of the drive from which a part was split; None if it is not near the part's folder.
+
+    The folder contains the data whose fingerprint drive.toml of the part states.
+    """
+    if is_url(part):
+        return None
+    cut = cast("dict[str, Any]", _description(Path(part)).get(CUT, {}))
+    name, sha256 = cut.get("drive"), cut.get("sha256")
+    for folder in _near(Path(part)):
+        if folder.name == name or _description(folder).get("name") == name:
+            try:
+                drive, _ = read_with_warnings(folder)
+            except DriveError:
+                continue
+            if fingerprint(drive) == sha256:
+                return folder
+    return None
+
+
+def _near(part: Path) -> Iterator[Path]:
+    """Yield drive folders next to a part, next to its parent folder, and in the folders there."""
+    bases = dict.fromkeys((part.parent, part.parent.parent))
+    found = (folder for base in bases for pattern in ("*", "*/*") for folder in sorted(base.glob(pattern)))
+    for folder, _ in zip(found, range(MAX_FOLDERS), strict=False):
+        if folder != part and (folder / "drive.toml").is_file() and has_table(folder, "imu"):
+            yield folder
+
+
+def _description(folder: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads((folder / "drive.toml").read_text("utf-8"))
+    except (OSError, ValueError):
+        return {}
