@@ -65,6 +65,7 @@ def test_a_held_out_part_is_evaluated_and_never_tuned_on(sigmaswarm, good, here:
 def test_a_part_is_repaired_only_with_the_whole_drive(sigmaswarm, sick: Path):
     assert sigmaswarm("split", sick, "--out", "parts", "--train-fraction", "0.5").code == 0
     part = f"{read_drive(sick).name}-test"
+    assert read_drive(f"parts/{part}").metadata["cut_from"].keys() == {"drive", "sha256", "start_s", "end_s"}
     said = sigmaswarm("doctor", f"parts/{part}").out
     assert "repair the whole drive urban-clear-00, then split again (change" in " ".join(said.split())
     assert "--fix does this" not in said and f"parts/{part} --fix" not in said
@@ -78,6 +79,18 @@ def test_a_part_is_repaired_only_with_the_whole_drive(sigmaswarm, sick: Path):
     sick.rename("elsewhere-with-another-name")
     (sick.parent / "elsewhere-with-another-name" / "imu.csv").unlink()
     assert "next: repair the whole drive urban-clear-00 (" in sigmaswarm("doctor", f"parts/{part}").out
+
+
+def test_split_of_a_faulty_drive_proposes_its_repair(sigmaswarm, sick: Path):
+    said = sigmaswarm("split", sick, "--out", "parts", "--train-fraction", "0.4").out
+    *_, repair, split = said.splitlines()
+    assert (
+        repair == f"next: sigmaswarm doctor {sick} --fix mended    (repair the whole drive, then split again)"
+    )
+    assert split == "then: sigmaswarm split mended/urban-clear-00 --out parts-2 --train-fraction 0.4"
+    for command in (repair.split("    ")[0], split):
+        assert sigmaswarm(*shlex.split(command)[2:]).code == 0
+    assert sigmaswarm("doctor", "parts-2").code == 0
 
 
 def test_no_tuning_is_proposed_if_no_filter_can_start(sigmaswarm, good, here: Path):

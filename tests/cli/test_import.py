@@ -489,7 +489,7 @@ def test_what_is_next_follows_the_findings(sigmaswarm: Command, here: Path, doct
     told = sigmaswarm(*log, "right", "--mount", "auto").out
     assert "found in the log" in told and "assumed" not in told and "next: sigmaswarm plot right" in told
     told = sigmaswarm("split", "drive", "--out", "parts").out
-    assert "next: sigmaswarm doctor parts/drive-train parts/drive-test --fix mended" in told
+    assert "next: sigmaswarm doctor drive --fix mended " in told
     quick = "--particles", "2", "--generations", "1", "--model", "planar5"
     told = sigmaswarm("tune", "drive", "--out", "t", *quick).out
     assert "next:     sigmaswarm doctor drive --fix mended\n" in told and "evaluate" not in told

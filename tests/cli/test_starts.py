@@ -107,4 +107,5 @@ def test_import_proposes_the_cut_of_a_log_whose_imu_was_moved(
     ]
     assert lines[0].startswith("split day --at ") and lines[1] == "doctor parts --fix mended"
     assert sigmaswarm(*lines[0].split()).code == 0
+    assert "repair_alone = true" in (tmp_path / "parts" / "day-test" / "drive.toml").read_text()
     assert sigmaswarm(*lines[1].split()).code == 0  # nothing serious is left

@@ -136,7 +136,7 @@ def diagnosis_of_whole(part: "Location") -> "tuple[Diagnosis, Path] | None":
     return (diagnose(read_with_warnings(folder)[0]), folder) if folder else None
 
 
-def repair_and_split(diagnosis: "Diagnosis", folder: Path, options: str = "") -> Iterator[str]:
+def repair_and_split(diagnosis: "Diagnosis", folder: Path, options: Sequence[str] = ()) -> Iterator[str]:
     """Yield the commands that repair a drive and split it again with these options; nothing if there is no repair."""
     if cut := split_command(diagnosis, folder):
         yield f"next: {cut}"
@@ -148,8 +148,8 @@ def repair_and_split(diagnosis: "Diagnosis", folder: Path, options: str = "") ->
         yield f"next: {command}    (then correct the serious faults in the log, and split again)"
         return
     yield f"next: {command}    (repair the whole drive, then split again)"
-    again = shlex.join(["sigmaswarm", "split", str(mended), "--out", str(free_path("parts"))])
-    yield f"then: {again}{options}"
+    parts = str(free_path("parts"))
+    yield f"then: {shlex.join(['sigmaswarm', 'split', str(mended), '--out', parts, *options])}"
 
 
 def exchanging(diagnosis: "Diagnosis", folder: "Location") -> Remedy | None:

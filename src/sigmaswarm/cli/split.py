@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +10,7 @@ from cyclopts import Parameter
 
 import sigmaswarm
 from sigmaswarm.cli.common import print_json, read_silently, require_writable, say
-from sigmaswarm.cli.findings import has_unrepairable
+from sigmaswarm.cli.findings import has_unrepairable, repair_and_split, split_command
 from sigmaswarm.cli.options import Json, Overwrite
 from sigmaswarm.wording import count_of
 
@@ -53,13 +54,32 @@ def split(
     whole = read_silently(drive)
     parts = sigmaswarm.split_time(whole, 0.7 if train_fraction is None else train_fraction, at=times)
     _require_enough(whole, parts)
+    diagnosis = sigmaswarm.diagnose(whole)
+    own = bool(split_command(diagnosis, drive))  # the parts have different faults
+    if own:
+        parts = tuple(_repaired_alone(part) for part in parts)
     require_writable([out / part.name for part in parts], [drive], overwrite=overwrite)
     for part in parts:
         sigmaswarm.write_drive(part, out / part.name, overwrite=overwrite)
     if json:
         print_json({"drives": [str(out / part.name) for part in parts]})
         return
-    say(*(f"wrote {out / part.name} ({part.duration:.0f} s)" for part in parts), *_next_steps(parts, out))
+    say(*(f"wrote {out / part.name} ({part.duration:.0f} s)" for part in parts))
+    repairs = [] if own else [*repair_and_split(diagnosis, drive, _options(train_fraction, at))]
+    say(*(repairs or _next_steps(parts, out, own=own)))
+
+
+def _repaired_alone(part: "sigmaswarm.Drive") -> "sigmaswarm.Drive":
+    from sigmaswarm.drives.description import CUT, REPAIR_ALONE
+
+    return replace(part, metadata={**part.metadata, CUT: {**part.metadata[CUT], REPAIR_ALONE: True}})
+
+
+def _options(train_fraction: float | None, at: list[float] | None) -> list[str]:
+    """Return the options of a split that select the same parts."""
+    if at:
+        return ["--at", *(f"{time:g}" for time in at)]
+    return [] if train_fraction is None else ["--train-fraction", f"{train_fraction:g}"]
 
 
 def _require_enough(whole: "sigmaswarm.Drive", parts: "Sequence[sigmaswarm.Drive]") -> None:
@@ -84,14 +104,17 @@ def _require_enough(whole: "sigmaswarm.Drive", parts: "Sequence[sigmaswarm.Drive
         )
 
 
-def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path) -> list[str]:
+def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path, *, own: bool) -> list[str]:
+    """Return the next commands; ``own``: True if each part is repaired alone."""
     from sigmaswarm.drives.alignment import StartFailure, find_start
 
     train, test = (shlex.quote(str(out / part.name)) for part in parts)
     found = [sigmaswarm.diagnose(part) for part in parts]
-    if any(isinstance(find_start(part), StartFailure) for part in parts) or any(map(has_unrepairable, found)):
+    serious = any(diagnosis.serious for diagnosis in found)
+    unusable = any(isinstance(find_start(part), StartFailure) for part in parts)
+    if unusable or any(map(has_unrepairable, found)) or (serious and not own):
         return [f"next: sigmaswarm doctor {train} {test}"]
-    if any(diagnosis.serious for diagnosis in found):
+    if serious:
         mended = shlex.quote(str(Path("mended") / parts[0].name))
         return [
             f"next: sigmaswarm doctor {train} {test} --fix mended",

@@ -89,7 +89,7 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
     elif evidence.drive.mounting and (apart := angle_of(mounting.mount @ mounting.before.T)) > MIN_DIFFERENCE:
         what = f"the log shows the mounting {mount} deg {sure}; the mounting in drive.toml differs by "
         what += f"{math.degrees(apart):.1f} deg, "
-        what += "which alone needs no repair in a part of a drive" if whole else "which needs no repair"
+        what += "which needs no repair in a part of a drive" if whole else "which needs no repair"
         remedy = (
             f"keep a measured mounting; otherwise import {'the whole log ' * bool(whole)}with --mount {mount}"
         )
