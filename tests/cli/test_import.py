@@ -378,6 +378,28 @@ def test_show_names_the_mounting_that_its_note_recommends(sigmaswarm: Command, h
     assert "points down" not in with_mount and with_mount.count("--mount") == 1
 
 
+@pytest.mark.parametrize(
+    ("force", "mount"),
+    [
+        ("0,8.9,3.8", "auto"),
+        ("0.5,-8.5,-4.9", "auto"),
+        ("0,0.5,-9.8", "x=x,y=-y"),
+        ("1.5,0,9.7", ""),
+    ],
+)
+def test_show_proposes_mount_auto_if_gravity_is_not_on_z(
+    sigmaswarm: Command, here: Path, force: str, mount: str
+):
+    """A phone in a holder was imported as if it were flat; forces without gravity show no direction."""
+    rows = [f"{i / 100},{force},0,0,0,{i},0" for i in range(300)]
+    (here / "log.csv").write_text("t,ax,ay,az,gx,gy,gz,x,y\n" + "\n".join(rows) + "\n")
+    said = sigmaswarm("import", "log.csv", "--show").out
+    (command,) = re.findall(r"next: (sigmaswarm .*)\n", said)
+    assert command == f"sigmaswarm import log.csv --out drive {f'--mount {mount}' if mount else ''}".rstrip()
+    assert ("relative to the vehicle; --mount auto finds" in said) == (mount == "auto")
+    assert "gravity" not in sigmaswarm("import", "log.csv", "--show", "--mount", "0,0,90").out
+
+
 @pytest.mark.parametrize("option", ["--max-rows", "--max-columns", "--max-unpacked-mb"])
 def test_limits_are_options(sigmaswarm: Command, here: Path, option: str):
     rows = [f"{i / 100},0,0,0,{i},0" for i in range(300)]

@@ -17,6 +17,7 @@ from sigmaswarm.importing.convert import Request, complete_recipe, opened
 from sigmaswarm.importing.dates import SECOND
 from sigmaswarm.importing.expressions import compile_expression, is_valid_expression, time_expression
 from sigmaswarm.importing.gather import ROW
+from sigmaswarm.importing.gravity import tilted_mount
 from sigmaswarm.importing.guess import Z_DOWN
 from sigmaswarm.importing.proposal import Proposal, check_proposal, propose_columns
 from sigmaswarm.importing.recipe import Recipe
@@ -109,19 +110,20 @@ def inspect_request(request: Request) -> Inspection:
         if not notes and not proposal:
             notes = _obstacles(request, recipe, logs, guesses, first)
         works = not notes
-        notes += (*convert.notes_of(logs, guesses, recipe), *convert.assumed_mounting(guesses, recipe))
+        rows = {name: frame for tables_of in first.values() for name, frame in tables_of.items()}
+        down = not recipe.mount and any(guess.downward for guess in guesses.values())
+        mount, tilted = tilted_mount(recipe, first[request.home("imu")], downward=down)
+        assumed = (tilted,) if tilted else convert.assumed_mounting(guesses, recipe)
+        notes += (*convert.notes_of(logs, guesses, recipe), *assumed)
     evidence = ""
     if proposal:
         proposal, evidence, works = check_proposal(proposal, partial(_imported, request))
     unread = _unread(tables, recipe, proposal)
     options, settings = (proposal.options, proposal.settings) if proposal else ("", {})
     faults = tuple(fault for guess in guesses.values() for fault in guess.faults)
-    rows = {name: frame for tables_of in first.values() for name, frame in tables_of.items()}
     whole = tuple(tables), recipe, tuple(dict.fromkeys(notes))
-    down = not recipe.mount and any(guess.downward for guess in guesses.values())
-    return Inspection(
-        *whole, options, evidence, works, unread, faults, rows, settings, Z_DOWN if down else ""
-    )
+    mount = mount or (Z_DOWN if down else "")
+    return Inspection(*whole, options, evidence, works, unread, faults, rows, settings, mount)
 
 
 def _obstacles(
