@@ -12,7 +12,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Generator, Iterator, Sequence, Set
+from collections.abc import Generator, Sequence, Set
 from contextlib import contextmanager, suppress
 from errno import EDQUOT, EEXIST, EFBIG, ENOSPC, ENOTEMPTY
 from functools import cache
@@ -64,6 +64,14 @@ def nan_to_none(content: Any) -> Any:
     return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
+def free_path(path: Path | str, inside: str = "") -> Path:
+    """Return the first of PATH, PATH-2, PATH-3 ... that does not exist, or in which ``inside`` does not exist."""
+    path = Path(path)
+    base = path.resolve() if path.name in ("", "..") else path
+    paths = ((path if i == 1 else base.with_name(f"{base.name}-{i}")) / inside for i in count(1))
+    return next(each for each in paths if not each.exists())
+
+
 def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
     """Make a folder and its parents, or raise `InputError` with ``remedy``."""
     try:
@@ -71,14 +79,6 @@ def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
     except OSError as error:
         raise InputError(f"{path}: can't be created as a folder ({error.strerror}); {remedy}") from None
     return path
-
-
-def numbered(path: Path) -> Iterator[Path]:
-    """Yield a path, and then the path with a number: tuned, tuned-2, tuned-3 and so on."""
-    yield path
-    path = path.resolve() if path.name in ("", "..") else path
-    for number in count(2):
-        yield path.with_name(f"{path.name}-{number}")
 
 
 @contextmanager

@@ -34,7 +34,14 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
     assert (ended.code, ended.err) == (0, "")
     assert ended.out.startswith("urban-clear-00: nothing serious")
     assert "2000 samples at 50 Hz" in ended.out
-    assert "\nnext: sigmaswarm plot fine\nthen: sigmaswarm tune fine --out tuned\n" in ended.out
+    assert "\nnext: sigmaswarm plot fine\nthen: sigmaswarm split fine --out parts\n" in ended.out
+    for used in ("parts", "tuned", "tuned-2"):
+        Path(used).mkdir()
+    said = sigmaswarm("doctor", "fine").out
+    (split,) = re.findall(r"then: sigmaswarm (split fine --out parts-2)\n", said)
+    said = sigmaswarm(*split.split()).out
+    assert "\nnext: sigmaswarm tune parts-2/urban-clear-00-train --out tuned-3\n" in said
+    assert said.endswith("then: sigmaswarm evaluate tuned-3 parts-2/urban-clear-00-test\n")
 
 
 def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
@@ -45,7 +52,7 @@ def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
     assert "-> change the sign of gz (--fix does this)" in ended.out
     assert f"\nnext: sigmaswarm doctor {sick} --fix mended " in ended.out
     mended = sigmaswarm("doctor", sick, "--fix", "mended")
-    assert "\nthen: sigmaswarm tune mended/urban-clear-00 --out tuned\n" in mended.out
+    assert "\nthen: sigmaswarm split mended/urban-clear-00 --out parts\n" in mended.out
 
 
 def test_a_held_out_part_is_evaluated_and_never_tuned_on(sigmaswarm, good, here: Path):

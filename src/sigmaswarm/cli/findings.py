@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sigmaswarm.cli.terminal import console
-from sigmaswarm.files import numbered
+from sigmaswarm.files import free_path
 from sigmaswarm.wording import count_of, printable
 
 if TYPE_CHECKING:
@@ -91,7 +91,10 @@ def split_command(diagnosis: "Diagnosis", folder: "Location") -> str:
     """Return the command that splits a drive; "" if no serious finding requires a split."""
     remedies = [finding.remedy for finding in diagnosis.findings if finding.severity == "serious"]
     found = re.search(r"sigmaswarm split DRIVE --at \S+ --out parts", " ".join(remedies))
-    return found[0].replace("DRIVE", shlex.quote(str(folder))) if found else ""
+    if not found:
+        return ""
+    command = found[0].removesuffix("parts").replace("DRIVE", shlex.quote(str(folder)))
+    return f"{command}{free_path('parts')}"
 
 
 def affects_axes(diagnosis: "Diagnosis") -> bool:
@@ -167,12 +170,6 @@ def _free(diagnosis: "Diagnosis") -> Path:
     return free_path("mended", diagnosis.drive)
 
 
-def free_path(name: str, inside: str = "") -> Path:
-    """Return the first of NAME, NAME-2, NAME-3 ... that does not exist, or in which ``inside`` does not exist."""
-    paths = (folder / inside for folder in numbered(Path(name)))
-    return next(path for path in paths if not path.exists())
-
-
 def _doctor(folder: "Location") -> str:
     return f"sigmaswarm doctor {shlex.quote(str(folder))}"
 
@@ -188,7 +185,7 @@ def next_steps(diagnosis: "Diagnosis", out: Path, part: str = "") -> Iterator[st
     """
     ready, following = out, f"sigmaswarm plot {shlex.quote(str(out))}"
     if cut := split_command(diagnosis, out):
-        yield from (f"next: {cut}", "then: sigmaswarm doctor parts --fix mended")
+        yield from (f"next: {cut}", f"then: sigmaswarm doctor {free_path('parts')} --fix mended")
         return
     if diagnosis.whole and (diagnosis.serious or has_repairable(diagnosis)):
         whole = diagnosis_of_whole(out)
@@ -209,6 +206,9 @@ def next_steps(diagnosis: "Diagnosis", out: Path, part: str = "") -> Iterator[st
         yield f"then: sigmaswarm evaluate TUNING {shlex.quote(str(ready))}"
         yield "      (this part is held out: TUNING is a filter that was tuned on the other part)"
         return
-    yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned"
-    split = f"or first split this drive: sigmaswarm split {shlex.quote(str(ready))} --out parts"
-    yield f"      (for an evaluation keep {'the other part' if part else f'another drive, {split}'})"
+    if part:
+        yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out {free_path('tuned')}"
+        yield "      (for an evaluation keep the other part)"
+        return
+    yield f"then: sigmaswarm split {shlex.quote(str(ready))} --out {free_path('parts')}"
+    yield "      (with another drive for the evaluation: sigmaswarm tune on the whole drive)"

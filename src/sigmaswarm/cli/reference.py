@@ -11,6 +11,7 @@ import sigmaswarm
 from sigmaswarm.cli.common import parse_numbers, print_result, read_silently
 from sigmaswarm.cli.options import FIELDS, Hyphened, Json, Overwrite
 from sigmaswarm.cli.terminal import tuning_progress
+from sigmaswarm.files import free_path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,5 +88,5 @@ def reference(
             "the errors at hidden fixes exceeded the smoother's standard deviations, which were therefore multiplied "
             f"by {about['stretched']:.2g}"
         )
-    lines += [f"wrote {out}", f"next: sigmaswarm tune {quote(str(out))} --out tuned"]
+    lines += [f"wrote {out}", f"next: sigmaswarm tune {quote(str(out))} --out {free_path('tuned')}"]
     print_result(options.json, {"drive": str(out), "truth_samples": len(made.truth or ()), **about}, *lines)

@@ -12,6 +12,7 @@ import sigmaswarm
 from sigmaswarm.cli.common import print_json, read_silently, require_writable, say
 from sigmaswarm.cli.findings import has_unrepairable, repair_and_split, split_command
 from sigmaswarm.cli.options import Json, Overwrite
+from sigmaswarm.files import free_path
 from sigmaswarm.wording import count_of
 
 
@@ -109,6 +110,7 @@ def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path, *, own: bool) ->
     from sigmaswarm.drives.alignment import StartFailure, find_start
 
     train, test = (shlex.quote(str(out / part.name)) for part in parts)
+    tuned = free_path("tuned")
     found = [sigmaswarm.diagnose(part) for part in parts]
     serious = any(diagnosis.serious for diagnosis in found)
     unusable = any(isinstance(find_start(part), StartFailure) for part in parts)
@@ -118,6 +120,6 @@ def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path, *, own: bool) ->
         mended = shlex.quote(str(Path("mended") / parts[0].name))
         return [
             f"next: sigmaswarm doctor {train} {test} --fix mended",
-            f"then: sigmaswarm tune {mended} --out tuned",
+            f"then: sigmaswarm tune {mended} --out {tuned}",
         ]
-    return [f"next: sigmaswarm tune {train} --out tuned", f"then: sigmaswarm evaluate tuned {test}"]
+    return [f"next: sigmaswarm tune {train} --out {tuned}", f"then: sigmaswarm evaluate {tuned} {test}"]

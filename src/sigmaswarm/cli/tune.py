@@ -22,6 +22,7 @@ from sigmaswarm.cli.options import MORE, Cluster, Json, Places, TrustLog, Worker
 from sigmaswarm.cli.remarks import local_folders, name_files
 from sigmaswarm.cli.terminal import tuning_progress
 from sigmaswarm.errors import InputError, SigmaswarmWarning
+from sigmaswarm.files import free_path
 from sigmaswarm.tuning.config import DEFERRED_OPTIONS, RENAMED, TuneConfig
 from sigmaswarm.wording import TO_DO, count_of
 
@@ -260,10 +261,11 @@ def _next(out: Path, given: str, name: str, *, part: bool) -> list[str]:
     if part:
         rest = folder.parent / f"{name.removesuffix('-train')}-test"
         return [_evaluate(out, rest if rest.is_dir() else None)]
-    train, test = (quote(f"parts/{name}-{part}") for part in ("train", "test"))
+    parts = free_path("parts")
+    train, test = (quote(str(parts / f"{name}-{part}")) for part in ("train", "test"))
     return [
         _evaluate(out),
         "this filter was tuned on the whole log; to test a filter on unused data:",
-        f"          sigmaswarm split {quote(str(folder))} --out parts",
+        f"          sigmaswarm split {quote(str(folder))} --out {parts}",
         f"          then tune on {train}, and evaluate on {test}",
     ]

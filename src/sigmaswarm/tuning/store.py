@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import atomic_file, atomic_folder, make_folder, numbered, read_arrays, write_json
+from sigmaswarm.files import atomic_file, atomic_folder, free_path, make_folder, read_arrays, write_json
 from sigmaswarm.records import ARRAYS, Vector, load_record
 from sigmaswarm.tuning.config import RENAMED
 from sigmaswarm.versions import same_results
@@ -156,7 +156,7 @@ class ResultFolder:
             write_json(file, config)
             return
         if not resume:
-            remedy = f"choose another folder, for example --out {next(p for p in numbered(path) if not p.exists())}"
+            remedy = f"choose another folder, for example --out {free_path(path)}"
             with suppress(InputError):
                 ResultFolder(path, config, resume=True)
                 remedy = "add --resume to continue it, or choose another --out"
