@@ -143,6 +143,11 @@ def test_suggests_the_column_that_was_meant():
         compile_expression("-accy", FRAME.columns)
 
 
+def test_a_name_in_another_case_is_suggested_first():
+    with pytest.raises(InputError, match=r"perhaps `Linear\.y`"):
+        compile_expression("-Linear.Y", ["Linear.x", "Linear.z", "Linear.y", "Angular.Y"])
+
+
 numbers = st.floats(-1e3, 1e3).map(lambda v: f"({v!r})")
 trees = st.recursive(
     numbers | st.just("acc_y"),

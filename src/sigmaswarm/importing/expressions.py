@@ -250,7 +250,8 @@ class _Compiler:
 
     def _use(self, name: str) -> pl.Expr:
         if name not in self.columns:
-            near = difflib.get_close_matches(name, self.columns, 1, 0.5)
+            near = [column for column in self.columns if column.casefold() == name.casefold()]
+            near = near or difflib.get_close_matches(name, self.columns, 1, 0.5)
             hint = (
                 f"perhaps `{printable(near[0])}`" if near else f"choose from {list_names(self.columns, '`')}"
             )
