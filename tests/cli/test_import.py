@@ -349,7 +349,7 @@ def test_show_states_the_faults_of_columns_that_import_states(
     (here / "log.csv").write_text(header + "\n" + "\n".join(rows) + "\n")
     shown = sigmaswarm("import", "log.csv", "--show", *options)
     assert shown.code == 0 and fault in shown.out and "next: " not in shown.out, shown.out
-    assert "The log cannot be imported yet: repeat --show with the options" in shown.out
+    assert "The log cannot be imported yet: follow the notes above, and repeat --show" in shown.out
     ended = sigmaswarm("import", "log.csv", "--out", "drive", *options)
     assert ended.code == 2 and fault in ended.err, ended.err
 

@@ -57,6 +57,15 @@ def test_sensor_logger(tmp_path: Path, system: str, form: str):
     assert_close(got.gps, GPS, "time lat lon alt std_x speed course", 1e-9)
 
 
+@pytest.mark.parametrize("form", ["folder", "zip"])
+@pytest.mark.parametrize("content", ["", "\n\n"])
+def test_an_empty_table_of_an_export_is_named(tmp_path: Path, form: str, content: str):
+    folder = sensor_logger(tmp_path / "export", "android")
+    (folder / "Location.csv").write_text(content)
+    with pytest.raises(InputError, match=r"Location\.csv is empty; copy it again$"):
+        imported(zipped(folder) if form == "zip" else folder)
+
+
 def test_invalid_speeds_are_left_out(tmp_path: Path):
     folder = sensor_logger(tmp_path / "export", "android")
     table = pl.read_csv(folder / "Location.csv")

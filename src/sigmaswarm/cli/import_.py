@@ -27,7 +27,7 @@ AXES_NOTE = (
     "the IMU's axes are assumed to be x forward, y left, z up; "
     "if wrong, add --mount auto, or state the mounting"
 )
-NOT_READY_NOTE = "The log cannot be imported yet: repeat --show with the options that are named above"
+NOT_READY_NOTE = "The log cannot be imported yet: follow the notes above, and repeat --show"
 MAX_UNUSED_COLUMNS = 100  # unused columns that are named per table
 
 

@@ -238,6 +238,11 @@ def is_empty(path: Path) -> bool:
     )
 
 
+def require_filled(file: Path, shown_as: Path) -> None:
+    if is_empty(file):
+        raise InputError(f"{shown_as} is empty; copy it again")
+
+
 def no_log_error(folder: Path) -> InputError:
     """Return the error for a folder without a log; the message names the files in the folder."""
     remedy = "name a log file or the folder of a log"

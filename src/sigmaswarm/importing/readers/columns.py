@@ -31,6 +31,7 @@ from sigmaswarm.importing.source import (
     first_bytes,
     is_empty,
     no_log_error,
+    require_filled,
 )
 from sigmaswarm.importing.times import time_of
 from sigmaswarm.wording import list_names, printable, quoted
@@ -192,6 +193,7 @@ def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.L
 
     ``shown_as``: name of an unpacked file in messages. ``remarks``: receives sentences on repeated names.
     """
+    require_filled(file, shown_as)
     if first_bytes(file, 4) == b"PAR1":
         _require_decodable(file, shown_as, limits)
         try:
