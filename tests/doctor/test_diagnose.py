@@ -210,7 +210,7 @@ def test_turns_that_the_fixes_do_not_show_are_not_denied(seconds: float):
     found = {f.code: f for f in sigmaswarm.diagnose(fixes_late(seconds)(slow_turns())).findings}
     said = found["unseen-yaw"].what
     assert "hardly turns" not in said
-    assert "where the car is faster than 3.0 m/s" in said
+    assert "in which the car is faster than 3.0 m/s" in said
     assert "slower turns are not visible" in said
 
 
@@ -256,7 +256,7 @@ def test_an_offset_of_the_size_that_would_have_been_seen_is_seen(maneuver: str, 
             continue
         (note,) = [f for f in clean.findings if f.code == "unseen-clock"]
         if size is None:
-            assert "of any size can't be detected in this drive" in note.what
+            assert "can't be detected in this drive, whatever its size" in note.what
             continue
         assert f"below {size:.2f} s" in note.what
         low, high = map(float, re.findall(r"between (\S+) and (\S+) s \(95%\)", note.what)[0])
@@ -408,7 +408,7 @@ def test_the_options_follow_from_the_log():
     )
     velocity = simulated("icm-20602")  # its receiver gives speed and course, and its errors are correlated
     few = "; with 250 fixes or more for training also fix-error"
-    lasting = f"{few}, since the fixes differ by less than the receiver's error"
+    lasting = f"{few}, since successive fixes differ by less than the receiver's error"
     may = "; you may add velocity to --use: the receiver measures speed and course"
     assert found_of(velocity, "use") == six + tilts + lasting + may
     level = replace(velocity, imu=replace(velocity.imu, az=None, gx=None, gy=None))
@@ -613,7 +613,7 @@ def test_on_a_circle_at_constant_speed_no_delay_of_the_fixes_is_noted(
     drive = circle(speed, rate, noise=noise, turned_by=turned_by, ahead=ahead)
     found = {f.code: f for f in sigmaswarm.diagnose(drive).findings}
     assert "clock-offset" not in found
-    assert "of any size can't be detected" in found["unseen-clock"].what
+    assert "can't be detected in this drive, whatever its size" in found["unseen-clock"].what
 
 
 @needs_shared

@@ -295,7 +295,7 @@ def test_flags_that_the_positions_contradict(tmp_path: Path, name: str, other: o
     flags = np.array([other if k // 20 % 2 else best for k in range(N // EVERY)])
     write(tmp_path, gps=FIXES | {name: flags})
     require_right(tmp_path)
-    (said,) = [note for note in imported(tmp_path).notes if "100 of 200 fixes for which" in note]
+    (said,) = [note for note in imported(tmp_path).notes if "100 of 200 fixes are used, although" in note]
     assert len(imported(tmp_path, maps=options_in(said)[0]).drive.gps) == N // EVERY // 2
 
 

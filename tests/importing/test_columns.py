@@ -103,7 +103,7 @@ def test_of_a_folder_with_two_days_it_says_which_is_taken(tmp_path: Path):
     said = [note for note in imported(tmp_path).notes if "is used for the" in note]
     assert said == [
         f"{role}_tuesday.csv has the same columns as {role}_monday.csv; only {role}_monday.csv is used for the {name}; "
-        f"import each log as a separate drive, as with --{name}-table {role}_tuesday.csv"
+        f"import each table as a separate drive, as with --{name}-table {role}_tuesday.csv"
         for role, name in (("imu", "imu"), ("gnss", "gps"))
     ]
 
@@ -760,7 +760,7 @@ def test_flags_that_are_0_for_good_fixes_are_reported_with_the_way(tmp_path: Pat
     pl.DataFrame(columns).write_csv(tmp_path / "gps.csv")
     got = imported(tmp_path)
     assert len(got.drive.gps) == len(gps)
-    (said,) = [note for note in got.notes if "fix > 0 is not true are used" in note]
+    (said,) = [note for note in got.notes if "fix > 0 is not true for them" in note]
     assert len(imported(tmp_path, maps=[said.split('"')[1]]).drive.gps) == best.sum()
 
 

@@ -48,7 +48,7 @@ def test_the_mounting_is_found(tmp_path: Path, roll: float, pitch: float, yaw: f
 def test_a_log_that_does_not_show_it_is_refused_with_the_reason(tmp_path: Path):
     log = log_of(sigmaswarm.simulate("cruise", gps="white-1m"), tmp_path / "log")
     with pytest.raises(
-        sigmaswarm.InputError, match=r"does not show the mounting .the course hardly turns.*specify it"
+        sigmaswarm.InputError, match=r"does not show the mounting .the course hardly changes.*specify it"
     ):
         sigmaswarm.import_log(log / "imu.csv", gps=log / "fixes.csv", mount="auto")
 

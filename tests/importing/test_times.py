@@ -276,7 +276,7 @@ def test_numbers_with_two_guessed_units_are_one_clock(tmp_path: Path, heads: tup
     """Hundredths of a second: steps of 4 look like ms of an IMU, steps of 10 like seconds of fixes."""
     write(tmp_path, heads[0], lambda t: f"{round(t * 100) * 4}", heads[1], lambda t: f"{round(t * 50)}")
     with pytest.raises(
-        InputError, match=r"overlap, so they have the same unit, but .* differ; write"
+        InputError, match=r"overlap, so they have the same unit, but .* have different factors; write"
     ) as caught:
         imported(tmp_path)
     options = str(caught.value).split("write --map ")[1].split(", or ")

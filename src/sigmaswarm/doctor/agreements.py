@@ -83,7 +83,7 @@ def _gravity(drive: Drive) -> Agreement:
     measured = {name: (at, smoothed(imu.time, getattr(imu, name), at, AVERAGING_TIME)) for name in names}
     expected = {"ax, ay at rest: 0": (ends, np.zeros(2))}
     expected |= {"az at rest: 9.81": (ends, np.full(2, GRAVITY))} if "az" in names else {}
-    return Agreement("gravity", "Gravity: the specific force, 2 s means", "m/s²", measured, expected)
+    return Agreement("gravity", "Gravity: means of the specific force over 2 s", "m/s²", measured, expected)
 
 
 def _of_motion(drive: Drive) -> Iterator[Agreement]:

@@ -164,7 +164,10 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
         )
     far = confidence != "no" and angle_of(rotation) > math.pi / 2
     if far and np.min(_leaning(rotate_imu(imu, rotation))) < -MIN_LEANING:
-        confidence, reason = "no", "the body would lean into turns, or forward while it gains speed"
+        confidence, reason = (
+            "no",
+            "with the mounting found, the body would lean into turns, or forward while the car gains speed",
+        )
     before = rotation_of(*(drive.mounting or NO_ROTATION))
     return Mounting(rotation, seen.std, confidence, reason, before)
 
@@ -345,7 +348,7 @@ def _confidence(seen: _Round) -> tuple[Confidence, str]:
     lateral, total = seen.lateral, float(np.linalg.norm(seen.std))
     uncertain = f"its standard deviation is {math.degrees(total):.0f} deg"
     for fault, reason in (
-        (seen.yaw_fit.course_change < MIN_TURN, "the course hardly turns"),
+        (seen.yaw_fit.course_change < MIN_TURN, "the course hardly changes"),
         (not _follows(seen.yaw_fit), "the gyro does not follow the course"),
         (seen.spread > MAX_GRAVITY_CHANGE, "the direction of gravity is not constant"),
         (seen.mirrored > MIN_LEAD, "the accelerometers' axes are a mirror image"),
@@ -355,7 +358,7 @@ def _confidence(seen: _Round) -> tuple[Confidence, str]:
         ),
         (
             lateral <= 0.4 or lateral >= 1.6,
-            f"the lateral acceleration is {lateral:.1f} times speed x yaw rate, not 1",
+            f"the lateral acceleration is {lateral:.1f} times the product of speed and yaw rate, not equal to it",
         ),
         (total > LIKELY_STD, uncertain),
     ):

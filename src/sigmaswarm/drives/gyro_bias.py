@@ -23,7 +23,9 @@ With 1e-3, the standard deviation of a good gyro's bias would increase by 0.07 d
 STRANGE_STD = 0.2  # rad/s, deviation of a far worse gyro's bias; an uncalibrated MPU-6050 may have 20 deg/s
 YAW_STD = np.radians(1.0)  # rad/s, smallest deviation of the bias, since cars slip and receivers smooth
 TURN_SHARE = 0.3  # share of a turn's mean rate that may look like a bias, since fixes lag and the car slips
-LEAN_STD = np.radians(8.0)  # rad, deviation of changes of roll and pitch in a few seconds, as on hills
+LEAN_STD = np.radians(
+    8.0
+)  # rad, standard deviation of changes of roll and pitch in a few seconds, as on hills
 MOST_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that suggest a larger bias have jumped
 
 

@@ -20,7 +20,7 @@ STALE: speed below `NO_REST`; STALE_MOVING: speed above `NO_REST`, so that the r
 
 BEFORE = 3.0  # s; an equal fix is searched over this time; the previous fix is always compared
 SPEED_WINDOW = 2.5  # s, window of fixes (at least two) for the speed; three fixes at 1 Hz show braking
-REST = 0.8  # m/s, largest speed at rest, the same as at a standstill
+REST = 0.8  # m/s, largest speed at rest; also the limit at a standstill
 NO_REST = 2.0  # m/s; above this speed, the first repeat is not evidence of a standstill
 BRAKING = 4.0  # m/s2, largest deceleration of a car; larger values are noise
 ENOUGH = 3.0  # smallest number of new fixes that show braking; fewer give only a mean speed

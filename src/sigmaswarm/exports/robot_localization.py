@@ -132,7 +132,9 @@ def accuracy_section(evaluation: Evaluation) -> str:
     ]
     seen = [name for name, found in evaluation.drives.items() if found.record.seen_s]
     if seen:
-        sentences.append(f"The filter was tuned on {', '.join(seen)}, so these errors are too small.")
+        sentences.append(
+            f"The filter was tuned on {', '.join(seen)}, so expect larger errors on other drives."
+        )
     drives = ", ".join(evaluation.drives)
     return "\n".join([f"\n## Accuracy on {drives}\n", *lines, "", *sentences, ""])
 

@@ -58,7 +58,7 @@ def assemble(
     for role in times:
         steps = np.diff(times[role])
         if back and not gathered[role][0].set_back and back > STEPS * np.median(steps):
-            message = "the clock does not restart with that of the IMU; if the pause before the recording was short,"
+            message = "the clock does not restart with that of the IMU; if the pause before this recording was short,"
             say(f"{role}: {message} write --{role}-offset {-back / SECOND:.3f}")
     seconds, zero = _seconds(_in_one_turn(times, gathered, say), recipe)
     imu = _imu(seconds["imu"], values["imu"], recipe)
@@ -174,11 +174,11 @@ def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, st
     leap = float(max(imu[0], gps[0]) - gps_to_unix(np.array([max(imu[0], gps[0])]))[0])
     short, dated = min(imu[0], gps[0]), max(imu[0], gps[0]) * SECOND > MIN_DATE
     reasons = (
-        (900, 0.0, "the local times differ by this", short * SECOND > MIN_DATE),
+        (900, 0.0, "the clocks show the local times of two zones", short * SECOND > MIN_DATE),
         (86_400, 0.0, "one clock counts from midnight, UTC", dated and short < 2 * 86_400),
         (WEEK, GPS_EPOCH % WEEK - leap, "one clock is the GPS time of week", dated and short < WEEK),
         (1e12, GPS_EPOCH - leap, "one clock is GPS time", short * SECOND > MIN_DATE),
-        (2**32 * 1e-6, 0.0, "a counter of microseconds, 2^32, wrapped", not dated),
+        (2**32 * 1e-6, 0.0, "a counter of 2^32 microseconds has wrapped", not dated),
     )
     for period, begin, why, fits in reasons:
         sign = 1 if imu[0] > gps[0] else -1
@@ -212,9 +212,9 @@ def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[P
         if FASTEST_IMU < steps[0] < SLOWEST_IMU and MIN_FIX_INTERVAL < steps[1] < MAX_STEP["gps"]:
             maps = " ".join(f'"{role}.t={column}*1e-{k}"' for role, (column, _) in columns.items())
             options.append(f"{maps} for {1 / steps[0]:.4g} Hz and {1 / steps[1]:.4g} Hz")
-    message = "; as plain numbers the times of IMU and fixes overlap, so they have the same unit, "
+    message = "; without factors the times of IMU and fixes overlap, so they have the same unit, "
     return (
-        f"{message}but {' and '.join(texts.values())} differ; write --map {', or '.join(options)}"
+        f"{message}but {' and '.join(texts.values())} have different factors; write --map {', or '.join(options)}"
         if options
         else ""
     )
@@ -362,7 +362,7 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
         apart = np.hypot(east, north)
         if apart > 1000.0:
             say(
-                f"truth: {apart:.0f} m from the fixes (median); if the truth has another origin, specify --origin"
+                f"truth: lies {apart:.0f} m from the fixes (median); if the truth has another origin, specify --origin"
             )
     return {name: values[name] for name in ("x", "y", "vx", "vy", "theta")}
 

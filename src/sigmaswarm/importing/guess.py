@@ -113,7 +113,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         if alike := [t for t in others if samples[t].columns == samples[best].columns]:
             notes.append(
                 f"{list_names(alike)} {'has' if len(alike) == 1 else 'have'} the same columns as {best}; only {best} "
-                f"is used for the {role}; import each log as a separate drive, as with --{role}-table {alike[0]}"
+                f"is used for the {role}; import each table as a separate drive, as with --{role}-table {alike[0]}"
             )
         rates = [t for t, c in found.items() if "gz" in c and not c.has("ax", "ay")][:1]
         for table in [best, *rates] if role == "imu" and "gz" not in found[best] else [best]:
@@ -239,7 +239,7 @@ def _with_fix(columns: Columns) -> TimeExpression | None:
         return None
     if kept.sum() >= (1 - MAX_DROPPED) * len(fixes) or _jump(fixes.select(names), kept):
         return TimeExpression(text)
-    seen = f"{(~kept).sum()} of {len(fixes)} fixes for which {text} is not true are used"
+    seen = f"{(~kept).sum()} of {len(fixes)} fixes are used, although {text} is not true for them"
     return TimeExpression("", note=f'{seen}; to leave these fixes out, write --map "gps.keep={text}"')
 
 

@@ -114,9 +114,9 @@ def with_magnetometer(
     turn = _turn(calibration, recipe.declination_deg)
     heading, known = _at(drive.gps.time - late, time, vector, near_steel)
     say(_in_words(calibration, recipe.declination_deg))
-    when = f", at the moment of the positions, {late:.2f} s before the fixes" if late else ""
+    when = f", taken {late:.2f} s before the fixes, when the receiver measured the positions" if late else ""
     none = f"{np.count_nonzero(~known)} of {len(known)} fixes have no heading (steel nearby, or no sample)"
-    say(f"mag: heading with a standard deviation of {np.degrees(std):.1f} deg{when}; {none}")
+    say(f"mag: the headings have a standard deviation of {np.degrees(std):.1f} deg{when}; {none}")
     heading = np.where(known, wrap_angle(heading + turn), 0.0)
     return replace(
         drive, gps=replace(drive.gps, heading=heading, std_heading=np.where(known, std, NO_HEADING))
@@ -222,8 +222,6 @@ def _in_words(calibration: Calibration, stated: float | None) -> str:
             f"{fitted}; mx and my rotate in the wrong direction for x forward and y left; the course shows this "
             "error, and the import corrects the heading"
         )
-    total = (
-        f"{np.degrees(calibration.declination):+.1f} deg for declination plus the sensor's rotation about z"
-    )
+    total = f"{np.degrees(calibration.declination):+.1f} deg for declination and the sensor's rotation about z together"
     stating = "" if stated is None else f"; declination {stated:+.1f} deg as stated"
     return f"{fitted}{stating}; the course of the fixes yields {total}"

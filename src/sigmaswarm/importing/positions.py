@@ -54,7 +54,7 @@ def with_longitudes(values: Values, role: str, say: Say) -> Values:
     """Convert longitudes of 0 to 360 degrees to -180 to 180."""
     if "lon" not in values or not (np.abs(values["lon"]) > 180).any() or (np.abs(values["lon"]) > 360).any():
         return values
-    say(f"{role}: longitudes beyond 180 degrees are read as 0 to 360")
+    say(f"{role}: longitudes beyond 180 degrees are read as angles from 0 to 360 degrees")
     return {**values, "lon": np.mod(values["lon"] + 180, 360) - 180}
 
 
@@ -74,7 +74,9 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
     if len(rows) < 5:
         if "heading" not in what or np.abs(angle).max(initial=0.0) < 7.0:
             return angle
-        say(f"{what} is read as degrees clockwise from north; no course confirms this unit")
+        say(
+            f"{what} is read as degrees clockwise from north; the fixes show no course that confirms this unit"
+        )
         return np.asarray(wrap_angle(np.pi / 2 - np.radians(angle)))
     conventions = (
         ("", angle),

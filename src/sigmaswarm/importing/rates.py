@@ -63,9 +63,7 @@ def unit_of_rates(
     if share < MIN_EXPLAINED:
         if share > MIN_CONFIRMED and 1 / MIN_FACTOR_RATIO < ratio < MIN_FACTOR_RATIO:
             return "", ""
-        message = (
-            f"no turn of the fixes confirms the unit of {columns}, read as rad/s; if it is deg/s, write "
-        )
+        message = f"no turn of the fixes confirms the unit of {columns}, read as rad/s; for deg/s write "
         return "", message + _maps(used, unitless, "radians({})") if assumed == 1 and np.any(raw) else ""
     whole = all(np.allclose(values, np.round(values), rtol=0, atol=1e-6) for values in raw)
     known = UNITS if whole else UNITS.keys() - COUNTS

@@ -105,7 +105,7 @@ class Recipe:
 
     def save(self, path: Path) -> None:
         make_folder(path.parent, "name another file")
-        write_atomically(path, "# How `sigmaswarm import` makes a drive of a log.\n" + self.to_toml())
+        write_atomically(path, "# How `sigmaswarm import` makes a drive from a log.\n" + self.to_toml())
 
 
 def _setting(value: Any, key: str, path: Path) -> Any:

@@ -64,8 +64,8 @@ def require_same_axes(
         lag = round(float(min(near, key=lambda lag: _apart(fixes, seconds, truth, float(lag)))), 2)
         when = "later" if lag > 0 else "earlier"
         message = (
-            f"truth: the track equals that of the fixes about {abs(lag):g} s {when}; write --truth-offset "
-            f"{-lag:g}"
+            f"truth: the times are about {abs(lag):g} s {when} than those of the fixes on the same track; write "
+            f"--truth-offset {-lag:g}"
         )
         return f"{message}, or --gps-offset {lag:g} if the fixes have the wrong clock"
     if "lat" in truth:

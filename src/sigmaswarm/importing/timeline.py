@@ -15,14 +15,14 @@ from sigmaswarm.wording import count_of, list_names, rows_left_out
 MINUTE = 60 * SECOND
 # Periods after which counters restart, ns
 WRAPS: tuple[tuple[int, str], ...] = (
-    (2**32 * 1000, "a counter of microseconds, 2^32"),
-    (2**32 * 1_000_000, "a counter of milliseconds, 2^32"),
-    (2**31 * 1000, "a counter of microseconds, 2^31"),
-    (2**31 * 1_000_000, "a counter of milliseconds, 2^31"),
-    (2**24 * 1000, "a counter of microseconds, 2^24"),
-    (2**24 * 1_000_000, "a counter of milliseconds, 2^24"),
-    (2**16 * 1_000_000, "a counter of milliseconds, 2^16"),
-    (2**32, "a counter of nanoseconds, 2^32"),
+    (2**32 * 1000, "a counter of 2^32 microseconds"),
+    (2**32 * 1_000_000, "a counter of 2^32 milliseconds"),
+    (2**31 * 1000, "a counter of 2^31 microseconds"),
+    (2**31 * 1_000_000, "a counter of 2^31 milliseconds"),
+    (2**24 * 1000, "a counter of 2^24 microseconds"),
+    (2**24 * 1_000_000, "a counter of 2^24 milliseconds"),
+    (2**16 * 1_000_000, "a counter of 2^16 milliseconds"),
+    (2**32, "a counter of 2^32 nanoseconds"),
     (WEEK * SECOND, "the time of week"),
     (86_400 * SECOND, "the time of day"),
     (43_200 * SECOND, "a clock of 12 hours"),
@@ -82,7 +82,7 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, int, str]:
         return time, 0, ""
     _, period, name = min(fitting)
     turns = np.concatenate([[0], np.cumsum(steps < -0.5 * period)])
-    return time + turns * period, period, f"{name}, wraps {count_of(int(turns[-1]), 'time')} and is unwrapped"
+    return time + turns * period, period, f"{name} wraps {count_of(int(turns[-1]), 'time')} and is unwrapped"
 
 
 def recordings(time: Nanoseconds) -> list[slice]:

@@ -212,7 +212,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
         raise InputError(
             f"{name}: of {np.count_nonzero(within)} fixes {np.count_nonzero(sure)} are fixed solutions, and "
             f"{np.count_nonzero(known)} of these have a stated standard deviation of at most {accuracy:g} m per "
-            "axis, too few; raise --accuracy, or use another receiver"
+            "axis, which are too few; raise --accuracy, or use another receiver"
         )
     return replace(gps, lat=None, lon=None, alt=None).select(known)
 

@@ -53,7 +53,7 @@ BANK_TEXT = (
     "A filter bank has sixteen filters with different parameters. The weight of a filter in the estimate depends on "
     "how well this filter predicted the fixes of the last minute. Every 10 s while the vehicle moves, a search over "
     "the last minute replaces the filters with the lowest weights. If the parameters move far from the tuned values, "
-    "vehicle, its sensors or its surroundings differ from those used for tuning. One decade "
+    "the vehicle, its sensors or its surroundings differ from those used for tuning. One decade "
     "is a factor of ten in a variance."
 )
 

@@ -170,12 +170,12 @@ class EvaluationView:
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
     def _not_beaten(self) -> str:
-        """Return sentences on fixes alone and baseline, if their drifts do not exceed that of the tuned filter."""
+        """Return sentences on fixes alone and baseline, with the drifts in which the tuned filter is not better."""
         mean_of = self.scores.mean_of
         sentences = ""
         for method, name in ((FIXES, "fixes alone"), (BASELINE, "baseline")):
             lost = [
-                f"{self.measures[m].title} ({tuned:.3g} m; {other:.3g} m)"
+                f"{self.measures[m].title} ({tuned:.3g} m; {name} {other:.3g} m)"
                 for m in DRIFTS
                 if m in self.measures
                 and (tuned := mean_of("tuned", m)) is not None

@@ -62,7 +62,7 @@ def default_filter_options(
         because = f"{found.model} suits the logs: {found.because}" if other else found.because
         if model == found.model and _needs_fix_error(model, options, drives):
             use.append("fix-error")
-            because += ", fixes that differ by less than the receiver's error"
+            because += ", successive fixes that differ by less than the receiver's error"
     described = _described(model, use) + (", as given" if "model" in options else "")
     return {**options, "model": model, "use": tuple(use)}, f"{described}: {because}"
 

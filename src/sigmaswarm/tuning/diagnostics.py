@@ -60,9 +60,9 @@ class DriftComparison:
     fixes_alone_m: float
 
     def __str__(self) -> str:
-        lower = ": LOWER" if self.fixes_alone_m < self.tuned_m else ""
-        others = f"fixes alone {self.fixes_alone_m:.3g} m{lower}, baseline {self.baseline_m:.3g} m"
-        return f"{self.length_s:g} s {self.tuned_m:.3g} m ({others})"
+        lower = ", LOWER" if self.fixes_alone_m < self.tuned_m else ""
+        others = f"fixes alone {self.fixes_alone_m:.3g} m{lower}; baseline {self.baseline_m:.3g} m"
+        return f"over {self.length_s:g} s {self.tuned_m:.3g} m ({others})"
 
 
 def describe_forecasts(forecasts: Sequence[DriftComparison], durations: Sequence[float] = ()) -> list[str]:
@@ -73,7 +73,7 @@ def describe_forecasts(forecasts: Sequence[DriftComparison], durations: Sequence
     if not forecasts:
         return []
     worse = [
-        f"{one.length_s:g} s ({one.tuned_m:.3g} m; {one.baseline_m:.3g} m)"
+        f"{one.length_s:g} s ({one.tuned_m:.3g} m; baseline {one.baseline_m:.3g} m)"
         for one in forecasts
         if one.tuned_m > one.baseline_m and f"{one.tuned_m:.3g}" != f"{one.baseline_m:.3g}"
     ]

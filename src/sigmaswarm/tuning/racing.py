@@ -22,7 +22,7 @@ from sigmaswarm.tuning.problem import Problem
 
 FIRST_DIVISOR = 12  # a race starts with 1 / FIRST_DIVISOR of the drives
 MIN_DRIVES = 96
-"""Smallest number of drives for a race against the leader; 1/12 of fewer drives is too few for a test."""
+"""Smallest number of drives for a race against the best filter so far; of fewer drives, 1/12 is too few for a test."""
 Order = Sequence[int] | NDArray[np.int64]
 
 

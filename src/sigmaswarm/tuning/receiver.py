@@ -98,9 +98,9 @@ def noise_warnings(
     remedy = STATE_REMEDY if np.isnan(stated) else f"tune with --use {' '.join([*use, 'accuracy'])}"
     remedy += ", or score against a reference receiver"
     if r * MAX_STD_RATIO < stated:
-        why = f"the receiver states {stated:.2g} m"
+        why = f"the receiver states {stated:.2g} m per axis"
     elif r * MAX_STD_RATIO < scatter:
-        why = f"the fixes scatter by {scatter:.2g} m about a path that is consistent with the IMU"
+        why = f"the fixes scatter by {scatter:.2g} m per axis about a path that is consistent with the IMU"
     elif lasting:
         why = f"the receiver states {stated:.2g} m per axis and its fixes scatter by {scatter:.2g} m"
         return [to_do(remedy, f"{why}: their errors are correlated, and {UNKNOWN}")]

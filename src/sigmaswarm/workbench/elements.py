@@ -95,7 +95,7 @@ def line(classes: str = "") -> ui.element:
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[str]], classes: str = "") -> None:
-    """Make a table that scrolls sideways; with the class "stacks" a narrow page shows its cells one below the other."""
+    """Make a table that scrolls sideways; with the class "stacks", a narrow page stacks the cells of a row."""
     scrolled = box("wide").props('tabindex="0" role="region" aria-label="table"')
     with scrolled, ui.element("table").classes(f"plain {classes}"):
         with ui.element("thead"), ui.element("tr"):

@@ -175,7 +175,7 @@ class LogPage(OpenLog):
 
     @property
     def _finishing(self) -> tuple[bool, str, str, str]:
-        """Return True if a log is open; the names of the drive and of the drive that was made; and the result."""
+        """Return four values: True if a log is open, the name of the drive, the name of the last drive, the result."""
         choices, log = self.bench.log_choices, self.bench.log
         name = choices.get("name") or self.bench.free("drives", log.stem if log else "")
         return log is not None and self.inspection is not None, name, choices.get("made", ""), self.done

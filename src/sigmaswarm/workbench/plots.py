@@ -63,7 +63,7 @@ def lines(
     dashed: Collection[str] = (),
     pale: Mapping[str, Series] | None = None,
 ) -> Lines:
-    """Make the lines of a plot; ``points`` are drawn as markers, ``pale`` are lines before a change in equal colors."""
+    """Make the lines of a plot. ``points``: drawn as markers; ``pale``: series before a change, in the same colors."""
     made: Lines = []
     for color, (label, (x, y)) in zip(COLORS * 4, series.items(), strict=False):
         drawn: dict[str, Any] = {"mode": "lines", "line": {"color": color, "width": 1.4}}

@@ -115,7 +115,7 @@ class TunePage(Page):
 
     @ui.refreshable_method
     def _reasoning(self) -> None:
-        """Show filter and search of the next tuning; a refresh leaves the fields, in which the user may type."""
+        """Show filter and search of the next tuning; a refresh does not redraw the input fields."""
         self.messages()
         for sentence in self.why:
             text("p", sentence)

@@ -56,14 +56,14 @@ def _axes(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
             what = f"{what} (the drive shows only {'forward' if mount.known[0] else 'sideways'} acceleration)"
         remedy = f"read ax as {forward} and ay as {left}" + (" and change the sign of az" if opposite else "")
         if (opposite and evidence.mounted) or (evidence.yaw.factor < 0 and np.linalg.det(axes) < 0):
-            remedy += "; fixes with exchanged x and y (lat and lon) look the same, so check these first"
+            remedy += "; exchanged x and y (lat and lon) of the fixes look the same, so check the fixes first"
         yield Finding(
             "accelerometer-axes" if axes[0, 0] == 0 else "accelerometer-sign", "serious", what, WHERE, span, confidence,
             remedy, Repair("accelerometer", (*axes.ravel().tolist(), -1.0 if opposite else 1.0)),
         )  # fmt: skip
     if mount.unit != 1:
         size = mount.unit * mount.scale[0][0]
-        what = f"the accelerations are in g: the car's motion is {size:.1f} times ax"
+        what = f"the accelerations are in g: the car accelerates {size:.1f} times as much as ax states"
         repair = Repair("accelerometer", (GRAVITY, 0.0, 0.0, GRAVITY, GRAVITY))
         remedy = f"multiply ax, ay, az by {GRAVITY}"
         yield Finding("accelerometer-unit", "serious", what, f"{WHERE}, az", span, confidence, remedy, repair)

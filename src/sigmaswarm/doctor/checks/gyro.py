@@ -41,7 +41,10 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     imu, course = evidence.drive.imu, evidence.course
     if fit is None or course is None or not yaw.known:
         if impossible_rate(imu.gz - np.median(imu.gz)):
-            what = f"the yaw rate gz is above {IMPOSSIBLE_RATE:g} rad/s, as if in deg/s; no course confirms this unit"
+            what = (
+                f"the yaw rate gz is above {IMPOSSIBLE_RATE:g} rad/s, as if in deg/s; the fixes show no course that "
+                "confirms this unit"
+            )
             remedy = "look up the unit; multiply gx, gy, gz by pi/180 if the unit is deg/s"
             yield Finding("gyro-unit", "warning", what, "imu.csv, gz", span, 0.9, remedy)
         return
@@ -132,9 +135,9 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
             f"change the sign of {names}", Repair("tilt-rates", (signs[0], 0.0, 0.0, signs[1])),
         )  # fmt: skip
     if unseen := [k for k, axis in enumerate(follows) if axis is None]:
-        columns, motion = ([names[k] for k in unseen] for names in (("gx", "gy"), ("rolls", "pitches")))
+        columns, motion = ([names[k] for k in unseen] for names in (("gx", "gy"), ("roll", "pitch")))
         what = (
-            f"the body hardly {' or '.join(motion)} according to the specific force, so the sign of "
+            f"the specific force shows hardly any {' or '.join(motion)} of the body, so the sign of "
             f"{' and '.join(columns)} can't be checked"
         )
         remedy = "use a drive with turns, starts and stops to check the sign"

@@ -50,10 +50,10 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
     interval = float(np.median(np.diff(course.time)))
     shown = (
         f"the course is known for {np.count_nonzero(moving) * interval:.0f} of {np.ptp(course.time):.0f} s, "
-        f"where the car is faster than {course.slowest:.1f} m/s"
+        f"in which the car is faster than {course.slowest:.1f} m/s"
     )
     if fit is None:
-        return f"{shown}, but never for long enough", REMEDY
+        return f"{shown}, but no part is long enough to compare the turns of course and gyro", REMEDY
     change = np.degrees(fit.course_change)
     if fit.course_change > max(
         MIN_TURN, MIN_TURN_SIGMAS * course.std / np.median(np.abs(course.velocity[moving]))
@@ -94,7 +94,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
     if (drive.truth is None or chosen.model == "tilted12") and has_lasting_errors(drive):
         what += f"; with {FIXES_FOR_FIX_ERROR} fixes or more for training also fix-error"
         enough = len(drive.gps) >= FIXES_FOR_FIX_ERROR
-        what += ", since the fixes differ by less than the receiver's error" if enough else ""
+        what += ", since successive fixes differ by less than the receiver's error" if enough else ""
     what += f"; you may add {'; and '.join(may)}" if may else ""
     remedy = "see the options of `sigmaswarm tune`"
     yield Finding("use", "note", what, "imu.csv, gps.csv", evidence.span, 0.9, remedy)

@@ -189,7 +189,7 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
     until = float(course.time[first.stop - 1])
     if start.time < until + course.span and slope < -limit and any(s > least for _, s, least in rest):
         what = (
-            f"the log seems to begin in reverse, until t = {until:.0f} s: in this part ax is positive while "
+            f"the car seems to drive in reverse until t = {until:.0f} s: in this part ax is positive while "
             "the speed falls"
         )
         remedy = f"remove this part: sigmaswarm split DRIVE --at {until + 2:.0f} --out parts, and use the second part"

@@ -63,7 +63,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         ):
             what = (
                 f"the fixes scatter by {noise:.2g} m per axis from one to the next and by {scatter:.2g} m about a path "
-                f"of ten seconds, but the receiver states {stated:.2g} m: their errors are correlated, so the mean of "
+                f"of ten seconds, but the receiver states {stated:.2g} m: the errors are correlated, so the mean of "
                 "many fixes is hardly more accurate than one; without truth, neither the stated standard deviation nor "
                 "a filter's error can be checked"
             )

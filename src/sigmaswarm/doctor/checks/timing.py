@@ -45,15 +45,15 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             f"the fixes {'are' if clear else 'may be'} {size} {way} relative to the IMU "
             f"(standard deviation {std:.2f} s)",
             where, span, confidence_of(delay / std),
-            f"{move} the fixes' times{'' if clear else ' if other drives also show it'}, or tune the delay with --use "
-            "latency; the tuned value leads to the best forecasts, and may differ from this offset by a few "
+            f"{move} the fixes' times{'' if clear else ' if other drives also show this offset'}, or tune the delay "
+            "with --use latency; the tuned value leads to the best forecasts, and may differ from this offset by a few "
             "standard deviations",
             Repair("shift-fixes", (-delay,)) if clear else None,
         )  # fmt: skip
     elif evidence.drives:
         visible = evidence.clock.visible
         how = (
-            "of any size can't be detected in this drive"
+            "can't be detected in this drive, whatever its size"
             if visible is None
             else f"below {visible:.2f} s can't be detected in this drive"
         )

@@ -21,8 +21,10 @@ if hasattr(os, "register_at_fork"):
 
 @dataclass(frozen=True, eq=False)
 class PendingSearch:
-    """A search that replays the steps before ``logged`` from the lane that the leading lane ``led`` was copied from.
+    """A search over the logged steps before step number ``logged``.
 
+    ``led`` is the lane with the largest weight. The search starts from an earlier state of this lane, or of the lane
+    of which this lane is a copy.
     A forked or unpickled copy searches in the calling thread.
     """
 

@@ -1,7 +1,7 @@
 """A bank of sixteen filters with the interface of a `LiveFilter`.
 
-A search replaces lanes in a past state that no late fix can change; afterwards the filter processes the later samples
-again. Therefore, the results depend only on samples and fixes.
+The result of a search replaces lanes in an earlier state, which no late fix can change. Then the filter processes the
+later samples again. Therefore, the results depend only on samples and fixes.
 """
 
 from collections.abc import Sequence
@@ -162,7 +162,7 @@ class LiveFilterBank(LiveFilter):
         return KernelArray(sets).start([start], [self._interval])[0]
 
     def count_only(self, lanes: int) -> None:
-        """Give weight only to the first lanes, like an export with this number of lanes. Searches must be off."""
+        """Give weight only to the first ``lanes`` lanes, as in an export with so many lanes. Searches must be off."""
         self._counted = lanes
         self._numbers[swarm.PENALTY][lanes:] = np.inf
         swarm.weigh(self._filter_state)
@@ -195,7 +195,7 @@ class LiveFilterBank(LiveFilter):
         self._due = now + (SEARCH_DELAY if self._pending else SEARCH_INTERVAL - SEARCH_DELAY)
 
     def _settled_checkpoint(self) -> tuple[int, Array, Array] | None:
-        """Return the last checkpoint before all late fixes: its record's number, the record, and the checkpoint."""
+        """Return the last checkpoint that no late fix can change: index of its record, the record, the checkpoint."""
         of = self._memory.arrays
         counts, history, checkpoints = of.counts, of.history, of.checkpoints
         n, kept = int(counts[live.N_SAMPLES]), int(counts[live.N_HISTORY])
@@ -246,7 +246,10 @@ class LiveFilterBank(LiveFilter):
         return step_log[np.arange(first, last) % length]
 
     def _replace(self, found: SearchResult, replayed: int, led: int) -> None:
-        """Replace the worst lanes, and reprocess the last samples."""
+        """Replace the worst lanes by the result of a search and by copies of lanes; process the later samples again.
+
+        ``replayed`` and ``led`` are the fields ``logged`` and ``led`` of the `PendingSearch`.
+        """
         checkpoint = self._settled_checkpoint()
         if checkpoint is None:
             return
@@ -295,7 +298,7 @@ class LiveFilterBank(LiveFilter):
         )
 
     def _brought_on(self, found: SearchResult, since: Array) -> tuple[Array, float]:
-        """Return the found lane (N_KEPT,) and its evidence after the steps that followed the replay."""
+        """Return the lane (N_KEPT,) that a search found, and the lane's evidence, after the later steps ``since``."""
         steps = LoggedSteps(self._kernel, since, self._filter_state[live.LEVER].copy())
         lane, known = steps.followed(found.lane, found.known)
         return lane, known.evidence

@@ -51,7 +51,7 @@ class FilterEvidence:
     at: float
 
     def then(self, time: Array, lost: Array) -> "FilterEvidence":
-        """Return the evidence after fixes at some times, s; each fix lowers the evidence by its loss."""
+        """Return the evidence after fixes at the times ``time``, s; each fix lowers the evidence by its ``lost``."""
         if not len(time):
             return self
         left = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)
@@ -142,7 +142,7 @@ def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
 
 
 FUZZY_FACTORS = R.TIMES_R, R.TIMES_Q
-"""Factors of a fuzzy filter's R and Q, which are 1 after the constants are replaced."""
+"""Rows of the factors of R and Q in a fuzzy filter; the factors are 1 in a lane with new constants."""
 
 
 def with_zero_sums(lanes: Array) -> Array:

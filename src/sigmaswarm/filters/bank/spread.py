@@ -28,7 +28,7 @@ FIXED_OFFSETS = (
     {R: 2.5, START: 3.0},
     {R: 4.5, START: 3.0},
 )
-"""Offsets of the first lanes, which are never replaced: the tuning, other biases, other receivers."""
+"""Offsets of the lanes that are never replaced, from lane 0 on: the tuning, other biases, other receivers."""
 
 WARNING_OFFSET, WARNING_AXLE_OFFSET = 0.5, 0.5  # largest offsets without a warning, decades and m
 _MEANS = {

@@ -93,8 +93,8 @@ def student_t_weight(w, since):
 
     DOF = 0: off. R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear
     systems using the multivariate Student-t distribution, MLSP 2012. With S = H P H^T + R / w and e = S^-1 nu, the
-    residual after the update is r = R / w e. Its covariance is A = R / w - R / w S^-1 R / w. Three iterations from
-    w = 1 compute w = (dof + 2) / (dof + r^T R^-1 r + tr R^-1 A).
+    residual after the update is r = (R / w) e. Its covariance is A = R / w - (R / w) S^-1 (R / w). Three iterations
+    from w = 1 compute w = (dof + 2) / (dof + r^T R^-1 r + tr R^-1 A).
 
     A filter with a wrong state would treat all fixes as outliers. Therefore, the fix that ends a long run of outliers
     gets weight 1. The part of P that this fix observes is inflated until P explains the innovation.

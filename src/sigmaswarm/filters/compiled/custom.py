@@ -199,8 +199,8 @@ def _add_products(a, b, weights, out):
 def _leave_out(z, nu, s, cross):
     """Make the update ignore elements that are NaN; return the number of the other elements.
 
-    With nu = 0, C = 0 and a row and column of S as in the identity, the update has the bits of a filter without these
-    rows of h and R.
+    With nu = 0, C = 0 and a row and column of S as in the identity, the update has the same bits as in a filter
+    without these rows of h and R.
     """
     present = 0
     for i in range(z.size):
@@ -286,7 +286,7 @@ def _limited(nis, limit):
 
 @_kernel
 def _finite(mean, covariance):
-    """Return True if both arrays are finite, since 0 times inf or NaN is NaN."""
+    """Return True if both arrays are finite. The sum of all elements times 0 is then 0, otherwise NaN."""
     total = 0.0
     for i in range(mean.size):
         total += 0.0 * mean[i]

@@ -15,7 +15,7 @@ from sigmaswarm.filters.compiled.layout import C1, C2, LANES, MOVE, R, at
 def carry(w, u, *, n, biases):
     """Propagate the covariance of the fix error through a step.
 
-    Its columns are multiplied by F of a planar model. ``biases``: True for planar8.
+    The columns of the fix error in P are multiplied by F of a planar model. ``biases``: True for planar8.
     """
     dt = u[DT]
     h = 0.5 * dt
@@ -34,7 +34,7 @@ def carry(w, u, *, n, biases):
 
 
 def age_fix_error(w, z, since):
-    """Compute phi and the variance that the fix error gains since the last fix, from the number of nominal steps."""
+    """Compute the factor phi of the fix error since the last fix, and its gain in variance, from the nominal steps."""
     var_x, var_y = z[FIX_VAR_X], z[FIX_VAR_Y]
     for l in range(LANES):
         phi = math.exp(-since * w[R.FIX_ERROR_RATE, l])

@@ -185,7 +185,10 @@ def _measure_fix(w, z, lever, *, n):
 
 @kernel
 def _turn_lever(w, lever_x, lever_y):
-    """Compute R(theta) lever, k J R(theta) lever, and e, for the mean heading and its variance."""
+    """Compute R(theta) lever, its derivative by theta times k, and e.
+
+    k and e are those of planar5, for the mean heading and the variance of the heading.
+    """
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         east, north = cos_t * lever_x - sin_t * lever_y, sin_t * lever_x + cos_t * lever_y

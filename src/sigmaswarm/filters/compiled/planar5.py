@@ -5,8 +5,8 @@ rate, with g the acceleration in the local frame. Sigma points may use any squar
 state. With this root, only the first column (and its mirror image) changes theta, by d = gamma sigma_theta with gamma^2
 = n + lambda = alpha^2 (n + kappa). All other sigma points have the center's g0 = g(theta). With J a turn by 90 degrees,
 
-    g(theta +- d) = g0 cos d +- J g0 sin d,       w = 1 / (2 gamma^2) the weight of one sigma point,
-    e         = 2 w (cos d - 1) = -(2 / gamma^2) sin^2(d/2)          (without a difference of large numbers)
+    g(theta +- d) = g0 cos d +- J g0 sin d
+    e         = (cos d - 1) / gamma^2 = -(2 / gamma^2) sin^2(d/2)    (second form: without cancellation)
     k         = sin d / d
     mean of g = (1 + e) g0
     Cov(s, g) = k P[:, theta] (J g0)^T

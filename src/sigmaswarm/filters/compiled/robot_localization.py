@@ -45,7 +45,7 @@ def _wrap(angle):
 
 @kernel
 def _predict(w, d, q):
-    """Predict x += cos A - sin B, y += sin A + cos B, with A = vx d + ax d2/2, B = vy d + ay d2/2; P = J P J' + q Q."""
+    """Predict x += cos A - sin B, y += sin A + cos B, A = vx d + ax d^2/2, B = vy d + ay d^2/2; P = F P F^T + q Q."""
     h = 0.5 * d
     for l in range(LANES):
         s, c = sincos(w[R.T, l])
@@ -87,7 +87,7 @@ RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
 
 
 def _correct(w, l, off, r, use, *, state):
-    """Update with one state: x += K nu; P' = P - p p' / S, and the column of this state is p R / S.
+    """Update with one state: x += K nu, P -= p p^T / S, with p the state's column of P, which becomes p R / S.
 
     ``off``: nu; ``r``: R; ``use``: 0 if the measurement is rejected, else 1.
     """
@@ -132,7 +132,7 @@ _update_vx, _update_vy, _update_yaw = _updated(R.U, R.R_ODOMETER), _updated(R.V,
 
 @kernel
 def _measure_fix(w, x, y, var_x, var_y, forward, left):
-    """Compute nu, H P H' and R of a fix; the antenna is ``forward`` and ``left`` of the IMU, m."""
+    """Compute nu, H P H^T and R of a fix; the antenna is ``forward`` and ``left`` of the IMU, m."""
     for l in range(LANES):
         s, c = sincos(w[R.T, l])
         w[R.N1, l] = x - (c * forward - s * left) - w[R.X, l]

@@ -48,6 +48,6 @@ def _in_python(lanes):
 new_rows = _in_python if config.DISABLE_JIT else _on_the_stack
 """Make an uninitialized array of rows, with argument ``(lanes)``, on the calling kernel's stack.
 
-The type of the array has ``lanes`` columns, its memory has LANES: lane LANES + k of row r is lane k of row N_ROWS + r.
+The array has ``lanes`` columns by its type, but LANES columns in memory: w[r, LANES + k] is stored at w[N_ROWS + r, k].
 Without compilation the array always has LANES columns.
 """

@@ -333,7 +333,7 @@ def run_lanes(
     record: Array,
     innovations: Array,
 ) -> None:
-    """Run up to `most_lanes` filters over steps of one time line, from the end of the last call.
+    """Run up to `most_lanes` filters over steps of one time line, from the place where the last call stopped.
 
     Results do not depend on the pieces of a run if each piece except the last stops after a step with the flag IMU.
 

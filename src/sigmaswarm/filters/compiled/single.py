@@ -58,7 +58,7 @@ class SingleStep:
     """A model's step in this process; a copy in another process looks up its own address.
 
     ``address`` is the argument of `take_step`; without compilation it is a function. ``made_by`` contains the function
-    that creates this object, and its arguments.
+    that creates this object, and the arguments of this function.
     """
 
     address: Any

@@ -97,7 +97,7 @@ _PREDICTIONS = {
 
 @cache
 def step_of(name, *, noted=False):
-    """Return the step of LANES filters of a kernel, for inlining.
+    """Return the step of a kernel, for LANES filters, as a function to be inlined.
 
     ``noted``: the step also writes the inputs of a smoother to scratch rows; see `step_log`.
     """

@@ -1,7 +1,7 @@
 """A step of a filter bank: LANES filters of one model at once, and the evidence of each filter.
 
-This step replaces the `single_step` of a live filter, which is the first lane of the bank. All lanes are stored behind
-its state (`live.BEHIND`), so that a late fix also returns them to an earlier state:
+This step replaces the `single_step` of a live filter. The live filter is the first lane of the bank. All lanes are
+stored behind the state of the live filter (`live.BEHIND`), so that a late fix also returns them to an earlier state:
 
     NUMBERS   a few numbers, then for each lane: evidence, log-prior penalty, weight
     ROWS      (N_KEPT, LANES) the lanes, as in `layout`; the checkpoints of a live filter end here

@@ -5,7 +5,7 @@ east, north and up. This error is 0 except between a measurement and `fold`, whi
 All other rows are those of planar8; K and L are the biases of gx and gy.
 
 A changes seven rows (see transition.py), so P' = A P A^T is computed in two parts: first A P, with these seven rows in
-scratch rows, then (A P) A^T. The columns of A, B, W, K and L are computed last.
+scratch rows, then (A P) A^T. The columns of the biases are computed last.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -44,7 +44,7 @@ ROWS = (R.X, R.Y), (R.U, R.V), (R.T, R.I, R.J)  # of (A P) A'
 
 
 def fp(i, j):
-    """Return the row of (A P)[i, j] for i in MOVED: a scratch row, or that of P if A does not change column j."""
+    """Return the row of (A P)[i, j] for i in MOVED: a scratch row, or that of P[i, j] if A does not change column j."""
     return at(i, j) if j not in MOVED else FP + len(MOVED) * MOVED.index(i) + MOVED.index(j)
 
 
@@ -84,7 +84,7 @@ def _half_turn(w, u):
 
 @kernel
 def _move(w, u):
-    """Propagate the mean, and compute D and a for the covariance."""
+    """Propagate the mean; compute the coefficients of the transition of the error for the covariance."""
     dt, ax, ay, az = u[DT], u[AX], u[AY], u[AZ]
     h = 0.5 * dt
     for l in range(LANES):
@@ -116,7 +116,7 @@ def _move(w, u):
 
 
 def propagate(w, u, *, columns, coefficients, transition):
-    """Compute A P A^T; ``columns``: `COLUMNS`, then those of states outside of the process. See transition.py."""
+    """Compute A P A^T. ``columns``: `COLUMNS`, then the columns of states outside of the process."""
     dt = u[DT]
     for group in columns:
         for l in range(LANES):
@@ -151,7 +151,7 @@ def propagate(w, u, *, columns, coefficients, transition):
 
 
 def predict_tilted12(w, u, *, propagate, linearize, add_curvature):
-    """Compute a step of the process model; ``linearize`` and ``add_curvature`` are of the unscented filter."""
+    """Compute a step of the process model; ``linearize`` and ``add_curvature``: for the unscented filter."""
     _half_turn(w, u)
     _move(w, u)
     if linearize:

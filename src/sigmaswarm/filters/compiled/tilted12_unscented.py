@@ -6,8 +6,8 @@ columns change only states that enter linearly while the first states are fixed:
 accelerometer's biases. Only the first columns need points:
 
 - In a step: the gyro's biases and the attitude. The columns of the attitude follow those of the biases and do not
-  change the biases. Their points rotate like the center, so their error does not change, and their acceleration is the
-  center's, rotated in closed form.
+  change the biases. The points of the attitude rotate like the center, so the error of a point does not change, and its
+  acceleration is that of the center, rotated in closed form.
 - In a fix: the attitude, which rotates the lever arm, also in closed form.
 - In the lateral constraint and the odometer: the attitude, which rotates the velocity.
 
@@ -140,7 +140,7 @@ def _turn_of(w, l, j):
 
 
 def _product(scalar, vector, w, l):
-    """Return the quaternion of the point in rows POINT times another one, as scalar and vector."""
+    """Return the product of the quaternion in rows POINT and another quaternion, as scalar and vector."""
     p0, p1, p2, p3 = w[R.POINT_W, l], w[R.POINT_X, l], w[R.POINT_Y, l], w[R.POINT_Z, l]
     a0, (a1, a2, a3) = scalar, vector
     return p0 * a0 - p1 * a1 - p2 * a2 - p3 * a3, (

@@ -42,7 +42,7 @@ def planar8(f, dt, e):
 
 
 def tilted12(f, dt, e):
-    """``r_east``, ``r_north`` and ``r_up`` are a small rotation, which is stored as roll, pitch and heading."""
+    """Return A e; ``r_east``, ``r_north`` and ``r_up`` are a small rotation, stored as roll, pitch and heading."""
     a_east, a_north, d11, d12, d13, d21, d22, d23, d31, d32, d33 = f
     x, y, vx, vy, r_up, ax, ay, wz, r_east, r_north, wx, wy = e
     h, g = 0.5 * dt, GRAVITY * dt
@@ -55,7 +55,7 @@ def tilted12(f, dt, e):
 
 
 def tilted12_unscented(f, dt, e):
-    """The slopes are H of tilted12_unscented.py: of the velocity over STEP_FIRST, of the rotation over the rates."""
+    """Return A e with the slopes H of tilted12_unscented.py: vx and vy by STEP_FIRST, rotation by biases of rates."""
     (
         d11, d12, d21, d22,
         vx_wz, vx_wx, vx_wy, vx_up, vx_east, vx_north, vy_wz, vy_wx, vy_wy, vy_up, vy_east, vy_north,

@@ -75,7 +75,7 @@ def measure_along_planar(w, u, wheels, *, n, bias, lateral):
     To the left: 0 = left - arm (yaw rate - w), with `models.lateral_arm`. Forward: speed / scale = forward - delay
     (ax - b), with the wheels' speed. R(theta)^T v has the closed form of planar8.py, rotated back into the body frame,
     with t = R^T P[v, theta] and mu = (e R^T v - k J t)_along. The forward velocity is computed as the left velocity of
-    a body that is rotated by 90 degrees, whose forward velocity is ``away``.
+    a body that is rotated by 90 degrees; ``away`` is the forward velocity of the rotated body.
     """
     if lateral:
         shown = u[GZ]
@@ -164,7 +164,7 @@ def measure_heading_planar(w, *, n):
 
 
 def update_heading(w, u, z, *, tilted, measure_heading):
-    """Update with the heading ``latency`` ago; increase the variance of an outlier.
+    """Update with the heading at the time ``latency`` ago; increase the variance of an outlier.
 
     See `schedule.HEADING_GATE`.
     """

@@ -116,7 +116,7 @@ def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, 
             continue
         names = [name for _, name in spans]
         whole[names[0]] = pl.concat([renamed[name] for name in names], how="vertical_relaxed")
-        reason = f"{list_names(names)} are joined, since their times continue each other"
+        reason = f"{list_names(names)} are joined, since the times of each continue those of the one before"
         remarks[:] = [r for r in remarks if not any(r.startswith(f"{n}: has no header") for n in names)] + [
             reason
         ]
