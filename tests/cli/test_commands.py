@@ -290,7 +290,8 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
         f"On {careful} of 2 drives the filter is underconfident: the sigmas of its predictions are "
         in ended.out
     )
-    assert ended.out.endswith("next: sigmaswarm report e\n")
+    export = f"then: sigmaswarm export {tuned} --to c99 --out filter-c --check {drives}\n"
+    assert ended.out.endswith(f"next: sigmaswarm report e\n{export}")
     frame = pl.read_csv("e/scores.csv")
     assert frame.filter(drive="urban-clear-01", method="tuned")["position_rmse_m"][0] == pytest.approx(
         said["drives"]["urban-clear-01"]["tuned"]["position_rmse_m"]
@@ -569,7 +570,12 @@ def test_what_is_next_for_one_log_can_be_pasted(sigmaswarm, drives: Path, here: 
     train, test = (shlex.split(part)[0] for part in parts)
     told = sigmaswarm("tune", train, "--out", "t", *QUICK).out
     (command,) = re.findall(r"next:     sigmaswarm (evaluate .*)", told)
-    assert shlex.split(command) == ["evaluate", "t", test]
+    assert shlex.split(command) == ["evaluate", "t", test, "--out", "evaluation"]
+    told = sigmaswarm(*shlex.split(command)).out
+    report, export = re.findall(r"^(?:next|then): sigmaswarm (.*)", told, re.MULTILINE)
+    assert report == "report evaluation"
+    assert export == f"export t --to c99 --out filter-c --check {shlex.quote(test)}"
+    assert sigmaswarm(*shlex.split(export)).code == 0
     assert (Path(test) / "imu.csv").exists()
 
 

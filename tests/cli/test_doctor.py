@@ -59,7 +59,7 @@ def test_a_held_out_part_is_evaluated_and_never_tuned_on(sigmaswarm, good, here:
     write_drive(good, here / "log")
     assert sigmaswarm("split", "log", "--out", "parts", "--train-fraction", "0.5").code == 0
     held = sigmaswarm("doctor", "parts/urban-clear-00-test").out
-    assert "\nthen: sigmaswarm evaluate TUNING parts/urban-clear-00-test\n" in held
+    assert "\nthen: sigmaswarm evaluate TUNING parts/urban-clear-00-test --out evaluation\n" in held
     assert "sigmaswarm tune" not in held and "Tune uses" not in held and "split" not in held
     other = sigmaswarm("doctor", "parts/urban-clear-00-train").out
     assert "\nthen: sigmaswarm tune parts/urban-clear-00-train --out tuned\n" in other

@@ -1,7 +1,7 @@
 """`sigmaswarm evaluate`."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import inf
@@ -28,6 +28,7 @@ from sigmaswarm.errors import InputError, SigmaswarmWarning
 if TYPE_CHECKING:
     from sigmaswarm import Evaluation
     from sigmaswarm.api import TunedFilter
+    from sigmaswarm.exports.names import Target
     from sigmaswarm.learned.folder import LearnedNetwork
 
 
@@ -130,15 +131,34 @@ def evaluate(
     if written:
         names = ", ".join(path.name for path in written) if options.verbose else f"{len(written)} files"
         say(f"wrote {names} to {out}")
-    page = (
-        f"sigmaswarm report {out}"
-        if out
-        else "repeat this command with --out evaluation to get figures and a page"
-    )
     if remedies:
         command, mended = remedies[0]
-        page = f"{command}    (then {'use the repaired copy' if mended else 'correct the log'})"
-    say(f"next: {page}")
+        say(f"next: {command}    (then {'use the repaired copy' if mended else 'correct the log'})")
+    elif out:
+        usable = not (learned or record.unusable)
+        say(f"next: sigmaswarm report {quote(str(out))}", *(_export(tuning, tuned, drives) if usable else []))
+    else:
+        say("next: repeat this command with --out evaluation to get figures and a page")
+
+
+def _export(tuning: Path, tuned: "TunedFilter", drives: Sequence[str]) -> Iterator[str]:
+    """Suggest the export of a filter to the first target that supports it, with a check on the first local drive."""
+    from sigmaswarm.drives.urls import is_url
+    from sigmaswarm.exports.check import find_compiler
+    from sigmaswarm.exports.targets import export_texts
+
+    settings = tuned.settings("as_recorded", "mounting", "imu_axes")
+    folders: dict[Target, str] = {"c99": "filter-c", "robot_localization": "filter-ros"}
+    for target, folder in folders.items():
+        try:
+            export_texts(tuned.parameters, target, **settings)
+        except InputError:
+            continue
+        local = [quote(place) for place in drives if not is_url(place)][:1]
+        checkable = local and (target != "c99" or find_compiler())
+        check = f" --check {local[0]}" if checkable else ""
+        yield f"then: sigmaswarm export {quote(str(tuning))} --to {target} --out {folder}{check}"
+        return
 
 
 def _evaluated(

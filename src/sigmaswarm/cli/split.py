@@ -32,7 +32,7 @@ def split(
 
         sigmaswarm split drives/monday --out parts
         sigmaswarm tune parts/monday-train --out tuned
-        sigmaswarm evaluate tuned parts/monday-test
+        sigmaswarm evaluate tuned parts/monday-test --out evaluation
 
     Parameters
     ----------
@@ -122,4 +122,7 @@ def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path, *, own: bool) ->
             f"next: sigmaswarm doctor {train} {test} --fix mended",
             f"then: sigmaswarm tune {mended} --out {tuned}",
         ]
-    return [f"next: sigmaswarm tune {train} --out {tuned}", f"then: sigmaswarm evaluate {tuned} {test}"]
+    return [
+        f"next: sigmaswarm tune {train} --out {tuned}",
+        f"then: sigmaswarm evaluate {tuned} {test} --out {free_path('evaluation')}",
+    ]

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from sigmaswarm.datasets.dataset import Dataset
     from sigmaswarm.scoring.tracks import FirstTrack
 
+INTO_EVALUATION = " --out evaluation"
 SHORT_HELP = ("objective", "model", "use", "particles", "generations", "trials", "seed")
 
 
@@ -162,7 +163,7 @@ def _tune(
     (part,) = read.subset([0]).map(_is_part)
     out, alone = asked["out"], len(read) == 1 and not len(held_back)
     lines = _next(out, first, everywhere[0].name, part=part) if alone else [_evaluate(out)]
-    lines += _compare(lines[0], out, [one["sha256"] for one in tuning.data])
+    lines += _compare(lines[0].removesuffix(INTO_EVALUATION), out, [one["sha256"] for one in tuning.data])
     return tuning, track, [f"model:    {chosen}"] if chosen else [], lines
 
 
@@ -241,13 +242,13 @@ def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
             sibling = out.parent / file.parent.name  # as the user writes it, unless OUT is "." or a link
             there = sibling.exists() and sibling.samefile(file.parent)
             other = quote(str(sibling if there else relpath(file.parent)))
-            return [f"compare:  {evaluate.removeprefix('next:     ')} --against {other}"]
+            return [f"compare:  {evaluate.removeprefix('next:     ')} --out comparison --against {other}"]
     return []
 
 
 def _evaluate(out: Path, drive: Path | None = None) -> str:
     on = quote(str(drive)) if drive else "HELD_OUT_DRIVE..."
-    return f"next:     sigmaswarm evaluate {quote(str(out))} {on}"
+    return f"next:     sigmaswarm evaluate {quote(str(out))} {on}{INTO_EVALUATION}"
 
 
 def _next(out: Path, given: str, name: str, *, part: bool) -> list[str]:

@@ -95,8 +95,12 @@ def _of_library(drive: Drive, parameters: FilterParameters, lanes: Lanes, *, as_
     return join_chunks(run).mean
 
 
+def find_compiler() -> str | None:
+    return os.environ.get("CC") or next(filter(shutil.which, COMPILERS), None)
+
+
 def _shared_object(folder: Path, name: str, *flags: str) -> Path:
-    compiler = os.environ.get("CC") or next(filter(shutil.which, COMPILERS), None)
+    compiler = find_compiler()
     if compiler is None:
         raise InputError(
             f"no C compiler was found ({', '.join(COMPILERS)}); install a compiler, or set the environment variable CC"

@@ -38,7 +38,8 @@ RECHECK_RATIO = 1.2
 With `FIRST_PLACEMENTS` placements the ratio is accurate to 10%.
 """
 CHECKED_TIME = 600.0  # s in the middle of a drive that are checked for drift
-REMEDY = "DO NOT USE THIS FILTER; check the drive with `sigmaswarm doctor`, or tune with more trials or on more drives"
+DO_NOT_USE = "DO NOT USE THIS FILTER"
+REMEDY = f"{DO_NOT_USE}; check the drive with `sigmaswarm doctor`, or tune with more trials or on more drives"
 MAX_CORRELATION = 0.3
 """Lag-1 autocorrelation of innovations above which a warning is given.
 

@@ -17,7 +17,7 @@ from sigmaswarm.filters.robot_yaml import YAML
 from sigmaswarm.limits import require_text
 from sigmaswarm.records import load_record
 from sigmaswarm.tuning.bounds import TouchedBound
-from sigmaswarm.tuning.diagnostics import DriftComparison
+from sigmaswarm.tuning.diagnostics import DO_NOT_USE, DriftComparison
 from sigmaswarm.tuning.search import Trial
 
 End = float | Literal["-"]
@@ -102,6 +102,11 @@ class TuningRecord(BaseModel):
     def imu_axes(self) -> dict[str, str]:
         """Expressions of the IMU's axes with which all training drives were imported; empty if unknown."""
         return common_axes(drive.imu_axes for drive in self.data)
+
+    @property
+    def unusable(self) -> list[str]:
+        """Warnings of the tuning that its filter should not be used."""
+        return [one for one in (self.result.warnings if self.result else ()) if DO_NOT_USE in one]
 
     @property
     def mountings_differ(self) -> bool:
