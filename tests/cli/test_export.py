@@ -13,6 +13,8 @@ import pytest
 import tomli_w
 
 from cli.conftest import Command
+from sigmaswarm.tuning.diagnostics import REMEDY
+from sigmaswarm.wording import to_do
 
 ROOT = Path(__file__).parents[2]
 
@@ -68,6 +70,22 @@ def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: 
     Path("ekf.yaml").write_text("frequency: 30.0")
     ended = sigmaswarm("evaluate", "t", drive, "--against", "ekf.yaml")
     assert (ended.code, ended.err.count("\n")) == (2, 1) and "ekf.yaml: has neither" in ended.err
+
+
+def test_the_warning_not_to_use_a_filter_is_repeated(
+    sigmaswarm: Command, tuned: Path, drives: Path, here: Path
+):
+    drive = drives / "urban-clear-00"
+    text = tuned.read_text()
+    for remedy, repeated in ((REMEDY, True), ("tune with more trials", False)):
+        warned = {"cost": 1.0, "objective": "innovation-t", "warnings": [to_do(remedy, "it diverges")]}
+        Path("bad.toml").write_text(text + tomli_w.dumps({"result": warned}))
+        ended = sigmaswarm("export", "bad.toml", "--to", "filterpy", "--out", "py")
+        assert ended.code == 0 and Path("py/run_filter.py").exists()
+        assert ("bad.toml: DO NOT USE THIS FILTER; " in ended.err) is repeated
+        assert "it diverges" in ended.err or not repeated
+        evaluated = sigmaswarm("evaluate", "bad.toml", drive, "--out", "e").out
+        assert ("sigmaswarm export" not in evaluated) is repeated
 
 
 @pytest.mark.long

@@ -1,6 +1,7 @@
 """`sigmaswarm export`."""
 
 import math
+import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from shlex import quote
@@ -12,6 +13,7 @@ import sigmaswarm
 from sigmaswarm.cli.common import print_json, read_drives, read_silently, require_tuning, say
 from sigmaswarm.cli.options import FIELDS, Json
 from sigmaswarm.exports.names import AnyTarget, next_command
+from sigmaswarm.wording import TO_DO
 
 if TYPE_CHECKING:
     from sigmaswarm.exports.check import ExportCheck
@@ -80,7 +82,7 @@ def export(
     following = f"sigmaswarm export tuned --to {to} --out {quote(str(out))}"
     require_tuning(tuning, f"tune first: sigmaswarm tune {quote(str(tuning))} --out tuned, then {following}")
     tuned = tuned_filter(tuning)
-    parameters, mounting = tuned.parameters, tuned.mounting
+    record, parameters, mounting = TuningRecord.read(tuning), tuned.parameters, tuned.mounting
     ros = to != "c99" and MODELS[parameters.model].measures_imu
     if options.check and to != "c99" and not ros:
         raise sigmaswarm.InputError(
@@ -101,6 +103,8 @@ def export(
     checked: list[ExportCheck] = []
     if drives and not ros:
         checked = check_export(out, parameters, drives, **settings)
+    for warning in record.unusable:
+        warnings.warn(f"{tuning}: {warning.removeprefix(TO_DO)}", sigmaswarm.SigmaswarmWarning, stacklevel=1)
     if options.json:
         found = {"checked": [asdict(each) for each in checked]} if checked else {}
         print_json({"written": [str(path) for path in written], **found})
@@ -112,7 +116,7 @@ def export(
             "ins_gps_turn_imu() rotates samples from the imported axes by the mounting of the training drives "
             f"({angles} deg)"
         )
-    if to != "filterpy" and TuningRecord.read(tuning).mountings_differ:
+    if to != "filterpy" and record.mountings_differ:
         say(
             "note: the training drives state different mountings, so the export contains no rotation; rotate raw "
             "samples to x forward, y left, z up before the filter, or tune on drives with one mounting"
