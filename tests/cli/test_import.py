@@ -533,10 +533,41 @@ def test_a_log_in_place_of_a_drive_is_answered_with_the_import_to_type(
     write_ros(here / "monday", messages(simulated()), "mcap")
     for log in ("log", "log.mcap", "monday"):
         said = sigmaswarm(*command.format(log, filter=tuned).split())
-        (typed,) = re.findall(r"to make one from a log: sigmaswarm (import .*)$", said.err, re.MULTILINE)
+        (typed,) = re.findall(
+            r"to make one from a log: sigmaswarm (import .*?)(?:;|$)", said.err, re.MULTILINE
+        )
         assert said.code == 2
         assert sigmaswarm(*shlex.split(typed), "--overwrite").code == 0
         assert len(library.read_drive(shlex.split(typed)[-1]).gps) > 10
+
+
+def test_a_file_in_place_of_a_drive_is_answered_with_its_folder(sigmaswarm: Command, here: Path):
+    """A file of a drive or of a log of several files; a table with both sensors is a log alone."""
+    drive = library.simulate("urban", run=3, duration=40.0, imu_rate=50.0, gps="white-1m")
+    library.write_drive(drive, "drive")
+    assert "; name the drive drive\n" in sigmaswarm("doctor", "drive/imu.csv").err
+    phone = {"time": drive.imu.time, **{i: getattr(drive.imu, f"a{i}") for i in "xy"}}
+    place = {
+        "time": drive.gps.time,
+        "lat": drive.gps.y,
+        "lon": drive.gps.x,
+        "horizontalAccuracy": drive.gps.x,
+    }
+    both = {"t": drive.imu.time, "ax": drive.imu.ax, "ay": drive.imu.ay, "x": drive.imu.ax, "y": drive.imu.ay}
+    Path("raw").mkdir()
+    for name, columns in (("imu", phone), ("Location", place), ("monday", both)):
+        pl.DataFrame(columns).write_csv(f"raw/{name}.csv")
+    for file, log in (
+        ("imu.csv", "raw"),
+        ("Location.csv", "raw"),
+        ("monday.csv", "raw/monday.csv"),
+    ):
+        said = sigmaswarm("tune", f"raw/{file}", "--out", "t").err
+        assert f"sigmaswarm import {log} --out drives/{Path(log).stem}\n" in said
+    said = sigmaswarm("tune", "raw", "--out", "t").err
+    assert said.index("sigmaswarm import raw") < said.index(
+        "if its tables have the columns of a drive, write"
+    )
 
 
 def test_what_the_diagnosis_of_an_import_states_is_printed_once(sigmaswarm: Command, here: Path):

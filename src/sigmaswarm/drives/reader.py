@@ -94,7 +94,8 @@ def read_with_warnings(location: Location) -> tuple[Drive, list[SigmaswarmWarnin
     if not is_url(location):
         folder, about = Path(location), Path(location) / "drive.toml"
         if folder.is_dir() and not (about.exists() or _drives_in(folder)) and any(folder.iterdir()):
-            raise DriveError(f"{about} is missing; {WRITE_IT}; {importing(folder)}")
+            own = f"if its tables have the columns of a drive, {WRITE_IT}"
+            raise DriveError(f"{about} is missing; {importing(folder)}; {own}")
         return _read_folder(folder)
     url = str(location).rstrip("/")
     with local_copy(url) as folder:
@@ -118,7 +119,9 @@ def _drives_in(folder: Path) -> list[str]:
 def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     if not folder.is_dir():
         if folder.is_file():
-            raise DriveError(f"{folder} is a file, not a folder; {A_DRIVE}; {importing(folder)}")
+            place = folder.parent
+            remedy = f"name the drive {place}" if (place / "drive.toml").exists() else importing(folder)
+            raise DriveError(f"{folder} is a file, not a folder; {A_DRIVE}; {remedy}")
         raise DriveError(
             f"{folder} does not exist; name a folder that contains imu.csv, gps.csv and drive.toml"
         )
