@@ -6,6 +6,7 @@ import shlex
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import sigmaswarm as library
@@ -106,6 +107,26 @@ def test_no_tuning_is_proposed_if_no_filter_can_start(sigmaswarm, good, here: Pa
     ended = sigmaswarm("doctor", "parked")
     assert "[no-start]" in ended.out and "tune" not in ended.out.splitlines()[-1]
     assert "\nnext: use a longer or a faster drive (" in ended.out
+
+
+def test_the_remedies_of_start_and_bias_name_neither_doctor_nor_a_chosen_model(sigmaswarm, good, here: Path):
+    scattered = replace(good.gps, x=good.gps.x + 30 * np.cos(7 * np.arange(len(good.gps))))
+    drive = replace(good, gps=scattered, truth=None)
+    write_drive(drive, here / "scattered")
+    found = json.loads(sigmaswarm("doctor", "scattered", "--json").out)["drives"][0]["findings"]
+    (start,) = (one["remedy"] for one in found if one["code"] == "no-start")
+    assert (
+        "sigmaswarm doctor" not in start and "heading_deg = 90" in start and "--heading-from-north" in start
+    )
+    write_drive(replace(drive, metadata={"heading_deg": 0.0}), here / "stated")
+    found = json.loads(sigmaswarm("doctor", "stated", "--json").out)["drives"][0]["findings"]
+    assert "no-start" not in [one["code"] for one in found]  # the remedy works
+    biased = replace(good.imu, gz=good.imu.gz + np.radians(2.0))
+    write_drive(replace(good, imu=biased), here / "biased")
+    found = json.loads(sigmaswarm("doctor", "biased", "--json").out)["drives"][0]["findings"]
+    (bias,) = (one["remedy"] for one in found if one["code"] == "gyro-bias")
+    (use,) = (one["what"] for one in found if one["code"] == "use")
+    assert bias.startswith("no action is needed") and re.search(r"--model \w+", bias)[0] in use
 
 
 def test_exchanged_fixes_beside_a_truth_are_exchanged_by_the_command_that_is_named(

@@ -39,6 +39,11 @@ SLOW_INTERVAL = 1.0  # s, smallest interval between used fixes; errors of closer
 SLOW_STEP = 2.0  # s between trials of windows for slow vehicles
 SLOW_BIAS_STD = np.radians(1.0)  # rad/s, standard deviation of the prior of the gyro's bias for slow vehicles
 
+REPAIR_FINDINGS = "repair what `sigmaswarm doctor` finds"
+STATE_HEADING = (
+    "write the heading at the first IMU sample to drive.toml, for example heading_deg = 90 (degrees counter-clockwise "
+    "from east), or import with --heading-from-north"
+)
 STATED_HEADING_STD = np.radians(5.0)  # rad, smallest assumed standard deviation of a stated heading
 MAX_STATED_STD = np.radians(12.0)  # rad, largest stated standard deviation for a start
 STATED_POSITION_STD = 3.0  # m per axis, at a start with a stated heading
@@ -181,14 +186,13 @@ class Alignments:
                     f"its fixes move {travel} within {time}, but the motion never agrees with the IMU, so the "
                     "heading can't be found; the fixes scatter or jump, or an axis, a unit or the clock of the "
                     "IMU is wrong",
-                    "repair what `sigmaswarm doctor` finds",
+                    f"{REPAIR_FINDINGS}, or {STATE_HEADING}",
                 )
             return StartFailure(
                 f"the vehicle never travels {travel} within {time}, and within {SLOW_DURATIONS[-1]:g} s never far "
                 "enough relative to the noise of the fixes, so the heading can't be found",
                 f"use a longer or a faster drive ({3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for "
-                f"{time}), or write the heading at the first IMU sample to drive.toml, for example heading_deg "
-                "= 90 (degrees counter-clockwise from east)",
+                f"{time}), or {STATE_HEADING}",
             )
         every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
         if every > MAX_DURATION / (ALIGNMENT_FIXES - 1):

@@ -17,6 +17,7 @@ from sigmaswarm.doctor.windows import integral, moving_mean, smoothed
 from sigmaswarm.doctor.yaw_fit import yaw_windows
 from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.sensors import suggest_filter
 
 MIN_GAIN_ERROR = 0.1  # smallest reported difference of a gain from 1
 MIN_TURN = np.radians(1.0)  # rad; smaller changes of course within a few seconds are due to swaying
@@ -89,7 +90,8 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     if abs(bias) > BIAS_LIMITS[0]:
         severity = "warning" if abs(bias) > BIAS_LIMITS[1] else "note"
         what = f"the gyro's bias is about {np.degrees(bias):.2f} deg/s"
-        remedy = "use a filter that estimates the bias: --model planar8"
+        model = suggest_filter([evidence.drive]).model
+        remedy = f"no action is needed, since the filter of tune (--model {model}) estimates the bias"
         yield Finding("gyro-bias", severity, what, where, span, 0.95, remedy)
 
 

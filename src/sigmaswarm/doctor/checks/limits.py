@@ -9,7 +9,7 @@ from sigmaswarm.doctor.checks.velocity import velocity_agrees
 from sigmaswarm.doctor.clock_search import MAX_OFFSET
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding
-from sigmaswarm.drives.alignment import StartFailure, find_start
+from sigmaswarm.drives.alignment import REPAIR_FINDINGS, StartFailure, find_start
 from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, stated_spread, suggest_filter
 from sigmaswarm.drives.split import part_of
 from sigmaswarm.wording import count_of
@@ -25,7 +25,8 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
     span = evidence.span
     start = find_start(evidence.drive)
     if isinstance(start, StartFailure):
-        yield Finding("no-start", "warning", start.what, "gps.csv", span, 0.99, start.remedy)
+        remedy = start.remedy.replace(REPAIR_FINDINGS, "repair the faults of the other findings")
+        yield Finding("no-start", "warning", start.what, "gps.csv", span, 0.99, remedy)
     if not evidence.drives:
         what = "the fixes show no motion, so heading, axes, units and clocks can't be checked"
         remedy = "use a longer or faster drive"
