@@ -83,7 +83,7 @@ def test_cuts(tmp_path: Path, serve: Any, tab: Any):
     assert not checked.exists()
     page.get_by_label("from, s").fill("20")
     page.get_by_label("to, s").fill("25")
-    page.get_by_role("button", name="Leave this part out").click()
+    page.get_by_role("button", name="Remove this part").click()
     page.get_by_text("wrote drives/monday-before and monday-after").wait_for()
     first, last = (sigmaswarm.read_drive(f"{original}-{part}").imu.time for part in ("before", "after"))
     assert first[-1] < 20.0

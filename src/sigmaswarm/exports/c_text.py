@@ -66,7 +66,7 @@ def wrapped(lines: list[str]) -> list[str]:
 
 
 def in_c(comment: str) -> str:
-    """Return a comment without Python's markup and constants."""
+    """Return a comment without backquotes, with true and false in lower case."""
     return re.sub(r"\b(True|False)\b", lambda match: match[0].lower(), comment.replace("`", ""))
 
 

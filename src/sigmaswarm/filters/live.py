@@ -425,7 +425,7 @@ def live_state(time: float, mean: Array, covariance: Array, lost: bool, sound: b
 
 
 _ALIGNING = (1, 2, 3, 5, 6)
-"""Indices of ax, ay, gz, gx, gy in a stored sample, after its time: see `AXES`."""
+"""Indices of ax, ay, gz, gx, gy in a stored sample, whose index 0 is the time: see `AXES`."""
 
 
 def _known_heading(theta: float, std: float) -> tuple[float, float]:

@@ -84,7 +84,8 @@ def _from_axes(text: str, parts: list[str]) -> Array:
     matrix = np.array([rows[axis] for axis in _AXES])
     if round(float(np.linalg.det(matrix))) != 1:
         raise InputError(
-            f"mount {text!r} is a mirror image or uses an axis twice; check the signs by the right-hand rule"
+            f"mount {text!r} is a mirror image or uses an axis twice; use each axis once, with signs by the "
+            "right-hand rule"
         )
     return matrix
 

@@ -161,7 +161,7 @@ def convergence_chart(
 
 
 def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool) -> None:
-    """Draw median and middle 80% of the trials, and the generation from which the median stays within 1%."""
+    """Draw median and middle 80% of the trials, and the generation from which the median is within 1% of its end."""
     key = f"{course.protocol}-{course.method}"
     color = STUDY_STYLES[key].color if key in STUDY_STYLES else GREEN
     whole, settles = course.group == ALL, course.stable
@@ -174,7 +174,7 @@ def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool
     name = "median" if alone else results.label(course.method) if whole else course.group
     curve(ax, x, middle, Look(color, 2.0), name)
     diamond = Look(color, 1.2, NO_LINE, "D", 6.75).line
-    label = f"within 1% from generation {settles} onward (paper: {theirs})" if alone else ""
+    label = f"within 1% of its end from generation {settles} (paper: {theirs})" if alone else ""
     hover = hover_id(f"within 1% of its last value from generation {settles} onward")
     ax.plot(settles, middle[settles - 1], **diamond, gid=hover, label=label)
 

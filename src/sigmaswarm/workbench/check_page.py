@@ -218,7 +218,7 @@ class CheckPage(Page):
                             "Keep only this part", lambda: self.add({"keep": span()}), "content_cut"
                         )
                         leave = button(
-                            "Leave this part out: two drives", lambda: self.leave_out(*span()), "call_split"
+                            "Remove this part (two drives)", lambda: self.leave_out(*span()), "call_split"
                         )
                         for way in (keep, leave):
                             way.set_enabled(not self.waiting)

@@ -201,7 +201,8 @@ def _keep_digits(w, *, n, tilted, unscented, fix_error):
     """Recompute the position's variances and covariances from P+ H^T = C S^-1 R, without differences of large numbers.
 
     P - C S^-1 C^T loses all digits of a variance that a fix reduces by a factor of a billion. H is 1 at the position
-    and at the correlated fix error, -latency at the velocity and k J R(theta) lever at the heading. R is S - H P H^T.
+    and at the correlated fix error, -latency at the velocity and k J R(theta) lever at the heading (k, J: see
+    `planar8`). R is S - H P H^T.
     """
     for l in range(LANES):
         used = w[R.G11, l] != 0.0

@@ -82,7 +82,7 @@ def _pose(folder: Path) -> pl.DataFrame:
     """Return position in degrees, velocity and heading of the camera; an invalid position affects only its own row."""
     time = _load(folder / "frame_times", 1)
     if not len(time):
-        raise InputError(f"{folder / 'frame_times'}: has shape (0,), not (1,); unpack the segment again")
+        raise InputError(f"{folder / 'frame_times'}: is empty; unpack the segment again")
     widths = {"positions": 3, "velocities": 3, "orientations": 4}
     ecef, velocity, quaternion = (_load(folder / f"frame_{n}", k, len(time)) for n, k in widths.items())
     lat, lon, alt = pymap3d.ecef2geodetic(*ecef.T)
