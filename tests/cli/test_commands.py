@@ -579,6 +579,21 @@ def test_what_is_next_for_one_log_can_be_pasted(sigmaswarm, drives: Path, here: 
     assert (Path(test) / "imu.csv").exists()
 
 
+def test_readme_states_that_raw_gps_and_the_imu_alone_need_truth(
+    sigmaswarm, tuned: Path, drives: Path, here: Path
+):
+    drive = read_drive(min(drives.iterdir()))
+    write_drive(replace(drive, truth=None), here / "plain")
+    with_truth, without = (
+        sigmaswarm("evaluate", tuned, place).out for place in (min(drives.iterdir()), "plain")
+    )
+    for method in ("raw GPS", "IMU only"):
+        assert method in with_truth and method not in without
+    assert (
+        "and, with truth, raw GPS and the IMU alone." in (Path(__file__).parents[2] / "README.md").read_text()
+    )
+
+
 def test_a_drive_without_stated_accuracy_can_not_use_it(sigmaswarm, here: Path):
     write_drive(make_drive(duration=20.0), here / "plain")
     ended = sigmaswarm("tune", "plain", "--out", "t", "--use", "accuracy")
