@@ -129,6 +129,18 @@ def test_the_remedies_of_start_and_bias_name_neither_doctor_nor_a_chosen_model(s
     assert bias.startswith("no action is needed") and re.search(r"--model \w+", bias)[0] in use
 
 
+def test_unused_fixes_are_named_by_tune_once_and_not_by_later_commands(
+    sigmaswarm, good, tuned: Path, here: Path
+):
+    write_drive(replace(good, imu=good.imu.select(good.imu.time < 25.0), truth=None), here / "early")
+    for command in ("run {} early --out e.csv", "export {} --to c99 --out c --replay early"):
+        said = sigmaswarm(*command.format(tuned).split())
+        assert (said.code, said.err) == (0, "")
+    with pytest.warns(SigmaswarmWarning) as caught:
+        read_datasets(["early"], ["early"], gaps=True)
+    assert ["lie outside of the IMU" in str(warning.message) for warning in caught] == [True]
+
+
 def test_exchanged_fixes_beside_a_truth_are_exchanged_by_the_command_that_is_named(
     sigmaswarm, good, here: Path
 ):

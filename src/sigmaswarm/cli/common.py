@@ -23,7 +23,7 @@ MAX_REMARKS = 3  # remarks on an evaluation or a tuning that the terminal shows 
 
 
 def read_silently(place: "Location") -> "Drive":
-    """Read a drive without warnings about gaps, which were printed by an earlier command."""
+    """Read a drive without warnings about gaps and unused samples, which were printed by an earlier command."""
     from sigmaswarm.drives.reader import read_with_warnings
 
     drive, warned = read_with_warnings(place)
@@ -32,8 +32,8 @@ def read_silently(place: "Location") -> "Drive":
 
 
 def _warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> None:
-    for warning in warned:
-        if gaps or not getattr(warning, "code", "").endswith("-gap"):
+    for warning in {str(warning): warning for warning in warned}.values():
+        if gaps or not getattr(warning, "code", "").endswith(("-gap", "-outside")):
             warnings.warn(warning, stacklevel=3)
 
 
@@ -94,7 +94,7 @@ def read_datasets(
     """Read groups of drives in this process or on the workers of a cluster.
 
     With ``remedies`` the doctor checks the drives; the remedies of serious faults are added to the list.
-    ``gaps`` selects whether warnings about gaps are printed.
+    ``gaps`` selects whether warnings about gaps and unused samples are printed.
     """
     from sigmaswarm.cli.findings import warn_of_serious
     from sigmaswarm.cli.terminal import progress_bar
