@@ -1,7 +1,6 @@
 """Name the files of drives in the remarks on a tuning."""
 
-from collections.abc import Iterable, Iterator, Sequence
-from glob import escape
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,7 @@ _DESCRIPTION = "drive.toml"
 
 def name_files(remark: str, folders: Sequence[Path]) -> str:
     """Replace drive.toml in a remark by its path; a line for a part of a drive belongs into that of the whole drive."""
+    from sigmaswarm.cli.whole_drive import find_whole
     from sigmaswarm.tuning.receiver import AT_THE_TOP, TUNE_AGAIN
 
     if not folders or _DESCRIPTION not in remark:
@@ -25,7 +25,7 @@ def name_files(remark: str, folders: Sequence[Path]) -> str:
     if AT_THE_TOP not in remark or cut is None:
         return remark.replace(_DESCRIPTION, quote(str(first / _DESCRIPTION)) + others)
     name = str(cut["drive"])
-    whole = next(_places(first, name), None)
+    whole = find_whole(first)
     file = f"the whole drive {name}" if whole is None else quote(str(whole / _DESCRIPTION))
     file = f"{_DESCRIPTION} of {file}" if whole is None else f"{file} (the whole drive)"
     repaired = " and repair" if "repaired" in _description(first) else ""
@@ -34,14 +34,6 @@ def name_files(remark: str, folders: Sequence[Path]) -> str:
         again = f"run sigmaswarm split {quote(str(whole))} --out {quote(str(first.parent))} --overwrite"
     remark = remark.replace(TUNE_AGAIN, f"{again} and {TUNE_AGAIN}")
     return remark.replace(AT_THE_TOP, AT_THE_TOP.replace(_DESCRIPTION, file + others))
-
-
-def _places(part: Path, name: str) -> Iterator[Path]:
-    """Yield the folders near a part in which the whole drive ``name`` was found."""
-    for above in (part.parent, part.parent.parent):
-        for found in (above / name, *sorted(above.glob(f"*/{escape(name)}"))):
-            if (found / _DESCRIPTION).is_file() and _description(found).get("name", name) == name:
-                yield found
 
 
 def _description(folder: Path) -> dict[str, Any]:
