@@ -20,10 +20,12 @@ from sigmaswarm.cli.remarks import name_files, name_training_files
 from sigmaswarm.cli.tune import _costs
 from sigmaswarm.drives.drive import Imu
 from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.split import split_time
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.experiments.study import config as study_config
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
+from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.diagnostics import DriftComparison, describe_forecasts
 from sigmaswarm.tuning.objectives import OBJECTIVES
@@ -155,12 +157,10 @@ def test_a_remedy_in_drive_toml_names_the_file_and_the_line(sigmaswarm, drives: 
 
 
 def test_a_line_for_a_part_belongs_into_the_whole_drive(here: Path):
-    Path("logs/car").mkdir(parents=True)
-    Path("logs/car/drive.toml").write_text('name = "car"\n')
-    for part in ("train", "test"):
-        Path(f"parts/car-{part}").mkdir(parents=True)
-        Path(f"parts/car-{part}/drive.toml").write_text('[cut_from]\ndrive = "car"\n')
-        Path(f"parts/car-{part}/imu.csv").touch()
+    whole = replace(simulate("urban", duration=30.0, imu_rate=50.0), name="car")
+    write_drive(whole, "logs/car")
+    for part in split_time(read_drive("logs/car"), 0.5):
+        write_drive(part, f"parts/{part.name}")
     here_it_is = "at the top of logs/car/drive.toml (the whole drive), with "
     again = "; then run sigmaswarm split logs/car --out parts --overwrite and tune into a new folder"
     named = name_files(STATE_REMEDY, [Path("parts/car-train")])
@@ -168,6 +168,12 @@ def test_a_line_for_a_part_belongs_into_the_whole_drive(here: Path):
     assert name_training_files([STATE_REMEDY], ["car-train"], ["parts/car-test"]) == [named]
     (named,) = name_training_files([STATE_REMEDY], ["bus"], ["parts/car-test"])
     assert "at the top of drive.toml of bus, with " in named
+    Path("parts").rename("mended-parts")  # the parts of a repaired copy lead to this copy
+    write_drive(read_drive("logs/car"), "mended/car")
+    Path("logs/car/imu.csv").unlink()
+    named = name_files(STATE_REMEDY, [Path("mended-parts/car-train")])
+    assert "run sigmaswarm split mended/car --out mended-parts " in named
+    Path("parts/car-train").mkdir(parents=True)
     Path("parts/car-train/drive.toml").write_text('repaired = ["x"]\n[cut_from]\ndrive = "lost"\n')
     named = name_files(STATE_REMEDY, [Path("parts/car-train")])
     assert "at the top of drive.toml of the whole drive lost, with " in named

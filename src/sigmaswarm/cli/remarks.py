@@ -28,9 +28,8 @@ def name_files(remark: str, folders: Sequence[Path]) -> str:
     whole = find_whole(first)
     file = f"the whole drive {name}" if whole is None else quote(str(whole / _DESCRIPTION))
     file = f"{_DESCRIPTION} of {file}" if whole is None else f"{file} (the whole drive)"
-    repaired = " and repair" if "repaired" in _description(first) else ""
-    again = f"split{repaired} this drive again"
-    if whole is not None and not repaired:
+    again = f"split{' and repair' if 'repaired' in _description(first) else ''} this drive again"
+    if whole is not None:
         again = f"run sigmaswarm split {quote(str(whole))} --out {quote(str(first.parent))} --overwrite"
     remark = remark.replace(TUNE_AGAIN, f"{again} and {TUNE_AGAIN}")
     return remark.replace(AT_THE_TOP, AT_THE_TOP.replace(_DESCRIPTION, file + others))
