@@ -42,7 +42,7 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
     (split,) = re.findall(r"then: sigmaswarm (split fine --out parts-2)\n", said)
     said = sigmaswarm(*split.split()).out
     assert "\nnext: sigmaswarm tune parts-2/urban-clear-00-train --out tuned-3\n" in said
-    assert said.endswith("then: sigmaswarm evaluate tuned-3 parts-2/urban-clear-00-test\n")
+    assert said.endswith("then: sigmaswarm evaluate tuned-3 parts-2/urban-clear-00-test --out evaluation\n")
 
 
 def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):

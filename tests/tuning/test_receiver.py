@@ -43,7 +43,7 @@ def with_r(std: float):
     ("std", "noise", "said"),
     [
         (0.05, FixNoise(1.8, 0.1), "corresponds to 0.05 m per axis, and the receiver states 1.8 m"),
-        (0.05, FixNoise(NONE, 1.0), "scatter by 1 m about a path that is consistent with the IMU"),
+        (0.05, FixNoise(NONE, 1.0), "scatter by 1 m per axis about a path that is consistent with the IMU"),
         (
             0.9,
             FixNoise(1.8, 0.1),
