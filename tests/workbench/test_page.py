@@ -94,7 +94,9 @@ def test_cuts(tmp_path: Path, serve: Any, tab: Any):
     page.bring_to_front()  # a list opens in the tab in front only
     page.get_by_role("combobox", name="Measurements").click()
     for name in ("lateral", "robust"):  # the list stays open
-        page.get_by_role("option", name=name, exact=True).click()
+        option = page.get_by_role("option", name=name, exact=True)
+        option.click()
+        expect(option).to_have_attribute("aria-selected", "true")
     page.keyboard.press("Escape")
     page.get_by_text("Filter: planar5 with lateral, robust").wait_for()
 
