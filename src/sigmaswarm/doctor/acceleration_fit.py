@@ -22,9 +22,8 @@ from sigmaswarm.drives.sensors import white_noise
 
 WINDOW = 10.0  # s: long enough to contain accelerations, short enough for constant tilt and slope
 BIAS_SPREAD = (0.1, 0.5)  # m/s2, bounds of the spread of b (tilt, slope, bias) between windows
-SMALL_SAMPLE = (
-    8.0  # number of windows at which the covariance is doubled; the factor is 1 + SMALL_SAMPLE / number
-)
+# Number of windows at which the covariance is doubled; the factor is 1 + SMALL_SAMPLE / number
+SMALL_SAMPLE = 8.0
 MIN_NOISE = 0.03  # m, smallest assumed noise of the IMU's path over several seconds
 
 DELAYS = np.arange(-0.8, 0.81, 0.1)  # s, delays of the fixes to try

@@ -28,9 +28,8 @@ from sigmaswarm.drives.stale_fixes import stale_fixes
 
 MAX_FIT_OFFSET = 2.3  # s, largest offset that the fit determines; the fit tries delays up to 2.5 s
 MIN_SEARCH_OFFSET = 0.3  # s, smallest offset that the search determines
-MAX_USUAL_DELAY = (
-    1.0  # s, largest usual delay of a receiver; a larger one counts if the search finds no other offset
-)
+# s, largest usual delay of a receiver; a larger one counts if the search finds no other offset
+MAX_USUAL_DELAY = 1.0
 AS_RECORDED = Yaw(known=True)  # another column, sign or unit is accepted only if no offset explains the data
 # Smallest cosine of the angles between az and gravity, and between ax and forward, at which mirrored fixes can be
 # distinguished from an IMU with other axes.

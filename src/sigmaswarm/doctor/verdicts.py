@@ -13,12 +13,10 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array
 
 DEGREE = math.pi / 180
-FACTOR_TOLERANCE = (
-    1.35  # a factor within this ratio of 1, -1 or deg/s, in either direction, is taken as that factor
-)
-MIN_EXPLAINED = (
-    0.2  # smallest explained share of the course's changes, if the gain is below `MIN_GAIN_SIGMAS`
-)
+# a factor within this ratio of 1, -1 or deg/s, in either direction, is taken as that factor
+FACTOR_TOLERANCE = 1.35
+# Smallest explained share of the course's changes, if the gain is below `MIN_GAIN_SIGMAS`
+MIN_EXPLAINED = 0.2
 # rad, RMS change of the course within 20 s above which the course determines column, sign and unit of the gyro. Below,
 # the course is mostly noise, and other values than the recorded ones must exceed `MIN_GAIN_SIGMAS` or `LARGE_SHARE`.
 MIN_TURN = 0.05
@@ -29,15 +27,14 @@ MIN_GAIN_SIGMAS = 12.0
 # Decrease in chi-square for which another interpretation replaces the recorded one; largest chi-square of a log in g.
 # In steady circles, the forces hardly exceed the noise and do not determine the unit. Logs in g have a chi-square of 4.
 MIN_LEAD = 16.0
-OFF_DIAGONAL_TOLERANCE = (
-    0.05  # tolerance of the off-diagonal elements of M, for slip, and for tilt in maneuvers
-)
+# Tolerance of the off-diagonal elements of M, for slip, and for tilt in maneuvers
+OFF_DIAGONAL_TOLERANCE = 0.05
 # Tolerance of the diagonal elements of M: roll and pitch of the body add 5 to 10% to the acceleration
 DIAGONAL_TOLERANCE = 0.12
 MAX_ELEMENT_STD = 0.25  # standard deviation of an element of M below which the drive determines it
 MIN_OFFSET = 0.1  # s, smallest reported offset; the receiver's noise hides smaller offsets
 # m/s, smallest `AccelerationFit.varied` that determines the delay; noise of the IMU causes up to 0.04 m/s
-LEAST_VARIED = 0.1
+MIN_VARIED = 0.1
 # Ratios of an offset to its standard deviation: note, warning with repair, serious
 OFFSET_SIGMAS = (2.5, 3.3, 4.5)
 MIN_EXCHANGE_ANGLE = math.radians(40)  # rad, rotation above which axes are exchanged
@@ -174,7 +171,7 @@ def clock_of(
     """Combine the fixes' delays by accelerometers and by gyro; their difference increases the standard deviation."""
     found: list[tuple[float, float]] = []
     max_offset = float(acceleration_fit.DELAYS[-1])
-    if acceleration is not None and mount is not None and acceleration.varied > LEAST_VARIED:
+    if acceleration is not None and mount is not None and acceleration.varied > MIN_VARIED:
         # The delay and its standard deviation, given M: the conditional Gaussian of the fit.
         (expected,), slack = _expected(mount.axes, mount.unit, np.array([mount.angle]))
         covariance = acceleration.covariance

@@ -11,9 +11,8 @@ from sigmaswarm.doctor.windows import Regression, integral, regress, smoothed, w
 from sigmaswarm.drives.drive import Array, Drive
 
 WINDOW = 20.0  # s: long enough for turns, and so short that the integral of a bias is a straight line
-SUFFICIENT_SHARE = (
-    0.7  # share of the course's changes above which gz is the yaw rate, and no other column is tried
-)
+# Share of the course's changes above which gz is the yaw rate, and no other column is tried
+SUFFICIENT_SHARE = 0.7
 MIN_LEAD = 0.3  # smallest lead of another column over gz in the explained share
 # m, mean and standard deviation of the antenna's distance ahead of the rear axle, which does not slide sideways. At the
 # antenna, the course turns earlier by this distance.

@@ -32,12 +32,10 @@ POSITION_TOLERANCE = 3.0  # cm or 1e-7 deg (1.1 cm to the north), largest differ
 RATE_TOLERANCE = 2e-4  # largest difference between ln of equal yaw rates that have 8 decimals in two units
 MIN_SPEED = 1.5  # m/s, smallest speed between a landmark and a neighboring fix
 LOG_RATIO = math.log(180 / math.pi)  # ln of the ratio of rad/s to deg/s; landmarks are ln|gz| modulo this
-LANDMARK_WIDTH = (
-    0.4  # part of `LOG_RATIO` that contains landmarks: a tenth of all samples, about those of 1 to 1.5 deg/s
-)
-MAX_LANDMARKS = (
-    20_000  # largest number of yaw-rate landmarks; a long drive uses a smaller part of `LOG_RATIO`
-)
+# Part of `LOG_RATIO` that contains landmarks: a tenth of all samples, about those of 1 to 1.5 deg/s
+LANDMARK_WIDTH = 0.4
+# Largest number of yaw-rate landmarks; a long drive uses a smaller part of `LOG_RATIO`
+MAX_LANDMARKS = 20_000
 MAX_OCCURRENCES = 100  # occurrences in a drive; a more frequent yaw rate, as of a coarse gyro, is ignored
 MIN_MATCHES = 8  # smallest number of landmarks with different values that must agree
 MIN_MATCH_SHARE = 0.5  # smallest share of the landmarks in the common time that must agree

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
 
-MIN_STD_RATIO = (
-    1.5  # 95% / 5% quantile of stated standard deviations; with a larger ratio they are informative
-)
+# 95% / 5% quantile of stated standard deviations; with a larger ratio they are informative
+MIN_STD_RATIO = 1.5
 MIN_START_DISTANCE = 20.0  # m from the first fix, beyond which the car has moved
 GRAVITY_TOLERANCE = 0.3  # largest deviation of the median of az from gravity, relative to gravity
 

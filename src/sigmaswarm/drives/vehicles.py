@@ -25,9 +25,8 @@ class SensorSetup:
 
 
 def sensor_setup(drive: Drive) -> SensorSetup:
-    imported = (
-        NO_ROTATION if axes_of(drive.metadata) else None
-    )  # the import states axes, but no zero rotation
+    # The import states axes, but no zero rotation
+    imported = NO_ROTATION if axes_of(drive.metadata) else None
     imu_rate, fix_rate = (1.0 / float(np.median(np.diff(table.time))) for table in (drive.imu, drive.gps))
     return SensorSetup(drive.name, imu_rate, fix_rate, drive.mounting or imported)
 

@@ -12,7 +12,7 @@ from sigmaswarm.filters.compiled.layout import N_STATE, P0, R, state_rows
 from sigmaswarm.filters.fix_error import FILTERS, base_model_name
 from sigmaswarm.filters.models import THETA
 
-_FIRST_SHOWN, _LAST_SHOWN = R.SQ_POSITION, R.LOG_DET  # rows of `kernel_array.Sums`
+_FIRST_SHOWN, _LAST_SHOWN = R.SQ_POSITION, R.LOG_DET  # rows of `kernel_array.KernelSums`
 RESULT_SUMS = slice(_FIRST_SHOWN, _LAST_SHOWN + 1)
 
 

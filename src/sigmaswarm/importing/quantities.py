@@ -26,9 +26,8 @@ DIMENSIONS: dict[str, UnitDimension] = {
 }
 # Columns that need a known unit; other columns without a unit are left out
 REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta", "wheel_speed")
-MAX_DAMAGED_SHARE = (
-    0.02  # largest share of rows, presumably damaged, that may contradict the form of the others
-)
+# Largest share of rows, presumably damaged, that may contradict the form of the others
+MAX_DAMAGED_SHARE = 0.02
 # Largest ratio of the third to the first quartile of the magnitude of accelerations that contain gravity
 MAX_QUARTILE_RATIO = 1.5
 MAX_ACCELERATION = 100.0  # m/s2, largest acceleration of a car without bumps

@@ -17,9 +17,8 @@ UNITS = (("mm/s", 1e3, "*1e-3"), ("cm/s", 100.0, "*1e-2"), ("km/h", 3.6, "/3.6")
 # Ratio of the stated speed to that of the positions above which the speed is wrong; largest ratio of the 90% quantile
 # of this ratio to its 10% quantile, since a wrong unit changes the speed by a constant factor
 MAX_SPEED_RATIO, MAX_RATIO_SPREAD = 1.5, 2.0
-MIN_COMPARED_SPEED = (
-    0.2  # m/s, lowest speed at which positions are compared with a stated speed: robots are slow
-)
+# m/s, lowest speed at which positions are compared with a stated speed: robots are slow
+MIN_COMPARED_SPEED = 0.2
 MIN_MOVING_SHARE = 0.3  # smallest share of the rows in motion that the compared stretches must contain
 # rad, median difference from the course of the positions at which a stated course contradicts them. A course that lags
 # in turns, or that is computed from noisy positions, differs by less.

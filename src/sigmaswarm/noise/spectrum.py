@@ -21,12 +21,10 @@ from scipy.fft import prev_fast_len, rfft
 from sigmaswarm.drives.tables import Array
 
 BAND = 0.1  # highest used frequency / sampling rate; filters and engine vibration change higher frequencies
-MIN_FREQUENCIES = (
-    200  # smallest number of used frequencies; for fewer, the band is extended to half the sampling rate
-)
-MIN_PERIODS = (
-    2  # lowest used frequency, periods per stretch; the subtracted trend contains most lower frequencies
-)
+# Smallest number of used frequencies; for fewer, the band is extended to half the sampling rate
+MIN_FREQUENCIES = 200
+# Lowest used frequency, periods per stretch; the subtracted trend contains most lower frequencies
+MIN_PERIODS = 2
 PER_DECADE = 24  # number of bands over which the periodogram is averaged
 TAPER = 1.5  # number of neighboring frequencies that the sine taper correlates
 DEVIANCE_95 = 5.99

@@ -19,16 +19,14 @@ MIN_MEAN_CHANGE = {
     "a": 0.1,
     "g": np.radians(0.5),
 }  # m/s2, rad/s: change of the mean between blocks that shows motion
-MAX_STD_RATIO = (
-    3.0  # deviation / deviation of the quietest blocks; a moving block exceeds this and `STATIC_STD`
-)
+# Deviation / deviation of the quietest blocks; a moving block exceeds this and `STATIC_STD`
+MAX_STD_RATIO = 3.0
 STATIC_STD = {"a": 0.02, "g": np.radians(0.1)}  # m/s2, rad/s: standard deviation without motion
 MOTION_STD = 0.3  # m/s2, standard deviation of an accelerometer in motion
 FIX_SPEED = 0.5  # m/s, speed of the line through a stretch's fixes that shows motion
 SAMPLE = 100_000  # approximate number of samples for the quantization step
-MIN_SATURATION_RATIO = (
-    3.0  # smallest count at the end of the range / count at the next value, for a saturated axis
-)
+# Smallest count at the end of the range / count at the next value, for a saturated axis
+MIN_SATURATION_RATIO = 3.0
 MIN_SATURATION_SHARE = 1e-3  # share of samples at the end of the range of a saturated axis
 
 

@@ -15,9 +15,8 @@ from sigmaswarm.wording import count_of
 
 COMPLETE_SHARE = 0.99  # share of the time with truth above which gaps are not reported
 MIN_INFORMATIVE_NIS = 1.0  # mean NIS below which predicted fixes do not measure the position error
-MAX_ERROR_RATIO = (
-    0.9  # ratio to the tuned filter's error below which a method without tuning is reported as better
-)
+# Ratio to the tuned filter's error below which a method without tuning is reported as better
+MAX_ERROR_RATIO = 0.9
 
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:

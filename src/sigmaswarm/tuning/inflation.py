@@ -11,11 +11,11 @@ the square root of the factor. With the whole factor, the error on another car i
 fixes. Without inflation of position and velocity, the heading error with a cheap IMU is 50% larger. The noises of
 heading and yaw rate in robot-localization are not inflated, since they do not depend on roads.
 
-A factor has no effect on a noise near zero. A filter with roll and pitch therefore has lower limits (`space.LEAST`),
-also if it is tuned with truth: with the limits, the error of a filter tuned on one drive is 0.8 instead of 1.7 m on
-another car's drive. On drives of the same car the limits change the error by -5 to +2%. Three drives with truth
-determine the deviations of the initial biases. With three or more, these deviations have no limit, since a limit would
-increase the heading error by 10%.
+A factor has no effect on a noise near zero. A filter with roll and pitch therefore has lower limits
+(`space.INFLATION_MINIMA`), also if it is tuned with truth: with the limits, the error of a filter tuned on one drive is
+0.8 instead of 1.7 m on another car's drive. On drives of the same car the limits change the error by -5 to +2%. Three
+drives with truth determine the deviations of the initial biases. With three or more, these deviations have no limit,
+since a limit would increase the heading error by 10%.
 
 The gyro's initial bias has another limit if the starts of the training drives show biases: a filter subtracts a bias of
 many standard deviations at any start (`gyro_seen`), so the cost hardly depends on the initial deviation of this bias.

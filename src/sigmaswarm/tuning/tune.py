@@ -114,8 +114,8 @@ def tune(
         Called with a `Progress` after every generation. If it returns False, the tuning stops.
     **options
         ``resume=True`` continues the run in ``out``; the result is the same as without interruption. ``paper=True``
-        uses the paper's settings, `PAPER`, and rejects options that contradict them. ``start`` is a filter from which
-        the search starts, or its file: a tuning.toml, or an ekf.yaml of robot_localization. The other options are
+        uses the paper's settings, `PAPER_OPTIONS`, and rejects options that contradict them. ``start`` is a filter from
+        which the search starts, or its file: a tuning.toml, or an ekf.yaml of robot_localization. The other options are
         fields of `TuneConfig`: objective, particles, generations, trials, seed, ... Without ``model`` and ``use`` the
         filter depends on the drives' sensors; the result's ``config`` states the chosen filter. ``model`` may be a
         custom `Model`, and ``optimizer`` a custom class: see `tuning.optimizers`.

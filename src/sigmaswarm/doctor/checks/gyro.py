@@ -27,9 +27,8 @@ BIAS_LIMITS = (np.radians(0.1), np.radians(1.0))  # rad/s, for a note and for a 
 # acceleration, shorter windows more vibration. On seven recordings every correct sign is significant by 9.5 standard
 # deviations or more.
 MEAN_WINDOW, LAG = 0.3, 0.5
-MIN_SIGNIFICANCE = (
-    7.0  # standard deviations of a significant sign; high, since neighboring changes share samples
-)
+# Standard deviations of a significant sign; high, since neighboring changes share samples
+MIN_SIGNIFICANCE = 7.0
 MIN_SIGNIFICANCE_RATIO = 2.0  # smallest ratio of the significance of a column to that of the other column
 OUTLIER_SIGMAS = 3.0  # standard deviations from which a change is an outlier
 

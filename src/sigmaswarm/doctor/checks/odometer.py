@@ -36,9 +36,8 @@ MIN_STUCK_ERROR = 2.5  # m/s, smallest median difference of a stuck reading from
 # like a change of 1 m/s, a delay of 0.3 s like a change of 2 m/s during full braking.
 MIN_JUMP = 2.5
 MAX_JUMP_TIME, MAX_SLIP_TIME = 1.0, 10.0  # s: longest jump, longest time until the wheels return
-MAX_DIFFERENCE = (
-    0.5  # m/s, largest median difference of speed changes; with a larger one, slip cannot be checked
-)
+# m/s, largest median difference of speed changes; with a larger one, slip cannot be checked
+MAX_DIFFERENCE = 0.5
 
 Spans = list[tuple[float, float]]  # start and end, s
 SPEED = "odometer.csv, speed"

@@ -72,7 +72,7 @@ SUMS = (
     # SIN_COS_VALID_ALL to 0.
     "SIN_COS_VALID", "COS", "SIN",
 )  # fmt: skip
-"""Sums and memory of a run. Sums up to LOG_DET are in `kernel_array.Sums`."""
+"""Sums and memory of a run. Sums up to LOG_DET are in `kernel_array.KernelSums`."""
 SCRATCH = (
     "SIN_COS_VALID_ALL",  # equal in all lanes; 1: SIN_COS_VALID is 1 in all lanes; 0: unknown
     "BEFORE_X", "BEFORE_Y", "BEFORE_T",  # the last estimate

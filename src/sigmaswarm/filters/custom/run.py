@@ -19,12 +19,10 @@ from sigmaswarm.filters.textbook.ekf import complex_step
 from sigmaswarm.filters.textbook.loop import FAILURES, Trajectory, run_steps, smooth_steps
 from sigmaswarm.geodesy import wrap_angle
 
-VERIFIED_STEPS = (
-    20  # steps over which the compiled filter is compared with the textbook filter before its use
-)
-MAX_DIFFERENCE = (
-    1e-6  # largest difference in standard deviations; rounding is far below, a compilation error above
-)
+# Steps over which the compiled filter is compared with the textbook filter before its use
+VERIFIED_STEPS = 20
+# Largest difference in standard deviations; rounding is far below, a compilation error above
+MAX_DIFFERENCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,8 @@ _CELL = re.compile(rf"{_VALUE}|[\w.:+-]*\d[\w.:+-]*")
 _NO_NAMES, _NO_BRACKETS = r"s/[A-Za-z_][A-Za-z0-9_]* *[:=] *//g", r"s/[]\"(){}[]//g"
 _SEPARATED = "s/ *[,; ] */,/g"
 PARTS = {2: "xy", 3: "xyz", 4: "xyzw"}
-FEWEST_NAMED = 3
-LOOKED_AT = 20  # rows
+MIN_NAMES = 3  # names in a row
+MAX_ROWS = 20  # rows on which the command is tried
 
 
 def packed_cells(lines: Sequence[str], shown_as: Path) -> str:
@@ -33,13 +33,11 @@ def packed_cells(lines: Sequence[str], shown_as: Path) -> str:
         return ""
     last = rows[-1]
     named = [found[1] for found in _NAMED.finditer(last)]
-    if len(named) >= max(FEWEST_NAMED, len(_cells(_NAMED.sub("1", last))) / 2) and len({*named}) == len(
-        named
-    ):
+    if len(named) >= max(MIN_NAMES, len(_cells(_NAMED.sub("1", last))) / 2) and len({*named}) == len(named):
         before = [f"c{k + 1}" for k in range(len(_cells(last[: _start(last)])))]
         header = [*(["t"] if len(before) == 1 and "t" not in named else before), *named]
         what, edit = f"cells contain names ({named[0]}, {named[1]} ...)", f"{_NO_NAMES}; {_SEPARATED}"
-        if all([found[1] for found in _NAMED.finditer(row)] == named for row in rows[-LOOKED_AT:]):
+        if all([found[1] for found in _NAMED.finditer(row)] == named for row in rows[-MAX_ROWS:]):
             raise InputError(_sentence(shown_as, rows, what, header, edit, named=True, titles=0))
     elif vectors := _vectors(last):
         what = f"cells contain several numbers ({vectors[0][:40]})"
@@ -95,7 +93,7 @@ def _sentence(
     titles: int,
 ) -> str:
     remove = r"[A-Za-z_][A-Za-z0-9_]* *[:=] *" if named else r"[\]\"(){}\[]"
-    edited = [_cells(re.sub(remove, "", row)) for row in rows[titles:][-LOOKED_AT:]]
+    edited = [_cells(re.sub(remove, "", row)) for row in rows[titles:][-MAX_ROWS:]]
     works = header and all(len(cells) == len(header) and all(map(_CELL.fullmatch, cells)) for cells in edited)
     remedy = "write one number in each cell, below a header such as t,ax,ay,az,gx,gy,gz"
     if works:
