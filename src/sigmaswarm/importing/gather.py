@@ -24,9 +24,14 @@ from sigmaswarm.wording import list_names, printable, quoted
 
 ROW = "row"  # column of row numbers, from 0, in tables without a column of this name
 MAX_TIMELESS_ROWS = 10  # most lines of a table without values that can be a header or a footer
-MIN_PLACEHOLDER_DISTANCE = (
-    10  # smallest distance of a placeholder from the other values, in units of their range
-)
+MIN_PLACEHOLDER_DISTANCE = 10  # of a placeholder from the other values, in units of their range
+
+
+def with_row_numbers(frame: pl.DataFrame, first: int = 0) -> pl.DataFrame:
+    """Add the column `ROW`, unless the table has a column of this name; ``first``: number of the first row."""
+    if ROW in frame.columns:
+        return frame
+    return frame.with_columns(pl.int_range(first, first + len(frame)).alias(ROW))
 
 
 @dataclass
@@ -46,8 +51,7 @@ class PartColumns:
 
     def add(self, frame: pl.DataFrame, log: Log) -> None:
         frame = frame.with_columns(pl.col(pl.String).str.strip_chars())
-        if ROW not in frame.columns:
-            frame = frame.with_columns(pl.int_range(self.seen, self.seen + len(frame)).alias(ROW))
+        frame = with_row_numbers(frame, self.seen)
         self._require_numbers(frame, log)
         self.seen += len(frame)
         frame = self._without_placeholders(frame)

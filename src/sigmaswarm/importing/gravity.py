@@ -9,7 +9,7 @@ import polars as pl
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.expressions import compile_expression
-from sigmaswarm.importing.gather import ROW
+from sigmaswarm.importing.gather import with_row_numbers
 from sigmaswarm.importing.mounting import AUTO
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.times import column_numbers, median_of
@@ -51,7 +51,7 @@ def _median_force(recipe: Recipe, rows: Mapping[str, pl.DataFrame]) -> tuple[flo
 
 
 def _median(text: str, frame: pl.DataFrame) -> float:
-    numbered = (frame if ROW in frame.columns else frame.with_row_index(ROW)) if len(frame) else frame
+    numbered = with_row_numbers(frame)
     try:
         values = numbered.select(compile_expression(text, numbered.columns).polars.alias("value"))["value"]
     except (InputError, pl.exceptions.PolarsError):

@@ -16,7 +16,7 @@ from sigmaswarm.importing.assemble import missing_columns
 from sigmaswarm.importing.convert import Request, complete_recipe, opened
 from sigmaswarm.importing.dates import SECOND
 from sigmaswarm.importing.expressions import compile_expression, is_valid_expression, time_expression
-from sigmaswarm.importing.gather import ROW
+from sigmaswarm.importing.gather import ROW, with_row_numbers
 from sigmaswarm.importing.gravity import tilted_mount
 from sigmaswarm.importing.guess import Z_DOWN
 from sigmaswarm.importing.proposal import Proposal, check_proposal, propose_columns
@@ -218,7 +218,7 @@ def _rate(rows: pl.DataFrame, time: str | None) -> float | None:
     if len(rows) < 2 or (time := time or time_of(rows)) is None:
         return None
     try:
-        numbered = rows if ROW in rows.columns else rows.with_row_index(ROW)
+        numbered = with_row_numbers(rows)
         steps = numbered.select(time_expression(time, numbered).alias("t"))["t"].diff().drop_nulls()
     except pl.exceptions.PolarsError:  # a list, or a text that is not a date
         return None
