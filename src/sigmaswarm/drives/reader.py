@@ -14,9 +14,10 @@ from sigmaswarm.drives.description import (
     read_description,
 )
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.other_logs import import_remedy
 from sigmaswarm.drives.table_files import CSV, FORMS, TableFile
 from sigmaswarm.drives.tables import COLUMNS, RECORDS
-from sigmaswarm.drives.urls import A_DRIVE, drive_urls, importing, is_url, local_copy, without_secrets
+from sigmaswarm.drives.urls import A_DRIVE, drive_urls, is_url, local_copy, without_secrets
 from sigmaswarm.errors import DriveError, SigmaswarmWarning
 
 Location = str | Path
@@ -37,7 +38,7 @@ def drive_folders(path: Path) -> list[Path]:
         return [path]  # read_drive reports its faults
     inside = sorted(folder for folder in path.iterdir() if has_table(folder, "imu"))
     if not inside:
-        remedy = f"{A_DRIVE}; {importing(path)}" if any(path.iterdir()) else A_DRIVE
+        remedy = f"{A_DRIVE}; {import_remedy(path)}" if any(path.iterdir()) else A_DRIVE
         raise DriveError(f"{path}: contains no drive; {remedy}")
     return inside
 
@@ -95,7 +96,7 @@ def read_with_warnings(location: Location) -> tuple[Drive, list[SigmaswarmWarnin
         folder, about = Path(location), Path(location) / "drive.toml"
         if folder.is_dir() and not (about.exists() or _drives_in(folder)) and any(folder.iterdir()):
             own = f"if its tables have the columns of a drive, {WRITE_IT}"
-            raise DriveError(f"{about} is missing; {importing(folder)}; {own}")
+            raise DriveError(f"{about} is missing; {import_remedy(folder)}; {own}")
         return _read_folder(folder)
     url = str(location).rstrip("/")
     with local_copy(url) as folder:
@@ -120,7 +121,7 @@ def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     if not folder.is_dir():
         if folder.is_file():
             place = folder.parent
-            remedy = f"name the drive {place}" if (place / "drive.toml").exists() else importing(folder)
+            remedy = f"name the drive {place}" if (place / "drive.toml").exists() else import_remedy(folder)
             raise DriveError(f"{folder} is a file, not a folder; {A_DRIVE}; {remedy}")
         raise DriveError(
             f"{folder} does not exist; name a folder that contains imu.csv, gps.csv and drive.toml"

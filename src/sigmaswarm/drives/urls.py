@@ -5,7 +5,6 @@ import shutil
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from shlex import quote
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -14,41 +13,6 @@ from sigmaswarm.errors import DriveError, InputError, not_installed
 from sigmaswarm.wording import printable
 
 A_DRIVE = "a drive is a folder with imu.csv, gps.csv and drive.toml"
-TEXTS = (".csv", ".tsv", ".txt")
-# Words in the name and the first line of a table that show its content
-_AXES = re.compile(r"(?<![a-z])[ag]_?[xyz](?![a-z])", re.IGNORECASE)
-_MOTION = re.compile(r"acc(?!urac)|gyro|angular|imu", re.IGNORECASE)
-_PLACE = re.compile(r"lat|lon|gps|gnss|east|north|utm|posi", re.IGNORECASE)
-_XY = re.compile(r"(?<![a-z])[xy](?![a-z])", re.IGNORECASE)
-
-
-def importing(log: Path) -> str:
-    """Return the remedy for a log of another format: the command that makes a drive of it, or of its folder."""
-    log = _whole_log(log)
-    out = Path("drives") / log.resolve().name.removesuffix(log.suffix)
-    return f"to make one from a log: sigmaswarm import {quote(str(log))} --out {quote(str(out))}"
-
-
-def _whole_log(file: Path) -> Path:
-    """Return the folder of a table without IMU or positions, if the tables of this folder have both; else the file."""
-    if file.suffix.lower() not in TEXTS or not file.is_file():
-        return file
-    tables = [table for table in sorted(file.parent.iterdir()) if table.suffix.lower() in TEXTS]
-    content = {table: _content(table) for table in tables[:100]}
-    together = {kind for found in content.values() for kind in found}
-    return file.parent if len(content.get(file, ())) == 1 and len(together) == 2 else file
-
-
-def _content(table: Path) -> set[str]:
-    """Return "imu" or "gps", or both, for what the name and the first line of a table show."""
-    with table.open(encoding="utf-8", errors="replace") as lines:
-        title = lines.readline(4096)
-    text = f"{table.stem},{title}"
-    axes = _AXES.search(title) is not None
-    imu = axes or _MOTION.search(text) is not None
-    # x and y of a table of one sensor are its axes.
-    place = _PLACE.search(text) is not None or (_XY.search(title) is not None and (axes or not imu))
-    return {kind for kind, found in (("imu", imu), ("gps", place)) if found}
 
 
 def is_url(location: str | Path) -> bool:
