@@ -142,6 +142,24 @@ def _short(key: str, value: Any) -> str:
     return f"{printable(key)} = {printable(value, MAX_LENGTH)}"
 
 
+def _require_same(file: Path, config: dict[str, Any]) -> None:
+    """Raise `InputError` if a run with another configuration or other software versions wrote ``file``."""
+    record = load_record(ConfigRecord, file, "not written by a tuning; choose another --out", infinite=True)
+    saved, wanted = _with_current_names(record.model_extra), json.loads(json.dumps(config))
+    if not same_results(record.versions, wanted.pop("versions", {})):
+        made = list_names(" ".join(one) for one in record.versions.items())
+        raise InputError(
+            f"{file}: the tuning was started with other software versions, {made}; continue with these versions, "
+            "or choose another --out"
+        )
+    if saved != wanted:
+        old, new = _difference("", saved, wanted)
+        raise InputError(
+            f"{file}: was started with {old}, but this command has {new}; "
+            "repeat the first command, or choose another --out"
+        )
+
+
 class ResultFolder:
     """The folder of a tuning run, created if missing.
 
@@ -155,27 +173,14 @@ class ResultFolder:
         if not file.exists():
             write_json(file, config)
             return
-        if not resume:
-            remedy = f"choose another folder, for example --out {free_path(path)}"
-            with suppress(InputError):
-                ResultFolder(path, config, resume=True)
-                remedy = "add --resume to continue it, or choose another --out"
-            raise InputError(f"{path}: already contains a tuning; {remedy}")
-        remedy = "not written by a tuning; choose another --out"
-        record = load_record(ConfigRecord, file, remedy, infinite=True)
-        saved, wanted = _with_current_names(record.model_extra), json.loads(json.dumps(config))
-        if not same_results(record.versions, wanted.pop("versions", {})):
-            made = list_names(" ".join(one) for one in record.versions.items())
-            raise InputError(
-                f"{file}: the tuning was started with other software versions, {made}; continue with these versions, "
-                "or choose another --out"
-            )
-        if saved != wanted:
-            old, new = _difference("", saved, wanted)
-            raise InputError(
-                f"{file}: was started with {old}, but this command has {new}; "
-                "repeat the first command, or choose another --out"
-            )
+        if resume:
+            _require_same(file, config)
+            return
+        remedy = f"choose another folder, for example --out {free_path(path)}"
+        with suppress(InputError):
+            _require_same(file, config)
+            remedy = "add --resume to continue it, or choose another --out"
+        raise InputError(f"{path}: already contains a tuning; {remedy}")
 
     def checkpoint(self, trial: int) -> Path:
         return self.path / f"checkpoint-{trial:03d}.npz"
