@@ -133,10 +133,11 @@ def diagnosis_of_whole(part: "Location") -> "tuple[Diagnosis, Path] | None":
     """Diagnose the drive from which a part was split; None if its folder is not found."""
     from sigmaswarm.cli.whole_drive import find_whole
     from sigmaswarm.doctor.diagnose import diagnose
-    from sigmaswarm.drives.reader import read_with_warnings
 
-    folder = find_whole(part)
-    return (diagnose(read_with_warnings(folder)[0]), folder) if folder else None
+    if not (found := find_whole(part)):
+        return None
+    drive, folder = found
+    return diagnose(drive), folder
 
 
 def repair_and_split(diagnosis: "Diagnosis", folder: Path, options: Sequence[str] = ()) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sigmaswarm.wording import printable
 
@@ -15,34 +15,26 @@ _DESCRIPTION = "drive.toml"
 
 def name_files(remark: str, folders: Sequence[Path]) -> str:
     """Replace drive.toml in a remark by its path; a line for a part of a drive belongs into that of the whole drive."""
-    from sigmaswarm.cli.whole_drive import find_whole
+    from sigmaswarm.cli.whole_drive import description_of, find_whole
+    from sigmaswarm.drives.description import cut_of
     from sigmaswarm.tuning.receiver import AT_THE_TOP, TUNE_AGAIN
 
     if not folders or _DESCRIPTION not in remark:
         return remark
     first, others = folders[0], " and of the other drives" * (len(folders) > 1)
-    cut = _description(first).get("cut_from")
-    if AT_THE_TOP not in remark or cut is None:
+    about = description_of(first)
+    cut = cut_of(about)
+    if AT_THE_TOP not in remark or "drive" not in cut:
         return remark.replace(_DESCRIPTION, quote(str(first / _DESCRIPTION)) + others)
-    name = str(cut["drive"])
-    whole = find_whole(first)
-    file = f"the whole drive {name}" if whole is None else quote(str(whole / _DESCRIPTION))
-    file = f"{_DESCRIPTION} of {file}" if whole is None else f"{file} (the whole drive)"
-    again = f"split{' and repair' if 'repaired' in _description(first) else ''} this drive again"
-    if whole is not None:
-        again = f"run sigmaswarm split {quote(str(whole))} --out {quote(str(first.parent))} --overwrite"
+    if whole := find_whole(first):
+        _, folder = whole
+        file = f"{quote(str(folder / _DESCRIPTION))} (the whole drive)"
+        again = f"run sigmaswarm split {quote(str(folder))} --out {quote(str(first.parent))} --overwrite"
+    else:
+        file = f"{_DESCRIPTION} of the whole drive {cut['drive']}"
+        again = f"split{' and repair' if 'repaired' in about else ''} this drive again"
     remark = remark.replace(TUNE_AGAIN, f"{again} and {TUNE_AGAIN}")
     return remark.replace(AT_THE_TOP, AT_THE_TOP.replace(_DESCRIPTION, file + others))
-
-
-def _description(folder: Path) -> dict[str, Any]:
-    from sigmaswarm.drives.description import read_description
-    from sigmaswarm.errors import DriveError
-
-    try:
-        return read_description(folder / _DESCRIPTION)
-    except DriveError:
-        return {}
 
 
 def local_folders(places: "Sequence[Location]") -> list[Path]:
@@ -59,8 +51,10 @@ def name_training_files(
     remarks: Iterable[str], names: Sequence[str], evaluated: "Sequence[Location]"
 ) -> list[str]:
     """Name drive.toml of the training drives ``names``: its path if the drives are next to the evaluated drives."""
+    from sigmaswarm.cli.whole_drive import description_of
+
     near = dict.fromkeys(folder.parent for folder in local_folders(evaluated))
-    folders = [above / name for name in names for above in near if _description(above / name)]
+    folders = [above / name for name in names for above in near if description_of(above / name)]
     if folders or not names:
         return [name_files(remark, folders) for remark in remarks]
     return [remark.replace(_DESCRIPTION, f"{_DESCRIPTION} of {printable(names[0])}") for remark in remarks]

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from sigmaswarm.datasets.dataset import Dataset
     from sigmaswarm.scoring.tracks import FirstTrack
 
-INTO_EVALUATION = " --out evaluation"
 SHORT_HELP = ("objective", "model", "use", "particles", "generations", "trials", "seed")
 
 
@@ -162,8 +161,9 @@ def _tune(
     (track,) = read.subset([0]).map(follow)
     (part,) = read.subset([0]).map(_is_part)
     out, alone = asked["out"], len(read) == 1 and not len(held_back)
-    lines = _next(out, first, everywhere[0].name, part=part) if alone else [_evaluate(out)]
-    lines += _compare(lines[0].removesuffix(INTO_EVALUATION), out, [one["sha256"] for one in tuning.data])
+    evaluate, splitting = _next(out, first, everywhere[0].name, part=part) if alone else (_evaluate(out), [])
+    compare = _compare(evaluate, out, [one["sha256"] for one in tuning.data])
+    lines = [f"next:     {evaluate} --out evaluation", *splitting, *compare]
     return tuning, track, [f"model:    {chosen}"] if chosen else [], lines
 
 
@@ -193,7 +193,9 @@ def _remarks(tuning: "Tuning[Any]", track: "FirstTrack", given: Places) -> Itera
 
 
 def _is_part(drive: "Drive") -> bool:
-    return "cut_from" in drive.metadata
+    from sigmaswarm.drives.description import CUT
+
+    return CUT in drive.metadata
 
 
 def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
@@ -242,30 +244,29 @@ def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
             sibling = out.parent / file.parent.name  # as the user writes it, unless OUT is "." or a link
             there = sibling.exists() and sibling.samefile(file.parent)
             other = quote(str(sibling if there else relpath(file.parent)))
-            return [f"compare:  {evaluate.removeprefix('next:     ')} --out comparison --against {other}"]
+            return [f"compare:  {evaluate} --out comparison --against {other}"]
     return []
 
 
 def _evaluate(out: Path, drive: Path | None = None) -> str:
     on = quote(str(drive)) if drive else "HELD_OUT_DRIVE..."
-    return f"next:     sigmaswarm evaluate {quote(str(out))} {on}{INTO_EVALUATION}"
+    return f"sigmaswarm evaluate {quote(str(out))} {on}"
 
 
-def _next(out: Path, given: str, name: str, *, part: bool) -> list[str]:
-    """Suggest the next commands after tuning on one drive: evaluate, or split the drive and tune again."""
+def _next(out: Path, given: str, name: str, *, part: bool) -> tuple[str, list[str]]:
+    """Suggest the evaluation after tuning on one drive, and lines on how to split a whole drive and tune again."""
     from sigmaswarm.drives.reader import drive_folders
     from sigmaswarm.drives.urls import is_url
 
     if is_url(given):
-        return [_evaluate(out)]
+        return _evaluate(out), []
     (folder, *_) = drive_folders(Path(given))  # the path may be the parent folder
     if part:
         rest = folder.parent / f"{name.removesuffix('-train')}-test"
-        return [_evaluate(out, rest if rest.is_dir() else None)]
+        return _evaluate(out, rest if rest.is_dir() else None), []
     parts = free_path("parts")
     train, test = (quote(str(parts / f"{name}-{part}")) for part in ("train", "test"))
-    return [
-        _evaluate(out),
+    return _evaluate(out), [
         "this filter was tuned on the whole log; to test a filter on unused data:",
         f"          sigmaswarm split {quote(str(folder))} --out {parts}",
         f"          then tune on {train}, and evaluate on {test}",

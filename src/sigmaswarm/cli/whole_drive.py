@@ -1,11 +1,11 @@
 """Find the drive from which a part was split."""
 
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from sigmaswarm.drives.description import CUT
+from sigmaswarm.drives.description import cut_of, read_description
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.drives.reader import Location, has_table, read_with_warnings
 from sigmaswarm.drives.urls import is_url
@@ -14,23 +14,23 @@ from sigmaswarm.errors import DriveError
 MAX_FOLDERS = 1000  # folders that are searched
 
 
-def find_whole(part: Location) -> Path | None:
-    """Return the folder of the drive from which a part was split; None if it is not near the part's folder.
+def find_whole(part: Location) -> tuple[Drive, Path] | None:
+    """Return the drive from which a part was split, and its folder; None if it is not near the part's folder.
 
     The folder contains the data whose fingerprint drive.toml of the part states.
     """
     if is_url(part):
         return None
-    cut = cast("dict[str, Any]", _description(Path(part)).get(CUT, {}))
+    cut = cut_of(description_of(Path(part)))
     name, sha256 = cut.get("drive"), cut.get("sha256")
     for folder in _near(Path(part)):
-        if folder.name == name or _description(folder).get("name") == name:
+        if folder.name == name or description_of(folder).get("name") == name:
             try:
                 drive, _ = read_with_warnings(folder)
             except DriveError:
                 continue
             if fingerprint(drive) == sha256:
-                return folder
+                return drive, folder
     return None
 
 
@@ -43,8 +43,9 @@ def _near(part: Path) -> Iterator[Path]:
             yield folder
 
 
-def _description(folder: Path) -> dict[str, Any]:
+def description_of(folder: Path) -> dict[str, Any]:
+    """Return drive.toml of a folder; {} if it is missing or damaged."""
     try:
-        return tomllib.loads((folder / "drive.toml").read_text("utf-8"))
-    except (OSError, ValueError):
+        return read_description(folder / "drive.toml")
+    except DriveError:
         return {}

@@ -33,9 +33,8 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
 CUT = "cut_from"  # table in the drive.toml of a part of a drive
 REPAIR_ALONE = "repair_alone"  # true: the IMU has another mounting than in the rest of the drive
 CUT_KEYS = frozenset({"drive", "sha256", "start_s", "end_s", REPAIR_ALONE})  # keys of the table `CUT`
-MIN_SIMILARITY = (
-    0.8  # similarity of an unknown key to a known one, 0 to 1, above which it counts as misspelled
-)
+# Similarity of an unknown key to a known one, 0 to 1, above which it counts as misspelled
+MIN_SIMILARITY = 0.8
 _ANGLES = {
     "heading_deg": "degrees counter-clockwise from east",
     "imu_mounting_deg": "roll, pitch and yaw in degrees",
@@ -61,6 +60,12 @@ def read_description(path: Path) -> dict[str, Any]:
         if key in about:
             _require_numbers(key, about[key], path)
     return about
+
+
+def cut_of(about: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the table `CUT` of drive.toml or of a drive's metadata; empty if the drive is no part."""
+    cut = about.get(CUT)
+    return cast("Mapping[str, Any]", cut if isinstance(cut, Mapping) else {})
 
 
 def ineffective_keys(about: Mapping[str, Any], path: Path) -> Iterator[str]:

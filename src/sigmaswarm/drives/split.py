@@ -1,14 +1,14 @@
 """Splitting into training and test drives, by drive or by time within a drive."""
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numpy as np
 
 from sigmaswarm.drives.alignment import StartFailure, find_start
-from sigmaswarm.drives.description import CUT, REPAIR_ALONE
+from sigmaswarm.drives.description import CUT, REPAIR_ALONE, cut_of
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
@@ -91,23 +91,22 @@ def split_time(
         for t in (part.imu.time for part in parts)
     )
     return (
-        replace(parts[0], metadata={**parts[0].metadata, "cut_from": first}),
-        replace(parts[1], metadata={**parts[1].metadata, "cut_from": last}),
+        replace(parts[0], metadata={**parts[0].metadata, CUT: first}),
+        replace(parts[1], metadata={**parts[1].metadata, CUT: last}),
     )
 
 
 def part_of(drive: Drive) -> str:
     """Return "train" or "test" for a part of `split_time` with a default name, else ""."""
     ends = [name for name in ("train", "test") if drive.name.endswith(f"-{name}")]
-    return ends[0] if ends and "cut_from" in drive.metadata else ""
+    return ends[0] if ends and CUT in drive.metadata else ""
 
 
 def name_of_whole(drive: Drive) -> str:
     """Return the name of the drive from which a part was split and with which it is repaired; "" if there is none."""
-    cut = drive.metadata.get(CUT)
-    about = cast("Mapping[str, Any]", cut if isinstance(cut, Mapping) else {})
-    name = about.get("drive")
-    return name if isinstance(name, str) and not about.get(REPAIR_ALONE) else ""
+    cut = cut_of(drive.metadata)
+    name = cut.get("drive")
+    return name if isinstance(name, str) and not cut.get(REPAIR_ALONE) else ""
 
 
 split = split_time  # name of `split_time` in the short API
