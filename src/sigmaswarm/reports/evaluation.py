@@ -42,14 +42,14 @@ from sigmaswarm.reports.style import (
 from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.scoring.evaluation import DriveResult, Evaluation
 from sigmaswarm.scoring.measures import Measure, with_outages
-from sigmaswarm.scoring.methods import AGAINST, BASELINE, FIXES, LEARNED
+from sigmaswarm.scoring.methods import FIXES
 from sigmaswarm.scoring.records import EVALUATION, EVALUATION_FILE, write_checksums
 from sigmaswarm.scoring.tracks import CLOSE_UP_SIZE, MOVED, SHARES, Columns, Picture, Tracks
 from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, tuning_file
 from sigmaswarm.wording import list_names
 
-DRAWING_ORDER = ("raw_gps", BASELINE, AGAINST, "tuned", *LEARNED, "swarm", "smoothed", "truth")
+DRAWING_ORDER = [name for name, look in reversed(STYLES.items()) if look.visible]
 """Series of a track from bottom to top. The truth is drawn above the tuned filter, whose line is wider."""
 HEADING_LIMITS = (1.0, 30.0)  # deg, limits of the heading axis's range; a diverged filter has large errors
 

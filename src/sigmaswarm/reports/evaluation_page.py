@@ -44,9 +44,6 @@ from sigmaswarm.scoring.view import (
 from sigmaswarm.tuning.record import NOT_VALIDATED_TEXTS, TuningRecord
 from sigmaswarm.wording import sort_remarks
 
-# Series of the tracks, from top to bottom.
-TRACK_SERIES = ("truth", *OPTIONAL_METHODS, "tuned", AGAINST, BASELINE, FIXES, "imu_only", "raw_gps")
-VISIBLE_SERIES = ("truth", "tuned", *OPTIONAL_METHODS, AGAINST, BASELINE, "raw_gps")
 # Verdicts on the consistency that the page shows as warnings.
 WARNING_VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
 BANK_TEXT = (
@@ -70,9 +67,7 @@ def evaluation_report(folder: Path) -> Report:
         )
     absent = {AGAINST, FIXES, *OPTIONAL_METHODS} - {*scores.mean}
     labels = LABELS | dict(view.names)
-    tracks = TrackView(
-        drives, {m: labels[m] for m in TRACK_SERIES if m not in absent}, STYLES, VISIBLE_SERIES, "tuned"
-    )
+    tracks = TrackView(drives, {m: labels[m] for m in STYLES if m not in absent}, STYLES, "tuned")
     swarm = tuple(chart for drive in drives for chart in swarm_charts(drive))
     also = [method for method in (AGAINST, *OPTIONAL_METHODS) if method in scores.mean]
     command, note = evaluate_command(list(scores.drives), setup, also=also)

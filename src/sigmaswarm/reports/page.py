@@ -7,7 +7,7 @@ import base64
 import gzip
 import json
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
@@ -59,15 +59,13 @@ MAX_NUMBERS = 250_000
 class TrackView:
     """Interactive tracks.
 
-    ``labels`` and ``looks`` have an entry per series, from top to bottom. The series in ``shown`` are visible when the
-    page opens. The series ``main`` provides the 3 sigma and NIS that are shown first, and the scale of the heading
-    error.
+    ``labels`` and ``looks`` have an entry per series, from top to bottom. The series ``main`` provides the 3 sigma and
+    NIS that are shown first, and the scale of the heading error.
     """
 
     drives: Sequence[Tracks]
     labels: Mapping[str, str]
     looks: Mapping[str, Look]
-    shown: Collection[str]
     main: str
 
 
@@ -144,7 +142,7 @@ def _view(view: TrackView) -> dict[str, Any]:
         {
             "series": name,
             "label": label,
-            "shown": name in view.shown,
+            "shown": view.looks[name].visible,
             "color": view.looks[name].color,
             "dash": PLOTLY_DASHES[view.looks[name].style],
             "width": max(view.looks[name].width, 1.2),

@@ -26,7 +26,6 @@ CONDITION_VARIANTS = (
     ("honest", "pso-ekf"),
     ("honest", "pso-planar8"),
 )
-VISIBLE_SERIES = ("truth", "honest-pso-ukf", "paper-pso-ukf", "raw_gps")
 
 
 def study_report(folder: Path) -> Report:
@@ -188,7 +187,7 @@ def _tracks(record: StudyRecord) -> tuple[Section, ...]:
         tuned = protocol in results.protocols
         labels[series] = results.label(method, protocol) if tuned else results.label(series.replace("_", "-"))
     text = "Held-out drives and filters of the trial with the lowest training cost."
-    view = TrackView(record.tracks, labels, STUDY_STYLES, VISIBLE_SERIES, f"honest-{MAIN_METHOD}")
+    view = TrackView(record.tracks, labels, STUDY_STYLES, f"honest-{MAIN_METHOD}")
     return (Section("Tracks and errors over time", (text,), tracks=view),) if record.tracks else ()
 
 

@@ -1,6 +1,6 @@
 """Style of all pictures, for color-blind readers and gray prints."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sigmaswarm.scoring.methods import AGAINST, BASELINE, FIXES, METHODS, OPTIONAL_METHODS, method_names
@@ -8,7 +8,10 @@ from sigmaswarm.scoring.methods import AGAINST, BASELINE, FIXES, METHODS, OPTION
 
 @dataclass(frozen=True)
 class Look:
-    """Style of a line, with line style and marker of matplotlib; sizes are in points."""
+    """Style of a line, with line style and marker of matplotlib; sizes are in points.
+
+    ``visible``: pictures contain the line, and a page shows it when it opens.
+    """
 
     color: str
     width: float = 1.2
@@ -16,6 +19,7 @@ class Look:
     marker: str = ""
     size: float = 4.0
     opacity: float = 1.0
+    visible: bool = True
 
     @property
     def line(self) -> dict[str, Any]:
@@ -29,18 +33,18 @@ VERMILION, PURPLE, SKY, INDIGO = "#D55E00", "#CC79A7", "#56B4E9", "#332288"
 CHARCOAL, SLATE, GREY, SILVER, MIST = "#4d4d4d", "#51585f", "#999999", "#cccccc", "#e5e5e5"
 NO_LINE = "none"
 
-# Line styles also differ, so that a gray print stays legible.
+# From top to bottom. Line styles also differ, so that a gray print stays legible.
 STYLES: dict[str, Look] = {
     "truth": Look(BLACK, 1.2),
-    "tuned": Look(BLUE, 2.2),
     "smoothed": Look(INDIGO, 1.6),
     "swarm": Look(VERMILION, 1.4, "--"),
     "outage-lstm": Look(SKY, 1.6, "--"),
     "noise-gru": Look(PURPLE, 1.6, "--"),
+    "tuned": Look(BLUE, 2.2),
     "against": Look(SKY, 1.6),
     BASELINE: Look(PURPLE, 1.2, "-."),
-    FIXES: Look(ORANGE, 1.2, "--"),
-    "imu_only": Look(VERMILION, 1.2, ":"),
+    FIXES: Look(ORANGE, 1.2, "--", visible=False),
+    "imu_only": Look(VERMILION, 1.2, ":", visible=False),
     "raw_gps": Look(GREEN, 0.0, NO_LINE, ".", 4.0, 0.7),
 }
 # Styles of the series in the tracks of a study, from top to bottom.
@@ -48,11 +52,11 @@ STUDY_STYLES: dict[str, Look] = {
     "truth": STYLES["truth"],
     "honest-pso-ukf": STYLES["tuned"],
     "paper-pso-ukf": Look(VERMILION, 1.4, "-."),
-    "honest-pso-ekf": Look(SKY, 1.4),
-    "honest-pso-planar8": Look(INDIGO, 1.4, "--"),
-    "ukf-datasheet": STYLES[BASELINE],
-    "ukf-defaults": Look(ORANGE, 0.8, "--", opacity=0.5),
-    "imu_only": Look("#51585F", 1.2, ":"),
+    "honest-pso-ekf": Look(SKY, 1.4, visible=False),
+    "honest-pso-planar8": Look(INDIGO, 1.4, "--", visible=False),
+    "ukf-datasheet": replace(STYLES[BASELINE], visible=False),
+    "ukf-defaults": Look(ORANGE, 0.8, "--", opacity=0.5, visible=False),
+    "imu_only": Look(SLATE, 1.2, ":", visible=False),
     "raw_gps": STYLES["raw_gps"],
 }
 LABELS = {"truth": "truth", **method_names(also=(AGAINST, *OPTIONAL_METHODS)), **METHODS}
