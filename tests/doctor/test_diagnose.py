@@ -453,6 +453,29 @@ def test_a_velocity_that_fits_better_later_is_not_recommended():
     assert not found_of(rest, "velocity-delay")
 
 
+@pytest.mark.parametrize("every", [1, 5])  # 5 Hz and 1 Hz
+def test_a_stretch_of_multipath_is_named_unless_the_receiver_states_it(every: int):
+    drive = sigmaswarm.simulate("urban", run=1, duration=120.0, gps="white-1m", imu="icm-20602")
+    true = [np.interp(drive.gps.time, drive.truth.time, v) for v in (drive.truth.x, drive.truth.y)]
+    rng, time = np.random.default_rng(0), drive.gps.time - drive.imu.time[0]
+    std = np.where((time > 40) & (time < 80), 1.0, 0.05)
+    x, y = (v + std * rng.standard_normal(len(v)) for v in true)
+    plain = replace(drive.gps, x=x, y=y, std_x=None, std_y=None)
+    stated = replace(plain, std_x=std, std_y=std)
+    calm = replace(plain, x=true[0] + (x - true[0]) / std, y=true[1] + (y - true[1]) / std)
+    found = [
+        {
+            f.code: f
+            for f in sigmaswarm.diagnose(replace(drive, gps=gps.select(slice(None, None, every)))).findings
+        }
+        for gps in (plain, stated, calm)
+    ]
+    assert ["gps-disturbed" in codes for codes in found] == [True, False, False]
+    start, end = (t - drive.imu.time[0] for t in found[0]["gps-disturbed"].span)
+    assert 30 < start < 46 and 74 < end < 90
+    assert found[0]["gps-disturbed"].severity == "warning"
+
+
 @pytest.mark.long
 @needs_shared
 def test_a_city_s_receiver():

@@ -118,6 +118,15 @@ def test_a_clear_rotation_is_not_rounded_in_a_whole_log_and_kept_in_a_part(yaw: 
     assert not Mounting(rotation_of(0, 0.3, min(yaw, 4.9)), std, "sure", "", np.eye(3)).needed
 
 
+@pytest.mark.parametrize(
+    ("roll", "pitch", "needed"), [(0, 9, True), (9, 0, False), (0, -9, True), (180, 0, True)]
+)
+def test_a_tilt_is_compared_with_the_accuracy_of_its_own_axis(roll: float, pitch: float, needed: bool):
+    """A hilly drive determines pitch three times as accurately as roll."""
+    std = np.radians([2.9, 0.8, 0.8])
+    assert Mounting(rotation_of(roll, pitch, 0), std, "likely", "", np.eye(3)).needed is needed
+
+
 @pytest.mark.parametrize("start", quickly([(a,) for a in WRONG], lambda a: a == (0, -60, 30)))
 def test_a_wrong_mounting_of_the_import_changes_no_answer(start: tuple[float, float, float]):
     drive = drive_of("mpu-6050")

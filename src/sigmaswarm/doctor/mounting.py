@@ -92,7 +92,8 @@ class Mounting:
     def _agrees(self, rest: Array, least_tilt: float = 0.0, least_yaw: float = 0.0) -> bool:
         """Check that tilt and rotation about the vertical of a rotation (3, 3) are small or not significant."""
         tilt, about = np.arccos(np.clip(rest[2, 2], -1.0, 1.0)), rest @ leveling_rotation(rest[2]).T
-        level = tilt <= max(least_tilt, MIN_SIGMAS * np.max(self.std[:2]))
+        axis = rest[2, 1::-1] / max(float(np.hypot(rest[2, 0], rest[2, 1])), 1e-9)  # of the tilt: roll, pitch
+        level = tilt <= max(least_tilt, MIN_SIGMAS * float(np.linalg.norm(axis * self.std[:2])))
         yaw = abs(math.atan2(about[1, 0], about[0, 0]))
         return bool(level and yaw <= max(least_yaw, MIN_SIGMAS * self.std[2]))
 
