@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.doctor.findings import Diagnosis as Diagnosis
     from sigmaswarm.doctor.findings import Finding as Finding
+    from sigmaswarm.doctor.split import split
+    from sigmaswarm.doctor.split import split_time as split_time
     from sigmaswarm.drives.alignment import InitialState as InitialState
     from sigmaswarm.drives.alignment import initial_state as initial_state
     from sigmaswarm.drives.drive import Drive
@@ -50,9 +52,7 @@ if TYPE_CHECKING:
     from sigmaswarm.drives.drive import Truth as Truth
     from sigmaswarm.drives.reader import read_drive
     from sigmaswarm.drives.split import clip as clip
-    from sigmaswarm.drives.split import split
     from sigmaswarm.drives.split import split_drives as split_drives
-    from sigmaswarm.drives.split import split_time as split_time
     from sigmaswarm.drives.writer import write_drive
     from sigmaswarm.errors import (
         AlignmentError,

@@ -65,9 +65,8 @@ def test_a_held_out_part_is_evaluated_and_never_tuned_on(sigmaswarm, good, here:
     other = sigmaswarm("doctor", "parts/urban-clear-00-train").out
     assert "\nthen: sigmaswarm tune parts/urban-clear-00-train --out tuned\n" in other
     assert "split" not in other
-    write_drive(flipped_yaw(read_drive("parts/urban-clear-00-test")), here / "sick-test")
-    mended = sigmaswarm("doctor", "sick-test", "--fix", "mended").out
-    assert "sigmaswarm evaluate TUNING mended/urban-clear-00-test" in mended
+    copied = sigmaswarm("doctor", "parts/urban-clear-00-test", "--fix", "mended").out
+    assert "sigmaswarm evaluate TUNING mended/urban-clear-00-test" in copied
 
 
 def test_a_part_is_repaired_only_with_the_whole_drive(sigmaswarm, sick: Path):
@@ -77,6 +76,11 @@ def test_a_part_is_repaired_only_with_the_whole_drive(sigmaswarm, sick: Path):
     said = sigmaswarm("doctor", f"parts/{part}").out
     assert "repair the whole drive urban-clear-00, then split again (change" in " ".join(said.split())
     assert "--fix does this" not in said and f"parts/{part} --fix" not in said
+    refused = sigmaswarm("doctor", "parts", "--fix", "alone")
+    assert (refused.code, refused.err.count("\n"), Path("alone").exists()) == (2, 1, False)
+    assert refused.err.endswith(
+        "; sigmaswarm doctor sick --fix mended, then sigmaswarm split mended/urban-clear-00 --out parts-2\n"
+    )
     repair, split = re.findall(r"(?:next|then): sigmaswarm (.*?)(?:    \(.*)?\n", said)
     assert repair == "doctor sick --fix mended" and split.endswith("--out parts-2")
     for command in (repair, split):
@@ -87,6 +91,17 @@ def test_a_part_is_repaired_only_with_the_whole_drive(sigmaswarm, sick: Path):
     sick.rename("elsewhere-with-another-name")
     (sick.parent / "elsewhere-with-another-name" / "imu.csv").unlink()
     assert "next: repair the whole drive urban-clear-00 (" in sigmaswarm("doctor", f"parts/{part}").out
+    assert (
+        "; repair the whole drive urban-clear-00 (" in sigmaswarm("doctor", f"parts/{part}", "--fix", "x").err
+    )
+
+
+def test_a_fault_of_a_part_alone_is_not_repaired(sigmaswarm, good, here: Path):
+    write_drive(good, here / "log")
+    assert sigmaswarm("split", "log", "--out", "parts", "--train-fraction", "0.5").code == 0
+    write_drive(flipped_yaw(read_drive("parts/urban-clear-00-test")), here / "sick-test")
+    refused = sigmaswarm("doctor", "sick-test", "--fix", "mended")
+    assert refused.code == 2 and "log needs no repair, so use the part without --fix" in refused.err
 
 
 def test_split_of_a_faulty_drive_proposes_its_repair(sigmaswarm, sick: Path):

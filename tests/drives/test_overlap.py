@@ -9,6 +9,7 @@ import pytest
 
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.doctor.repairs import repair
+from sigmaswarm.doctor.split import split_time
 from sigmaswarm.drives import overlap
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.overlap import (
@@ -22,7 +23,7 @@ from sigmaswarm.drives.overlap import (
     whole_drive,
 )
 from sigmaswarm.drives.reader import read_with_warnings
-from sigmaswarm.drives.split import clip, split_time
+from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.simulation.maneuvers import MANEUVERS

@@ -7,8 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sigmaswarm.drives.split import clip, split_drives, split_time
+from sigmaswarm.doctor.mounting import rotate_imu
+from sigmaswarm.doctor.split import split_time
+from sigmaswarm.drives.split import clip, split_drives
 from sigmaswarm.errors import DriveError, InputError
+from sigmaswarm.geodesy import rotation_of
+from sigmaswarm.simulation import simulate
 from support import make_drive
 
 DRIVE = make_drive(duration=20.0, jitter=0.4)
@@ -121,3 +125,13 @@ def test_the_part_between_two_times_is_left_out():
         split_time(DRIVE, at=(7.0, 3.0))
     with pytest.raises(InputError, match="at has 3 times"):
         split_time(DRIVE, at=(3.0, 4.0, 7.0))
+
+
+def test_the_parts_of_a_log_whose_imu_was_moved_are_repaired_alone():
+    drive = simulate("urban", duration=80.0, imu_rate=50.0, imu="icm-20602", gps="white-1m", run=4)
+    tilted, late = rotate_imu(drive.imu, rotation_of(0, 40, 0)), drive.imu.time > 40
+    names = ("ax", "ay", "az", "gx", "gy", "gz")
+    moved = {n: np.where(late, getattr(tilted, n), getattr(drive.imu, n)) for n in names}
+    parts = split_time(replace(drive, imu=replace(drive.imu, **moved)), at=40.0)
+    assert [part.metadata["cut_from"].get("repair_alone") for part in parts] == [True, True]
+    assert [part.metadata["cut_from"].get("repair_alone") for part in split_time(drive)] == [None, None]

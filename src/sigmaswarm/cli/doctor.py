@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 import sigmaswarm
 from sigmaswarm.cli.common import print_result, read_drives, require_writable, say
-from sigmaswarm.cli.findings import next_steps, print_diagnosis
+from sigmaswarm.cli.findings import has_repairable, next_steps, print_diagnosis, repair_whole
 from sigmaswarm.cli.options import Json, Overwrite
 from sigmaswarm.errors import AlignmentError, DriveWarning, InputError, SigmaswarmWarning
 
@@ -53,6 +53,7 @@ def doctor(
     read = _read(drives)
     if fix is not None:
         _check_names(read)
+        _refuse_parts(read, drives)
         require_writable([fix / drive.name for drive in read], drives, overwrite=overwrite)
     arm = None if lever_arm_within is None else _lever_arm(read, lever_arm_within, repaired=fix is not None)
     result: list[dict[str, Any]] = []
@@ -106,6 +107,22 @@ def _lever_arm(drives: "list[Drive]", within: float, *, repaired: bool) -> "Leve
     except AlignmentError as error:
         warnings.warn(f"no lever arm is estimated: {error}", SigmaswarmWarning, stacklevel=3)
         return None
+
+
+def _refuse_parts(drives: "list[Drive]", given: list[Path]) -> None:
+    """Refuse, before anything is written, to repair a part alone, since the other part would keep other axes."""
+    from sigmaswarm.drives.reader import all_drive_locations
+
+    for drive, folder in zip(drives, all_drive_locations(given), strict=True):
+        diagnosis = sigmaswarm.diagnose(drive)
+        if diagnosis.whole and has_repairable(diagnosis):
+            steps, whole = repair_whole(diagnosis, folder)
+            commands = [step.partition("    ")[0].partition(": ")[2] for step in steps]
+            remedy = ", then ".join(commands) or f"{whole} needs no repair, so use the part without --fix"
+            raise InputError(
+                f"{folder}: is a part of the drive {diagnosis.whole}, and would differ from the other part if it were "
+                f"repaired alone; {remedy}"
+            )
 
 
 def _check_names(drives: "list[Drive]") -> None:

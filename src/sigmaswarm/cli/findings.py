@@ -175,8 +175,14 @@ def _doctor(folder: "Location") -> str:
     return f"sigmaswarm doctor {shlex.quote(str(folder))}"
 
 
-def _unknown_whole(name: str) -> str:
-    return f"next: repair the whole drive {printable(name)} (sigmaswarm doctor DRIVE --fix mended), then split again"
+def repair_whole(diagnosis: "Diagnosis", part: "Location") -> "tuple[list[str], Location]":
+    """Return the lines that repair the whole drive of a part, none if it needs no repair, and its folder."""
+    if whole := diagnosis_of_whole(part):
+        return [*repair_and_split(*whole)], whole[1]
+    name = printable(diagnosis.whole)
+    return [
+        f"next: repair the whole drive {name} (sigmaswarm doctor DRIVE --fix mended), then split again"
+    ], part
 
 
 def next_steps(diagnosis: "Diagnosis", out: Path, part: str = "") -> Iterator[str]:
@@ -189,12 +195,11 @@ def next_steps(diagnosis: "Diagnosis", out: Path, part: str = "") -> Iterator[st
         yield from (f"next: {cut}", f"then: sigmaswarm doctor {free_path('parts')} --fix mended")
         return
     if diagnosis.whole and (diagnosis.serious or has_repairable(diagnosis)):
-        whole = diagnosis_of_whole(out)
-        lines = [*repair_and_split(*whole)] if whole else [_unknown_whole(diagnosis.whole)]
-        if lines or not whole:
+        lines, whole = repair_whole(diagnosis, out)
+        if lines:
             yield from lines
             return
-        following = f"{_doctor(whole[1])}    (this whole drive needs no repair)"
+        following = f"{_doctor(whole)}    (this whole drive needs no repair)"
     elif diagnosis.serious or has_repairable(diagnosis):
         command, mended = exchanging(diagnosis, out) or repair_command(diagnosis, out)
         go_on = f"{command}    (then continue with {mended}, not with {out})"

@@ -2,7 +2,6 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +9,7 @@ from cyclopts import Parameter
 
 import sigmaswarm
 from sigmaswarm.cli.common import print_json, read_silently, require_writable, say
-from sigmaswarm.cli.findings import has_unrepairable, repair_and_split, split_command
+from sigmaswarm.cli.findings import has_unrepairable, repair_and_split
 from sigmaswarm.cli.options import Json, Overwrite
 from sigmaswarm.files import free_path
 from sigmaswarm.wording import count_of
@@ -51,14 +50,13 @@ def split(
         raise sigmaswarm.InputError(
             f"--at has {len(at)} times; specify one time, or two times to leave out the part between them"
         )
+    from sigmaswarm.drives.split import is_repaired_alone
+
     times = None if not at else at[0] if len(at) == 1 else (at[0], at[1])
     whole = read_silently(drive)
     parts = sigmaswarm.split_time(whole, 0.7 if train_fraction is None else train_fraction, at=times)
     _require_enough(whole, parts)
-    diagnosis = sigmaswarm.diagnose(whole)
-    own = bool(split_command(diagnosis, drive))  # the parts have different faults
-    if own:
-        parts = tuple(_repaired_alone(part) for part in parts)
+    diagnosis, own = sigmaswarm.diagnose(whole), all(map(is_repaired_alone, parts))
     require_writable([out / part.name for part in parts], [drive], overwrite=overwrite)
     for part in parts:
         sigmaswarm.write_drive(part, out / part.name, overwrite=overwrite)
@@ -70,16 +68,10 @@ def split(
     say(*(repairs or _next_steps(parts, out, own=own)))
 
 
-def _repaired_alone(part: "sigmaswarm.Drive") -> "sigmaswarm.Drive":
-    from sigmaswarm.drives.description import CUT, REPAIR_ALONE
-
-    return replace(part, metadata={**part.metadata, CUT: {**part.metadata[CUT], REPAIR_ALONE: True}})
-
-
 def _options(train_fraction: float | None, at: list[float] | None) -> list[str]:
     """Return the options of a split that select the same parts."""
     if at:
-        return ["--at", *(f"{time:g}" for time in at)]
+        return ["--at", *(f"{time:.12g}" for time in at)]
     return [] if train_fraction is None else ["--train-fraction", f"{train_fraction:g}"]
 
 

@@ -1,0 +1,79 @@
+"""Split a drive in time; the parts of a drive whose IMU was moved are repaired alone."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from sigmaswarm.doctor.diagnose import diagnose
+from sigmaswarm.drives.alignment import StartFailure, find_start
+from sigmaswarm.drives.checks import shortage_of
+from sigmaswarm.drives.description import CUT, REPAIR_ALONE
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.fingerprint import fingerprint
+from sigmaswarm.drives.split import clip, require_fraction
+from sigmaswarm.errors import InputError, SigmaswarmWarning
+
+
+def split_time(
+    drive: Drive, train_fraction: float = 0.7, *, at: float | tuple[float, float] | None = None
+) -> tuple[Drive, Drive]:
+    """Split one long drive in time: ``<name>-train`` is its first part, ``<name>-test`` the rest.
+
+    Parameters
+    ----------
+    drive : Drive
+        The drive, which is not changed.
+    train_fraction : float
+        Share of the drive's duration, in (0, 1).
+    at : float or (float, float), optional
+        Time of the split, s on the drive's clock, for example at a pause of the logger. Two times leave out the part
+        between them; the parts are then ``<name>-before`` and ``<name>-after``.
+
+    Warns
+    -----
+    SigmaswarmWarning
+        If no filter can start on a part.
+
+    Returns
+    -------
+    (Drive, Drive)
+        ``cut_from`` in their metadata contains the original drive (name, fingerprint) and the part (s on its clock). If
+        the doctor proposes to split this drive, its parts have different faults, and are repaired alone.
+    """
+    require_fraction(train_fraction)
+    if at is None:
+        at = float(drive.imu.time[0] + train_fraction * drive.duration)
+    times = np.ravel(np.asarray(at, np.float64))
+    if len(times) not in (1, 2):
+        raise InputError(
+            f"at has {len(times)} times; pass one time, or two times to leave out the part between them"
+        )
+    end, start = float(times[0]), float(times[-1])
+    if start < end:
+        raise InputError(
+            f"at = {end:.12g}, {start:.12g} s: the first time is after the second; exchange them"
+        )
+    names = ("before", "after") if len(times) == 2 else ("train", "test")
+    parts = (
+        clip(drive, end=end, name=f"{drive.name}-{names[0]}"),
+        clip(drive, start=start, name=f"{drive.name}-{names[1]}"),
+    )
+    sha256 = fingerprint(drive)
+    found = diagnose(drive).findings if not shortage_of(drive.imu, drive.gps) else ()
+    alone = {REPAIR_ALONE: True} if any(f.cut is not None for f in found if f.severity == "serious") else {}
+    for part in parts:
+        if isinstance(found := find_start(part), StartFailure):
+            message = f"{part.name} can't be used as a drive: {found.what}; split at another time, or {found.remedy}"
+            warnings.warn(message, SigmaswarmWarning, stacklevel=2)
+    first, last = (
+        {"drive": drive.name, "start_s": float(t[0]), "end_s": float(t[-1]), "sha256": sha256, **alone}
+        for t in (part.imu.time for part in parts)
+    )
+    return (
+        replace(parts[0], metadata={**parts[0].metadata, CUT: first}),
+        replace(parts[1], metadata={**parts[1].metadata, CUT: last}),
+    )
+
+
+split = split_time  # name of `split_time` in the short API
