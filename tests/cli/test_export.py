@@ -72,8 +72,8 @@ def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: 
     assert (ended.code, ended.err.count("\n")) == (2, 1) and "ekf.yaml: has neither" in ended.err
 
 
-def test_the_warning_not_to_use_a_filter_is_repeated(
-    sigmaswarm: Command, tuned: Path, drives: Path, here: Path
+def test_the_warning_not_to_use_a_filter_is_repeated_in_the_last_line(
+    sigmaswarm: Command, tuned: Path, drives: Path, here: Path, monkeypatch
 ):
     drive = drives / "urban-clear-00"
     text = tuned.read_text()
@@ -84,6 +84,10 @@ def test_the_warning_not_to_use_a_filter_is_repeated(
         assert ended.code == 0 and Path("py/run_filter.py").exists()
         assert ("bad.toml: DO NOT USE THIS FILTER; " in ended.err) is repeated
         assert "it diverges" in ended.err or not repeated
+        with monkeypatch.context() as joined:
+            joined.setattr(sys, "stderr", sys.stdout)
+            last = sigmaswarm("export", "bad.toml", "--to", "filterpy", "--out", "py").out.splitlines()[-1]
+        assert ("DO NOT USE" in last, last.startswith("next: ")) == (repeated, not repeated)
         evaluated = sigmaswarm("evaluate", "bad.toml", drive, "--out", "e").out
         assert ("sigmaswarm export" not in evaluated) is repeated
 

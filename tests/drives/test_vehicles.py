@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from sigmaswarm import SigmaswarmWarning, tune
 from sigmaswarm.drives.mounting import AXES_KEY, KEY
 from sigmaswarm.drives.vehicles import differences, sensor_setup
 from sigmaswarm.simulation import simulate
@@ -46,3 +47,10 @@ def test_simulated_drives_of_one_grade_have_the_same_sensors():
         for i, where in enumerate(("clear", "rain"))
     ]
     assert found(*drives) == []
+
+
+@pytest.mark.usefixtures("undiagnosed")
+def test_tune_warns_in_python_too():
+    drives = [make_drive(duration=20.0, name=name, imu_rate=rate) for name, rate in (("a", 100), ("b", 60))]
+    with pytest.warns(SigmaswarmWarning, match="different vehicles or sensors: the IMU of a has 100 Hz"):
+        tune(drives, model="planar5", particles=2, generations=1)

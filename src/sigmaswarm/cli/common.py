@@ -186,9 +186,10 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
             *sentences,
         )
         return
-    left = [f"{len(sentences) - MAX_REMARKS} more remarks"] if len(sentences) > MAX_REMARKS else []
+    shown = tuple(dict.fromkeys((*sentences[:MAX_REMARKS], *view.missing_drifts())))
+    left = [f"{len(sentences) - len(shown)} more remarks"] if len(sentences) > len(shown) else []
     *adds, last = [*(["each drive"] if several else []), "the consistency", *left]
     say(
-        *sentences[:MAX_REMARKS],
+        *shown,
         f"--verbose also shows {' and '.join(filter(None, [', '.join(adds), last]))}",
     )

@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from shlex import quote
@@ -17,6 +18,7 @@ from sigmaswarm.wording import TO_DO
 
 if TYPE_CHECKING:
     from sigmaswarm.exports.check import ExportCheck
+    from sigmaswarm.tuning.record import TuningRecord
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +84,7 @@ def export(
     following = f"sigmaswarm export tuned --to {to} --out {quote(str(out))}"
     require_tuning(tuning, f"tune first: sigmaswarm tune {quote(str(tuning))} --out tuned, then {following}")
     tuned = tuned_filter(tuning)
-    record, parameters, mounting = TuningRecord.read(tuning), tuned.parameters, tuned.mounting
+    record, parameters = TuningRecord.read(tuning), tuned.parameters
     ros = to != "c99" and MODELS[parameters.model].measures_imu
     if options.check and to != "c99" and not ros:
         raise sigmaswarm.InputError(
@@ -103,25 +105,28 @@ def export(
     checked: list[ExportCheck] = []
     if drives and not ros:
         checked = check_export(out, parameters, drives, **settings)
-    for warning in record.unusable:
-        warnings.warn(f"{tuning}: {warning.removeprefix(TO_DO)}", sigmaswarm.SigmaswarmWarning, stacklevel=1)
     if options.json:
         found = {"checked": [asdict(each) for each in checked]} if checked else {}
         print_json({"written": [str(path) for path in written], **found})
-        return
-    say(*(f"wrote {path}" for path in written), *(_found(each, options.lanes) for each in checked))
-    if mounting and to == "c99":
-        angles = ", ".join(f"{angle:g}" for angle in mounting)
-        say(
+    else:
+        say(*(f"wrote {path}" for path in written), *(_found(each, options.lanes) for each in checked))
+        say(*_notes(to, record), f"next: {next_command(to, out, texts)}")
+    for warning in record.unusable:  # the last line, since nothing else is as important
+        warnings.warn(f"{tuning}: {warning.removeprefix(TO_DO)}", sigmaswarm.SigmaswarmWarning, stacklevel=1)
+
+
+def _notes(to: str, record: "TuningRecord") -> Iterator[str]:
+    if record.mounting and to == "c99":
+        angles = ", ".join(f"{angle:g}" for angle in record.mounting)
+        yield (
             "ins_gps_turn_imu() rotates samples from the imported axes by the mounting of the training drives "
             f"({angles} deg)"
         )
     if to != "filterpy" and record.mountings_differ:
-        say(
+        yield (
             "note: the training drives state different mountings, so the export contains no rotation; rotate raw "
             "samples to x forward, y left, z up before the filter, or tune on drives with one mounting"
         )
-    say(f"next: {next_command(to, out, texts)}")
 
 
 def _found(checked: "ExportCheck", lanes: int) -> str:

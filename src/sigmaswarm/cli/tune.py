@@ -1,6 +1,5 @@
 """`sigmaswarm tune`."""
 
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from math import isfinite
@@ -21,7 +20,7 @@ from sigmaswarm.cli.findings import Remedy
 from sigmaswarm.cli.options import MORE, Cluster, Json, Places, TrustLog, Workers, options_of
 from sigmaswarm.cli.remarks import local_folders, name_files
 from sigmaswarm.cli.terminal import tuning_progress
-from sigmaswarm.errors import InputError, SigmaswarmWarning
+from sigmaswarm.errors import InputError
 from sigmaswarm.files import free_path
 from sigmaswarm.tuning.config import DEFERRED_OPTIONS, RENAMED, TuneConfig
 from sigmaswarm.wording import TO_DO, count_of
@@ -146,7 +145,6 @@ def _tune(
     from sigmaswarm.tuning.defaults import default_filter_options
 
     read, held_back = groups
-    _warn_of_other_vehicles(read)
     everywhere = [*read.map(log_properties), *held_back.map(log_properties)]
     if asked["start"]:
         asked = {**asked, "start": filter_for(asked["start"], read)}
@@ -165,18 +163,6 @@ def _tune(
     compare = _compare(evaluate, out, [one["sha256"] for one in tuning.data])
     lines = [f"next:     {evaluate} --out evaluation", *splitting, *compare]
     return tuning, track, [f"model:    {chosen}"] if chosen else [], lines
-
-
-def _warn_of_other_vehicles(drives: "Dataset") -> None:
-    """Warn if the training drives are clearly from different vehicles or sensors."""
-    from sigmaswarm.drives.vehicles import differences, sensor_setup
-
-    if found := [*differences(drives.map(sensor_setup))]:
-        message = (
-            f"the training drives seem to be from different vehicles or sensors: {'; '.join(found)}. A filter "
-            "fits one vehicle and its sensors; tune one filter for each vehicle"
-        )
-        warnings.warn(message, SigmaswarmWarning, stacklevel=2)
 
 
 def _remarks(tuning: "Tuning[Any]", track: "FirstTrack", given: Places) -> Iterable[str]:

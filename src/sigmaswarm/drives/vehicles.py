@@ -31,6 +31,15 @@ def sensor_setup(drive: Drive) -> SensorSetup:
     return SensorSetup(drive.name, imu_rate, fix_rate, drive.mounting or imported)
 
 
+def describe_vehicles(setups: Sequence[SensorSetup]) -> str:
+    """Return a warning if drives are clearly from different vehicles or sensors, else ""."""
+    found = "; ".join(differences(setups))
+    return found and (
+        f"the training drives seem to be from different vehicles or sensors: {found}. A filter fits one vehicle and "
+        "its sensors; tune one filter for each vehicle"
+    )
+
+
 def differences(setups: Sequence[SensorSetup]) -> Iterator[str]:
     """Yield a clause for each property by which drives are clearly from different vehicles or sensors."""
     rates: dict[str, Callable[[SensorSetup], float]] = {

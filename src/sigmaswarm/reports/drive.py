@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.reports.figures import show_time
 from sigmaswarm.reports.style import BLUE, GREY, PURPLE, VERMILION
 
 Gaps = list[tuple[float, float]]  # start and end of intervals without fixes, s
@@ -21,28 +22,24 @@ def drive_figure(drive: Drive) -> Figure:
     steps = np.diff(time)  # an interval above 2.5 times the median is a gap
     after = np.flatnonzero(steps > 2.5 * np.median(steps)) if len(time) > 2 else []
     gaps: Gaps = [(float(time[i]), float(time[i + 1])) for i in after]
-    first = float(imu.time[0])
-    # large time stamps (GPS seconds of week, Unix time) are shown relative to the start of the drive
-    origin = first if abs(first) > 1000 else 0.0
     _draw_path(figure.add_subplot(grid[:3, 0]), drive, gaps)
     _draw_figures(figure.add_subplot(grid[3, 0]), drive)
     top = figure.add_subplot(grid[0, 1])
     panels = [top, *(figure.add_subplot(grid[i, 1], sharex=top) for i in range(1, 4))]
-    _draw_speed(panels[0], drive, origin)
-    when = imu.time - origin
-    _draw_lines(panels[1], when, {"forward": (imu.ax, BLUE), "left": (imu.ay, VERMILION)})
+    _draw_speed(panels[0], drive)
+    _draw_lines(panels[1], imu.time, {"forward": (imu.ax, BLUE), "left": (imu.ay, VERMILION)})
     panels[1].set_ylabel("specific force\nm/s²")
     rates = {"yaw": (imu.gz, BLUE), "roll": (imu.gx, VERMILION), "pitch": (imu.gy, PURPLE)}
     known = {name: (np.degrees(rate), color) for name, (rate, color) in rates.items() if rate is not None}
-    _draw_lines(panels[2], when, known)
+    _draw_lines(panels[2], imu.time, known)
     panels[2].set_ylabel("angular rate\ndeg/s")
-    _draw_fixes(panels[3], drive, gaps, origin)
+    _draw_fixes(panels[3], drive, gaps)
     for panel in panels:
         for begin, end in gaps:
-            panel.axvspan(begin - origin, end - origin, color=GREY, alpha=0.25, lw=0)
+            panel.axvspan(begin, end, color=GREY, alpha=0.25, lw=0)
         panel.grid(alpha=0.3)
         panel.tick_params(labelbottom=panel is panels[-1])
-    panels[-1].set_xlabel("time, s" + (" (gray: no fixes)" if gaps else ""))
+    show_time(panels[-1], f"time t, s{' (gray: no fixes)' if gaps else ''}")
     figure.suptitle(f"{drive.name}: {drive.duration:.1f} s, {len(imu)} IMU samples, {len(drive.gps)} fixes")
     return figure
 
@@ -63,17 +60,17 @@ def _draw_path(axes: Axes, drive: Drive, gaps: Gaps) -> None:
     axes.legend(loc="best", fontsize="small")
 
 
-def _draw_speed(axes: Axes, drive: Drive, origin: float) -> None:
+def _draw_speed(axes: Axes, drive: Drive) -> None:
     gps, truth = drive.gps, drive.truth
     dots: dict[str, Any] = {"color": VERMILION, "ms": 3}
     if gps.speed is not None:
-        axes.plot(gps.time - origin, gps.speed * 3.6, ".", **dots, label="receiver")
+        axes.plot(gps.time, gps.speed * 3.6, ".", **dots, label="receiver")
     if truth is not None:
         speed = np.hypot(truth.vx, truth.vy) * 3.6
-        axes.plot(truth.time - origin, speed, color=BLUE, lw=1.5, label="truth")
+        axes.plot(truth.time, speed, color=BLUE, lw=1.5, label="truth")
     if gps.speed is None and truth is None:
         steps = np.hypot(np.diff(gps.x), np.diff(gps.y)) / np.diff(gps.time)
-        axes.plot(gps.time[1:] - origin, steps * 3.6, ".", **dots, label="from fix to fix")
+        axes.plot(gps.time[1:], steps * 3.6, ".", **dots, label="from fix to fix")
     axes.set_ylabel("speed\nkm/h")
     _legend_above(axes)
 
@@ -89,17 +86,17 @@ def _legend_above(axes: Axes) -> None:
     axes.legend(loc="lower right", bbox_to_anchor=(1, 0.97), ncols=3, frameon=False, fontsize="small")
 
 
-def _draw_fixes(axes: Axes, drive: Drive, gaps: Gaps, origin: float) -> None:
+def _draw_fixes(axes: Axes, drive: Drive, gaps: Gaps) -> None:
     """Draw the errors of the fixes if the truth is known, else the time from fix to fix."""
     gps, truth = drive.gps, drive.truth
     if truth is None:
-        axes.plot(gps.time[1:] - origin, np.diff(gps.time), ".", color=VERMILION, ms=3)
+        axes.plot(gps.time[1:], np.diff(gps.time), ".", color=VERMILION, ms=3)
         axes.set_ylim(bottom=0.0)
         axes.set_ylabel("time from fix\nto fix, s")
         return
     # NaN interrupts the line at a gap.
     after_gaps = np.searchsorted(gps.time, [end for _, end in gaps])
-    when = np.insert(gps.time - origin, after_gaps, np.nan)
+    when = np.insert(gps.time, after_gaps, np.nan)
     for values, true, color, name in ((gps.x, truth.x, BLUE, "east"), (gps.y, truth.y, VERMILION, "north")):
         error = values - np.interp(gps.time, truth.time, true)
         axes.plot(when, np.insert(error, after_gaps, np.nan), ".-", color=color, ms=3, lw=0.5, label=name)

@@ -22,6 +22,7 @@ from sigmaswarm.reports.figures import (
     name_rows,
     save,
     short_number,
+    show_time,
 )
 from sigmaswarm.reports.style import (
     BLACK,
@@ -162,7 +163,8 @@ def consistency(name: str, evaluated: DriveResult) -> Figure | None:
         behind = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1}
         across = ax.get_yaxis_transform()
         ax.annotate("95% gate", (0.01, GATE_95), xycoords=across, va="bottom", bbox=behind, fontsize=8)
-        ax.set(xlabel="time, s", ylabel="NIS")
+        show_time(ax)
+        ax.set(ylabel="NIS")
         logarithmic(ax.yaxis)
         ax.set_ylim(1e-2, None)
 
@@ -244,7 +246,8 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
         shown = np.concatenate([*values, series["tuned"]["heading_3sigma"]])
         known = np.isfinite(shown).any()
         most = float(np.clip(1.2 * np.nanquantile(shown, 0.98), *HEADING_LIMITS)) if known else 30.0
-        ax.set(xlabel="time, s", ylabel="heading error, deg", ylim=(-most, most))
+        show_time(ax)
+        ax.set(ylabel="heading error, deg", ylim=(-most, most))
 
     charts = Chart(f"{picture.whole.name}: error against truth", position), Chart("", heading)
     return figure_of(*charts, size=(9, 6), columns=1, legend="below", sharex=True)
@@ -261,14 +264,16 @@ def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
         sums = [*accumulate((shares[name] for name in names), initial=np.zeros(len(shares["time"])))]
         for name, color, low, high in zip(names, (BLUE, ORANGE, GREEN, PURPLE), sums, sums[1:], strict=False):
             band(ax, shares["time"], low, high, Look(color, opacity=0.7), name)
-        ax.set(xlabel="time, s", ylabel="share", ylim=(0.0, 1.0))
+        show_time(ax)
+        ax.set(ylabel="share", ylim=(0.0, 1.0))
 
     def distance(ax: Axes) -> None:
         ax.axhline(0.0, **Look(GREY, 0.8).line)
         offsets = [name for name in moved if name not in ("time", "rear_axle")]
         for name, look in zip(offsets, many_styles(len(offsets), 1.2), strict=True):
             curve(ax, moved["time"], moved[name], look, name)
-        ax.set(xlabel="time, s", ylabel="decades of variance")
+        show_time(ax)
+        ax.set(ylabel="decades of variance")
 
     return (
         Chart(f"{tracks.name}: weights of the filters of the bank", weights),

@@ -60,6 +60,12 @@ def name_rows(ax: Axes, names: Sequence[str]) -> None:
     ax.set_ylim(len(names) - 0.4, -0.6)
 
 
+def show_time(ax: Axes, name: str = "time t, s") -> None:
+    """Label the time axis with full numbers, since commands such as `split --at` take these times of the log."""
+    ax.set_xlabel(name)
+    ax.ticklabel_format(axis="x", style="plain", useOffset=False)
+
+
 def logarithmic(axis: Axis) -> None:
     """Use a logarithmic scale with plain numbers, since a small range contains few powers of ten."""
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # pyright: ignore

@@ -272,7 +272,23 @@ class EvaluationView:
             *self.verdicts().values(),
             *self.radii(),
         )
-        return tuple(dict.fromkeys((*sentences, *self.coverage(), *self.drifts(), *self.explanations())))
+        more = (*self.coverage(), *self.missing_drifts(), *self.drifts(), *self.explanations())
+        return tuple(dict.fromkeys((*sentences, *more)))
+
+    def missing_drifts(self) -> tuple[str, ...]:
+        """Return a sentence for each outage drift that is missing, with the drives that are too short."""
+        short = {
+            measure.title: [
+                d for d, of in self.scores.drives.items() if all(v.get(m) is None for v in of.values())
+            ]
+            for m, measure in self.measures.items()
+            if m in DRIFTS
+        }
+        return tuple(
+            f"No {title}: {drives[0] if len(drives) == 1 else f'{len(drives)} drives'} can't contain such an outage."
+            for title, drives in short.items()
+            if drives
+        )
 
     def drifts(self) -> tuple[str, ...]:
         return tuple(

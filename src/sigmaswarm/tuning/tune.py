@@ -20,6 +20,7 @@ from sigmaswarm.drives.overlap import (
     save_landmarks,
 )
 from sigmaswarm.drives.sensors import log_properties
+from sigmaswarm.drives.vehicles import describe_vehicles, sensor_setup
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import locked_folder
 from sigmaswarm.filters.custom.log import Log
@@ -197,7 +198,8 @@ def _problem_of(
         problem = car_problem(data, config)
         first = None if given is None else start_point(problem.space, given)
         robust = "robust" in config.use and "innovation-nll" in config.objective
-        for warning in (problem.objective.warning, NOT_ROBUST if robust else None):
+        other = describe_vehicles(data.map(sensor_setup))
+        for warning in (other, problem.objective.warning, NOT_ROBUST if robust else None):
             if warning:
                 warnings.warn(warning, SigmaswarmWarning, stacklevel=3)
     if not len(others):

@@ -133,7 +133,7 @@ def time_plot(
     shade |= {"fillcolor": ORANGE, "opacity": 0.12, "line": {"width": 0}}
     layout["shapes"] = [shade | {"x0": span[0], "x1": span[1]}] if span and part else []
     layout["dragmode"] = "select" if on_select else "zoom"
-    plot = show_plot(title, "time, s", unit, visible(), 220, **layout)
+    plot = show_plot(title, "time t, s", unit, visible(), 220, **layout)
     plot.on("plotly_relayout", zoomed, throttle=0.2)
     if on_select:
         plot.on("plotly_selected", selected)
