@@ -1,5 +1,6 @@
 """A --map that is proposed: read from names, corrected by the doctor's evidence, and never applied by itself."""
 
+import re
 import shlex
 import subprocess
 import warnings
@@ -10,6 +11,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from sigmaswarm import import_log
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
@@ -240,3 +242,49 @@ def test_a_look_at_absurd_numbers_does_not_overflow(name: str, value: float):
         same, evidence, works = check_proposal(proposal, lambda _: spoiled)
     assert same is proposal and not works
     assert f"not checked: {name} has numbers beyond 1e+07" in evidence
+
+
+UNITS = {  # factors of accelerations, rates, latitude and longitude
+    "g, deg/s": (1 / G, 180 / np.pi, 1.0),
+    "ft/s2": (1 / 0.3048, 1.0, 1.0),
+    "radians": (1.0, 1.0, np.pi / 180),
+    "counts": (16384 / G, 180 / np.pi * 131, 1.0),
+}
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_a_proposal_reads_units_by_the_values(tmp_path: Path, unit: str):
+    """The columns were proposed unchanged, although the same message stated the unit."""
+    force, rate, degrees = UNITS[unit]
+    imu, gps, digits = DRIVE.imu, DRIVE.gps, 0 if unit == "counts" else 6
+    places = np.column_stack([gps.x, gps.y, 0 * gps.x])
+    lat, lon, _ = degrees * enu_to_geodetic(places, (50.0, 8.0, 100.0)).T
+    forces = {"fwd acc": imu.ax, "left acc": imu.ay, "up acc": imu.az}
+    rates = {"roll gyro": imu.gx, "pitch gyro": imu.gy, "yaw gyro": imu.gz}
+    columns = {"t": imu.time, **{n: np.round(v * force, digits) for n, v in forces.items()}}
+    columns |= {n: np.round(v * rate, digits) for n, v in rates.items()}
+    (tmp_path / "log").mkdir()
+    pl.DataFrame(columns).write_csv(tmp_path / "log" / "imu.csv")
+    pl.DataFrame({"t": gps.time, "rx latitude": lat, "rx longitude": lon}).write_csv(
+        tmp_path / "log" / "gps.csv"
+    )
+    seen = inspect_request(Request(tmp_path / "log"))
+    assert seen.works and seen.evidence.endswith("signs, axes and units agree")
+    drive = import_log(tmp_path / "log", **seen.settings)
+    for name in ("ax", "az", "gz"):
+        np.testing.assert_allclose(getattr(drive.imu, name), getattr(imu, name), atol=2e-3)
+    np.testing.assert_allclose(np.ptp(drive.gps.x), np.ptp(gps.x), rtol=0.01)
+
+
+@pytest.mark.parametrize("head", ["Time (fortnights)", "ts [parsecs]"])
+def test_the_remedy_for_a_time_that_imu_and_fixes_share_works_when_typed(tmp_path: Path, head: str):
+    imu, gps = DRIVE.imu, DRIVE.gps
+    lat, lon, _ = enu_to_geodetic(np.column_stack([gps.x, gps.y, 0 * gps.x]), (50.0, 8.0, 100.0)).T
+    columns = {head: imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz}
+    columns |= {name: np.interp(imu.time, gps.time, v) for name, v in (("lat", lat), ("lon", lon))}
+    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
+    with pytest.raises(InputError) as caught:
+        import_drive(Request(tmp_path / "log.csv"), "log")
+    maps = re.findall(r'--map "([^"]+)"', str(caught.value))
+    assert maps == [f"{role}.t=`{head}`*1.0" for role in ("imu", "gps")]
+    assert len(import_drive(Request(tmp_path / "log.csv", maps=maps), "log").drive.imu) == len(imu)

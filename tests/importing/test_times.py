@@ -60,6 +60,14 @@ def exact_week(t: float) -> str:
     return f"{ticks // 604800000},{ticks % 604800000 / 1000:.3f}"
 
 
+def words(ticks: float, start: float, *, signed: bool = False) -> Callable[[float], str]:
+    def of(t: float) -> str:
+        high, low = divmod(round((start + t) * ticks), 2**32)
+        return f"{high},{low - 2**32 if signed and low >= 2**31 else low}"
+
+    return of
+
+
 TWO_COLUMNS: dict[str, tuple[str, Cells]] = {
     "seconds, nanoseconds": ("seconds,nanoseconds", split(10**9)),
     "sec, nsec": ("sec,nsec", split(10**9)),
@@ -75,6 +83,10 @@ TWO_COLUMNS: dict[str, tuple[str, Cells]] = {
         "%time,field.header.stamp",
         lambda t: f"{EPOCH * 10**9},{round(t * 1e9) + EPOCH * 10**9}",
     ),
+    "two words of us": ("time_hi,time_lo", words(1e6, EPOCH)),
+    "two words of ns": ("timestamp_high,timestamp_low", words(1e9, EPOCH)),
+    "two words of us since boot": ("ts_msb,ts_lsb", words(1e6, 4290)),
+    "two words, signed": ("t_upper,t_lower", words(1e6, 4290, signed=True)),
     "week and time of week, s": ("gps_week,tow", exact_week),
     "week and time of week, ms": (
         "week,iTOW",
@@ -126,6 +138,12 @@ NAMED: dict[str, tuple[str, Cells]] = {
     "ticks since 1601": ("t", lambda t: str(116_444_736_000_000_000 + round((EPOCH + t) * 1e7))),
     "elapsed": ("elapsed", lambda t: f"0:00:{t:09.6f}"),
     "utc_time": ("utc_time", repr),
+    "an index of pandas": (
+        "",
+        lambda t: datetime.datetime.fromtimestamp(EPOCH + t, datetime.UTC).isoformat(timespec="microseconds"),
+    ),
+    "an index in s": ("", lambda t: f"{EPOCH + t:.4f}"),
+    "ticks and a time": ("Tick#,offsetTime", lambda t: f"{round(4.5e6 * t)},{t:.4f}"),
     "datenum": ("datenum", lambda t: f"{719529 + (EPOCH + t) / 86400:.12f}"),
 }
 

@@ -122,7 +122,8 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
             shared = "imu" in roles and table == roles["imu"][0].table
             for what, one in _expressions(found[table], role, "imu" if shared else role):
                 notes += [one.note] if one.note else []
-                faults += [Fault(role, what, table, one.fault)] if one.fault else []
+                fault = one.fault.replace('"imu.t=', f'"{role}.t=')
+                faults += [Fault(role, what, table, fault)] if fault else []
                 expressions |= {what: one.expression} if one.expression else {}
             roles[role] = (*roles.get(role, ()), Part(table, expressions))
     downward = _downward(found[roles["imu"][0].table]) if "imu" in roles else ""

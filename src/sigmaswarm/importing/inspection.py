@@ -20,6 +20,7 @@ from sigmaswarm.importing.gather import ROW, with_row_numbers
 from sigmaswarm.importing.gravity import tilted_mount
 from sigmaswarm.importing.guess import Z_DOWN
 from sigmaswarm.importing.proposal import Proposal, check_proposal, propose_columns
+from sigmaswarm.importing.quantities import in_units
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Fault, Log, Role
 from sigmaswarm.importing.times import column_numbers, time_of
@@ -179,7 +180,7 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
         table, columns = one
         time = time_of(there[table]) if "t" not in known and len(there[table]) else None
         rest = _elsewhere(names, table, {**known, **columns}) if role == "imu" and not parts else {}
-        found[role] = ({"t": time} if time else {}) | columns | rest
+        found[role] = ({"t": time} if time else {}) | in_units(there[table], role, columns) | rest
         if not parts and len(there) > 1 and not rest:
             tables[role] = table
     return Proposal(tables, found) if found else None

@@ -18,7 +18,7 @@ TIME = (
 # Names of times, for tables without a more usual name
 CLOCK = (
     "received|boot|date|cts|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|gps|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
-    "datenum|t_?(?:imu|gps|gnss|acc|gyro?|truth|ref|gt)|(?:imu|gps|gnss|fix|truth)_?t|(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|utc|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
+    "datenum|t_?(?:imu|gps|gnss|acc|gyro?|truth|ref|gt)|(?:imu|gps|gnss|fix|truth)_?t|(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|utc|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed|offset)_?(?:time|clock|stamp)"
 )
 STAMP = "(?:.*_)?header_(?:time_?)?stamp"  # ROS header stamps, in tables converted from bags
 WEEK = "(?:gps|gnss)?_?(?:week|wn|weeks)(?:_?(?:no|num|number))?"
@@ -28,7 +28,7 @@ TIME_OF_WEEK = (
 )
 
 _ACCELERATION = (
-    "a|acc|accel|acceleration|accelerometer|accelerometer_acceleration|lin(?:ear)?_?acc(?:el|eleration)?|specific_force|"
+    "a|acc|accl|accel|acceleration|accelerometer|accelerometer_acceleration|lin(?:ear)?_?acc(?:el|eleration)?|specific_force|"
     "f|f_?b|a_rs_s|linear"
 )
 _RATE = (

@@ -1,7 +1,7 @@
 """Convert columns to a drive's units, by the unit in the name or by the magnitude of the values."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import polars as pl
@@ -183,6 +183,23 @@ def _raw_counts(columns: Columns, what: str, role: Role) -> str:
 
 def _maps(columns: Columns, role: Role, whats: Sequence[str], form: str) -> str:
     return "--map " + " ".join(f'"{role}.{what}={form.format(columns.text(what))}"' for what in whats)
+
+
+def in_units(frame: pl.DataFrame, role: Role, texts: Mapping[str, str]) -> dict[str, str]:
+    """Convert columns that are mapped unchanged by the rules for known names, or as the remedy for them proposes."""
+    columns, signs = Columns(frame), {what: "-" * text.startswith("-") for what, text in texts.items()}
+    quoted_names = {quoted_column(column): column for column in frame.columns}
+    for what, text in texts.items():
+        if what in DIMENSIONS and (column := quoted_names.get(text.removeprefix("-"))):
+            columns.names[what] = Name(column, what)
+    placed = geographic_position(columns, role) if columns.has("lat", "lon") else {}
+    found = {what: placed.get(what) or quantity(columns, what, role) for what in columns.names}
+    remedies = {w: re.search(rf'"{role}\.{w}=([^"]*)"', one.fault) for w, one in found.items()}
+    converted = {w: one.expression or (fit[1] if (fit := remedies[w]) else "") for w, one in found.items()}
+    return {
+        what: f"{signs[what]}{converted[what]}" if converted.get(what) else text
+        for what, text in texts.items()
+    }
 
 
 def geographic_position(columns: Columns, role: Role) -> dict[str, TimeExpression]:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import polars as pl
 
@@ -20,6 +21,7 @@ from sigmaswarm.importing.names import (
     TIME_OF_WEEK,
     WEEK,
     Name,
+    meaning_of_plain,
     plain_words,
     read_names,
 )
@@ -69,6 +71,11 @@ _EPOCHS = (
     (6.2e17, 6.6e17, 621_355_968_000_000_000, 1e-7, "ticks of 100 ns since year 1"),
     (1.26e17, 1.4e17, 116_444_736_000_000_000, 1e-7, "ticks of 100 ns since 1601"),
 )
+# Last words of the names of the upper and lower 32 bits of a time
+_HIGH, _LOW = (
+    (*map(tuple, zip(words.split())),) for words in ("hi high upper msb msw h", "lo low lower lsb lsw l")
+)
+WORD = 2**32
 _DATES_S = (3e8, 4e9)  # range of dates, s since 1970: 1979 to 2096
 
 
@@ -83,7 +90,8 @@ class TimeExpression:
 
 def find_time(frame: pl.DataFrame, role: Role) -> TimeExpression | None:
     names = read_names(frame.columns)
-    several = _seconds_and_rest(names, frame) or _header_stamp(names, frame, role) or _week(names, frame)
+    several = _seconds_and_rest(names, frame) or _words(names, frame, role)
+    several = several or _header_stamp(names, frame, role) or _week(names, frame)
     pairs = [] if several else _dates_and_times(names, frame)
     good = [pair for pair in pairs if not pair[2].fault]
     if several or (good and good[0][1]):
@@ -196,6 +204,27 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> TimeExpress
     return None
 
 
+def _words(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpression | None:
+    """Find a time of 64 bits in two columns of 32 bits: time_hi and time_lo."""
+    for high, low in product(names, names):
+        known = is_time("_".join(high.words[:-1])) and high.words[:-1] == low.words[:-1]
+        if not known or high.words[-1:] not in _HIGH or low.words[-1:] not in _LOW:
+            continue
+        values = [frame[n.column].cast(pl.Float64, strict=False) for n in (high, low)]
+        first, second = (quoted_column(n.column) for n in (high, low))
+        if (values[1] < 0).any():  # as signed numbers
+            second = f"where({second} < 0, {second} + {WORD}, {second})"
+        both = values[0] * WORD + values[1].set(values[1] < 0, None).fill_null(values[1] + WORD)
+        found = _of_numbers(both, f"({first}*{WORD} + {second})", role)
+        note = f"the time is {high.column} and {low.column}, two words of 32 bits"
+        return found if found.fault else TimeExpression(found.expression, note)
+    return None
+
+
+def is_time(plain: str) -> bool:
+    return meaning_of_plain(plain) == "t" or re.fullmatch(CLOCK, plain) is not None
+
+
 def _week(names: Sequence[Name], frame: pl.DataFrame) -> TimeExpression | None:
     week = next((n for n in names if n.is_one(WEEK)), None)
     tow = next((n for n in names if n.is_one(TIME_OF_WEEK)), None)
@@ -253,8 +282,20 @@ def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpre
     clocks = [
         n for n in names if n.is_one(CLOCK) and (step_of(frame[n.column]) > 0 or _of_words(frame[n.column]))
     ]
-    running = max(clocks, key=lambda n: frame[n.column].n_unique(), default=None)
+    # ticks have no known unit
+    running = max(clocks, key=lambda n: (not n.is_one("ticks?"), frame[n.column].n_unique()), default=None)
+    if running is None and names and _is_index(names[0], frame):
+        running = names[0]
     return None if running is None else _of_column(running, frame, role)
+
+
+def _is_index(name: Name, frame: pl.DataFrame) -> bool:
+    """Return True for a first column without a name that contains dates or times, as pandas writes an index."""
+    if name.column != "c1" or frame.columns[1:2] == ["c2"]:
+        return False
+    numbers = column_numbers(frame[name.column])
+    rises = len(numbers) > 1 and (numbers.diff().drop_nulls() > 0).all()
+    return _of_words(frame[name.column]) or bool(rises and (numbers != numbers.round()).any())
 
 
 def _of_words(values: pl.Series) -> bool:

@@ -81,7 +81,7 @@ _WORDS: dict[str, tuple[UnitDimension, float]] = {
 NOT_UNITS = (
     "",
     *("-", "1", "unitless", "dimensionless", "utc", "gps", "gnss", "wgs84", "enu"),
-    *("unix", "unix time", "epoch"),
+    *("unix", "unix time", "unixtime", "epoch"),
     *("local", "body", "fix", "n", "e", "x", "y", "z", "north", "east", "up", "lat", "lon", "imu"),
 )
 COUNTS = ("lsb", "lsbs", "counts", "count", "adc", "raw", "ticks", "bits", "digits")
