@@ -58,7 +58,7 @@ def test_what_is_proposed_makes_the_drive_that_was_logged(tmp_path: Path, togeth
         "std_x=hacc_m/sqrt(2)",
     ]
     assert seen.evidence == (
-        "read from the columns' names, checked with the motion of the fixes: signs, axes and units agree"
+        "read from the columns' names and values, checked with the motion of the fixes: signs, axes and units agree"
     )
     choice = TableChoice({"imu": "imu.csv"}) if together else TableChoice()
     drive = import_drive(replace(asked, maps=maps, choice=choice), "again").drive
@@ -155,7 +155,7 @@ def test_what_can_not_be_made_is_called_unchecked(tmp_path: Path):
     pl.read_csv(folder / "fixes.csv").with_columns(pl.col("stamp_us") + 10**12).write_csv(folder / "late.csv")
     seen = inspect_request(Request(folder / "imu.csv", gps=folder / "late.csv"))
     assert "gz=-radians(yaw_rate_dps_cw)" in seen.proposal
-    assert "from the columns' names alone, and not checked: " in seen.evidence
+    assert "from the columns' names and values alone, and not checked: " in seen.evidence
 
 
 @pytest.mark.parametrize(
@@ -288,3 +288,43 @@ def test_the_remedy_for_a_time_that_imu_and_fixes_share_works_when_typed(tmp_pat
     maps = re.findall(r'--map "([^"]+)"', str(caught.value))
     assert maps == [f"{role}.t=`{head}`*1.0" for role in ("imu", "gps")]
     assert len(import_drive(Request(tmp_path / "log.csv", maps=maps), "log").drive.imu) == len(imu)
+
+
+ORDERS = {
+    "t acc gyro": ("t ax ay az gx gy gz", 1.0, 1.0),
+    "row t gyro acc, with a magnetometer": ("row t gx gy gz ax ay az mx my mz", 1.0, 1.0),
+    "t acc gyro lat lon, in g": ("t ax ay az gx gy gz lat lon", 1 / G, 1.0),
+    "quaternion before gyro and acc in counts": (
+        "t qx qy qz qw gx gy gz ax ay az",
+        8192 / G,
+        131 * 180 / np.pi,
+    ),
+}
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_columns_without_names_are_recognized_by_their_values(tmp_path: Path, order: str):
+    names, force, rate = ORDERS[order]
+    imu, gps = DRIVE.imu, DRIVE.gps
+    lat, lon, _ = enu_to_geodetic(np.column_stack([gps.x, gps.y, 0 * gps.x]), (50.0, 8.0, 100.0)).T
+    last = np.clip(np.searchsorted(gps.time, imu.time, side="right") - 1, 0, None)
+    fixes = lat[last], lon[last]
+    tilt = 0.02 * np.sin(imu.time)
+    columns = {"row": np.arange(len(imu)), "t": imu.time, "lat": fixes[0], "lon": fixes[1]}
+    columns |= {name: force * getattr(imu, name) for name in ("ax", "ay", "az")}
+    columns |= {name: rate * getattr(imu, name) for name in ("gx", "gy", "gz")}
+    if rate > 1:
+        columns |= {name: np.round(columns[name]) for name in ("ax", "ay", "az", "gx", "gy", "gz")}
+    columns |= {"qx": tilt, "qy": tilt, "qz": np.sin(tilt), "qw": np.cos(tilt)}
+    columns |= {"mx": 20 + tilt, "my": 3 - tilt, "mz": -43 + 0 * tilt}
+    pl.DataFrame([columns[name] for name in names.split()]).write_csv(
+        tmp_path / "imu.csv", include_header=False
+    )
+    pl.DataFrame({"t": gps.time, "lat": lat, "lon": lon}).write_csv(tmp_path / "gps.csv")
+    asked = Request(tmp_path / "imu.csv", gps=None if "lat" in names else tmp_path / "gps.csv")
+    seen = inspect_request(asked)
+    assert seen.works and seen.evidence.endswith("signs, axes and units agree")
+    drive = import_log(asked.source, gps=asked.gps, say=[].append, **seen.settings)
+    for name in ("ax", "az", "gz"):
+        np.testing.assert_allclose(getattr(drive.imu, name), getattr(imu, name), atol=2e-3)
+    np.testing.assert_allclose(np.ptp(drive.gps.x), np.ptp(gps.x), rtol=0.01)

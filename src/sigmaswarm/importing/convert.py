@@ -57,7 +57,7 @@ class ImportResult:
 
 
 Guesses = Mapping[Path, Guess]
-SHOW_HINT = " (--show lists the columns, and proposes a mapping if their names suggest one)"
+SHOW_HINT = " (--show lists the columns, and proposes a mapping if their names or values suggest one)"
 # Usual orders of columns without names
 COLUMN_ORDERS: dict[Role, tuple[str, ...]] = {
     "imu": ("t", "ax", "ay", "az", "gx", "gy", "gz"),

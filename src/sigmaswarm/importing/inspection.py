@@ -24,6 +24,7 @@ from sigmaswarm.importing.quantities import in_units
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Fault, Log, Role
 from sigmaswarm.importing.times import column_numbers, time_of
+from sigmaswarm.importing.unnamed import columns_by_values
 
 PREVIEW_ROWS = 5000  # rows of a table from which ranges are computed
 # Rows that are read if the rows of tables alternate; a table without rows among these has no values
@@ -175,7 +176,11 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
         known = {name: text for part in parts for name, text in part.columns.items()}
         chosen = [part.table for part in parts if part.table in there] or list(there)
         names = {table: there[table].columns for table in chosen}
-        if (one := propose_columns(names, role, known)) is None:
+        unnamed = ((table, columns_by_values(there[table], role)) for table in chosen)
+        one = propose_columns(names, role, known) or next(
+            (one for one in unnamed if one[1] and not known), None
+        )
+        if one is None:
             continue
         table, columns = one
         time = time_of(there[table]) if "t" not in known and len(there[table]) else None

@@ -151,11 +151,11 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
         corrected = _corrected(proposal, drive, first)
         last = diagnose(make(corrected)) if corrected != proposal else first
     except SigmaswarmError as error:
-        return proposal, f"read from the columns' names alone, and not checked: {error}", False
+        return proposal, f"read from the columns' names and values alone, and not checked: {error}", False
     if corrected != proposal and _faults(last) >= _faults(first):
         corrected, last = proposal, first
     changed = "corrected by" if corrected != proposal else "checked with"
-    said = f"read from the columns' names, {changed} the motion of the fixes"
+    said = f"read from the columns' names and values, {changed} the motion of the fixes"
     serious = [f.code for f in last.findings if f.severity == "serious"]
     warned = [f.code for f in last.findings if f.severity == "warning" and not f.code.startswith("unseen-")]
     if serious or CONTRADICTIONS & {*warned}:

@@ -35,7 +35,7 @@ MAX_RATE = 250.0  # deg/s, largest angular rate of a car
 MAX_ALTITUDE = 9000.0  # m, largest altitude; another unit would stretch the track by 0.15% or more
 RADIUS, EDGE = 6_378_137.0, 2.01e7  # m, radius of Web Mercator's sphere; edge of its map
 # Scales of common sensors per g; mg, cg, ug, mm/s2, cm/s2, ft/s2
-_PER_G = (16384, 8192, 4096, 2048, 1024, 256, 1000, 100, 1e6, 9806.65, 980.665, 9.80665 / 0.3048)
+PER_G = (16384, 8192, 4096, 2048, 1024, 256, 1000, 100, 1e6, 9806.65, 980.665, 9.80665 / 0.3048)
 _ACCELEROMETERS = "common 16-bit sensors: 16384 counts per g at +-2 g, 8192 at 4, 4096 at 8, 2048 at 16"
 _GYROS = (
     "common 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at 500, 32.8 at 1000, 16.4 at 2000; mrad/s: each "
@@ -164,7 +164,7 @@ def _raw_counts(columns: Columns, what: str, role: Role) -> str:
     axes = [a for a in (f"{what[0]}{i}" for i in "xyz") if a in columns]
     if what[0] == "a":
         gravity = median_of(columns.norms(axes))
-        known = min(_PER_G, key=lambda k: abs(gravity / k - 1))
+        known = min(PER_G, key=lambda k: abs(gravity / k - 1))
         per = f"{known:g}" if not gravity or abs(gravity / known - 1) < 0.04 else f"{gravity:.4g}"
         form, about = f"{{}}*9.80665/{per}", _ACCELEROMETERS
         seen = "they exceed the range of an accelerometer"

@@ -157,7 +157,7 @@ def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Tim
     stamp = next((n for n in names if n.is_one(STAMP)), None)
     if stamp is None or not (column_numbers(frame[stamp.column]) > 0).any():
         return None
-    return _of_column(stamp, frame, role)
+    return column_time(stamp, frame, role)
 
 
 def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[TimeExpression | None, Sequence[Name]]:
@@ -278,7 +278,7 @@ def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpre
     for name in sorted(times, key=lambda name: frame[name.column].n_unique() < 2):
         numbers = column_numbers(frame[name.column])
         if not (len(numbers) > 1 and (numbers == 0).all()):
-            return _of_column(name, frame, role)
+            return column_time(name, frame, role)
     clocks = [
         n for n in names if n.is_one(CLOCK) and (step_of(frame[n.column]) > 0 or _of_words(frame[n.column]))
     ]
@@ -286,7 +286,7 @@ def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpre
     running = max(clocks, key=lambda n: (not n.is_one("ticks?"), frame[n.column].n_unique()), default=None)
     if running is None and names and _is_index(names[0], frame):
         running = names[0]
-    return None if running is None else _of_column(running, frame, role)
+    return None if running is None else column_time(running, frame, role)
 
 
 def _is_index(name: Name, frame: pl.DataFrame) -> bool:
@@ -305,7 +305,7 @@ def _of_words(values: pl.Series) -> bool:
     )
 
 
-def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> TimeExpression:
+def column_time(name: Name, frame: pl.DataFrame, role: Role) -> TimeExpression:
     """Read the time in one column: dates in text, or numbers, by the unit in the name, their size or their steps."""
     values, text = frame[name.column], quoted_column(name.column)
     if _of_words(values):

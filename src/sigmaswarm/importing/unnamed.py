@@ -1,0 +1,83 @@
+"""Columns without names, recognized by their values: time, specific force, angular rates, latitude and longitude."""
+
+import re
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+import polars as pl
+
+from sigmaswarm.drives.tables import Array
+from sigmaswarm.importing.names import read_name
+from sigmaswarm.importing.quantities import MAX_QUARTILE_RATIO, PER_G
+from sigmaswarm.importing.source import Role
+from sigmaswarm.importing.times import column_time, median_of
+from sigmaswarm.importing.units import G
+
+UNNAMED = re.compile(r"(?:c|.*_)\d+")
+# Magnitudes of gravity in the order of trial; 1 comes last, since it is also that of a quaternion
+GRAVITY = (G, *PER_G, 1.0)
+TOLERANCE = 0.05  # relative deviation of the median specific force from gravity
+MIN_SPREAD = 1e-3  # smallest relative spread of the specific force; a quaternion's magnitude is constant
+MAX_DEGREES = 2.0  # largest range of latitude and longitude in a log
+
+
+def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
+    """Return the expressions of a role's columns in a table whose columns all have numbers as names; {} if unclear."""
+    if len(frame) < 2 or not all(map(UNNAMED.fullmatch, frame.columns)):
+        return {}
+    values = {name: frame[name].cast(pl.Float64, strict=False).to_numpy() for name in frame.columns}
+    place = _place(values) if role == "gps" else _axes(values)
+    time = next(_times(frame), "")
+    return {"t": time, **place} if place and time else {}
+
+
+def _times(frame: pl.DataFrame) -> Iterator[str]:
+    """Yield the times of columns that increase, those of row numbers last."""
+    found: list[tuple[bool, str]] = []
+    for name in frame.columns:
+        time = column_time(read_name(name), frame, "imu")
+        steps = frame[name].cast(pl.Float64, strict=False).diff().drop_nulls()
+        rises = len(steps) > 0 and (steps >= 0).all() and median_of(steps) > 0
+        if time.expression and (rises or frame.schema[name] == pl.String):
+            found.append((bool(rises and (steps == 1).all()), time.expression))
+    yield from (text for _, text in sorted(found, key=lambda one: one[0]))
+
+
+def _axes(values: dict[str, Array]) -> dict[str, str]:
+    """Find three columns whose magnitude is gravity, and the rates in the three columns before or after them."""
+    names = [*values]
+    for gravity in GRAVITY:
+        for k in range(len(names) - 2):
+            size = np.sqrt(sum(values[n] ** 2 for n in names[k : k + 3]))
+            low, middle, high = (
+                np.nanquantile(size, (0.25, 0.5, 0.75)) if np.isfinite(size).any() else (0.0,) * 3
+            )
+            if (
+                abs(middle / gravity - 1) > TOLERANCE
+                or not MIN_SPREAD < high / low - 1 < MAX_QUARTILE_RATIO - 1
+            ):
+                continue
+            beside = [names[i : i + 3] for i in (k - 3, k + 3) if i >= 0]
+            rates = min((b for b in beside if len(b) == 3), key=lambda b: _mean_ratio(values, b), default=[])
+            found = zip(("ax", "ay", "az", "gx", "gy", "gz"), [*names[k : k + 3], *rates], strict=False)
+            return dict(found) if rates else {}
+    return {}
+
+
+def _mean_ratio(values: dict[str, Array], names: Sequence[str]) -> float:
+    """Return the largest ratio of a column's median to its spread, which is small for rates."""
+    spread = [float(np.nanstd(values[n])) for n in names]
+    return max(
+        abs(float(np.nanmedian(values[n]))) / max(s, 1e-12) for n, s in zip(names, spread, strict=True)
+    )
+
+
+def _place(values: dict[str, Array]) -> dict[str, str]:
+    for lat, lon in pairwise(values):
+        both = [values[n][np.isfinite(values[n]) & (values[n] != 0)] for n in (lat, lon)]
+        if min(map(len, both)) < 2 or np.max(np.abs(both[0])) > 90 or np.max(np.abs(both[1])) > 180:
+            continue
+        if all(0 < np.ptp(v) < MAX_DEGREES < np.min(np.abs(v)) and (v * 1e3 % 1).any() for v in both):
+            return {"lat": lat, "lon": lon}
+    return {}
