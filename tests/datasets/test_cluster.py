@@ -22,6 +22,7 @@ from sigmaswarm import (
     write_drive,
 )
 from sigmaswarm.cli import main
+from sigmaswarm.cli.simulate import simulated_on
 from sigmaswarm.datasets.cluster import Cluster, ClusterError, connected
 from sigmaswarm.datasets.remote import Assignment, assign_drives, remote_datasets, source_of
 from sigmaswarm.datasets.worker import BASE_MEMORY, USABLE_MEMORY, CachedDrive, DriveCache
@@ -30,7 +31,6 @@ from sigmaswarm.experiments.study.design import make_design
 from sigmaswarm.experiments.study.scores import score_all
 from sigmaswarm.scoring.batch import PassOptions
 from sigmaswarm.scoring.remote import make_scorer
-from sigmaswarm.simulation.conditions import simulated_on
 from sigmaswarm.tuning.batch import require_fit
 from support import assert_same
 

@@ -12,9 +12,10 @@ from exported import tuned
 from sigmaswarm import evaluate
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.names import Target
-from sigmaswarm.exports.robot_localization import accuracy_section, robot_localization, yaml_number
+from sigmaswarm.exports.robot_localization import robot_localization, yaml_number
 from sigmaswarm.exports.targets import export_texts
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.reports.robot_localization import accuracy_section
 from support import make_drive
 
 ORDER = ["x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "vroll", "vpitch", "vyaw", "ax", "ay", "az"]

@@ -1,11 +1,12 @@
 """`sigmaswarm compare`."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import sigmaswarm
 from sigmaswarm.cli.common import cluster_at, print_result, read_datasets, require_result_folder
-from sigmaswarm.cli.options import MORE, Cluster, Json, Places, Workers, options_of
+from sigmaswarm.cli.options import FIELDS, MORE, Cluster, Json, Places, Workers, options_of
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.tuning.config import DEFERRED_OPTIONS, TuneConfig
 from sigmaswarm.tuning.options import SEEDS, Scale
@@ -15,21 +16,44 @@ EXCLUDED_OPTIONS = ("seed", "optimizer", "scale", "prior", "inflation")
 SHORT_HELP = ("objective", "particles", "generations", "model")
 
 
+@dataclass(frozen=True)
+class CompareOptions:
+    """Options of `sigmaswarm compare` that are not fields of its configuration.
+
+    Attributes
+    ----------
+    optimizers
+        Names of optimizers. Settings follow a colon, as in pso:polish=300. Each optimizer is compared with the first.
+    scales
+        Scales of the search space; log10 by default.
+    seeds
+        Number of runs of each optimizer, each with a different seed.
+    validation
+        Drives that the search does not use; the tuned filters are also evaluated on these drives.
+    workers
+        Number of threads or, with --cluster, of simultaneous tuning runs; one per core by default.
+    resume
+        Continue an interrupted comparison. The result is the same, except for the times.
+    """
+
+    optimizers: list[str] | None = None
+    scales: list[Scale] | None = None
+    seeds: int = SEEDS
+    validation: list[str] | None = None
+    workers: Workers = None
+    cluster: Annotated[Cluster, MORE] = None
+    resume: bool = False
+    json: Json = False
+
+
 @options_of(TuneConfig.model_fields, shown=SHORT_HELP, omitted=EXCLUDED_OPTIONS, by_data=DEFERRED_OPTIONS)
 def compare(
     drives: Places,
     /,
     *,
     out: Path,
-    optimizers: list[str] | None = None,
-    scales: list[Scale] | None = None,
-    seeds: int = SEEDS,
-    validation: list[str] | None = None,
-    workers: Workers = None,
-    cluster: Annotated[Cluster, MORE] = None,
-    resume: bool = False,
-    json: Json = False,
-    **options: Any,
+    options: Annotated[CompareOptions, FIELDS] = CompareOptions(),
+    **config: Any,
 ) -> None:
     """Compare optimizers with the same budget on the same drives.
 
@@ -47,34 +71,22 @@ def compare(
     ----------
     out
         Folder for the tables, the figure and all runs. It must not contain a comparison, except with --resume.
-    optimizers
-        Names of optimizers. Settings follow a colon, as in pso:polish=300. Each optimizer is compared with the first.
-    scales
-        Scales of the search space; log10 by default.
-    seeds
-        Number of runs of each optimizer, each with a different seed.
-    validation
-        Drives that the search does not use; the tuned filters are also evaluated on these drives.
-    workers
-        Number of threads or, with --cluster, of simultaneous tuning runs; one per core by default.
-    resume
-        Continue an interrupted comparison. The result is the same, except for the times.
     """
     from sigmaswarm.drives.sensors import log_properties
     from sigmaswarm.reports.compare import comparison_table, save_comparison
     from sigmaswarm.tuning.defaults import default_filter_options
 
     require_result_folder(out, [], "comparison", "config.json")
-    asked: dict[str, Any] = {"seeds": seeds, "out": out, "resume": resume, "workers": workers}
-    asked |= {name: value for name, value in (("optimizers", optimizers), ("scales", scales)) if value}
-    with cluster_at(cluster) as client:
-        read, held_out = read_datasets(drives, validation or [], cluster=client)
-        chosen = default_filter_options(options, [*read.map(log_properties), *held_out.map(log_properties)])[
-            1
-        ]
+    varied = {"optimizers": options.optimizers, "scales": options.scales}
+    run: dict[str, Any] = {name: value for name, value in varied.items() if value}
+    run |= {"seeds": options.seeds, "out": out, "resume": options.resume, "workers": options.workers}
+    with cluster_at(options.cluster) as client:
+        read, held_out = read_datasets(drives, options.validation or [], cluster=client)
+        sensors = [*read.map(log_properties), *held_out.map(log_properties)]
+        chosen = default_filter_options(config, sensors)[1]
         with progress_bar("comparing", "tunings, remaining") as show:
-            found = sigmaswarm.compare(read, validation=held_out, progress=show, **asked, **options)
-    written = save_comparison(found, out)
-    content = {"comparison": found.frame.to_dicts(), "written": [str(path) for path in written]}
-    lines = [*([f"model: {chosen}"] if chosen else []), comparison_table(found).to_markdown()]
-    print_result(json, content, *lines, *(f"wrote {path}" for path in written))
+            comparison = sigmaswarm.compare(read, validation=held_out, progress=show, **run, **config)
+    written = save_comparison(comparison, out)
+    content = {"comparison": comparison.frame.to_dicts(), "written": [str(path) for path in written]}
+    lines = [*([f"model: {chosen}"] if chosen else []), comparison_table(comparison).to_markdown()]
+    print_result(options.json, content, *lines, *(f"wrote {path}" for path in written))

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from sigmaswarm.cli.options import Json, Seed
-from sigmaswarm.cli.study import study
+from sigmaswarm.cli.study import StudyOptions, study
 
 
 def demo(*, out: Path = Path("demo"), seed: Seed = 0, json: Json = False) -> None:
@@ -21,4 +21,4 @@ def demo(*, out: Path = Path("demo"), seed: Seed = 0, json: Json = False) -> Non
     seed
         Seed of drives, splits and swarms.
     """
-    study(out=out, quick=True, seed=seed, resume=True, json=json)
+    study(out=out, options=StudyOptions(quick=True, resume=True, json=json), seed=seed)

@@ -1,6 +1,7 @@
 """`sigmaswarm doctor`."""
 
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,22 +10,40 @@ from cyclopts import Parameter
 import sigmaswarm
 from sigmaswarm.cli.common import print_result, read_drives, require_writable, say
 from sigmaswarm.cli.findings import has_repairable, next_steps, print_diagnosis, repair_whole
-from sigmaswarm.cli.options import Json, Overwrite
+from sigmaswarm.cli.options import FIELDS, Json, Overwrite
 from sigmaswarm.errors import AlignmentError, DriveWarning, InputError, SigmaswarmWarning
 
 if TYPE_CHECKING:
     from sigmaswarm import Drive
+    from sigmaswarm.doctor.findings import Diagnosis
     from sigmaswarm.tuning.lever_arm import LeverArmEstimate
 
 
+@dataclass(frozen=True)
+class DoctorOptions:
+    """Options of `sigmaswarm doctor`.
+
+    Attributes
+    ----------
+    fix
+        Folder for a repaired copy of each drive. The drives themselves are not changed.
+    lever_arm_within
+        Estimate one lever arm from all drives; --fix writes axes whose 95% interval is at most +- this value, m.
+    """
+
+    fix: Path | None = None
+    lever_arm_within: float | None = None
+    overwrite: Overwrite = False
+    json: Json = False
+
+
 def doctor(
-    drives: Annotated[list[Path], Parameter(name="DRIVE")],
+    drives: Annotated[
+        list[Path], Parameter(name="DRIVE", help="Drive folders, or folders of drive folders.")
+    ],
     /,
     *,
-    fix: Path | None = None,
-    lever_arm_within: float | None = None,
-    overwrite: Overwrite = False,
-    json: Json = False,
+    options: Annotated[DoctorOptions, FIELDS] = DoctorOptions(),
 ) -> None:
     """Check drives for wrong signs, units, axes, clocks, noise and gaps.
 
@@ -38,55 +57,59 @@ def doctor(
         sigmaswarm doctor drives/friday --fix mended
         sigmaswarm doctor drives/friday --lever-arm-within 0.15 --fix mended
         sigmaswarm doctor drives/friday --json
-
-    Parameters
-    ----------
-    drives
-        Drive folders, or folders of drive folders.
-    fix
-        Folder for a repaired copy of each drive. The drives themselves are not changed.
-    lever_arm_within
-        Estimate one lever arm from all drives; --fix writes axes whose 95% interval is at most +- this value, m.
     """
     from sigmaswarm.drives.split import part_of
 
-    read = _read(drives)
+    read, fix = _read(drives), options.fix
     if fix is not None:
         _check_names(read)
         _refuse_parts(read, drives)
-        require_writable([fix / drive.name for drive in read], drives, overwrite=overwrite)
-    arm = None if lever_arm_within is None else _lever_arm(read, lever_arm_within, repaired=fix is not None)
+        require_writable([fix / drive.name for drive in read], drives, overwrite=options.overwrite)
+    within = options.lever_arm_within
+    arm = None if within is None else _lever_arm(read, within, repaired=fix is not None)
     result: list[dict[str, Any]] = []
-    serious, seen, following = False, set[str](), list[str]()
+    serious, explained, following = False, set[str](), list[str]()
     for drive in read:
         diagnosis = sigmaswarm.diagnose(drive)
-        found = diagnosis.to_dict()
-        if not json:
-            print_diagnosis(diagnosis, seen)
+        content = diagnosis.to_dict()
+        if not options.json:
+            print_diagnosis(diagnosis, explained)
         if fix is not None:
-            folder, copy = fix / drive.name, sigmaswarm.repair(drive, diagnosis)
-            copy = arm.applied(copy) if arm else copy
-            sigmaswarm.write_drive(copy, folder, overwrite=overwrite)
-            codes = dict.fromkeys(f.code for f in diagnosis.findings if f.repair)
-            mended = [code for code in codes if code not in copy.metadata.get("withheld", ())]
-            mended += ["lever-arm"] if arm and any(arm.observable) else []
-            diagnosis = sigmaswarm.diagnose(copy)
-            found["copy"] = {"path": str(folder), "mended": mended, **diagnosis.to_dict()}
-            if mended and not json:
-                say(f"wrote {folder}, repaired: {', '.join(mended)}. Remaining findings:\n")
-                print_diagnosis(diagnosis, seen)
-            elif not json:
-                why = "all repairs are withheld" if codes else "the doctor has no repair for these findings"
-                say(f"wrote {folder}, an unchanged copy: {why}\n")
-        result.append(found)
+            diagnosis, content["copy"] = _repair(drive, diagnosis, fix / drive.name, arm, options, explained)
+        result.append(content)
         serious |= diagnosis.serious
         folder = fix / drive.name if fix else drives[0]
         if len(read) == 1 and (folder / "drive.toml").exists():
             following = [*next_steps(diagnosis, folder, part_of(drive))]
     content = {"drives": result, "serious": serious, **({"lever_arm": arm.to_dict()} if arm else {})}
-    print_result(json, content, *([f"lever arm: {arm}"] if arm else []), *following)
+    print_result(options.json, content, *([f"lever arm: {arm}"] if arm else []), *following)
     if serious:
         raise SystemExit(1)
+
+
+def _repair(
+    drive: "Drive",
+    diagnosis: "Diagnosis",
+    folder: Path,
+    arm: "LeverArmEstimate | None",
+    options: DoctorOptions,
+    explained: set[str],
+) -> "tuple[Diagnosis, dict[str, Any]]":
+    """Write a repaired copy of a drive; return the diagnosis of the copy, and its content for JSON."""
+    copy = sigmaswarm.repair(drive, diagnosis)
+    copy = arm.applied(copy) if arm else copy
+    sigmaswarm.write_drive(copy, folder, overwrite=options.overwrite)
+    codes = dict.fromkeys(f.code for f in diagnosis.findings if f.repair)
+    repaired = [code for code in codes if code not in copy.metadata.get("withheld", ())]
+    repaired += ["lever-arm"] if arm and any(arm.observable) else []
+    remaining = sigmaswarm.diagnose(copy)
+    if repaired and not options.json:
+        say(f"wrote {folder}, repaired: {', '.join(repaired)}. Remaining findings:\n")
+        print_diagnosis(remaining, explained)
+    elif not options.json:
+        why = "all repairs are withheld" if codes else "the doctor has no repair for these findings"
+        say(f"wrote {folder}, an unchanged copy: {why}\n")
+    return remaining, {"path": str(folder), "mended": repaired, **remaining.to_dict()}
 
 
 def _read(paths: list[Path]) -> "list[Drive]":

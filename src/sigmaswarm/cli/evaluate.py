@@ -1,7 +1,7 @@
 """`sigmaswarm evaluate`."""
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import inf
@@ -99,21 +99,12 @@ def evaluate(
         sigmaswarm evaluate tuned drives/friday --json
     """
     from sigmaswarm.api import tuned_filter
-    from sigmaswarm.filters.robot_yaml import YAML
     from sigmaswarm.learned.folder import load_learned
     from sigmaswarm.reports.evaluation import save_evaluation
-    from sigmaswarm.scoring.records import EVALUATION, EVALUATION_FILE
     from sigmaswarm.tuning.record import TuningRecord
 
-    if tuning.suffix in YAML:
-        raise InputError(
-            f"{tuning}: is a configuration of robot_localization, not a tuning; evaluate a tuning and add --against "
-            f"{tuning}, or use `sigmaswarm run`"
-        )
-    require_tuning(tuning, f"pass the tuning first, as in sigmaswarm evaluate TUNING {quote(str(tuning))}")
+    _check_input(tuning, options)
     learned, tuned, out = load_learned(tuning), tuned_filter(tuning), options.out
-    if out:
-        require_result_folder(out, [tuning, options.against], EVALUATION, EVALUATION_FILE)
     remedies: list[Remedy] = []
     result = _evaluated(tuning, tuned, drives, options, learned, remedies)
     _warn_of_training_drives(result)
@@ -122,23 +113,39 @@ def evaluate(
         print_json(result.to_dict())
         return
     record = TuningRecord.read(tuning)
-    more = (
-        name_training_files(record.result.warnings, [d.name for d in record.data], drives)
-        if record.result
-        else ()
-    )
+    training_drives = [drive.name for drive in record.data]
+    more = name_training_files(record.result.warnings, training_drives, drives) if record.result else ()
     print_evaluation(result, verbose=options.verbose, more=more)
     if written:
         names = ", ".join(path.name for path in written) if options.verbose else f"{len(written)} files"
         say(f"wrote {names} to {out}")
+    usable = not (learned or record.unusable)
+    say(*_next_steps(out, remedies, _export(tuning, tuned, drives) if usable else ()))
+
+
+def _check_input(tuning: Path, options: EvaluateOptions) -> None:
+    from sigmaswarm.filters.robot_yaml import YAML
+    from sigmaswarm.scoring.records import EVALUATION, EVALUATION_FILE
+
+    if tuning.suffix in YAML:
+        raise InputError(
+            f"{tuning}: is a configuration of robot_localization, not a tuning; evaluate a tuning and add --against "
+            f"{tuning}, or use `sigmaswarm run`"
+        )
+    require_tuning(tuning, f"pass the tuning first, as in sigmaswarm evaluate TUNING {quote(str(tuning))}")
+    if options.out:
+        require_result_folder(options.out, [tuning, options.against], EVALUATION, EVALUATION_FILE)
+
+
+def _next_steps(out: Path | None, remedies: Sequence[Remedy], export: Iterable[str]) -> Iterator[str]:
     if remedies:
         command, mended = remedies[0]
-        say(f"next: {command}    (then {'use the repaired copy' if mended else 'correct the log'})")
+        yield f"next: {command}    (then {'use the repaired copy' if mended else 'correct the log'})"
     elif out:
-        usable = not (learned or record.unusable)
-        say(f"next: sigmaswarm report {quote(str(out))}", *(_export(tuning, tuned, drives) if usable else []))
+        yield f"next: sigmaswarm report {quote(str(out))}"
+        yield from export
     else:
-        say("next: repeat this command with --out evaluation to get figures and a page")
+        yield "next: repeat this command with --out evaluation to get figures and a page"
 
 
 def _export(tuning: Path, tuned: "TunedFilter", drives: Sequence[str]) -> Iterator[str]:

@@ -74,9 +74,9 @@ def export(
     """
     from sigmaswarm.api import tuned_filter
     from sigmaswarm.exports.check import check_export
-    from sigmaswarm.exports.robot_localization import accuracy_section
     from sigmaswarm.exports.targets import export_texts, write_texts
     from sigmaswarm.filters.models import MODELS
+    from sigmaswarm.reports.robot_localization import accuracy_section
     from sigmaswarm.scoring.evaluation import evaluate
     from sigmaswarm.tuning.record import TuningRecord
 
@@ -86,56 +86,61 @@ def export(
     tuned = tuned_filter(tuning)
     record, parameters = TuningRecord.read(tuning), tuned.parameters
     ros = to != "c99" and MODELS[parameters.model].measures_imu
-    if options.check and to != "c99" and not ros:
-        raise sigmaswarm.InputError(
-            f"--check is for --to c99 and for tunings of robot-localization, not for {to}; leave --check out"
-        )
-    if options.against and not (options.check and ros):
-        raise sigmaswarm.InputError(
-            "--against needs --check and a tuning of robot-localization; leave --against out"
-        )
+    _check_options(options, ros=ros)
     drive = read_silently(options.replay) if options.replay else None
     drives = read_drives(options.check or [])
     settings = tuned.settings("as_recorded", lanes=options.lanes, seed=options.seed)
     texts = export_texts(parameters, to, replay=drive, **tuned.settings("mounting", "imu_axes", **settings))
     if drives and ros:
-        found = evaluate(drives, parameters, against=options.against, seen=tuned.seen)
-        texts["README.md"] += accuracy_section(found)
+        evaluation = evaluate(drives, parameters, against=options.against, seen=tuned.seen)
+        texts["README.md"] += accuracy_section(evaluation)
     written = write_texts(texts, out, to)
     checked: list[ExportCheck] = []
     if drives and not ros:
         checked = check_export(out, parameters, drives, **settings)
     if options.json:
-        found = {"checked": [asdict(each) for each in checked]} if checked else {}
-        print_json({"written": [str(path) for path in written], **found})
+        comparison = {"checked": [asdict(check) for check in checked]} if checked else {}
+        print_json({"written": [str(path) for path in written], **comparison})
     else:
-        say(*(f"wrote {path}" for path in written), *(_found(each, options.lanes) for each in checked))
-        say(*_notes(to, record), f"next: {next_command(to, out, texts)}")
+        say(*(f"wrote {path}" for path in written), *(_describe(check, options.lanes) for check in checked))
+        say(*_mounting_notes(to, record), f"next: {next_command(to, out, texts)}")
     for warning in record.unusable:  # the last line, since nothing else is as important
         warnings.warn(f"{tuning}: {warning.removeprefix(TO_DO)}", sigmaswarm.SigmaswarmWarning, stacklevel=1)
 
 
-def _notes(to: str, record: "TuningRecord") -> Iterator[str]:
-    if record.mounting and to == "c99":
+def _check_options(options: ExportOptions, *, ros: bool) -> None:
+    """Refuse options that a target does not have; ``ros``: whether the export is a tuning of robot-localization."""
+    if options.check and options.to != "c99" and not ros:
+        raise sigmaswarm.InputError(
+            f"--check is for --to c99 and for tunings of robot-localization, not for {options.to}; leave --check out"
+        )
+    if options.against and not (options.check and ros):
+        raise sigmaswarm.InputError(
+            "--against needs --check and a tuning of robot-localization; leave --against out"
+        )
+
+
+def _mounting_notes(target: AnyTarget, record: "TuningRecord") -> Iterator[str]:
+    if record.mounting and target == "c99":
         angles = ", ".join(f"{angle:g}" for angle in record.mounting)
         yield (
             "ins_gps_turn_imu() rotates samples from the imported axes by the mounting of the training drives "
             f"({angles} deg)"
         )
-    if to != "filterpy" and record.mountings_differ:
+    if target != "filterpy" and record.mountings_differ:
         yield (
             "note: the training drives state different mountings, so the export contains no rotation; rotate raw "
             "samples to x forward, y left, z up before the filter, or tune on drives with one mounting"
         )
 
 
-def _found(checked: "ExportCheck", lanes: int) -> str:
+def _describe(check: "ExportCheck", lanes: int) -> str:
     library = "sigmaswarm run" if lanes == 1 else "a LiveFilterBank without searches"
     line = (
-        f"{checked.drive}: every state in C is within {checked.double.state:.1e} of {library} "
+        f"{check.drive}: every state in C is within {check.double.state:.1e} of {library} "
         "(relative for values above 1)"
     )
-    single = checked.single
+    single = check.single
     if single is None:
         return f"{line}; the filter fails in float"
     return (

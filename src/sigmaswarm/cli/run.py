@@ -13,8 +13,10 @@ from sigmaswarm.cli.options import FIELDS, AsRecorded
 from sigmaswarm.errors import InputError
 
 if TYPE_CHECKING:
-    from sigmaswarm import Drive
+    from sigmaswarm import Drive, FilterParameters
+    from sigmaswarm.filters.passes import FilterPass
     from sigmaswarm.filters.run import Run
+    from sigmaswarm.learned.folder import LearnedNetwork
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +96,6 @@ def run(
 def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[str, Any], int]":
     """Write the estimates; return the drive, a summary and the number of written fixes."""
     from sigmaswarm.api import tuned_filter
-    from sigmaswarm.drives.writer import FILES
     from sigmaswarm.exports.trajectory import (
         BAG,
         check_fixes_target,
@@ -105,28 +106,15 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
         write_fixes,
         write_pieces,
     )
-    from sigmaswarm.filters.bank.run import BankRun
     from sigmaswarm.filters.filter_run import FilterRun
     from sigmaswarm.filters.run import estimates_of, whole_pass
-    from sigmaswarm.filters.smoothing import SmootherRun
     from sigmaswarm.learned.folder import load_learned
 
-    out, smooth, before, truth = options.out, options.smooth, options.before, options.truth
-    for file in filter(None, (out, before, truth)):
-        if file.resolve().parent == drive.resolve() and file.name in FILES:
-            raise InputError(f"{file}: is a file of the drive that this command reads; choose another file")
-    if smooth and options.bank:
-        raise InputError(
-            "--smooth and --bank can't be combined, since a filter bank is not smoothed; leave one out"
-        )
-    remedy = (
-        f"pass the tuning first, as in sigmaswarm run TUNING {quote(str(tuning))} --out {quote(str(out))}"
-    )
-    require_tuning(tuning, remedy)
-    learned = None if smooth or options.bank else load_learned(tuning)
+    out, before, truth = options.out, options.before, options.truth
+    _check_options(tuning, drive, options)
+    learned = None if options.smooth or options.bank else load_learned(tuning)
     place = _place(options.origin) if options.origin else None
     tuned, read = tuned_filter(tuning), read_silently(drive)
-    parameters = tuned.parameters
     if place and read.origin:
         raise InputError(f"{drive}: already has an origin; leave --origin out")
     target: dict[str, Any] = {"origin": place or read.origin, "time_origin": time_origin_of(read)}
@@ -136,32 +124,60 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
         check_target(truth, target["origin"])
     if before:
         check_fixes_target(before, target["origin"])
-    as_recorded = options.as_recorded or tuned.as_recorded
-    replay = whole_pass(read, as_recorded=as_recorded)
-    found: Run
     if options.bank:
         _check_bank_files(out, (truth, before))
-        found = BankRun(replay, parameters, recover=True, as_recorded=as_recorded)
-    elif learned is not None:
-        found = learned.run(replay, parameters, recover=True)
-    else:
-        found = (SmootherRun if smooth else FilterRun)(replay, parameters, recover=True)
+    as_recorded = options.as_recorded or tuned.as_recorded
+    replay = whole_pass(read, as_recorded=as_recorded)
+    run = _start(replay, tuned.parameters, options, learned, as_recorded=as_recorded)
     time = replay.timeline.imu_time
     first, last = float(time[0]), float(time[-1])
-    shown = None
+    innovations = None
     # The bag is sorted by time, so the innovations must be known before the first estimate is written.
     if out.suffix == BAG and not options.bank and learned is None:
-        shown = FilterRun(replay, parameters, recover=True).finished().innovations
-    pieces = estimates_of(found)
-    more: dict[str, Any] = {"merge": options.merge, "innovations": shown, "name": read.name}
-    write_pieces(pieces, (first, last), out, **more, **target)
+        innovations = FilterRun(replay, tuned.parameters, recover=True).finished().innovations
+    more: dict[str, Any] = {"merge": options.merge, "innovations": innovations, "name": read.name}
+    write_pieces(estimates_of(run), (first, last), out, **more, **target)
     fixes = write_fixes(read, first, before, **target) if before else 0
     if truth and true:
         write_estimate(true, truth, name=f"{read.name}: truth", **target)
     summary: dict[str, Any] = {"out": str(out), "estimates": len(time), "start_s": first, "end_s": last}
-    summary["restarts_s"] = [*found.restarts]
-    summary |= _save_bank(found, out) if options.bank else {}
+    summary["restarts_s"] = [*run.restarts]
+    summary |= _save_bank(run, out) if options.bank else {}
     return read, summary, fixes
+
+
+def _check_options(tuning: Path, drive: Path, options: RunOptions) -> None:
+    """Raise, before any work, if files of the drive would be replaced, or options can't be combined."""
+    from sigmaswarm.drives.writer import FILES
+
+    for file in filter(None, (options.out, options.before, options.truth)):
+        if file.resolve().parent == drive.resolve() and file.name in FILES:
+            raise InputError(f"{file}: is a file of the drive that this command reads; choose another file")
+    if options.smooth and options.bank:
+        raise InputError(
+            "--smooth and --bank can't be combined, since a filter bank is not smoothed; leave one out"
+        )
+    command = f"sigmaswarm run TUNING {quote(str(tuning))} --out {quote(str(options.out))}"
+    require_tuning(tuning, f"pass the tuning first, as in {command}")
+
+
+def _start(
+    replay: "FilterPass",
+    parameters: "FilterParameters",
+    options: RunOptions,
+    learned: "LearnedNetwork | None",
+    *,
+    as_recorded: bool,
+) -> "Run":
+    from sigmaswarm.filters.bank.run import BankRun
+    from sigmaswarm.filters.filter_run import FilterRun
+    from sigmaswarm.filters.smoothing import SmootherRun
+
+    if options.bank:
+        return BankRun(replay, parameters, recover=True, as_recorded=as_recorded)
+    if learned is not None:
+        return learned.run(replay, parameters, recover=True)
+    return (SmootherRun if options.smooth else FilterRun)(replay, parameters, recover=True)
 
 
 def _lines(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixes: int) -> Iterator[str]:

@@ -1,9 +1,10 @@
 """`sigmaswarm simulate`."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import CancelledError
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import sigmaswarm
 from sigmaswarm.cli.common import cluster_at, print_result
@@ -11,6 +12,11 @@ from sigmaswarm.cli.options import AT_LEAST_1, FIELDS, MORE, Cluster, Json, Seed
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.errors import InputError
 from sigmaswarm.wording import count_of
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from sigmaswarm import Drive
 
 JITTER = 0.002  # s, standard deviation of the errors of the sample times with --jitter
 
@@ -91,7 +97,6 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
         sigmaswarm simulate --out hills --maneuver urban --environment clear --runs 8 --terrain hilly --vibration
     """
     from sigmaswarm.simulation import ENVIRONMENTS, PAPER_MANEUVERS
-    from sigmaswarm.simulation.conditions import simulated_on
     from sigmaswarm.simulation.scenarios import Scenario, drive_name
 
     out, runs = options.out, options.runs
@@ -122,6 +127,26 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
         lines.append("note: clear, night and fog have the same physics; only their random numbers differ")
     content = {"drives": [str(out / name) for name in names], "written": written, "kept": len(kept)}
     print_result(options.json, content, *lines, f"next: sigmaswarm plot {out / names[0]}")
+
+
+def simulated_on(client: "Client", *what: Any, **options: Any) -> "Iterator[Drive]":
+    """Run `simulate_many` on the workers of a Dask cluster; other workers simulate the drives of a lost worker.
+
+    Raises
+    ------
+    ClusterError
+        If a worker has other versions, or the scheduler no longer answers.
+    """
+    from sigmaswarm.datasets.cluster import Cluster
+
+    cluster = Cluster(client)
+    cluster.require_same_versions()
+    threads = sum(cluster.workers().values())
+    try:
+        with client.get_executor(pure=False) as pool:
+            yield from sigmaswarm.simulate_many(*what, executor=pool, ahead=2 * max(threads, 8), **options)
+    except (OSError, CancelledError):
+        raise cluster.lost_scheduler() from None
 
 
 def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str, Any]) -> set[str]:

@@ -1,11 +1,12 @@
 """`sigmaswarm study`."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from sigmaswarm.cli.common import cluster_at, print_json, require_result_folder, say
-from sigmaswarm.cli.options import Cluster, Count, Json, options_of
+from sigmaswarm.cli.options import FIELDS, Cluster, Count, Json, options_of
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.experiments.study.config import QUICK_STUDY, StudyConfig, read_config
 
@@ -17,18 +18,32 @@ if TYPE_CHECKING:
 EXCLUDED_OPTIONS = ("maneuvers", "environments", "imu", "gps", "vibration", "terrain", "train_fraction")
 
 
+@dataclass(frozen=True)
+class StudyOptions:
+    """Options of `sigmaswarm study` that are not fields of its configuration.
+
+    Attributes
+    ----------
+    config
+        A study.toml whose values the other options override; by default the paper's study.
+    quick
+        Run a small study: 50 drives and 3 trials, in about two minutes.
+    workers
+        Number of processes (Linux) or threads, one per core by default; with --cluster, of simultaneous tuning runs.
+    resume
+        Continue an interrupted study. The result is the same.
+    """
+
+    config: Path | None = None
+    quick: bool = False
+    workers: Count = None
+    cluster: Cluster = None
+    resume: bool = False
+    json: Json = False
+
+
 @options_of(StudyConfig.model_fields, omitted=EXCLUDED_OPTIONS, by_data=("racing",))
-def study(
-    *,
-    out: Path,
-    config: Path | None = None,
-    quick: bool = False,
-    workers: Count = None,
-    cluster: Cluster = None,
-    resume: bool = False,
-    json: Json = False,
-    **options: Any,
-) -> None:
+def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(), **config: Any) -> None:
     """Run the paper's experiment.
 
     Each trial tunes on a different 70% of the simulated drives and evaluates all methods on the other drives. The
@@ -62,14 +77,6 @@ def study(
     out
         Folder for scores, tables, figures and the tunings of all trials. It must not contain a study, except with
         --resume.
-    config
-        A study.toml whose values the other options override; by default the paper's study.
-    quick
-        Run a small study: 50 drives and 3 trials, in about two minutes.
-    workers
-        Number of processes (Linux) or threads, one per core by default; with --cluster, of simultaneous tuning runs.
-    resume
-        Continue an interrupted study. The result is the same.
     """
     from sigmaswarm.experiments.study.study import run_study
     from sigmaswarm.reports.folders import save_page
@@ -77,21 +84,21 @@ def study(
 
     require_result_folder(out, [], "study", "study.toml")
     started = out / "study.toml"
-    file = config or (started if resume and started.exists() else None)
-    asked = read_config(file, **(QUICK_STUDY if quick else {}) | options)
-    counted = "generations and epochs, remaining" if asked.rivals else "generations, remaining"
-    with cluster_at(cluster) as client, progress_bar("study", counted) as show:
+    file = options.config or (started if options.resume and started.exists() else None)
+    design = read_config(file, **(QUICK_STUDY if options.quick else {}) | config)
+    counted = "generations and epochs, remaining" if design.rivals else "generations, remaining"
+    with cluster_at(options.cluster) as client, progress_bar("study", counted) as show:
         done = run_study(
-            asked,
+            design,
             out,
-            resume=resume,
-            workers=workers,
+            resume=options.resume,
+            workers=options.workers,
             cluster=client,
             progress=lambda now: show(now.done, now.total),
         )
     save_study(done, out)
     page = save_page(out)
-    if json:
+    if options.json:
         print_json(done.results.content())
     else:
         _print(done, out, page)

@@ -1,6 +1,7 @@
 """`sigmaswarm tune`."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from math import isfinite
 from os.path import relpath
@@ -17,7 +18,7 @@ from sigmaswarm.cli.common import (
     require_result_folder,
 )
 from sigmaswarm.cli.findings import Remedy
-from sigmaswarm.cli.options import MORE, Cluster, Json, Places, TrustLog, Workers, options_of
+from sigmaswarm.cli.options import FIELDS, MORE, Cluster, Json, Places, TrustLog, Workers, options_of
 from sigmaswarm.cli.remarks import local_folders, name_files
 from sigmaswarm.cli.terminal import tuning_progress
 from sigmaswarm.errors import InputError
@@ -33,21 +34,37 @@ if TYPE_CHECKING:
 SHORT_HELP = ("objective", "model", "use", "particles", "generations", "trials", "seed")
 
 
+@dataclass(frozen=True, kw_only=True)
+class TuneOptions:
+    """Options of `sigmaswarm tune` that are not fields of its configuration.
+
+    Attributes
+    ----------
+    validation
+        Drives that the search does not use; the tuned filter is also evaluated on these drives.
+    start
+        Filter from which the search starts: a tuning, or an ekf.yaml of robot_localization (select its inputs with
+        --use).
+    paper
+        Use the paper's settings: pso, 30 particles, 50 generations, linear scale, gps-rmse, planar5, ukf. Conflicting
+        options are refused.
+    resume
+        Continue an interrupted tuning; the result is the same as without the interruption.
+    """
+
+    validation: list[str] | None = None
+    start: Path | None = None
+    paper: Annotated[bool, MORE] = False
+    workers: Annotated[Workers, MORE] = None
+    cluster: Annotated[Cluster, MORE] = None
+    resume: bool = False
+    trust_log: Annotated[TrustLog, MORE] = False
+    json: Json = False
+
+
 @options_of(TuneConfig.model_fields, shown=SHORT_HELP, by_data=DEFERRED_OPTIONS, renamed=RENAMED)
 def tune(
-    drives: Places,
-    /,
-    *,
-    out: Path,
-    validation: list[str] | None = None,
-    start: Path | None = None,
-    paper: Annotated[bool, MORE] = False,
-    workers: Annotated[Workers, MORE] = None,
-    cluster: Annotated[Cluster, MORE] = None,
-    resume: bool = False,
-    trust_log: Annotated[TrustLog, MORE] = False,
-    json: Json = False,
-    **options: Any,
+    drives: Places, /, *, out: Path, options: Annotated[TuneOptions, FIELDS] = TuneOptions(), **config: Any
 ) -> None:
     """Tune a filter on drives.
 
@@ -96,23 +113,12 @@ def tune(
     ----------
     out
         Folder for tuning.toml, the convergence history and figures. It must not contain a tuning, except with --resume.
-    validation
-        Drives that the search does not use; the tuned filter is also evaluated on these drives.
-    start
-        Filter from which the search starts: a tuning, or an ekf.yaml of robot_localization (select its inputs with
-        --use).
-    paper
-        Use the paper's settings: pso, 30 particles, 50 generations, linear scale, gps-rmse, planar5, ukf. Conflicting
-        options are refused.
-    resume
-        Continue an interrupted tuning; the result is the same as without the interruption.
     """
-    require_result_folder(out, [start], "tuning", "config.json")
-    asked = {"out": out, "resume": resume, "paper": paper, "start": start}
-    remedies = None if trust_log else list[Remedy]()
-    with cluster_at(cluster) as client:
-        groups = read_datasets(drives, validation or [], cluster=client, remedies=remedies, gaps=True)
-        tuning, track, before, after = _tune(groups, drives[0], asked, options, workers)
+    require_result_folder(out, [options.start], "tuning", "config.json")
+    remedies = None if options.trust_log else list[Remedy]()
+    with cluster_at(options.cluster) as client:
+        groups = read_datasets(drives, options.validation or [], cluster=client, remedies=remedies, gaps=True)
+        tuning, track, before, after = _tune(groups, drives[0], out, options, config)
     from sigmaswarm.reports.tuning import save_tuning_figures  # late, since it takes memory
 
     if remedies:
@@ -125,15 +131,11 @@ def tune(
     pictures = save_tuning_figures(tuning, track.picture, out)
     files = f"filter:   {out / 'tuning.toml'}", f"pictures: {', '.join(map(str, pictures))}"
     lines = [*before, *_costs(tuning), *_remarks(tuning, track, drives), *files, *after]
-    print_result(json, tuning.to_dict(), *lines)  # printed last, so that an error is a single line
+    print_result(options.json, tuning.to_dict(), *lines)  # printed last, so that an error is a single line
 
 
 def _tune(
-    groups: "Sequence[Dataset]",
-    first: str,
-    asked: Mapping[str, Any],
-    options: dict[str, Any],
-    workers: int | None,
+    groups: "Sequence[Dataset]", first: str, out: Path, options: TuneOptions, config: dict[str, Any]
 ) -> "tuple[Tuning[Any], FirstTrack, list[str], list[str]]":
     """Tune; return the result, the track on the first drive, and the lines to print before and after the result."""
     from concurrent.futures import ThreadPoolExecutor
@@ -146,19 +148,22 @@ def _tune(
 
     read, held_back = groups
     everywhere = [*read.map(log_properties), *held_back.map(log_properties)]
-    if asked["start"]:
-        asked = {**asked, "start": filter_for(asked["start"], read)}
-        options.setdefault("model", asked["start"].model)
-    chosen = "" if asked["paper"] else default_filter_options(options, everywhere)[1]
-    with ThreadPoolExecutor(workers or cores()) as pool, tuning_progress("tuning") as progress:
+    start = filter_for(options.start, read) if options.start else None
+    config = {"model": start.model, **config} if start else config
+    chosen = "" if options.paper else default_filter_options(config, everywhere)[1]
+    run = {"out": out, "resume": options.resume, "paper": options.paper, "start": start}
+    with (
+        ThreadPoolExecutor(options.workers or cores()) as pool,
+        tuning_progress("tuning") as progress,
+    ):
         tuning = sigmaswarm.tune(
-            read, validation=held_back, executor=pool, progress=progress, **asked, **options
+            read, validation=held_back, executor=pool, progress=progress, **run, **config
         )
     as_recorded = tuning.config.model_dump()["as_recorded"]
     follow = partial(first_track, parameters=tuning.parameters, as_recorded=as_recorded)
     (track,) = read.subset([0]).map(follow)
     (part,) = read.subset([0]).map(_is_part)
-    out, alone = asked["out"], len(read) == 1 and not len(held_back)
+    alone = len(read) == 1 and not len(held_back)
     evaluate, splitting = _next(out, first, everywhere[0].name, part=part) if alone else (_evaluate(out), [])
     compare = _compare(evaluate, out, [one["sha256"] for one in tuning.data])
     lines = [f"next:     {evaluate} --out evaluation", *splitting, *compare]

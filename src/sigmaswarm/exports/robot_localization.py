@@ -12,8 +12,6 @@ from sigmaswarm.exports.features import features_of, fill, in_range, values_of
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.robot_yaml import STATE_INDICES
-from sigmaswarm.scoring.evaluation import Evaluation
-from sigmaswarm.scoring.methods import AGAINST, BASELINE
 from sigmaswarm.versions import __version__
 
 FILE = "robot_localization.yaml"
@@ -28,7 +26,6 @@ DEFAULT_PROCESS_NOISE = (
 """Default process noise per second: x, y, z; roll, pitch, yaw; their rates; accelerations."""
 SMALL, FIRST_FIX = 1e-6, 1.0
 """Initial variance of states that stay at 0, and smallest initial variance of x and y (m2)."""
-ACCURACY_MEASURES = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
 """Initial variances of vx, vy, yaw, ax, ay, yaw rate if initial_state is set as in README.md."""
 
@@ -108,49 +105,6 @@ def _configuration(p: FilterParameters, interval: float, mounting: Angles | None
     }
     names = {"ekf.yaml": "ekf.yaml.in", "ekf.launch.py": "ekf.launch.py.in", "README.md": "ekf_readme.md.in"}
     return {file: fill(template, used, values) for file, template in names.items()}
-
-
-def accuracy_section(evaluation: Evaluation) -> str:
-    known = [
-        m for m in ACCURACY_MEASURES if any(evaluation.mean(k, m) is not None for k in ("tuned", BASELINE))
-    ]
-    heads = " | ".join(evaluation.measures[m].heading for m in known)
-    lines = [f"| filter | {heads} |", "|---" * (len(known) + 1) + "|"]
-    names = {
-        BASELINE: "default process noise, same inputs",
-        "tuned": "ekf.yaml",
-        AGAINST: evaluation.names.get(AGAINST, ""),
-    }
-    for method, name in names.items():
-        if method in evaluation.names:
-            values = [evaluation.mean(method, m) for m in known]
-            lines.append(f"| {name} | " + " | ".join("-" if v is None else f"{v:.3g}" for v in values) + " |")
-    sentences = [
-        _compared(evaluation, over, names[over], known[0])
-        for over in (BASELINE, AGAINST)
-        if over in evaluation.names and known
-    ]
-    seen = [name for name, found in evaluation.drives.items() if found.record.seen_s]
-    if seen:
-        sentences.append(
-            f"The filter was tuned on {', '.join(seen)}, so expect larger errors on other drives."
-        )
-    drives = ", ".join(evaluation.drives)
-    return "\n".join([f"\n## Accuracy on {drives}\n", *lines, "", *sentences, ""])
-
-
-def _compared(evaluation: Evaluation, other: str, name: str, measure: str) -> str:
-    tuned, theirs = evaluation.mean("tuned", measure), evaluation.mean(other, measure)
-    if not tuned or not theirs:
-        return f"The errors of ekf.yaml and of {name} can't be compared, since one of these filters failed."
-    title = evaluation.measures[measure].title
-    if other == AGAINST and theirs < tuned:
-        return (
-            f"The {title} of the {name.removeprefix('other ')} is {1 - theirs / tuned:.0%} lower: {theirs:.3g} m "
-            f"instead of {tuned:.3g} m."
-        )
-    change = 1 - tuned / theirs
-    return f"The {title} of ekf.yaml is {abs(change):.0%} {'lower' if change >= 0 else 'HIGHER'} than with {name}."
 
 
 def process_noise(p: FilterParameters, interval: float) -> list[float]:

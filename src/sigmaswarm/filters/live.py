@@ -133,17 +133,7 @@ class LiveFilter:
         as_recorded: bool = False,
         lag: float | None = None,
     ) -> None:
-        if lag is not None and not 0 < lag < np.inf:
-            raise InputError(f"lag = {lag}: pass a positive number of seconds, or leave lag out")
-        if not (
-            nominal_interval > 0
-            and history >= 0
-            and max(history, lag or 0) <= MAX_HISTORY * nominal_interval < np.inf
-        ):
-            raise InputError(
-                f"nominal_interval = {nominal_interval} s, history = {history} s, lag = {lag} s: pass a positive "
-                f"interval, and a history and lag of at most {MAX_HISTORY} intervals"
-            )
+        _check_spans(nominal_interval, history, lag)
         p = parameters
         require_driven_by_imu(p.model, "a live filter or filter bank")
         self.parameters = p
@@ -154,38 +144,31 @@ class LiveFilter:
         self._plausible = bool(KernelArray((p,)).plausible[0])
         self._takes_velocity = p.velocity_noise is not None
         self._takes_accuracy = p.accuracy_scale is not None
+        filter_state = _initial_filter_state(p, initial, nominal_interval, lever_arm)
+        filter_state[live.AS_RECORDED], filter_state[live.LATE_BY] = as_recorded, history
         # More than for the history: an IMU may run faster than stated.
         samples = max(
             1, int(np.ceil(1.25 * max(history, (lag or -1.0) + nominal_interval) / nominal_interval))
         )
-        seen = samples + int(FIX_WINDOW / nominal_interval)  # at most as many fixes as samples
-        filter_state = _initial_filter_state(p, initial, nominal_interval, lever_arm)
-        filter_state[live.AS_RECORDED], filter_state[live.LATE_BY] = as_recorded, history
-        counts = np.zeros(live.N_COUNTS, dtype=np.int64)
-        self._memory = Memory(
-            single_step(kernel),
-            LiveArrays(
-                filter_state,
-                counts,
-                new_memory()[: 0 if p.standstill_noise is None else None],
-                np.zeros((MAX_WAITING_FIXES + seen, live.N_FIX)),
-                np.zeros((0 if p.odometer_noise is None else MAX_READINGS + int(200 * history), 2)),
-                np.zeros((samples, live.N_RECORD)),
-                np.zeros((0, 0)),
-                np.zeros(
-                    (
-                        2 + int(MAX_RATE_RATIO * MONITOR_SPAN / nominal_interval) if recover else 0,
-                        live.N_SAMPLE,
-                    )
-                ),
-            ),
+        waiting = (
+            MAX_WAITING_FIXES + samples + int(FIX_WINDOW / nominal_interval)
+        )  # at most one fix per sample
+        monitored = 2 + int(MAX_RATE_RATIO * MONITOR_SPAN / nominal_interval)
+        arrays = LiveArrays(
+            filter_state,
+            np.zeros(live.N_COUNTS, dtype=np.int64),
+            new_memory()[: 0 if p.standstill_noise is None else None],
+            np.zeros((waiting, live.N_FIX)),
+            np.zeros((0 if p.odometer_noise is None else MAX_READINGS + int(200 * history), 2)),
+            np.zeros((samples, live.N_RECORD)),
+            np.zeros((0, 0)),
+            np.zeros((monitored if recover else 0, live.N_SAMPLE)),
         )
+        self._memory = Memory(single_step(kernel), arrays)
         self._interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
         self._monitor = DivergenceMonitor() if recover else None
         self._holds = False  # diverged: the estimate is the last fix at each sample
-        self._lag = (
-            None if lag is None else FixedLag(kernel, lag, most_steps=MAX_WAITING_FIXES + seen + samples)
-        )
+        self._lag = None if lag is None else FixedLag(kernel, lag, most_steps=waiting + samples)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
         """Process an IMU sample; ignore a repeated or earlier time; defer a time that is more than 10 s ahead.
@@ -426,6 +409,16 @@ def live_state(time: float, mean: Array, covariance: Array, lost: bool, sound: b
 
 _ALIGNING = (1, 2, 3, 5, 6)
 """Indices of ax, ay, gz, gx, gy in a stored sample, whose index 0 is the time: see `AXES`."""
+
+
+def _check_spans(interval: float, history: float, lag: float | None) -> None:
+    if lag is not None and not 0 < lag < np.inf:
+        raise InputError(f"lag = {lag}: pass a positive number of seconds, or leave lag out")
+    if not (interval > 0 and history >= 0 and max(history, lag or 0) <= MAX_HISTORY * interval < np.inf):
+        raise InputError(
+            f"nominal_interval = {interval} s, history = {history} s, lag = {lag} s: pass a positive "
+            f"interval, and a history and lag of at most {MAX_HISTORY} intervals"
+        )
 
 
 def _known_heading(theta: float, std: float) -> tuple[float, float]:

@@ -74,17 +74,7 @@ def assemble(
         gps = without_wrong_velocity(seconds["gps"], gps, "gps", [g.part for g in gathered["gps"]], say)
     truth = None
     if "truth" in values:
-        placed, origin = _placed_truth(values["truth"], origin, gps)
-        parts = [g.part for g in gathered["truth"]]
-        message = require_same_axes(seconds, placed, gps, parts) if gps else ""
-        assumed = "lat" in gps and "lat" not in placed and recipe.origin is None
-        if assumed and origin is not None and not message:
-            message = assumed_origin(seconds, placed, gps, origin)
-        if message:
-            say(message)
-        if {"speed", "course"} <= placed.keys() or {"vx", "vy"} <= placed.keys():
-            placed = without_wrong_velocity(seconds["truth"], placed, "truth", parts, say)
-        truth = Truth(seconds["truth"], **_motion(seconds["truth"], placed, gps, say))
+        truth, origin = _truth(seconds, values["truth"], origin, gps, gathered["truth"], recipe, say)
     if recipe.gps_from_truth:
         if truth is None:
             raise InputError(f"{name}: fixes can't be made from the truth, since the log has no truth")
@@ -108,6 +98,29 @@ def assemble(
             shortage += remedy or f": {moves}--gps-offset {offset:.3f} if both began together"
         raise InputError(f"{name}: {shortage}")
     return drive
+
+
+def _truth(
+    seconds: Mapping[Role, Array],
+    values: Values,
+    origin: Origin | None,
+    gps: Values,
+    gathered: Sequence[PartColumns],
+    recipe: Recipe,
+    say: Say,
+) -> tuple[Truth, Origin | None]:
+    """Return the truth in the frame of the fixes, and the origin."""
+    placed, origin = _placed_truth(values, origin, gps)
+    parts = [g.part for g in gathered]
+    message = require_same_axes(seconds, placed, gps, parts) if gps else ""
+    assumed = "lat" in gps and "lat" not in placed and recipe.origin is None
+    if assumed and origin is not None and not message:
+        message = assumed_origin(seconds, placed, gps, origin)
+    if message:
+        say(message)
+    if {"speed", "course"} <= placed.keys() or {"vx", "vy"} <= placed.keys():
+        placed = without_wrong_velocity(seconds["truth"], placed, "truth", parts, say)
+    return Truth(seconds["truth"], **_motion(seconds["truth"], placed, gps, say)), origin
 
 
 def missing_columns(recipe: Recipe) -> Iterator[str]:

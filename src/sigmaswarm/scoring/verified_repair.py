@@ -81,17 +81,30 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
     """
     if only is not None:
         diagnosis = _without(diagnosis, {f.code for f in diagnosis.findings}.difference(only))
-    kept = diagnosis
+    rejected = _rejected(drive, diagnosis)
+    repaired = repairs.repair(drive, _without(diagnosis, rejected))
+    withheld = list(dict.fromkeys(f.code for f in diagnosis.findings if f.repair and f.code in rejected))
+    if not withheld:
+        return repaired
+    what = f"{drive.name}: the repair of {', '.join(withheld)} is withheld, since it makes a filter's"
+    warnings.warn(
+        SigmaswarmWarning(f"{what} predictions of the fixes worse; check the log yourself"), stacklevel=2
+    )
+    return replace(repaired, metadata={**repaired.metadata, "withheld": withheld})
+
+
+def _rejected(drive: Drive, diagnosis: Diagnosis) -> set[str]:
+    """Return the codes of the findings whose repair makes the forecasts of a filter worse."""
     doubtful = {f.code for f in diagnosis.findings if f.repair is not None and f.repair.action in VERIFIED}
     judges = [checking_filter(drive)] if doubtful else []
-    actions = {f.repair.action for f in diagnosis.findings if f.repair}
-    if actions & {*CLOCKS, "rotate"}:
+    if {f.repair.action for f in diagnosis.findings if f.repair} & {*CLOCKS, "rotate"}:
         # the baseline of the repaired drive's default filter
         model = "tilted12" if has_attitude(repairs.repair(drive, diagnosis)) else "planar8"
         judges.append(baseline_of(drive, model, ("lateral", "standstill", "robust")))
     before = _forecasts(drive, judges)
-    withheld: list[str] = []
+    rejected = set[str]()
     while doubtful and np.isfinite(before).any():
+        kept = _without(diagnosis, rejected)
         ratio = (_forecasts(repairs.repair(drive, kept), judges) / before)[~np.isnan(before)]
         rotated = {f.repair.action for f in kept.findings if f.repair} & VERIFIED == {"rotate"}
         if (np.exp(np.mean(np.log(ratio))) if rotated else np.max(ratio)) <= MAX_ERROR_RATIO:
@@ -99,20 +112,11 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
         # The responsible repair is the one without which the predictions are best.
         errors: dict[str, float] = {}
         for code in sorted(doubtful):
-            found = _forecasts(repairs.repair(drive, _without(kept, {code})), judges)
-            errors[code] = float(np.nan_to_num(np.prod(found[np.isfinite(before)]), nan=np.inf))
-        code = min(errors, key=lambda code: errors[code])
-        kept, doubtful = _without(kept, {code}), doubtful - {code}
-        withheld.append(code)
-    mended = repairs.repair(drive, kept)
-    if not withheld:
-        return mended
-    withheld = list(dict.fromkeys(f.code for f in diagnosis.findings if f.repair and f.code in withheld))
-    what = f"{drive.name}: the repair of {', '.join(withheld)} is withheld, since it makes a filter's"
-    warnings.warn(
-        SigmaswarmWarning(f"{what} predictions of the fixes worse; check the log yourself"), stacklevel=2
-    )
-    return replace(mended, metadata={**mended.metadata, "withheld": withheld})
+            forecasts = _forecasts(repairs.repair(drive, _without(kept, {code})), judges)
+            errors[code] = float(np.nan_to_num(np.prod(forecasts[np.isfinite(before)]), nan=np.inf))
+        worst = min(errors, key=lambda code: errors[code])
+        doubtful, rejected = doubtful - {worst}, rejected | {worst}
+    return rejected
 
 
 def _without(diagnosis: Diagnosis, codes: Collection[str]) -> Diagnosis:

@@ -3,18 +3,14 @@
 import os
 from collections import deque
 from collections.abc import Callable, Container, Iterator, Sequence
-from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from typing import Any
 
-from sigmaswarm.datasets.cluster import Cluster
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.simulation.environments import ENVIRONMENTS, lookup
 from sigmaswarm.simulation.maneuvers import MANEUVERS
 from sigmaswarm.simulation.scenarios import check_duration, drive_name, simulate
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 PAPER_MANEUVERS = tuple(name for name in MANEUVERS if name != "urban")
 
@@ -68,27 +64,20 @@ def simulate_many(
         If an argument is invalid, as in `simulate`; raised before the first drive.
     """
     duration = options.pop("duration", None)
-    # Check the names for later drives; the first drive checks all other options.
-    for maneuver in maneuvers:
-        lookup(maneuver, MANEUVERS, "maneuver")
-    for environment in environments:
-        lookup(environment, ENVIRONMENTS, "environment")
-    if runs < 1:
-        raise InputError(f"runs is {runs}; choose 1 or more")
-    check_duration("urban" if "urban" in maneuvers else maneuvers[0], duration)
+    _check_conditions(maneuvers, environments, runs, duration)
 
-    def one(maneuver: str, environment: str, run: int) -> Any:
+    def simulate_one(maneuver: str, environment: str, run: int) -> Any:
         seconds = duration if maneuver == "urban" else None
         drive = simulate(maneuver, environment, run=run, duration=seconds, **options)
         return drive if use is None else use(drive)
 
-    names = [(m, e, r) for m in maneuvers for e in environments for r in range(runs)]
+    names = ((m, e, r) for m in maneuvers for e in environments for r in range(runs))
     pool = executor if executor is not None else ThreadPoolExecutor(workers or os.cpu_count())
     waiting: deque[Future[Any]] = deque()  # at most `ahead` drives, which bounds memory
     try:
         for name in names:
             if drive_name(*name) not in leave_out:
-                waiting.append(pool.submit(one, *name))
+                waiting.append(pool.submit(simulate_one, *name))
             if len(waiting) > ahead:
                 yield waiting.popleft().result()
         for future in waiting:
@@ -98,19 +87,14 @@ def simulate_many(
             pool.shutdown(cancel_futures=True)
 
 
-def simulated_on(client: "Client", *what: Any, **options: Any) -> Iterator[Drive]:
-    """Run `simulate_many` on the workers of a Dask cluster; other workers simulate the drives of a lost worker.
-
-    Raises
-    ------
-    ClusterError
-        If a worker has other versions, or the scheduler no longer answers.
-    """
-    cluster = Cluster(client)
-    cluster.require_same_versions()
-    threads = sum(cluster.workers().values())
-    try:
-        with client.get_executor(pure=False) as pool:
-            yield from simulate_many(*what, executor=pool, ahead=2 * max(threads, 8), **options)
-    except (OSError, CancelledError):
-        raise cluster.lost_scheduler() from None
+def _check_conditions(
+    maneuvers: Sequence[str], environments: Sequence[str], runs: int, duration: float | None
+) -> None:
+    """Check the names for later drives; the first drive checks all other options."""
+    for maneuver in maneuvers:
+        lookup(maneuver, MANEUVERS, "maneuver")
+    for environment in environments:
+        lookup(environment, ENVIRONMENTS, "environment")
+    if runs < 1:
+        raise InputError(f"runs is {runs}; choose 1 or more")
+    check_duration("urban" if "urban" in maneuvers else maneuvers[0], duration)

@@ -134,11 +134,7 @@ def tune(
         If the scheduler stopped, a worker has other versions, or the drives exceed the workers' memory.
     """
     resume, paper, start = (options.pop(name, None) for name in ("resume", "paper", "start"))
-    kind = ModelTuneConfig if isinstance(options.get("model"), Model) else TuneConfig
-    options = current_options(kind, options, ARGUMENTS)
-    if paper and kind is ModelTuneConfig:
-        raise InputError("paper = True: is an option of built-in models; leave paper out")
-    options = paper_options(options) if paper else options
+    options = _search_options(options, paper=bool(paper))
     problem, held_back, first = _problem_of(drives, validation, options, start, (executor, cluster))
     with ExitStack() as stack:
         folder = None
@@ -149,6 +145,15 @@ def tune(
         pool = executor or stack.enter_context(ThreadPoolExecutor(cores()))
         options = {"held_back": held_back, "folder": folder, "progress": progress, "start": first}
         return replace(tune_problem(problem, pool, **options), seen=seen)
+
+
+def _search_options(options: dict[str, Any], *, paper: bool) -> dict[str, Any]:
+    """Return the options under their current names, with the paper's settings if ``paper``."""
+    kind = ModelTuneConfig if isinstance(options.get("model"), Model) else TuneConfig
+    options = current_options(kind, options, ARGUMENTS)
+    if paper and kind is ModelTuneConfig:
+        raise InputError("paper = True: is an option of built-in models; leave paper out")
+    return paper_options(options) if paper else options
 
 
 def _landmarks_of(problem: Problem[Any], folder: ResultFolder | None) -> Sequence[Landmarks]:
