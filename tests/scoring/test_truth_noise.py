@@ -11,6 +11,7 @@ from scoring.variants import DRIVE
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Truth
 from sigmaswarm.drives.fingerprint import fingerprint
+from sigmaswarm.drives.gaps import share_known
 from sigmaswarm.errors import DriveError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_filter
@@ -19,7 +20,7 @@ from sigmaswarm.scoring.evaluation import evaluate
 from sigmaswarm.scoring.remarks import partly_scored
 from sigmaswarm.scoring.score import score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import outage_windows
-from sigmaswarm.scoring.truth import HEADING_FLOOR, POSITION_FLOOR, share_known
+from sigmaswarm.scoring.truth import HEADING_FLOOR, POSITION_FLOOR
 
 SET = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0))
 

@@ -36,6 +36,8 @@ AS_RECORDED = Yaw(known=True)  # another column, sign or unit is accepted only i
 MIN_UPRIGHT_COSINE = 0.7
 MAX_SCALE_SIGMAS = 4.0  # smallest scale of ax and ay, in standard deviations, that confirms exchanged fixes
 MIN_FIXES = 20  # smallest number of fixes for the checks that need motion
+# Ratio of the stated noise to the scatter about a path of 10 s above which most of the error lasts longer than 10 s
+MAX_SCATTER_RATIO = 2.5
 CACHE_SIZE = 256  # drives whose scatter is cached, since each repetition of a tuning needs it
 _scatters: dict[str, float] = {}
 

@@ -1,9 +1,12 @@
-"""Gaps in the IMU: intervals without samples, compared only with earlier intervals, as in a live filter."""
+"""Gaps in the IMU and in truth.
+
+The gaps in the IMU are intervals without samples, compared only with earlier intervals, as in a live filter.
+"""
 
 import numpy as np
 
 from sigmaswarm.compilation import cached
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.tables import Array, Mask, Truth
 
 MANY = 5.0  # usual intervals; a gap is longer
 SHORTEST = 0.05  # s; a gap is also longer than this time
@@ -37,3 +40,29 @@ def gap_of(interval: float, usual: float) -> float:
 def usual_after(interval: float, usual: float) -> float:
     """Update the usual interval, s, an exponentially weighted mean, with the next interval, s."""
     return usual + (min(interval, MOST * usual) - usual) / OVER if usual > 0.0 else interval
+
+
+def is_known(truth: Truth, time: Array) -> Mask:
+    """Return True for times, s, shape (n,), outside of gaps of truth.
+
+    If truth has no standard deviations, it has no gaps.
+    """
+    inside = (time >= truth.time[0]) & (time <= truth.time[-1])
+    if truth.std_x is None or len(truth) < 2:
+        return inside
+    later = np.clip(np.searchsorted(truth.time, time, side="left"), 1, len(truth) - 1)
+    return inside & (~_truth_gaps(truth)[later - 1] | (truth.time[later] == time) | (truth.time[0] == time))
+
+
+def share_known(truth: Truth | None, start: float, end: float) -> float:
+    """Return the share of the time from ``start`` to ``end``, s, at which truth is known."""
+    if truth is None or len(truth) < 2 or end <= start:
+        return 0.0
+    edges = np.clip(truth.time, start, end)
+    return float(np.sum(np.diff(edges)[~_truth_gaps(truth)]) / (end - start))
+
+
+def _truth_gaps(truth: Truth) -> Mask:
+    """Return True for intervals between rows, shape (m - 1,), that are much longer than the median."""
+    intervals = np.diff(truth.time)
+    return intervals > max(MANY * float(np.median(intervals)), SHORTEST)

@@ -16,6 +16,7 @@ import numpy as np
 
 from sigmaswarm.drives.checks import MIN_SHARED_FIXES
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.gaps import share_known
 from sigmaswarm.drives.outages import hidden_fixes, random_windows
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.sensors import suggest_filter
@@ -28,7 +29,6 @@ from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.filters.tilted import rotation
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.fixes import ReceiverLog, read_fixes
-from sigmaswarm.scoring.truth import share_known
 from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.tune import tune
 

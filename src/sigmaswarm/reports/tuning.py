@@ -1,7 +1,7 @@
 """Page and pictures of a tuning: cost, parameters with ranges, convergence and drives."""
 
 import shlex
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +16,6 @@ from pydantic import ValidationError
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_atomically
-from sigmaswarm.filters.models import MODELS
 from sigmaswarm.reports.evaluation import tracks
 from sigmaswarm.reports.figures import Chart, curve, figure_of, logarithmic, save
 from sigmaswarm.reports.page import Report, Section
@@ -30,6 +29,7 @@ from sigmaswarm.tuning.diagnostics import describe_forecasts
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, TuningRecord, history_of, load_history
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
+from sigmaswarm.tuning.space import searched_name
 from sigmaswarm.wording import count_of
 
 # Options that the command contains even at their defaults.
@@ -156,12 +156,15 @@ def parameters_section(file: TuningRecord) -> Section:
     ranges = file.within_1_percent_of_the_cost
     touched = {bound.parameter: bound.place for bound in (file.result.touched_bounds if file.result else ())}
     rows: list[tuple[Cell, ...]] = []
+    model = str(file.filter.get("model"))
     for name, value, unit, density in _parameters(file):
         if file.filter.get("kind") == "ekf" and name in SIGMA_POINTS:
             continue
-        low, high = ranges.get(_searched_as(name, ranges, file), (None, None))
+        low, high = ranges.get(searched_name(name, ranges, model), (None, None))
         free = (low, high) == ("-", "-")
-        found = "no effect within the bounds" if free else touched.get(_searched_as(name, touched, file), "")
+        found = (
+            "no effect within the bounds" if free else touched.get(searched_name(name, touched, model), "")
+        )
         remark = "; ".join(said for said in (PARAMETER_MEANINGS.get(name, ""), found) if said)
         rows.append((name, value, unit, _end(low), _end(high), density, remark))
     if NOISE_SCALE in ranges:
@@ -178,13 +181,6 @@ def parameters_section(file: TuningRecord) -> Section:
 
 def _end(end: End | None) -> Cell:
     return "at the bound" if end == "-" else end
-
-
-def _searched_as(name: str, known: Collection[str], file: TuningRecord) -> str:
-    """Return the name of a parameter in the search: q_x and q_y are q_xy, q_roll is q_tilt."""
-    model = MODELS.get(str(file.filter.get("model")))
-    shared = {f"q_{state.name}": f"q_{state.shared}" for state in (model.states if model else ())}
-    return name if name in known else (shared | {"r_x": "r_xy", "r_y": "r_xy"}).get(name, name)
 
 
 def _parameters(file: TuningRecord) -> Iterator[tuple[str, Cell, str, str]]:

@@ -14,6 +14,7 @@ from sigmaswarm.datasets.dataset import make_datasets
 from sigmaswarm.doctor.diagnose import finding_sentences
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, drive_record
+from sigmaswarm.drives.gaps import share_known
 from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError, warn_deprecated
@@ -61,7 +62,7 @@ from sigmaswarm.scoring.tracks import (
     compared,
     save_tracks,
 )
-from sigmaswarm.scoring.truth import share_known, truth_offset
+from sigmaswarm.scoring.truth import truth_offset
 from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.versions import versions
 

@@ -11,10 +11,11 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive, Truth
+from sigmaswarm.drives.gaps import is_known
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.scoring.truth import heading_weights, is_known, root_mean, weights_at
+from sigmaswarm.scoring.truth import heading_weights, root_mean, weights_at
 
 MIN_HEADING_SPEED = 2.0  # m/s, true speed
 PIECE = 100_000  # estimates scored at once, to limit the memory

@@ -11,6 +11,7 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.gaps import is_known
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import atomic_file, read_arrays
@@ -28,7 +29,6 @@ from sigmaswarm.scoring.drifts import Run
 from sigmaswarm.scoring.methods import BASELINE
 from sigmaswarm.scoring.score import PieceErrors, Score, distance_from, score_raw_gps
 from sigmaswarm.scoring.thinning import CloseUp, Columns, ThinnedSeries
-from sigmaswarm.scoring.truth import is_known
 
 TRACKS_FILE = "tracks.npz"
 NIS = ".nis"

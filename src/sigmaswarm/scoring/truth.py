@@ -1,4 +1,4 @@
-"""Weights of truth, known parts of truth, and a constant offset between truth and fixes."""
+"""Weights of truth, and a constant offset between truth and fixes."""
 
 import math
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from sigmaswarm.doctor.windows import Complex
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.gaps import MANY, SHORTEST
-from sigmaswarm.drives.tables import Array, Mask, Truth
+from sigmaswarm.drives.gaps import is_known
+from sigmaswarm.drives.tables import Array, Truth
 
 POSITION_FLOOR = 0.3
 """Standard deviation of truth, m per axis, below which the weight hardly increases.
@@ -42,32 +42,6 @@ def root_mean(squares: Array, weights: Array | None = None) -> float:
     if not squares.size:
         return float("nan")
     return float(np.sqrt(np.mean(squares) if weights is None else np.average(squares, weights=weights)))
-
-
-def is_known(truth: Truth, time: Array) -> Mask:
-    """Return True for times, s, shape (n,), outside of gaps of truth.
-
-    If truth has no standard deviations, it has no gaps.
-    """
-    inside = (time >= truth.time[0]) & (time <= truth.time[-1])
-    if truth.std_x is None or len(truth) < 2:
-        return inside
-    later = np.clip(np.searchsorted(truth.time, time, side="left"), 1, len(truth) - 1)
-    return inside & (~_gaps(truth)[later - 1] | (truth.time[later] == time) | (truth.time[0] == time))
-
-
-def share_known(truth: Truth | None, start: float, end: float) -> float:
-    """Return the share of the time from ``start`` to ``end``, s, at which truth is known."""
-    if truth is None or len(truth) < 2 or end <= start:
-        return 0.0
-    edges = np.clip(truth.time, start, end)
-    return float(np.sum(np.diff(edges)[~_gaps(truth)]) / (end - start))
-
-
-def _gaps(truth: Truth) -> Mask:
-    """Return True for intervals between rows, shape (m - 1,), that are much longer than the median."""
-    intervals = np.diff(truth.time)
-    return intervals > max(MANY * float(np.median(intervals)), SHORTEST)
 
 
 def truth_offset(drive: Drive) -> str:

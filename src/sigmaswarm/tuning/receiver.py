@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sigmaswarm.doctor.checks.noise import MAX_SCATTER_RATIO
-from sigmaswarm.doctor.evidence import fix_scatter
+from sigmaswarm.doctor.evidence import MAX_SCATTER_RATIO, fix_scatter
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.drives.split import clip

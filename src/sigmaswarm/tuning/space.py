@@ -1,7 +1,7 @@
 """The search space of a filter."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
@@ -226,3 +226,10 @@ def _dimensions(
             _, *box, spread = SEARCHED[field]
             for name in ENTRIES.get(field, (field,)):
                 yield Dimension(name, field, int(field in ENTRIES), *box, spread=spread)
+
+
+def searched_name(name: str, known: Container[str], model: str) -> str:
+    """Return the name of a parameter in the search: q_x and q_y are q_xy, q_roll is q_tilt."""
+    states = MODELS[model].states if model in MODELS else ()
+    shared = {f"q_{state.name}": f"q_{state.shared}" for state in states}
+    return name if name in known else (shared | {"r_x": "r_xy", "r_y": "r_xy"}).get(name, name)

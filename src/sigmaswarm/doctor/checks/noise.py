@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sigmaswarm.doctor.acceleration_fit import MIN_NOISE
-from sigmaswarm.doctor.evidence import Evidence
+from sigmaswarm.doctor.evidence import MAX_SCATTER_RATIO, Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.drives.sensors import motion_in_noise, stated_std
 
@@ -15,8 +15,6 @@ MAX_OBSERVED_RATIO = 2.0  # largest ratio of observed noise to stated noise
 MIN_STATED_STD = 0.003
 # Largest ratio of stated noise to observed white noise; high, since slow errors are not observed
 MAX_STATED_RATIO = 6.5
-# Ratio of the stated noise to the scatter about a path of 10 s above which most of the error lasts longer than 10 s
-MAX_SCATTER_RATIO = 2.5
 # m, distance of the first fix from the others; a farther outlier displaces the drive's origin
 MAX_FIRST_DISTANCE = 1000.0
 # Ratio of the noise from fix to fix to the scatter about a path of 10 s above which noise is white (ratio 1).
