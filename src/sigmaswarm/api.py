@@ -53,14 +53,14 @@ def tuned_filter(given: Filter) -> TunedFilter:
     if isinstance(given, str | Path):
         path = Path(given)
         parameters, tuning = FilterParameters.load(path), TuningRecord.read(path)
-        seen, as_recorded = training_data_of(path), tuning.as_recorded
+        landmarks, as_recorded = training_data_of(path), tuning.as_recorded
     else:
         parameters = getattr(given, "parameters", given)
         if not isinstance(parameters, FilterParameters):
             raise InputError(f"got {type(parameters).__name__}; pass FilterParameters, a Tuning or its path")
-        tuning, seen, as_recorded = given, given.seen, given.config.model_dump()["as_recorded"]
+        tuning, landmarks, as_recorded = given, given.seen, given.config.model_dump()["as_recorded"]
     imu = tuning.mounting, tuning.imu_axes
-    return TunedFilter(parameters, as_recorded, list(seen) or None, tuning.fixes_alone, *imu)
+    return TunedFilter(parameters, as_recorded, list(landmarks) or None, tuning.fixes_alone, *imu)
 
 
 def import_log(

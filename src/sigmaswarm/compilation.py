@@ -164,14 +164,14 @@ class _Cache(FunctionCache):
     compiled: Any = None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        found = None
+        overload = None
         with suppress(Exception):  # unpickling a damaged file can raise any exception
-            found = super().load_overload(sig, target_context)
-        if found is None:
+            overload = super().load_overload(sig, target_context)
+        if overload is None:
             _log_once(str(_folder()[0]))
             if self.recipe:
                 _write(self.recipe, self.compiled)
-        return found
+        return overload
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         if self.recipe:

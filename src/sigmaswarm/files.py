@@ -164,30 +164,32 @@ def earlier_result(folder: Path, kind: str, mark: str = "", *, alone: bool = Tru
         return frozenset()
     if mark and (folder / mark).is_file() and not (folder / RESULT_FILE).exists():
         return None
-    found = _result_in(folder)
-    if not (found or alone):
+    record = _result_in(folder)
+    if not (record or alone):
         return frozenset()
-    if found.get("kind") != kind:
+    if record.get("kind") != kind:
         raise InputError(f"{folder}: is not empty and contains no {kind}; choose another --out")
     inside = folder.resolve()
     return frozenset(
-        name for name in found["files"] if (folder / name).parent.resolve().is_relative_to(inside)
+        name for name in record["files"] if (folder / name).parent.resolve().is_relative_to(inside)
     )
 
 
 def add_to_result(folder: Path, name: str) -> None:
     """If a folder has a list of its result's files, add a file to it, so that the next result replaces the file."""
-    if not (found := _result_in(folder)):
+    if not (record := _result_in(folder)):
         return
-    if (folder / name).exists() and name not in found["files"]:
+    if (folder / name).exists() and name not in record["files"]:
         raise InputError(f"{folder / name}: is not part of the result in this folder; move it")
-    write_json(folder / RESULT_FILE, {**found, "files": sorted({*found["files"], name})})
+    write_json(folder / RESULT_FILE, {**record, "files": sorted({*record["files"], name})})
 
 
 def _result_in(folder: Path) -> dict[str, Any]:
     try:
-        found = json.loads((folder / RESULT_FILE).read_bytes())
-        return found if isinstance(found["kind"], str) and all(type(n) is str for n in found["files"]) else {}
+        record = json.loads((folder / RESULT_FILE).read_bytes())
+        return (
+            record if isinstance(record["kind"], str) and all(type(n) is str for n in record["files"]) else {}
+        )
     except (OSError, ValueError, LookupError, TypeError):
         return {}
 
@@ -378,12 +380,12 @@ def _sweep_one(file: Path) -> None:
     lock = _lock(file, wait=False)
     if lock is None:
         return
-    left = file.with_suffix("")
-    for kept in (left / "old").glob("*"):  # killed between two renames: back to its place
-        if not (left.parent / kept.name).exists():
-            kept.rename(left.parent / kept.name)
-    if left.name.startswith(".results.") and any(f.is_file() for f in (left / "new").rglob("*")):
-        _restore(left, left.parent)  # killed within an exchange of files
-    _remove(left)
+    stem = file.with_suffix("")
+    for kept in (stem / "old").glob("*"):  # killed between two renames: back to its place
+        if not (stem.parent / kept.name).exists():
+            kept.rename(stem.parent / kept.name)
+    if stem.name.startswith(".results.") and any(f.is_file() for f in (stem / "new").rglob("*")):
+        _restore(stem, stem.parent)  # killed within an exchange of files
+    _remove(stem)
     lock.release()
     file.unlink(missing_ok=True)

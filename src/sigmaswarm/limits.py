@@ -90,8 +90,8 @@ def read_bounded(path: Path, most: int) -> bytes:
 def read_toml_text(path: Path) -> str:
     """Return the text of a TOML file without the byte-order mark; refuse a file that takes long to parse."""
     content = read_bounded(path, MAX_TOML_BYTES)
-    if found := _LONG_KEY.search(content):
-        row = content.count(b"\n", 0, found.start()) + 1
+    if match := _LONG_KEY.search(content):
+        row = content.count(b"\n", 0, match.start()) + 1
         raise InputError(f"{path}, row {row}: a key of more than 64 parts; correct or delete the line")
     return content.decode("utf-8-sig")
 

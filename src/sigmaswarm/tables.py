@@ -62,10 +62,10 @@ class Table:
     _repr_markdown_ = to_markdown
 
     def __repr__(self) -> str:
-        more = len(self.rows) - MAX_REPR_ROWS
-        if more <= 0:
+        hidden = len(self.rows) - MAX_REPR_ROWS
+        if hidden <= 0:
             return replace(self, note="").to_markdown()
-        few = replace(self, rows=self.rows[:MAX_REPR_ROWS], note=f"{more} more rows; to_markdown() has all")
+        few = replace(self, rows=self.rows[:MAX_REPR_ROWS], note=f"{hidden} more rows; to_markdown() has all")
         return few.to_markdown()
 
     def to_html(self) -> str:

@@ -22,8 +22,8 @@ def versions() -> dict[str, str]:
 
 def same_results(one: dict[str, str], other: dict[str, str]) -> bool:
     """Check that the software of two results computes identical numbers."""
-    ours = {one.get("sigmaswarm"), other.get("sigmaswarm")}
-    drop = {"sigmaswarm"} if ours <= SAME_RESULTS else set[str]()
+    known = {one.get("sigmaswarm"), other.get("sigmaswarm")}
+    drop = {"sigmaswarm"} if known <= SAME_RESULTS else set[str]()
     return {k: v for k, v in one.items() if k not in drop} == {
         k: v for k, v in other.items() if k not in drop
     }

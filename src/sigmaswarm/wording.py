@@ -77,5 +77,5 @@ def first_mistake(error: "ValidationError") -> Mistake:
 def list_names(names: Iterable[object], mark: str = "") -> str:
     """Show the first names of a list, each between two ``mark``, and the number of others."""
     every = [f"{mark}{printable(name)}{mark}" for name in names]
-    more = f" and {len(every) - MAX_NAMES} more" if len(every) > MAX_NAMES else ""
-    return ", ".join(every[:MAX_NAMES]) + more
+    others = f" and {len(every) - MAX_NAMES} more" if len(every) > MAX_NAMES else ""
+    return ", ".join(every[:MAX_NAMES]) + others

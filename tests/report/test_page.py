@@ -370,7 +370,7 @@ def test_the_commands_repeat_what_was_asked(folders: tuple[Path, Path, Evaluatio
     config = tomllib.loads((tuned / "tuning.toml").read_text())["config"]
     for option in ("objective", "particles", "generations", "trials", "seed", "model", "use"):
         assert bound.arguments[option] == config[option]
-    assert [str(d) for d in bound.arguments["validation"]] == ["tuesday"]
+    assert [str(d) for d in bound.arguments["options"].validation] == ["tuesday"]
     command, bound, _ = app.parse_args(
         shlex.split(read_report(out).command)[1:], exit_on_error=False, print_error=False
     )

@@ -117,8 +117,8 @@ def _run() -> int:
         return end.code if isinstance(end.code, int) else 0
     except (SigmaswarmError, CycloptsError) as error:
         hint = "; see --help" if isinstance(error, CycloptsError) else ""
-        ours = _missing_out(error) or _other_name(error) or _too_many(error)
-        message = ours or terminal.one_line(error).removesuffix(".")
+        explanation = _missing_out(error) or _other_name(error) or _too_many(error)
+        message = explanation or terminal.one_line(error).removesuffix(".")
         return _fail(2, f"{message}{hint or _hidden_option(message)}")
     except KeyboardInterrupt:
         resumable = sys.argv[1:2] in (["tune"], ["compare"], ["simulate"], ["study"], ["learn"])

@@ -187,8 +187,8 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
         )
         return
     shown = tuple(dict.fromkeys((*sentences[:MAX_REMARKS], *view.missing_drifts())))
-    left = [f"{len(sentences) - len(shown)} more remarks"] if len(sentences) > len(shown) else []
-    *adds, last = [*(["each drive"] if several else []), "the consistency", *left]
+    hidden = [f"{len(sentences) - len(shown)} more remarks"] if len(sentences) > len(shown) else []
+    *adds, last = [*(["each drive"] if several else []), "the consistency", *hidden]
     say(
         *shown,
         f"--verbose also shows {' and '.join(filter(None, [', '.join(adds), last]))}",

@@ -204,8 +204,8 @@ def _warn_of_training_drives(evaluation: "Evaluation") -> None:
     """Warn about drives that the tuning used, since the errors on them are too small."""
     from sigmaswarm.scoring.remarks import describe_training_drives
 
-    for found in evaluation.drives.values():
-        drive = found.record
+    for result in evaluation.drives.values():
+        drive = result.record
         if drive.seen_s:
             message = (
                 f"{describe_training_drives(drive)}: the errors on training data are smaller; evaluate on a drive that "

@@ -21,8 +21,8 @@ Remedy = tuple[str, Path | None]
 _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
 
-def print_diagnosis(diagnosis: "Diagnosis", seen: set[str] | None = None) -> None:
-    """Print the findings about a drive; notes in ``seen`` are only counted, and new notes are added to it."""
+def print_diagnosis(diagnosis: "Diagnosis", explained: set[str] | None = None) -> None:
+    """Print the findings about a drive; notes in ``explained`` are only counted, and new notes are added to it."""
     from rich.table import Table
     from rich.text import Text
 
@@ -34,13 +34,13 @@ def print_diagnosis(diagnosis: "Diagnosis", seen: set[str] | None = None) -> Non
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(width=9)
     table.add_column(overflow="fold")
-    seen, repeated = set() if seen is None else seen, 0
+    explained, repeated = set() if explained is None else explained, 0
     for finding in diagnosis.findings:
         message = _in_words(finding, part=bool(diagnosis.whole))
-        if finding.severity == "note" and message in seen:
+        if finding.severity == "note" and message in explained:
             repeated += 1
             continue
-        seen.add(message)
+        explained.add(message)
         table.add_row(Text(f"  {finding.severity}", _STYLES[finding.severity]), Text(message))
     if repeated:
         table.add_row(Text("  note", _STYLES["note"]), Text(f"{count_of(repeated, 'note')} as above."))
@@ -82,18 +82,18 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Rem
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
         elif warned := [f.code for f in diagnosis.findings if f.severity == "warning"]:
-            seen = f"the doctor warns of {', '.join(warned)}; for details run {_doctor(folder)}"
-            warnings.warn(f"{folder}: {seen}", SigmaswarmWarning, stacklevel=2)
+            findings = f"the doctor warns of {', '.join(warned)}; for details run {_doctor(folder)}"
+            warnings.warn(f"{folder}: {findings}", SigmaswarmWarning, stacklevel=2)
     return remedies
 
 
 def split_command(diagnosis: "Diagnosis", folder: "Location") -> str:
     """Return the command that splits a drive; "" if no serious finding requires a split."""
     remedies = [finding.remedy for finding in diagnosis.findings if finding.severity == "serious"]
-    found = re.search(r"sigmaswarm split DRIVE --at \S+ --out parts", " ".join(remedies))
-    if not found:
+    match = re.search(r"sigmaswarm split DRIVE --at \S+ --out parts", " ".join(remedies))
+    if not match:
         return ""
-    command = found[0].removesuffix("parts").replace("DRIVE", shlex.quote(str(folder)))
+    command = match[0].removesuffix("parts").replace("DRIVE", shlex.quote(str(folder)))
     return f"{command}{free_path('parts')}"
 
 
@@ -101,8 +101,8 @@ def affects_axes(diagnosis: "Diagnosis") -> bool:
     """Return True if a finding about the axes or signs of the IMU is serious or a warning."""
     from sigmaswarm.doctor.repairs import AXIS_ACTIONS
 
-    found = [finding for finding in diagnosis.findings if finding.severity != "note"]
-    return any(f.code == "mounting-changed" or (f.repair and f.repair.action in AXIS_ACTIONS) for f in found)
+    faults = [finding for finding in diagnosis.findings if finding.severity != "note"]
+    return any(f.code == "mounting-changed" or (f.repair and f.repair.action in AXIS_ACTIONS) for f in faults)
 
 
 def has_repairable(diagnosis: "Diagnosis") -> bool:
@@ -134,9 +134,9 @@ def diagnosis_of_whole(part: "Location") -> "tuple[Diagnosis, Path] | None":
     from sigmaswarm.cli.whole_drive import find_whole
     from sigmaswarm.doctor.diagnose import diagnose
 
-    if not (found := find_whole(part)):
+    if not (whole := find_whole(part)):
         return None
-    drive, folder = found
+    drive, folder = whole
     return diagnose(drive), folder
 
 
@@ -158,10 +158,10 @@ def repair_and_split(diagnosis: "Diagnosis", folder: Path, options: Sequence[str
 
 def exchanging(diagnosis: "Diagnosis", folder: "Location") -> Remedy | None:
     """Return the command that copies a drive with exchanged coordinates of its fixes, and the folder of the copy."""
-    found = next((f for f in diagnosis.findings if f.code == "mirrored-fixes" and not f.repair), None)
-    if found is None:
+    exchange = next((f for f in diagnosis.findings if f.code == "mirrored-fixes" and not f.repair), None)
+    if exchange is None:
         return None
-    one, other = found.where.removeprefix("gps.csv, ").split(", ")
+    one, other = exchange.where.removeprefix("gps.csv, ").split(", ")
     out, maps = _free(diagnosis), (f"gps.{one}={other}", f"gps.{other}={one}")
     return shlex.join(["sigmaswarm", "import", str(folder), "--out", str(out), "--map", *maps]), out
 

@@ -232,8 +232,8 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
 
 def _with_exchanged_fixes(diagnosis: "Diagnosis") -> str:
     """Return the user's command with the mapping that exchanges the coordinates of the fixes; "" if none is needed."""
-    found = next((f for f in diagnosis.findings if f.code == "mirrored-fixes" and not f.repair), None)
-    maps = re.findall(r'"(gps\.\w+=[^"]*)"', found.remedy) if found else []
+    exchange = next((f for f in diagnosis.findings if f.code == "mirrored-fixes" and not f.repair), None)
+    maps = re.findall(r'"(gps\.\w+=[^"]*)"', exchange.remedy) if exchange else []
     if not maps or "--map" in sys.argv:
         return ""
     typed = [word for word in sys.argv[1:] if word != "--overwrite"]
@@ -285,20 +285,20 @@ def _report(imported: "ImportResult", out: Path, diagnosis: "Diagnosis") -> Iter
 def _show(request: "Request", options: ImportOptions) -> None:
     from sigmaswarm.importing.inspection import inspect_request
 
-    seen = inspect_request(request)
+    inspection = inspect_request(request)
     if options.save_recipe:
-        seen.recipe.save(options.save_recipe)
+        inspection.recipe.save(options.save_recipe)
     if options.json:
-        content = {"recipe": seen.recipe.to_toml(), "notes": seen.notes}
-        content |= {"proposal": seen.proposal, "evidence": seen.evidence}
-        print_json({"tables": [asdict(t) for t in seen.tables], **content})
+        content = {"recipe": inspection.recipe.to_toml(), "notes": inspection.notes}
+        content |= {"proposal": inspection.proposal, "evidence": inspection.evidence}
+        print_json({"tables": [asdict(t) for t in inspection.tables], **content})
     else:
-        _print_inspection(seen, options)
+        _print_inspection(inspection, options)
 
 
-def _print_inspection(seen: "Inspection", options: ImportOptions) -> None:
+def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
     console = stdout()
-    for preview in seen.tables:
+    for preview in inspection.tables:
         rows = f", {preview.rows} rows" if preview.rows is not None else ""
         rate = f", {preview.rate:.4g} Hz" if preview.rate else ""
         console.print(f"{printable(preview.table)}: {printable(preview.kind)}{rows}{rate}", style="bold")
@@ -306,32 +306,33 @@ def _print_inspection(seen: "Inspection", options: ImportOptions) -> None:
     say("(lowest, median and highest value of each column in the first rows)")
     planned = "The recipe that import would use (save it with --save-recipe, change it with --map):"
     console.print(f"\n{planned}", style="bold")
-    recipe = "\n".join(printable(line, 1000) for line in seen.recipe.to_toml().split("\n"))
+    recipe = "\n".join(printable(line, 1000) for line in inspection.recipe.to_toml().split("\n"))
     say(recipe or "nothing was recognized; map the columns with --map")
-    say(*(f"note: {printable(note, 1000)}" for note in seen.notes))
-    if seen.proposal:
+    say(*(f"note: {printable(note, 1000)}" for note in inspection.notes))
+    if inspection.proposal:
         title = "To read the other columns, add to the command"
-        console.print(f"\n{title}{'' if seen.works else ', with the missing parts'}:", style="bold")
-        of_rows = re.search(r"\b(imu|gps)\.t=", seen.proposal)
+        console.print(f"\n{title}{'' if inspection.works else ', with the missing parts'}:", style="bold")
+        of_rows = re.search(r"\b(imu|gps)\.t=", inspection.proposal)
         times = "; imu.t and gps.t are the times of the IMU's and the fixes' rows" if of_rows else ""
-        evidence = f"({printable(seen.evidence, 1000)}{times}; the mapping is applied only on request)"
-        say(printable(seen.proposal, 4000), evidence)
-    if seen.unread:
+        evidence = f"({printable(inspection.evidence, 1000)}{times}; the mapping is applied only on request)"
+        say(printable(inspection.proposal, 4000), evidence)
+    if inspection.unread:
         console.print("\nColumns that neither the recipe nor the proposal uses:", style="bold")
-    for table, columns in (seen.unread or {}).items():
+    for table, columns in (inspection.unread or {}).items():
         more = f" and {len(columns) - MAX_UNUSED_COLUMNS} more" if len(columns) > MAX_UNUSED_COLUMNS else ""
         say(f"{printable(table)}: {', '.join(map(printable, columns[:MAX_UNUSED_COLUMNS]))}{more}")
-    ready = f"next: {_command(seen, options)}" if seen.works else NOT_READY_NOTE
+    ready = f"next: {_command(inspection, options)}" if inspection.works else NOT_READY_NOTE
     say(f"\n{ready}")
 
 
-def _command(seen: "Inspection", options: ImportOptions) -> str:
+def _command(inspection: "Inspection", options: ImportOptions) -> str:
     """Return the user's command with --out instead of --show, and with the proposed options."""
     typed = [word for word in sys.argv[1:] if word != "--show"]
     out = [] if options.out else ["--out", "drive"]
     # A proposal is checked with the drive's axes.
-    out += ["--mount", seen.mount] if seen.mount and not seen.proposal else []
-    return f"{printable(shlex.join(['sigmaswarm', *typed, *out]), 4000)} {printable(seen.proposal, 4000)}".rstrip()
+    out += ["--mount", inspection.mount] if inspection.mount and not inspection.proposal else []
+    command = printable(shlex.join(["sigmaswarm", *typed, *out]), 4000)
+    return f"{command} {printable(inspection.proposal, 4000)}".rstrip()
 
 
 def _columns(preview: "TablePreview") -> Iterator[str]:
@@ -341,8 +342,8 @@ def _columns(preview: "TablePreview") -> Iterator[str]:
     for r in varying:
         ends = f"{_short(r.low):>20} {_short(r.middle):>20} {_short(r.high):>20}" if r.example else "empty"
         yield f"  {printable(r.column):{width}} {printable(r.example) if r.low is None and r.example else ends}"
-    if left := len(preview.ranges) - len(varying):
-        yield f"  and {left} columns that are 0"
+    if others := len(preview.ranges) - len(varying):
+        yield f"  and {others} columns that are 0"
 
 
 def _short(value: float | None) -> str:

@@ -73,13 +73,15 @@ def noise(
 
     if options.out is not None:
         require_result_folder(options.out, [log, options.tuned], RESULT_KIND)
-    found = _found(log, options)
-    texts = {file: text for target in options.to or () for file, text in noise_texts(found, target).items()}
-    written = [] if options.out is None else _write(found, texts, options.out, figure=log is not None)
+    measured = _found(log, options)
+    texts = {
+        file: text for target in options.to or () for file, text in noise_texts(measured, target).items()
+    }
+    written = [] if options.out is None else _write(measured, texts, options.out, figure=log is not None)
     if options.json:
-        print_json(found.to_dict() | {"written": [str(path) for path in written], "texts": texts})
+        print_json(measured.to_dict() | {"written": [str(path) for path in written], "texts": texts})
         return
-    say(found.table().to_rich(grouped=True), *(f"note: {remark}" for remark in found.remarks))
+    say(measured.table().to_rich(grouped=True), *(f"note: {remark}" for remark in measured.remarks))
     if options.out is None:
         say(*(line for file, text in texts.items() for line in ("", f"{file}:", text.rstrip("\n"))))
     say(*(f"wrote {path}" for path in written))
@@ -101,7 +103,7 @@ def _found(log: Path | None, options: NoiseOptions) -> "Noise":
     return imu_noise(log or "", **{key: value for key, value in settings.items() if value})
 
 
-def _write(found: "Noise", texts: dict[str, str], out: Path, *, figure: bool) -> list[Path]:
+def _write(noise: "Noise", texts: dict[str, str], out: Path, *, figure: bool) -> list[Path]:
     import json
 
     from sigmaswarm.files import nan_to_none, staged_files, write_atomically
@@ -109,9 +111,9 @@ def _write(found: "Noise", texts: dict[str, str], out: Path, *, figure: bool) ->
     from sigmaswarm.reports.noise import noise_figure
 
     if figure:
-        texts = {**texts, "noise.json": json.dumps(nan_to_none(found.to_dict()), indent=1)}
+        texts = {**texts, "noise.json": json.dumps(nan_to_none(noise.to_dict()), indent=1)}
     with staged_files(out, RESULT_KIND) as new:
         for file, text in texts.items():
             write_atomically(new / file, text)
-        drawn = save_both(noise_figure(found), new / "noise") if figure else []
+        drawn = save_both(noise_figure(noise), new / "noise") if figure else []
     return [out / name for name in (*texts, *(path.name for path in drawn))]

@@ -154,15 +154,15 @@ def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str,
     there = next(path for path in (out, *out.parents) if path.exists())
     if not there.is_dir():
         raise InputError(f"{out}: {there} is a file; choose another folder")
-    found = {name for name in names if (out / name).exists()}
-    drives = sorted(found | {path.parent.name for path in out.glob("*/imu.*")})
+    existing = {name for name in names if (out / name).exists()}
+    drives = sorted(existing | {path.parent.name for path in out.glob("*/imu.*")})
     if drives and not resume:
         raise InputError(
             f"{out}: contains {drives[0]} already; choose another folder, or keep the existing drives with --resume"
         )
-    for name in sorted(found):
+    for name in sorted(existing):
         _require_made_with(out / name / "drive.toml", made_with)
-    return found
+    return existing
 
 
 def _require_made_with(file: Path, options: Mapping[str, Any]) -> None:

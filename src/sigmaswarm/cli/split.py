@@ -103,10 +103,10 @@ def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path, *, own: bool) ->
 
     train, test = (shlex.quote(str(out / part.name)) for part in parts)
     tuned = free_path("tuned")
-    found = [sigmaswarm.diagnose(part) for part in parts]
-    serious = any(diagnosis.serious for diagnosis in found)
+    diagnoses = [sigmaswarm.diagnose(part) for part in parts]
+    serious = any(diagnosis.serious for diagnosis in diagnoses)
     unusable = any(isinstance(find_start(part), StartFailure) for part in parts)
-    if unusable or any(map(has_unrepairable, found)) or (serious and not own):
+    if unusable or any(map(has_unrepairable, diagnoses)) or (serious and not own):
         return [f"next: sigmaswarm doctor {train} {test}"]
     if serious:
         mended = shlex.quote(str(Path("mended") / parts[0].name))

@@ -179,8 +179,8 @@ def _remarks(tuning: "Tuning[Any]", track: "FirstTrack", given: Places) -> Itera
     for remark in tuning.remarks[:MAX_REMARKS]:
         remark = name_files(remark, folders)
         yield remark if remark.startswith(TO_DO) else f"note: {remark}"
-    if (left := len(tuning.remarks) - MAX_REMARKS) > 0:
-        yield f"note: {count_of(left, 'more remark')} in tuning.toml"
+    if (hidden := len(tuning.remarks) - MAX_REMARKS) > 0:
+        yield f"note: {count_of(hidden, 'more remark')} in tuning.toml"
 
 
 def _is_part(drive: "Drive") -> bool:

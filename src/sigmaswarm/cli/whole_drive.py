@@ -37,8 +37,8 @@ def find_whole(part: Location) -> tuple[Drive, Path] | None:
 def _near(part: Path) -> Iterator[Path]:
     """Yield drive folders next to a part, next to its parent folder, and in the folders there."""
     bases = dict.fromkeys((part.parent, part.parent.parent))
-    found = (folder for base in bases for pattern in ("*", "*/*") for folder in sorted(base.glob(pattern)))
-    for folder, _ in zip(found, range(MAX_FOLDERS), strict=False):
+    folders = (folder for base in bases for pattern in ("*", "*/*") for folder in sorted(base.glob(pattern)))
+    for folder, _ in zip(folders, range(MAX_FOLDERS), strict=False):
         if folder != part and (folder / "drive.toml").is_file() and has_table(folder, "imu"):
             yield folder
 

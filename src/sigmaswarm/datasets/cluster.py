@@ -50,10 +50,10 @@ class Cluster:
             return await asyncio.wait_for(scheduler.identity(n_workers=-1), ANSWER_TIMEOUT)
 
         try:
-            found = cast("dict[str, Any]", self.client.sync(identity))["workers"]
+            identities = cast("dict[str, Any]", self.client.sync(identity))["workers"]
         except Exception:  # communication errors, timeouts, a client that was closed meanwhile
             raise self.lost_scheduler() from None
-        return {address: int(worker["nthreads"]) for address, worker in found.items()}
+        return {address: int(worker["nthreads"]) for address, worker in identities.items()}
 
     def version_errors(self, addresses: list[str]) -> dict[str, ClusterError]:
         """Return an error for each worker whose software versions may give other results."""
@@ -62,19 +62,19 @@ class Cluster:
             answers: dict[str, Any] = run(versions, workers=addresses, on_error="return") if addresses else {}
         except OSError:
             raise self.lost_scheduler() from None
-        own, found = versions(), dict[str, ClusterError]()
+        own, errors = versions(), dict[str, ClusterError]()
         for address, theirs in sorted(answers.items()):
             if not isinstance(theirs, Mapping):
                 reason = f"sigmaswarm can't be imported ({type(theirs).__name__}: {theirs}); install it on this worker"
-                found[address] = ClusterError(f"worker {address}: {reason}")
+                errors[address] = ClusterError(f"worker {address}: {reason}")
                 continue
             for name in ("sigmaswarm", "numpy", "numba", "scipy"):
-                if theirs.get(name) != own[name] and address not in found:
-                    found[address] = ClusterError(
+                if theirs.get(name) != own[name] and address not in errors:
+                    errors[address] = ClusterError(
                         f"worker {address}: has {name} {theirs.get(name)}, but this machine has {own[name]}; "
                         "results would differ, so install the same version on both"
                     )
-        return found
+        return errors
 
     def require_same_versions(self) -> None:
         for error in self.version_errors(list(self.workers())).values():

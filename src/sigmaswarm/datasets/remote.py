@@ -49,10 +49,10 @@ class Assignment:
         with self._lock:
             if time.monotonic() - self._polled > POLL_INTERVAL:
                 self.poll()
-            found: dict[str, list[int]] = {}
+            places: dict[str, list[int]] = {}
             for i in drives:
-                found.setdefault(self.owners[i], []).append(i)
-            return found
+                places.setdefault(self.owners[i], []).append(i)
+            return places
 
     def poll(self) -> None:
         """Wait for a worker if there is none, and assign the drives again if the workers have changed."""
@@ -119,18 +119,18 @@ class Assignment:
 def assign_drives(sizes: Sequence[float], threads: Mapping[str, int], before: Sequence[str]) -> list[str]:
     """Assign drives to workers in proportion to their threads, within 5%; move few away from the workers ``before``."""
     share = sum(sizes) / sum(threads.values())
-    load, found = dict.fromkeys(threads, 0.0), [""] * len(sizes)
+    load, assigned = dict.fromkeys(threads, 0.0), [""] * len(sizes)
     largest_first = sorted(range(len(sizes)), key=lambda i: (-sizes[i], i))
     for i in largest_first:
         owner = before[i]
         if owner in threads and load[owner] + sizes[i] <= 1.05 * share * threads[owner]:
-            found[i] = owner
+            assigned[i] = owner
             load[owner] += sizes[i]
     for i in largest_first:
-        if not found[i]:
-            found[i] = min(threads, key=lambda w: ((load[w] + sizes[i]) / threads[w], w != before[i]))
-            load[found[i]] += sizes[i]
-    return found
+        if not assigned[i]:
+            assigned[i] = min(threads, key=lambda w: ((load[w] + sizes[i]) / threads[w], w != before[i]))
+            load[assigned[i]] += sizes[i]
+    return assigned
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,9 +160,9 @@ class RemoteDataset:
             shares = assignment.shares(missing)
             tasks = [(worker, own, assignment.submit(worker, call, own)) for worker, own in shares.items()]
             results = [(own, assignment.result(worker, call, own, task)) for worker, own, task in tasks]
-            found = [([missing.pop(i) for i in own], result) for own, result in results if result is not None]
-            answers += found
-            lost = 0 if found else lost + 1
+            done = [([missing.pop(i) for i in own], result) for own, result in results if result is not None]
+            answers += done
+            lost = 0 if done else lost + 1
             if lost > MAX_RETRIES:
                 need = in_gb(sum(assignment.sizes[i] for i in self.indices))
                 raise ClusterError(
@@ -222,12 +222,12 @@ def remote_datasets(
 
     failed, warned = list[InputError](), list[SigmaswarmWarning]()
     with ThreadPoolExecutor(2 * sum(assignment.workers.values())) as pool:
-        for i, found in enumerate(pool.map(read, dataset.indices)):
-            if isinstance(found, InputError):
-                failed.append(found)
+        for i, result in enumerate(pool.map(read, dataset.indices)):
+            if isinstance(result, InputError):
+                failed.append(result)
             else:
-                assignment.sizes[i] = found[0]
-                warned += found[1]
+                assignment.sizes[i] = result[0]
+                warned += result[1]
             if progress:
                 progress(i + 1, len(dataset))
     if failed:
@@ -258,8 +258,10 @@ def _with_no_warnings(drive: Drive) -> tuple[Drive, list[SigmaswarmWarning]]:
 
 def results_in_order(answers: Iterable[tuple[list[int], Sequence[Any]]]) -> list[Any]:
     """Return the results of `apply_to_each` in the order of the drives, or raise their errors as one."""
-    found = {i: result for places, results in answers for i, result in zip(places, results, strict=True)}
-    results = [found[i] for i in sorted(found)]
+    results_by_drive = {
+        i: result for places, results in answers for i, result in zip(places, results, strict=True)
+    }
+    results = [results_by_drive[i] for i in sorted(results_by_drive)]
     if failed := [result.error for result in results if isinstance(result, Failure)]:
         raise _joined_error(failed)
     return results

@@ -63,8 +63,8 @@ def split_time(
     found = diagnose(drive).findings if not shortage_of(drive.imu, drive.gps) else ()
     alone = {REPAIR_ALONE: True} if any(f.cut is not None for f in found if f.severity == "serious") else {}
     for part in parts:
-        if isinstance(found := find_start(part), StartFailure):
-            message = f"{part.name} can't be used as a drive: {found.what}; split at another time, or {found.remedy}"
+        if isinstance(result := find_start(part), StartFailure):
+            message = f"{part.name} can't be used as a drive: {result.what}; split at another time, or {result.remedy}"
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
     first, last = (
         {"drive": drive.name, "start_s": float(t[0]), "end_s": float(t[-1]), "sha256": sha256, **alone}

@@ -99,12 +99,12 @@ def invalid_times(imu: Imu, gps: Gps) -> list[Remark]:
     if wrong := _time_unit(imu.time, gps.time):
         return [wrong]
     remedy = "delete the rows with wrong times; if the logger paused, make one drive from each part"
-    found: list[Remark] = []
+    remarks: list[Remark] = []
     for file, gaps in ("imu.csv", gaps_in(imu.time, IMU_GAP)), ("gps.csv", gaps_in(gps.time, GPS_GAP)):
         if gaps and gaps.length > _JUMP:
             what = f"column t jumps by {gaps.length:.4g} s after t = {gaps.start:.2f} s"
-            found.append(Remark("time-jump", file, "t", what, remedy))
-    return found
+            remarks.append(Remark("time-jump", file, "t", what, remedy))
+    return remarks
 
 
 def _time_unit(imu: Array, gps: Array) -> Remark | None:
@@ -202,17 +202,17 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
     unscored = "during this time errors are not measured; no action is needed if this is intended"
     sensors = [("imu", imu, IMU_GAP, crossed), ("gps", gps, GPS_GAP, alone)]
     sensors += [("truth", truth, GPS_GAP, unscored)] if truth is not None else []
-    found: list[tuple[str, str, str]] = []
+    gaps_by_table: list[tuple[str, str, str]] = []
     for name, table, limit, remedy in sensors:
         if g := gaps_in(table.time, limit, imu.time if name == "gps" else None):
             longest = (
                 f"the longest {g.length:.2f} s after t = {g.start:.2f} s (usual interval {g.usual:.3f} s)"
             )
-            found.append((name, f"{count_of(g.count, 'gap')}, {longest}", remedy))
-    if found:
-        name, what, remedy = found[0]
-        more = "".join(f"; {other}.csv: {gaps}" for other, gaps, _ in found[1:])
-        yield Remark(f"{name}-gap", f"{name}.csv", "t", what + more, remedy)
+            gaps_by_table.append((name, f"{count_of(g.count, 'gap')}, {longest}", remedy))
+    if gaps_by_table:
+        name, what, remedy = gaps_by_table[0]
+        others = "".join(f"; {other}.csv: {gaps}" for other, gaps, _ in gaps_by_table[1:])
+        yield Remark(f"{name}-gap", f"{name}.csv", "t", what + others, remedy)
 
 
 def unshared_times(imu: Array, gps: Array) -> Remark | None:

@@ -58,9 +58,9 @@ def events_of(line: Timeline, used: Set[str]) -> Events:
     if "velocity" in used and line.has_velocity:
         flags[line.updates] |= VELOCITY
     if "heading" in used:
-        found = np.zeros(len(flags), dtype=np.bool_)
-        found[line.updates | line.hides] = line.fixes[:, FIX_VAR_THETA] < np.inf
-        flags[found & line.updates] |= HEADING
+        chosen = np.zeros(len(flags), dtype=np.bool_)
+        chosen[line.updates | line.hides] = line.fixes[:, FIX_VAR_THETA] < np.inf
+        flags[chosen & line.updates] |= HEADING
     if "ay" in used:
         flags[line.sampled] |= STANDSTILL
     bits = bits_of(used)

@@ -47,22 +47,22 @@ def _columns_of(table: Any, name: str, renamed: Mapping[str, str]) -> dict[str, 
     if not hasattr(table, "keys") and not hasattr(table, "columns"):
         raise DriveError(f"{name} is a {type(table).__name__}; pass a data frame or a mapping of columns")
     keys = table.keys() if isinstance(table, Mapping) else table.columns
-    found = {renamed.get(str(key), str(key)): _values(table[key]) for key in keys}
-    time = next((key for key in _TIMES if key in found), None)
+    columns = {renamed.get(str(key), str(key)): _values(table[key]) for key in keys}
+    time = next((key for key in _TIMES if key in columns), None)
     if time is not None:
-        found["t"] = found.pop(time)
+        columns["t"] = columns.pop(time)
     elif hasattr(table, "iloc"):  # pandas: times often are the index
         index = cast("Any", table).index
         dated = index.dtype.kind == "M" or hasattr(index.dtype, "tz")
         if dated or renamed.get(index.name, index.name) in _TIMES:
-            found["t"] = _values(index.to_series())
-    if "t" in found:
-        rows = np.shape(found["t"])
-        for key, values in found.items():
+            columns["t"] = _values(index.to_series())
+    if "t" in columns:
+        rows = np.shape(columns["t"])
+        for key, values in columns.items():
             if values.ndim != 1 or values.shape != rows:
                 what = f"column {quoted(key)} has shape {values.shape}, the times {rows}"
                 raise DriveError(f"{name}: {what}; pass arrays of one dimension and equal length")
-    return found
+    return columns
 
 
 def _values(column: Any) -> NDArray[Any]:

@@ -25,7 +25,7 @@ def _whole_log(file: Path) -> Path:
         return file
     tables = [table for table in sorted(file.parent.iterdir()) if table.suffix.lower() in TEXTS]
     content = {table: _content(table) for table in tables[:100]}
-    together = {kind for found in content.values() for kind in found}
+    together = {kind for names in content.values() for kind in names}
     return file.parent if len(content.get(file, ())) == 1 and len(together) == 2 else file
 
 
@@ -38,4 +38,4 @@ def _content(table: Path) -> set[str]:
     imu = axes or _MOTION.search(text) is not None
     # x and y of a table of one sensor are its axes.
     place = _PLACE.search(text) is not None or (_XY.search(title) is not None and (axes or not imu))
-    return {kind for kind, found in (("imu", imu), ("gps", place)) if found}
+    return {kind for kind, present in (("imu", imu), ("gps", place)) if present}

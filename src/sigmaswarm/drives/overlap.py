@@ -106,18 +106,18 @@ def whole_drive(name: str, sha256: str, duration: float) -> Landmarks:
 
 def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
     """Return the duration, s, of the parts that other drives contain, and the names of these drives."""
-    found = [(other.name, part) for other in others if (part := _common(drive, other)) is not None]
+    overlaps = [(other.name, part) for other in others if (part := _common(drive, other)) is not None]
     covered, until = 0.0, -math.inf
-    for start, end in sorted(part for _, part in found):
+    for start, end in sorted(part for _, part in overlaps):
         covered += max(end - max(start, until), 0.0)
         until = max(until, end)
-    return Overlap(round(covered, 3), tuple(dict.fromkeys(name for name, _ in found)))
+    return Overlap(round(covered, 3), tuple(dict.fromkeys(name for name, _ in overlaps)))
 
 
 def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | None:
     """Return `overlap_of`; None if nothing is found and parts of some other drives can't be recognized."""
-    found = overlap_of(drive, others)
-    return found if found or all(other.distinguishes_parts for other in others) else None
+    overlap = overlap_of(drive, others)
+    return overlap if overlap or all(other.distinguishes_parts for other in others) else None
 
 
 def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:

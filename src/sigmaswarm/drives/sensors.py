@@ -121,12 +121,12 @@ def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
     models chosen by held-out likelihood and predictions were 18 to 24% worse than the best on average, and 61 to 122%
     at worst; one good model for all drives was 4 to 12% worse (docs/results.md, "Default filter").
     """
-    found = [log_properties(drive) for drive in drives]
-    six = bool(found) and all(one.attitude for one in found)
-    wheels = bool(found) and all(one.odometer for one in found)
-    spreads = [one.spread for one in found if one.spread]
-    stated = bool(found) and len(spreads) == len(found)
-    look_wrong = all(len(one.axes) == 6 for one in found)
+    logs = [log_properties(drive) for drive in drives]
+    six = bool(logs) and all(one.attitude for one in logs)
+    wheels = bool(logs) and all(one.odometer for one in logs)
+    spreads = [one.spread for one in logs if one.spread]
+    stated = bool(logs) and len(spreads) == len(logs)
+    look_wrong = all(len(one.axes) == 6 for one in logs)
     reasons = [
         "az does not show gravity, or gx or gy is constant" if look_wrong else "an IMU without az, gx and gy"
     ]
@@ -137,7 +137,7 @@ def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
     if stated:
         low, high = min(low for low, _ in spreads), max(high for _, high in spreads)
         reasons.append(f"stated standard deviations from {low:.2g} to {high:.2g} m")
-    if found and all(one.heading for one in found):
+    if logs and all(one.heading for one in logs):
         reasons.append("a heading, which you can add to --use")
     use = ("lateral", "standstill", *["odometer"] * wheels, *["accuracy"] * stated, "robust")
     return SuggestedFilter("tilted12" if six else "planar8", use, ", ".join(reasons))

@@ -82,14 +82,14 @@ def new_memory() -> Array:
 def _find_standstills(
     samples: Array, fixes: Array, kinds: Array, memory: Array, stop: Array, stands: NDArray[np.bool_]
 ) -> None:
-    end, seen, still, until = 0, -1, False, np.empty(1)
+    end, known, still, until = 0, -1, False, np.empty(1)
     for k in range(len(samples)):
         t = samples[k, 0]
         while end < len(fixes) and fixes[end, 0] <= t:
             end += 1
         if is_calm(memory, t, samples[k, 1], samples[k, 2], samples[k, 3]):
-            if end != seen or t >= until[0]:
-                seen, still = end, fixes_are_still(fixes, kinds, end, t, until)
+            if end != known or t >= until[0]:
+                known, still = end, fixes_are_still(fixes, kinds, end, t, until)
             if still:
                 passed, stop[0] = t - stop[0], t
                 stands[k] = matches_stop(stop[1:], passed, memory[MEANS])

@@ -110,13 +110,13 @@ class TableFile:
         """Return the known columns as numbers, (n,), with ``t`` renamed ``time``; add a remark on unknown columns."""
         new: list[str] = []
         try:
-            found = self._known_columns(required, optional, new)
+            known = self._known_columns(required, optional, new)
         except DriveError:
             if self.path.suffix != CSV or self.cells.dtypes[0] == pl.String:
                 raise
             return self._text(self.path).columns(required, optional, remarks)
         remarks += new
-        return found
+        return known
 
     def _known_columns(
         self, required: Sequence[str], optional: Sequence[str], remarks: list[str]

@@ -135,7 +135,7 @@ class Timeline:
         keeps = updates | (self.sampled & ~meets[moment])
         of_imu = np.zeros(len(meets), dtype=np.bool_)
         of_imu[moment[self.sampled]] = True
-        end, steps, seen = self.end[keeps], self.steps[keeps], self._seen(hidden)
+        end, steps, fields = self.end[keeps], self.steps[keeps], self._seen(hidden)
         steps[:, DT] = np.diff(end, prepend=self.start)
         steps[:, Q_SCALE] = steps[:, DT] / self.nominal_interval
         return replace(
@@ -146,8 +146,8 @@ class Timeline:
             updates=updates[keeps],
             hides=np.zeros(len(end), dtype=np.bool_),
             sampled=of_imu[moment[keeps]] & _is_last(end),
-            **seen,
-            **_fixes_of(seen["drive"].gps.select(_usable(seen["drive"], self.start, seen["kinds"]))),
+            **fields,
+            **_fixes_of(fields["drive"].gps.select(_usable(fields["drive"], self.start, fields["kinds"]))),
         )
 
     def _seen(self, hidden: Mask) -> dict[str, Any]:

@@ -34,12 +34,12 @@ def drive_urls(url: str) -> list[str]:
         if not _exists(system, path):
             raise FileNotFoundError(path)
         names = [str(entry).rstrip("/").rpartition("/")[2] for entry in system.ls(path, detail=False)]
-        found = [
+        drives = [
             name for name in sorted(names) if any(_exists(system, f"{path}/{name}/{t}") for t in TABLES[:2])
         ]
-        if not found:
+        if not drives:
             raise DriveError(f"{without_secrets(url)}: contains no drive; {A_DRIVE}")
-        return [f"{url}/{name}" for name in found]
+        return [f"{url}/{name}" for name in drives]
 
 
 @contextmanager

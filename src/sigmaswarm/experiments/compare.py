@@ -217,17 +217,17 @@ def _contenders(options: GridOptions, drives: Sequence[Any]) -> list[Contender]:
     shared |= {"objective": objective, "prior": 0.0, "inflation": 0.0}
     if not names or not scales:
         raise InputError("nothing to compare: name at least one optimizer and one scale")
-    found = [_contender(name, scale, shared) for scale in scales for name in names]
-    if len({c.label for c in found}) < len(found):
+    contenders = [_contender(name, scale, shared) for scale in scales for name in names]
+    if len({c.label for c in contenders}) < len(contenders):
         raise InputError("an optimizer or scale is named twice; name each only once")
-    first = found[0]
-    for other in found:
+    first = contenders[0]
+    for other in contenders:
         if other.budget != first.budget:
             raise InputError(
                 f"{other.name} has {other.budget} evaluations (particles x generations x trials), "
                 f"but {first.name} has {first.budget}; use the same number for all"
             )
-    return found
+    return contenders
 
 
 def _contender(name: str, scale: str, shared: Mapping[str, Any]) -> Contender:

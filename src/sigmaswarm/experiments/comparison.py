@@ -84,10 +84,10 @@ class Outcome:
     @classmethod
     def read(cls, file: Path) -> "Outcome":
         remedy = "delete it to redo this run"
-        found = load_record(cls, file, remedy, missing="repeat the comparison")
-        if not 0 < len(found.history_evaluations) == len(found.history_steps) == len(found.history_best):
+        record = load_record(cls, file, remedy, missing="repeat the comparison")
+        if not 0 < len(record.history_evaluations) == len(record.history_steps) == len(record.history_best):
             raise InputError(f"{file}: the histories differ in length; {remedy}")
-        return found
+        return record
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +126,8 @@ class Comparison:
 
     def values(self, label: str, measure: str) -> Array:
         """Return a measure in every run, shape (seeds,), ``inf`` instead of None."""
-        found = [getattr(run, measure) for run in self.runs[label]]
-        return np.array([np.inf if v is None else v for v in found], dtype=np.float64)
+        values = [getattr(run, measure) for run in self.runs[label]]
+        return np.array([np.inf if v is None else v for v in values], dtype=np.float64)
 
     @cached_property
     def measures(self) -> tuple[str, ...]:

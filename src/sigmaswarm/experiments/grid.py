@@ -58,9 +58,9 @@ def run_grid(
         pool = ProcessPoolExecutor(processes, context, initializer=_begin, initargs=inherited)
     try:
         futures |= _submitted(pool, _in_fork if processes else one, order)
-        left = set(futures.values())
-        while left:
-            finished, left = wait(futures.values(), POLL_INTERVAL, FIRST_EXCEPTION)
+        waiting = set(futures.values())
+        while waiting:
+            finished, waiting = wait(futures.values(), POLL_INTERVAL, FIRST_EXCEPTION)
             for future in finished:
                 future.result()  # raises the error of its task
             for k, task in enumerate(tasks):

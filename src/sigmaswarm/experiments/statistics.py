@@ -184,15 +184,15 @@ def median_interval(values: Array) -> Interval:
     return float(ordered[k]), float(ordered[n - 1 - k])
 
 
-def signed_rank(ours: Array, theirs: Array) -> float:
+def signed_rank(own: Array, theirs: Array) -> float:
     """Return the p-value of the two-sided signed-rank test over pairs; 1 if no pair differs.
 
     Infinite costs count as the largest of all. F. Wilcoxon, Biometrics Bulletin 1, 1945.
     """
-    finite = np.concatenate([ours, theirs])
+    finite = np.concatenate([own, theirs])
     finite = finite[np.isfinite(finite)]
     ceiling = 2 * np.abs(finite).max(initial=1.0)
-    difference = np.where(np.isfinite(ours), ours, ceiling) - np.where(np.isfinite(theirs), theirs, ceiling)
+    difference = np.where(np.isfinite(own), own, ceiling) - np.where(np.isfinite(theirs), theirs, ceiling)
     difference = difference[difference != 0]
     if not len(difference):
         return 1.0

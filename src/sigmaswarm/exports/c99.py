@@ -137,9 +137,9 @@ def replay_events(
     if MODELS[model].tilts is not None:
         start = [*start, drive.antenna_height]
         axes += ["az", "gx", "gy"]
-    seen = initial.gyro
-    assert seen is not None  # every alignment estimates the gyro bias
-    start += [*seen.bias, *seen.variance, seen.taken, *seen.turns]  # in the order of InsGpsGyro
+    gyro = initial.gyro
+    assert gyro is not None  # every alignment estimates the gyro bias
+    start += [*gyro.bias, *gyro.variance, gyro.taken, *gyro.turns]  # in the order of InsGpsGyro
     events = [
         (z[0], 0, "fix", z) for z in _fixes(drive.gps, heading)
     ]  # a fix precedes a sample of the same time

@@ -93,8 +93,8 @@ class _Function(ast.NodeTransformer):
         self.drop_unused()
         code, signature = "\n".join(self.lines), list[list[str]]()
         for each in self.definition.args.args:
-            ours = self.parameters_of(each.arg)
-            signature.append([p for p in ours if uses(code, p.split()[-1].lstrip("*"))])
+            parameters_in_c = self.parameters_of(each.arg)
+            signature.append([p for p in parameters_in_c if uses(code, p.split()[-1].lstrip("*"))])
         self.emitter.signatures[self.definition.name] = self.name, signature
         parameters = dict.fromkeys(p for each in signature for p in each)
         parameters = [*parameters, *(f"real *{out}" for out in self.outs)]
@@ -109,8 +109,8 @@ class _Function(ast.NodeTransformer):
         return f"{comment}{head}\n{{\n" + "\n".join(wrapped(self.lines)) + "\n}\n"
 
     def parameters_of(self, name: str) -> tuple[str, ...]:
-        ours = PARAMETERS.get(name) if self.is_kernel else None
-        return (f"real {self.local(name)}",) if ours is None else ours
+        renamed = PARAMETERS.get(name) if self.is_kernel else None
+        return (f"real {self.local(name)}",) if renamed is None else renamed
 
     def chosen(self, statements: list[ast.stmt]) -> list[ast.stmt]:
         """Return the statements without branches that never run."""

@@ -77,8 +77,10 @@ def rules_of(features: Mapping[str, bool], used: int) -> dict[str, str]:
 @cache
 def _described(module: Any) -> dict[str, str]:
     """Return the description of each constant of a module: the string below it, or the comment in its line."""
-    found = re.findall(r'^(\w+) = .*?(?:  # (.*)|\n"""([^"]*)""")$', inspect.getsource(module), re.MULTILINE)
-    return {name: " ".join((comment or text).split()) for name, comment, text in found}
+    descriptions = re.findall(
+        r'^(\w+) = .*?(?:  # (.*)|\n"""([^"]*)""")$', inspect.getsource(module), re.MULTILINE
+    )
+    return {name: " ".join((comment or text).split()) for name, comment, text in descriptions}
 
 
 class _Rule(_Function):

@@ -39,8 +39,8 @@ def is_truth(node: ast.expr) -> bool:
 
 
 def uses(text: str, name: str) -> bool:
-    found = re.search(rf"\b{re.escape(name)}(?!\w)", text) is not None
-    return found or (name == "b" and "P[" in text)
+    is_used = re.search(rf"\b{re.escape(name)}(?!\w)", text) is not None
+    return is_used or (name == "b" and "P[" in text)
 
 
 def wrapped(lines: list[str]) -> list[str]:
@@ -71,7 +71,7 @@ def in_c(comment: str) -> str:
 
 
 def _comments(source: str) -> dict[int, list[str]]:
-    found: dict[int, list[str]] = {}
+    comments: dict[int, list[str]] = {}
     waiting: list[str] = []
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
@@ -81,8 +81,8 @@ def _comments(source: str) -> dict[int, list[str]]:
             if token.line.lstrip().startswith("#"):
                 waiting.append(text)
             else:
-                found.setdefault(token.start[0], []).append(text)
+                comments.setdefault(token.start[0], []).append(text)
         elif token.type == tokenize.NAME and waiting:
-            found.setdefault(token.start[0], []).extend(waiting)
+            comments.setdefault(token.start[0], []).extend(waiting)
             waiting = []
-    return found
+    return comments

@@ -159,11 +159,11 @@ def _replay(
     return np.array(means)
 
 
-def _difference(theirs: Array, ours: Array) -> Difference:
-    error = theirs - ours
+def _difference(theirs: Array, estimates: Array) -> Difference:
+    error = theirs - estimates
     error[:, 4] = wrap_angle(error[:, 4])
     return Difference(
-        float(np.max(np.abs(error) / np.maximum(1.0, np.abs(ours)))),
+        float(np.max(np.abs(error) / np.maximum(1.0, np.abs(estimates)))),
         float(np.max(np.hypot(error[:, 0], error[:, 1]))),
         float(np.max(np.abs(error[:, 4]))),
     )

@@ -185,18 +185,18 @@ def _chosen(text: str, features: Mapping[str, bool]) -> str:
     open_parts: list[bool | None] = []  # True: used; None: for the C preprocessor
     for line in text.splitlines():
         directive = _DIRECTIVE.match(line)
-        ours = True
+        chosen = True
         if directive is None:
-            ours = False
+            chosen = False
         elif directive[1] == "else":
             part = open_parts[-1]
-            ours = part is not None
+            chosen = part is not None
             open_parts[-1] = None if part is None else not part
         elif directive[1] == "endif":
-            ours = open_parts.pop() is not None
+            chosen = open_parts.pop() is not None
         else:
             open_parts.append(features.get(directive[2]))
-            ours = open_parts[-1] is not None
-        if not ours and False not in open_parts:
+            chosen = open_parts[-1] is not None
+        if not chosen and False not in open_parts:
             lines.append(line)
     return "\n".join(lines) + "\n"

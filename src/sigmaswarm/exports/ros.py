@@ -224,14 +224,16 @@ def _messages(pieces: Iterable[Estimate], made: MessageFactory, origin: Origin |
                     yield nanoseconds, FIX, _fix(made, nanoseconds, mean, pose, origin)
 
 
-def _of_innovations(found: Innovations | None, made: MessageFactory) -> Iterator[Message]:
+def _of_innovations(innovations: Innovations | None, made: MessageFactory) -> Iterator[Message]:
     """Yield the innovations of the fixes, m east and north, with standard deviations, m, and NIS."""
-    if found is None:
+    if innovations is None:
         return
-    sound = definite(found.covariance)  # False after a failure of the filter
-    found = Innovations(found.time[sound], found.innovation[sound], found.covariance[sound])
-    sigma = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
-    for t, nu, std, nis in zip(found.time, found.innovation, sigma, found.nis, strict=True):
+    sound = definite(innovations.covariance)  # False after a failure of the filter
+    innovations = Innovations(
+        innovations.time[sound], innovations.innovation[sound], innovations.covariance[sound]
+    )
+    sigma = np.sqrt(np.diagonal(innovations.covariance, axis1=1, axis2=2))
+    for t, nu, std, nis in zip(innovations.time, innovations.innovation, sigma, innovations.nis, strict=True):
         nanoseconds = made.nanoseconds(t)
         yield nanoseconds, INNOVATION, made.vector(nanoseconds, *nu)
         yield nanoseconds, INNOVATION_SIGMA, made.vector(nanoseconds, *std)

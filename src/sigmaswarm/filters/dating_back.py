@@ -54,8 +54,8 @@ def dated_back(
     """
     require_driven_by_imu(parameters.model, "dated_back")
     ready = prepare_drive(drive)
-    found, gps = ready.initial, ready.drive.gps
-    before = (gps.time > max(found.time - longest, ready.drive.imu.time[0])) & (gps.time < found.time)
+    start, gps = ready.initial, ready.drive.gps
+    before = (gps.time > max(start.time - longest, ready.drive.imu.time[0])) & (gps.time < start.time)
     fixes = np.flatnonzero(before & ~ready.stale & np.isfinite(gps.x + gps.y))
     model = FILTERS[parameters.kernel]
     lacking = [
@@ -64,15 +64,15 @@ def dated_back(
         if i > THETA and i != model.gyro_bias and state not in STATES
     ]
     if len(fixes) < 2 or not lacking:
-        return found
-    past = _past(ready, _prior(ready.drive, found, int(fixes[0])), found.time)
-    ended = _ended(past, parameters, found.time)
+        return start
+    past = _past(ready, _prior(ready.drive, start, int(fixes[0])), start.time)
+    ended = _ended(past, parameters, start.time)
     if ended is None:
-        return found
-    mean, covariance = start_of(found, parameters)
+        return start
+    mean, covariance = start_of(start, parameters)
     block = np.ix_(lacking, lacking)
     mean[lacking], covariance[block] = ended[0][lacking], ended[1][block]
-    return InitialState(mean, covariance, found.time)
+    return InitialState(mean, covariance, start.time)
 
 
 def _past(ready: PreparedDrive, start: InitialState, until: float) -> PreparedDrive:
@@ -85,13 +85,13 @@ def _past(ready: PreparedDrive, start: InitialState, until: float) -> PreparedDr
     return PreparedDrive(past, start, as_recorded=ready.as_recorded)
 
 
-def _prior(drive: Drive, found: InitialState, fix: int) -> InitialState:
+def _prior(drive: Drive, start: InitialState, fix: int) -> InitialState:
     """Return a prior at an earlier fix: its position, the heading minus later turns, the mean velocity over 1 s."""
     gps, imu = drive.gps, drive.imu
     time = float(gps.time[fix])
-    inside = (imu.time > time) & (imu.time <= found.time)
-    theta = found.mean[4] - float(np.trapezoid(imu.gz[inside], imu.time[inside]))
-    later = min(int(np.searchsorted(gps.time, time + 1.0)), int(np.searchsorted(gps.time, found.time)))
+    inside = (imu.time > time) & (imu.time <= start.time)
+    theta = start.mean[4] - float(np.trapezoid(imu.gz[inside], imu.time[inside]))
+    later = min(int(np.searchsorted(gps.time, time + 1.0)), int(np.searchsorted(gps.time, start.time)))
     moved = np.array([gps.x[later] - gps.x[fix], gps.y[later] - gps.y[fix]]) / (gps.time[later] - time)
     c, s = np.cos(theta), np.sin(theta)
     east, north = (
@@ -99,7 +99,7 @@ def _prior(drive: Drive, found: InitialState, fix: int) -> InitialState:
         drive.lever_arm[0] * s + drive.lever_arm[1] * c,
     )
     mean = np.array([gps.x[fix] - east, gps.y[fix] - north, *moved, theta])
-    gyro = None if found.gyro is None else replace(found.gyro, turns=np.zeros(5))
+    gyro = None if start.gyro is None else replace(start.gyro, turns=np.zeros(5))
     return InitialState(mean, np.diag(PRIOR_STD**2), time, gyro)
 
 

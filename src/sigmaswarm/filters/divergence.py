@@ -115,8 +115,8 @@ class StateCheck:
         gyro = aligned.gyro
         if gyro is None or len(self.mean) <= GYRO_BIAS:
             return 0.0
-        more = float(self.mean[GYRO_BIAS]) - gyro.taken
-        return more * (float(gyro.turns[THETA]) - (self.time - self.fix_time))
+        change = float(self.mean[GYRO_BIAS]) - gyro.taken
+        return change * (float(gyro.turns[THETA]) - (self.time - self.fix_time))
 
     @property
     def start(self) -> InitialState | None:
@@ -256,12 +256,12 @@ def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -
     drive = Drive("live", imu, Gps(*fixes.T), metadata={"gps_lever_arm_m": tuple(lever.tolist())})
     try:
         alignments = Alignments(drive)
-        found = alignments.at(len(alignments.time) - 1) if len(alignments.time) else None
+        alignment = alignments.at(len(alignments.time) - 1) if len(alignments.time) else None
     except (ArithmeticError, np.linalg.LinAlgError):  # samples such as 1e200
         return None
-    if found is None or found.gyro is None or not gyro_bias:
-        return found
-    return replace(found, gyro=found.gyro.with_bias(gyro_bias))
+    if alignment is None or alignment.gyro is None or not gyro_bias:
+        return alignment
+    return replace(alignment, gyro=alignment.gyro.with_bias(gyro_bias))
 
 
 def state_at_fix(time: float, fix: Array, variance: Array, theta: float, lever: Array) -> InitialState:

@@ -169,10 +169,10 @@ class KernelArray:
 
     def sums(self, rows: Array) -> KernelSums:
         """Return the sums of the sets from the final rows of m replays that began with the rows of `start`."""
-        found, sums = sound_lanes(rows, self.kernel), rows[:, RESULT_SUMS].swapaxes(0, 1)
+        is_sound, sums = sound_lanes(rows, self.kernel), rows[:, RESULT_SUMS].swapaxes(0, 1)
         if self.blocks > 1:  # all columns of a replay side by side
-            found, sums = _side_by_side(found, self.blocks), _side_by_side(sums, self.blocks)
-        sound = found[:, : self.size] & self.plausible
+            is_sound, sums = _side_by_side(is_sound, self.blocks), _side_by_side(sums, self.blocks)
+        sound = is_sound[:, : self.size] & self.plausible
         return KernelSums(np.where(sound, sums[..., : self.size], np.nan), ~sound)
 
 
@@ -184,8 +184,8 @@ _INITIAL_ROWS[R.RECENT] = -1.0
 
 def _starts_of(initial: tuple[InitialState, ...], model: str, std: Array) -> Starts:
     mean, covariance = starts_of(initial, FILTERS[model], std)
-    found = zip(pack_states(mean, covariance, model), mean[..., THETA], strict=True)
-    return dict(zip(initial, found, strict=True))
+    packed = zip(pack_states(mean, covariance, model), mean[..., THETA], strict=True)
+    return dict(zip(initial, packed, strict=True))
 
 
 @lru_cache(4)

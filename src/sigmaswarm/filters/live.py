@@ -230,11 +230,12 @@ class LiveFilter:
             theta, var_theta = 0.0, math.inf
             if heading is not None and self.parameters.heading_noise is not None:
                 theta, var_theta = _known_heading(*heading)
-            seen = fix[0], fix[1], 0.0, 0.0, 0.0
+            measured = fix[0], fix[1], 0.0, 0.0, 0.0
             if velocity is not None and self._takes_velocity:
-                seen = (fix[0], fix[1], velocity[0], velocity[1], 1.0)
+                measured = (fix[0], fix[1], velocity[0], velocity[1], 1.0)
             return (
-                self._calls.fix(self._memory.handle, t, *seen, var_x, var_y, theta, var_theta) == live.TAKEN
+                self._calls.fix(self._memory.handle, t, *measured, var_x, var_y, theta, var_theta)
+                == live.TAKEN
             )
         except _NO_NUMBERS as error:
             raise InputError(f"the fix does not consist of two numbers: {error}") from None
@@ -316,9 +317,9 @@ class LiveFilter:
     @property
     def _samples(self) -> Array:
         """Samples of the last `MONITOR_SPAN` seconds and the one before: time, ax, ay, gz, and gx, gy if read."""
-        of, columns = self._memory.arrays, [0, *_ALIGNING[: 5 if "gx" in self._axes else 3]]
-        newest, n = int(of.counts[live.NEWEST]), int(of.counts[live.N_LATELY])
-        samples = of.lately[np.arange(newest - n + 1, newest + 1) % len(of.lately)][:, columns]
+        arrays, columns = self._memory.arrays, [0, *_ALIGNING[: 5 if "gx" in self._axes else 3]]
+        newest, n = int(arrays.counts[live.NEWEST]), int(arrays.counts[live.N_LATELY])
+        samples = arrays.lately[np.arange(newest - n + 1, newest + 1) % len(arrays.lately)][:, columns]
         return samples[max(0, int(np.searchsorted(samples[:, 0], samples[-1, 0] - MONITOR_SPAN)) - 1) :]
 
     def _aligned(self, gyro_bias: float) -> InitialState | None:
@@ -326,8 +327,8 @@ class LiveFilter:
 
     @property
     def _counted_fixes(self) -> Array:
-        of = self._memory.arrays
-        fixes = of.fixes[: of.counts[live.N_FIXES]]
+        arrays = self._memory.arrays
+        fixes = arrays.fixes[: arrays.counts[live.N_FIXES]]
         finite = np.isfinite(fixes[:, [live.FIX_X, live.FIX_Y]]).all(axis=1)
         return fixes[(fixes[:, live.KIND] < STALE) & finite]
 
@@ -393,7 +394,9 @@ class LiveFilter:
 
     def _state_at(self, time: float, packed: Array, definite: bool) -> LiveState:
         with np.errstate(all="ignore"):  # overflow is reported as failed
-            mean, covariance = (of[0] for of in state_estimate(packed[:, np.newaxis], self.parameters.kernel))
+            mean, covariance = (
+                part[0] for part in state_estimate(packed[:, np.newaxis], self.parameters.kernel)
+            )
         lost = self._monitor is not None and self._monitor.lost
         sound = definite and self._filter_state[live.OK] == 1.0 and self._plausible
         return live_state(time, mean, covariance, lost, sound)

@@ -82,9 +82,9 @@ def _upper(n: int) -> tuple[Indices, Indices]:
 
 def sound_lanes(rows: Array, model: str) -> Mask:
     """Return True, (m, lanes), for final rows (m, N_KEPT, lanes) without a failure and with a positive definite P."""
-    found = np.empty((len(rows), rows.shape[2]), dtype=np.bool_)
-    _definite_prefixes(rows, P0, len(FILTERS[model].states), R.OK, found)
-    return found
+    sound = np.empty((len(rows), rows.shape[2]), dtype=np.bool_)
+    _definite_prefixes(rows, P0, len(FILTERS[model].states), R.OK, sound)
+    return sound
 
 
 def definite(covariance: Array) -> Mask:
@@ -95,13 +95,13 @@ def definite(covariance: Array) -> Mask:
     """
     n = covariance.shape[-1]
     packed = covariance[(..., *_upper(n))].reshape(-1, n * (n + 1) // 2, 1)
-    found = np.empty((len(packed), 1), dtype=np.bool_)
-    _definite_prefixes(packed, 0, n, -1, found)
-    return found.reshape(covariance.shape[:-2])
+    result = np.empty((len(packed), 1), dtype=np.bool_)
+    _definite_prefixes(packed, 0, n, -1, result)
+    return result.reshape(covariance.shape[:-2])
 
 
 @cached(nogil=True, error_model="numpy")
-def _definite_prefixes(rows: Array, first: int, n: int, ok: int, found: Mask) -> None:
+def _definite_prefixes(rows: Array, first: int, n: int, ok: int, definite: Mask) -> None:
     """Find definite covariances (n, n), packed in rows (m, s, lanes) from row ``first`` on, as in `_upper`.
 
     ``ok``: the row that is 1 if the filter never failed; the state and sums must also be finite. If ``ok`` is -1, the
@@ -133,4 +133,4 @@ def _definite_prefixes(rows: Array, first: int, n: int, ok: int, found: Mask) ->
                     factor = a[k, i] / a[k, k]
                     for j in range(i, n):
                         a[i, j] -= factor * a[k, j]
-            found[m, lane] = sound
+            definite[m, lane] = sound

@@ -53,8 +53,8 @@ def read_configuration(path: Path) -> dict[str, Any]:
     gyro, accel = (any(entries[k] for entries in imu) for k in (_VYAW, _AX))
     wheels, no_slip = (any(entries[k] for entries in other.values()) for k in (_VX, _VY))
     noise = _process_noise(block, path)
-    if left := "; ".join(_left_out(block, inputs)):
-        warnings.warn(f"{path}: {left}", SigmaswarmWarning, stacklevel=4)
+    if left_out := "; ".join(_left_out(block, inputs)):
+        warnings.warn(f"{path}: {left_out}", SigmaswarmWarning, stacklevel=4)
     r_gyro, r_accel = IMU_NOISE
     r_imu = (r_gyro if gyro else NOT_FUSED, r_accel if accel else NOT_FUSED)
     return {
@@ -96,15 +96,15 @@ def _chosen(content: Any, path: Path) -> Block:
     return max(blocks, key=lambda block: any("gps" in str(v) for k, v in block.items() if k[-1:].isdigit()))
 
 
-def _blocks(content: Any, seen: set[int]) -> Iterator[Block]:
+def _blocks(content: Any, visited: set[int]) -> Iterator[Block]:
     """Yield the mappings with settings of a filter, at any depth; aliases may repeat a mapping endlessly."""
-    if isinstance(content, dict) and id(content) not in seen:
-        seen.add(id(content))
+    if isinstance(content, dict) and id(content) not in visited:
+        visited.add(id(content))
         block = {str(key): value for key, value in cast("dict[Any, Any]", content).items()}
         if any(_BLOCK.fullmatch(key) for key in block):
             yield block
         for inner in block.values():
-            yield from _blocks(inner, seen)
+            yield from _blocks(inner, visited)
 
 
 def _entries(value: Any, path: Path, key: str) -> list[bool]:

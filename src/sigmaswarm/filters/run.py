@@ -67,7 +67,9 @@ class Estimate:
         if not std or not self.covariance.size:  # dead reckoning has no covariance
             return named
         deviations = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
-        return named | {f"std_{name}": of for name, of in zip(states, deviations.T, strict=False)}
+        return named | {
+            f"std_{name}": deviation for name, deviation in zip(states, deviations.T, strict=False)
+        }
 
     def to_pandas(self) -> "pd.DataFrame":
         """Return time, states and standard deviations, one row for each time.

@@ -66,10 +66,12 @@ class Displacements:
         mean, covariance = self._plus(x1, gain @ innovation), p1 - gain @ s @ gain.T
         covariance = 0.5 * (covariance + covariance.T)
         begun = self._plus(x0, np.linalg.solve(s, h0 @ p0 + h1 @ crossed).T @ innovation)
-        left = moved - body_displacement(begun, mean)
+        residual = moved - body_displacement(begun, mean)
         # In a linear problem the residual R S^-1 nu is smaller than nu. With a very uncertain heading, the problem is
         # not linear.
-        farther = left @ np.linalg.solve(noise, left) > innovation @ np.linalg.solve(noise, innovation)
+        farther = residual @ np.linalg.solve(noise, residual) > innovation @ np.linalg.solve(
+            noise, innovation
+        )
         if farther or not definite(covariance[np.newaxis])[0]:
             return False
         lanes = rows.shape[1]

@@ -141,8 +141,8 @@ def learn(
     folder = ResultFolder(out, record, resume=resume)
     shown, held_back = config.split()
     learner = LEARNERS[config.kind](shown, held_back, config.parameters, config.seed)
-    settings, found = _best_training(learner, folder, config, progress)
-    weights, more = learner.finish(settings, found.weights)
+    settings, result = _best_training(learner, folder, config, progress)
+    weights, more = learner.finish(settings, result.weights)
     network = NetworkRecord(
         units=int(settings["units"]),
         window=settings["window"],
@@ -154,9 +154,9 @@ def learn(
         seed=config.seed,
         search=config.search,
         driven_s=float(sum(drive.duration for drive in config.drives)),
-        epochs=len(found.losses) - 1,
-        loss_before=float(found.losses[0, 1]),
-        loss=found.best,
+        epochs=len(result.losses) - 1,
+        loss_before=float(result.losses[0, 1]),
+        loss=result.best,
         held_back=", ".join(d.name for d in held_back) or "the last quarter of each drive",
     )
     data = [DriveRecord.model_validate(entry) for entry in record["data"]]
@@ -242,9 +242,9 @@ def _trained(
         return TrainingResult(part_of(done[1], "weights"), done[1]["losses"])
     problem = learner.training_problem(settings, seed)
     schedule = Schedule(settings["learning_rate"], learner.epochs, learner.batch, learner.patience, seed)
-    found = fit(problem, schedule, checkpoint=folder.checkpoint(number), progress=progress)
-    found = TrainingResult({**found.weights, **problem.fixed}, found.losses)
-    history = {f"weights/{name}": array for name, array in found.weights.items()}
-    result = {"cost": found.best, "settings": dict(settings)}
-    folder.finish(number, result, history | {"losses": found.losses})
-    return found
+    fitted = fit(problem, schedule, checkpoint=folder.checkpoint(number), progress=progress)
+    fitted = TrainingResult({**fitted.weights, **problem.fixed}, fitted.losses)
+    history = {f"weights/{name}": array for name, array in fitted.weights.items()}
+    result = {"cost": fitted.best, "settings": dict(settings)}
+    folder.finish(number, result, history | {"losses": fitted.losses})
+    return fitted

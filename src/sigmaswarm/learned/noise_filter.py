@@ -87,9 +87,9 @@ def _predict(q: Array, m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
     moved = jnp.array([m[2] * dt + a * dt**2 / 2, m[3] * dt + b * dt**2 / 2, a * dt, b * dt, rate * dt])
     f = jnp.eye(n).at[0, 2].set(dt).at[1, 3].set(dt)
     turned = jnp.array([[-b], [a]])
-    by = [turned, *([jnp.array([[-cos, sin], [-sin, -cos]])] if biased else [])]
+    jacobian = [turned, *([jnp.array([[-cos, sin], [-sin, -cos]])] if biased else [])]
     at = [slice(THETA, THETA + 1), slice(5, 7)]
-    for columns_at, what in zip(at, by, strict=False):
+    for columns_at, what in zip(at, jacobian, strict=False):
         f = f.at[0:2, columns_at].set(what * dt**2 / 2).at[2:4, columns_at].set(what * dt)
     if biased:
         f = f.at[THETA, GYRO_BIAS].set(-dt)
@@ -104,12 +104,12 @@ def _predict(q: Array, m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
     return m.at[:5].add(moved), jnp.where(moves, new, c)
 
 
-def _weight(dof: float, seen: Any, noise: Any, nu: Any) -> Any:
+def _weight(dof: float, observed: Any, noise: Any, nu: Any) -> Any:
     """Weight a fix by Student's t, as in `compiled.adaptive.student_t_weight`."""
     weight = 1.0
     for _ in range(ITERATIONS):
         a = noise / weight
-        g = _inverse(seen + jnp.diag(a))
+        g = _inverse(observed + jnp.diag(a))
         e = g @ nu
         gamma = jnp.sum(1.0 + a * (e**2 - jnp.diag(g))) / weight
         weight = (dof + 2.0) / (dof + gamma)
@@ -130,12 +130,12 @@ def _take_fix(settings: FilterConstants, state: tuple[Any, ...], u: Any, scale: 
     jacobian = jacobian.at[:, THETA].set(jnp.array([-arm[1], arm[0]]))
     nu = u[10:12] - (m[:2] - p.latency * m[2:4] + arm)
     noise = jnp.exp(scale) * np.array(p.measurement_noise) + (p.accuracy_scale or 0.0) * u[12:14]
-    seen = jacobian @ c @ jacobian.T
-    s = seen + jnp.diag(noise)
+    observed = jacobian @ c @ jacobian.T
+    s = observed + jnp.diag(noise)
     nis = nu @ _inverse(s) @ nu
     inside = (nis <= (np.inf if p.gate is None else p.gate)) | (rejected >= MOST_REJECTED)
     rejected = jnp.where(u[6] > 0, jnp.where(inside, 0.0, rejected + 1.0), rejected)
-    weight = 1.0 if p.robust_dof is None else _weight(p.robust_dof, seen, noise, nu)
+    weight = 1.0 if p.robust_dof is None else _weight(p.robust_dof, observed, noise, nu)
     m, c = _update(m, c, jacobian, nu, jnp.diag(noise / weight), u[6] * inside)
     return m, c, rejected, jnp.array([nu[0], nu[1], s[0, 0], s[0, 1], s[1, 1]])
 

@@ -82,9 +82,9 @@ class NoiseRun(InterruptibleRun):
 
     def _at(self, sample: int, stop: int, record: Array, *, lost: bool) -> None:
         fix, time = self._last[sample]
-        seen, theta = self._innovations[fix], float(self._estimate()[0][THETA])
+        innovation, theta = self._innovations[fix], float(self._estimate()[0][THETA])
         since, self._before = time - self._before, time
-        features = features_of(np, seen[:2], seen[2:], theta, since)
+        features = features_of(np, innovation[:2], innovation[2:], theta, since)
         if np.isfinite(features).all():
             self._h = gru(np, self._weights, self._h, features)
             scales = np.exp(log_scales(np, self._weights, self._h))

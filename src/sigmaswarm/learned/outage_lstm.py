@@ -192,9 +192,9 @@ class OutageLstm:
 
     def corrected(self, forecast: DisplacementForecast, velocity: Array) -> tuple[Array, Array]:
         """Return a displacement (2,), m, and its variance (2,), m2, corrected by the velocity at the last fix."""
-        left = self.remains(forecast.age)
-        moved = forecast.moved + left * (HORIZON * velocity - forecast.before)
-        return moved, self.inflation * (forecast.variance * (1.0 - left**2) + MIN_STD**2)
+        share = self.remains(forecast.age)
+        moved = forecast.moved + share * (HORIZON * velocity - forecast.before)
+        return moved, self.inflation * (forecast.variance * (1.0 - share**2) + MIN_STD**2)
 
 
 def outputs_of(xp: Any, weights: Weights, features: Any) -> Any:

@@ -171,9 +171,13 @@ class OutageLearner:
             raise InputError(
                 "the held-back driving is too short for outages of 10 s; use longer drives, or --validation"
             )
-        found = calibrate(network, cases, self._parameters)
-        inflation = found.inflation if np.isfinite(found.inflation) else None
-        return found.weights, {"axes": list(self._axes), "inflation": inflation, "unsure": found.unsure}
+        calibration = calibrate(network, cases, self._parameters)
+        inflation = calibration.inflation if np.isfinite(calibration.inflation) else None
+        return calibration.weights, {
+            "axes": list(self._axes),
+            "inflation": inflation,
+            "unsure": calibration.unsure,
+        }
 
 
 def with_error_decay(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm:
@@ -184,7 +188,7 @@ def with_error_decay(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm
         if (late := end > track.held_back_from).any():
             parts.append(moved[late] - network.displacements(features[late])[0])
     t = EXAMPLE_INTERVAL * np.array(LAGS)
-    found = {"kept": np.zeros(2), "lasts": np.ones(2)}
+    decay = {"kept": np.zeros(2), "lasts": np.ones(2)}
     for i in range(2):
         each = [part[np.isfinite(part[:, i]), i] for part in parts]
         power = sum(float(np.mean(e**2)) * len(e) for e in each) / max(sum(map(len, each)), 1)
@@ -197,8 +201,8 @@ def with_error_decay(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm
             (float(np.sum((rho - kept * np.exp(-t[known] / lasts)) ** 2)), kept, lasts)
             for kept, lasts in product(np.linspace(0.0, 1.0, 41), np.geomspace(1.0, 200.0, 41))
         )
-        found["kept"][i], found["lasts"][i] = kept, lasts
-    return replace(network, weights={**network.weights, **found})
+        decay["kept"][i], decay["lasts"][i] = kept, lasts
+    return replace(network, weights={**network.weights, **decay})
 
 
 def calibrate(
@@ -238,11 +242,11 @@ def forecast_losses(
     losses: list[float] = []
     for (replay, held_back_from), known in zip(cases, windows, strict=True):
         line = replay.timeline
-        found = OutageRun(replay, parameters, network, windows=known).finished().innovations
+        innovations = OutageRun(replay, parameters, network, windows=known).finished().innovations
         fixes = line.hides | line.updates
         hidden = line.hides[fixes] & (line.fix_time > held_back_from)
         outage = np.cumsum(line.updates)[fixes]
-        each = negative_log_t(found.innovation, found.covariance, FORECAST_DOF, FORECAST_SCALE)
+        each = negative_log_t(innovations.innovation, innovations.covariance, FORECAST_DOF, FORECAST_SCALE)
         each = np.where(np.isfinite(each), each, np.inf)
         losses += [float(each[hidden & (outage == number)].mean()) for number in np.unique(outage[hidden])]
     return np.array(losses)

@@ -137,8 +137,8 @@ def _measured(name: str, imu: Imu, gps: Gps | None) -> Noise:
 
 def _axis_noise(axis: str, values: list[Array], interval: float, remarks: list[str]) -> AxisNoise:
     longest = max(values, key=len)
-    found = fit(spectrum_of(values, interval), len(longest) * interval)
+    fitted = fit(spectrum_of(values, interval), len(longest) * interval)
     tau, deviation = allan_deviation(values, interval)
-    trend = trend_of(longest, interval, found)
+    trend = trend_of(longest, interval, fitted)
     remarks += [*on_step(axis, longest), *on_trend(axis, trend)]
-    return AxisNoise(axis, found.white, found.instability, found.walk, found.time, trend, tau, deviation)
+    return AxisNoise(axis, fitted.white, fitted.instability, fitted.walk, fitted.time, trend, tau, deviation)

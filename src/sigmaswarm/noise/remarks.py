@@ -91,22 +91,22 @@ def on_trend(axis: str, trend: float) -> list[str]:
 
 def on_misfit(axes: Sequence[AxisNoise], duration: float) -> list[str]:
     """Remark on axes whose Allan deviation differs from that of the model; ``duration``: longest stretch, s."""
-    found: list[str] = []
+    misfits: list[str] = []
     for a in axes:
         parts = model_parts(a.tau, a.white.value, a.instability.value, a.walk.value, a.correlation_time)
         ratio = (a.deviation / np.sqrt(np.sum(np.square(parts), axis=0)))[a.tau <= duration / MIN_INTERVALS]
         worst = int(np.argmax(np.abs(np.log(ratio))))
         if not 1 / MISFIT < ratio[worst] < MISFIT:
-            found.append(f"{a.axis} {ratio[worst]:.2g} times the model's at tau = {a.tau[worst]:.2g} s")
-    if not found:
+            misfits.append(f"{a.axis} {ratio[worst]:.2g} times the model's at tau = {a.tau[worst]:.2g} s")
+    if not misfits:
         return []
     return [
-        f"the Allan deviation is not that of the model ({', '.join(found)}). Vibration, or a filter in the sensor, can "
-        "be the cause. The model then describes only the slow noise, the part that a navigation filter integrates"
+        f"the Allan deviation is not that of the model ({', '.join(misfits)}). Vibration, or a filter in the sensor, "
+        "can be the cause. The model then describes only the slow noise, the part that a navigation filter integrates"
     ]
 
 
-def trend_of(values: Array, interval: float, found: NoiseFit) -> float:
+def trend_of(values: Array, interval: float, noise: NoiseFit) -> float:
     """Return the least-squares trend, unit/s; 0 if the fitted processes explain it."""
     n = len(values)
     duration = n * interval
@@ -117,8 +117,8 @@ def trend_of(values: Array, interval: float, found: NoiseFit) -> float:
     # The variance of a trend is the integral of the density times the squared response of the least-squares fit.
     x = np.geomspace(1e-2, 1e3, 2000)
     omega = 2 * x / duration
-    rate = 0.0 if math.isinf(found.time) else 1 / found.time
-    w, b, k = (one.value for one in (found.white, found.instability, found.walk))
+    rate = 0.0 if math.isinf(noise.time) else 1 / noise.time
+    w, b, k = (one.value for one in (noise.white, noise.instability, noise.walk))
     density = w**2 + b**2 / omega + k**2 / (omega**2 + rate**2)
     response = 24 * (np.sin(x) - x * np.cos(x)) / (omega**2 * duration**3)
     variance = float(np.trapezoid(density * response**2, omega)) / math.pi

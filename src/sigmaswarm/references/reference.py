@@ -169,9 +169,9 @@ def _tuned(
     Fixes with errors of a centimeter would make the noise of the standstill constraint very small. One wrongly detected
     standstill in an outage would move the track by meters, while the covariance stays small.
     """
-    found = suggest_filter([receiver])
-    use = tuple(option for option in found.use if option != "standstill")
-    options: Any = {"model": found.model, "use": use, "objective": OBJECTIVE, "seed": seed}
+    suggestion = suggest_filter([receiver])
+    use = tuple(option for option in suggestion.use if option != "standstill")
+    options: Any = {"model": suggestion.model, "use": use, "objective": OBJECTIVE, "seed": seed}
     with warnings.catch_warnings():  # warnings about a filter that is used only here
         warnings.simplefilter("ignore", SigmaswarmWarning)
         return tune(receiver, executor=executor, progress=progress, **options).parameters
@@ -228,8 +228,8 @@ def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.
         if not len(windows):
             return 1.0
         hidden = hidden_fixes(gps.time, windows)
-        seen = replace(ready.drive, gps=gps.select(~hidden))
-        estimate = smooth(PreparedDrive(seen, ready.initial), parameters)
+        visible = replace(ready.drive, gps=gps.select(~hidden))
+        estimate = smooth(PreparedDrive(visible, ready.initial), parameters)
         if estimate.failure or not hidden.any():
             continue
         off.append(_off(estimate, gps.select(hidden), ready.drive))
@@ -245,10 +245,10 @@ def _off(estimate: Estimate, gps: Gps, drive: Drive) -> Array:
     antenna = _antenna(estimate.mean, drive)
     variance = np.diagonal(estimate.covariance, axis1=1, axis2=2)
     errors: list[Array] = []
-    for i, (said, std) in enumerate(zip((gps.x, gps.y), _stated(gps), strict=True)):
+    for i, (fixes, std) in enumerate(zip((gps.x, gps.y), _stated(gps), strict=True)):
         place = np.interp(gps.time, estimate.time, antenna[:, i])
         sigma = np.sqrt(np.interp(gps.time, estimate.time, variance[:, i]) + np.square(std))
-        errors.append(np.abs(said - place) / sigma)
+        errors.append(np.abs(fixes - place) / sigma)
     return np.concatenate(errors)
 
 

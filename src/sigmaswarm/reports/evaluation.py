@@ -65,11 +65,11 @@ def save_evaluation(
     with staged_files(folder, EVALUATION, EVALUATION_FILE) as new:
         written = [*evaluation.save(new), save(comparison(evaluation), new / "comparison.png")]
         labels = LABELS | dict(evaluation.names)
-        for name, found in evaluation.drives.items():
+        for name, result in evaluation.drives.items():
             figures = {
-                "track": found.picture and tracks(found.picture, labels),
-                "consistency": consistency(name, found),
-                "error": found.picture and errors(found.picture, labels),
+                "track": result.picture and tracks(result.picture, labels),
+                "consistency": consistency(name, result),
+                "error": result.picture and errors(result.picture, labels),
             }
             stem = name.replace("/", "-")
             written += [save(f, new / f"{stem}-{kind}.png") for kind, f in figures.items() if f]
@@ -92,10 +92,10 @@ def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
 
 
 def track_figure(evaluation: Evaluation, drive: str) -> Figure:
-    found = evaluation.drives.get(drive)
-    if found is None or found.picture is None:
+    result = evaluation.drives.get(drive)
+    if result is None or result.picture is None:
         raise InputError(f"no track of {drive!r}; choose from {list_names(evaluation.drives)}")
-    return tracks(found.picture, LABELS | dict(evaluation.names))
+    return tracks(result.picture, LABELS | dict(evaluation.names))
 
 
 def comparison(evaluation: Evaluation) -> Figure:

@@ -265,15 +265,15 @@ def nis_charts(picture: Picture) -> tuple[Chart, ...]:
 def save_study(study: Study, folder: Path) -> list[Path]:
     """Write the tables of a study as Markdown, LaTeX and CSV, and its figures as PNG and SVG. Return the paths."""
     record = study.record
-    found = tables.study_tables(study.results) | {
+    tables_by_name = tables.study_tables(study.results) | {
         "runtime": tables.runtime_table(record.results, record.live)
     }
     if record.results.rivals is not None:
-        found["runtime-rivals"] = tables.rivals_table(record.results, record.rival_times)
+        tables_by_name["runtime-rivals"] = tables.rivals_table(record.results, record.rival_times)
     written: list[Path] = []
     with staged_files(folder) as new:
         texts_in, figures = make_folder(new / "tables"), make_folder(new / "figures")
-        for name, table in found.items():
+        for name, table in tables_by_name.items():
             texts = {"md": table.to_markdown(), "tex": table.to_latex(), "csv": table.to_csv()}
             for ending, text in texts.items():
                 written.append(texts_in / f"{name}.{ending}")

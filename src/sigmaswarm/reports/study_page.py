@@ -63,11 +63,14 @@ def study_report(folder: Path) -> Report:
 
 
 def _result(results: Results, protocol: str) -> str:
-    found, objective = results.summary(protocol, MAIN_METHOD, POSITION), results.protocols[protocol].objective
+    summary, objective = (
+        results.summary(protocol, MAIN_METHOD, POSITION),
+        results.protocols[protocol].objective,
+    )
     start = f"Tuned for {objective} (the {protocol} protocol), {results.label(MAIN_METHOD)}"
-    if found is None or found.mean is None:
+    if summary is None or summary.mean is None:
         return f"{start} failed on held-out drives."
-    low, high = found.bootstrap_interval
+    low, high = summary.bootstrap_interval
     known = low is not None and high is not None
     interval = f" (95% interval for new drives {low:.3g} to {high:.3g})" if known else ""
     against: list[str] = []
@@ -77,7 +80,7 @@ def _result(results: Results, protocol: str) -> str:
         elif c is not None and c.improvement is not None:
             less = "less" if c.improvement >= 0 else "MORE"
             against.append(f"{abs(c.improvement):.0f}% {less} than {results.label(c.against)}")
-    rmse = f"has a position RMSE of {found.mean:.3g} m{interval} on held-out drives"
+    rmse = f"has a position RMSE of {summary.mean:.3g} m{interval} on held-out drives"
     return f"{start} {rmse}{': ' if against else ''}{'; '.join(against)}."
 
 
@@ -87,11 +90,11 @@ def _figures(results: Results) -> tuple[KeyFigure, ...]:
     shown += [("honest", DRIFT, "drift over 5 s", "m", "table_3", "outage_drift_m")]
     figures: list[KeyFigure] = []
     for protocol, measure, what, unit, table, key in shown:
-        found = results.summary(protocol, MAIN_METHOD, measure)
-        if found is not None and found.mean is not None:
+        summary = results.summary(protocol, MAIN_METHOD, measure)
+        if summary is not None and summary.mean is not None:
             theirs = results.paper.get(table, {}).get(MAIN_METHOD, {}).get(key)
             note = f"the paper: {theirs:.3g} {unit}" if theirs is not None else ""
-            figures.append((f"{what}, {protocol}", f"{found.mean:.3g} {unit}", note))
+            figures.append((f"{what}, {protocol}", f"{summary.mean:.3g} {unit}", note))
     return (*figures, ("drives", str(results.drives.count), f"{results.drives.strata} conditions"))
 
 
@@ -142,8 +145,8 @@ def _tables(results: Results) -> Section:
         "that of the updated estimates relative to the GPS fixes, so a filter that copies the fixes has an RMSE of 0.",
         f"Improvement over the manual UKF (equation 5): {'; '.join(improvements)}.",
     )
-    found = (tables.table_1(results), tables.table_2(results), tables.table_3(results))
-    return Section("The paper's tables", text, found)
+    shown = (tables.table_1(results), tables.table_2(results), tables.table_3(results))
+    return Section("The paper's tables", text, shown)
 
 
 def _known(charts: Iterable[Chart | None]) -> tuple[Chart, ...]:
@@ -198,19 +201,19 @@ def _comparisons(results: Results) -> Section:
         "p: Wilcoxon's signed-rank test, with Holm's correction over the methods. The rank-biserial correlation is the "
         "effect size: 1 means better on every drive, -1 worse on every drive.",
     )
-    found = [
+    comparisons = [
         tables.comparison_table(results, p, measure)
         for p in reversed(results.protocols)
         for measure in ERRORS
     ]
-    return Section("Comparisons", text, tuple(table for table in found if table.rows))
+    return Section("Comparisons", text, tuple(table for table in comparisons if table.rows))
 
 
 def _rivals(record: StudyRecord) -> tuple[Section, ...]:
-    found = tuple(tables.rivals_tables(record.results, record.rival_times).values())
+    shown = tuple(tables.rivals_tables(record.results, record.rival_times).values())
     text = "Each trial trains the networks on its training drives, for the filter that it tuned."
-    notes = dict.fromkeys(table.note for table in found)
-    return (Section("Rivals", (text, *notes), found, curve_charts(record.results)),) if found else ()
+    notes = dict.fromkeys(table.note for table in shown)
+    return (Section("Rivals", (text, *notes), shown, curve_charts(record.results)),) if shown else ()
 
 
 def _conditions(results: Results) -> tuple[Section, ...]:

@@ -83,8 +83,8 @@ def _with_intervals(titles: Iterable[str], interval: str = "95%") -> list[Column
     return [column for title in titles for column in (_figures(title), _figures(interval, joined=True))]
 
 
-def _mean_cells(found: VariantSummary | None) -> Row:
-    return (found.mean, found.bootstrap_interval) if found else (None, None)
+def _mean_cells(summary: VariantSummary | None) -> Row:
+    return (summary.mean, summary.bootstrap_interval) if summary else (None, None)
 
 
 def _table(
@@ -144,9 +144,9 @@ def table_1(results: Results) -> Table:
         theirs = paper.get(paper_row, {})
         copied, true = (_mean_cells(results.summary(protocol, method, m)) for m in ("gps_rmse_m", POSITION))
         over = comparison(results, protocol, POSITION, MANUAL_METHOD) if method == MAIN_METHOD else None
-        ours = (over.improvement, over.improvement_interval) if over else (None, None)
-        said = (theirs.get("rmse_m"), copied[0], *true, theirs.get("improvement_percent"), *ours)
-        rows.append((results.label(method, protocol), *said))
+        own = (over.improvement, over.improvement_interval) if over else (None, None)
+        stated = (theirs.get("rmse_m"), copied[0], *true, theirs.get("improvement_percent"), *own)
+        rows.append((results.label(method, protocol), *stated))
     columns = [Column("method"), _figures("paper"), _figures("ours, against the GPS (eq. 4)")]
     columns += _with_intervals(["ours, against truth"])
     columns += [_figures("improvement (eq. 5), %: paper"), *_with_intervals(["ours"])]
@@ -166,11 +166,17 @@ def table_2(results: Results) -> Table:
     rows: list[Row] = []
     for protocol, method, paper_row in _rows(results):
         theirs = results.paper["table_2"].get(paper_row, {})
-        if found := results.summary(protocol, method, POSITION):
+        if summary := results.summary(protocol, method, POSITION):
             low_high = theirs.get("interval_m")
-            intervals = (found.trial_interval, found.corrected_t_interval, found.bootstrap_interval)
-            said = (theirs.get("rmse_m"), low_high and tuple(low_high), found.mean, found.sd, *intervals)
-            rows.append((results.label(method, protocol), *said))
+            intervals = (summary.trial_interval, summary.corrected_t_interval, summary.bootstrap_interval)
+            stated = (
+                theirs.get("rmse_m"),
+                low_high and tuple(low_high),
+                summary.mean,
+                summary.sd,
+                *intervals,
+            )
+            rows.append((results.label(method, protocol), *stated))
     caption = "Table II. Position RMSE against truth, m, on held-out drives"
     return _table(caption, columns, rows, results, INTERVALS_NOTE)
 
@@ -226,10 +232,10 @@ def comparison(results: Results, protocol: str, measure: str, against: str) -> P
 def objectives_compared(results: Results) -> str:
     """Explain with numbers of the study why the paper's objective is misleading."""
     wanted = (("paper", "gps_rmse_m"), ("paper", POSITION), (BASELINE, POSITION), ("honest", POSITION))
-    found = [
+    comparisons = [
         results.summary(p, "raw-gps" if p == BASELINE else MAIN_METHOD, measure) for p, measure in wanted
     ]
-    if None in (means := [each and each.mean for each in found]):
+    if None in (means := [each and each.mean for each in comparisons]):
         return ""
     return (
         "The study has two objectives, since the paper's objective compares the estimate with the GPS fix that the "
@@ -291,10 +297,10 @@ def conditions_table(results: Results, measure: str, variants: Sequence[Variant]
 
 
 def _trials(results: Results) -> dict[tuple[str, str, str], list[TrialTuning]]:
-    found: dict[tuple[str, str, str], list[TrialTuning]] = {}
+    trials: dict[tuple[str, str, str], list[TrialTuning]] = {}
     for tuned in results.tunings:
-        found.setdefault((tuned.protocol, tuned.method, tuned.group), []).append(tuned)
-    return found
+        trials.setdefault((tuned.protocol, tuned.method, tuned.group), []).append(tuned)
+    return trials
 
 
 def _by_group(caption: str, columns: Sequence[Column], rows: Sequence[Row], results: Results) -> Table:
@@ -321,9 +327,9 @@ def trials_table(results: Results) -> Table:
     for (protocol, method, group), own in _trials(results).items():
         each = [t.cost for t in own]
         touched = Counter(bound.parameter for t in own for bound in t.touched_bounds)
-        said = ", ".join(f"{name} {n}" for name, n in touched.most_common()) or "none"
+        counts = ", ".join(f"{name} {n}" for name, n in touched.most_common()) or "none"
         sums = (sum(t.evaluations for t in own), sum(t.failures for t in own))
-        numbers = (len(own), min(each), median(each), max(each), *sums, said)
+        numbers = (len(own), min(each), median(each), max(each), *sums, counts)
         rows.append((results.label(method, protocol), group, *numbers))
     return _by_group("All trials, on their training drives", columns, rows, results)
 
@@ -388,17 +394,19 @@ def _gains_table(results: Results, rivals: RivalResults) -> Table:
 
 
 def _elsewhere_table(results: Results, rivals: RivalResults, place: str) -> Table:
-    by = {(row.protocol, row.method, row.measure): row for row in rivals.elsewhere if row.place == place}
+    by_method = {
+        (row.protocol, row.method, row.measure): row for row in rivals.elsewhere if row.place == place
+    }
     rows = [
         (
             results.label(method, protocol),
-            *(cell for m in ELSEWHERE_MEASURES for cell in _mean_cells(by.get((protocol, method, m)))),
+            *(cell for m in ELSEWHERE_MEASURES for cell in _mean_cells(by_method.get((protocol, method, m)))),
         )
-        for protocol, method in dict.fromkeys(variant[:2] for variant in by)
+        for protocol, method in dict.fromkeys(variant[:2] for variant in by_method)
     ]
     note = (
         "Filters and networks of all trials, tuned and trained on the drives of the study. 95% intervals for new "
-        f"drives: bootstrap over drives and trials. Drives: {max(row.n_drives for row in by.values())}."
+        f"drives: bootstrap over drives and trials. Drives: {max(row.n_drives for row in by_method.values())}."
     )
     columns = [Column("method"), *_with_intervals(ELSEWHERE_MEASURES.values())]
     return _table(f"Other drives: {place}", columns, rows, results, note)

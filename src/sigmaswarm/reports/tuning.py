@@ -118,8 +118,8 @@ def tuning_report(folder: Path) -> Report:
             what_was_tuned(file),
             held_out,
             *(
-                f"D{said[1:]}."
-                for said in describe_forecasts(file.forecasts, [d.duration_s or 0.0 for d in file.data])
+                f"D{sentence[1:]}."
+                for sentence in describe_forecasts(file.forecasts, [d.duration_s or 0.0 for d in file.data])
             ),
         ),
         figures=tuple(figures),
@@ -162,10 +162,10 @@ def parameters_section(file: TuningRecord) -> Section:
             continue
         low, high = ranges.get(searched_name(name, ranges, model), (None, None))
         free = (low, high) == ("-", "-")
-        found = (
+        place = (
             "no effect within the bounds" if free else touched.get(searched_name(name, touched, model), "")
         )
-        remark = "; ".join(said for said in (PARAMETER_MEANINGS.get(name, ""), found) if said)
+        remark = "; ".join(said for said in (PARAMETER_MEANINGS.get(name, ""), place) if said)
         rows.append((name, value, unit, _end(low), _end(high), density, remark))
     if NOISE_SCALE in ranges:
         ends = map(_end, ranges[NOISE_SCALE])

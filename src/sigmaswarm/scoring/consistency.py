@@ -163,21 +163,21 @@ VERDICTS: dict[Kind, str] = {
 }
 
 
-def verdicts(found: Sequence[Consistency | None]) -> dict[Kind, str]:
+def verdicts(results: Sequence[Consistency | None]) -> dict[Kind, str]:
     """Return one sentence for each kind of verdict on several drives."""
-    known = [one for one in found if one]
-    of = {kind: [one for one in known if kind in _kinds(one)] for kind in VERDICTS}
+    known = [one for one in results if one]
+    by_kind = {kind: [one for one in known if kind in _kinds(one)] for kind in VERDICTS}
     blind = bool(known) and all(one.mean_nees is None for one in known)
     messages: dict[Kind, str] = {}
     for kind, text in VERDICTS.items():
-        count = len(found) - len(known) if kind == "unknown" else len(of[kind])
+        count = len(results) - len(known) if kind == "unknown" else len(by_kind[kind])
         if not count:
             continue
         sizes = {
-            "nis_size": _size([one.mean_nis for one in of[kind]], "NIS"),
-            "nees_size": _size([one.mean_nees or 0.0 for one in of[kind]], "NEES"),
+            "nis_size": _size([one.mean_nis for one in by_kind[kind]], "NIS"),
+            "nees_size": _size([one.mean_nees or 0.0 for one in by_kind[kind]], "NEES"),
         }
-        where = f"on {count} of {len(found)} drives " if len(found) > 1 else ""
+        where = f"on {count} of {len(results)} drives " if len(results) > 1 else ""
         forecasts = f" ({FORECASTS})" if blind and kind not in ("unknown", "alike") else ""
         messages[kind] = f"{where}the filter {text.format(**sizes)}{forecasts}"
     return messages

@@ -187,12 +187,12 @@ class Evaluation:
     @property
     def scores(self) -> Mapping[str, Mapping[str, Score]]:
         """Mapping of drive name to mapping of method to Score."""
-        return {name: found.scores for name, found in self.drives.items()}
+        return {name: result.scores for name, result in self.drives.items()}
 
     @property
     def consistency(self) -> Mapping[str, Consistency | None]:
         """Consistency of the tuned filter, by drive; None if it failed or had too few fixes."""
-        return {name: found.consistency for name, found in self.drives.items()}
+        return {name: result.consistency for name, result in self.drives.items()}
 
     def mean(self, method: str, measure: str) -> float | None:
         """Return the mean of a measure over the drives; None if there is no value or the method failed.
@@ -200,7 +200,7 @@ class Evaluation:
         ``method`` is a key of scores.json (``untuned``) or a display name (``baseline``).
         """
         method = self._key(method)
-        if any(found.scores[method].failed for found in self.drives.values()):
+        if any(result.scores[method].failed for result in self.drives.values()):
             return None
         known = [v for drive in self.drives if (v := self.value(drive, method, measure)) is not None]
         return float(np.mean(known)) if known else None
@@ -242,20 +242,20 @@ class Evaluation:
     def record(self) -> ScoresRecord:
         """The content of scores.json."""
         drives, rivals = self.drives, [m for m in (AGAINST, BASELINE, FIXES) if m in self.names]
-        failed = {name: [m for m, s in found.scores.items() if s.failed] for name, found in drives.items()}
+        failed = {name: [m for m, s in result.scores.items() if s.failed] for name, result in drives.items()}
         return ScoresRecord(
             drives={d: {m: {k: self.value(d, m, k) for k in MEASURES} for m in self.names} for d in drives},
             mean={m: {k: self.mean(m, k) for k in MEASURES} for m in self.names},
             consistency=dict(self.consistency),
             restarts={
-                name: {m: list(found.restarts[m]) for m in self.names if m in found.restarts}
-                for name, found in drives.items()
+                name: {m: list(result.restarts[m]) for m in self.names if m in result.restarts}
+                for name, result in drives.items()
             },
             improvement_percent={m: {k: self.improvement(m, k) for k in MEASURES} for m in rivals},
-            drifts={name: dict(found.drifts) for name, found in drives.items() if found.drifts},
+            drifts={name: dict(result.drifts) for name, result in drives.items() if result.drifts},
             failed={name: methods for name, methods in failed.items() if methods},
-            radius={name: dict(found.radius) for name, found in drives.items() if found.radius},
-            stale_fixes={name: found.stale_fixes for name, found in drives.items() if found.stale_fixes},
+            radius={name: dict(result.radius) for name, result in drives.items() if result.radius},
+            stale_fixes={name: result.stale_fixes for name, result in drives.items() if result.stale_fixes},
         )
 
     @property
@@ -266,10 +266,12 @@ class Evaluation:
             outage_length_s=self.outage_length,
             outage_seed=self.outage_seed,
             versions=versions(),
-            data=[found.record for found in self.drives.values()],
+            data=[result.record for result in self.drives.values()],
             against=None if other is None else AgainstRecord(kind=other.kind, model=other.model),
-            findings={name: list(found.findings) for name, found in self.drives.items() if found.findings},
-            truth_offsets={n: found.truth_offset for n, found in self.drives.items() if found.truth_offset},
+            findings={name: list(result.findings) for name, result in self.drives.items() if result.findings},
+            truth_offsets={
+                n: result.truth_offset for n, result in self.drives.items() if result.truth_offset
+            },
             fixes_alone=self.fixes_alone,
             as_recorded=self.as_recorded,
         )
@@ -311,7 +313,7 @@ class Evaluation:
         write_json(paths[0], self.to_dict())
         write_atomically(paths[1], self._frame({m: m for m in self.names}).write_csv())
         write_json(paths[2], self.setup.model_dump())
-        save_tracks([found.tracks for found in self.drives.values() if found.tracks], paths[3])
+        save_tracks([result.tracks for result in self.drives.values() if result.tracks], paths[3])
         if self.against is not None:
             paths.append(folder / AGAINST_FILE)
             self.against.save(paths[-1])
@@ -344,18 +346,18 @@ def evaluate(
         other = filter_for(other, dataset)
     chosen = EvaluationOptions(other, **options)
     one = partial(_evaluated, parameters=parameters, options=chosen, marked=seen is not None)
-    found: dict[str, DriveResult] = {}
+    results: dict[str, DriveResult] = {}
     for drive, each, marks in dataset.imap(one):
-        numbered = (f"{drive} ({i})" for i in range(2, len(found) + 2))  # two drives may have the same name
-        name = next(n for n in (drive, *numbered) if n not in found)
-        found[name] = each if name == drive else each.called(name)
+        numbered = (f"{drive} ({i})" for i in range(2, len(results) + 2))  # two drives may have the same name
+        name = next(n for n in (drive, *numbered) if n not in results)
+        results[name] = each if name == drive else each.called(name)
         if seen is not None and marks is not None and (overlap := known_overlap(marks, seen)) is not None:
-            found[name] = found[name].seen_in(overlap)
+            results[name] = results[name].seen_in(overlap)
     also = (*([AGAINST] if other else []), *chosen.optional_runs(parameters))
     against = None if other is None else (other.kind, other.model)
     names = method_names(parameters.kind, parameters.model, also=also, against=against)
     return Evaluation(
-        found,
+        results,
         names,
         outage_length=chosen.outage_length,
         outage_seed=chosen.outage_seed,
@@ -398,7 +400,7 @@ def _evaluated(
     if passed.innovations is not None and not tuned.failed:
         consistency = consistency_of(passed.innovations, tuned.mean_nees, tracker.own_sigma["tuned"])
     radii = {m: _radius(drive, parameters, of.stated) for m, of in outages.items()}
-    found = replace(
+    result = replace(
         passed,
         scores={
             method: scores[method]
@@ -419,7 +421,7 @@ def _evaluated(
         truth_offset=truth_offset(drive),
         radius={**passed.radius, **{measure: one for measure, one in radii.items() if one}},
     )
-    return drive.name, found, marks
+    return drive.name, result, marks
 
 
 def _radius(

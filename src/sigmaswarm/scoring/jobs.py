@@ -50,11 +50,11 @@ def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, worke
 
 def _parts(steps: Mapping[str, Sequence[int]], least: float) -> Iterator[Job]:
     """Group consecutive replays of each pass into parts of at least ``least`` steps."""
-    for name, each in steps.items():
+    for name, lengths in steps.items():
         first, total = 0, 0
-        for last, more in enumerate(each):
-            total += more
-            if total >= least or last == len(each) - 1:
+        for last, length in enumerate(lengths):
+            total += length
+            if total >= least or last == len(lengths) - 1:
                 yield Job(name, range(first, last + 1), range(0), total)
                 first, total = last + 1, 0
 

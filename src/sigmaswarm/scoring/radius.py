@@ -71,15 +71,15 @@ def radius_record(variance: Array, lasting: Array, error: Array | None) -> Radiu
     if not len(total) or not np.isfinite(total).all():
         return None
     radii = [factor_of(level) * np.sqrt(total) for level in LEVELS]
-    found = RadiusRecord(
+    record = RadiusRecord(
         n=len(total),
         radius_95_m=float(np.median(radii[0])),
         radius_999_m=float(np.median(radii[1])),
         lasting_m=math.sqrt(float(np.mean(lasting))),
     )
     if error is None:
-        return found
+        return record
     inside = [float(np.mean(error <= radius)) for radius in radii]
     squared = float(np.mean(error**2))
     ratio = math.sqrt(2 * float(np.mean(variance)) / squared) if squared else None
-    return found.model_copy(update={"inside_95": inside[0], "inside_999": inside[1], "sigma_ratio": ratio})
+    return record.model_copy(update={"inside_95": inside[0], "inside_999": inside[1], "sigma_ratio": ratio})

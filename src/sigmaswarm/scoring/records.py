@@ -48,14 +48,14 @@ class ScoresRecord(BaseModel):
 
     def describe_drift(self, measure: str, method: str = "tuned") -> str:
         """Describe the outages of a drift, and the range over placements; return "" if unknown."""
-        found = [of[measure] for of in self.drifts.values() if measure in of]
-        drawn = [one.each.get(method, []) for one in found]
+        drifts = [by_measure[measure] for by_measure in self.drifts.values() if measure in by_measure]
+        drawn = [one.each.get(method, []) for one in drifts]
         count = min(map(len, drawn), default=0)
         if not count or any(drift is None for one in drawn for drift in one):
             return ""
         means = [sum(one[i] or 0.0 for one in drawn) / len(drawn) for i in range(count)]
-        outages = sum(one.outages for one in found)
-        short = "one short stretch" if len(found) == 1 else "one short stretch of each drive"
+        outages = sum(one.outages for one in drifts)
+        short = "one short stretch" if len(drifts) == 1 else "one short stretch of each drive"
         few = f"; all placements are on {short}, and the drift on another stretch may be far larger"
         few *= outages < MIN_OUTAGES * count
         single = f"the drift in a single placement is {min(means):.3g} to {max(means):.3g} m"
@@ -104,8 +104,8 @@ _CHECKED_FILES = (SCORES_FILE, "tracks.npz", "tuning.toml", AGAINST_FILE)
 
 def write_checksums(folder: Path) -> None:
     record = load_record(EvaluationRecord, folder / EVALUATION_FILE)
-    found = {name: _sha256(folder / name) for name in _CHECKED_FILES if (folder / name).exists()}
-    write_json(folder / EVALUATION_FILE, record.model_copy(update={"files": found}).model_dump())
+    checksums = {name: _sha256(folder / name) for name in _CHECKED_FILES if (folder / name).exists()}
+    write_json(folder / EVALUATION_FILE, record.model_copy(update={"files": checksums}).model_dump())
 
 
 def verify_checksums(folder: Path, record: EvaluationRecord) -> None:

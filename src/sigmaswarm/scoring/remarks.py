@@ -20,8 +20,10 @@ MAX_ERROR_RATIO = 0.9
 
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:
-    found = {drive: times for drive, of in scores.restarts.items() if (times := of.get("tuned"))}
-    return tuple(f"the tuned filter {describe_restarts(drive, times)}" for drive, times in found.items())
+    restarts = {
+        drive: times for drive, by_method in scores.restarts.items() if (times := by_method.get("tuned"))
+    }
+    return tuple(f"the tuned filter {describe_restarts(drive, times)}" for drive, times in restarts.items())
 
 
 def describe_training_drives(drive: DriveRecord) -> str:
@@ -52,12 +54,12 @@ def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:
 
 def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
     messages: list[str] = []
-    for drive, found in scores.drives.items():
+    for drive, by_method in scores.drives.items():
         worse = [
             f"{what} {tuned:.3g} m instead of {raw:.3g} m"
             for measure, what in POSITION_MEASURES.items()
-            if (tuned := found["tuned"].get(measure)) is not None
-            and (raw := found["raw_gps"].get(measure)) is not None
+            if (tuned := by_method["tuned"].get(measure)) is not None
+            and (raw := by_method["raw_gps"].get(measure)) is not None
             and tuned > raw
         ]
         if worse:
@@ -91,8 +93,8 @@ def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tu
 def estimate_position_errors(scores: ScoresRecord, data: Sequence[DriveRecord]) -> tuple[str, ...]:
     """Estimate the position error on each of the first three drives without truth."""
     blind = [one.name for one in data if one.has_truth is False]
-    found = [(name, c) for name in blind if (c := scores.consistency.get(name)) and c.own_sigma]
-    return tuple(_without_truth(name, c) for name, c in found[:3])
+    known = [(name, c) for name in blind if (c := scores.consistency.get(name)) and c.own_sigma]
+    return tuple(_without_truth(name, c) for name, c in known[:3])
 
 
 def describe_first_track(track: FirstTrack) -> str:
@@ -111,20 +113,21 @@ def describe_first_track(track: FirstTrack) -> str:
     return _without_truth(name, track.consistency)
 
 
-def _without_truth(drive: str, found: Consistency) -> str:
-    return f"Position error on {drive} without truth: {describe_position(found)}"
+def _without_truth(drive: str, consistency: Consistency) -> str:
+    return f"Position error on {drive} without truth: {describe_position(consistency)}"
 
 
-def describe_position(found: Consistency) -> str:
+def describe_position(consistency: Consistency) -> str:
     """Return a sentence that estimates a filter's position error on a drive without truth.
 
     The estimate is the RMS of the filter's position sigmas. If the innovations are far smaller than expected, the error
     may be as large as that of the fixes.
     """
-    own, missed, expected = found.own_sigma or 0.0, found.missed or 0.0, found.expected or 0.0
-    (low, high), nis = found.nis_band, f"mean NIS {found.mean_nis:.2g}, should be 2"
-    alike = found.autocorrelation[0] > MAX_CORRELATION
-    if found.mean_nis < low and (alike or found.mean_nis < MIN_INFORMATIVE_NIS):
+    own, missed = consistency.own_sigma or 0.0, consistency.missed or 0.0
+    expected = consistency.expected or 0.0
+    (low, high), nis = consistency.nis_band, f"mean NIS {consistency.mean_nis:.2g}, should be 2"
+    alike = consistency.autocorrelation[0] > MAX_CORRELATION
+    if consistency.mean_nis < low and (alike or consistency.mean_nis < MIN_INFORMATIVE_NIS):
         guess = ""
         if expected > own:
             fixes = (expected**2 - own**2) ** 0.5
@@ -135,11 +138,11 @@ def describe_position(found: Consistency) -> str:
         )
     size = f"{own:.2g} m (RMS)"
     included = f"The fixes deviate from the predictions by {missed:.2g} m, including their own errors,"
-    if found.mean_nis > high:
+    if consistency.mean_nis > high:
         return (
             f"more than the {size} that the filter estimates. {included} which is more than expected ({nis})"
         )
-    if found.mean_nis < low:
+    if consistency.mean_nis < low:
         return f"{size} or somewhat less, as the filter estimates. {included} which is less than expected ({nis})"
     if alike:
         return (

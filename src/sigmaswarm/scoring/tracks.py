@@ -102,8 +102,10 @@ class Tracker:
         recording = FilterRun(replay, parameters, recover=recover)
         self._follow(series, recording, replay.initial)
         if recording.failure is None:
-            found = recording.innovations
-            self._keep(series + NIS, [{"time": found.time, "nis": found.nis}], len(found.time))
+            innovations = recording.innovations
+            self._keep(
+                series + NIS, [{"time": innovations.time, "nis": innovations.nis}], len(innovations.time)
+            )
         return recording
 
     def follow(self, series: str, run: Run) -> None:
@@ -145,16 +147,16 @@ class Tracker:
     def keep_estimate(self, series: str, estimate: Estimate) -> None:
         self._keep(series, [self._columns(estimate)], len(estimate.time))
 
-    def _columns(self, found: Estimate | EstimateChunk) -> Columns:
+    def _columns(self, estimate: Estimate | EstimateChunk) -> Columns:
         """Return position, errors relative to truth, and 3 sigma."""
-        time, mean, truth = found.time, found.mean, self._ready.drive.truth
+        time, mean, truth = estimate.time, estimate.mean, self._ready.drive.truth
         columns = {"time": time, "x": mean[:, 0], "y": mean[:, 1]}
         if truth is not None:
             columns["position_error"] = distance_from(truth, time, mean[:, 0], mean[:, 1])
             true = np.where(is_known(truth, time), np.interp(time, truth.time, self._theta), np.nan)
             columns["heading_error"] = np.degrees(wrap_angle(mean[:, THETA] - true))
-        if len(found.covariance):
-            std = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+        if len(estimate.covariance):
+            std = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
             columns["position_3sigma"] = 3 * np.hypot(std[:, 0], std[:, 1])
             columns["heading_3sigma"] = 3 * np.degrees(std[:, THETA])
         return columns

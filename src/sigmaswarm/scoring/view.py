@@ -65,35 +65,37 @@ class EvaluationView:
     def drive_table(self) -> Table:
         failed = self.scores.failed
         rows = [
-            (drive, m, " (failed)" * (m in failed.get(drive, ())), found[m])
-            for drive, found in self.scores.drives.items()
+            (drive, m, " (failed)" * (m in failed.get(drive, ())), by_method[m])
+            for drive, by_method in self.scores.drives.items()
             for m in self.names
-            if m in found
+            if m in by_method
         ]
         return self._table("Each drive", rows)
 
     def _table(self, caption: str, rows: Sequence[tuple[str, str, str, Measured]]) -> Table:
         """Return a table of all known scores, from rows (drive, method, remark, scores)."""
         methods, known = self.scores.known(self.names, self.measures)
-        rows = [(d, m, r, with_outages(m, of)) for d, m, r, of in rows if m in methods]
+        rows = [(d, m, r, with_outages(m, scores)) for d, m, r, scores in rows if m in methods]
         rows = [row for row in rows if row[1] != "imu_only" or any(row[3].get(m) is not None for m in known)]
         columns = Column("drive"), Column("method"), *(_column(self.measures[m]) for m in known)
         strong = frozenset(i for i, row in enumerate(rows) if row[1] == "tuned")
-        cells = tuple((drive, self.names[m] + remark, *map(of.get, known)) for drive, m, remark, of in rows)
+        cells = tuple(
+            (drive, self.names[m] + remark, *map(scores.get, known)) for drive, m, remark, scores in rows
+        )
         return Table(caption, columns, cells, strong)
 
     def drift_table(self) -> Table:
         drifts = self.scores.drifts
-        known = [m for m in self.measures if any(m in of for of in drifts.values())]
+        known = [m for m in self.measures if any(m in by_measure for by_measure in drifts.values())]
         columns = [Column("drive"), Column("method")]
         for m in known:
             columns += [Column("outages"), _column(self.measures[m]), Column("a single placement", "m")]
         rows: list[tuple[Cell, ...]] = []
-        for drive, of in drifts.items():
+        for drive, by_measure in drifts.items():
             for method in (m for m in self.names if m not in NO_OUTAGES and m in self.scores.mean):
                 cells: list[Cell] = []
                 for m in known:
-                    one, value = of.get(m), self.scores.drives[drive].get(method, {}).get(m)
+                    one, value = by_measure.get(m), self.scores.drives[drive].get(method, {}).get(m)
                     cells += [one and float(one.outages), value, one and one.spread(method)]
                 rows.append((drive, self.names[method], *cells))
         strong = frozenset(i for i, row in enumerate(rows) if row[1] == self.names["tuned"])
@@ -110,7 +112,8 @@ class EvaluationView:
             (Column("whiteness p", number="{:.2g}".format), lambda c: c.white_p),
         ]
         rows = tuple(
-            (drive, *(c and of(c) for _, of in columns)) for drive, c in self.scores.consistency.items()
+            (drive, *(c and value_of(c) for _, value_of in columns))
+            for drive, c in self.scores.consistency.items()
         )
         return Table("", (Column("drive"), *(column for column, _ in columns)), rows)
 
@@ -129,11 +132,20 @@ class EvaluationView:
                 Column("own sigma"),
             ]
 
-        def cells(of: RadiusRecord) -> tuple[Cell, ...]:
+        def cells(record: RadiusRecord) -> tuple[Cell, ...]:
             known: tuple[Cell, ...] = (None,) * 4
-            if of.inside_95 is not None and of.inside_999 is not None and of.sigma_ratio is not None:
-                known = float(of.n), 100 * of.inside_95, 100 * of.inside_999, describe_ratio(of.sigma_ratio)
-            return (of.radius_95_m, of.radius_999_m, of.lasting_m, *known)[: len(columns)]
+            if (
+                record.inside_95 is not None
+                and record.inside_999 is not None
+                and record.sigma_ratio is not None
+            ):
+                known = (
+                    float(record.n),
+                    100 * record.inside_95,
+                    100 * record.inside_999,
+                    describe_ratio(record.sigma_ratio),
+                )
+            return (record.radius_95_m, record.radius_999_m, record.lasting_m, *known)[: len(columns)]
 
         shown = self.measures
         where = {m: shown[m].title.removesuffix(" drift") for m in DRIFTS if m in shown}
@@ -216,22 +228,22 @@ class EvaluationView:
     def radii(self) -> tuple[str, ...]:
         sentences: list[str] = []
         for drive, records in self.scores.radius.items():
-            if (found := records.get(TRACKING)) is None:
+            if (record := records.get(TRACKING)) is None:
                 continue
-            inside, ratio = found.inside_95, found.sigma_ratio
+            inside, ratio = record.inside_95, record.sigma_ratio
             held = "" if inside is None else f", and {100 * inside:.0f}% are"
             sigma = "" if ratio is None else f"; the filter's own sigma is {describe_ratio(ratio)}"
-            lasts = f", including {found.lasting_m:.2g} m per axis of correlated fix errors"
-            lasts = lasts if found.lasting_m else ""
+            lasts = f", including {record.lasting_m:.2g} m per axis of correlated fix errors"
+            lasts = lasts if record.lasting_m else ""
             sentences.append(
-                f"{drive}: 95% of the position errors should be within {found.radius_95_m:.2g} m (median){lasts}{held}"
+                f"{drive}: 95% of the position errors should be within {record.radius_95_m:.2g} m (median){lasts}{held}"
                 f"{sigma}."
             )
         return tuple(sentences)
 
     def verdicts(self) -> dict[str, str]:
-        found = verdicts([*self.scores.consistency.values()])
-        return {kind: _sentence(message) for kind, message in found.items()}
+        kinds = verdicts([*self.scores.consistency.values()])
+        return {kind: _sentence(message) for kind, message in kinds.items()}
 
     def warnings(self) -> tuple[str, ...]:
         """Return the warnings as sentences, the most serious first."""
@@ -247,9 +259,11 @@ class EvaluationView:
         sentences += worse_than_untuned(self.scores, self.measures)
         sentences += restarted(self.scores)
         sentences += [
-            f"on {drive} the stated 95% radius contains only {100 * found.inside_95:.0f}% of the position errors"
-            for drive, of in self.scores.radius.items()
-            if (found := of.get(TRACKING)) and found.inside_95 is not None and found.inside_95 < MIN_COVERAGE
+            f"on {drive} the stated 95% radius contains only {100 * record.inside_95:.0f}% of the position errors"
+            for drive, by_pass in self.scores.radius.items()
+            if (record := by_pass.get(TRACKING))
+            and record.inside_95 is not None
+            and record.inside_95 < MIN_COVERAGE
         ]
         sentences += self.setup.truth_offsets.values()
         if len(data) == 1 and data[0].duration_s:
@@ -259,16 +273,16 @@ class EvaluationView:
         return tuple(map(_sentence, sentences))
 
     def findings(self) -> tuple[str, ...]:
-        return tuple(_sentence(message) for found in self.setup.findings.values() for message in found)
+        return tuple(_sentence(message) for messages in self.setup.findings.values() for message in messages)
 
-    def sentences(self, more: Iterable[str] = ()) -> tuple[str, ...]:
-        """Return all sentences, the most important first; ``more`` follows the warnings."""
+    def sentences(self, added: Iterable[str] = ()) -> tuple[str, ...]:
+        """Return all sentences, the most important first; ``added`` follows the warnings."""
         positions = map(_sentence, estimate_position_errors(self.scores, self.setup.data))
         sentences = (
             self.result(),
             *positions,
             *self.warnings(),
-            *more,
+            *added,
             *self.verdicts().values(),
             *self.radii(),
         )

@@ -219,10 +219,14 @@ def with_outliers(
     time = drive.gps.time
     x, y, off = drive.gps.x.copy(), drive.gps.y.copy(), np.zeros(len(time), dtype=np.bool_)
     while off.mean() < share:
-        begin, span, way = time[rng.integers(len(time))], rng.uniform(*length), rng.uniform(0.0, 2 * np.pi)
+        begin, span, direction = (
+            time[rng.integers(len(time))],
+            rng.uniform(*length),
+            rng.uniform(0.0, 2 * np.pi),
+        )
         burst = (time >= begin) & (time <= begin + span) & ~off
-        x[burst] += offset * np.cos(way)
-        y[burst] += offset * np.sin(way)
+        x[burst] += offset * np.cos(direction)
+        y[burst] += offset * np.sin(direction)
         off |= burst
     # latitude and longitude of the original fixes no longer apply
     return replace(drive, frame="enu", gps=replace(drive.gps, x=x, y=y, lat=None, lon=None, alt=None))

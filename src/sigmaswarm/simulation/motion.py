@@ -115,7 +115,7 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm | Array) -> Mot
     east = np.cos(yaw) * rows[:, AX] - np.sin(yaw) * rows[:, AY]
     north = np.sin(yaw) * rows[:, AX] + np.cos(yaw) * rows[:, AY]
     force = np.column_stack([east, north, climb_rate + GRAVITY])
-    along = _cross(rate, arm)
+    velocity = _cross(rate, arm)
     center = np.column_stack([rows[:, X], rows[:, Y], height])
     moving = np.column_stack(
         [
@@ -126,12 +126,12 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm | Array) -> Mot
     )
     return Motion(
         position=center + rotation @ arm,
-        velocity=moving + np.einsum("nij,nj->ni", rotation, along),
+        velocity=moving + np.einsum("nij,nj->ni", rotation, velocity),
         rotation=rotation,
         yaw=yaw,
         specific_force=np.einsum("nji,nj->ni", rotation, force)
         + _cross(rate_change, arm)
-        + _cross(rate, along),
+        + _cross(rate, velocity),
         angular_rate=rate,
     )
 

@@ -41,8 +41,10 @@ class Sway:
     phases: Array  # (2, 3) rad
     wavelengths: Array  # (3,) m
 
-    def waves(self, way: Array, row: int) -> Array:
-        return np.sin(2 * np.pi * way / self.wavelengths[:, None] + self.phases[row][:, None]) / np.sqrt(3)
+    def waves(self, distance: Array, row: int) -> Array:
+        return np.sin(2 * np.pi * distance / self.wavelengths[:, None] + self.phases[row][:, None]) / np.sqrt(
+            3
+        )
 
 
 def draw_sway(rng: np.random.Generator) -> Sway:
@@ -55,14 +57,16 @@ def build_path(legs: Sequence[Leg], heading: float, sway: Sway) -> Array:
     The path begins at the origin. The integration uses trapezoids for the curvature and midpoints for the heading.
     """
     ends = np.cumsum([0.0, *(leg.length for leg in legs), RUN_OUT])
-    way = np.arange(0.0, ends[-1], SPACING)
-    curvature = np.zeros(len(way))
+    distance = np.arange(0.0, ends[-1], SPACING)
+    curvature = np.zeros(len(distance))
     for leg, start, end in zip(legs, ends[:-2], ends[1:-1], strict=True):
-        on = (way >= start) & (way < end)
-        curvature[on] = leg.curvature + (leg.curvature_end - leg.curvature) * (way[on] - start) / leg.length
+        on = (distance >= start) & (distance < end)
+        curvature[on] = (
+            leg.curvature + (leg.curvature_end - leg.curvature) * (distance[on] - start) / leg.length
+        )
     # An offset A sin(k s) adds its second derivative to the curvature.
     wave_numbers = 2 * np.pi / sway.wavelengths
-    curvature -= SWAY_OFFSET * wave_numbers**2 @ sway.waves(way, 0)
+    curvature -= SWAY_OFFSET * wave_numbers**2 @ sway.waves(distance, 0)
     turned = np.cumsum((curvature[1:] + curvature[:-1]) / 2) * SPACING
     yaw = heading + np.concatenate([[0.0], turned])
     middle = (yaw[1:] + yaw[:-1]) / 2
@@ -87,30 +91,30 @@ def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
     The car first stands for ``stand`` s; if it is None, the car starts at the speed of the first leg.
     """
     ends = np.cumsum([0.0, *(leg.length for leg in legs)])
-    way = np.arange(0.0, ends[-1] + SPACING / 2, SPACING)
-    leg_of = np.minimum(np.searchsorted(ends, way, side="right") - 1, len(legs) - 1)
+    distance = np.arange(0.0, ends[-1] + SPACING / 2, SPACING)
+    leg_of = np.minimum(np.searchsorted(ends, distance, side="right") - 1, len(legs) - 1)
 
     def each(name: str) -> Array:
         return np.array([getattr(leg, name) for leg in legs])[leg_of]
 
-    part = (way - ends[leg_of]) / each("length")
+    part = (distance - ends[leg_of]) / each("length")
     curvature = each("curvature") + (each("curvature_end") - each("curvature")) * part
     limit = np.minimum(each("speed"), np.sqrt(each("lateral") / np.maximum(np.abs(curvature), 1e-6)))
-    squared = (limit * (1 + SWAY_SPEED * sway.waves(way, 1).sum(axis=0))) ** 2
-    waits = np.zeros(len(way))
+    squared = (limit * (1 + SWAY_SPEED * sway.waves(distance, 1).sum(axis=0))) ** 2
+    waits = np.zeros(len(distance))
     for leg, end in zip(legs, ends[1:], strict=True):
         if leg.wait > 0:
-            stop = min(round(end / SPACING), len(way) - 1)
+            stop = min(round(end / SPACING), len(distance) - 1)
             squared[stop], waits[stop] = 0.0, leg.wait
     if stand is not None:
         squared[0], waits[0] = 0.0, stand
     _reachable(squared, 2 * SPACING * each("acceleration"), each("fading"), 2 * SPACING * each("braking"))
-    return _in_time(way, np.sqrt(squared), waits, each("ease"))
+    return _in_time(distance, np.sqrt(squared), waits, each("ease"))
 
 
-def _in_time(way: Array, speed: Array, waits: Array, ease: Array) -> Array:
+def _in_time(distance: Array, speed: Array, waits: Array, ease: Array) -> Array:
     """Sample the speed along the path every `DRIVER_STEP` s, and smooth it by a moving average."""
-    step = 2 * np.diff(way) / (speed[1:] + speed[:-1])  # exact for constant acceleration
+    step = 2 * np.diff(distance) / (speed[1:] + speed[:-1])  # exact for constant acceleration
     arrival = np.concatenate([[0.0], np.cumsum(step + waits[:-1])])
     times = np.column_stack([arrival, arrival + waits]).ravel()
     looks = np.arange(0.0, times[-1], DRIVER_STEP)

@@ -158,15 +158,15 @@ def _drive(s: Scenario) -> Drive:
     ticks = nominal if imu.carla else _times(end, s.imu_rate, s.jitter, stream("imu clock"))
     stamps = _times(end, s.gps_rate, s.jitter, stream("gps clock"))
     stamps = stamps[stamps >= gps.latency]
-    true, seen = motion(nominal, place), motion(stamps - gps.latency, place + gps.lever_arm)
+    true, measured = motion(nominal, place), motion(stamps - gps.latency, place + gps.lever_arm)
     felt = true if ticks is nominal else motion(ticks, place)
     if s.vibration > 0:
         felt = vibrate(felt, s.imu_rate, s.vibration, stream("vibration"))
-    fixes = measure_gps(stamps, seen, gps, stream("gps"), journey.outages)
+    fixes = measure_gps(stamps, measured, gps, stream("gps"), journey.outages)
     odometer, about = None, dict[str, Any]()
     if s.heading:
         two = lookup(s.heading, HEADING_GRADES, "heading")
-        fixes = with_heading(fixes, stamps, seen.yaw, two, stream("heading"))
+        fixes = with_heading(fixes, stamps, measured.yaw, two, stream("heading"))
         about["heading"] = {"grade": two.name, "mounting_rad": two.mounting}
     if wheels:
         odometer, scale = measure_odometer(record, car, wheels, stream("odometer"))

@@ -174,10 +174,10 @@ def add_slopes(record: Array, road: RoadProfile, car: Vehicle) -> Array:
     tilted = np.column_stack([record, f, f1, f2, p, p1, p2, _integral(climb), climb, climb_rate])
     # Force in the axes of the road, minus the force on a flat road.
     up = climb_rate + GRAVITY
-    along = np.cos(p) * record[:, AX] - np.sin(p) * up
+    forward = np.cos(p) * record[:, AX] - np.sin(p) * up
     normal = np.sin(p) * record[:, AX] + np.cos(p) * up
     across = np.cos(f) * record[:, AY] + np.sin(f) * normal
-    more = _swing(along - record[:, AX], car.pitch_frequency, car.pitch_damping)
+    more = _swing(forward - record[:, AX], car.pitch_frequency, car.pitch_damping)
     tilted[:, [PITCH, PITCH_RATE, PITCH_ACCEL]] += more
     tilted[:, [ROLL, ROLL_RATE, ROLL_ACCEL]] += _swing(
         across - record[:, AY], car.roll_frequency, car.roll_damping

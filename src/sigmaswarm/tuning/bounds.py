@@ -35,10 +35,10 @@ class TouchedBound:
         """Parse the text that ``str`` of an object returns."""
         if isinstance(text, cls):
             return text
-        found = re.fullmatch(r"(.+) at its (lower|upper) bound \((\S+)\)", str(text))
-        if not found:
+        match = re.fullmatch(r"(.+) at its (lower|upper) bound \((\S+)\)", str(text))
+        if not match:
             raise ValueError(f"{text!r} does not name a parameter and the bound that it touches")
-        name, end, value = found.groups()
+        name, end, value = match.groups()
         return cls(name, cast(BoundSide, end), float(value))
 
 

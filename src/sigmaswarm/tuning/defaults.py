@@ -47,20 +47,21 @@ def default_filter_options(
     """
     if "model" in options and "use" in options:
         return options, ""
-    found, kind = suggest_filter(drives), options.get("kind")
-    model = options.get("model") or found.model
+    suggestion, kind = suggest_filter(drives), options.get("kind")
+    model = options.get("model") or suggestion.model
     if not options.get("model") and kind is not None and kind not in MODELS[model].kinds:
         model = "planar8"
     if "use" in options:
-        return {**options, "model": model}, f"{_described(model, options['use'])}, as given: {found.because}"
+        described = _described(model, options["use"])
+        return {**options, "model": model}, f"{described}, as given: {suggestion.because}"
     use, because = [], "the paper's model; add measurements with --use"
     if model != PAPER_MODEL:
         allowed = MODELS[model].options if model in MODELS else ()
-        offered = (*found.use, "gate") if allowed else found.use
+        offered = (*suggestion.use, "gate") if allowed else suggestion.use
         use = [name for name in offered if name in (allowed or (name,)) and _fits(name, options)]
-        other = model != found.model and "model" in options
-        because = f"{found.model} suits the logs: {found.because}" if other else found.because
-        if model == found.model and _needs_fix_error(model, options, drives):
+        other = model != suggestion.model and "model" in options
+        because = f"{suggestion.model} suits the logs: {suggestion.because}" if other else suggestion.because
+        if model == suggestion.model and _needs_fix_error(model, options, drives):
             use.append("fix-error")
             because += ", successive fixes that differ by less than the receiver's error"
     described = _described(model, use) + (", as given" if "model" in options else "")

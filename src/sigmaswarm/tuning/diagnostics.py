@@ -110,9 +110,9 @@ def forecasts_of(
 
 
 def loss_warnings(parameters: FilterParameters, scorer: AnyBatchScorer, *, outages: bool) -> list[str]:
-    found = divergence_warnings(scorer.map_prepared(partial(restarts_of, parameters=parameters)))
-    if found or not outages:
-        return found
+    messages = divergence_warnings(scorer.map_prepared(partial(restarts_of, parameters=parameters)))
+    if messages or not outages:
+        return messages
     some = scorer.subset(range(min(len(scorer.dataset), MAX_NAMED_DRIVES)))
     few = some.map_prepared(partial(drifts_of, parameters=parameters, most=FIRST_PLACEMENTS))
     if not drift_warnings(few, RECHECK_RATIO):
@@ -120,20 +120,20 @@ def loss_warnings(parameters: FilterParameters, scorer: AnyBatchScorer, *, outag
     return drift_warnings(some.map_prepared(partial(drifts_of, parameters=parameters)))
 
 
-def divergence_warnings(found: Iterable[tuple[str, list[float]]]) -> list[str]:
-    diverged = [describe_restarts(name, times) for name, times in found if times]
+def divergence_warnings(restarts: Iterable[tuple[str, list[float]]]) -> list[str]:
+    diverged = [describe_restarts(name, times) for name, times in restarts if times]
     if not diverged:
         return []
-    more = (
+    others = (
         f"; and on {len(diverged) - MAX_NAMED_DRIVES} more drives" if len(diverged) > MAX_NAMED_DRIVES else ""
     )
     these = "this drive" if len(diverged) == 1 else "these drives"
-    why = f"the tuned filter {'; it '.join(diverged[:MAX_NAMED_DRIVES])}{more}, although it was tuned on {these}"
+    why = f"the tuned filter {'; it '.join(diverged[:MAX_NAMED_DRIVES])}{others}, although it was tuned on {these}"
     return [to_do(REMEDY, why)]
 
 
-def drift_warnings(found: Iterable[tuple[float, ...]], most: float = MAX_DRIFT_RATIO) -> list[str]:
-    tuned, other = _mean_drifts(found)[:2]
+def drift_warnings(drifts: Iterable[tuple[float, ...]], most: float = MAX_DRIFT_RATIO) -> list[str]:
+    tuned, other = _mean_drifts(drifts)[:2]
     if tuned <= most * other:
         return []
     why = (
@@ -150,20 +150,20 @@ def restarts_of(ready: PreparedDrive, parameters: FilterParameters) -> tuple[str
 
 def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
     """Return the lag-1 autocorrelation of innovations in the first hour, averaged over both axes."""
-    found = FilterRun(_first_part(ready), parameters).finished().innovations
+    innovations = FilterRun(_first_part(ready), parameters).finished().innovations
     with np.errstate(all="ignore"):  # a failed filter gives NaN and infinity
-        nu = found.innovation / np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+        nu = innovations.innovation / np.sqrt(np.diagonal(innovations.covariance, axis1=1, axis2=2))
         return float(np.mean(np.mean(nu[1:] * nu[:-1], axis=0) / np.mean(nu**2, axis=0)))
 
 
 def correlation_warnings(
-    parameters: FilterParameters, found: Iterable[float], use: Sequence[str] = ()
+    parameters: FilterParameters, correlations: Iterable[float], use: Sequence[str] = ()
 ) -> list[str]:
     """Warn if innovations are correlated and the filter could model correlated fix errors.
 
     ``use``: values of ``--use`` for the proposed command.
     """
-    known = [value for value in found if np.isfinite(value)]
+    known = [value for value in correlations if np.isfinite(value)]
     augmented = kernel_name(parameters.model, parameters.kind, fix_error=True)
     supported = parameters.kind in ("ukf", "ekf") and augmented in FILTERS
     if parameters.fix_error is not None or not supported or not known or np.median(known) < MAX_CORRELATION:
@@ -208,8 +208,8 @@ def drifts_of(
     return tuple(outages.drift(method) for method in (*filters, *also))
 
 
-def _mean_drifts(found: Iterable[tuple[float, ...]]) -> list[float]:
-    known = np.array([drifts for drifts in found if np.isfinite(drifts).all()])
+def _mean_drifts(drifts_of_drives: Iterable[tuple[float, ...]]) -> list[float]:
+    known = np.array([drifts for drifts in drifts_of_drives if np.isfinite(drifts).all()])
     return np.mean(known, axis=0).tolist() if len(known) else [0.0, 0.0]
 
 

@@ -94,8 +94,8 @@ def _limits(problem: Problem[Any]) -> Array:
 
 def shown_bias(starts: Sequence[InitialState]) -> float:
     """Return the standard deviation of the gyro biases that starts show, rad/s; 0 if they show none."""
-    seen = [start.gyro for start in starts if start.gyro is not None]
-    bias, variance = (np.array([getattr(one, what) for one in seen]) for what in ("bias", "variance"))
+    gyros = [start.gyro for start in starts if start.gyro is not None]
+    bias, variance = (np.array([getattr(one, what) for one in gyros]) for what in ("bias", "variance"))
     known = np.isfinite(bias) & np.isfinite(
         variance
     )  # an axis that was not observed has an infinite variance

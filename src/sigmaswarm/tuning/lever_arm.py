@@ -86,8 +86,8 @@ class LeverArmEstimate:
         return forward, left
 
     def __str__(self) -> str:
-        found, stated = _placed(self.forward, self.left), _placed(*self.stated)
-        axes = [f"{axis} (+-{std:.2f} m)" for axis, std in zip(found, self.std, strict=True)]
+        estimated, stated = _placed(self.forward, self.left), _placed(*self.stated)
+        axes = [f"{axis} (+-{std:.2f} m)" for axis, std in zip(estimated, self.std, strict=True)]
         known = [axis for axis, observable in zip(axes, self.observable, strict=True) if observable]
         unknown = [axis for axis in axes if axis not in known]
         remarks = [f"antenna {' and '.join(known)} of the IMU"] if known else []
@@ -112,8 +112,8 @@ class LeverArmEstimate:
         if not any(self.observable):
             return drive
         repaired = [*drive.metadata.get("repaired", []), "lever-arm"]
-        found = zip((self.forward, self.left), drive.lever_arm, self.observable, strict=True)
-        arm = tuple(round(value, 4) if known else float(stated) for value, stated, known in found)
+        axes = zip((self.forward, self.left), drive.lever_arm, self.observable, strict=True)
+        arm = tuple(round(value, 4) if known else float(stated) for value, stated, known in axes)
         stds = [
             s if known else p
             for s, p, known in zip(self.std, _stated_std(drive), self.observable, strict=True)
@@ -171,9 +171,9 @@ def estimate_lever_arm(
         parameters = _tuned(moved, options)
     else:
         values = {name: float(m) for name, m in zip(ARM, mean, strict=True)}
-    values, found = _maximum(read, parameters, prior, values)
+    values, deviations = _maximum(read, parameters, prior, values)
     return LeverArmEstimate(
-        values["forward"], values["left"], found, (float(mean[0]), float(mean[1])), within
+        values["forward"], values["left"], deviations, (float(mean[0]), float(mean[1])), within
     )
 
 
@@ -189,8 +189,8 @@ def _stated_std(drive: Drive) -> tuple[float, float]:
     return float(stated[0]), float(stated[1])
 
 
-def _with_arm(drive: Drive, arm: Sequence[float], **more: Any) -> Drive:
-    changed = {"gps_lever_arm_m": [*map(float, arm), drive.antenna_height], **more}
+def _with_arm(drive: Drive, arm: Sequence[float], **metadata: Any) -> Drive:
+    changed = {"gps_lever_arm_m": [*map(float, arm), drive.antenna_height], **metadata}
     return replace(drive, metadata={**drive.metadata, **changed})
 
 
@@ -215,13 +215,13 @@ def _maximum(
     prior = {**arm, **_others(parameters)}
     values = {name: mean for name, (mean, _) in prior.items()} | dict(start or {})
     values = {name: getattr(parameters, name, values[name]) for name in prior}
-    found = _step(drives, parameters, values, prior)
+    solution = _step(drives, parameters, values, prior)
     for _ in range(MAX_ROUNDS - 1):
-        if np.abs(found[0][: len(ARM)]).max() < STEP_TOLERANCE:
+        if np.abs(solution[0][: len(ARM)]).max() < STEP_TOLERANCE:
             break
-        values = _moved(values, found[0])
-        found = _step(drives, parameters, values, prior)
-    return _moved(values, found[0]), _deviations(*found)
+        values = _moved(values, solution[0])
+        solution = _step(drives, parameters, values, prior)
+    return _moved(values, solution[0]), _deviations(*solution)
 
 
 def _moved(values: Values, step: Array) -> Values:
@@ -277,16 +277,16 @@ def _others(p: FilterParameters) -> dict[str, tuple[float, float]]:
 
 def _whitened(ready: PreparedDrive, parameters: FilterParameters, values: Values) -> Whitened:
     run = partial(_run, ready, parameters, values)
-    found = run(values)
-    if not np.isfinite(found.nis).all():
+    start = run(values)
+    if not np.isfinite(start.nis).all():
         name = ready.drive.name
         raise InputError(
             f"the filter fails on {name}; repair what `sigmaswarm doctor` finds, or leave the drive out"
         )
     moved = [run({**values, name: v + STEP[name]}).innovation for name, v in values.items()]
-    slopes = [(nu - found.innovation) / STEP[name] for name, nu in zip(values, moved, strict=True)]
-    columns = -np.linalg.solve(np.linalg.cholesky(found.covariance), np.stack(slopes, axis=-1))
-    return found.time, found.normalized, np.asarray(columns, np.float64), (DOF + 2.0) / (DOF + found.nis)
+    slopes = [(nu - start.innovation) / STEP[name] for name, nu in zip(values, moved, strict=True)]
+    columns = -np.linalg.solve(np.linalg.cholesky(start.covariance), np.stack(slopes, axis=-1))
+    return start.time, start.normalized, np.asarray(columns, np.float64), (DOF + 2.0) / (DOF + start.nis)
 
 
 def _run(ready: PreparedDrive, p: FilterParameters, at: Values, values: Values) -> Innovations:

@@ -186,21 +186,21 @@ class CarProblem(Problem[FilterParameters]):
 
     def warnings(self, point: Array) -> list[str]:
         parameters, scorer, objective = self.parameters(point), self.scorer, self.objective
-        found = loss_warnings(parameters, scorer, outages=not objective.needs_outages)
+        messages = loss_warnings(parameters, scorer, outages=not objective.needs_outages)
         if parameters.accuracy_scale is not None:
-            found += accuracy_warnings(parameters, scorer.dataset.map(median_stated_std), self.config.use)
-        found += scale_warnings(objective, parameters, scorer)
+            messages += accuracy_warnings(parameters, scorer.dataset.map(median_stated_std), self.config.use)
+        messages += scale_warnings(objective, parameters, scorer)
         # Skipped with truth, since estimating the noise of the fixes takes as long as reading a drive.
         if not (objective.needs_truth and all(drive.truth for drive in self.sensors)):
             noise = scorer.dataset.map(fix_noise)
             prior = self.config.prior or 0.0
             names = [drive.name for drive in self.sensors]
             decided = prior_warnings(parameters, prior, names, self._receiver_std, noise) if prior else []
-            found += decided or noise_warnings(parameters, noise, self.config.use)
+            messages += decided or noise_warnings(parameters, noise, self.config.use)
             if enough_for_fix_error(self.sensors):  # with fewer fixes, the remedy increases errors
                 correlations = scorer.map_prepared(partial(correlation_of, parameters=parameters))
-                found += correlation_warnings(parameters, correlations, self.config.use)
-        return found
+                messages += correlation_warnings(parameters, correlations, self.config.use)
+        return messages
 
 
 def costs_of_each(objective: str, scores: Scores) -> Array:

@@ -53,10 +53,10 @@ class RaceResult:
 
 def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
     """Return numbers of candidates and drives per rung; each next rung has half the candidates and twice the drives."""
-    found = [(n_candidates, n_drives // FIRST_DIVISOR if n_drives >= MIN_DRIVES else min(1, n_drives))]
-    while (drives := found[-1][1]) < n_drives:
-        found.append(((found[-1][0] + 1) // 2, min(2 * drives, n_drives)))
-    return found
+    rungs = [(n_candidates, n_drives // FIRST_DIVISOR if n_drives >= MIN_DRIVES else min(1, n_drives))]
+    while (drives := rungs[-1][1]) < n_drives:
+        rungs.append(((rungs[-1][0] + 1) // 2, min(2 * drives, n_drives)))
+    return rungs
 
 
 def leader_at(problem: Problem[Any], point: Array, executor: Executor | None) -> Leader:
@@ -82,11 +82,11 @@ def race(
     each, costs = np.empty((n, 0)), np.full(n, np.inf)
     alive, dropped, steps = np.arange(n), list[NDArray[np.int64]](), 0
     for candidates, drives in [(n, m)] if many and not rival else rungs(n, m):
-        seen, fresh = order[: each.shape[1]], order[each.shape[1] : drives]
+        compared, fresh = order[: each.shape[1]], order[each.shape[1] : drives]
         ranked = alive[np.argsort(costs[alive], kind="stable")]
         kept = ranked[:candidates]
-        if rival and len(seen):
-            kept = kept[_ahead(each[kept], costs[kept], rival, seen)]
+        if rival and len(compared):
+            kept = kept[_ahead(each[kept], costs[kept], rival, compared)]
         alive = np.sort(kept)
         dropped.append(ranked[~np.isin(ranked, kept)])
         if not len(alive):
@@ -109,11 +109,11 @@ def race(
     return RaceResult(costs, steps, failures, leader)
 
 
-def _ahead(each: Array, costs: Array, rival: Leader, seen: NDArray[np.int64]) -> Mask:
+def _ahead(each: Array, costs: Array, rival: Leader, drives: NDArray[np.int64]) -> Mask:
     """Select candidates that are better than the leader by more than a standard error of the difference."""
     with np.errstate(invalid="ignore"):  # a failed candidate has infinite costs
-        spread = (each - rival.each[seen]).std(axis=1, ddof=1)
-    return costs + spread / np.sqrt(len(seen)) < rival.cost
+        spread = (each - rival.each[drives]).std(axis=1, ddof=1)
+    return costs + spread / np.sqrt(len(drives)) < rival.cost
 
 
 def _in_order(each: Array, order: NDArray[np.int64]) -> Array:

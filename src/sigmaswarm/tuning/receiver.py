@@ -132,8 +132,8 @@ def prior_warnings(
             continue
         if np.isfinite(one.stated):
             lasting = f"; its fixes scatter less, so their errors are correlated, and {UNKNOWN}"
-            more = lasting if std > MAX_SCATTER_RATIO * one.scatter else ""
-            return [f"{name}: R was kept near the {std:.2g} m per axis that the receiver states{more}"]
+            addition = lasting if std > MAX_SCATTER_RATIO * one.scatter else ""
+            return [f"{name}: R was kept near the {std:.2g} m per axis that the receiver states{addition}"]
         if std == UNSTATED_GPS_STD:
             why = (
                 f"{name} does not state the accuracy of its fixes, so R was kept near that of a typical receiver, "

@@ -77,8 +77,8 @@ class Trial:
 
 def saved_trials(folder: Path, count: int) -> tuple[Trial, ...]:
     """Read the trials of a finished tuning; return an empty tuple if one is missing."""
-    found = [finished_trial(folder, number) for number in range(count)]
-    trials = tuple(_trial(*done) for done in found if done)
+    finished = [finished_trial(folder, number) for number in range(count)]
+    trials = tuple(_trial(*done) for done in finished if done)
     return trials if len(trials) == count else ()
 
 
@@ -118,10 +118,10 @@ class TrialRunner:
         if self.start is not None:
             optimizer.begin_at(self.start)
         history, failures, leader = self._resumed(number, optimizer)
-        while len((found := self._generation(number, optimizer, history["best"], leader)).costs):
-            failures, leader = failures + found.failures, found.leader
-            steps = found.steps + int(history["steps"].max(initial=0))
-            latest = {"best": optimizer.global_cost, "median": np.median(found.costs), "steps": steps}
+        while len((race := self._generation(number, optimizer, history["best"], leader)).costs):
+            failures, leader = failures + race.failures, race.leader
+            steps = race.steps + int(history["steps"].max(initial=0))
+            latest = {"best": optimizer.global_cost, "median": np.median(race.costs), "steps": steps}
             history = {name: np.append(history[name], latest[name]) for name in HISTORY}
             if self.folder:
                 state = optimizer.state()
@@ -153,16 +153,16 @@ class TrialRunner:
 
     def _generation(self, number: int, optimizer: Budgeted, best: Array, leader: Leader | None) -> RaceResult:
         """Run one generation; the costs are empty after the end of the trial."""
-        found = RaceResult(np.empty(0), 0, 0, leader)
+        race = RaceResult(np.empty(0), 0, 0, leader)
         patience = self.config.patience
         stalled = patience is not None and len(best) > patience and best[-1] >= best[-1 - patience]
         if stalled and not optimizer.end_global_search():
-            return found
-        while len(found.costs) < self.config.particles and len(points := optimizer.ask()):
-            batch = self._batch(number, optimizer.spent, points, found.leader)
+            return race
+        while len(race.costs) < self.config.particles and len(points := optimizer.ask()):
+            batch = self._batch(number, optimizer.spent, points, race.leader)
             optimizer.tell(batch.costs)
-            found += batch
-        return found
+            race += batch
+        return race
 
     def _batch(self, number: int, spent: int, points: Array, leader: Leader | None) -> RaceResult:
         steps = self.problem.steps

@@ -62,19 +62,20 @@ def sensitivities(
     shares = np.array([0.5**k for k in range(10, -1, -1)])  # shares of the distance to the bound
     steps = np.stack([down, up], axis=1)
     points = (point + shares[:, np.newaxis] * steps[:, :, np.newaxis]).reshape(-1, len(point))
-    tried, of = np.unique(points, axis=0, return_inverse=True)  # a parameter at a bound moves one way only
-    rises = problem.relative_increase(problem.costs(tried, executor)[of], cost).reshape(
+    # A parameter at a bound moves one way only.
+    tried, inverse = np.unique(points, axis=0, return_inverse=True)
+    rises = problem.relative_increase(problem.costs(tried, executor)[inverse], cost).reshape(
         len(names), 2, len(shares)
     )
-    found: list[Sensitivity] = []
+    result: list[Sensitivity] = []
     for k, name in enumerate(names):
         reached = [_crossing(shares, rise) for rise in rises[k]]
         ends = [
             None if s is None else value(k, point + s * step)
             for s, step in zip(reached, steps[k], strict=True)
         ]
-        found.append(Sensitivity(name, value(k, point), *ends, lowest_rise=float(min(rises[k].min(), 0.0))))
-    return tuple(found)
+        result.append(Sensitivity(name, value(k, point), *ends, lowest_rise=float(min(rises[k].min(), 0.0))))
+    return tuple(result)
 
 
 def _crossing(shares: Array, rise: Array) -> float | None:
@@ -83,7 +84,7 @@ def _crossing(shares: Array, rise: Array) -> float | None:
     if not len(above):
         return None
     k = int(above[0])
-    left, before = (0.0, 0.0) if k == 0 else (float(shares[k - 1]), float(rise[k - 1]))
+    share, before = (0.0, 0.0) if k == 0 else (float(shares[k - 1]), float(rise[k - 1]))
     if not np.isfinite(rise[k]):
-        return left
-    return left + (float(shares[k]) - left) * (MAX_INCREASE - before) / (float(rise[k]) - before)
+        return share
+    return share + (float(shares[k]) - share) * (MAX_INCREASE - before) / (float(rise[k]) - before)

@@ -106,21 +106,21 @@ class SearchSpace(Bounds):
         return np.where(np.isfinite(values), np.clip(point, self.low, self.high), (self.low + self.high) / 2)
 
     def values_of(self, parameters: FilterParameters) -> dict[str, float]:
-        found = dict[str, float]()
+        values = dict[str, float]()
         for i, dimension in enumerate(self.dimensions):
             value, places = getattr(parameters, dimension.field), self._places[dimension.field]
-            found[dimension.name] = value[places.index(i)] if isinstance(places, list) else value
-        return found
+            values[dimension.name] = value[places.index(i)] if isinstance(places, list) else value
+        return values
 
     @cached_property
     def _places(self) -> dict[str, int | list[int]]:
         """Index of each field's dimension, or indices for the entries of a tuple."""
-        found: dict[str, int | list[int]] = {}
+        places: dict[str, int | list[int]] = {}
         for i, dimension in enumerate(self.dimensions):
-            before = found.get(dimension.field, [])
+            before = places.get(dimension.field, [])
             assert isinstance(before, list)
-            found[dimension.field] = [*before, *[i] * dimension.entries] if dimension.entries else i
-        return found
+            places[dimension.field] = [*before, *[i] * dimension.entries] if dimension.entries else i
+        return places
 
     @cached_property
     def _any(self) -> FilterParameters:

@@ -141,10 +141,10 @@ def tune(
         if out is not None:  # created only after all checks of the input
             place = stack.enter_context(locked_folder(Path(out)))
             folder = tuning_folder(place, problem, resume=bool(resume), start=first)
-        seen = _landmarks_of(problem, folder)
+        marks = _landmarks_of(problem, folder)
         pool = executor or stack.enter_context(ThreadPoolExecutor(cores()))
         options = {"held_back": held_back, "folder": folder, "progress": progress, "start": first}
-        return replace(tune_problem(problem, pool, **options), seen=seen)
+        return replace(tune_problem(problem, pool, **options), seen=marks)
 
 
 def _search_options(options: dict[str, Any], *, paper: bool) -> dict[str, Any]:
@@ -158,15 +158,15 @@ def _search_options(options: dict[str, Any], *, paper: bool) -> dict[str, Any]:
 
 def _landmarks_of(problem: Problem[Any], folder: ResultFolder | None) -> Sequence[Landmarks]:
     """Save and return the landmarks of the drives, since a cluster may stop before they are needed."""
-    seen = problem.seen
-    if folder is None or not seen:
-        return tuple(seen)
+    marks = problem.seen
+    if folder is None or not marks:
+        return tuple(marks)
     file, names = (
         folder.path / TRAINING_DATA_FILE,
         tuple((entry["name"], entry["sha256"]) for entry in problem.data),
     )
-    save_landmarks(seen, file, names)
-    return seen if isinstance(seen, Sequence) else SavedLandmarks(file, names)
+    save_landmarks(marks, file, names)
+    return marks if isinstance(marks, Sequence) else SavedLandmarks(file, names)
 
 
 def _problem_of(
@@ -296,14 +296,14 @@ def tune_problem(
 
 def check_disjoint(problem: Problem[Any], held_back: Problem[Any]) -> None:
     """Raise `InputError` if a validation drive overlaps with a training drive."""
-    seen = {entry["sha256"] for entry in problem.data}
-    both = [entry["name"] for entry in held_back.data if entry["sha256"] in seen]
+    hashes = {entry["sha256"] for entry in problem.data}
+    both = [entry["name"] for entry in held_back.data if entry["sha256"] in hashes]
     if both:
         raise InputError(f"{both[0]} is also a training drive; use other drives for validation")
     known = tuple(problem.seen)
     for drive in held_back.seen:
-        if found := overlap_of(drive, known):
+        if overlap := overlap_of(drive, known):
             raise InputError(
-                f"{drive.name}: {found.seconds:.0f} s of this drive are also in the training drives "
-                f"({', '.join(found.of)}); use other drives for validation"
+                f"{drive.name}: {overlap.seconds:.0f} s of this drive are also in the training drives "
+                f"({', '.join(overlap.of)}); use other drives for validation"
             )

@@ -220,13 +220,13 @@ class CheckPage(Page):
                         leave = button(
                             "Remove this part (two drives)", lambda: self.leave_out(*span()), "call_split"
                         )
-                        for way in (keep, leave):
-                            way.set_enabled(not self.waiting)
+                        for choice in (keep, leave):
+                            choice.set_enabled(not self.waiting)
                 show_map(drive, "Map of the drive", 340)
 
 
 def _agreements(drive: Drive) -> Agreements:
-    return {found.key: found for found in agreements(drive)}
+    return {agreement.key: agreement for agreement in agreements(drive)}
 
 
 def _apply(drive: Drive, step: Step) -> Drive:

@@ -56,9 +56,9 @@ class EvaluatePage(Page):
         if tuning is None:
             return []
         held = tuning.validation.drives if tuning.validation else ()
-        seen = {one["name"] for one in tuning.data}
+        training = {one["name"] for one in tuning.data}
         there = [name for name in held if name in self.bench.drive_names]
-        return there or [name for name in self.bench.drives if name not in seen]
+        return there or [name for name in self.bench.drives if name not in training]
 
     def _begin(self) -> None:
         self.start("evaluating", self._evaluate, {**self.chosen}, then=self._show)
@@ -75,11 +75,11 @@ class EvaluatePage(Page):
         tuning = Tuning.load(folder)
         against = Tuning.load(self.bench.path("tunings", rival)) if rival else None
         drives = [self.bench.read(name) for name in chosen["drives"]]
-        found = sigmaswarm.evaluate(drives, tuning, against=against)
+        evaluation = sigmaswarm.evaluate(drives, tuning, against=against)
         stem = f"{chosen['tuning']}-against-{rival}" if rival else chosen["tuning"]
         name = self.bench.free("evaluations", stem)
         made = self.bench.path("evaluations", name)
-        save_evaluation(found, made, folder)
+        save_evaluation(evaluation, made, folder)
         sigmaswarm.report(made, made / "page.html")
         return name
 

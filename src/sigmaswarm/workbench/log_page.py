@@ -146,9 +146,9 @@ class LogPage(OpenLog):
             text("h2", "Agreement of the IMU with the fixes")
             text("p", "Solid: measured by the IMU. Dashed: expected. Zoom with the mouse.", "soft")
             with box("grid"):
-                for found in self.found:
-                    if found.key in ("gravity", "turning", "forward"):
-                        agreement_plot(found)
+                for agreement in self.found:
+                    if agreement.key in ("gravity", "turning", "forward"):
+                        agreement_plot(agreement)
                 with ui.element("figure"):
                     text("figcaption", "Map of the fixes")
                     show_map(drive, "Map of the fixes", 220)

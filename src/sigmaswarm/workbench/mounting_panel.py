@@ -49,9 +49,9 @@ class MountingPanel:
         with card():
             text("h2", "Mounting of the IMU in the vehicle")
             message(wrong, "bad")
-            with box("message good").props('role="status"') as found:
+            with box("message good").props('role="status"') as element:
                 ui.label().bind_text_from(self.page, "mounted")
-            found.bind_visibility_from(self.page, "mounted")
+            element.bind_visibility_from(self.page, "mounted")
             with box("grid"):
                 picture = ui.html(sketch(rotation), sanitize=False)
                 with box():
@@ -147,16 +147,16 @@ def _polygon(places: Array, style: str) -> str:
 def _arrow(start: Array, end: Array, color: str, name: str) -> str:
     first, last = _place(np.array([start, end]))
     length = float(np.hypot(*(last - first)))
-    along = (last - first) / length if length >= 8 else np.array([0.7, -0.7])
-    across = np.array([-along[1], along[0]])
-    head = np.array([last, last - 9 * along + 4.5 * across, last - 9 * along - 4.5 * across])
+    direction = (last - first) / length if length >= 8 else np.array([0.7, -0.7])
+    across = np.array([-direction[1], direction[0]])
+    head = np.array([last, last - 9 * direction + 4.5 * across, last - 9 * direction - 4.5 * across])
     if length >= 8:
         (x0, y0), (x1, y1) = first, last
         ends = f'x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}"'
         drawn = f'<line {ends} stroke="{color}" stroke-width="3"/>' + _polygon(head, f'fill="{color}"')
     else:  # towards the viewer, or away
         drawn = f'<circle cx="{last[0]:.1f}" cy="{last[1]:.1f}" r="5" fill="{color}"/>'
-    x, y = last + 9 * along
+    x, y = last + 9 * direction
     style = 'text-anchor="middle" dominant-baseline="middle" font-size="14" font-weight="700"'
     halo = 'stroke="#fff" stroke-width="4" paint-order="stroke"'
     return f'{drawn}<text x="{x:.1f}" y="{y:.1f}" fill="{color}" {style} {halo}>{name}</text>'

@@ -79,9 +79,9 @@ class OpenLog(Page):
             )
             self.status.refresh()
 
-    def _found_mounting(self, found: tuple[str, str] | None) -> None:
-        if found:
-            mount, self.mounted = found
+    def _found_mounting(self, mounting: tuple[str, str] | None) -> None:
+        if mounting:
+            mount, self.mounted = mounting
             self.choose(mount=mount)
         else:
             self.after_reading = None
@@ -91,14 +91,14 @@ class OpenLog(Page):
 def _read(log: Path, choices: dict[str, Any]) -> Reading:
     """Inspect a log and import it; an error keeps the results of earlier stages."""
     settings = columns.settings_of(choices)
-    drive, found, notes = None, (), list[str]()
+    drive, mounting, notes = None, (), list[str]()
     inspection, wrong = attempt(sigmaswarm.inspect_log, log, **settings)
     if inspection is not None:
         notes += inspection.notes
         drive, wrong = attempt(sigmaswarm.import_log, log, say=notes.append, **settings)
     if drive is not None:
-        found, wrong = attempt(agreements, drive)
-    return inspection, drive, found or (), wrong, [*dict.fromkeys(notes)]
+        mounting, wrong = attempt(agreements, drive)
+    return inspection, drive, mounting or (), wrong, [*dict.fromkeys(notes)]
 
 
 def _mounting(log: Path, choices: dict[str, Any]) -> tuple[str, str]:

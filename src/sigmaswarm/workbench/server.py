@@ -155,13 +155,13 @@ class Guard:
     @staticmethod
     def _bounded(receive: Receive) -> Receive:
         """Disconnect after `MAX_UPLOAD_SIZE` bytes, since a header may state another length."""
-        taken = 0
+        size = 0
 
         async def counted() -> Scope:
-            nonlocal taken
+            nonlocal size
             message = await receive()
-            taken += len(message.get("body", b""))
-            return {"type": "http.disconnect"} if taken > MAX_UPLOAD_SIZE else message
+            size += len(message.get("body", b""))
+            return {"type": "http.disconnect"} if size > MAX_UPLOAD_SIZE else message
 
         return counted
 

@@ -51,9 +51,9 @@ class Workbench:
 
     def names(self, kind: str, holds: str = "") -> list[str]:
         """List the names of a kind whose folders contain the file ``holds``, the newest last."""
-        found = [p for p in (self.folder / kind).iterdir() if NAME.fullmatch(p.name) and not p.is_symlink()]
-        found = [p for p in found if not holds or (p / holds).is_file()]
-        return [p.name for p in sorted(found, key=lambda p: (p.stat().st_mtime, p.name))]
+        folders = [p for p in (self.folder / kind).iterdir() if NAME.fullmatch(p.name) and not p.is_symlink()]
+        folders = [p for p in folders if not holds or (p / holds).is_file()]
+        return [p.name for p in sorted(folders, key=lambda p: (p.stat().st_mtime, p.name))]
 
     def free(self, kind: str, name: str) -> str:
         """Return the name, with a number appended if the name exists."""

@@ -41,8 +41,8 @@ class TablePanel:
     @property
     def heading(self) -> str:
         roles: dict[str, set[str]] = {}
-        for (table_, _), found in self.uses.items():
-            for target, _ in found if table_ == self.preview.table else ():
+        for (table_, _), uses in self.uses.items():
+            for target, _ in uses if table_ == self.preview.table else ():
                 role, _, name = target.partition(".")
                 roles.setdefault(NAMES[role], set()).add("time" if name == "t" else name)
         description = "; ".join(f"{role}: {', '.join(sorted(names))}" for role, names in roles.items())
@@ -71,8 +71,8 @@ class TablePanel:
         with box("columns"):
             for row in self.rows:
                 row.show()
-        if (left := len(self.preview.ranges) - MAX_COLUMNS) > 0:
-            text("p", f"and {left} more columns, which expressions can also use", "soft")
+        if (hidden := len(self.preview.ranges) - MAX_COLUMNS) > 0:
+            text("p", f"and {hidden} more columns, which expressions can also use", "soft")
         first = self.inspection.rows[self.preview.table].head(5)
         if len(first) and (names := first.columns[:12]):
             with ui.expansion("First rows").classes("soft"):
@@ -89,14 +89,14 @@ class ColumnRow:
         self.shown: Any = None
 
     def state(self) -> tuple[list[tuple[str, str]], list[str]]:
-        found = self.panel.uses.get((self.panel.preview.table, self.about.column), [])
-        return found, self._faults(found[0][0] if found else "")
+        uses = self.panel.uses.get((self.panel.preview.table, self.about.column), [])
+        return uses, self._faults(uses[0][0] if uses else "")
 
     @ui.refreshable_method
     def show(self) -> None:
-        self.shown = found, faults = self.state()
+        self.shown = uses, faults = self.state()
         page, about, table_ = self.panel.page, self.about, self.panel.preview.table
-        target, expression = found[0] if found else (UNUSED, "")
+        target, expression = uses[0] if uses else (UNUSED, "")
         with box("column-row"):
             with box():
                 ui.label(about.column).classes("column-name")
@@ -109,7 +109,7 @@ class ColumnRow:
             use.classes("field").props("dense options-dense")
             if target:
                 self._unit(target, expression)
-            for also, sentence in found[1:]:
+            for also, sentence in uses[1:]:
                 ui.label(f"also {TARGETS[also]} = {sentence}").classes("about")
             for sentence in faults:
                 with box("wrong").props('role="alert"'):

@@ -240,13 +240,13 @@ class TunePage(Page):
         names = self.bench.finished
         if not names:
             return
-        found = {name: attempt(Tuning.load, self.bench.path("tunings", name)) for name in names}
-        tunings = {name: tuning for name, (tuning, _) in found.items() if tuning}
+        loaded = {name: attempt(Tuning.load, self.bench.path("tunings", name)) for name in names}
+        tunings = {name: tuning for name, (tuning, _) in loaded.items() if tuning}
         with box("section"):
             text("h2", "Tunings")
             rows = [[name, *_row(tuning)] for name, tuning in tunings.items()]
             table(["name", "filter", "objective", "cost", "held out", "drives"], rows, "stacks")
-            for _, wrong in found.values():
+            for _, wrong in loaded.values():
                 message(wrong, "bad")
             costs = {
                 name if len(t.trials) == 1 else f"{name}, trial {i + 1}": best_so_far(trial.best.tolist())

@@ -158,8 +158,8 @@ class Design:
 
     @cached_property
     def _default_options(self) -> dict[str, Any]:
-        found, _ = default_filter_options({}, self.drives)
-        return {**found, "objective": objective_for(self.drives, "auto", found["model"], found["use"])}
+        options, _ = default_filter_options({}, self.drives)
+        return {**options, "objective": objective_for(self.drives, "auto", options["model"], options["use"])}
 
     def members(self, group: str) -> list[int]:
         return [i for i, stratum in enumerate(self.strata) if group in (ALL, stratum)]
@@ -230,18 +230,18 @@ def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[st
     if not c.rivals or (c.drives and not c.elsewhere):
         return {}
     if c.elsewhere:
-        found = {"as given": [read_drive(place) for place in all_drive_locations(c.elsewhere)]}
+        drives_by_place = {"as given": [read_drive(place) for place in all_drive_locations(c.elsewhere)]}
         own = [drive for drive in home.drives if isinstance(drive, Drive)]
-        _require_apart([landmarks(drive) for drive in (*own, *found["as given"])])
+        _require_apart([landmarks(drive) for drive in (*own, *drives_by_place["as given"])])
     else:
         imu = next(name for name in OTHER_IMU if name != c.imu)
         runs, seed = min(c.runs, 2), c.seed + 1  # other roads
-        found = {
+        drives_by_place = {
             f"IMU {imu} for {c.imu}": _simulated(c, executor, runs, seed=seed, imu=imu),
             f"car {OTHER_CAR} for {HOME_CAR}": _simulated(c, executor, runs, seed=seed, vehicle=OTHER_CAR),
         }
     designs: dict[str, Design] = {}
-    for place, drives in found.items():
+    for place, drives in drives_by_place.items():
         _require_truth(drives)
         conditions = tuple(map(_condition_of, drives))
         strata = tuple(map("-".join, conditions))
@@ -278,9 +278,9 @@ def _condition_of(drive: Drive) -> tuple[str, str]:
 def _require_apart(marks: Sequence[Landmarks]) -> None:
     """Raise `InputError` if drives share a part, which could be in training and in test drives."""
     for i, one in enumerate(marks):
-        if found := overlap_of(one, marks[:i]):
+        if overlap := overlap_of(one, marks[:i]):
             raise InputError(
-                f"{one.name}: {found.seconds:.0f} s of this drive are also in {', '.join(found.of)}; remove one of "
+                f"{one.name}: {overlap.seconds:.0f} s of this drive are also in {', '.join(overlap.of)}; remove one of "
                 "them, since a study trains on some drives and tests on others"
             )
 

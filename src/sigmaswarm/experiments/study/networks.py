@@ -88,23 +88,23 @@ def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrive
     The drives for more minutes include those for fewer minutes. If too few drives are drawn for training, drives are
     added.
     """
-    left, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
+    remaining, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
     order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()
     for ready in (design.prepared[i] for i in order):
         drive, start = ready.drive, ready.initial.time
         if (length := float(drive.imu.time[-1]) - start) < MIN_DRIVING_TIME:
             continue
         sound = len(whole) >= MIN_DRIVES_TO_SPLIT or longest >= MIN_TIME_OF_ONLY_DRIVE
-        if left <= 0 or (left < MIN_DRIVING_TIME and sound):
+        if remaining <= 0 or (remaining < MIN_DRIVING_TIME and sound):
             if sound:
                 break
-            left = 0.0  # one more complete drive
-        took = min(length, left) if left >= MIN_DRIVING_TIME else length
+            remaining = 0.0  # one more complete drive
+        took = min(length, remaining) if remaining >= MIN_DRIVING_TIME else length
         if took == length:
             whole.append(drive)
         else:
             begun.append(clip(drive, end=start + took))
-        longest, driven, left = max(longest, took), driven + took, left - took
+        longest, driven, remaining = max(longest, took), driven + took, remaining - took
     chosen = begun + whole  # the last drives are held back, and these should be complete
     if len(chosen) < MIN_DRIVES_TO_SPLIT and longest < MIN_TIME_OF_ONLY_DRIVE:
         raise InputError(
@@ -191,18 +191,18 @@ def _score(
     for piece in run:
         errors.add(piece.time, piece.mean)
     sums = scores_from_sums({"tracking": [replay]}, {"tracking": run.sums})[0, 0]
-    found = {
+    scores = {
         "position_rmse_m": errors.score.position_rmse,
         "gps_rmse_m": sums.fix_rmse,
         "heading_rmse_deg": float(np.degrees(errors.score.heading_rmse)),
         "nis": sums.mean_nis,
     }
-    found = {measure: np.inf if run.failure else value for measure, value in found.items()}
+    scores = {measure: np.inf if run.failure else value for measure, value in scores.items()}
     for measure, length in {"outage_drift_m": OUTAGE_LENGTH, **long}.items():
         ends = outage_windows(ready.drive, ready.initial, length=length, seed=seed)[:, 1]
-        found[measure] = np.nan
+        scores[measure] = np.nan
         if len(ends):
             run = trained.run(outage_pass(ready, length=length, seed=seed))
             whole = run.whole()
-            found[measure] = np.inf if run.failure else rms_drift(ready, whole, ends)
-    return found
+            scores[measure] = np.inf if run.failure else rms_drift(ready, whole, ends)
+    return scores

@@ -220,8 +220,8 @@ class Results(_Part):
         return [row for row in self.summaries if (row.measure, row.maneuver, row.environment) == wanted]
 
     def summary(self, protocol: str, method: str, measure: str) -> VariantSummary | None:
-        found = (row for row in self.means(measure) if (row.protocol, row.method) == (protocol, method))
-        return next(found, None)
+        summaries = (row for row in self.means(measure) if (row.protocol, row.method) == (protocol, method))
+        return next(summaries, None)
 
     def content(self) -> dict[str, Any]:
         left_out = {"rivals"} if self.rivals is None else None
@@ -252,11 +252,11 @@ def spreads_of(scores: pl.DataFrame | pl.LazyFrame) -> list[ScoreQuantiles]:
     keys = ["protocol", "method", "measure"]
     value = pl.col("value").filter(pl.col("value").is_finite())
     drives = scores.lazy().group_by([*keys, "drive"], maintain_order=True).agg(pl.col("value").mean())
-    found = drives.group_by(keys, maintain_order=True).agg(
+    spreads = drives.group_by(keys, maintain_order=True).agg(
         *[value.quantile(q, "linear").alias(name) for name, q in QUANTILES.items()],
         (~pl.col("value").is_finite()).sum().alias("failed"),
     )
-    return [ScoreQuantiles(**row) for row in found.drop_nulls().collect().to_dicts()]
+    return [ScoreQuantiles(**row) for row in spreads.drop_nulls().collect().to_dicts()]
 
 
 def read_spreads(folder: Path) -> list[ScoreQuantiles]:

@@ -92,10 +92,10 @@ def _summaries(scores: ScoreTable, draws: Draws) -> Iterator[VariantSummary]:
         for place in (everywhere, *each):
             chosen = [i for i, c in enumerate(design.conditions) if place in (everywhere, c)]
             strata = [design.strata[i] for i in chosen]
-            found = summarize(values[:, chosen], strata, len(test) / len(train), draws)
-            if found.n_drives:
+            summaries = summarize(values[:, chosen], strata, len(test) / len(train), draws)
+            if summaries.n_drives:
                 of = {"protocol": protocol, "method": method, "measure": measure}
-                yield VariantSummary(**of, maneuver=place[0], environment=place[1], **dict(found))
+                yield VariantSummary(**of, maneuver=place[0], environment=place[1], **dict(summaries))
 
 
 def summarize(values: Array, strata: Sequence[str], test_per_train: float, draws: Draws) -> ScoreStatistics:
@@ -132,13 +132,13 @@ def _against(
     """Compare a variant with others; ``holm_p`` is corrected over these comparisons."""
     design, (protocol, method) = scores.design, variant
     own = scores.values[variant][measure]
-    found: dict[str, PairedStatistics] = {}
+    statistics: dict[str, PairedStatistics] = {}
     for other in others:
         theirs = scores.values[other].get(measure)
         if theirs is not None and np.any(np.isfinite(theirs)):
-            found[other[1]] = compare_paired(own, theirs, design.strata, draws)
-    corrected = holm([row.p for row in found.values()])
-    for (other, row), p in zip(found.items(), corrected, strict=True):
+            statistics[other[1]] = compare_paired(own, theirs, design.strata, draws)
+    corrected = holm([row.p for row in statistics.values()])
+    for (other, row), p in zip(statistics.items(), corrected, strict=True):
         yield PairedComparison(
             protocol=protocol, measure=measure, method=method, against=other, **dict(row), holm_p=p
         )
@@ -234,10 +234,10 @@ def _elsewhere(tables: Mapping[str, ScoreTable], home: Design, draws: Draws) -> 
     for place, scores in tables.items():
         ratio = len(scores.design.drives) / len(home.split(0)[0])
         for protocol, method, measure, values in scores.columns():
-            found = summarize(values, scores.design.strata, ratio, draws)
-            if found.n_drives:
+            summaries = summarize(values, scores.design.strata, ratio, draws)
+            if summaries.n_drives:
                 of = {"place": place, "protocol": protocol, "method": method, "measure": measure}
-                yield ElsewhereSummary(**of, maneuver=ALL, environment=ALL, **dict(found))
+                yield ElsewhereSummary(**of, maneuver=ALL, environment=ALL, **dict(summaries))
 
 
 def _curve(
@@ -256,8 +256,8 @@ def _curve(
             for method in (NETWORK_FILTER, task.method)
         )
         parts = [
-            (found.driven, {measure: values[k] for measure, values in curve.items()})
-            for k, (training, found) in enumerate(less.items())
+            (results.driven, {measure: values[k] for measure, values in curve.items()})
+            for k, (training, results) in enumerate(less.items())
             if training.network == task.method
         ]
         for driven, each in [(0.0, alone), *parts, (whole.driven, own)]:

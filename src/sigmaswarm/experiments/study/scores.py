@@ -147,14 +147,14 @@ def _score_sets(
 
     A score is ``inf`` if the filter failed, and NaN if no job includes the drive.
     """
-    found: dict[str, Array] = {}
+    results: dict[str, Array] = {}
     for drives, sets in jobs:
         for one in passes:
             scores = one.scorer.subset(drives).scores(sets, executor)
             for measure, take in one.take.items():
-                column = found.setdefault(measure, np.full((len(sets), len(design.drives)), np.nan))
+                column = results.setdefault(measure, np.full((len(sets), len(design.drives)), np.nan))
                 column[:, drives] = np.where(scores.failed & one.fits[drives], np.inf, take(scores))
-    return found
+    return results
 
 
 def _manual_jobs(method: str, design: Design) -> list[tuple[list[int], list[FilterParameters]]]:
@@ -226,8 +226,8 @@ def record_tracks(design: Design, parameters: Filters, trial: int) -> tuple[list
     pictures: list[Picture] = []
     for i in tracked_drives(design, trial):
         tuned = {f"{p}-{m}": parameters[Task(p, m, design.group_of(i), trial)] for p, m in TRACKED_FILTERS}
-        ((found, picture),) = design.map_prepared(partial(_followed, tuned=tuned, drawn=not pictures), [i])
-        tracks.append(found)
+        ((followed, picture),) = design.map_prepared(partial(_followed, tuned=tuned, drawn=not pictures), [i])
+        tracks.append(followed)
         pictures += [picture] if picture else []
     return tracks, pictures[0]
 

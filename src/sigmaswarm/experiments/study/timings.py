@@ -61,7 +61,7 @@ def rival_times(out: Path, design: Design, parameters: Filters, networks: Networ
     """
     ready = design.prepared[design.split(0)[1][0]]
     spent: dict[str, list[float]] = {}
-    found: Times = {}
+    results: Times = {}
     for task, own in {**parameters, **networks}.items():
         trial = f"trials/{task.folder}/trial-{task.trial:03d}"
         folder = Training(task.method, task.trial).folder if isinstance(own, TrainedNetwork) else trial  # pyright: ignore
@@ -69,10 +69,10 @@ def rival_times(out: Path, design: Design, parameters: Filters, networks: Networ
         if isinstance(times, float) and np.isfinite(times):
             spent.setdefault(task.folder, []).append(times)
         if task.trial == 0:
-            found[task.folder] = {"sample_us": _sample_us(own, ready)}
+            results[task.folder] = {"sample_us": _sample_us(own, ready)}
     for name, seconds in spent.items():
-        found[name] = {"training_s": float(np.mean(seconds)), **found[name]}
-    return found
+        results[name] = {"training_s": float(np.mean(seconds)), **results[name]}
+    return results
 
 
 def _sample_us(own: TrainedNetwork | FilterParameters, ready: PreparedDrive) -> float:
@@ -112,18 +112,18 @@ def _live_time(ready: PreparedDrive, kind: FilterKind, model: ModelName) -> dict
     for _ in range(2):  # the first round warms up
         interval = drive.nominal_interval
         live = LiveFilter(parameters, ready.initial, nominal_interval=interval, as_recorded=ready.as_recorded)
-        left, spent = deque[list[float]](fixes), {False: [], True: []}
+        waiting, spent = deque[list[float]](fixes), {False: [], True: []}
         for t, *imu in rows:
-            due = bool(left) and left[0][0] <= t
+            due = bool(waiting) and waiting[0][0] <= t
             began = time.perf_counter()
             if due:
-                fixed, *place = left.popleft()
+                fixed, *place = waiting.popleft()
                 live.update(fixed, place)
             live.predict(t, imu)
             if t > ready.initial.time:
                 spent[due].append(time.perf_counter() - began)
     times = dict[str, float]()
     for name, each in zip(("predict", "predict_and_update"), spent.values(), strict=True):
-        found = 1e3 * np.percentile(each, (50, 2.5, 97.5)) if each else np.full(3, np.nan)
-        times |= zip((f"{name}_ms", f"{name}_low_ms", f"{name}_high_ms"), found.tolist(), strict=True)
+        percentiles = 1e3 * np.percentile(each, (50, 2.5, 97.5)) if each else np.full(3, np.nan)
+        times |= zip((f"{name}_ms", f"{name}_low_ms", f"{name}_high_ms"), percentiles.tolist(), strict=True)
     return times

@@ -187,17 +187,17 @@ class LiveFilterBank(LiveFilter):
         now = float(self._filter_state[live.TIME])
         pending, self._pending = self._pending, None
         if pending is not None:
-            found = pending.result()
-            if found is not None:
-                self._replace(found, pending.logged, pending.led)
+            result = pending.result()
+            if result is not None:
+                self._replace(result, pending.logged, pending.led)
         elif self._searches:
             self._pending = self._begin()
         self._due = now + (SEARCH_DELAY if self._pending else SEARCH_INTERVAL - SEARCH_DELAY)
 
     def _settled_checkpoint(self) -> tuple[int, Array, Array] | None:
         """Return the last checkpoint that no late fix can change: index of its record, the record, the checkpoint."""
-        of = self._memory.arrays
-        counts, history, checkpoints = of.counts, of.history, of.checkpoints
+        arrays = self._memory.arrays
+        counts, history, checkpoints = arrays.counts, arrays.history, arrays.checkpoints
         n, kept = int(counts[live.N_SAMPLES]), int(counts[live.N_HISTORY])
         number = max(0, n - self._settled) // live.CHECKPOINT_EVERY * live.CHECKPOINT_EVERY
         place = number - (n - kept)
@@ -245,7 +245,7 @@ class LiveFilterBank(LiveFilter):
         step_log = self._numbers[STEP_LOG:].reshape(length, N_LOG_ROW)
         return step_log[np.arange(first, last) % length]
 
-    def _replace(self, found: SearchResult, replayed: int, led: int) -> None:
+    def _replace(self, result: SearchResult, replayed: int, led: int) -> None:
         """Replace the worst lanes by the result of a search and by copies of lanes; process the later samples again.
 
         ``replayed`` and ``led`` are the fields ``logged`` and ``led`` of the `PendingSearch`.
@@ -265,8 +265,8 @@ class LiveFilterBank(LiveFilter):
             :N_REPLACED
         ]
         parents = rng.choice(LANES, size=len(worst) - 1, p=weight / weight.sum())
-        state, evidence_now = self._brought_on(found, since)
-        offsets, states, known = [found.offsets], [state], [evidence_now]
+        state, evidence_now = self._brought_on(result, since)
+        offsets, states, known = [result.offsets], [state], [evidence_now]
         for parent in parents:
             jitter = COPY_STD * self.spread.std * rng.standard_normal(len(self.spread.names))
             offsets.append((self.offsets[parent] + jitter) * self.spread.lasting)
@@ -279,14 +279,14 @@ class LiveFilterBank(LiveFilter):
         for lane, its, state, evidence_of in zip(worst, offsets, states, known, strict=True):
             self.offsets[lane], rows[:, lane], evidence[lane] = its, state, evidence_of
         for snapshot in self._snapshots:
-            of = snapshot.ancestors.copy()
-            snapshot.ancestors[worst] = of[[led, *parents]]
-            snapshot.ancestors[failed] = of[leads]
+            ancestors = snapshot.ancestors.copy()
+            snapshot.ancestors[worst] = ancestors[[led, *parents]]
+            snapshot.ancestors[failed] = ancestors[leads]
         new = [*worst, *failed]  # the constants of the other lanes may have been adapted
         rows[CONSTANT_ROWS, new] = self.spread.constants(self._own_constants, self.offsets[new])
         rows[np.ix_(np.array(FUZZY_FACTORS), np.array(new))] = 1.0
         numbers[swarm.PENALTY] = self.spread.penalty(self.offsets)
-        self._population = found.population
+        self._population = result.population
         self.n_searches += 1
         filter_state, counts, _, fixes, speeds, history, checkpoints, _ = self._memory.arrays
         filter_state[live.BEHIND : live.BEHIND + swarm.N_CHECKPOINT] = numbers
@@ -297,10 +297,10 @@ class LiveFilterBank(LiveFilter):
             self._memory.step.address, filter_state, counts, fixes, speeds, history, checkpoints, place, True
         )
 
-    def _brought_on(self, found: SearchResult, since: Array) -> tuple[Array, float]:
+    def _brought_on(self, result: SearchResult, since: Array) -> tuple[Array, float]:
         """Return the lane (N_KEPT,) that a search found, and the lane's evidence, after the later steps ``since``."""
         steps = LoggedSteps(self._kernel, since, self._filter_state[live.LEVER].copy())
-        lane, known = steps.followed(found.lane, found.known)
+        lane, known = steps.followed(result.lane, result.known)
         return lane, known.evidence
 
     def _check_divergence(self, now: float, *, due: bool) -> None:
@@ -345,13 +345,13 @@ class LiveFilterBank(LiveFilter):
 
         The bias of the alignment is used if it is more precise than the known bias or contradicts it.
         """
-        seen = start.gyro
+        gyro = start.gyro
         surer = (
-            seen is not None
+            gyro is not None
             and len(mean) > GYRO_BIAS
-            and seen.variance[UP] < covariance[GYRO_BIAS, GYRO_BIAS]
+            and gyro.variance[UP] < covariance[GYRO_BIAS, GYRO_BIAS]
         )
-        contradicts = seen is not None and seen.taken != gyro_bias
+        contradicts = gyro is not None and gyro.taken != gyro_bias
         if surer or contradicts or not np.isfinite(mean.sum() + covariance.sum()):
             return
         lanes = [

@@ -54,8 +54,8 @@ class FilterEvidence:
         """Return the evidence after fixes at the times ``time``, s; each fix lowers the evidence by its ``lost``."""
         if not len(time):
             return self
-        left = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)
-        return FilterEvidence(float(left[0] * self.evidence - left[1:] @ lost), float(time[-1]))
+        decay = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)
+        return FilterEvidence(float(decay[0] * self.evidence - decay[1:] @ lost), float(time[-1]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,16 +49,16 @@ class OffsetPrior:
     @cached_property
     def deviations(self) -> dict[str, float]:
         """Standard deviation of each offset by name, in decades of variance; for the rear axle in m."""
-        p, found = self.tuning, dict[str, float]()
+        p, stds = self.tuning, dict[str, float]()
         for state in MODELS[p.model].states:
-            found[f"q_{state.shared}"] = WALK_STD if state.bias_of else Q_STD
-        found |= {R: R_STD, SCALE: SCALE_STD}
-        found |= {name: OTHER_STD for name, of in NOISE_OF.items() if getattr(p, of) is not None}
+            stds[f"q_{state.shared}"] = WALK_STD if state.bias_of else Q_STD
+        stds |= {R: R_STD, SCALE: SCALE_STD}
+        stds |= {name: OTHER_STD for name, noise in NOISE_OF.items() if getattr(p, noise) is not None}
         if MODELS[p.model].sensors:
-            found[START] = START_STD
+            stds[START] = START_STD
         if p.lateral_noise is not None:
-            found[AXLE] = AXLE_STD
-        return found
+            stds[AXLE] = AXLE_STD
+        return stds
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -87,8 +87,8 @@ class OffsetPrior:
 
     @cached_property
     def groups(self) -> dict[str, list[int]]:
-        biased = [lane for lane, by in enumerate(FIXED_OFFSETS) if START in by and R not in by]
-        receivers = [lane for lane, by in enumerate(FIXED_OFFSETS) if R in by]
+        biased = [lane for lane, changes in enumerate(FIXED_OFFSETS) if START in changes and R not in changes]
+        receivers = [lane for lane, changes in enumerate(FIXED_OFFSETS) if R in changes]
         others = [*range(len(FIXED_OFFSETS), LANES)]
         if START not in self.names:
             return {
@@ -113,10 +113,10 @@ class OffsetPrior:
     @cached_property
     def _decades(self) -> Array:
         """Change of each constant (decades) per change of each offset (decades), (N_CONSTANTS, d)."""
-        found = np.zeros((len(CONSTANTS), len(self.names)))
+        decades = np.zeros((len(CONSTANTS), len(self.names)))
 
         def grows(constant: str, name: str) -> None:
-            found[CONSTANTS.index(constant), self.names.index(name)] = 1.0
+            decades[CONSTANTS.index(constant), self.names.index(name)] = 1.0
 
         for state in MODELS[self.tuning.model].states:
             grows(f"Q_{LETTERS[state.name]}", f"q_{state.shared}")
@@ -125,52 +125,58 @@ class OffsetPrior:
         for name in self.names:
             if name in NOISE_OF:
                 grows(f"R_{name.upper()}", name)
-        found[:, self.names.index(SCALE)] = found.any(axis=1)
-        return found
+        decades[:, self.names.index(SCALE)] = decades.any(axis=1)
+        return decades
 
     def constants(self, tuned: Array, offsets: Array) -> Array:
         """Return the constants (N_CONSTANTS, m) of lanes with offsets (m, d), from the tuning's (N_CONSTANTS, 1)."""
-        found = tuned * 10.0 ** (self._decades @ offsets.T)
+        constants = tuned * 10.0 ** (self._decades @ offsets.T)
         if AXLE in self.names:
-            found[CONSTANTS.index("REAR_AXLE")] += offsets[:, self.names.index(AXLE)]
-        return found
+            constants[CONSTANTS.index("REAR_AXLE")] += offsets[:, self.names.index(AXLE)]
+        return constants
 
     def warnings(self, moved: Array) -> tuple[str, ...]:
         """Return warnings of offsets (d,) that are too large for the tuned vehicle."""
-        found, by = list[str](), dict(zip(self.names, moved.tolist(), strict=True))
-        common = by[SCALE]
+        messages, changes = list[str](), dict(zip(self.names, moved.tolist(), strict=True))
+        common = changes[SCALE]
         if abs(common) > WARNING_OFFSET:
-            found.append(_MEANS[SCALE].format(times=_times(common)))
-        for name, offset in by.items():
+            messages.append(_MEANS[SCALE].format(times=_times(common)))
+        for name, offset in changes.items():
             if name == AXLE:
                 if abs(offset) > WARNING_AXLE_OFFSET:
                     where = "back" if offset > 0 else "ahead"
-                    found.append(f"the rear axle lies {abs(offset):.1f} m farther {where} than in the tuning")
+                    messages.append(
+                        f"the rear axle lies {abs(offset):.1f} m farther {where} than in the tuning"
+                    )
             elif name not in (START, SCALE):
                 is_its_own = abs(offset) > WARNING_OFFSET or abs(common) <= WARNING_OFFSET
                 if is_its_own and abs(offset + common) > WARNING_OFFSET:
                     sentence = _MEANS.get(name, "the noise of {name} is {times}, which indicates another IMU")
-                    found.append(sentence.format(name=name.removeprefix("q_"), times=_times(offset + common)))
-        return tuple(found)
+                    messages.append(
+                        sentence.format(name=name.removeprefix("q_"), times=_times(offset + common))
+                    )
+        return tuple(messages)
 
     said = warnings  # deprecated name
 
     def parameters(self, offsets: Array) -> FilterParameters:
-        p, by = self.tuning, dict(zip(self.names, offsets.tolist(), strict=True))
+        p, decades = self.tuning, dict(zip(self.names, offsets.tolist(), strict=True))
         shared = [f"q_{state.shared}" for state in MODELS[p.model].states]
-        scale = 10.0 ** by[SCALE]
-        r = scale * 10.0 ** by[R]
+        scale = 10.0 ** decades[SCALE]
+        r = scale * 10.0 ** decades[R]
         changed = {
-            of: scale * 10.0 ** by[name] * getattr(p, of) for name, of in NOISE_OF.items() if name in by
+            noise: scale * 10.0 ** decades[name] * getattr(p, noise)
+            for name, noise in NOISE_OF.items()
+            if name in decades
         }
-        q = [scale * 10.0 ** by[name] * q for name, q in zip(shared, p.process_noise, strict=True)]
+        q = [scale * 10.0 ** decades[name] * q for name, q in zip(shared, p.process_noise, strict=True)]
         return replace(
             p,
             process_noise=tuple(q),
             measurement_noise=tuple(r * variance for variance in p.measurement_noise),
             accuracy_scale=None if p.accuracy_scale is None else r * p.accuracy_scale,
-            bias_std=tuple(10.0 ** (by.get(START, 0.0) / 2) * std for std in p.bias_std),
-            rear_axle=p.rear_axle + by.get(AXLE, 0.0),
+            bias_std=tuple(10.0 ** (decades.get(START, 0.0) / 2) * std for std in p.bias_std),
+            rear_axle=p.rear_axle + decades.get(AXLE, 0.0),
             **changed,
         )
 

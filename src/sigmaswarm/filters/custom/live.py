@@ -145,16 +145,16 @@ class LiveModel:
         return True
 
     def _process(self, sample: _Sample) -> None:
-        seen, now, (mean, covariance, runs) = sample.measurements, sample.time, self._state
-        ends = np.array([*(t for t, _ in seen), now])
+        measurements, now, (mean, covariance, runs) = sample.measurements, sample.time, self._state
+        ends = np.array([*(t for t, _ in measurements), now])
         steps = FilterSteps(
             dt=np.diff(ends, prepend=self._time),
             source=np.zeros(len(ends), dtype=np.int64),
-            updates=np.where(np.arange(len(ends)) < len(seen), np.arange(len(ends)), -1),
+            updates=np.where(np.arange(len(ends)) < len(measurements), np.arange(len(ends)), -1),
             records=np.where(ends == now, 0, -1),
             inputs=sample.inputs[np.newaxis],
-            measurements=np.array([z for _, z in seen]).reshape(-1, self._m),
-            measurement_time=ends[: len(seen)],
+            measurements=np.array([z for _, z in measurements]).reshape(-1, self._m),
+            measurement_time=ends[: len(measurements)],
             mean=mean,
             covariance=covariance,
         )
@@ -173,14 +173,14 @@ class LiveModel:
 
 def _numbers(name: str, values: ArrayLike, size: int, *, absent: bool = False) -> Array:
     try:
-        found = np.array(values, dtype=np.float64).ravel()
+        numbers = np.array(values, dtype=np.float64).ravel()
     except (TypeError, ValueError):
         raise InputError(f"{name} contains values that are not numbers; pass floats") from None
-    if len(found) != size:
-        raise InputError(f"{name} has {len(found)} numbers; pass {size}")
-    if (np.isinf(found) if absent else ~np.isfinite(found)).any():
+    if len(numbers) != size:
+        raise InputError(f"{name} has {len(numbers)} numbers; pass {size}")
+    if (np.isinf(numbers) if absent else ~np.isfinite(numbers)).any():
         raise InputError(f"{name} contains a value that is not finite; leave the sample out")
-    return found
+    return numbers
 
 
 def _seconds(t: float) -> float:

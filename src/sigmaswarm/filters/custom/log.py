@@ -129,12 +129,12 @@ class Log:
                     "pass one for each"
                 )
         object.__setattr__(self, "truth", truth)
-        seen = ~np.isnan(measurements)
-        if not seen.any(axis=1).all():
-            row = int(np.argmin(seen.any(axis=1)))
+        measured = ~np.isnan(measurements)
+        if not measured.any(axis=1).all():
+            row = int(np.argmin(measured.any(axis=1)))
             raise self.wrong(f"measurements[{row}] has no value, only nan; leave the row out")
         for i in range(measurements.shape[1]):
-            _check_overlap(self.name, f"measurements[:, {i}]", fixes[seen[:, i]], time)
+            _check_overlap(self.name, f"measurements[:, {i}]", fixes[measured[:, i]], time)
 
     def wrong(self, what: str) -> InputError:
         return _wrong(self.name, what)
@@ -250,5 +250,5 @@ def build_steps(log: Log) -> FilterSteps:
 
 def _rows(times: Array, ends: Array) -> NDArray[np.int64]:
     """Return the index in ``times`` of each of ``ends``; -1 if ``times`` does not contain it."""
-    found = np.isin(ends, times)
-    return np.where(found, np.cumsum(found) - 1, -1).astype(np.int64)
+    known = np.isin(ends, times)
+    return np.where(known, np.cumsum(known) - 1, -1).astype(np.int64)

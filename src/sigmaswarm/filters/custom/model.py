@@ -217,19 +217,19 @@ def fingerprint(*things: Any) -> str:
     Equal code with equal values has the same hash in every process, also for lambdas and functions in notebooks.
     """
     digest = hashlib.sha256()
-    seen: set[int] = set()
+    visited: set[int] = set()
     for thing in things:
-        _add(digest, thing, seen)
+        _add(digest, thing, visited)
     return digest.hexdigest()
 
 
-def _add(digest: Any, thing: Any, seen: set[int]) -> None:
+def _add(digest: Any, thing: Any, visited: set[int]) -> None:
     thing = getattr(thing, "py_func", thing)  # the Python function of a Numba dispatcher
     digest.update(type(thing).__name__.encode())
     if isinstance(thing, FunctionType):
-        if id(thing) in seen:  # it calls itself
+        if id(thing) in visited:  # it calls itself
             return
-        seen.add(id(thing))
+        visited.add(id(thing))
         cells = dict(zip(thing.__code__.co_freevars, thing.__closure__ or (), strict=True))
         outside = {name: cell.cell_contents for name, cell in cells.items()}
         outside |= {n: thing.__globals__[n] for n in _names(thing.__code__) if n in thing.__globals__}
@@ -253,7 +253,7 @@ def _add(digest: Any, thing: Any, seen: set[int]) -> None:
         call = type(thing).__call__ if callable(thing) else None
         parts = [type(thing).__qualname__, call, getattr(thing, "__dict__", None)]
     for part in parts:
-        _add(digest, part, seen)
+        _add(digest, part, visited)
     digest.update(b";")
 
 

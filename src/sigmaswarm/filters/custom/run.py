@@ -107,12 +107,12 @@ def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> Mod
     smoothed, failed = _nothing(steps, covariances=True), 0
     stepper = _textbook(model, steps, parameters, np.zeros((log.measurements.shape[1], 2)))
     if stepper is not None:
-        found = smooth_steps(stepper, len(steps.dt))
-        failed, smoothed = found.failed, replace(smoothed, nis=stepper.nis, nll=stepper.nll)
-        records = steps.records[: len(found.mean) - 1]
+        trajectory = smooth_steps(stepper, len(steps.dt))
+        failed, smoothed = trajectory.failed, replace(smoothed, nis=stepper.nis, nll=stepper.nll)
+        records = steps.records[: len(trajectory.mean) - 1]
         at = np.flatnonzero(records >= 0)
-        smoothed.mean[records[at]] = found.mean[at + 1]
-        smoothed.covariance[records[at]] = found.covariance[at + 1]
+        smoothed.mean[records[at]] = trajectory.mean[at + 1]
+        smoothed.covariance[records[at]] = trajectory.covariance[at + 1]
     return _estimate(log, model, steps, replace(smoothed, failed=failed))
 
 

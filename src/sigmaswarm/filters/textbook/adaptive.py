@@ -140,10 +140,10 @@ class StudentT:
         for _ in range(ITERATIONS):
             variance = innovation.variance - r + r / weight
             residual = r / weight @ np.linalg.solve(variance, nu)  # after the update
-            left = r / weight - r / weight @ np.linalg.solve(
+            remaining = r / weight - r / weight @ np.linalg.solve(
                 variance, r / weight
             )  # covariance of the residual
-            gamma = residual @ np.linalg.solve(r, residual) + np.trace(np.linalg.solve(r, left))
+            gamma = residual @ np.linalg.solve(r, residual) + np.trace(np.linalg.solve(r, remaining))
             weight = (self.dof + len(nu)) / (self.dof + gamma)
         return float(weight)
 
@@ -151,8 +151,8 @@ class StudentT:
 def stretched(filter: GaussianFilter, innovation: Innovation, size: float) -> Innovation:
     """Inflate the part of P that a fix observes until tr S is at least ``size``, m2; return the new innovation."""
     cross = innovation.cross
-    seen = cross.T @ np.linalg.solve(filter.covariance, cross)  # H P H^T, with H = C^T P^-1
-    factor = max(1.0, (size - np.trace(innovation.noise)) / np.trace(seen))
-    filter.inflate((factor - 1) * cross @ np.linalg.solve(seen, cross.T))
-    variance = innovation.variance + (factor - 1) * seen
+    observed = cross.T @ np.linalg.solve(filter.covariance, cross)  # H P H^T, with H = C^T P^-1
+    factor = max(1.0, (size - np.trace(innovation.noise)) / np.trace(observed))
+    filter.inflate((factor - 1) * cross @ np.linalg.solve(observed, cross.T))
+    variance = innovation.variance + (factor - 1) * observed
     return Innovation(innovation.nu, variance, factor * cross, innovation.noise)

@@ -111,9 +111,9 @@ class TextbookCar:
             lateral = model.lateral(float(line.gz[i]), arm)
             self.filter.update(np.zeros(1), np.array([[p.lateral_noise]]), lateral)
         if self.flags[i] & ODOMETER and p.odometer_noise is not None:
-            speed, age, more = self._wheels[self._wheels_of_step[i]]
+            speed, age, extra = self._wheels[self._wheels_of_step[i]]
             wheels = model.odometer(float(line.ax[i]), p.odometer_latency + age)
-            noise = np.array([[p.odometer_noise + more]])
+            noise = np.array([[p.odometer_noise + extra]])
             innovation = self.filter.measure(np.array([speed / p.odometer_scale]), noise, wheels)
             if innovation.nis <= SLIP_GATE:
                 self.filter.correct(innovation)

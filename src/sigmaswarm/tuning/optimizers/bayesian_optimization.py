@@ -179,12 +179,12 @@ def _highest(
     ranked = np.argsort(-improvement(tried), kind="stable")
     ends = [tried[ranked[0]]]
     for start in ranked[:searches]:
-        found: Any = minimize(
+        result: Any = minimize(
             improvement.negative_log_improvement,
             tried[start],
             jac=True,
             bounds=[(0, 1)] * d,
             method="L-BFGS-B",
         )
-        ends.append(np.clip(found.x, 0, 1))
+        ends.append(np.clip(result.x, 0, 1))
     return ends[int(np.argmax(improvement(np.array(ends))))]

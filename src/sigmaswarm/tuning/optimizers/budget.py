@@ -37,13 +37,13 @@ class Budgeted:
             self.first.begin_at(point)
 
     def ask(self) -> Array:
-        left = self.budget - self.spent
+        remaining = self.budget - self.spent
         batch = self._batch(self.local or self.first)
         polishes = self.local is None and self.polish and np.isfinite(self.global_cost)
-        if polishes and len(batch) > left - self.polish:
+        if polishes and len(batch) > remaining - self.polish:
             self.local = self._local_search()
             batch = self._batch(self.local)
-        self._size, self._points = len(batch), batch[: max(left, 0)]
+        self._size, self._points = len(batch), batch[: max(remaining, 0)]
         return self._points.copy()
 
     def _batch(self, optimizer: Optimizer) -> Array:
