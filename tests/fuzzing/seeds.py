@@ -1,5 +1,6 @@
 """A small sound log for every reader, and how it is asked for."""
 
+import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -122,6 +123,21 @@ def _kitti(folder: Path) -> Path:
     return sets.write_kitti(folder, make_drive(duration=12.0, imu_rate=10.0, gps_rate=2.0))
 
 
+def write_json(path: Path) -> Path:
+    """A sample on each line, with the fix in the first line after it."""
+    imu, gps = SHORT.imu, SHORT.gps
+    last = np.searchsorted(gps.time, imu.time, side="right") - 1
+    with path.open("w") as file:
+        for i, time in enumerate(imu.time.tolist()):
+            acc = {"x": imu.ax[i], "y": imu.ay[i], "z": imu.az[i]}
+            row = {"t": time, "acc": acc, "gyro": [imu.gx[i], imu.gy[i], imu.gz[i]]}
+            k = last[i]
+            if k >= 0 and (i == 0 or k > last[i - 1]):
+                row["gps"] = {"lat": gps.lat[k], "lon": gps.lon[k]}
+            file.write(json.dumps(row) + "\n")
+    return path
+
+
 SEEDS: dict[str, Seed] = {
     "drive": Seed(lambda f: write_drive(SHORT, f / "d"), "text", ""),
     "drive-enu": Seed(lambda f: write_drive(make_drive(duration=4.0), f / "d"), "text", ""),
@@ -150,6 +166,7 @@ SEEDS: dict[str, Seed] = {
     "phyphox": Seed(_in("export", phones.phyphox), "text", "phyphox"),
     "phyphox-zip": Seed(_zipped(phones.phyphox), "zip", "phyphox"),
     "gnss-logger": Seed(_in("log.txt", phones.gnss_logger), "text", "gnss-logger"),
+    "json-lines": Seed(_in("log.jsonl", write_json), "text", "json"),
     "ros1": Seed(_in("log.bag", lambda p: write_ros(p, messages(SHORT, ROS1), "ros1")), "bytes", "ros"),
     "ros2-sqlite3": Seed(_in("bag", lambda p: write_ros(p, messages(SHORT))), "bytes", "ros"),
     "ros2-mcap": Seed(_in("bag", lambda p: write_ros(p, messages(SHORT), "mcap")), "bytes", "ros"),

@@ -1,6 +1,7 @@
 """Logs as people export them: read right, or refused with an option that reads them."""
 
 import datetime
+import json
 import re
 import zipfile
 from collections.abc import Callable
@@ -654,3 +655,54 @@ def test_the_proposed_origin_of_a_far_truth_fits_to_the_centimeter(tmp_path: Pat
     np.testing.assert_allclose(drive.gps.x, drive.truth.x, atol=0.02)
     pl.DataFrame({"t": T, "x": PATH["x"] + 691e3, "y": PATH["y"] + 5325e3}).write_csv(tmp_path / "truth.csv")
     assert any("probably those of a map (UTM)" in note for note in imported(tmp_path).notes)
+
+
+def records(table: Columns) -> list[dict[str, object]]:
+    return pl.DataFrame({**table}).to_dicts()
+
+
+def with_kind(kind: str, table: Columns) -> list[dict[str, object]]:
+    return [{"sensor": kind, **{k: str(v) for k, v in row.items()}} for row in records(table)]
+
+
+def nested(i: int) -> str:
+    row = {k: float(v[i]) for k, v in IMU.items()}
+    fix = {"gps": {k: float(v[i // EVERY]) for k, v in FIXES.items()}} if i % EVERY == 0 else {}
+    acc, gyro = {k[1]: row[k] for k in ("ax", "ay", "az")}, [row[k] for k in ("gx", "gy", "gz")]
+    return json.dumps({"t": float(T[i]), "acc": acc, "gyro": gyro, **fix})
+
+
+FORCE = {"time": (T * 1e9).astype(int) + EPOCH * 10**9, "x": IMU["ax"], "y": IMU["ay"], "z": IMU["az"]}
+TURN = {"time": FORCE["time"], "x": IMU["gx"], "y": IMU["gy"], "z": IMU["gz"]}
+PLACE = {"time": FORCE["time"][::EVERY], "latitude": FIXES["lat"], "longitude": FIXES["lon"]}
+SENSORS = {"Accelerometer": FORCE, "Gyroscope": TURN, "Location": PLACE}
+JSON: dict[str, Callable[[], str]] = {
+    "a list for each sensor": lambda: json.dumps({name: records(table) for name, table in SENSORS.items()}),
+    "one list of all sensors, numbers as texts": lambda: json.dumps(
+        [row for name, table in SENSORS.items() for row in with_kind(name, table)]
+    ),
+    "lines of nested objects, the last one cut off": lambda: "\n".join([*map(nested, range(N)), '{"t": 40.0, "acc']),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", JSON)
+@pytest.mark.parametrize("name", ["log.json", "log.txt"])
+def test_json(tmp_path: Path, form: str, name: str):
+    (tmp_path / name).write_text(JSON[form]())
+    require_right(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('[{"t": 1, "ax": }]', "is not valid JSON"),
+        ('{"t": 1}\n{"t" 2}\n{"t": 3}', "is not valid JSON"),
+        ('{"title": "a drive"}', "no list of objects"),
+        ('{"a": ' * 100_000, "is not valid JSON"),
+        ('[{"t": 1, "note": "x"}]', "no IMU samples"),
+    ],
+)
+def test_json_that_is_no_log_is_refused_in_one_line(tmp_path: Path, text: str, said: str):
+    (tmp_path / "log.json").write_text(text)
+    with pytest.raises(InputError, match=said):
+        imported(tmp_path / "log.json")

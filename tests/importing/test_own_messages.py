@@ -13,15 +13,19 @@ from rosbags.typesys import get_types_from_msg
 
 from importing.bags import ROS1, ROS2, Message, Writer2, messages, write_ros
 from importing.logs import EPOCH, a_drive, assert_close, imported
+from sigmaswarm import import_log
 from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.importing.convert import Request, import_drive
 from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.source import TableChoice
+from sigmaswarm.simulation import simulate
 from support import quickly, some
 
 DRIVE = a_drive(5.0)
 IMU, GPS = DRIVE.imu, DRIVE.gps
+AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 SENSOR = "uint64 timestamp\nfloat32[3] gyro_rad\nfloat32[3] accelerometer_m_s2\n"
 FIX = "uint64 timestamp\nfloat64 latitude_deg\nfloat64 longitude_deg\nuint8 fix_type\nfloat32 eph\n"
 DEFINED = {
@@ -269,3 +273,32 @@ def test_protobuf(tmp_path: Path, stamped: str):
     assert_close(got.imu, IMU, "ax ay az gx gy gz", 0)
     assert_close(got.gps, GPS, "lat lon alt", 0)
     np.testing.assert_allclose(got.imu.time, IMU.time, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("kind", "number"), [("ros1", "Float64"), ("mcap", "Float32"), ("sqlite3", "Float64")]
+)
+def test_arrays_of_numbers_are_recognized_by_their_values(tmp_path: Path, kind: str, number: str):
+    drive = simulate("urban", duration=60.0, imu_rate=50.0, run=1, gps="white-1m")
+    store = ROS1 if kind == "ros1" else ROS2
+    places = np.column_stack([drive.gps.x, drive.gps.y, 0 * drive.gps.x])
+    fixes = enu_to_geodetic(places, (50.0, 8.0, 100.0))
+    layout = store.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+
+    def sent() -> Iterator[Message]:
+        for topic, time, rows, form in (
+            ("/imu", drive.imu.time, np.column_stack([getattr(drive.imu, n) for n in AXES]), number),
+            ("/fix", drive.gps.time, fixes, "Float64"),
+        ):
+            make, dtype = store.types[f"std_msgs/msg/{form}MultiArray"], np.dtype(form.lower())
+            yield from (
+                (topic, t, make(layout, row.astype(dtype))) for t, row in zip(time, rows, strict=True)
+            )
+
+    bag = write_ros(tmp_path / ("log.bag" if kind == "ros1" else "log"), sent(), kind)
+    seen = inspect_request(Request(bag))
+    assert seen.works and "signs, axes and units agree" in seen.evidence
+    got = import_log(bag, say=[].append, **seen.settings)
+    for name in AXES:
+        np.testing.assert_allclose(getattr(got.imu, name), getattr(drive.imu, name), atol=1e-5)
+    np.testing.assert_allclose(got.gps.x - got.gps.x[0], drive.gps.x - drive.gps.x[0], atol=0.01)

@@ -43,7 +43,7 @@ class ImportOptions:
         Show tables or topics, rates, value ranges and the planned import. Write nothing.
     format
         Format: ros, mcap, kitti, nclt, comma2k19, rtklib, ubx, nmea, px4, ardupilot, matlab, sensor-logger, phyphox,
-        gnss-logger, csv.
+        gnss-logger, json, csv.
     gps
         Log of the fixes, if separate.
     truth

@@ -31,10 +31,11 @@ READERS: dict[str, tuple[str, str]] = {
     "sensor-logger": ("sensor_logger", "Sensor Logger's export, a folder or .zip"),
     "phyphox": ("phyphox", "phyphox's export as CSV, a folder or .zip"),
     "gnss-logger": ("gnss_logger", "a text file of Android's GnssLogger"),
+    "json": ("json_rows", "JSON: a list of objects, or an object on each line"),
     "csv": ("columns", "CSV or Parquet: a file or a folder of files; a zip of CSV files"),
 }
 # Formats of a single file
-_SINGLE = ("mcap", "rtklib", "ubx", "nmea", "px4", "ardupilot", "matlab", "gnss-logger")
+_SINGLE = ("mcap", "rtklib", "ubx", "nmea", "px4", "ardupilot", "matlab", "gnss-logger", "json")
 _MIXED = ("nmea", "gnss-logger")
 _TEXTS = (*_MIXED, "rtklib", "csv")
 # Most lines per row of a table, in a text of several kinds of lines; most lines above the rows
@@ -50,7 +51,7 @@ NOT_READ = {
     ".rtcm .rtcm3 .obs "
     ".rnx": "raw measurements; compute fixes with RTKLIB (convbin, rnx2rtkp), and import the .pos file",
     ".gpx .kml .kmz .fit": "a track; convert it to CSV, for example with: gpsbabel -i gpx -f IN -o unicsv -F track.csv",
-    ".json .jsonl .ndjson": "JSON; write it as CSV, for example with pandas.read_json(...).to_csv",
+    ".json .jsonl .ndjson": "JSON without objects; write a list with an object for each sample",
     ".npy .npz .pkl": "Python arrays; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
     ".h5 .hdf5": "HDF5; write its tables as CSV, for example with pandas.read_hdf(...).to_csv",
     ".gz .bz2 .xz .zst .7z .tar .tgz": "a compressed file or an archive; unpack it",

@@ -11,10 +11,11 @@ from sigmaswarm.drives.tables import Array
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.quantities import MAX_QUARTILE_RATIO, PER_G
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.times import column_time, median_of
+from sigmaswarm.importing.times import column_time, median_of, quoted_column
 from sigmaswarm.importing.units import G
 
-UNNAMED = re.compile(r"(?:c|.*_)\d+")
+UNNAMED = re.compile(r"(?:c|.*_)\d+|.*\[\d+\]")
+TIMES = ("received", "stamp")  # of a message
 # Magnitudes of gravity in the order of trial; 1 comes last, since it is also that of a quaternion
 GRAVITY = (G, *PER_G, 1.0)
 TOLERANCE = 0.05  # relative deviation of the median specific force from gravity
@@ -23,13 +24,16 @@ MAX_DEGREES = 2.0  # largest range of latitude and longitude in a log
 
 
 def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
-    """Return the expressions of a role's columns in a table whose columns all have numbers as names; {} if unclear."""
-    if len(frame) < 2 or not all(map(UNNAMED.fullmatch, frame.columns)):
+    """Return the expressions of a role's columns in a table whose columns have numbers as names; {} if unclear."""
+    names = [name for name in frame.columns if UNNAMED.fullmatch(name)]
+    if len(frame) < 2 or any(name not in (*names, *TIMES) and "." not in name for name in frame.columns):
         return {}
-    values = {name: frame[name].cast(pl.Float64, strict=False).to_numpy() for name in frame.columns}
+    values = {name: frame[name].cast(pl.Float64, strict=False).to_numpy() for name in names}
     place = _place(values) if role == "gps" else _axes(values)
     time = next(_times(frame), "")
-    return {"t": time, **place} if place and time else {}
+    return (
+        {"t": time, **{what: quoted_column(name) for what, name in place.items()}} if place and time else {}
+    )
 
 
 def _times(frame: pl.DataFrame) -> Iterator[str]:

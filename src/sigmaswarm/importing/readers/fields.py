@@ -26,7 +26,8 @@ def getter(column: str) -> Callable[[Any], Any]:
     def number(message: Any) -> Any:
         if isinstance(message, dict):
             return number_in(message, path, i)
-        return take(message) if i is None else float(take(message)[i])
+        value = take(message)
+        return value if i is None else float(value[i]) if i < len(value) else None
 
     return number
 
@@ -60,16 +61,32 @@ def stamp_of(message: Any) -> int | None:
     return None
 
 
-def columns_of(typestore: Any, msgtype: str, limits: Limits, path: Path) -> tuple[str, ...]:
+def columns_of(
+    typestore: Any, msgtype: str, limits: Limits, path: Path, first: Callable[[], Any]
+) -> tuple[str, ...]:
     """List the columns: ``received``, ``stamp`` if the message has a header, and one for each number.
 
-    The number of columns is limited, since a definition of 2 kB can nest hundreds of millions of fields.
+    The number of columns is limited, since a definition of 2 kB can nest hundreds of millions of fields. The message
+    that ``first`` returns determines the length of lists, as of Float64MultiArray.
     """
     if msgtype not in typestore.fielddefs:
         return ()
     paths = limits.first_columns(_paths(typestore, msgtype, "", 0), path)
+    lists = [name for name, kind in typestore.fielddefs[msgtype][1] if _is_list(kind)]
+    message = first() if lists else None
+    for name in lists:
+        length = len(getattr(message, name, ()))
+        paths += tuple(f"{name}[{i}]" for i in range(length if length <= MAX_ELEMENTS else 0))
     stamped = ("stamp",) if "header.stamp.sec" in paths else ()
     return ("received", *stamped, *(p for p in paths if not re.match(r"(.*\.)?header\.", p)))
+
+
+def _is_list(field: Any) -> bool:
+    """Return True for a list of float32 or float64 of any length."""
+    from rosbags.interfaces import Nodetype
+
+    node, detail = field
+    return node == Nodetype.SEQUENCE and detail[0][0] == Nodetype.BASE and detail[0][1][0].startswith("float")
 
 
 def _paths(typestore: Any, msgtype: str, before: str, depth: int) -> Iterator[str]:

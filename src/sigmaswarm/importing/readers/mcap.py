@@ -107,7 +107,12 @@ def _decoder(
     except (typesys.TypesysError, UnicodeDecodeError, RecursionError):
         return (), None
     deserialize = store.deserialize_cdr if encoding == "cdr" else store.deserialize_ros1
-    return columns_of(store, name, limits, path), lambda data: deserialize(data, name)
+
+    def first() -> Any:
+        found = next(reader.iter_messages(topics=[channel.topic]), None)
+        return found and deserialize(found[2].data, name)
+
+    return columns_of(store, name, limits, path, first), lambda data: deserialize(data, name)
 
 
 def _json(data: bytes) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import bz2
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +103,13 @@ def _bounded(stream: Callable[[], Any], limits: Limits, path: Path) -> Callable[
     return unpack
 
 
+def _first(reader: Any, topic: str) -> Any:
+    connections = [c for c in reader.connections if c.topic == topic]
+    for connection, _, raw in reader.messages(connections=connections):
+        return reader.deserialize(raw, connection.msgtype)
+    return None
+
+
 def _log(path: Path, reader: Any, limits: Limits) -> Log:
     tables: dict[str, Table] = {}
     unread: list[str] = []
@@ -113,7 +121,8 @@ def _log(path: Path, reader: Any, limits: Limits) -> Log:
         ) from None
     for topic, info in topics.items():
         kind = info.msgtype or "several types"
-        if columns := columns_of(reader.typestore, kind, limits, path):
+        first = partial(_first, reader, topic)
+        if columns := columns_of(reader.typestore, kind, limits, path, first):
             tables[topic] = Table(columns, kind, info.msgcount)
             limits = limits.less(len(columns))
         else:

@@ -1,0 +1,105 @@
+"""JSON: a list of objects, an object on each line, or lists of objects by name; each kind of objects is a table.
+
+Nested names are joined by dots, and the elements of a short list are columns.
+"""
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, cast
+
+import polars as pl
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.readers.columns import log_of_files
+from sigmaswarm.importing.readers.fields import MAX_DEPTH, MAX_ELEMENTS
+from sigmaswarm.importing.source import Limits, Log, first_bytes
+
+KINDS = ("sensor", "type", "name", "topic", "kind", "_measurement")
+MAX_KINDS = 50  # kinds of objects in a log
+Row = dict[str, Any]
+
+
+def recognizes(path: Path) -> bool:
+    head = first_bytes(path, 256).lstrip(b"\xef\xbb\xbf \r\n\t") if path.is_file() else b""
+    return re.match(rb'\[\s*\{\s*"|\{\s*"', head) is not None
+
+
+def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
+    limits.check_unpacked(path.stat().st_size, path)
+    content = _parsed(path)
+    named = cast("Mapping[str, Any]", content) if isinstance(content, dict) else {"": content}
+    tables: dict[str, list[Row]] = {}
+    for name, records in named.items():
+        rows = (
+            [dict(_flat(one)) for one in records if isinstance(one, dict)]
+            if isinstance(records, list)
+            else []
+        )
+        for kind, some in _by_kind(rows).items():
+            tables.setdefault(".".join(filter(None, (name, kind))) or path.name, []).extend(some)
+    if not any(tables.values()):
+        raise InputError(f"{path}: contains no list of objects; write a list with an object for each sample")
+    frames: dict[str, pl.LazyFrame] = {}
+    for name, rows in tables.items():
+        limits.check_rows(len(rows), path, name)
+        columns = limits.first_columns(iter(dict.fromkeys(key for row in rows for key in row)), path)
+        limits = limits.less(len(columns))
+        cells = {c: pl.Series([row.get(c) for row in rows], strict=False) for c in columns}
+        frames |= {name: pl.LazyFrame(cells)} if len(columns) > 1 else {}
+    return log_of_files(path, frames, "JSON")
+
+
+def _parsed(path: Path) -> Any:
+    text = path.read_text("utf-8-sig", errors="replace")
+    lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
+    try:
+        if len(lines) < 2 or not lines[0][1].strip().endswith("}"):
+            return json.loads(text)
+        rows: list[Any] = []
+        for number, line in lines:
+            try:
+                rows.append(json.loads(line))
+            except ValueError:
+                if number != lines[-1][0]:  # the last line of a log may be cut off
+                    raise
+        return rows
+    except (ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())[:100]
+        raise InputError(
+            f"{path}: is not valid JSON ({reason}); correct it, or export the log again"
+        ) from None
+
+
+def _by_kind(rows: list[Row]) -> dict[str, list[Row]]:
+    """Group objects by the first key of `KINDS` that all have, with few values."""
+    for key in KINDS:
+        kinds = {row.get(key) for row in rows}
+        if rows and None not in kinds and 1 < len(kinds) <= MAX_KINDS:
+            return {str(kind): [row for row in rows if row[key] == kind] for kind in sorted(kinds, key=str)}
+    return {"": rows}
+
+
+def _flat(record: Mapping[str, Any], before: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
+    for key, value in record.items():
+        name = f"{before}{key}"
+        if isinstance(value, dict) and depth < MAX_DEPTH:
+            yield from _flat(cast("Mapping[str, Any]", value), f"{name}.", depth + 1)
+        elif isinstance(value, list):
+            elements = dict(enumerate(cast("list[Any]", value)[:MAX_ELEMENTS]))
+            yield from ((f"{name}[{i}]", _cell(v)) for i, v in elements.items() if isinstance(v, int | float))
+        elif not isinstance(value, dict):
+            yield name, _cell(value)
+
+
+def _cell(value: Any) -> Any:
+    """Return a text, or a number, also if it is written as a text; integers beyond 64 bits become floats."""
+    if isinstance(value, str) and re.fullmatch(
+        r"[+-]?\d{1,19}(?:\.\d*)?(?:[eE][+-]?\d{1,3})?", value.strip()
+    ):
+        value = float(value) if re.search(r"[.eE]", value) else int(value)
+    if isinstance(value, int) and abs(value) >= 2**63:
+        value = float(value) if abs(value) < 1e300 else None
+    return float(value) if isinstance(value, bool) else value
