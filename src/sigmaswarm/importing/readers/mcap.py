@@ -108,11 +108,11 @@ def _decoder(
         return (), None
     deserialize = store.deserialize_cdr if encoding == "cdr" else store.deserialize_ros1
 
-    def first() -> Any:
+    def first_message() -> Any:
         found = next(reader.iter_messages(topics=[channel.topic]), None)
         return found and deserialize(found[2].data, name)
 
-    return columns_of(store, name, limits, path, first), lambda data: deserialize(data, name)
+    return columns_of(store, name, limits, path, first_message), lambda data: deserialize(data, name)
 
 
 def _json(data: bytes) -> dict[str, Any]:
