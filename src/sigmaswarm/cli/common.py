@@ -142,7 +142,7 @@ def stdout() -> "Console":
     return console(soft_wrap=True)
 
 
-def say(*lines: object) -> None:
+def print_lines(*lines: object) -> None:
     console = stdout()
     for line in lines:
         console.print(line)
@@ -157,7 +157,7 @@ def print_result(as_json: bool, content: Any, *lines: object) -> None:
     if as_json:
         print_json(content)
     else:
-        say(*lines)
+        print_lines(*lines)
 
 
 def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "Iterable[str]" = ()) -> None:
@@ -177,10 +177,10 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
         strong = each.strong | {len(each.rows) + i for i in mean.strong}
         table = replace(each, rows=each.rows + mean.rows, strong=strong)
     title = f"On {describe_drives(view.setup.data)} (lower is better)"
-    say(replace(table, caption=title).to_rich(grouped=True))
+    print_lines(replace(table, caption=title).to_rich(grouped=True))
     if verbose:
         caption = "Consistency of the tuned filter (NIS and NEES should be 2)"
-        say(
+        print_lines(
             replace(view.consistency_table(), caption=caption).to_rich(),
             view.radius_table().to_rich(),
             *sentences,
@@ -189,7 +189,7 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
     shown = tuple(dict.fromkeys((*sentences[:MAX_REMARKS], *view.missing_drifts())))
     hidden = [f"{len(sentences) - len(shown)} more remarks"] if len(sentences) > len(shown) else []
     *adds, last = [*(["each drive"] if several else []), "the consistency", *hidden]
-    say(
+    print_lines(
         *shown,
         f"--verbose also shows {' and '.join(filter(None, [', '.join(adds), last]))}",
     )

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_silently, require_writable, say
+from sigmaswarm.cli.common import print_json, print_lines, read_silently, require_writable
 from sigmaswarm.cli.options import Json, Overwrite
 from sigmaswarm.errors import InputError
 
@@ -57,6 +57,6 @@ def convert(
         require_writable([out / drive.name], given, overwrite=overwrite)
         sigmaswarm.write_drive(drive, out / drive.name, form=to, overwrite=overwrite)
         if not json:
-            say(f"wrote {out / drive.name}")
+            print_lines(f"wrote {out / drive.name}")
     if json:
         print_json({"drives": [str(out / name) for name in written]})

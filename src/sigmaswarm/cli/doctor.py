@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_result, read_drives, require_writable, say
+from sigmaswarm.cli.common import print_lines, print_result, read_drives, require_writable
 from sigmaswarm.cli.findings import has_repairable, next_steps, print_diagnosis, repair_whole
 from sigmaswarm.cli.options import FIELDS, Json, Overwrite
 from sigmaswarm.errors import AlignmentError, DriveWarning, InputError, SigmaswarmWarning
@@ -104,11 +104,11 @@ def _repair(
     repaired += ["lever-arm"] if arm and any(arm.observable) else []
     remaining = sigmaswarm.diagnose(copy)
     if repaired and not options.json:
-        say(f"wrote {folder}, repaired: {', '.join(repaired)}. Remaining findings:\n")
+        print_lines(f"wrote {folder}, repaired: {', '.join(repaired)}. Remaining findings:\n")
         print_diagnosis(remaining, explained)
     elif not options.json:
         why = "all repairs are withheld" if codes else "the doctor has no repair for these findings"
-        say(f"wrote {folder}, an unchanged copy: {why}\n")
+        print_lines(f"wrote {folder}, an unchanged copy: {why}\n")
     return remaining, {"path": str(folder), "mended": repaired, **remaining.to_dict()}
 
 

@@ -15,10 +15,10 @@ from sigmaswarm.cli.common import (
     cluster_at,
     print_evaluation,
     print_json,
+    print_lines,
     read_datasets,
     require_result_folder,
     require_tuning,
-    say,
 )
 from sigmaswarm.cli.findings import Remedy
 from sigmaswarm.cli.options import FIELDS, AsRecorded, Cluster, Json, Places, Seed, TrustLog
@@ -118,9 +118,9 @@ def evaluate(
     print_evaluation(result, verbose=options.verbose, more=more)
     if written:
         names = ", ".join(path.name for path in written) if options.verbose else f"{len(written)} files"
-        say(f"wrote {names} to {out}")
+        print_lines(f"wrote {names} to {out}")
     usable = not (learned or record.unusable)
-    say(*_next_steps(out, remedies, _export(tuning, tuned, drives) if usable else ()))
+    print_lines(*_next_steps(out, remedies, _export(tuning, tuned, drives) if usable else ()))
 
 
 def _check_input(tuning: Path, options: EvaluateOptions) -> None:
@@ -139,8 +139,8 @@ def _check_input(tuning: Path, options: EvaluateOptions) -> None:
 
 def _next_steps(out: Path | None, remedies: Sequence[Remedy], export: Iterable[str]) -> Iterator[str]:
     if remedies:
-        command, mended = remedies[0]
-        yield f"next: {command}    (then {'use the repaired copy' if mended else 'correct the log'})"
+        command, repaired = remedies[0]
+        yield f"next: {command}    (then {'use the repaired copy' if repaired else 'correct the log'})"
     elif out:
         yield f"next: sigmaswarm report {quote(str(out))}"
         yield from export

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_drives, read_silently, require_tuning, say
+from sigmaswarm.cli.common import print_json, print_lines, read_drives, read_silently, require_tuning
 from sigmaswarm.cli.options import FIELDS, Json
 from sigmaswarm.exports.names import AnyTarget, next_command
 from sigmaswarm.wording import TO_DO
@@ -102,8 +102,10 @@ def export(
         comparison = {"checked": [asdict(check) for check in checked]} if checked else {}
         print_json({"written": [str(path) for path in written], **comparison})
     else:
-        say(*(f"wrote {path}" for path in written), *(_describe(check, options.lanes) for check in checked))
-        say(*_mounting_notes(to, record), f"next: {next_command(to, out, texts)}")
+        print_lines(
+            *(f"wrote {path}" for path in written), *(_describe(check, options.lanes) for check in checked)
+        )
+        print_lines(*_mounting_notes(to, record), f"next: {next_command(to, out, texts)}")
     for warning in record.unusable:  # the last line, since nothing else is as important
         warnings.warn(f"{tuning}: {warning.removeprefix(TO_DO)}", sigmaswarm.SigmaswarmWarning, stacklevel=1)
 

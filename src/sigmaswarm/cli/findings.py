@@ -147,13 +147,13 @@ def repair_and_split(diagnosis: "Diagnosis", folder: Path, options: Sequence[str
         return
     if not (diagnosis.serious or has_repairable(diagnosis)):
         return
-    command, mended = exchanging(diagnosis, folder) or repair_command(diagnosis, folder)
-    if mended is None:
+    command, copy = exchanging(diagnosis, folder) or repair_command(diagnosis, folder)
+    if copy is None:
         yield f"next: {command}    (then correct the serious faults in the log, and split again)"
         return
     yield f"next: {command}    (repair the whole drive, then split again)"
     parts = str(free_path("parts"))
-    yield f"then: {shlex.join(['sigmaswarm', 'split', str(mended), '--out', parts, *options])}"
+    yield f"then: {shlex.join(['sigmaswarm', 'split', str(copy), '--out', parts, *options])}"
 
 
 def exchanging(diagnosis: "Diagnosis", folder: "Location") -> Remedy | None:
@@ -201,9 +201,9 @@ def next_steps(diagnosis: "Diagnosis", out: Path, part: str = "") -> Iterator[st
             return
         following = f"{_doctor(whole)}    (this whole drive needs no repair)"
     elif diagnosis.serious or has_repairable(diagnosis):
-        command, mended = exchanging(diagnosis, out) or repair_command(diagnosis, out)
-        go_on = f"{command}    (then continue with {mended}, not with {out})"
-        following, ready = (go_on, mended) if mended else ("correct the serious faults in the log", out)
+        command, copy = exchanging(diagnosis, out) or repair_command(diagnosis, out)
+        go_on = f"{command}    (then continue with {copy}, not with {out})"
+        following, ready = (go_on, copy) if copy else ("correct the serious faults in the log", out)
     elif no_start := next((finding for finding in diagnosis.findings if finding.code == "no-start"), None):
         yield f"next: {no_start.remedy}"
         return

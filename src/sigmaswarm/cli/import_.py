@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.common import parse_numbers, print_json, say, stdout
+from sigmaswarm.cli.common import parse_numbers, print_json, print_lines, stdout
 from sigmaswarm.cli.findings import affects_axes, next_steps, print_diagnosis
 from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json, Overwrite
 from sigmaswarm.cli.terminal import progress_bar
@@ -224,10 +224,10 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
     if options.json:
         print_json(_summary(imported, out) | {"doctor": diagnosis.to_dict()})
         return
-    say(*_report(imported, out, diagnosis))
+    print_lines(*_report(imported, out, diagnosis))
     print_diagnosis(diagnosis)
     again = _with_exchanged_fixes(diagnosis)
-    say(*([f"next: {again}"] if again else next_steps(diagnosis, out)))
+    print_lines(*([f"next: {again}"] if again else next_steps(diagnosis, out)))
 
 
 def _with_exchanged_fixes(diagnosis: "Diagnosis") -> str:
@@ -302,27 +302,27 @@ def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
         rows = f", {preview.rows} rows" if preview.rows is not None else ""
         rate = f", {preview.rate:.4g} Hz" if preview.rate else ""
         console.print(f"{printable(preview.table)}: {printable(preview.kind)}{rows}{rate}", style="bold")
-        say(*_columns(preview))
-    say("(lowest, median and highest value of each column in the first rows)")
+        print_lines(*_columns(preview))
+    print_lines("(lowest, median and highest value of each column in the first rows)")
     planned = "The recipe that import would use (save it with --save-recipe, change it with --map):"
     console.print(f"\n{planned}", style="bold")
     recipe = "\n".join(printable(line, 1000) for line in inspection.recipe.to_toml().split("\n"))
-    say(recipe or "nothing was recognized; map the columns with --map")
-    say(*(f"note: {printable(note, 1000)}" for note in inspection.notes))
+    print_lines(recipe or "nothing was recognized; map the columns with --map")
+    print_lines(*(f"note: {printable(note, 1000)}" for note in inspection.notes))
     if inspection.proposal:
         title = "To read the other columns, add to the command"
         console.print(f"\n{title}{'' if inspection.works else ', with the missing parts'}:", style="bold")
         of_rows = re.search(r"\b(imu|gps)\.t=", inspection.proposal)
         times = "; imu.t and gps.t are the times of the IMU's and the fixes' rows" if of_rows else ""
         evidence = f"({printable(inspection.evidence, 1000)}{times}; the mapping is applied only on request)"
-        say(printable(inspection.proposal, 4000), evidence)
+        print_lines(printable(inspection.proposal, 4000), evidence)
     if inspection.unread:
         console.print("\nColumns that neither the recipe nor the proposal uses:", style="bold")
     for table, columns in (inspection.unread or {}).items():
         more = f" and {len(columns) - MAX_UNUSED_COLUMNS} more" if len(columns) > MAX_UNUSED_COLUMNS else ""
-        say(f"{printable(table)}: {', '.join(map(printable, columns[:MAX_UNUSED_COLUMNS]))}{more}")
+        print_lines(f"{printable(table)}: {', '.join(map(printable, columns[:MAX_UNUSED_COLUMNS]))}{more}")
     ready = f"next: {_command(inspection, options)}" if inspection.works else NOT_READY_NOTE
-    say(f"\n{ready}")
+    print_lines(f"\n{ready}")
 
 
 def _command(inspection: "Inspection", options: ImportOptions) -> str:

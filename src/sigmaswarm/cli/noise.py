@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.common import print_json, require_result_folder, say
+from sigmaswarm.cli.common import print_json, print_lines, require_result_folder
 from sigmaswarm.cli.options import FIELDS, Json
 from sigmaswarm.errors import InputError
 
@@ -81,10 +81,10 @@ def noise(
     if options.json:
         print_json(measured.to_dict() | {"written": [str(path) for path in written], "texts": texts})
         return
-    say(measured.table().to_rich(grouped=True), *(f"note: {remark}" for remark in measured.remarks))
+    print_lines(measured.table().to_rich(grouped=True), *(f"note: {remark}" for remark in measured.remarks))
     if options.out is None:
-        say(*(line for file, text in texts.items() for line in ("", f"{file}:", text.rstrip("\n"))))
-    say(*(f"wrote {path}" for path in written))
+        print_lines(*(line for file, text in texts.items() for line in ("", f"{file}:", text.rstrip("\n"))))
+    print_lines(*(f"wrote {path}" for path in written))
 
 
 def _found(log: Path | None, options: NoiseOptions) -> "Noise":

@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, read_silently, require_writable, say
+from sigmaswarm.cli.common import print_json, print_lines, read_silently, require_writable
 from sigmaswarm.cli.findings import has_unrepairable, repair_and_split
 from sigmaswarm.cli.options import Json, Overwrite
 from sigmaswarm.files import free_path
@@ -63,9 +63,9 @@ def split(
     if json:
         print_json({"drives": [str(out / part.name) for part in parts]})
         return
-    say(*(f"wrote {out / part.name} ({part.duration:.0f} s)" for part in parts))
+    print_lines(*(f"wrote {out / part.name} ({part.duration:.0f} s)" for part in parts))
     repairs = [] if own else [*repair_and_split(diagnosis, drive, _options(train_fraction, at))]
-    say(*(repairs or _next_steps(parts, out, own=own)))
+    print_lines(*(repairs or _next_steps(parts, out, own=own)))
 
 
 def _options(train_fraction: float | None, at: list[float] | None) -> list[str]:
@@ -109,10 +109,10 @@ def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path, *, own: bool) ->
     if unusable or any(map(has_unrepairable, diagnoses)) or (serious and not own):
         return [f"next: sigmaswarm doctor {train} {test}"]
     if serious:
-        mended = shlex.quote(str(Path("mended") / parts[0].name))
+        repaired = shlex.quote(str(Path("mended") / parts[0].name))
         return [
             f"next: sigmaswarm doctor {train} {test} --fix mended",
-            f"then: sigmaswarm tune {mended} --out {tuned}",
+            f"then: sigmaswarm tune {repaired} --out {tuned}",
         ]
     return [
         f"next: sigmaswarm tune {train} --out {tuned}",

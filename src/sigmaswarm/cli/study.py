@@ -5,7 +5,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
-from sigmaswarm.cli.common import cluster_at, print_json, require_result_folder, say
+from sigmaswarm.cli.common import cluster_at, print_json, print_lines, require_result_folder
 from sigmaswarm.cli.options import FIELDS, Cluster, Count, Json, options_of
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.experiments.study.config import QUICK_STUDY, StudyConfig, read_config
@@ -117,9 +117,9 @@ def _print(done: "Study", out: Path, page: Path) -> None:
     tables = [
         table for name, table in study_tables(done.results).items() if not name.startswith(FILE_ONLY_TABLES)
     ]
-    say(*(f"{t.to_markdown()}\n" for t in (*tables, runtime_table(done.results, done.record.live))))
+    print_lines(*(f"{t.to_markdown()}\n" for t in (*tables, runtime_table(done.results, done.record.live))))
     name = tuning_name("honest", DEFAULT_METHOD, done.design.group_of(0))
-    say(
+    print_lines(
         f"{objectives_compared(done.results)}\n",
         f"results: {out / 'results.json'}, {out / 'scores.csv'}",
         f"tables:  {out / 'tables'}",

@@ -122,8 +122,8 @@ def tune(
     from sigmaswarm.reports.tuning import save_tuning_figures  # late, since it takes memory
 
     if remedies:
-        command, mended = remedies[0]
-        then = "tune on the repaired copy" if mended else "correct the log, and tune again"
+        command, repaired = remedies[0]
+        then = "tune on the repaired copy" if repaired else "correct the log, and tune again"
         after = [
             f"next:     {command}",
             f"          then {then}, since the faults of the log distort this filter",
