@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from sigmaswarm import notebook
 from sigmaswarm.errors import DriveError
+from sigmaswarm.geodesy import Array
 
 if TYPE_CHECKING:
     import pandas as pd
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 

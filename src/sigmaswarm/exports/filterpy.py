@@ -25,6 +25,7 @@ WEIGHING = {
     "USE_STRETCH": "stretched",
 }
 """Parts of `textbook.adaptive` that a script contains, by feature."""
+GAPS_IN_THE_IMU = ["MANY", "SHORTEST", "OVER", "MOST", "gaps_before", "_find_gaps", "gap_of", "usual_after"]
 
 
 def filterpy(
@@ -64,7 +65,7 @@ def filterpy(
         ),
         "WRAP_SOURCE": source_of(geodesy, ["wrap_angle"]),
         "STALE_SOURCE": source_of(stale_fixes),
-        "GAPS_SOURCE": source_of(gaps),
+        "GAPS_SOURCE": source_of(gaps, GAPS_IN_THE_IMU),
         "GAP_SOURCE": source_of(schedule, ["GAP_TURN_STD", "GAP_ACCELERATION_STD", "gap_covariance"]),
         "ALIGNMENT_SOURCE": "\n\n\n".join(
             [

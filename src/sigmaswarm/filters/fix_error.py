@@ -15,11 +15,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.filters.models import MODELS, CarModel, State, Tilts
-
-Array = NDArray[np.float64]
+from sigmaswarm.geodesy import Array
 
 STATES = tuple(State(name, "m", (0.0, 0.0), name) for name in ("fix_error_x", "fix_error_y"))
 SUFFIX = "+fix-error"  # end of the name of a model with the states b

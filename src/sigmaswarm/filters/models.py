@@ -11,13 +11,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.names import FilterKind
-
-Array = NDArray[np.float64]
+from sigmaswarm.geodesy import Array
 
 MEASURED = {
     "velocity": "m2/s2",

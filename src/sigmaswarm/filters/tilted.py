@@ -11,11 +11,8 @@ specific force along the local up axis is gravity; otherwise, bumps would make t
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sigmaswarm.geodesy import wrap_angle
-
-Array = NDArray[np.float64]
+from sigmaswarm.geodesy import Array, wrap_angle
 
 GRAVITY = 9.81  # m/s2
 ATTITUDE = (8, 9, 4)  # indices of the error about east, north and up; also of roll, pitch and theta

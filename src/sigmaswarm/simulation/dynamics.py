@@ -17,11 +17,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.compilation import cached
+from sigmaswarm.geodesy import Array
 
-Array = NDArray[np.float64]
 compiled = cached(nogil=True, error_model="numpy")
 
 GRAVITY = 9.81  # m/s2, as in CARLA

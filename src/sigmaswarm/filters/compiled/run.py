@@ -26,8 +26,7 @@ from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.compiled.step_log import logged_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.fix_error import FILTERS
-
-Array = NDArray[np.float64]
+from sigmaswarm.geodesy import Array
 
 # State of a run in pieces: the next step, fix and target, the scale of Q since the last fix, the next wheel speed.
 NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE, NEXT_SPEED = range(5)

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sigmaswarm.geodesy import Array
+
 Process = Callable[[Array, float, Array], Array]
 Measurement = Callable[[Array], Array]
 

@@ -5,11 +5,9 @@ from inspect import get_annotations
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.errors import InputError
-
-Array = NDArray[np.float64]
+from sigmaswarm.geodesy import Array
 
 
 class Optimizer(Protocol):
