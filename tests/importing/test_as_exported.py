@@ -3,6 +3,8 @@
 import datetime
 import json
 import re
+import subprocess
+import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -706,3 +708,97 @@ def test_json_that_is_no_log_is_refused_in_one_line(tmp_path: Path, text: str, s
     (tmp_path / "log.json").write_text(text)
     with pytest.raises(InputError, match=said):
         imported(tmp_path / "log.json")
+
+
+CHIP = [(f"{a}_{i}", unit) for a, unit in (("a", "m/s2"), ("g", "rad/s")) for i in "xyz"]
+NAMES: dict[str, tuple[list[str], list[str], float]] = {  # of t, six axes; t, lat, lon; factor of t
+    "openpilot": (
+        ["logMonoTime", *(f"accelerometer.acceleration.v[{i}]" for i in range(3)),
+         *(f"gyroscope.gyroUncalibrated.v[{i}]" for i in range(3))],
+        ["logMonoTime", "latitude", "longitude"], 1e9,
+    ),
+    "GoPro": (["Milliseconds", "AcclX", "AcclY", "AcclZ", "GyroX", "GyroY", "GyroZ"],
+              ["Milliseconds", "Latitude", "Longitude"], 1e3),
+    "a chip": (["unit:timestamp[ms]", *(f"bmi160_{n}[{u}]" for n, u in CHIP)],
+               ["UnixTimeMillis", "LatitudeDegrees", "LongitudeDegrees"], 1e3),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("device", NAMES)
+def test_names_of_devices(tmp_path: Path, device: str):
+    imu, gps, ticks = NAMES[device]
+    start = 1_718_000_000 * ticks  # both in one clock
+    pl.DataFrame(dict(zip(imu, [start + np.round(T * ticks), *IMU.values()], strict=True))).write_csv(
+        tmp_path / "imu.csv"
+    )
+    rows = [start + np.round(T[::EVERY] * ticks), *FIXES.values()]
+    pl.DataFrame(dict(zip(gps, rows, strict=True))).write_csv(tmp_path / "gps.csv")
+    require_right(tmp_path)
+
+
+def typed(said: str, folder: Path) -> None:
+    """Run the command that a message states, with this Python."""
+    command = re.search(r'python -c "([^"]*)"', said)
+    words = (
+        [sys.executable, "-c", command[1]]
+        if command
+        else ["bash", "-c", re.search(r"sed -E .* > new\.csv", said)[0]]
+    )
+    subprocess.run(words, cwd=folder, check=True)
+
+
+def of_values(folder: Path) -> None:
+    rows = ["time,sensor,axis,value"]
+    rows += [
+        f"{t},{'acc' if k[0] == 'a' else 'gyro'},{k[1]},{v[i]}"
+        for i, t in enumerate(T)
+        for k, v in IMU.items()
+    ]
+    rows += [f"{t},gps,{k},{v[i]}" for i, t in enumerate(T[::EVERY]) for k, v in FIXES.items()]
+    (folder / "log.csv").write_text("\n".join(rows))
+
+
+def of_sensors(folder: Path) -> None:
+    rows = ["MessageType,utcTimeMillis,MeasurementX,MeasurementY,MeasurementZ"]
+    for i, t in enumerate((np.round(T * 1e3) + 1_718_000_000_000).astype(int)):
+        rows += [f"Accel,{t},{','.join(str(IMU[k][i]) for k in ('ax', 'ay', 'az'))}"]
+        rows += [f"Gyro,{t},{','.join(str(IMU[k][i]) for k in ('gx', 'gy', 'gz'))}"]
+    (folder / "log.csv").write_text("\n".join(rows))
+    (folder / "kinds").mkdir()
+    fixes = {"t": np.round(T[::EVERY] * 1e3) + 1_718_000_000_000, **FIXES}
+    pl.DataFrame(fixes).write_csv(folder / "kinds" / "gps.csv")
+
+
+def of_a_monitor(folder: Path) -> None:
+    last = np.arange(N) // EVERY
+    table = {"millis": np.round(T * 1e3).astype(int), **IMU, **{k: v[last] for k, v in FIXES.items()}}
+    head, *rows = pl.DataFrame(table).write_csv().split("\n")[:-1]
+    (folder / "log.csv").write_text(
+        "\n".join([head, *(f"12:00:{t:06.3f} -> {r}" for t, r in zip(T, rows, strict=True))])
+    )
+
+
+@pytest.mark.parametrize(
+    ("write_log", "new"), [(of_values, "new.csv"), (of_sensors, "kinds"), (of_a_monitor, "new.csv")]
+)
+def test_rows_of_several_kinds_are_refused_and_the_command_helps(tmp_path: Path, write_log, new: str):
+    write_log(tmp_path)
+    with pytest.raises(InputError) as caught:
+        imported(tmp_path / "log.csv")
+    typed(str(caught.value), tmp_path)
+    require_right(tmp_path / new)
+
+
+def test_rows_of_several_kinds_below_a_header_name_the_command(tmp_path: Path):
+    """A jumper's logger names the columns of each kind at the top; the last of these lines was the header."""
+    rows = [row for i, t in enumerate(T) for row in (f"$TIME,{t},{i},2318", f"$IMU,{t},0,0,0,0,0,9.8,25")]
+    head = [
+        "$FLYS,1",
+        "$COL,IMU,time,wx,wy,wz,ax,ay,az,temp",
+        "$COL,TIME,time,tow,week",
+        "$UNIT,TIME,s,s,",
+        "$DATA",
+    ]
+    (tmp_path / "log.csv").write_text("\n".join([*head, *rows]))
+    with pytest.raises(InputError, match=r"rows of several kinds, \$IMU, \$TIME; .* grep '"):
+        imported(tmp_path / "log.csv")

@@ -17,6 +17,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import assemble, assemble_imu
 from sigmaswarm.importing.formats import open_log, unsupported_format
 from sigmaswarm.importing.gather import PartColumns, complete_parts, gather
+from sigmaswarm.importing.long_tables import describe_kinds
 from sigmaswarm.importing.magnetometer import part_of, with_magnetometer
 from sigmaswarm.importing.mounting import AUTO, find_mount
 from sigmaswarm.importing.names import read_names
@@ -232,7 +233,9 @@ def _with_unit_of_rates(
         message, _ = unit_of_rates(drive, plain.roles, unitless)
     except InputError:  # other faults remain
         return faults
-    return [f"{f.partition('; specify')[0]}; {message}" if message and '"imu.g' in f else f for f in faults]
+    rates = [fault for fault in faults if '"imu.g' in fault] if message else []
+    shown = {fault: f"{fault.partition('; specify')[0]}; {message}" for fault in rates[:1]}
+    return [shown.get(fault, fault) for fault in faults if fault not in rates[1:]]
 
 
 def notes_of(logs: Mapping[Path, Log], guesses: Guesses, recipe: Recipe) -> list[str]:
@@ -265,7 +268,7 @@ def missing_sensor(
             continue
         path = request.home(role)
         there = list_names(logs[path].tables)
-        if example := _unnamed(logs[path], role):
+        if example := _unnamed(logs[path], role) or (role == "imu" and describe_kinds(logs[path])):
             remedy = f"{example}; or {remedy}"
         texts = (*logs[path].remarks, *guesses[path].notes)
         reasons = "has no header", "can't be decoded", "is empty", "cells contain"

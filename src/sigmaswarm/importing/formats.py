@@ -52,6 +52,7 @@ NOT_READ = {
     ".rnx": "raw measurements; compute fixes with RTKLIB (convbin, rnx2rtkp), and import the .pos file",
     ".gpx .kml .kmz .fit": "a track; convert it to CSV, for example with: gpsbabel -i gpx -f IN -o unicsv -F track.csv",
     ".json .jsonl .ndjson": "JSON without objects; write a list with an object for each sample",
+    ".sql": "a database dump; export its tables as CSV, for example with COPY ... TO 'log.csv' CSV HEADER",
     ".npy .npz .pkl": "Python arrays; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
     ".h5 .hdf5": "HDF5; write its tables as CSV, for example with pandas.read_hdf(...).to_csv",
     ".gz .bz2 .xz .zst .7z .tar .tgz": "a compressed file or an archive; unpack it",

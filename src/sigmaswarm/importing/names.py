@@ -18,7 +18,7 @@ TIME = (
 # Names of times, for tables without a more usual name
 CLOCK = (
     "received|boot|date|cts|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|gps|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
-    "datenum|t_?(?:imu|gps|gnss|acc|gyro?|truth|ref|gt)|(?:imu|gps|gnss|fix|truth)_?t|(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|utc|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed|offset)_?(?:time|clock|stamp)"
+    "datenum|t_?(?:imu|gps|gnss|acc|gyro?|truth|ref|gt)|(?:imu|gps|gnss|fix|truth)_?t|(?:(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|utc|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed|offset)_?){1,2}(?:time|clock|stamp)"
 )
 STAMP = "(?:.*_)?header_(?:time_?)?stamp"  # ROS header stamps, in tables converted from bags
 WEEK = "(?:gps|gnss)?_?(?:week|wn|weeks)(?:_?(?:no|num|number))?"
@@ -32,7 +32,7 @@ _ACCELERATION = (
     "f|f_?b|a_rs_s|linear"
 )
 _RATE = (
-    "g|w|gyr|gyro|gyroscope|gyro_rotation|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate|"
+    "g|w|gyr|gyro|gyroscope|gyro_rotation|gyroscope_gyro_?uncalibrated|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate|"
     "w_?b|w_rs_s|angular|(?:velocidade?|velocita|vitesse)_ang[uo]lai?re?"
 )
 _STD = "(?:std|stdev|std_?dev|sigma|sd)"  # in survey-grade receivers these are in m, also for degrees
@@ -82,7 +82,10 @@ _STATED: tuple[tuple[UnitDimension, str, str], ...] = (
 )
 _SHORT = r"(?:field|data|msg|imu\d?)_(?=[agw][xyz](?:_|$))"
 # Prefixes of message tables and of loggers
-_PREFIXES = re.compile(rf"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix|location|pos_lla|pos)_(?=...)|{_SHORT}")
+_CHIPS = r"(?:adis|adxl|bmi|bmx|bno|icm|iim|lis|lsm|mpu)\d+_(?=[ag]_?[xyz]$)|measurement_(?=[xyz]$)"
+_PREFIXES = re.compile(
+    rf"(?:field|data|msg|unit|imu\d?|gps\d?|gnss\d?|fix|location|pos_lla|pos)_(?=...)|{_SHORT}|{_CHIPS}"
+)
 _FIXES = r"gps\d?|gnss\d?|fix|position|location"
 # Words of a common prefix that keep the meaning of a name; others may mark an estimate or another quantity
 _CONTAINERS = rf"car|vehicle|imu\d?|data|fields?|msg|sensors?|log|logger|\d{{1,3}}|{_FIXES}"
@@ -228,8 +231,10 @@ def read_name(column: str) -> Name:
     if name.meaning is not None or split == column.strip():
         return name
     again = _read(column, split)
-    stated = again.unit is None or split[-1] in ")]"  # the end of a word is not a unit: LatG, LatD
-    return again if again.meaning is not None and stated else name
+    timed = re.fullmatch(CLOCK, again.plain) is not None
+    # the end of a word is not a unit: LatG, LatD
+    stated = timed or again.unit is None or split[-1] in ")]" or len(again.unit.text) > 3
+    return again if (timed or again.meaning is not None) and stated else name
 
 
 def _read(column: str, text: str) -> Name:
@@ -238,7 +243,8 @@ def _read(column: str, text: str) -> Name:
     if element := re.fullmatch(r"gyro_rad\[([012])\]", text):  # PX4's name of rates in rad/s
         return Name(column, f"gyro_{'xyz'[int(element[1])]}", parse_unit("rad/s"))
     if element := re.fullmatch(r"([^\[\]]{1,100})\[([012])\]", text):
-        return _with_unit(column, plain_words(element[1]), "xyz"[int(element[2])])
+        words = plain_words(re.sub(r"\.v$", "", element[1]))
+        return _with_unit(column, words, "xyz"[int(element[2])])
     if text and text[-1] in ")]":
         begin = text.rfind("(" if text[-1] == ")" else "[")
         if begin > 0:

@@ -18,8 +18,9 @@ from sigmaswarm.doctor.repairs import ACTIONS
 from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.drives.table_files import MAX_VALUE
 from sigmaswarm.errors import InputError, SigmaswarmError
-from sigmaswarm.importing.names import unit_of
-from sigmaswarm.importing.source import Role
+from sigmaswarm.importing.names import plain_words, unit_of
+from sigmaswarm.importing.rates import unit_of_rates
+from sigmaswarm.importing.source import Part, Role
 from sigmaswarm.importing.times import quoted_column
 from sigmaswarm.importing.units import in_si
 
@@ -37,7 +38,7 @@ TURNING = (
     ("gy", {**LEFT, "pitch": 1}),
 )
 MOVING = (("ax", FORWARD), ("ay", LEFT), ("az", UP))
-FORCE = {"a", "acc", "accel", "acceleration", "accelerometer", "force"}
+FORCE = {"a", "acc", "accl", "accel", "acceleration", "accelerometer", "force"}
 RATE = {
     *("gyro", "gyr", "gyroscope", "omega", "w", "rate", "angular", "rot", "rotation", "angvel"),
     *("yawrate", "yaw", "turn"),
@@ -56,6 +57,7 @@ CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
 EXCHANGE_TOLERANCE = 0.2
 # Warnings of contradictory signs, axes or units
 CONTRADICTIONS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}
+UNKNOWN_UNITS = {"gyro-unit", "accelerometer-unit"}
 IMU = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
@@ -68,7 +70,8 @@ class Meaning:
 
 def meaning_of(name: str) -> Meaning | None:
     """Interpret the name of a column word by word; None if no column of a drive has this meaning."""
-    words = re.findall(r"[a-z]+|\d+", re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower())
+    split = re.sub(r"^([XYZ])(?=GYRO|ACC)|(?<=[a-z])(?=[A-Z])", r"\1_", name)
+    words = re.findall(r"[a-z]+|\d+", " ".join(plain_words(split)))
     sign = math.prod(CLOCKWISE[w] for w in words if w in CLOCKWISE)
     turns = not CLOCKWISE.keys().isdisjoint(words)
     words = [w for w in words if w not in CLOCKWISE]
@@ -80,9 +83,9 @@ def meaning_of(name: str) -> Meaning | None:
     if unit and unit.dimension in ("rate", "acceleration", "length"):
         said = in_si(unit, said)
     rest = set(words)
-    if rest & {"lat", "latitude"} and not rest & FORCE:
+    if rest & {"lat", "latitude", "breite"} and not rest & FORCE:
         return Meaning("gps", "lat", quoted_column(name))
-    if rest & {"lon", "lng", "longitude"} or rest == {"long"}:
+    if rest & {"lon", "lng", "longitude", "lange", "laenge"} or rest == {"long"}:
         return Meaning("gps", "lon", quoted_column(name))
     horizontal = rest & {"h", "horizontal", "pos", "position"} and rest & {"acc", "accuracy"}
     length = unit is None or unit.dimension == "length"
@@ -147,6 +150,8 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
     """Correct a proposal by the doctor; return the proposal, the evidence, and True if ``make`` can make a drive."""
     try:
         drive = _plausible(make(proposal))
+        if (scaled := _with_shown_unit(proposal, drive)) != proposal:
+            proposal, drive = scaled, make(scaled)
         first = diagnose(drive)
         corrected = _corrected(proposal, drive, first)
         last = diagnose(make(corrected)) if corrected != proposal else first
@@ -159,11 +164,21 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
     serious = [f.code for f in last.findings if f.severity == "serious"]
     warned = [f.code for f in last.findings if f.severity == "warning" and not f.code.startswith("unseen-")]
     if serious or CONTRADICTIONS & {*warned}:
-        return corrected, f"{said}; the doctor still finds {', '.join([*serious, *warned])}", True
+        left = [*serious, *warned]
+        return corrected, f"{said}; the doctor still finds {', '.join(left)}", UNKNOWN_UNITS.isdisjoint(left)
     unseen = sorted(code for code in last.codes if code.startswith("unseen-") and code != "unseen-clock")
     blind = f", but this log does not show all ({', '.join(unseen)})" if unseen else ""
     also = f"; the doctor also warns of {', '.join(warned)}" if warned else ""
     return corrected, f"{said}: signs, axes and units agree{blind}{also}", True
+
+
+def _with_shown_unit(proposal: Proposal, drive: Drive) -> Proposal:
+    """Convert rates from the unit that the turns of the fixes show."""
+    imu = proposal.columns.get("imu", {})
+    rates = {name: imu[name] for name in IMU[3:] if name in imu}
+    message, _ = unit_of_rates(drive, {"imu": [Part("", rates)]}, rates)
+    shown = dict(re.findall(r'"imu\.(g[xyz])=([^"]*)"', message)[: len(rates)])
+    return replace(proposal, columns={**proposal.columns, "imu": {**imu, **shown}}) if shown else proposal
 
 
 def _plausible(drive: Drive) -> Drive:

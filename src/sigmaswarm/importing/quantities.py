@@ -35,7 +35,7 @@ MAX_RATE = 250.0  # deg/s, largest angular rate of a car
 MAX_ALTITUDE = 9000.0  # m, largest altitude; another unit would stretch the track by 0.15% or more
 RADIUS, EDGE = 6_378_137.0, 2.01e7  # m, radius of Web Mercator's sphere; edge of its map
 # Scales of common sensors per g; mg, cg, ug, mm/s2, cm/s2, ft/s2
-PER_G = (16384, 8192, 4096, 2048, 1024, 256, 1000, 100, 1e6, 9806.65, 980.665, 9.80665 / 0.3048)
+PER_G = (16384, 8192, 4096, 4000, 2048, 1024, 256, 1000, 100, 1e6, 9806.65, 980.665, 9.80665 / 0.3048)
 _ACCELEROMETERS = "common 16-bit sensors: 16384 counts per g at +-2 g, 8192 at 4, 4096 at 8, 2048 at 16"
 _GYROS = (
     "common 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at 500, 32.8 at 1000, 16.4 at 2000; mrad/s: each "
@@ -194,7 +194,9 @@ def in_units(frame: pl.DataFrame, role: Role, texts: Mapping[str, str]) -> dict[
             columns.names[what] = Name(column, what)
     placed = geographic_position(columns, role) if columns.has("lat", "lon") else {}
     found = {what: placed.get(what) or quantity(columns, what, role) for what in columns.names}
-    remedies = {w: re.search(rf'"{role}\.{w}=([^"]*)"', one.fault) for w, one in found.items()}
+    # the scale of raw rates in a remedy is only an example
+    stated = {w: one.fault for w, one in found.items() if DIMENSIONS[w] != "rate"}
+    remedies = {w: re.search(rf'"{role}\.{w}=([^"]*)"', stated.get(w, "")) for w in found}
     converted = {w: one.expression or (fit[1] if (fit := remedies[w]) else "") for w, one in found.items()}
     return {
         what: f"{signs[what]}{converted[what]}" if converted.get(what) else text

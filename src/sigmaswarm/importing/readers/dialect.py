@@ -76,6 +76,8 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     ]
     empty = width - max(filled)
     names = _header([lines[i] for i in above], separator, width, most, empty)
+    if all(row[0].lstrip()[:1] == "$" for row in data):
+        _require_one_kind(data, shown_as)
     surplus = width - len(names) if 0 < width - len(names) <= empty else 0
     notes = [packed] if packed else []
     if not names:

@@ -18,6 +18,7 @@ _OUTER = re.compile(r"\"(?=[\[({])|(?<=[\])}])\"")  # quotes around brackets
 _CELL = re.compile(rf"{_VALUE}|[\w.:+-]*\d[\w.:+-]*")
 _NO_NAMES, _NO_BRACKETS = r"s/[A-Za-z_][A-Za-z0-9_]* *[:=] *//g", r"s/[]\"(){}[]//g"
 _SEPARATED = "s/ *[,; ] */,/g"
+_PRINTED = re.compile(r"[\d:.]+ -> ")
 PARTS = {2: "xy", 3: "xyz", 4: "xyzw"}
 MIN_NAMES = 3  # names in a row
 MAX_ROWS = 20  # rows on which the command is tried
@@ -32,6 +33,11 @@ def packed_cells(lines: Sequence[str], shown_as: Path) -> str:
     if not rows:
         return ""
     last = rows[-1]
+    if all(_PRINTED.match(row) for row in rows[-MAX_ROWS:]):
+        command = f"sed -E 's/^[0-9:.]+ -> //' {quote(shown_as.name)} > new.csv"
+        raise InputError(
+            f"{shown_as}: rows begin with a serial monitor's times; remove them, for example with: {command}"
+        )
     named = [found[1] for found in _NAMED.finditer(last)]
     if len(named) >= max(MIN_NAMES, len(_cells(_NAMED.sub("1", last))) / 2) and len({*named}) == len(named):
         before = [f"c{k + 1}" for k in range(len(_cells(last[: _start(last)])))]

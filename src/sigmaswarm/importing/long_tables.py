@@ -1,0 +1,44 @@
+"""Tables whose rows are of several kinds, named in a column: the command that writes a table for an import."""
+
+import polars as pl
+
+from sigmaswarm.importing.names import read_names
+from sigmaswarm.importing.source import Log
+from sigmaswarm.importing.times import column_numbers, is_time
+
+MAX_KINDS = 20
+
+
+def describe_kinds(log: Log) -> str:
+    """Describe a table with a measured value, or the values of a sensor, in each row; "" if there is none."""
+    for table, about in log.tables.items():
+        _, frame, _ = next(iter(log.batches({table: about.columns})), ("", pl.DataFrame(), 0.0))
+        kinds = [name for name in frame.columns if _is_kind(frame[name])]
+        kinds.sort(key=lambda name: frame[name].n_unique())
+        times = [name.column for name in read_names(frame.columns) if is_time(name.plain)]
+        numbers = [name for name in frame.columns if name not in times and len(column_numbers(frame[name]))]
+        changing = [name for name in numbers if frame[name].n_unique() > MAX_KINDS]
+        if not kinds or not times or not changing:
+            continue
+        file = log.path.name if log.path.is_file() else table
+        read = f"import os,polars as pl;f=pl.read_csv({file!r},comment_prefix='#')"
+        if len(changing) == 1:
+            write = f"f.with_columns(k=pl.concat_str({kinds},separator='_')).pivot('k',index={times[0]!r},"
+            write += (
+                f"values={changing[0]!r},aggregate_function='first').sort({times[0]!r}).write_csv('new.csv')"
+            )
+            command, then = f"{read};{write}", "import new.csv"
+        else:
+            name = f"'kinds/' + p.item(0, {kinds[0]!r}) + '.csv'"
+            parts = f"[p.write_csv({name}) for p in f.partition_by({kinds[0]!r})]"
+            command, then = f"{read};os.makedirs('kinds',exist_ok=True);{parts}", "import the folder kinds"
+        there = ", ".join(map(str, frame[kinds[0]].drop_nulls().unique(maintain_order=True)[:4]))
+        return f'{table} has rows of several kinds ({there}); run: python -c "{command}", and {then}'
+    return ""
+
+
+def _is_kind(values: pl.Series) -> bool:
+    if values.dtype != pl.String:
+        return False
+    known = values.drop_nulls().unique()
+    return 1 < len(known) <= MAX_KINDS < len(values) and bool(known.str.contains(r"^[A-Za-z]\w*$").all())
