@@ -16,7 +16,7 @@ from sigmaswarm.wording import first_mistake, printable
 
 R = TypeVar("R")
 ARRAYS = ConfigDict(arbitrary_types_allowed=True, extra="forbid")  # of a record of an npz file
-DAMAGED = "not a result of sigmaswarm, or damaged"
+DAMAGED = "the file was not written by sigmaswarm, or is damaged"
 MISSING = "repeat the command that made the folder"
 
 

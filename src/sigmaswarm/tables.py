@@ -72,6 +72,13 @@ class Table:
         rows = [list(map(format_cell, row, self.columns)) for row in self.rows]
         return notebook.table(self.caption, [c.heading for c in self.columns], rows)
 
+    def to_text(self) -> str:
+        """Return aligned columns of plain text."""
+        cells = [list(map(format_cell, row, self.columns)) for row in self.rows]
+        lines = [[column.heading for column in self.columns], *cells]
+        first, *widths = (max(map(len, column)) for column in zip(*lines, strict=True))
+        return "\n".join("  ".join([row[0].ljust(first), *map(str.rjust, row[1:], widths)]) for row in lines)
+
     def to_latex(self) -> str:
         """Return a booktabs table."""
         header, *rows = (" & ".join(map(_escaped, row)) for row in self._printed())

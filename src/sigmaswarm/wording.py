@@ -12,7 +12,7 @@ TO_DO = "TO DO: "  # begins remarks that require action
 
 
 def to_do(remedy: str, why: str) -> str:
-    return f"{TO_DO}{remedy}: {why}"
+    return f"{TO_DO}{remedy}. Reason: {why}"
 
 
 def sort_remarks(remarks: Iterable[str]) -> list[str]:

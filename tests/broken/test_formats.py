@@ -33,7 +33,9 @@ def test_a_sensor_without_the_clock_of_the_others_is_refused(kind: str, name: st
     head = f"# {kind},utcTimeMillis,elapsedRealtimeNanos,"
     assert head in text
     log.write_text(text.replace(head, head.replace("elapsedRealtimeNanos", name)))
-    with pytest.raises(InputError, match=rf"log\.txt: the comment on {kind} names no elapsedRealtimeNanos"):
+    with pytest.raises(
+        InputError, match=rf"log\.txt: the header comment of {kind} lacks the column elapsedRealtimeNanos"
+    ):
         imported(log)
 
 

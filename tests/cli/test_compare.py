@@ -12,7 +12,9 @@ def test_compare_writes_and_prints_its_table(sigmaswarm, drives: Path, here: Pat
     one, other = sorted(drives.iterdir())
     ended = sigmaswarm("compare", one, *asked, "--validation", other, "--out", "c")
     assert ended.code == 0, ended.err
-    assert ended.out.startswith("model: tilted12 with lateral, standstill, robust: six IMU axes\n")
+    assert ended.out.startswith(
+        "model: tilted12 with lateral, standstill, robust, since the IMU has six axes\n"
+    )
     assert (here / "c/comparison.md").read_text().strip() in ended.out
     frame = pl.read_csv(here / "c/comparison.csv")
     assert frame["optimizer"].to_list() == ["pso", "de:racing=true"] * 2

@@ -33,7 +33,7 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
     write_drive(good, here / "fine")
     ended = sigmaswarm("doctor", "fine")
     assert (ended.code, ended.err) == (0, "")
-    assert ended.out.startswith("urban-clear-00: nothing serious")
+    assert ended.out.startswith("urban-clear-00: no serious fault")
     assert "2000 samples at 50 Hz" in ended.out
     assert "\nnext: sigmaswarm plot fine\nthen: sigmaswarm split fine --out parts\n" in ended.out
     for used in ("parts", "tuned", "tuned-2"):
@@ -48,7 +48,7 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
 def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
     ended = sigmaswarm("doctor", sick)
     assert (ended.code, ended.err) == (1, "")
-    assert "1 SERIOUS" in ended.out
+    assert "1 SERIOUS fault" in ended.out
     assert "[gyro-sign] imu.csv, gz" in ended.out
     assert "-> change the sign of gz (--fix does this)" in ended.out
     assert f"\nnext: sigmaswarm doctor {sick} --fix mended " in ended.out
@@ -240,7 +240,7 @@ def test_the_copy_is_mended_and_the_original_is_not(sigmaswarm, good, sick: Path
     before = {file.name: file.read_bytes() for file in sick.iterdir()}
     ended = sigmaswarm("doctor", sick, "--fix", "mended")
     assert ended.code == 0  # nothing serious is left
-    assert "repaired: gyro-sign. Remaining findings:" in ended.out
+    assert "Repaired: gyro-sign. Remaining findings:" in ended.out
     assert {file.name: file.read_bytes() for file in sick.iterdir()} == before
     copy = read_drive(here / "mended" / good.name)
     assert copy.imu.gz.tobytes() == good.imu.gz.tobytes()
@@ -311,7 +311,7 @@ def test_the_lever_arm_is_one_line_and_goes_into_the_copy(sigmaswarm, good, here
     assert line.startswith(f"lever arm: antenna {forward} m ")
     assert f") and {left} m " in line
     assert copy.metadata["repaired"] == ["lever-arm"]
-    assert "repaired: lever-arm. Remaining findings" in ended.out
+    assert "Repaired: lever-arm. Remaining findings" in ended.out
 
 
 @pytest.mark.long

@@ -325,7 +325,7 @@ def test_show_says_what_nobody_reads(sigmaswarm: Command, here: Path):
     names = ["t", "ax", "ay", "AccelUp", "Engine Temp (C)", "gz", "x", "y", "fix_type"]
     (here / "log.csv").write_text("\n".join([",".join(names), *rows]) + "\n")
     said = sigmaswarm("import", "log.csv", "--show").out
-    tail = "the proposal uses:\nlog.csv: Engine Temp (C), fix_type\n\nnext: sigmaswarm import log.csv --out drive "
+    tail = "not used:\nlog.csv: Engine Temp (C), fix_type\n\nnext: sigmaswarm import log.csv --out drive "
     assert tail in said, said
 
 
@@ -395,7 +395,7 @@ def test_show_proposes_mount_auto_if_gravity_is_not_on_z(
     said = sigmaswarm("import", "log.csv", "--show").out
     (command,) = re.findall(r"next: (sigmaswarm .*)\n", said)
     assert command == f"sigmaswarm import log.csv --out drive {f'--mount {mount}' if mount else ''}".rstrip()
-    assert ("relative to the vehicle; --mount auto finds" in said) == (mount == "auto")
+    assert ("; --mount auto finds the rotation" in said) == (mount == "auto")
     assert "gravity" not in sigmaswarm("import", "log.csv", "--show", "--mount", "0,0,90").out
 
 
@@ -508,7 +508,7 @@ def test_what_is_next_follows_the_findings(sigmaswarm: Command, here: Path, doct
     assert "[mounting]" in told and "assumed" not in told and "points down" not in told
     assert "next: sigmaswarm doctor drive --fix mended " in told
     told = sigmaswarm(*log, "right", "--mount", "auto").out
-    assert "found in the log" in told and "assumed" not in told and "next: sigmaswarm plot right" in told
+    assert "was found in the log" in told and "assumed" not in told and "next: sigmaswarm plot right" in told
     told = sigmaswarm("split", "drive", "--out", "parts").out
     assert "next: sigmaswarm doctor drive --fix mended " in told
     quick = "--particles", "2", "--generations", "1", "--model", "planar5"

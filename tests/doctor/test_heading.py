@@ -54,7 +54,7 @@ def with_column(heading: Array, std: Array | None = None) -> Drive:
 def test_a_good_heading_has_no_finding_and_is_recommended():
     found = {f.code: f.what for f in diagnose(good()).findings}
     assert not any(code.startswith("heading") for code in found)
-    assert found["use"].endswith("you may add heading to --use: the fixes have a heading")
+    assert found["use"].endswith("You can add to --use: heading (of the fixes)")
 
 
 @pytest.mark.parametrize(
@@ -82,8 +82,8 @@ def test_a_delay_is_found_by_the_gyro(late: float):
     assert heading is not None
     (found,) = found_in(with_column(np.interp(time - late, time, np.unwrap(heading))))
     assert found.code == "heading-delay" and found.repair is None
-    assert abs(float(found.what.split()[3]) - abs(late)) < 0.06
-    assert ("later" in found.what) == (late > 0)
+    assert abs(float(found.what.split()[-2]) - abs(late)) < 0.06
+    assert ("lags" in found.what) == (late > 0)
 
 
 def test_noise_follows_no_convention():

@@ -231,7 +231,7 @@ def test_the_rivals_stand_in_the_tables(whole: Study):
     tables = {name: table.to_markdown() for name, table in study_tables(whole.results).items()}
     for name in ("table-2", "table-3", "rivals", "elsewhere-1", "elsewhere-2"):
         for label in (method.label for method in METHODS.values() if method.rival):
-            assert f"| {label} (honest) |" in tables[name], (name, label)
+            assert f"| {label} (tuned with truth) |" in tables[name], (name, label)
     against = {c.against for c in whole.results.comparisons if c.protocol == "honest"}
     assert {*NETWORKS, "bo-ukf", "pso-fuzzy-ukf"} <= against
     row = next(
@@ -335,7 +335,7 @@ def test_the_learning_curve_ends_in_the_study_s_own_network(whole: Study):
 def test_the_page_shows_them(whole: Study):
     section = next(s for s in read_report(whole.folder).sections if s.title == "Rivals")
     captions = [table.caption.split(":")[0] for table in section.tables]
-    alone = "Networks compared with PSO-UKF, planar8 (honest) without a network"
+    alone = "Networks compared with PSO-UKF, planar8 (tuned with truth) without a network"
     assert captions == ["Rivals", alone, "Other drives", "Other drives", "Learning curves"]
     assert "per sample, us" in [column.title for column in section.tables[0].columns]
     assert len(section.charts) == 3  # of 30 s nothing is known

@@ -355,7 +355,7 @@ def test_it_says_that_the_receiver_is_another_one():
         + run.log.settled[run.bank.spread.names.index("scale")]
     )
     assert 0.8 < r < 2.6  # 4 m is 1.75 decades of 0.5 m to 0.6 m
-    assert any("another receiver" in sentence for sentence in run.bank.spread.warnings(run.log.settled))
+    assert any("a different receiver" in sentence for sentence in run.bank.spread.warnings(run.log.settled))
     nis = {"swarm": run.innovations.nis.mean(), "tuning": run_innovations(seen, p).nis.mean()}
     assert abs(math.log(nis["swarm"] / 2)) < 0.5 * abs(math.log(nis["tuning"] / 2))
 
@@ -547,7 +547,7 @@ def test_what_all_variances_have_in_common_is_said_once():
     (common,) = said(scale=1.0)
     assert common.startswith("all variances together are 10 times")
     (receiver,) = said(r=0.4, scale=0.4)
-    assert receiver == "R is 6.3 times the tuning's, which indicates another receiver"
+    assert receiver == "R is 6.3 times the tuned value, which indicates a different receiver"
     assert [s for s in said(r=1.0, scale=-1.0) if s.startswith("R is")] == []
     (axle,) = said(rear_axle=1.2)
     assert axle == "the rear axle lies 1.2 m farther back than in the tuning"

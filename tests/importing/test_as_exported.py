@@ -464,7 +464,7 @@ def test_copies_of_rows_are_left_out(tmp_path: Path, case: str):
         table = pl.read_csv(file)
         table[COPIES[case](len(table))].write_csv(file)
     require_right(tmp_path)
-    assert any("as copies of other rows" in note for note in imported(tmp_path).notes)
+    assert any("since other rows have the same content" in note for note in imported(tmp_path).notes)
 
 
 @pytest.mark.parametrize("names", [("linear_acceleration.{}", "accel_{}"), ("acc_{}", "lin_acc_{}"),
@@ -547,7 +547,7 @@ def test_the_turns_of_the_fixes_show_the_unit_of_rates(tmp_path: Path, unit: str
     names = {"yaw_rate": {"gz": "yaw_rate"}, "unknown": {n: f"{n} [U/min]" for n in rates}}
     columns = {name: rates[n] for n, name in names.get(form, {n: n for n in rates}).items()}
     write(tmp_path, {n: IMU[n] for n in ("ax", "ay", "az")} | columns)
-    with pytest.raises(InputError, match=r"the turns of the fixes show .* in ") as caught:
+    with pytest.raises(InputError, match=r"the turns of the path show that the unit of .* is ") as caught:
         imported(tmp_path)
     assert unit in str(caught.value)
     right = 0.6 * IMU["gz"] if form == "tilted" else IMU["gz"]
@@ -566,7 +566,9 @@ def test_slow_rates_in_degrees_and_fast_ones_in_radians(tmp_path: Path, v: Any, 
     """Without fixes, rates above 5 are deg/s. A robot that spins on the spot shows no course."""
     imu, fixes, _ = road(v, gz)
     write(tmp_path, imu | {"gz": gz * scale}, fixes)
-    with pytest.raises(InputError, match="the turns of the fixes show gx, gy, gz in") as caught:
+    with pytest.raises(
+        InputError, match="the turns of the path show that the unit of gx, gy, gz is"
+    ) as caught:
         imported(tmp_path)
     (maps,) = options_in(str(caught.value))
     np.testing.assert_allclose(imported(tmp_path, maps=maps).drive.imu.gz, gz, atol=1e-9)
@@ -578,18 +580,18 @@ def test_turns_that_explain_most_of_the_course_confirm_the_unit(
 ):
     monkeypatch.setattr("sigmaswarm.importing.rates._ratio", lambda _: (share, ratio))
     write(tmp_path)
-    assert sum("no turn of the fixes confirms" in note for note in imported(tmp_path).notes) == noted
+    assert sum("no turn of the path confirms" in note for note in imported(tmp_path).notes) == noted
 
 
 def test_rates_that_no_turn_confirms_are_told_with_the_way(tmp_path: Path):
     write(tmp_path)
-    assert not any("no turn of the fixes confirms the unit" in note for note in imported(tmp_path).notes)
+    assert not any("no turn of the path confirms it" in note for note in imported(tmp_path).notes)
     imu, fixes, _ = road(0.3, 0.001 * np.sin(T))
     write(tmp_path, imu, fixes)
-    (said,) = (note for note in imported(tmp_path).notes if "no turn of the fixes confirms the unit" in note)
+    (said,) = (note for note in imported(tmp_path).notes if "no turn of the path confirms it" in note)
     got = imported(tmp_path, maps=options_in(said)[0])
     np.testing.assert_allclose(got.drive.imu.gz, np.radians(imu["gz"]), atol=1e-12)
-    assert not any("no turn of the fixes confirms the unit" in note for note in got.notes)
+    assert not any("no turn of the path confirms it" in note for note in got.notes)
 
 
 @pytest.mark.parametrize(("ticks", "head"), [(1e5, "ticks"), (1e5, "t"), (1e5, "timestamp")])
@@ -631,7 +633,7 @@ def test_positions_in_mm_and_cm_are_refused(tmp_path: Path, scale: float, option
 
 def test_other_units_of_an_imu_get_the_scale_that_gravity_shows(tmp_path: Path):
     write(tmp_path, {n: c / 0.3048 if n[0] == "a" else c for n, c in IMU.items()})
-    with pytest.raises(InputError, match="gravity appears as about 32") as caught:
+    with pytest.raises(InputError, match="gravity has a value of about 32") as caught:
         imported(tmp_path)
     (maps,) = options_in(str(caught.value))
     np.testing.assert_allclose(imported(tmp_path, maps=maps).drive.imu.ay, IMU["ay"], rtol=0.03, atol=1e-9)

@@ -102,8 +102,8 @@ def test_of_a_folder_with_two_days_it_says_which_is_taken(tmp_path: Path):
             pl.DataFrame(columns).write_csv(tmp_path / f"{role}_{day}.csv")
     said = [note for note in imported(tmp_path).notes if "is used for the" in note]
     assert said == [
-        f"{role}_tuesday.csv has the same columns as {role}_monday.csv; only {role}_monday.csv is used for the {name}; "
-        f"import each table as a separate drive, as with --{name}-table {role}_tuesday.csv"
+        f"{role}_tuesday.csv has the same columns as {role}_monday.csv. Only {role}_monday.csv is used for the {name}; "
+        f"import each table as a separate drive, for example with --{name}-table {role}_tuesday.csv"
         for role, name in (("imu", "imu"), ("gnss", "gps"))
     ]
 

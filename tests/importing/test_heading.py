@@ -107,4 +107,4 @@ def test_a_bag_with_a_heading_topic(tmp_path: Path):
     got = imported(write_ros(tmp_path / "bag", iter(sent)))
     assert_headings(got.drive.gps, HEADING, np.zeros(len(GPS), bool), np.radians(0.4))
     assert len(got.drive.imu) == len(drive.imu)
-    assert "/gps/heading is used as the heading of two antennas" in got.notes
+    assert "/gps/heading is used as the dual-antenna heading" in got.notes

@@ -109,9 +109,9 @@ def test_receive_times_are_told(tmp_path: Path, kind: str):
             yield "/fix", time, make(*(zero, *place) if kind == "Wrapped" else place)
 
     notes = imported(write_ros(tmp_path / "log.bag", sent(), "ros1")).notes
-    why = {"Wrapped": "header stamps are not set", "Bare": "messages have no header"}[kind]
-    assert f"/fix: {why}; receive times used" in notes
-    assert not any("/imu: " in note and "receive times used" in note for note in notes)
+    why = {"Wrapped": "the header stamps are not set", "Bare": "the messages have no header"}[kind]
+    assert f"/fix: {why}, so receive times are used" in notes
+    assert not any("/imu: " in note and "receive times are used" in note for note in notes)
 
 
 def test_an_axis_that_points_down_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

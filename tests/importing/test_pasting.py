@@ -101,7 +101,7 @@ def test_a_log_with_names_of_its_own(
     log = LOGS[kind](tmp_path)
     monkeypatch.chdir(tmp_path)
     said = sigmaswarm("import", log, "--show").out
-    left = said.partition("Columns that neither the recipe nor the proposal uses:")[2]
+    left = said.partition("Columns that are not used:")[2]
     assert "engine_temp" in left and "sats" in left
     command = pasted(said)
     for name in (*ODD, *FIXES):

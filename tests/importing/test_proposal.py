@@ -58,7 +58,8 @@ def test_what_is_proposed_makes_the_drive_that_was_logged(tmp_path: Path, togeth
         "std_x=hacc_m/sqrt(2)",
     ]
     assert seen.evidence == (
-        "read from the columns' names and values, checked with the motion of the fixes: signs, axes and units agree"
+        "the mapping follows from the columns' names and values, and was checked with the motion of the fixes: signs, "
+        "axes and units agree"
     )
     choice = TableChoice({"imu": "imu.csv"}) if together else TableChoice()
     drive = import_drive(replace(asked, maps=maps, choice=choice), "again").drive
@@ -155,7 +156,7 @@ def test_what_can_not_be_made_is_called_unchecked(tmp_path: Path):
     pl.read_csv(folder / "fixes.csv").with_columns(pl.col("stamp_us") + 10**12).write_csv(folder / "late.csv")
     seen = inspect_request(Request(folder / "imu.csv", gps=folder / "late.csv"))
     assert "gz=-radians(yaw_rate_dps_cw)" in seen.proposal
-    assert "from the columns' names and values alone, and not checked: " in seen.evidence
+    assert "from the columns' names and values alone and was not checked: " in seen.evidence
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ def test_ubx_with_a_length_that_is_wrong_loses_one_message(tmp_path: Path, lengt
     (tmp_path / "log.ubx").write_bytes(b"".join(messages))
     got = imported(imu_csv(tmp_path), gps=tmp_path / "log.ubx")
     assert len(got.drive.gps) == len(GPS) - 1
-    assert "log.ubx: 1 damaged messages skipped" in got.notes
+    assert "log.ubx: 1 damaged messages are skipped" in got.notes
 
 
 def test_ubx_without_a_fix_damaged_or_cut_short(tmp_path: Path):

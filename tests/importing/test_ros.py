@@ -132,7 +132,7 @@ def test_wheel_odometry_is_no_truth_unless_chosen(tmp_path: Path):
     bag = write_ros(tmp_path / "bag", renamed)
     got = imported(bag, recipe=AT)
     assert got.drive.truth is None
-    assert any("/wheel not used as truth" in note for note in got.notes)
+    assert any("/wheel can't be used as truth" in note for note in got.notes)
     assert_same(imported(bag, recipe=AT, choice=TableChoice({"truth": "/wheel"})).drive)
 
 

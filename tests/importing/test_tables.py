@@ -521,7 +521,7 @@ def test_fast_and_whole_rates_are_refused_with_the_way_for_degrees(tmp_path: Pat
     ]
     (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(rows)]))
     write_fixes(tmp_path)
-    with pytest.raises(InputError, match=r"unknown unit: they reach .*deg/s: radians\(column\)"):
+    with pytest.raises(InputError, match=r"unknown unit \(their values reach .*deg/s: radians\(column\)"):
         imported(tmp_path)
     got = imported(tmp_path, maps=[f"{a}=radians({a})" for a in AXES[3:]]).drive.imu
     np.testing.assert_allclose(got.gz, np.radians([float(row[-1]) for row in rows]), atol=1e-9)
@@ -533,7 +533,7 @@ def test_rates_that_no_car_has_are_no_degrees(tmp_path: Path, scale: float):
     rows = imu_rows(dict.fromkeys(AXES[3:], scale))
     (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(rows)]))
     write_fixes(tmp_path)
-    with pytest.raises(InputError, match=r"unknown unit: they reach .*mrad/s: each column\*1e-3"):
+    with pytest.raises(InputError, match=r"unknown unit \(their values reach .*mrad/s: each column\*1e-3"):
         imported(tmp_path)
     got = imported(tmp_path, maps=[f"{a}={a}/{scale!r}" for a in AXES[3:]])
     assert_close(got.drive.imu, IMU, "gx gy gz", 1e-9)

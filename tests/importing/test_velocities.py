@@ -35,7 +35,7 @@ def degrees(course: np.ndarray) -> np.ndarray:
 
 
 WRONG: dict[str, tuple[Callable[[Columns], Columns], str]] = {
-    "mm/s": (lambda c: c | {"speed": c["speed"] * 1e3}, "course=course left out, since the speed is 1e+03 times"),
+    "mm/s": (lambda c: c | {"speed": c["speed"] * 1e3}, "course=course are left out, since the speed is 1e+03 times"),
     "km/h": (lambda c: c | {"speed": c["speed"] * 3.6}, "left out, since the speed is 3.6"),
     "knots": (lambda c: c | {"speed": c["speed"] * 1.944}, "left out, since the speed is 1.9"),
     "mph": (lambda c: c | {"speed": c["speed"] * 2.237}, "left out, since the speed is 2.2"),
@@ -43,11 +43,11 @@ WRONG: dict[str, tuple[Callable[[Columns], Columns], str]] = {
     "constant": (lambda c: c | {"course": c["course"] * 0 - 2}, "course differs from that of the positions"),
     "velocity": (
         lambda c: c | {"vx": 1e3 * np.cos(c["course"]), "vy": 1e3 * np.sin(c["course"])},
-        "vx=vx, vy=vy left out, since ",
+        "vx=vx, vy=vy are left out, since ",
     ),
     "a parked vehicle": (
         lambda c: c | {"x": 0 * T + np.random.default_rng(5).normal(0, 1, len(T)), "y": 0 * T, "speed": 0 * T + 3e4},
-        "left out, since 3e+04 m/s",
+        "left out, since a median of 3e+04 m/s",
     ),
 }  # fmt: skip
 
@@ -199,6 +199,6 @@ def test_the_velocity_of_a_truth_that_its_positions_contradict_is_replaced(tmp_p
         got = loaded(tmp_path, places)
         assert got.drive.truth is not None
         np.testing.assert_allclose(got.drive.truth.vx[5:-5], vx[5:-5], atol=1.0)
-        assert any("vx=vx, vy=vy left out, since the speed is 1e+03 times" in n for n in got.notes) == (
+        assert any("vx=vx, vy=vy are left out, since the speed is 1e+03 times" in n for n in got.notes) == (
             scale > 1
         )

@@ -241,7 +241,7 @@ def test_the_commands(quick, sigmaswarm, unpainted: None, tmp_path: Path):
         ended.err.strip()
         == f"sigmaswarm: {out / 'weights.npz'}: not readable; repeat the command that made the folder"
     )
-    with pytest.raises(InputError, match="not a result of sigmaswarm"):
+    with pytest.raises(InputError, match="not written by sigmaswarm"):
         (out / "learned.toml").write_text("kind = 3")
         load_learned(out)
 

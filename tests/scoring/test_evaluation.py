@@ -117,12 +117,12 @@ def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(ev
     assert told.each["tuned"][0] == pytest.approx(first, rel=1e-12)
     said = evaluate(drive, GOOD).record.describe_drift("outage_drift_m")
     low, high = told.spread("tuned") or (np.nan, np.nan)
-    of = f"{told.outages} outages in 8 placements"
-    few = "; all placements are on one short stretch, and the drift on another stretch may be far larger"
-    assert said == f"{of}; the drift in a single placement is {low:.3g} to {high:.3g} m{few}"
+    of = f"The drift is the RMS over {told.outages} outages in 8 sets"
+    few = ". All outages are on one short stretch; the drift on another stretch may be far larger"
+    assert said == f"{of}; in a single set it is {low:.3g} to {high:.3g} m{few}"
     two = {each: {"outage_drift_m": told.model_copy(update={"outages": 8})} for each in (name, "drive-1")}
     said = evaluation.record.model_copy(update={"drifts": two}).describe_drift("outage_drift_m")
-    assert "; all placements are on one short stretch of each drive, and the drift" in said
+    assert ". All outages are on one short stretch of each drive; the drift" in said
     many = {name: {"outage_drift_m": told.model_copy(update={"outages": 8 * 5})}}
     assert few not in evaluation.record.model_copy(update={"drifts": many}).describe_drift("outage_drift_m")
     long = make_drive(duration=3600.0, imu_rate=10.0, gps_rate=1.0)
@@ -259,7 +259,7 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
     assert Evaluation(
         {"town": DriveResult(others | {"fixes_alone": sheet, "tuned": good})}
     ).worse_than_untuned == (
-        "the tuned filter is worse than the filter that uses only the fixes in 1 of 4 measures: heading error "
+        "the tuned filter is worse than the filter of the fixes alone in 1 of 4 measures: heading error "
         "0.4 deg instead of 0.3 deg",
     )
     close = {
@@ -268,8 +268,8 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
     }
     headline = Evaluation({"town": DriveResult(others | {"tuned": good} | close)}).view.result()
     assert headline.endswith(
-        " The tuned filter is NOT better than the fixes alone in the 5 s outage drift (2 m; fixes alone 2 m)."
-        " The tuned filter is NOT better than the baseline in the 30 s outage drift (7 m; baseline 6.9 m)."
+        " The tuned filter is NOT better than the filter of the fixes alone in the 5 s outage drift (2 instead of 2"
+        " m). The tuned filter is NOT better than the baseline in the 30 s outage drift (7 instead of 6.9 m)."
     )
     farther = replace(sheet, position_rmse=0.4)
     (here,) = Evaluation(

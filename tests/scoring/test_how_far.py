@@ -32,12 +32,12 @@ def recorded(nis: float, next_one: float) -> Consistency:
 @pytest.mark.parametrize(
     ("nis", "next_one", "said"),
     [
-        (2.0, 0.0, "about 0.5 m (RMS), as the filter estimates. The fixes"),
-        (2.0, 0.4, "0.5 m (RMS) or more, as the filter estimates. "),
-        (3.0, 0.0, "more than the 0.5 m (RMS) that the filter estimates. The fixes deviate from the predictions by"),
-        (1.7, 0.0, "0.5 m (RMS) or somewhat less, as the filter estimates. "),
-        (1.7, 0.4, "not known, perhaps 1.4 m"),
-        (0.2, 0.0, "not known, perhaps 1.4 m"),
+        (2.0, 0.0, "about 0.5 m RMS, estimated from the filter's covariance, since there is no truth. The fixes"),
+        (2.0, 0.4, "0.5 m RMS or more, estimated from the filter's covariance"),
+        (3.0, 0.0, "more than the 0.5 m RMS that the filter estimates. The fixes, with their own errors,"),
+        (1.7, 0.0, "0.5 m RMS or somewhat less, estimated from the filter's covariance"),
+        (1.7, 0.4, "not known, since there is no truth. It may be about 1.4 m"),
+        (0.2, 0.0, "not known, since there is no truth. It may be about 1.4 m"),
     ],
 )  # fmt: skip
 def test_how_far_off_without_truth_is_the_filters_word_held_against_the_fixes(
@@ -49,7 +49,9 @@ def test_how_far_off_without_truth_is_the_filters_word_held_against_the_fixes(
 def test_a_log_that_shows_nothing_of_the_error_gets_no_figure():
     """The filter's own sigmas exceed what it expects of the fixes: the difference of the two is no error."""
     said = describe_position(recorded(0.2, 0.4).model_copy(update={"own_sigma": 1.6}))
-    assert said.startswith("not known. The filter estimates 1.6 m (RMS), but the fixes")
+    assert said.startswith(
+        "not known, since there is no truth. The filter estimates 1.6 m RMS, but the fixes"
+    )
 
 
 @pytest.mark.long
@@ -68,6 +70,8 @@ def test_what_a_filter_says_of_itself_is_what_it_is_off_where_the_log_bears_it_o
     )
     assert own == pytest.approx(off, rel=0.34)
     (said,) = estimate_position_errors(blind.record, blind.setup.data)
-    assert f"{own:.2g} m (RMS)" in said
+    assert f"{own:.2g} m RMS" in said
     track = first_track(drives[2], tuning.parameters, as_recorded=False)
-    assert describe_first_track(track).startswith(f"{off:.2g} m RMSE on {drives[2].name} (baseline ")
+    assert describe_first_track(track).startswith(
+        f"Position error on {drives[2].name}: {off:.2g} m RMSE (baseline "
+    )

@@ -14,10 +14,11 @@ from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.diagnostics import (
     RECHECK_RATIO,
     DriftComparison,
-    describe_forecasts,
     divergence_warnings,
+    drift_table,
     drift_warnings,
     drifts_of,
+    larger_drifts,
 )
 from sigmaswarm.tuning.problem import car_problem
 from support import DRIVES, needs_shared
@@ -67,7 +68,10 @@ def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     assert tuned > found[0][0]
     (said,) = drift_warnings([(100.0, 20.0), (np.nan, np.nan)])
     assert said.startswith("TO DO: DO NOT USE THIS FILTER; ")
-    assert "or on more drives: over 30 s without fixes the tuned filter drifts 100 m" in said
+    assert (
+        "or on more drives. Reason: in outages of 30 s on its training drives, the tuned filter drifts 100 m"
+        in said
+    )
     assert drift_warnings([(29.0, 20.0)]) == drift_warnings([]) == []
     assert (
         drift_warnings([(20.0, 20.0), (np.nan, np.nan)], RECHECK_RATIO)
@@ -81,9 +85,15 @@ def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     short = good.forecasts[1]
     measured = drifts_of(PreparedDrive(town()), good.parameters, length=5.0, noise=good.fixes_alone)
     assert (short.tuned_m, short.baseline_m, short.fixes_alone_m) == pytest.approx(measured)
-    assert ", LOWER" in str(replace(short, fixes_alone_m=short.tuned_m))
-    assert ", LOWER" not in str(replace(short, fixes_alone_m=1.01 * short.tuned_m))
-    assert f"drift without fixes on the training drives: {good.forecasts[0]}" in repr(good)
+    (lower,) = larger_drifts([replace(short, baseline_m=np.inf, fixes_alone_m=0.9 * short.tuned_m)])
+    assert lower.startswith(
+        "the tuned filter drifts MORE than the filter of the fixes alone in outages of 5 s"
+    )
+    assert not larger_drifts([replace(short, baseline_m=np.inf, fixes_alone_m=1.01 * short.tuned_m)])
+    assert (
+        f"Drift (RMS) at the end of an outage, on the training drives:\n{drift_table(good.forecasts).to_text()}\n"
+        in repr(good)
+    )
     same = evaluate([town()], good)
     assert measured[:2] == pytest.approx([same.mean(m, "outage_drift_m") for m in ("tuned", "untuned")])
     whole = evaluate([town()], bad)
@@ -120,7 +130,7 @@ def test_it_names_three_drives_and_counts_the_others():
     assert "diverged on drive-0 and was reset once, at t = 10.2 s" in said
     assert "it diverged on drive-1 and was reset 2 times, at t = 10.2, 31.0 s" in said
     assert "drive-3" not in said
-    assert "and on 2 more drives" in said
+    assert "it also diverged on 2 more drives" in said
     assert "sound" not in said
 
 
@@ -132,8 +142,20 @@ def test_a_larger_drift_than_that_of_the_baseline_is_reported_in_one_line(
     tuned: float, baseline: float, worse: bool
 ):
     others = DriftComparison(1.0, 0.3, 0.5, 0.5), DriftComparison(30.0, 80.0, 79.0, 90.0)
-    said = describe_forecasts([others[0], DriftComparison(5.0, tuned, baseline, 4.0), others[1]])
-    each = "5 s (2.1 m; baseline 1.8 m), " if worse else ""
-    line = f"drift on the training drives is larger than that of the baseline over {each}30 s (80 m; baseline 79 m)"
-    assert said[1:] == [line]
-    assert describe_forecasts([others[0]])[1:] == []
+    said = larger_drifts([others[0], DriftComparison(5.0, tuned, baseline, 4.0), others[1]])
+    each = "5 s (2.1 m instead of 1.8 m), " if worse else ""
+    line = f"the tuned filter drifts MORE than the baseline in outages of {each}30 s (80 m instead of 79 m)"
+    assert said == [line]
+    assert larger_drifts([others[0]]) == []
+
+
+def test_the_drifts_are_in_a_table_of_methods_and_lengths():
+    table = drift_table([DriftComparison(5.0, 1.0, 2.0, 9.0), DriftComparison(30.0, 7.13, 6.36, 59.4)])
+    assert [row.split()[-2:] for row in table.to_text().splitlines()[1:]] == [
+        ["1", "7.13"],
+        ["2", "6.36"],
+        ["9", "59.4"],
+    ]
+    assert drift_table([], [700.0] * 4).caption.endswith(
+        "first 3 training drives, 600 s in the middle of each"
+    )

@@ -64,7 +64,7 @@ def test_prior_counts_the_white_and_the_lasting_variance_together(r: float, g: f
 def test_correlated_innovations_are_reported_where_the_option_would_explain_them():
     p = FilterParameters(1.0, 0.0, 0.0, (1e-6,) * 8, (1.0, 1.0), "planar8", kind="ekf")
     (said,) = correlation_warnings(p, [0.9, 0.5, np.nan, 0.1])
-    assert "(lag 1: 0.50)" in said
+    assert "(autocorrelation at lag 1: 0.50)" in said
     for other in (replace(p, fix_error=0.5), replace(p, kind="fuzzy-ukf")):
         assert correlation_warnings(other, [0.9]) == []
     assert correlation_warnings(p, [0.9, 0.2, 0.1]) == correlation_warnings(p, [np.nan]) == []

@@ -42,12 +42,12 @@ def with_r(std: float):
 @pytest.mark.parametrize(
     ("std", "noise", "said"),
     [
-        (0.05, FixNoise(1.8, 0.1), "corresponds to 0.05 m per axis, and the receiver states 1.8 m"),
+        (0.05, FixNoise(1.8, 0.1), "corresponds to 0.05 m per axis, but the receiver states 1.8 m"),
         (0.05, FixNoise(NONE, 1.0), "scatter by 1 m per axis about a path that is consistent with the IMU"),
         (
             0.9,
             FixNoise(1.8, 0.1),
-            "states 1.8 m per axis and its fixes scatter by 0.1 m: their errors are correlated",
+            "states 1.8 m per axis and its fixes scatter by 0.1 m, so their errors are correlated",
         ),
         (0.1, FixNoise(NONE, 0.1), "scatter by 0.1 m per axis and their receiver states no accuracy"),
         (0.9, FixNoise(1.0, 1.0), ""),
@@ -58,7 +58,7 @@ def with_r(std: float):
 def test_r_is_held_against_the_receiver_and_the_scatter(std: float, noise: FixNoise, said: str):
     found = noise_warnings(with_r(std), [noise])
     assert len(found) == bool(said)
-    assert all(said in one and "without truth a log does not show" in one for one in found)
+    assert all(said in one and "A log without truth does not show" in one for one in found)
     scaled = replace(with_r(std), accuracy_scale=1.0)
     assert noise_warnings(scaled, [noise]) == []
 
@@ -84,7 +84,7 @@ def test_errors_that_are_only_assumed_to_be_correlated_are_reported():
     p = FilterParameters(1.0, 2.0, 0.0, (1e-3,) * 5, (1.0, 1.0), kind="ekf", fix_error=0.5)
     (said,) = noise_warnings(p, [FixNoise(np.nan, 0.1)])
     assert said.startswith("TO DO: write the line `gps_std_m = 1.5` at the top of drive.toml")
-    assert "modeled as correlated, 2.1 m per axis" in said
+    assert "assumes correlated errors of 2.1 m per axis" in said
     assert noise_warnings(p, [FixNoise(2.0, 0.1)]) == noise_warnings(p, [FixNoise(np.nan, 1.0)]) == []
 
 

@@ -69,7 +69,7 @@ def test_without_the_accuracy_that_plays_no_part_nothing_is_said_of_it():
     with_it = tune(drive, use=["lateral", "accuracy"], **options)
     scaled = replace(with_it.parameters, accuracy_scale=1e-3, measurement_noise=(1.0, 1.0))
     (said,) = accuracy_warnings(scaled, [2.0], ["lateral", "accuracy"])
-    use = re.findall(r"tune with --use (.*?):", said)[0].split()
+    use = re.findall(r"tune with --use (.*?)\.", said)[0].split()
     without = tune(drive, use=use, **options)
     assert without.parameters.accuracy_scale is None and not to_dos(without, "`accuracy` has no effect")
 

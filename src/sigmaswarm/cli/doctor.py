@@ -28,7 +28,7 @@ class DoctorOptions:
     fix
         Folder for a repaired copy of each drive. The drives themselves are not changed.
     lever_arm_within
-        Estimate one lever arm from all drives; --fix writes axes whose 95% interval is at most +- this value, m.
+        Estimate one lever arm from all drives. --fix writes the components with a 95% interval within +- this value, m.
     """
 
     fix: Path | None = None
@@ -47,8 +47,8 @@ def doctor(
 ) -> None:
     """Check drives for wrong signs, units, axes, clocks, noise and gaps.
 
-    The doctor compares the IMU with the motion of the fixes. It does not use truth. The exit code is 0 without serious
-    faults, 1 with a serious fault (with --fix: in a copy), and 2 if a drive can't be read.
+    The doctor compares the IMU with the motion of the fixes. It does not use truth. The exit code is 0 if there is no
+    serious fault, 1 if there is one, and 2 if a drive can't be read. If --fix is given, the faults of the copies count.
 
     For example:
 
@@ -104,11 +104,11 @@ def _repair(
     repaired += ["lever-arm"] if arm and any(arm.observable) else []
     remaining = sigmaswarm.diagnose(copy)
     if repaired and not options.json:
-        print_lines(f"wrote {folder}, repaired: {', '.join(repaired)}. Remaining findings:\n")
+        print_lines(f"wrote {folder}. Repaired: {', '.join(repaired)}. Remaining findings:\n")
         print_diagnosis(remaining, explained)
     elif not options.json:
         why = "all repairs are withheld" if codes else "the doctor has no repair for these findings"
-        print_lines(f"wrote {folder}, an unchanged copy: {why}\n")
+        print_lines(f"wrote {folder}, an unchanged copy, since {why}\n")
     return remaining, {"path": str(folder), "mended": repaired, **remaining.to_dict()}
 
 

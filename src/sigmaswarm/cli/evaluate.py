@@ -39,7 +39,8 @@ class EvaluateOptions:
     Attributes
     ----------
     against
-        Second filter: a tuning, a TOML file with parameters in [filter], or an ekf.yaml of robot_localization.
+        Another filter to compare with: a tuning, a TOML file with a table [filter], or an ekf.yaml of
+        robot_localization.
     out
         Folder for scores.csv, scores.json, figures and the data of the page; an earlier evaluation is replaced.
     outage_length
@@ -82,10 +83,10 @@ def evaluate(
 ) -> None:
     """Evaluate a tuned filter on drives.
 
-    The filter is compared with the baseline filter, a filter of the fixes alone, raw GPS, IMU only and, with --against,
-    another filter. Use drives that the tuning did not use. All methods start at the same time from the same state.
-    Without truth the scores are the consistency of the innovations and the drift in simulated outages, measured at the
-    hidden fixes.
+    The filter is compared with the baseline filter and with a filter of the fixes alone. --against adds another filter.
+    If there is truth, the filter is also compared with raw GPS and with the IMU alone. If not, the scores are the
+    consistency of the innovations and the drift in simulated outages, measured at the hidden fixes. All methods start
+    at the same time from the same state. Use drives that the tuning did not use.
 
     For example:
 

@@ -28,16 +28,16 @@ class ExportOptions:
     Attributes
     ----------
     to
-        filterpy: a Python script. c99: a C library. robot_localization: parameters, which are a starting point unless
-        tuned with --model robot-localization.
+        filterpy: a Python script. c99: a C library. robot_localization: a YAML file, accurate only if tuned with
+        --model robot-localization.
     out
-        Folder to write to; an earlier export, with what was built from it, is replaced; your other files are kept.
+        Folder to write to. An earlier export and the files built from it are replaced; other files are kept.
     replay
-        c99: also write this drive as the input of the replay program.
+        c99: also write replay.csv, the input of the program replay.c, from this drive.
     check
         c99: compare C with `sigmaswarm run` on these drives. robot_localization: write the errors into README.md.
     against
-        With --check, for the model robot-localization: a second tuning that is added to the table in README.md.
+        For --check and the model robot-localization: another tuning, whose errors are added to README.md.
     lanes
         c99: number of filters in the exported bank, 1 to 16. The C code does not search for better parameters.
     seed
@@ -124,10 +124,10 @@ def _check_options(options: ExportOptions, *, ros: bool) -> None:
 
 def _mounting_notes(target: AnyTarget, record: "TuningRecord") -> Iterator[str]:
     if record.mounting and target == "c99":
-        angles = ", ".join(f"{angle:g}" for angle in record.mounting)
+        angles = ", ".join(f"{angle:.4g}" for angle in record.mounting)
         yield (
-            "ins_gps_turn_imu() rotates samples from the imported axes by the mounting of the training drives "
-            f"({angles} deg)"
+            "pass each IMU sample, in the axes of the import, to ins_gps_turn_imu(): it applies the mounting of the "
+            f"training drives (roll, pitch, yaw: {angles} deg). The samples in replay.csv are rotated already"
         )
     if target != "filterpy" and record.mountings_differ:
         yield (

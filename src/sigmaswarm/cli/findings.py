@@ -27,7 +27,7 @@ def print_diagnosis(diagnosis: "Diagnosis", explained: set[str] | None = None) -
     from rich.text import Text
 
     serious, warned, noted = (sum(f.severity == s for f in diagnosis.findings) for s in _STYLES)
-    summary = f"{serious} SERIOUS" if serious else "nothing serious"
+    summary = f"{count_of(serious, 'SERIOUS fault')}" if serious else "no serious fault"
     summary += f", {count_of(warned, 'warning')}, {count_of(noted, 'note')}"
     out = console(soft_wrap=True)
     out.print(Text.assemble((diagnosis.drive, "bold"), f": {summary}"))
@@ -43,7 +43,7 @@ def print_diagnosis(diagnosis: "Diagnosis", explained: set[str] | None = None) -
         explained.add(message)
         table.add_row(Text(f"  {finding.severity}", _STYLES[finding.severity]), Text(message))
     if repeated:
-        table.add_row(Text("  note", _STYLES["note"]), Text(f"{count_of(repeated, 'note')} as above."))
+        table.add_row(Text("  note", _STYLES["note"]), Text(f"{count_of(repeated, 'other note')}, as above."))
     out.print(table)
     out.print()
 
@@ -214,7 +214,7 @@ def next_steps(diagnosis: "Diagnosis", out: Path, part: str = "") -> Iterator[st
         return
     if part:
         yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out {free_path('tuned')}"
-        yield "      (for an evaluation keep the other part)"
+        yield "      (keep the other part for the evaluation)"
         return
     yield f"then: sigmaswarm split {shlex.quote(str(ready))} --out {free_path('parts')}"
-    yield "      (with another drive for the evaluation: sigmaswarm tune on the whole drive)"
+    yield "      (if you have another drive for the evaluation, do not split: run sigmaswarm tune on this drive)"

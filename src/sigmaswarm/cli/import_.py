@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 AXES_NOTE = (
     "the IMU's axes are assumed to be x forward, y left, z up; "
-    "if wrong, add --mount auto, or state the mounting"
+    "if this is wrong, add --mount auto, or specify the mounting"
 )
 NOT_READY_NOTE = "The log cannot be imported yet: follow the notes above, and repeat --show"
 MAX_UNUSED_COLUMNS = 100  # unused columns that are named per table
@@ -75,7 +75,7 @@ class ImportOptions:
     receive_times
         Use the receive times of messages instead of the stamps in their headers.
     part
-        Number of the recording to read, from 1, if a clock restarts within a table.
+        Number of the recording to read; the first is 1. A table contains several recordings if its clock restarts.
     msg
         Message definitions that a bag lacks: a .msg file, or the folder of a ROS package.
     mount
@@ -91,7 +91,7 @@ class ImportOptions:
     lever_arm
         Vector from the IMU to the antenna: forward,left,up in m.
     heading_from_north
-        Heading at the first IMU sample, deg clockwise from north, if the vehicle is too slow to determine it.
+        Heading at the first IMU sample, deg clockwise from north. Needed if the vehicle is too slow to determine it.
     gps_from_truth
         Simulate fixes from the truth: rate in Hz and white noise in m, for example 5,1.
     max_rows
@@ -154,8 +154,8 @@ def import_(
 ) -> None:
     """Import a log as a drive.
 
-    The log can be a ROS bag, an MCAP, CSV or Parquet file, a data set, or from a receiver, a flight controller or a
-    phone. The format is detected. Begin with --show, which writes nothing.
+    The log can be a ROS bag, an MCAP, CSV or Parquet file, a published data set, or a log of a receiver, a flight
+    controller or a phone. The format is detected. Begin with --show, which writes nothing.
 
     For example:
 
@@ -313,11 +313,13 @@ def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
         title = "To read the other columns, add to the command"
         console.print(f"\n{title}{'' if inspection.works else ', with the missing parts'}:", style="bold")
         of_rows = re.search(r"\b(imu|gps)\.t=", inspection.proposal)
-        times = "; imu.t and gps.t are the times of the IMU's and the fixes' rows" if of_rows else ""
-        evidence = f"({printable(inspection.evidence, 1000)}{times}; the mapping is applied only on request)"
+        times = "; imu.t and gps.t are the times of the rows of IMU and fixes" if of_rows else ""
+        evidence = (
+            f"({printable(inspection.evidence, 1000)}{times}; import applies it only with these options)"
+        )
         print_lines(printable(inspection.proposal, 4000), evidence)
     if inspection.unread:
-        console.print("\nColumns that neither the recipe nor the proposal uses:", style="bold")
+        console.print("\nColumns that are not used:", style="bold")
     for table, columns in (inspection.unread or {}).items():
         more = f" and {len(columns) - MAX_UNUSED_COLUMNS} more" if len(columns) > MAX_UNUSED_COLUMNS else ""
         print_lines(f"{printable(table)}: {', '.join(map(printable, columns[:MAX_UNUSED_COLUMNS]))}{more}")

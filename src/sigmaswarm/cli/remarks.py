@@ -14,7 +14,7 @@ _DESCRIPTION = "drive.toml"
 
 
 def name_files(remark: str, folders: Sequence[Path]) -> str:
-    """Replace drive.toml in a remark by its path; a line for a part of a drive belongs into that of the whole drive."""
+    """Replace drive.toml in a remark by its path; for a part of a drive, by the path of the whole drive's file."""
     from sigmaswarm.cli.whole_drive import description_of, find_whole
     from sigmaswarm.drives.description import cut_of
     from sigmaswarm.tuning.receiver import AT_THE_TOP, TUNE_AGAIN

@@ -188,7 +188,7 @@ def _lines(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixe
     if restarts := summary["restarts_s"]:
         yield f"the filter diverged and was reset at t = {', '.join(f'{t:.2f}' for t in restarts)} s"
     what = "smoothed estimates" if options.smooth else "estimates"
-    yield f"wrote {summary['estimates']} {what} from {first:.2f} s to {last:.2f} s to {out}"
+    yield f"wrote {out}: {summary['estimates']} {what}, t = {first:.2f} to {last:.2f} s"
     if (layout := out / LAYOUT_FILE).exists():
         yield f"Foxglove: import {layout} as a layout"
     if options.bank:
@@ -196,9 +196,10 @@ def _lines(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixe
         yield from (f"wrote {summary['swarm']}", f"wrote {summary['settled']}")
     earlier = first - float(drive.imu.time[0])
     if earlier > 5.0:  # s; less is usual, since a start in motion needs some seconds
-        rest = f"wrote the {fixes} earlier fixes to {options.before}"
+        rest = f"wrote {options.before}: {fixes} fixes before the start"
         rest = rest if options.before else "--before NAME.csv writes the fixes before the start"
-        yield f"the first {earlier:.1f} s have no estimate, since a filter starts at {START_RULE}; {rest}"
+        yield f"the first {earlier:.1f} s have no estimate, since a filter starts at {START_RULE}"
+        yield rest
 
 
 def _bank_files(out: Path) -> tuple[Path, Path]:

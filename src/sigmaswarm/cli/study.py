@@ -55,9 +55,9 @@ def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(
     - three filters tuned with the same budget: EKF, adaptive UKF, planar8;
     - the default filter of `tune`.
 
-    Filters are tuned under two protocols. "paper": cost against the GPS, linear search. "honest": cost against truth,
-    logarithmic search. The tables also list the values in the paper. Racing is on by default with 96 training drives or
-    more. The result does not depend on the number of workers.
+    Filters are tuned under two protocols. Protocol "paper": tuned with the fixes, linear search. Protocol "honest":
+    tuned with truth, logarithmic search. The tables also list the values in the paper. Racing is on by default with 96
+    training drives or more. The result does not depend on the number of workers.
 
     In each trial, --rivals also tunes a fuzzy UKF, tunes a UKF by Bayesian optimization (at most 100 evaluations), and
     trains outage-lstm and noise-gru for planar8. The option adds the drift after 15, 30 and 60 s, drives with other

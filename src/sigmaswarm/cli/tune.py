@@ -27,6 +27,8 @@ from sigmaswarm.tuning.config import DEFERRED_OPTIONS, RENAMED, TuneConfig
 from sigmaswarm.wording import TO_DO, count_of
 
 if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
     from sigmaswarm import Drive, Tuning
     from sigmaswarm.datasets.dataset import Dataset
     from sigmaswarm.scoring.tracks import FirstTrack
@@ -68,8 +70,8 @@ def tune(
 ) -> None:
     """Tune a filter on drives.
 
-    The filter is written to OUT/tuning.toml. Without truth.csv the filter is tuned to predict the fixes. Without
-    --model and --use the sensors of the drives determine the filter. Keep some drives for `sigmaswarm evaluate`.
+    The filter is written to OUT/tuning.toml. If a drive has no truth.csv, the filter is tuned to predict the fixes. By
+    default the sensors of the drives determine --model and --use. Keep some drives for `sigmaswarm evaluate`.
 
     For example:
 
@@ -83,36 +85,36 @@ def tune(
         sigmaswarm tune drives/training --out tuned --resume
         sigmaswarm tune s3://fleet/training --out tuned --cluster tcp://scheduler:8786
 
-    Objectives (by default truth-pose + 0.2 nees with truth, else innovation-t):
+    Objectives of a search (default: truth-pose + 0.2 nees if all drives have truth, else innovation-t):
 
         truth-rmse      position error against truth
         truth-pose      errors of position and heading, and drift in outages
-        innovation-nll  likelihood of each fix before its update, normal
-        innovation-t    the same with Student's t, for outliers
-        forecast-t      likelihood of fixes that were hidden for 3 to 5 s
-        outage-rmse     error at fixes that were hidden for 3 to 5 s
-        nis, nees       scale of the covariance, as a term of a sum
+        innovation-nll  likelihood of each predicted fix, with normal errors
+        innovation-t    the same with Student's t errors, for outliers
+        forecast-t      likelihood of fixes that are hidden for 3 to 5 s
+        outage-rmse     error at fixes that are hidden for 3 to 5 s
+        nis, nees       penalty for a wrong scale of the covariance; add it to another
         gps-rmse        distance of updated estimates to the fixes (paper)
 
     Values of --use:
 
-        velocity        speed and course of the receiver
-        lateral         a car does not move sideways
-        slip            tire slip in lateral
-        standstill      zero velocity while the car stands
-        odometer        wheel speed
-        heading         heading of two antennas or a compass
+        velocity        use the receiver's speed and course
+        lateral         assume that a car does not move sideways
+        slip            tune the tire slip in lateral
+        standstill      assume zero velocity while the car stands
+        odometer        use the wheel speed
+        heading         use the heading of two antennas or a compass
         gate            reject fixes that are far from the prediction
         imu-gate        robot-localization: reject IMU messages with a large NIS
         latency         tune the delay of the fixes
-        accuracy        the receiver's stated accuracy of each fix
-        robust          Student's t for fix errors, instead of gate
-        fix-error       fix errors that last for many fixes
+        accuracy        use the receiver's stated accuracy of each fix
+        robust          assume Student's t for fix errors; replaces gate
+        fix-error       estimate errors that consecutive fixes have in common
 
     Parameters
     ----------
     out
-        Folder for tuning.toml, the convergence history and figures. It must not contain a tuning, except with --resume.
+        Folder for tuning.toml, the convergence history and figures. It may contain a tuning only with --resume.
     """
     require_result_folder(out, [options.start], "tuning", "config.json")
     remedies = None if options.trust_log else list[Remedy]()
@@ -175,7 +177,7 @@ def _remarks(tuning: "Tuning[Any]", track: "FirstTrack", given: Places) -> Itera
 
     folders = local_folders(given)
     if position := describe_first_track(track):
-        yield f"position: {position.removeprefix('Position ')}"
+        yield f"{position[0].lower()}{position[1:]}"
     for remark in tuning.remarks[:MAX_REMARKS]:
         remark = name_files(remark, folders)
         yield remark if remark.startswith(TO_DO) else f"note: {remark}"
@@ -189,8 +191,8 @@ def _is_part(drive: "Drive") -> bool:
     return CUT in drive.metadata
 
 
-def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
-    from sigmaswarm.tuning.diagnostics import describe_forecasts
+def _costs(tuning: "Tuning[Any]") -> "Iterable[str | RichTable]":
+    from sigmaswarm.tuning.diagnostics import drift_table, larger_drifts
 
     before = tuning.trial_costs[tuning.best_trial]
     inflated = f"; {before:.4f} before process-noise inflation" if tuning.inflation_factor != 1.0 else ""
@@ -206,13 +208,13 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
         change = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
         on = count_of(len(tuning.validation.drives), "validation drive")
         yield f"cost {tuning.validation.cost:.4f} on {on}: {change}"
-    drifts, *worse = describe_forecasts(tuning.forecasts, [one["duration_s"] for one in tuning.data]) or [""]
-    yield from [drifts] * bool(drifts)
-    yield from (f"{sentence}; {_remedy(tuning)}" for sentence in worse)
+    if tuning.forecasts:
+        yield drift_table(tuning.forecasts, [one["duration_s"] for one in tuning.data]).to_rich()
+    yield from (f"{sentence}; {_remedy(tuning)}" for sentence in larger_drifts(tuning.forecasts))
 
 
 def _remedy(tuning: "Tuning[Any]") -> str:
-    """Return a remedy for a filter that drifts farther than the baseline; options that may raise the drift are none."""
+    """Return a remedy for a filter that drifts more than another method; no remedy may increase the drift."""
     usual, config = TuneConfig.model_fields, tuning.config
     if config.particles * config.generations < usual["particles"].default * usual["generations"].default:
         return "tune with the default --particles and --generations"

@@ -100,7 +100,7 @@ def finding_sentences(drive: Drive) -> tuple[str, ...]:
         return ()
     named = {"serious": "finds a SERIOUS fault in", "warning": "warns of"}
     return tuple(
-        f"the doctor {named[f.severity]} {drive.name} [{f.code}]: {f.what}; {f.remedy}"
+        f"the doctor {named[f.severity]} {drive.name} [{f.code}]: {f.what}. Remedy: {f.remedy}"
         for f in found
         if f.severity in named
     )

@@ -161,13 +161,13 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
     if confidence != "no" and angle_of(level_rotation(rotate_imu(imu, rotation))) > MAX_TILT:
         confidence, reason = (
             "no",
-            "the axis of turning is not vertical: accelerometers and gyro have different axes",
+            "in turns the axis of rotation is not vertical, so accelerometers and gyro have different axes",
         )
     far = confidence != "no" and angle_of(rotation) > math.pi / 2
     if far and np.min(_leaning(rotate_imu(imu, rotation))) < -MIN_LEANING:
         confidence, reason = (
             "no",
-            "with the mounting found, the body would lean into turns, or forward while the car gains speed",
+            "with the mounting that was found, the body would lean into turns, or pitch forward in acceleration",
         )
     before = rotation_of(*(drive.mounting or NO_ROTATION))
     return Mounting(rotation, seen.std, confidence, reason, before)
@@ -359,7 +359,7 @@ def _confidence(seen: _Round) -> tuple[Confidence, str]:
         ),
         (
             lateral <= 0.4 or lateral >= 1.6,
-            f"the lateral acceleration is {lateral:.1f} times the product of speed and yaw rate, not equal to it",
+            f"the lateral acceleration is {lateral:.1f} times the product of speed and yaw rate, but should equal it",
         ),
         (total > LIKELY_STD, uncertain),
     ):

@@ -168,7 +168,7 @@ class ClockOffset:
 def clock_of(
     yaw_fit: YawFit | None, yaw: Yaw, acceleration: AccelerationFit | None, mount: PlanarMounting | None
 ) -> ClockOffset:
-    """Combine the fixes' delays by accelerometers and by gyro; their difference increases the standard deviation."""
+    """Combine the delays that accelerometers and gyro show; their difference increases the standard deviation."""
     found: list[tuple[float, float]] = []
     max_offset = float(acceleration_fit.DELAYS[-1])
     if acceleration is not None and mount is not None and acceleration.varied > MIN_VARIED:

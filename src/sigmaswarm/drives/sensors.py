@@ -37,7 +37,7 @@ On eight simulated M8 logs of 142 s at 1 Hz, these states increased the drift ov
 
 @dataclass(frozen=True)
 class SuggestedFilter:
-    """A filter: model, measurements other than positions, and the sensors that suggest it."""
+    """A filter: model, measurements other than positions, and the reason in the sensors of the logs."""
 
     model: str
     use: tuple[str, ...]
@@ -128,19 +128,19 @@ def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
     stated = bool(logs) and len(spreads) == len(logs)
     look_wrong = all(len(one.axes) == 6 for one in logs)
     reasons = [
-        "az does not show gravity, or gx or gy is constant" if look_wrong else "an IMU without az, gx and gy"
+        "az does not show gravity, or gx or gy is constant" if look_wrong else "an IMU lacks az, gx or gy"
     ]
     if six:
-        reasons = ["six IMU axes"]
+        reasons = ["the IMU has six axes"]
     if wheels:
-        reasons.append("an odometer")
+        reasons.append("there is an odometer")
     if stated:
         low, high = min(low for low, _ in spreads), max(high for _, high in spreads)
-        reasons.append(f"stated standard deviations from {low:.2g} to {high:.2g} m")
+        reasons.append(f"the stated standard deviations range from {low:.2g} to {high:.2g} m")
     if logs and all(one.heading for one in logs):
-        reasons.append("a heading, which you can add to --use")
+        reasons.append("there is a heading, which you can add to --use")
     use = ("lateral", "standstill", *["odometer"] * wheels, *["accuracy"] * stated, "robust")
-    return SuggestedFilter("tilted12" if six else "planar8", use, ", ".join(reasons))
+    return SuggestedFilter("tilted12" if six else "planar8", use, ", and ".join(reasons))
 
 
 def has_attitude(drive: Drive) -> bool:

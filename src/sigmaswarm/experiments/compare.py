@@ -59,7 +59,7 @@ REJECTED_OPTIONS = {
     **{name: f"varies in a comparison; use {name}s instead" for name in ("seed", "optimizer", "scale")},
     **dict.fromkeys(
         ("prior", "inflation", "margin"),
-        "can't be set: a comparison compares costs without it; leave it out",
+        "is not available here, since a comparison uses the cost without prior and inflation; remove this option",
     ),
 }
 

@@ -271,7 +271,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "NUMERIC_VERSION": ".".join(__version__.split(".")[:3]),
         "STATES": repr(names),
         "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
-        "CALM_NOTE": ": the filter learns the noise at rest" if stands else "",
+        "CALM_NOTE": ": the filter estimates the noise at rest" if stands else "",
         "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
         "STD_NOTE": "; this filter uses them" if weighs else "; 0 if none are stated",
         "STD_UNUSED": "    (void)std;\n" if lasting and not weighs else "",

@@ -60,15 +60,15 @@ PARAMETERS = (
     *(*NOISE_OF.values(), "rear_axle", "tire_slip", "odometer_scale", "odometer_latency"),
 )
 NUMBERS = {
-    "LATENCY": "s: age of a fix at its time stamp",
+    "LATENCY": "s: delay of a fix: its time stamp minus the time at which the position was true",
     "QUARTER_GAMMA": "gamma / 4, with gamma^2 = alpha^2 (n + kappa)",
     "SHORTENS": "-8 / gamma^2",
     "SPREAD": "alpha^2 (n + kappa - 1) + beta",
     **{
-        f"{sensor.upper()}_BIAS_STD": f"{of.unit}: standard deviation at the start"
+        f"{sensor.upper()}_BIAS_STD": f"{of.unit}: initial standard deviation of the bias"
         for sensor, of in SENSORS.items()
     },
-    "TILT_STD": "rad: standard deviation of roll and pitch at the start",
+    "TILT_STD": "rad: initial standard deviation of roll and pitch",
     "GRAVITY": "m/s2",
     "FORGETTING": "forgetting factor per fix",
     "WIDTH_RATIO": 'ratio at which "large" has membership 1',
@@ -79,28 +79,28 @@ NUMBERS = {
     "SLOWER": "ratio of the two time constants of the trend",
     "GATE": "largest normalized innovation squared (NIS) of a fix that is used",
     "MOST_REJECTED": "after this many rejected fixes the next fix is used, so that a diverged filter can recover",
-    "ACCURACY_SCALE": "factor of the stated variance of a fix, which is added to R",
+    "ACCURACY_SCALE": "the stated variance of a fix, times this factor, is added to R",
     "FIX_ERROR": "g: variance of the correlated fix error, relative to the stated variance",
     "FIX_ERROR_RATE": "nominal interval / time constant of the correlated fix error",
-    "FIX_VAR": "m2, variance of a fix without a stated standard deviation",
+    "FIX_VAR": "m2: variance of a fix that has no stated standard deviation",
     "ROBUST_DOF": "degrees of freedom of Student's t, the distribution of the errors of fixes",
     "ITERATIONS": "iterations to find the weight of a fix",
     "OUTLYING": "weight below which a fix is an outlier",
     "OUTLIERS": "number of consecutive outliers that show that the filter is wrong, if they span enough time",
-    "PATIENCE": "nominal steps that the OUTLIERS consecutive outliers must span",
-    "OUTLIERS_SPAN": "s that the OUTLIERS consecutive outliers must span",
+    "PATIENCE": "smallest number of nominal steps from the first to the last of the OUTLIERS consecutive outliers",
+    "OUTLIERS_SPAN": "s: shortest time from the first to the last of the OUTLIERS consecutive outliers",
     **{noise.upper(): MEASURED[name] for name, noise in NOISE_OF.items()},
-    "REAR_AXLE": "m from the rear axle forward to the IMU",
+    "REAR_AXLE": "m: distance from the rear axle forward to the IMU",
     "TIRE_SLIP": "s2/m: slip angle of the rear tires (rad) per lateral acceleration (m/s2)",
-    "CORNERING": "m/s2, lateral acceleration above which tires slip too much",
-    "INTERVAL": "s in which each constraint is used at most once",
+    "CORNERING": "m/s2: lateral acceleration above which the tires slip too much for the lateral constraint",
+    "INTERVAL": "s: length of the time slots; each constraint is used at most once in a slot",
     "STANDSTILL_RATE_NOISE": "rad2/s2: variance of the gyro about its bias",
     "PER_ODOMETER_SCALE": "true speed / reading",
-    "ODOMETER_LATENCY": "s: age of a reading at its time stamp",
-    "EVIDENCE_LASTS": "s in which evidence fades to 1/e",
+    "ODOMETER_LATENCY": "s: delay of a reading: its time stamp minus the time at which its value was true",
+    "EVIDENCE_LASTS": "s: time constant with which the evidence of the weights decays",
     "EVIDENCE_COUNTS": "each fix counts as this share of a fix with independent errors, since fix errors are "
     "correlated",
-    "LARGEST_NIS": "limit of the NIS of a fix in the evidence",
+    "LARGEST_NIS": "upper limit of the NIS of a fix in the evidence of the weights",
 }
 """Numbers that a template may use, with the comments of their definitions."""
 

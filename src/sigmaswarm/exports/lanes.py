@@ -1,4 +1,4 @@
-"""Table of the parameters that differ between the lanes of an exported filter bank."""
+"""Table of the parameters that differ between the filters of an exported filter bank."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ class Lanes:
             )
 
     def filters(self, tuning: FilterParameters) -> list[FilterParameters]:
-        """Return the parameters of each lane. Lane 0 is the tuning."""
+        """Return the parameters of each filter of the bank. Filter 0 is the tuned one."""
         spread = OffsetPrior(tuning)
         return [tuning, *(spread.parameters(offsets) for offsets in self._offsets(spread)[1:])]
 
@@ -61,7 +61,7 @@ class Lanes:
 
 
 _NUMBERS = ("accuracy_scale", *NOISE_OF.values(), "rear_axle", "tire_slip")
-"""Scalar parameters that may differ between lanes, in addition to Q, R and initial biases."""
+"""Scalar parameters that may differ between the filters, in addition to Q, R and initial biases."""
 
 
 def _numbers(p: FilterParameters) -> dict[str, float]:

@@ -29,7 +29,7 @@ PRIOR_STD = np.array([2.0, 2.0, 1.0, 1.0, 0.03])  # at the first fix: m, m/s, ra
 def dated_back(
     drive: Drive | PreparedDrive, parameters: FilterParameters, *, longest: float = MAX_DURATION
 ) -> InitialState:
-    """Estimate the states that an alignment lacks, for a better start at the same time.
+    """Estimate the states that an alignment does not determine, at the time of the alignment.
 
     Roll, pitch and biases are those of a filter over the fixes before the start; the other states and the gyro bias
     about up are those of the alignment. Only data before the start are used.

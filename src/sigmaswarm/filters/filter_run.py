@@ -137,10 +137,10 @@ class FilterRun:
         self._complete = True
 
     def _run_to(self, stops: Indices, record: Array) -> Mask:
-        """Run to the last of the stops, (r,), which follow IMU samples; return where the filter is lost, (r,).
+        """Run to the last of the stops, (r,), which follow IMU samples; mark where the estimate is the last fix, (r,).
 
-        A stop for each check would take longer than the steps, so the filter runs to the end and is checked from its
-        record. After a divergence, the filter is reset and runs again from that step.
+        Stopping the filter at every check would take longer than the steps. The filter therefore runs to the end, and
+        its recorded estimates are checked afterwards. After a divergence, it is reset and runs again from that step.
         """
         lost = np.zeros(len(stops), dtype=np.bool_)
         if self._checks is None:

@@ -41,7 +41,7 @@ class FixedLag:
         self._back(np.zeros((0, self._width)), np.zeros(len(self._state)), np.zeros(len(self._state)))
 
     def smoothed(self, memory: LiveArrays) -> tuple[float, Array]:
-        """Return the time of the smoothed state, s, and its state rows, (s,)."""
+        """Return the time (s) of the smoothed state, and its rows of the state, (n_rows,)."""
         filter_state, counts, _, fixes, speeds, history, checkpoints, _ = memory
         now, kept = float(filter_state[live.TIME]), int(counts[live.N_HISTORY])
         order = (int(counts[live.OLDEST]) + np.arange(kept)) % len(history)

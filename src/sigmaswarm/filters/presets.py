@@ -84,8 +84,8 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
     ----------
     drive : Drive
     like : FilterParameters, optional
-        Filter with the model, type and options of the result. None: the preset ``datasheet``, a planar5 UKF with values
-        from data sheets only.
+        Filter whose model, type and options the result has. By default (None) the result is the preset ``datasheet``: a
+        planar5 UKF with values from data sheets only.
     """
     if like is None:
         return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD))

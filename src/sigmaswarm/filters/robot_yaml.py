@@ -150,13 +150,13 @@ def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
     if block.get("two_d_mode") is not True:
         yield "evaluated in two_d_mode, which the file does not set"
     if block.get("dynamic_process_noise_covariance") is True:
-        yield "dynamic_process_noise_covariance left out"
+        yield "the setting dynamic_process_noise_covariance is ignored"
     if "alpha" in block:
         yield "evaluated as an EKF, although it has settings of the UKF"
     for name, entries in inputs.items():
         if block.get(f"{name}_differential") is True or block.get(f"{name}_relative") is True:
-            yield f"{name}: differential and relative left out"
+            yield f"{name}: the settings differential and relative are ignored"
         if entries[_YAW]:
-            yield f"{name}: yaw is the heading of the fixes, and is left out for drives without headings"
+            yield f"{name}: yaw is the heading of the fixes; it is not used for drives that have no headings"
         if entries[_VYAW] and not name.startswith("imu"):
-            yield f"{name}: yaw rate left out"
+            yield f"{name}: the yaw rate is not used"

@@ -58,8 +58,8 @@ def assemble(
     for role in times:
         steps = np.diff(times[role])
         if back and not gathered[role][0].set_back and back > STEPS * np.median(steps):
-            message = "the clock does not restart with that of the IMU; if the pause before this recording was short,"
-            say(f"{role}: {message} write --{role}-offset {-back / SECOND:.3f}")
+            message = "the clock does not restart with that of the IMU. If the pause before this recording was short,"
+            say(f"{role}: {message} add --{role}-offset {-back / SECOND:.3f}")
     seconds, zero = _seconds(_in_one_turn(times, gathered, say), recipe)
     imu = _imu(seconds["imu"], values["imu"], recipe)
     origin = recipe.origin
@@ -177,7 +177,7 @@ def _in_one_turn(
                 f"the clock restarts every {period / SECOND:.6g} s; the table is assumed to end with the IMU "
                 "samples"
             )
-            say(f"{role}: {message}; otherwise write --{role}-offset {other:.10g}")
+            say(f"{role}: {message}. If this is wrong, add --{role}-offset {other:.10g}")
     return moved
 
 

@@ -102,7 +102,7 @@ def open_log(
 
 
 def _texts(path: Path, form: str) -> list[Path]:
-    """List the text files of a log, if its reader does not limit lines and size itself."""
+    """List the text files whose line count and size must be limited here; none if the format's reader does this."""
     if path.is_file():
         return [path] if form in _TEXTS and first_bytes(path, 4) not in (b"PAR1", b"PK\3\4") else []
     inside = (

@@ -1,4 +1,4 @@
-"""The direction of gravity in the first rows of an IMU, which shows that its axes are not those of the vehicle."""
+"""Find the direction of gravity in the first rows of an IMU log, to detect axes that are not those of the vehicle."""
 
 import math
 from collections.abc import Mapping
@@ -33,8 +33,8 @@ def tilted_mount(recipe: Recipe, rows: Mapping[str, pl.DataFrame], *, downward: 
         return "", ""
     values = ", ".join(f"{name} {value:.3g}" for name, value in zip(FORCES, force, strict=True))
     note = (
-        f"gravity is {math.degrees(tilt):.0f} deg from +z (medians of the first rows: {values} m/s2), so the IMU is "
-        f"turned relative to the vehicle; --mount {AUTO} finds the rotation in the log"
+        f"gravity is {math.degrees(tilt):.0f} deg from +z, so the IMU is rotated relative to the vehicle (medians of "
+        f"the first rows: {values} m/s2); --mount {AUTO} finds the rotation in the log"
     )
     return AUTO, note
 

@@ -112,8 +112,9 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         others = [t for t in tables if t not in (best, *chosen.values())]
         if alike := [t for t in others if samples[t].columns == samples[best].columns]:
             notes.append(
-                f"{list_names(alike)} {'has' if len(alike) == 1 else 'have'} the same columns as {best}; only {best} "
-                f"is used for the {role}; import each table as a separate drive, as with --{role}-table {alike[0]}"
+                f"{list_names(alike)} {'has' if len(alike) == 1 else 'have'} the same columns as {best}. Only {best} "
+                f"is used for the {role}; import each table as a separate drive, for example with "
+                f"--{role}-table {alike[0]}"
             )
         rates = [t for t, c in found.items() if "gz" in c and not c.has("ax", "ay")][:1]
         for table in [best, *rates] if role == "imu" and "gz" not in found[best] else [best]:
@@ -240,7 +241,9 @@ def _with_fix(columns: Columns) -> TimeExpression | None:
         return None
     if kept.sum() >= (1 - MAX_DROPPED) * len(fixes) or _jump(fixes.select(names), kept):
         return TimeExpression(text)
-    seen = f"{(~kept).sum()} of {len(fixes)} fixes are used, although {text} is not true for them"
+    seen = (
+        f"{(~kept).sum()} of {len(fixes)} fixes are used, although the condition {text} is not true for them"
+    )
     return TimeExpression("", note=f'{seen}; to leave these fixes out, write --map "gps.keep={text}"')
 
 
@@ -295,6 +298,6 @@ def _downward(imu: Columns) -> str:
 def points_down(column: str) -> str:
     """Describe a vertical axis that points down, and the remedy."""
     return (
-        f"{column} is negative, so the z axis points down; if x points forward and y to the right, use --mount "
+        f"{column} is negative, so the z axis points down. If x points forward and y to the right, add --mount "
         f"{Z_DOWN}, and check the result with `sigmaswarm doctor`"
     )

@@ -97,13 +97,16 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
             why = "no time within 292 years of 1970; specify the column of the time and its unit with --time"
         raise InputError(f"{role}: {table} contains {why}")
     for name, (value, count) in part.placeholders.items():
-        say(f"{where}: {count_of(count, 'value')} of {printable(name)} left out: {value:g} is a placeholder")
+        are = "is" if count == 1 else "are"
+        say(
+            f"{where}: {count_of(count, 'value')} of {printable(name)} {are} left out, since {value:g} is a placeholder"
+        )
     time, part.period, note = unwrap(time)  # by all rows: a counter may restart before the first fix
     filled = _finite(values, len(time)).any(axis=0)
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
         say(f"{role}: {rows_left_out(empty)}, since a cell is empty")
     if (copies := _copies(time, values)) is not None:
-        say(f"{where}: {rows_left_out(int(copies.sum()))}, as copies of other rows")
+        say(f"{where}: {rows_left_out(int(copies.sum()))}, since other rows have the same content")
         filled &= ~copies
     if role == "gps":  # a row that repeats the time and the place of the row before
         same = [np.diff(column) == 0 for column in (time, *(values[n] for n in POSITIONS if n in values))]
@@ -169,8 +172,9 @@ def _complete_rows(
         if np.mean(empty) > MAX_EMPTY_SHARE:
             gone = next((pair for pair in COLUMN_PAIRS if name in pair), (name,))
             if not empty.all():
+                are = "is" if len(gone) == 1 else "are"
                 say(
-                    f"{role}: {' and '.join(gone)} left out, since {np.mean(empty):.0%} of the rows are empty"
+                    f"{role}: {' and '.join(gone)} {are} left out, since {np.mean(empty):.0%} of the rows are empty"
                 )
             values = {n: column for n, column in values.items() if n not in gone}
     full = _finite(values, len(time)).all(axis=0)

@@ -114,9 +114,11 @@ def with_magnetometer(
     turn = _turn(calibration, recipe.declination_deg)
     heading, known = _at(drive.gps.time - late, time, vector, near_steel)
     say(_in_words(calibration, recipe.declination_deg))
-    when = f", taken {late:.2f} s before the fixes, when the receiver measured the positions" if late else ""
+    when = (
+        f" They are those of {late:.2f} s before the fixes, since the fixes have this delay." if late else ""
+    )
     none = f"{np.count_nonzero(~known)} of {len(known)} fixes have no heading (steel nearby, or no sample)"
-    say(f"mag: the headings have a standard deviation of {np.degrees(std):.1f} deg{when}; {none}")
+    say(f"mag: the headings have a standard deviation of {np.degrees(std):.1f} deg.{when} {none}")
     heading = np.where(known, wrap_angle(heading + turn), 0.0)
     return replace(
         drive, gps=replace(drive.gps, heading=heading, std_heading=np.where(known, std, NO_HEADING))
@@ -219,9 +221,9 @@ def _in_words(calibration: Calibration, stated: float | None) -> str:
     fitted = f"mag: hard iron {x:.4g}, {y:.4g}, soft iron {calibration.soft_iron:.1%}"
     if calibration.mirrored:
         return (
-            f"{fitted}; mx and my rotate in the wrong direction for x forward and y left; the course shows this "
-            "error, and the import corrects the heading"
+            f"{fitted}. The course shows that mx and my rotate in the wrong direction for x forward and y left; the "
+            "import corrects the heading"
         )
-    total = f"{np.degrees(calibration.declination):+.1f} deg for declination and the sensor's rotation about z together"
-    stating = "" if stated is None else f"; declination {stated:+.1f} deg as stated"
-    return f"{fitted}{stating}; the course of the fixes yields {total}"
+    total = f"the sum of declination and the sensor's rotation about z: {np.degrees(calibration.declination):+.1f} deg"
+    stating = "" if stated is None else f"; the stated declination is {stated:+.1f} deg"
+    return f"{fitted}{stating}. The course of the fixes shows {total}"

@@ -23,7 +23,7 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
     mounting = evidence.mounting
     if evidence.mirrored:
         raise InputError(
-            "mount auto: the fixes are a mirror image of the motion; exchange x and y, or lat and lon, with --map"
+            "mount auto: the track of the fixes is a mirror image; exchange x and y, or lat and lon, with --map"
         )
     if mounting is None or mounting.confidence == "no":
         reason = mounting.reason if mounting else "required: ax, ay, az, gx, gy, gz and a moving vehicle"
@@ -33,7 +33,8 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
     mount = ",".join(f"{angle:g}" for angle in roll_pitch_yaw(mounting.repair, 1))
     total = math.degrees(float(np.linalg.norm(mounting.std)))
     note = (
-        f"mounting {mount} deg found in the log ({mounting.confidence}, standard deviation {total:.1f} deg)"
+        f"mounting {mount} deg was found in the log (total standard deviation {total:.1f} deg; confidence: "
+        f"{mounting.confidence})"
     )
     rotation = parse_mount(mount)
     metadata = with_rotation(drive.metadata, rotation)

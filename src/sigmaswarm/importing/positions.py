@@ -75,7 +75,7 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
         if "heading" not in what or np.abs(angle).max(initial=0.0) < 7.0:
             return angle
         say(
-            f"{what} is read as degrees clockwise from north; the fixes show no course that confirms this unit"
+            f"{what} is read as degrees clockwise from north, but the fixes show no course that confirms this unit"
         )
         return np.asarray(wrap_angle(np.pi / 2 - np.radians(angle)))
     conventions = (
@@ -90,9 +90,9 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
     if errors[0] <= MAX_MISFIT or errors[best] > MAX_MISFIT:
         if errors[0] > MAX_MISFIT and "heading" in what:
             apart = np.degrees(errors[0])
-            say(f"{what} differs from the course by {apart:.0f} deg (median); check or map the column")
+            say(f"{what} differs from the course by a median of {apart:.0f} deg; check or map the column")
         return angle
-    say(f"{what} converted from {conventions[best][0]}, as the course shows")
+    say(f"{what} is converted from {conventions[best][0]}, since these agree with the motion of the fixes")
     return np.asarray(wrap_angle(conventions[best][1]))
 
 

@@ -156,18 +156,24 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
         corrected = _corrected(proposal, drive, first)
         last = diagnose(make(corrected)) if corrected != proposal else first
     except SigmaswarmError as error:
-        return proposal, f"read from the columns' names and values alone, and not checked: {error}", False
+        return (
+            proposal,
+            f"the mapping follows from the columns' names and values alone and was not checked: {error}",
+            False,
+        )
     if corrected != proposal and _faults(last) >= _faults(first):
         corrected, last = proposal, first
     changed = "corrected by" if corrected != proposal else "checked with"
-    said = f"read from the columns' names and values, {changed} the motion of the fixes"
+    said = (
+        f"the mapping follows from the columns' names and values, and was {changed} the motion of the fixes"
+    )
     serious = [f.code for f in last.findings if f.severity == "serious"]
     warned = [f.code for f in last.findings if f.severity == "warning" and not f.code.startswith("unseen-")]
     if serious or CONTRADICTIONS & {*warned}:
         left = [*serious, *warned]
         return corrected, f"{said}; the doctor still finds {', '.join(left)}", UNKNOWN_UNITS.isdisjoint(left)
     unseen = sorted(code for code in last.codes if code.startswith("unseen-") and code != "unseen-clock")
-    blind = f", but this log does not show all ({', '.join(unseen)})" if unseen else ""
+    blind = f", but this log does not show all of them ({', '.join(unseen)})" if unseen else ""
     also = f"; the doctor also warns of {', '.join(warned)}" if warned else ""
     return corrected, f"{said}: signs, axes and units agree{blind}{also}", True
 

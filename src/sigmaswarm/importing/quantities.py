@@ -84,7 +84,7 @@ class Columns:
 def quantity(columns: Columns, what: str, role: Role) -> TimeExpression:
     name, text, dimension = columns.names[what], columns.text(what), DIMENSIONS[what]
     if name.unit is None and what == "alt" and columns.largest(what) > MAX_ALTITUDE:
-        seen = f"{name.column} is left out: {columns.largest(what):.6g} is not an altitude in m"
+        seen = f"{name.column} is left out, since {columns.largest(what):.6g} is not an altitude in m"
         example = _maps(columns, role, ["alt"], "{}*1e-3")
         return TimeExpression(
             "", note=f"{seen}; map the column: {example} if it is in mm, *1e-2 if it is in cm"
@@ -105,7 +105,7 @@ def quantity(columns: Columns, what: str, role: Role) -> TimeExpression:
     return (
         TimeExpression("", fault=sentence)
         if what in REQUIRED
-        else TimeExpression("", note=f"{sentence}; left out")
+        else TimeExpression("", note=f"{sentence}; this column is left out")
     )
 
 
@@ -141,10 +141,10 @@ def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
         )  # like gravity; accelerations without gravity are small at rest
         if steady and (0.8 < usual.get("az", 0.0) < 1.2 or 0.9 < size < 1.12):
             return TimeExpression(
-                f"{text}*9.80665", "accelerations are read as g, since gravity appears as about 1"
+                f"{text}*9.80665", "accelerations are read as g, since gravity has a value of about 1"
             )
         if 930 < size < 1050 and largest < 8000:
-            note = "accelerations are read as mg, since gravity appears as about 1000"
+            note = "accelerations are read as mg, since gravity has a value of about 1000"
             other = _maps(columns, role, axes, "{}*1e-2")
             return TimeExpression(f"{text}*0.00980665", f"{note}; if they are in cm/s2, write {other}")
         raw = max(usual[a] for a in axes) > 30 or largest > MAX_ACCELERATION
@@ -154,7 +154,7 @@ def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
         return TimeExpression("", fault=_raw_counts(columns, what, role))
     if largest > 5.0:
         option = _maps(columns, role, axes, "{}")
-        note = f"angular rates are read as deg/s, since they exceed 5; if they are in rad/s, write {option}"
+        note = f"angular rates are read as deg/s, since their values exceed 5; if they are in rad/s, write {option}"
         return TimeExpression(f"radians({text})", note)
     return TimeExpression(text)
 
@@ -167,17 +167,17 @@ def _raw_counts(columns: Columns, what: str, role: Role) -> str:
         known = min(PER_G, key=lambda k: abs(gravity / k - 1))
         per = f"{known:g}" if not gravity or abs(gravity / known - 1) < 0.04 else f"{gravity:.4g}"
         form, about = f"{{}}*9.80665/{per}", _ACCELEROMETERS
-        seen = "they exceed the range of an accelerometer"
-        seen = f"gravity appears as about {gravity:.5g}" if gravity else seen
+        seen = "their values exceed the range of an accelerometer"
+        seen = f"gravity has a value of about {gravity:.5g}" if gravity else seen
     else:
         whole = all((columns.numbers(a) == columns.numbers(a).round()).all() for a in axes)
         form, about = "radians({}/131)" if whole else "radians({})", _GYROS
-        seen = f"they reach {max(columns.largest(a) for a in axes):.5g}"
+        seen = f"their values reach {max(columns.largest(a) for a in axes):.5g}"
     named = ", ".join(quoted(columns.names[a].column) for a in axes)
     maps = _maps(columns, role, axes, form)
     return (
-        f"columns {named} contain raw counts, or have an unknown unit: {seen}; specify their scale, for example {maps} "
-        f"({about})"
+        f"columns {named} contain raw counts, or have an unknown unit ({seen}); specify their scale, for example "
+        f"{maps} ({about})"
     )
 
 

@@ -63,7 +63,7 @@ def unit_of_rates(
     if share < MIN_EXPLAINED:
         if share > MIN_CONFIRMED and 1 / MIN_FACTOR_RATIO < ratio < MIN_FACTOR_RATIO:
             return "", ""
-        message = f"no turn of the fixes confirms the unit of {columns}, read as rad/s; for deg/s write "
+        message = f"the unit of {columns} is assumed to be rad/s, but no turn of the path confirms it; for deg/s write "
         return "", message + _maps(used, unitless, "radians({})") if assumed == 1 and np.any(raw) else ""
     whole = all(np.allclose(values, np.round(values), rtol=0, atol=1e-6) for values in raw)
     known = UNITS if whole else UNITS.keys() - COUNTS
@@ -74,7 +74,7 @@ def unit_of_rates(
     if not likely:
         return _wrong_clock(ratio, columns, times), ""
     maps = " or ".join(_maps(used, unitless, UNITS[name][1]) for name in likely)
-    return f"the turns of the fixes show {columns} in {' or '.join(likely)}; write {maps}", ""
+    return f"the turns of the path show that the unit of {columns} is {' or '.join(likely)}; write {maps}", ""
 
 
 def _maps(names: Iterable[str], unitless: Mapping[str, str], form: str) -> str:
@@ -91,8 +91,8 @@ def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
     ):
         return ""
     maps = " ".join(f'"{role}.t={text}*1e{power}"' for role, text in times.items())
-    message = f"the fixes turn {ratio:.3g} times as far as {columns}"
-    return f"{message}: the unit of the times is likely {10.0**power:g} times the assumed unit; write --map {maps}"
+    message = f"the course of the fixes turns {ratio:.3g} times as far as {columns} measure"
+    return f"{message}, so the unit of the times is likely {10.0**power:g} times the assumed unit; write --map {maps}"
 
 
 def _ratio(drive: Drive) -> tuple[float, float]:

@@ -237,7 +237,7 @@ def _week(names: Sequence[Name], frame: pl.DataFrame) -> TimeExpression | None:
         unit = next((u for u, scale in COUNTER_UNITS.items() if largest * scale <= 604_800), "ns")
         seconds = _scaled(quoted_column(tow.column), unit)
     return TimeExpression(
-        f"gps_time({quoted_column(week.column)}, {seconds})", "GPS week and time of week converted to UTC"
+        f"gps_time({quoted_column(week.column)}, {seconds})", "GPS week and time of week are converted to UTC"
     )
 
 
@@ -420,7 +420,7 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> TimeExpression:
 def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> TimeExpression:
     """Read numbers whose steps are too short for seconds as fractions of a day, or refuse them."""
     if MIN_STEP < step * 86400 < 4 * MAX_STEP[role] and numbers.is_between(1e-3, 1).all():
-        return TimeExpression(f"{text}*86400", f"{column} read as days (fractions of a day)")
+        return TimeExpression(f"{text}*86400", f"{column} is read as days (fractions of a day)")
     message = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes, *1 for seconds'
     seen = f"column {quoted(column)}: steps of {step:.2g} are too short for seconds"
     return TimeExpression("", fault=f"{seen}; state the unit; write {message}")

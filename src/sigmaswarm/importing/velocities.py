@@ -48,7 +48,7 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
     wrong = ""
     if speed is not None and len(begin) < MIN_STRETCHES:
         usual = float(np.median(np.abs(speed))) if len(speed) else 0.0
-        wrong = f"{usual:.4g} m/s (median) is not the speed of a vehicle" if usual > MAX_SPEED else ""
+        wrong = f"a median of {usual:.4g} m/s is not the speed of a vehicle" if usual > MAX_SPEED else ""
     elif speed is not None and (ratio := _ratio(time, values, speed, begin, end)) > MAX_SPEED_RATIO:
         wrong = f"the speed is {ratio:.3g} times that of the positions (median){_remedy(ratio, texts, role)}"
     elif course is not None and len(begin) >= MIN_STRETCHES:
@@ -59,7 +59,8 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
     if not wrong:
         return values
     stated = ", ".join(f"{name}={text}" for name, text in texts.items())
-    say(f"{role}: {stated or 'speed and course'} left out, since {wrong}")
+    are = "is" if len(texts) == 1 else "are"
+    say(f"{role}: {stated or 'speed and course'} {are} left out, since {wrong}")
     return {name: column for name, column in values.items() if name not in _SPEED}
 
 

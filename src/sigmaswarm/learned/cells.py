@@ -15,7 +15,7 @@ def _sigmoid(xp: Any, x: Any) -> Any:
 
 
 def lstm(xp: Any, weights: Weights, state: tuple[Any, Any], x: Any) -> tuple[Any, Any]:
-    """Run a step of a long short-term memory; return h and c, each (..., hidden units), after x (..., features).
+    """Run a step of a long short-term memory for the input x (..., features); return h and c, each (..., hidden units).
 
     S. Hochreiter and J. Schmidhuber, Neural Computation 9(8), 1997; F. Gers, J. Schmidhuber and F. Cummins, Neural
     Computation 12(10), 2000.

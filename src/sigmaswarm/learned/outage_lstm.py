@@ -144,7 +144,8 @@ MIN_STD, MAX_STD = 0.02, 20.0  # m, bounds of the standard deviation of a displa
 class DisplacementForecast(NamedTuple):
     """Outputs of a network for a window in an outage.
 
-    - ``begin``, ``first``: numbers of the IMU samples at the start of the displacement, and after the last fix.
+    - ``begin``, ``first``: indices of the IMU sample at the start of the displacement, and of the first IMU sample
+      after the last fix.
     - ``age``: time from ``first`` to the end of the displacement, s.
     - ``moved``, ``variance``: the displacement (2,), m, and its variance, m2.
     - ``before``: the displacement at ``first`` (2,), m.

@@ -37,7 +37,7 @@ from sigmaswarm.scoring.score import negative_log_t
 from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER
 
 LENGTHS = (10.0, 40.0)  # s, shortest and longest calibration outage
-PLACEMENTS = 4  # number of placements of outages in each drive
+PLACEMENTS = 4  # number of random sets of outages in each drive
 EXAMPLE_INTERVAL = 0.25  # s, between examples
 VALIDATION_GAP = 5.0  # s, gap between the training and validation data
 INFLATIONS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # values of `OutageLstm.inflation` that the calibration tries
@@ -211,7 +211,7 @@ def calibrate(
     """Choose the factors of `OutageLstm` that maximize the likelihood of hidden fixes.
 
     The inflation is infinite if the mean gain over the filter alone is below the standard error of the mean. Only
-    outages of one placement count as independent.
+    outages of one set count as independent.
     """
     windows = [
         outage_windows(replay.timeline, axes=network.axes, window=network.window) for replay, _ in cases

@@ -35,7 +35,7 @@ from sigmaswarm.tuning.tune import tune
 MAX_STD = 0.1  # m per axis, largest standard deviation of the truth
 HIDDEN_DURATIONS = (2.0, 20.0)  # s, durations of hidden fixes; in 2 s, IMUs of cars drift by a decimeter
 HIDDEN_FIRST = 10.0  # s from the start to the first window, and between windows
-PLACEMENTS = 3  # number of placements of the hidden windows
+PLACEMENTS = 3  # number of random sets of hidden windows
 COVERAGE = 0.95, 1.96  # share of the hidden fixes in an interval per axis; half the width in sigmas
 OBJECTIVE = "innovation-t"
 SLIP_STD = math.radians(0.1)  # rad, added to the heading's deviation; fixes do not show slip of the rear axle

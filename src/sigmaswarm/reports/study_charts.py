@@ -39,8 +39,8 @@ PROTOCOL_COLORS = {
 SCALE_RATIO = 12  # end of the scale / lowest mean, so that good methods can be distinguished
 DRAWN_FILTERS: dict[str, tuple[str, Look]] = {
     "ukf-defaults": ("UKF, manual: defaults", Look(ORANGE, 1.0, "--")),
-    f"paper-{MAIN_METHOD}": ("PSO-UKF (paper: against the GPS)", STUDY_STYLES[f"paper-{MAIN_METHOD}"]),
-    f"honest-{MAIN_METHOD}": ("PSO-UKF (honest: against truth)", STUDY_STYLES[f"honest-{MAIN_METHOD}"]),
+    f"paper-{MAIN_METHOD}": ("PSO-UKF (tuned with the fixes)", STUDY_STYLES[f"paper-{MAIN_METHOD}"]),
+    f"honest-{MAIN_METHOD}": ("PSO-UKF (tuned with truth)", STUDY_STYLES[f"honest-{MAIN_METHOD}"]),
 }
 MARK_STYLE = Look(SLATE, 1.0, "--")
 

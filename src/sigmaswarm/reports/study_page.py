@@ -67,7 +67,7 @@ def _result(results: Results, protocol: str) -> str:
         results.summary(protocol, MAIN_METHOD, POSITION),
         results.protocols[protocol].objective,
     )
-    start = f"Tuned for {objective} (the {protocol} protocol), {results.label(MAIN_METHOD)}"
+    start = f"With the objective {objective}, {results.label(MAIN_METHOD)}"
     if summary is None or summary.mean is None:
         return f"{start} failed on held-out drives."
     low, high = summary.bootstrap_interval
@@ -156,9 +156,10 @@ def _known(charts: Iterable[Chart | None]) -> tuple[Chart, ...]:
 def _intervals(results: Results) -> Section:
     charts = [means_chart(results, measure) for measure in ERRORS]
     text = (
-        "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) is the spread due to swarm and split. "
-        "It contains the mean over new drives in only about half of the cases. The bootstrap interval over drives and "
-        "trials contains this mean in 95% of the cases in a full study, and in 85 to 95% in a small study.",
+        "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) shows only the variation by the "
+        "optimizer and by the random split of the drives. It contains the mean over new drives in only about half of "
+        "the cases. The bootstrap interval over drives and trials contains this mean in 95% of the cases in a full "
+        "study, and in 85 to 95% in a small study.",
         "An arrow means that the mean is beyond the scale.",
     )
     charts = _known((*charts, means_chart(results, "nis", inf, mark=CONSISTENT_NIS)))

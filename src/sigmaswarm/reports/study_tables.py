@@ -48,11 +48,11 @@ PAIRED_NOTE = (
     "95% intervals: bootstrap over drives. Negative differences and positive improvements favor the {}."
 )
 INTERVALS_NOTE = (
-    "The interval over trials (as in the paper) is the uncertainty from optimizer and split. It contains the mean "
-    "over new drives in only about half of the cases. The other two intervals are for new drives. The bootstrap "
-    "interval contains this mean in 95% of the cases in a full study, and in 85 to 95% in a small study. The "
-    "interval from the corrected t contains this mean at least as often, and is too wide if the results of the "
-    "optimizer vary much."
+    "The interval over trials (as in the paper) shows only the variation by the optimizer and by the random split of "
+    "the drives. It contains the mean over new drives in only about half of the cases. The other two intervals are for "
+    "new drives. The bootstrap interval contains this mean in 95% of the cases in a full study, and in 85 to 95% in a "
+    "small study. The interval of the corrected t-test contains this mean at least as often; if the results of the "
+    "optimizer vary much, it is too wide."
 )
 EFFORT_NOTE = (
     "Labeled: driving time with truth, for tuning. Learned: driving time without truth, for training a "
@@ -152,8 +152,8 @@ def table_1(results: Results) -> Table:
     columns += [_figures("improvement (eq. 5), %: paper"), *_with_intervals(["ours"])]
     note = (
         "Mean over trials on held-out drives, with the 95% interval for new drives. The paper's RMSE is that of "
-        "the updated estimates against the GPS. Our improvement (equation 5) is against truth, relative to "
-        f"{results.label(MANUAL_METHOD)}."
+        "the updated estimates against the GPS. Our improvement (equation 5) is computed from the errors against "
+        f'truth, relative to the method "{results.label(MANUAL_METHOD)}".'
     )
     return _table("Table I. RMSE, m", columns, rows, results, note)
 

@@ -25,7 +25,7 @@ from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tables import Cell, Column, Table
 from sigmaswarm.tuning.config import RENAMED, SWARM, TuneConfig
 from sigmaswarm.tuning.defaults import with_default_guards
-from sigmaswarm.tuning.diagnostics import describe_forecasts
+from sigmaswarm.tuning.diagnostics import drift_table, larger_drifts
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, TuningRecord, history_of, load_history
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
@@ -107,7 +107,7 @@ def tuning_report(folder: Path) -> Report:
         how = f"{abs(gap):.1%} {'worse' if gap > 0 else 'better'} than on the training drives"
         figures.append(("cost on held-out drives", f"{cost:.4g}", how))
         held_out = (
-            f"On {count_of(len(result.validation_drives), 'drive')} that the search did not use, the cost is "
+            f"The cost on {count_of(len(result.validation_drives), 'drive')} that the search did not use is "
             f"{cost:.4g}, {how}. The cost on the training drives is {result.cost:.4g}."
         )
     figures.append(("candidates tried", f"{result.evaluations}", f"{result.failures} of them failed"))
@@ -117,15 +117,13 @@ def tuning_report(folder: Path) -> Report:
         lead=(
             what_was_tuned(file),
             held_out,
-            *(
-                f"D{sentence[1:]}."
-                for sentence in describe_forecasts(file.forecasts, [d.duration_s or 0.0 for d in file.data])
-            ),
+            *(f"{sentence[0].upper()}{sentence[1:]}." for sentence in larger_drifts(file.forecasts)),
         ),
         figures=tuple(figures),
         remarks=tuple(result.remarks),
         sections=(
             parameters_section(file),
+            *drifts_section(file),
             *convergence_section(file, folder),
             data_section("Drives", file.data),
         ),
@@ -152,6 +150,12 @@ def what_was_tuned(file: TuningRecord) -> str:
     return f"{filter_name(file)} was tuned on {on} for {file.result.objective}{meaning}."
 
 
+def drifts_section(file: TuningRecord) -> Iterator[Section]:
+    if file.forecasts:
+        table = drift_table(file.forecasts, [drive.duration_s or 0.0 for drive in file.data])
+        yield Section("Drifts without fixes", (), (table,))
+
+
 def parameters_section(file: TuningRecord) -> Section:
     ranges = file.within_1_percent_of_the_cost
     touched = {bound.parameter: bound.place for bound in (file.result.touched_bounds if file.result else ())}
@@ -172,8 +176,8 @@ def parameters_section(file: TuningRecord) -> Section:
         rows.append((NOISE_SCALE, 1.0, "", *ends, "", "together, one factor"))
     titles = ("parameter", "value", "unit", "from", "to", "density", "remark")
     text = (
-        "From and to: values at which the cost is 1% higher while all other parameters stay unchanged. "
-        "At the bound: the cost at the bound of the search is less than 1% higher."
+        "At the values in the columns from and to, the cost is 1% higher while all other parameters stay unchanged. "
+        '"At the bound" means that the cost at the bound of the search is less than 1% higher.'
     )
     table = Table("", tuple(map(Column, titles)), tuple(rows))
     return Section("Parameters", (text,) if ranges else (), (table,))

@@ -136,30 +136,30 @@ Kind = Literal[
 """
 EQUAL_CORRELATION = 0.5  # lag-1 correlation above which consecutive innovations are nearly equal
 MAX_CORRELATION = 0.2  # lag-1 correlation above which a mean NIS of 2 does not prove consistency
-FORECASTS = "this result is for predictions of the fixes; without truth, position errors can't be assessed"
+FORECASTS = "This result is for predictions of the fixes; without truth, position errors can't be checked"
 
 VERDICTS: dict[Kind, str] = {
-    "optimistic": "is overconfident: the sigmas of its predictions are {nis_size}",
-    "pessimistic": "is underconfident: the sigmas of its predictions are {nis_size}",
+    "optimistic": "is overconfident: the standard deviations of its predictions are {nis_size}",
+    "pessimistic": "is underconfident: the standard deviations of its predictions are {nis_size}",
     "alike": (
-        "has innovations that are correlated and smaller than its covariances (sigmas {nis_size}): the receiver "
-        "smooths its fixes, or their errors are correlated. The part of the error that all fixes have in common "
-        "can't be estimated without truth"
+        "has correlated innovations, and their predicted standard deviations are {nis_size}. The receiver smooths its "
+        "fixes, or their errors are correlated. The error that all fixes have in common can't be estimated without "
+        "truth"
     ),
     "lasting": (
-        "has a low NIS with a correct NEES: errors of consecutive fixes are correlated. The position "
+        "has a low NIS but a correct NEES, since the errors of consecutive fixes are correlated. Its position "
         "covariances are correct and should not be reduced"
     ),
     "correlated": (
-        "has innovations of the correct size, but they are correlated: the receiver's errors are correlated, or "
-        "the model does not describe a part of the motion. The position error may be larger than its sigma"
+        "has innovations of the correct size, but they are correlated. The receiver's errors are correlated, or the "
+        "model does not describe a part of the motion. The position error may be larger than its standard deviation"
     ),
     "consistent": "is consistent: its innovations agree with their covariances",
     "optimistic_position": (
-        "is overconfident about its position: the sigmas are {nees_size}. The fixes share these errors, so "
-        "NIS does not show them"
+        "is overconfident about its position: the standard deviations are {nees_size}. NIS does not show this, since "
+        "the fixes and the predictions have these errors in common"
     ),
-    "unknown": "failed or had too few fixes to judge its consistency",
+    "unknown": "failed, or had too few fixes to determine its consistency",
 }
 
 
@@ -178,7 +178,7 @@ def verdicts(results: Sequence[Consistency | None]) -> dict[Kind, str]:
             "nees_size": _size([one.mean_nees or 0.0 for one in by_kind[kind]], "NEES"),
         }
         where = f"on {count} of {len(results)} drives " if len(results) > 1 else ""
-        forecasts = f" ({FORECASTS})" if blind and kind not in ("unknown", "alike") else ""
+        forecasts = f". {FORECASTS}" if blind and kind not in ("unknown", "alike") else ""
         messages[kind] = f"{where}the filter {text.format(**sizes)}{forecasts}"
     return messages
 

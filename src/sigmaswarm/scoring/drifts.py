@@ -1,4 +1,4 @@
-"""Drifts of methods during outages, over several random placements."""
+"""Drifts of methods during outages, over several random sets of outages."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -27,10 +27,10 @@ RunFactories = Mapping[str, Callable[[FilterPass], Run]]
 
 
 class OutageDrifts:
-    """Outages of one length on a drive, in several placements, and the drift of each method.
+    """Outages of one length on a drive, in several random sets, and the drift of each method.
 
-    ``seeds`` has one seed per placement, and is empty if no outage fits. ``failed`` has the methods that failed in any
-    placement.
+    ``seeds`` has one seed per set, and is empty if no outage fits. ``failed`` has the methods that failed in any
+    set.
     """
 
     def __init__(self, ready: PreparedDrive, *, length: float, seed: int, most: int | None = None) -> None:
@@ -71,7 +71,7 @@ class OutageDrifts:
     def _run_placed(
         self, seed: Seed, filters: Mapping[str, FilterParameters], also: RunFactories, *, monitored: bool
     ) -> None:
-        """Run one placement; a separate function frees its memory before the next placement."""
+        """Run one set of outages; a separate function frees its memory before the next set."""
         outages = outage_pass(self._ready, length=self._length, seed=seed)
         ends = self._ends[self.seeds.index(seed)]
         if monitored:
@@ -106,7 +106,7 @@ class OutageDrifts:
             self.failed.add(method)
 
     def drift(self, method: str) -> float:
-        """Return the RMS drift over all placements, m; NaN if no outage fits or the method failed."""
+        """Return the RMS drift over all sets of outages, m; NaN if no outage fits or the method failed."""
         if not self.seeds or method in self.failed:
             return float("nan")
         counts = [len(ends) for ends in self._ends]

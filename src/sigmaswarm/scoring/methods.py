@@ -18,11 +18,10 @@ METHODS = {
 }
 """Display names of the rows of every comparison."""
 FIXES_ALONE_NOTE = (
-    "Fixes alone is a constant-velocity filter without the IMU; its noise parameters are fitted to {}"
+    'The method "fixes alone" is a constant-velocity filter without the IMU. '
+    "Its noise parameters are fitted to {}"
 )
-HOW_TO_COMPARE = (
-    "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
-)
+HOW_TO_COMPARE = "To compare with another tuning or with your own filter, add --against TUNING"
 OPTIONAL_METHODS = {SMOOTHED: "tuned, smoothed", BANK: "tuned, filter bank"} | {
     name: f"tuned, {name}" for name in LEARNED
 }
@@ -56,14 +55,19 @@ def method_names(
     )
 
 
+def in_sentence(method: str, name: str) -> str:
+    """Return the display name of a method for use within a sentence."""
+    return {FIXES: "the filter of the fixes alone", "raw_gps": name}.get(method, f"the {name}")
+
+
 def baseline_note(tuned: str) -> str:
     if tuned.endswith("robot-localization"):
         return (
-            "The baseline is robot_localization with its default process noise, the IMU's variances 0.0001 rad2/s2 "
-            "and 0.01 m2/s4, and the stated accuracy of the fixes (else 2.1 m)"
+            "The baseline is robot_localization with its default process noise. The IMU's variances are 0.0001 rad2/s2 "
+            "and 0.01 m2/s4. R is computed from the stated accuracy of the fixes (else from 2.1 m)"
         )
     return (
-        "The baseline is the tuned filter's model without tuning: R is from the stated or observed accuracy of "
-        "the fixes (else 2.1 m), and Q is from the IMU's noise density (else that of an MPU-6050) and typical "
-        "errors of the model"
+        "The baseline has the tuned filter's model, with typical noise parameters. R is computed from the stated or "
+        "observed accuracy of the fixes (else from 2.1 m). Q is computed from the IMU's noise density (else from that "
+        "of an MPU-6050) and typical errors of the model"
     )

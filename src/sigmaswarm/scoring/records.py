@@ -13,20 +13,21 @@ from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.records import load_record
 from sigmaswarm.scoring.consistency import Consistency
 from sigmaswarm.scoring.radius import RadiusRecord
+from sigmaswarm.wording import count_of
 
 SCORES_FILE, EVALUATION_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
 Measured = dict[str, float | None]
-MIN_OUTAGES = 4  # number of outages in a placement; with fewer, all placements hide nearly the same fixes
+MIN_OUTAGES = 4  # number of outages in a set; with fewer, all sets hide nearly the same fixes
 
 
 class DriftRecord(BaseModel):
-    """RMS drifts, m, over outages of one length, for each random placement, by method; None if the filter failed."""
+    """RMS drifts, m, over outages of one length, for each random set, by method; None if the filter failed."""
 
     outages: int
     each: dict[str, list[float | None]]
 
     def spread(self, method: str) -> tuple[float, float] | None:
-        """Return the lowest and the highest drift of a single placement, m."""
+        """Return the lowest and the highest drift of a single set of outages, m."""
         known = [v for v in self.each.get(method, []) if v is not None]
         return (min(known), max(known)) if known else None
 
@@ -47,7 +48,7 @@ class ScoresRecord(BaseModel):
     stale_fixes: dict[str, int] = Field(default_factory=dict)
 
     def describe_drift(self, measure: str, method: str = "tuned") -> str:
-        """Describe the outages of a drift, and the range over placements; return "" if unknown."""
+        """Describe the outages of a drift, and the range over the sets of outages; return "" if unknown."""
         drifts = [by_measure[measure] for by_measure in self.drifts.values() if measure in by_measure]
         drawn = [one.each.get(method, []) for one in drifts]
         count = min(map(len, drawn), default=0)
@@ -56,10 +57,10 @@ class ScoresRecord(BaseModel):
         means = [sum(one[i] or 0.0 for one in drawn) / len(drawn) for i in range(count)]
         outages = sum(one.outages for one in drifts)
         short = "one short stretch" if len(drifts) == 1 else "one short stretch of each drive"
-        few = f"; all placements are on {short}, and the drift on another stretch may be far larger"
+        few = f". All outages are on {short}; the drift on another stretch may be far larger"
         few *= outages < MIN_OUTAGES * count
-        single = f"the drift in a single placement is {min(means):.3g} to {max(means):.3g} m"
-        return f"{outages} outages in {count} placements; {single}{few}"
+        single = f"in a single set it is {min(means):.3g} to {max(means):.3g} m"
+        return f"The drift is the RMS over {outages} outages in {count_of(count, 'set')}; {single}{few}"
 
     def mean_of(self, method: str, measure: str) -> float | None:
         return self.mean.get(method, {}).get(measure)

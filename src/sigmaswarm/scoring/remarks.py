@@ -8,7 +8,7 @@ from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.filters.divergence import describe_restarts
 from sigmaswarm.scoring.consistency import MAX_CORRELATION, Consistency
 from sigmaswarm.scoring.measures import DRIFTS, POSITION_MEASURES, Measure
-from sigmaswarm.scoring.methods import BASELINE, FIXES, METHODS
+from sigmaswarm.scoring.methods import BASELINE, FIXES, METHODS, in_sentence
 from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import FirstTrack
 from sigmaswarm.wording import count_of
@@ -45,8 +45,8 @@ def describe_drives(data: Sequence[DriveRecord]) -> str:
 
 def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:
     return tuple(
-        f"errors on {drive.name} cover {drive.truth_share:.0%} of the time from the filters' start: the other "
-        "times have no truth"
+        f"the errors on {drive.name} cover {drive.truth_share:.0%} of the time after the start of the filters, since "
+        "the rest has no truth"
         for drive in data
         if drive.has_truth and drive.truth_share is not None and drive.truth_share < COMPLETE_SHARE
     )
@@ -69,7 +69,8 @@ def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
 
 def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[str, ...]:
     messages: list[str] = []
-    for method, name in ((BASELINE, "the baseline"), (FIXES, "the filter that uses only the fixes")):
+    for method in (BASELINE, FIXES):
+        name = in_sentence(method, METHODS[method])
         known = {
             m: (tuned, other)
             for m in ("position_rmse_m", "heading_rmse_deg", *DRIFTS)
@@ -98,15 +99,15 @@ def estimate_position_errors(scores: ScoresRecord, data: Sequence[DriveRecord]) 
 
 
 def describe_first_track(track: FirstTrack) -> str:
-    """Return a sentence on the position error on a training drive; return "" if unknown."""
+    """Return sentences on the position error on a training drive; return "" if unknown."""
     name, rmse = track.picture.whole.name, track.position_rmse
     if np.isfinite(rmse["tuned"]):
         others = ", ".join(
             f"{METHODS[m]} {rmse[m]:.2g} m" for m in (BASELINE, "raw_gps") if np.isfinite(rmse[m])
         )
         return (
-            f"{rmse['tuned']:.2g} m RMSE on {name} ({others}), a training drive: "
-            "expect larger errors on other drives"
+            f"Position error on {name}: {rmse['tuned']:.2g} m RMSE ({others}). This is a training drive, so expect "
+            "larger errors on other drives"
         )
     if track.consistency is None or not track.consistency.own_sigma:
         return ""
@@ -114,14 +115,14 @@ def describe_first_track(track: FirstTrack) -> str:
 
 
 def _without_truth(drive: str, consistency: Consistency) -> str:
-    return f"Position error on {drive} without truth: {describe_position(consistency)}"
+    return f"Position error on {drive}: {describe_position(consistency)}"
 
 
 def describe_position(consistency: Consistency) -> str:
-    """Return a sentence that estimates a filter's position error on a drive without truth.
+    """Return sentences that estimate a filter's position error on a drive without truth.
 
-    The estimate is the RMS of the filter's position sigmas. If the innovations are far smaller than expected, the error
-    may be as large as that of the fixes.
+    The estimate is the RMS of the filter's position standard deviations. If the innovations are far smaller than
+    expected, the error may be as large as that of the fixes.
     """
     own, missed = consistency.own_sigma or 0.0, consistency.missed or 0.0
     expected = consistency.expected or 0.0
@@ -131,25 +132,25 @@ def describe_position(consistency: Consistency) -> str:
         guess = ""
         if expected > own:
             fixes = (expected**2 - own**2) ** 0.5
-            guess = f", perhaps {fixes:.2g} m, the error that the filter assumes for the fixes"
+            guess = f". It may be about {fixes:.2g} m, the error that the filter assumes for a fix"
         return (
-            f"not known{guess}. The filter estimates {own:.2g} m (RMS), but the fixes deviate from the predictions by "
-            f"less than expected ({nis}): the receiver smooths its fixes, or their errors are correlated"
-        )
-    size = f"{own:.2g} m (RMS)"
-    included = f"The fixes deviate from the predictions by {missed:.2g} m, including their own errors,"
-    if consistency.mean_nis > high:
-        return (
-            f"more than the {size} that the filter estimates. {included} which is more than expected ({nis})"
-        )
-    if consistency.mean_nis < low:
-        return f"{size} or somewhat less, as the filter estimates. {included} which is less than expected ({nis})"
-    if alike:
-        return (
-            f"{size} or more, as the filter estimates. {included} as expected, but the errors of neighboring fixes are "
+            f"not known, since there is no truth{guess}. The filter estimates {own:.2g} m RMS, but the fixes differ "
+            f"from the predictions by less than expected ({nis}). The receiver smooths its fixes, or their errors are "
             "correlated"
         )
+    size, source = f"{own:.2g} m RMS", "estimated from the filter's covariance, since there is no truth"
+    included = f"The fixes, with their own errors, differ from the predictions by {missed:.2g} m RMS"
+    if consistency.mean_nis > high:
+        return (
+            f"more than the {size} that the filter estimates. {included}, which is more than expected ({nis})"
+        )
+    if consistency.mean_nis < low:
+        return f"{size} or somewhat less, {source}. {included}, which is less than expected ({nis})"
+    if alike:
+        return (
+            f"{size} or more, {source}. {included}, as expected, but consecutive innovations are correlated"
+        )
     return (
-        f"about {size}, as the filter estimates. {included} as expected. An error that all fixes have in common is not "
-        "included"
+        f"about {size}, {source}. {included}, as expected. The estimate does not contain an error that all fixes have "
+        "in common"
     )

@@ -19,7 +19,7 @@ SHORT_OUTAGE_LENGTH = 1.0  # s, about the time to the next fix
 FORECAST_LENGTHS = (SHORT_OUTAGE_LENGTH, OUTAGE_LENGTH, LONG_OUTAGE_LENGTH)
 Seed = int | tuple[int, ...]
 TARGET_OUTAGES = 200  # number per drive for which the drift is accurate to about 10%
-MAX_PLACEMENTS = 8  # more placements would hide the same fixes again
+MAX_PLACEMENTS = 8  # more sets would hide the same fixes again
 OUTAGE_FIRST_AFTER = 10.0  # s, from the start to the first outage
 OUTAGE_APART = 5.0  # s, shortest time between outages
 
@@ -68,7 +68,7 @@ def forecast_windows(drive: Drive, initial: InitialState, *, seed: int) -> Array
 
 
 def placements(drive: Drive, initial: InitialState, *, length: float, seed: int) -> list[Seed]:
-    """Return seeds for several random placements of outages of ``length`` s, since the drift depends on the placement.
+    """Return seeds for several random sets of outages of ``length`` s, since the drift depends on their times.
 
     There are 2 to `MAX_PLACEMENTS` seeds, or none if no outage fits. The first one is ``seed`` itself.
     """

@@ -66,13 +66,12 @@ def truth_offset(drive: Drive) -> str:
     ):
         return ""
     origin = (
-        f"the truth has another origin or datum, so import with --origin, or add {world.real:.2f} and "
-        f"{world.imag:.2f} m "
-        "to x and y of truth.csv"
+        f"if the truth has another origin or datum, import with --origin, or add {world.real:.2f} and "
+        f"{world.imag:.2f} m to x and y of truth.csv"
     )
     length = arm + body
     lever = (
-        "the antenna is not at the position of the truth, so write "
+        "if the antenna is not at the position of the truth, write "
         f"gps_lever_arm_m = [{length.real:.2f}, {length.imag:.2f}, 0.0] into drive.toml"
     )
     causes = [
@@ -81,9 +80,9 @@ def truth_offset(drive: Drive) -> str:
         if clear > MIN_OFFSET_SIGMAS and clear > other / 2  # a straight road does not distinguish the frames
     ]
     return (
-        f"the fixes of {drive.name} lie {abs(offset):.2f} m from the truth on average ({world.real:+.2f} m east, "
-        f"{world.imag:+.2f} m north; {body.real:+.2f} m forward, {body.imag:+.2f} m left), and all position errors "
-        f"contain this offset: {'; or '.join(causes)}"
+        f"on average, the fixes of {drive.name} lie {abs(offset):.2f} m from the truth, and all position errors "
+        f"contain this offset. It is {world.real:+.2f} m east and {world.imag:+.2f} m north, or {body.real:+.2f} m "
+        f"forward and {body.imag:+.2f} m left. Remedy: {'; '.join(causes)}"
     )
 
 

@@ -1,7 +1,7 @@
 """Tables and sentences of an evaluation, for the terminal, notebooks and the page."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sigmaswarm import notebook
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
@@ -14,6 +14,7 @@ from sigmaswarm.scoring.methods import (
     FIXES_ALONE_NOTE,
     HOW_TO_COMPARE,
     baseline_note,
+    in_sentence,
 )
 from sigmaswarm.scoring.radius import DOF, LEVELS, MIN_COVERAGE, TRACKING, RadiusRecord, factor_of
 from sigmaswarm.scoring.records import EvaluationRecord, Measured, ScoresRecord
@@ -30,8 +31,8 @@ from sigmaswarm.tables import Cell, Column, Table
 
 LATE_START = 5.0  # s from the start of a drive; if scores begin later, this is reported
 NO_TRUTH = (
-    "without truth, errors of position and heading can't be computed. The tables contain the drift of each "
-    "filter relative to fixes that are hidden from it (including the errors of these fixes), and the "
+    "there is no truth, so errors of position and heading can't be computed. The tables contain the drift of each "
+    "filter relative to fixes that are hidden from it, including the errors of these fixes. They also contain the "
     "consistency of its predictions of the fixes (NIS)"
 )
 
@@ -89,7 +90,7 @@ class EvaluationView:
         known = [m for m in self.measures if any(m in by_measure for by_measure in drifts.values())]
         columns = [Column("drive"), Column("method")]
         for m in known:
-            columns += [Column("outages"), _column(self.measures[m]), Column("a single placement", "m")]
+            columns += [Column("outages"), _column(self.measures[m]), Column("a single set", "m")]
         rows: list[tuple[Cell, ...]] = []
         for drive, by_measure in drifts.items():
             for method in (m for m in self.names if m not in NO_OUTAGES and m in self.scores.mean):
@@ -99,7 +100,7 @@ class EvaluationView:
                     cells += [one and float(one.outages), value, one and one.spread(method)]
                 rows.append((drive, self.names[method], *cells))
         strong = frozenset(i for i, row in enumerate(rows) if row[1] == self.names["tuned"])
-        return Table("Drifts over all placements of the outages", tuple(columns), tuple(rows), strong)
+        return Table("Drifts over all sets of outages", tuple(columns), tuple(rows), strong)
 
     def consistency_table(self) -> Table:
         columns: list[tuple[Column, Callable[[Consistency], Cell]]] = [
@@ -129,7 +130,7 @@ class EvaluationView:
                 Column("errors", number="{:.0f}".format),
                 Column("in 95% radius", "%", percent),
                 Column("in 99.9% radius", "%", percent),
-                Column("own sigma"),
+                Column("own standard deviation"),
             ]
 
         def cells(record: RadiusRecord) -> tuple[Cell, ...]:
@@ -156,27 +157,30 @@ class EvaluationView:
             for key, record in records.items()
             if key in where
         )
-        return Table("Stated radius of the position", (Column("drive"), Column("with"), *columns), rows)
+        return Table("Stated radius of the position", (Column("drive"), Column("case"), *columns), rows)
 
     # ---- sentences ----
 
     def result(self) -> str:
-        """Return a sentence on the position error, or on the drift over outages if there is no truth."""
+        """Return sentences on the position error, or on the drift in outages if there is no truth."""
         drives, mean_of = describe_drives(self.setup.data), self.scores.mean_of
         for measure, what in (
             ("position_rmse_m", "has a position RMSE of {} m"),
-            ("outage_drift_m", f"drifts {{}} m (RMS) over an outage of {self.setup.outage_length_s:g} s"),
+            ("outage_drift_m", f"has a drift of {{}} m in outages of {self.setup.outage_length_s:g} s"),
         ):
             tuned = mean_of("tuned", measure)
             if tuned is None:
                 continue
             rivals = (AGAINST, self.best_baseline(measure))  # a gain over a worse method would be misleading
             each = [
-                _compared(tuned, value, self.names[m]) for m in rivals if m and (value := mean_of(m, measure))
+                _compared(tuned, value, in_sentence(m, self.names[m]))
+                for m in rivals
+                if m and (value := mean_of(m, measure))
             ]
+            compared = f", {' and '.join(each)}," if each else ""
             spread = self.scores.describe_drift(measure)
-            text = f"On {drives}, the tuned filter {what.format(f'{tuned:.3g}')}{f' ({spread})' if spread else ''}"
-            return f"{': '.join([text, ', '.join(each)][: 1 + bool(each)])}.{self._not_beaten()}"
+            text = f"The tuned filter {what.format(f'{tuned:.3g}')}{compared} on {drives}."
+            return f"{text}{f' {spread}.' if spread else ''}{self._not_beaten()}"
         if any(mean_of("tuned", measure) is not None for measure in DRIFTS):
             return f"On {drives}, no outage of {self.setup.outage_length_s:g} s fits; use a longer part of a drive."
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
@@ -185,9 +189,10 @@ class EvaluationView:
         """Return sentences on fixes alone and baseline, with the drifts in which the tuned filter is not better."""
         mean_of = self.scores.mean_of
         sentences = ""
-        for method, name in ((FIXES, "fixes alone"), (BASELINE, "baseline")):
+        for method in (FIXES, BASELINE):
+            name = in_sentence(method, self.names[method])
             lost = [
-                f"{self.measures[m].title} ({tuned:.3g} m; {name} {other:.3g} m)"
+                f"{self.measures[m].title} ({tuned:.3g} instead of {other:.3g} m)"
                 for m in DRIFTS
                 if m in self.measures
                 and (tuned := mean_of("tuned", m)) is not None
@@ -195,7 +200,9 @@ class EvaluationView:
                 and tuned >= other
             ]
             sentences += (
-                f" The tuned filter is NOT better than the {name} in the {', '.join(lost)}." if lost else ""
+                f" The tuned filter is NOT better than {name} in the {' and the '.join(lost)}."
+                if lost
+                else ""
             )
         return sentences
 
@@ -205,13 +212,13 @@ class EvaluationView:
             f"{d.scored_from_s:.0f} s into {d.name}" for d in data if (d.scored_from_s or 0.0) > LATE_START
         ]
         blind = [drive.name for drive in data if drive.has_truth is False]
-        sentences = [f"Filters and scores start {', '.join(late)}, at {START_RULE}."] if late else []
+        sentences = [f"Filters and scores start {', '.join(late)}: at {START_RULE}."] if late else []
         sentences += map(_sentence, partly_scored(data))
         sentences += [f"{', '.join(blind)}: {NO_TRUTH}."] if blind else []
         sentences += map(_sentence, estimate_position_errors(self.scores, data))
         sentences += [
-            f"{name}: no filter used {n} of the fixes, which are stale (they repeat an earlier fix, although the "
-            "vehicle may have moved)."
+            f"{name}: no filter used {n} of the fixes, since they are stale: they repeat an earlier fix, although the "
+            "vehicle may have moved."
             for name, n in self.scores.stale_fixes.items()
         ]
         return tuple(sentences)
@@ -232,12 +239,13 @@ class EvaluationView:
                 continue
             inside, ratio = record.inside_95, record.sigma_ratio
             held = "" if inside is None else f", and {100 * inside:.0f}% are"
-            sigma = "" if ratio is None else f"; the filter's own sigma is {describe_ratio(ratio)}"
-            lasts = f", including {record.lasting_m:.2g} m per axis of correlated fix errors"
-            lasts = lasts if record.lasting_m else ""
+            own = "" if ratio is None else f" The filter's own standard deviation is {describe_ratio(ratio)}."
+            lasts = (
+                f" This radius includes correlated fix errors of {record.lasting_m or 0.0:.2g} m per axis."
+            )
             sentences.append(
-                f"{drive}: 95% of the position errors should be within {record.radius_95_m:.2g} m (median){lasts}{held}"
-                f"{sigma}."
+                f"{drive}: 95% of the position errors should be within {record.radius_95_m:.2g} m (median radius)"
+                f"{held}.{lasts * bool(record.lasting_m)}{own}"
             )
         return tuple(sentences)
 
@@ -268,7 +276,7 @@ class EvaluationView:
         sentences += self.setup.truth_offsets.values()
         if len(data) == 1 and data[0].duration_s:
             sentences.append(
-                f"the scores are from one drive of {data[0].duration_s:.0f} s: they may differ on other drives"
+                f"the scores are from one drive of {data[0].duration_s:.0f} s, and may differ on other drives"
             )
         return tuple(map(_sentence, sentences))
 
@@ -306,7 +314,7 @@ class EvaluationView:
 
     def drifts(self) -> tuple[str, ...]:
         return tuple(
-            f"{measure.title} of the tuned filter: {drift:.3g} m over {spread}."
+            f"{measure.title} of the tuned filter: {drift:.3g} m. {spread}."
             for m, measure in self.measures.items()
             if (drift := self.scores.mean_of("tuned", m)) is not None
             and (spread := self.scores.describe_drift(m))
@@ -317,14 +325,8 @@ class EvaluationView:
     def to_text(self) -> str:
         """Return at most 15 lines for `print`."""
         table = self.mean_table()
-        cells = [[str(row[1]), *map(notebook.number, row[2:])] for row in table.rows]  # pyright: ignore[reportArgumentType]
-        columns = [*zip([c.heading for c in table.columns[1:]], *cells, strict=True)]
-        widths = [max(map(len, column)) for column in columns]
-        lines = [
-            "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])])
-            for row in zip(*columns, strict=True)
-        ]
-        return "\n".join([self.result(), *lines, *self.warnings()[:3]])
+        methods = replace(table, columns=table.columns[1:], rows=tuple(row[1:] for row in table.rows))
+        return "\n".join([self.result(), methods.to_text(), *self.warnings()[:3]])
 
     def to_html(self) -> str:
         each, remarks = self.drive_table().to_html(), notebook.html_list("To know:", self.warnings())
@@ -334,27 +336,29 @@ class EvaluationView:
 
 
 def explained_consistency(nees: bool) -> str:
-    what = "NIS (of predictions of the fixes) and NEES (of errors) average" if nees else "NIS averages"
+    what = (
+        "the means of NIS (predictions of the fixes) and NEES (errors) are" if nees else "the mean of NIS is"
+    )
     return (
         f"This table shows whether the tuned filter's {'predictions and errors' if nees else 'predictions'} agree "
-        f"with its covariances. If they do, {what} 2; above 2 the filter is overconfident, below 2 underconfident."
-        f"{'' if nees else f' Note: {FORECASTS}.'} Innovations of a consistent filter are white: they are not "
+        f"with its covariances. If they do, {what} 2. Above 2 the filter is overconfident, below 2 underconfident."
+        f"{'' if nees else f' {FORECASTS}.'} Innovations of a consistent filter are white: they are not "
         "correlated from fix to fix. p is the probability that white innovations seem as correlated as these "
-        "(Ljung and Box's test over ten fixes). If p is below 0.01, the errors of consecutive fixes are "
-        "correlated, as with most real receivers, and average out less than the filter assumes."
+        "(Ljung and Box's test over ten fixes). If p is below 0.01, the errors of consecutive fixes are correlated, "
+        "as with most real receivers. Such errors average out less than the filter assumes."
     )
 
 
 def explained_radius() -> str:
     factors = [factor_of(level) for level in LEVELS]
     return (
-        "Radius within which the position error should lie with a probability of 95% or 99.9% (median over the drive). "
-        "The variance per axis is the sum of the filter's variance and the variance of correlated fix errors, "
-        "which the log does not show: the square of the stated standard deviation, else of 2.1 m, minus the "
-        "white noise of the fixes. The radii are "
-        f"{factors[0]:.2f} and {factors[1]:.2f} sigma, from Student's t with {DOF:g} degrees of freedom, since a "
-        "training drive determines a covariance from few independent errors. The filter's own covariances, in "
-        "estimates and in exports, do not contain this addition."
+        "The position error should lie within this radius with a probability of 95% or 99.9% (median over the drive). "
+        "The variance per axis is the sum of the filter's variance and the variance of correlated fix errors, which "
+        "the log does not show. The latter is the square of the stated standard deviation, else of 2.1 m, minus the "
+        f"variance of the white noise of the fixes. The radii are {factors[0]:.2f} and {factors[1]:.2f} standard "
+        f"deviations, from Student's t with {DOF:g} degrees of freedom, since a training drive determines a covariance "
+        "from few independent errors. The filter's own covariances, in estimates and in exports, do not contain this "
+        "addition."
     )
 
 
@@ -363,17 +367,17 @@ def explained_scores(view: EvaluationView) -> str:
     drifts = rmse = ""
     if view.scores.drifts:
         drifts = (
-            " For the drift each method runs again with hidden fixes, for up to eight placements of the "
-            "outages; the drift is the RMS error at the ends of all outages."
+            " For the drift, each method runs again with hidden fixes, for up to eight sets of outages. The drift is "
+            "the RMS error at the ends of all outages."
         )
         if not with_truth:
-            drifts += " Without truth the drift is relative to the hidden fixes and includes their errors."
+            drifts += " Since there is no truth, the drift is relative to the hidden fixes and includes their errors."
     if with_truth:
         rmse = " RMSE: root of the mean square error. 50% and 95%: quantiles of the position error."
     return (
         f"Lower is better. Outages last {SHORT_OUTAGE_LENGTH:g}, {view.setup.outage_length_s:g} and "
         f"{LONG_OUTAGE_LENGTH:g} s.{drifts}{rmse} "
-        "The method IMU only uses no fixes after the start, so it has no outage drift."
+        'The method "IMU only" uses no fixes after the start, so it has no outage drift.'
     )
 
 

@@ -53,19 +53,19 @@ def default_filter_options(
         model = "planar8"
     if "use" in options:
         described = _described(model, options["use"])
-        return {**options, "model": model}, f"{described}, as given: {suggestion.because}"
-    use, because = [], "the paper's model; add measurements with --use"
+        return {**options, "model": model}, f"{described} as given, since {suggestion.because}"
+    use, because = [], ". This is the paper's model; add measurements with --use"
     if model != PAPER_MODEL:
         allowed = MODELS[model].options if model in MODELS else ()
         offered = (*suggestion.use, "gate") if allowed else suggestion.use
         use = [name for name in offered if name in (allowed or (name,)) and _fits(name, options)]
         other = model != suggestion.model and "model" in options
-        because = f"{suggestion.model} suits the logs: {suggestion.because}" if other else suggestion.because
+        because = f". {suggestion.model} suits the logs" * other + f", since {suggestion.because}"
         if model == suggestion.model and _needs_fix_error(model, options, drives):
             use.append("fix-error")
-            because += ", successive fixes that differ by less than the receiver's error"
+            because += ", and consecutive fixes differ by less than the receiver's error"
     described = _described(model, use) + (", as given" if "model" in options else "")
-    return {**options, "model": model, "use": tuple(use)}, f"{described}: {because}"
+    return {**options, "model": model, "use": tuple(use)}, f"{described}{because}"
 
 
 def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive | LogProperties]) -> bool:

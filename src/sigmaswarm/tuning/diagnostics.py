@@ -22,20 +22,21 @@ from sigmaswarm.filters.passes import FilterPass
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.run import whole_pass
 from sigmaswarm.scoring.drifts import OutageDrifts
-from sigmaswarm.scoring.methods import BASELINE, FIXES
+from sigmaswarm.scoring.methods import BASELINE, FIXES, METHODS, in_sentence
 from sigmaswarm.scoring.remote import AnyBatchScorer
 from sigmaswarm.scoring.targets import FORECAST_LENGTHS, LONG_OUTAGE_LENGTH
+from sigmaswarm.tables import Column, Table
 from sigmaswarm.tuning.objectives import Objective
 from sigmaswarm.wording import to_do
 
 MAX_NAMED_DRIVES = 3  # drives named in one message, and checked for drift
 MONITORED_TIME = 3600.0  # s of a drive that are checked for divergence; a longer check needs more memory
 MAX_DRIFT_RATIO = 1.5  # ratio to the baseline's drift above which a warning is given
-FIRST_PLACEMENTS = 2  # outage placements checked first
+FIRST_SETS = 2  # sets of outages that are checked first
 RECHECK_RATIO = 1.2
-"""Ratio of the filter's drift to the baseline's above which all placements are measured, not only `FIRST_PLACEMENTS`.
+"""Ratio of the filter's drift to the baseline's above which all sets of outages are measured, not only `FIRST_SETS`.
 
-With `FIRST_PLACEMENTS` placements the ratio is accurate to 10%.
+With `FIRST_SETS` sets the ratio is accurate to 10%.
 """
 CHECKED_TIME = 600.0  # s in the middle of a drive that are checked for drift
 DO_NOT_USE = "DO NOT USE THIS FILTER"
@@ -53,31 +54,35 @@ MAX_NIS_ERROR = 0.2  # largest difference of the scaled mean NIS / 2 from 1 for 
 
 @dataclass(frozen=True)
 class DriftComparison:
-    """RMS drifts (m) over outages of one length (s) on training drives: tuned filter, fixes alone, baseline."""
+    """RMS drifts (m) in outages of one length (s) on training drives: tuned filter, fixes alone, baseline."""
 
     length_s: float
     tuned_m: float
     baseline_m: float
     fixes_alone_m: float
 
-    def __str__(self) -> str:
-        lower = ", LOWER" if self.fixes_alone_m < self.tuned_m else ""
-        others = f"fixes alone {self.fixes_alone_m:.3g} m{lower}; baseline {self.baseline_m:.3g} m"
-        return f"over {self.length_s:g} s {self.tuned_m:.3g} m ({others})"
+
+def larger_drifts(forecasts: Sequence[DriftComparison]) -> list[str]:
+    """Return a sentence for each method that drifts less than the tuned filter."""
+    sentences: list[str] = []
+    for method, key in ((BASELINE, "baseline_m"), (FIXES, "fixes_alone_m")):
+        pairs = [(one.length_s, one.tuned_m, float(getattr(one, key))) for one in forecasts]
+        worse = [
+            f"{length:g} s ({tuned:.3g} m instead of {other:.3g} m)"
+            for length, tuned, other in pairs
+            if tuned > other and f"{tuned:.3g}" != f"{other:.3g}"
+        ]
+        if worse:
+            name = in_sentence(method, METHODS[method])
+            sentences.append(f"the tuned filter drifts MORE than {name} in outages of {', '.join(worse)}")
+    return sentences
 
 
-def describe_forecasts(forecasts: Sequence[DriftComparison], durations: Sequence[float] = ()) -> list[str]:
-    """Return a sentence on the drifts, and a second one if a drift is larger than that of the baseline.
+def drift_table(forecasts: Sequence[DriftComparison], durations: Sequence[float] = ()) -> Table:
+    """Return a table of the drifts on the training drives.
 
     ``durations``: durations of the training drives, s, since only a part of many or long drives is measured.
     """
-    if not forecasts:
-        return []
-    worse = [
-        f"{one.length_s:g} s ({one.tuned_m:.3g} m; baseline {one.baseline_m:.3g} m)"
-        for one in forecasts
-        if one.tuned_m > one.baseline_m and f"{one.tuned_m:.3g}" != f"{one.baseline_m:.3g}"
-    ]
     on = (
         f"the first {MAX_NAMED_DRIVES} training drives"
         if len(durations) > MAX_NAMED_DRIVES
@@ -86,12 +91,13 @@ def describe_forecasts(forecasts: Sequence[DriftComparison], durations: Sequence
     on += f", {CHECKED_TIME:g} s in the middle of each" * any(
         duration > CHECKED_TIME for duration in durations[:MAX_NAMED_DRIVES]
     )
-    message = [f"drift without fixes on {on}: {', '.join(map(str, forecasts))}"]
-    if worse:
-        message.append(
-            f"drift on the training drives is larger than that of the baseline over {', '.join(worse)}"
-        )
-    return message
+    rows = ("tuned", "tuned_m"), (BASELINE, "baseline_m"), (FIXES, "fixes_alone_m")
+    return Table(
+        f"Drift (RMS) at the end of an outage, on {on}",
+        (Column("method"), *(Column(f"{one.length_s:g} s outage", "m") for one in forecasts)),
+        tuple((METHODS[method], *(getattr(one, key) for one in forecasts)) for method, key in rows),
+        strong=frozenset((0,)),
+    )
 
 
 def forecasts_of(
@@ -114,7 +120,7 @@ def loss_warnings(parameters: FilterParameters, scorer: AnyBatchScorer, *, outag
     if messages or not outages:
         return messages
     some = scorer.subset(range(min(len(scorer.dataset), MAX_NAMED_DRIVES)))
-    few = some.map_prepared(partial(drifts_of, parameters=parameters, most=FIRST_PLACEMENTS))
+    few = some.map_prepared(partial(drifts_of, parameters=parameters, most=FIRST_SETS))
     if not drift_warnings(few, RECHECK_RATIO):
         return []
     return drift_warnings(some.map_prepared(partial(drifts_of, parameters=parameters)))
@@ -125,10 +131,12 @@ def divergence_warnings(restarts: Iterable[tuple[str, list[float]]]) -> list[str
     if not diverged:
         return []
     others = (
-        f"; and on {len(diverged) - MAX_NAMED_DRIVES} more drives" if len(diverged) > MAX_NAMED_DRIVES else ""
+        f"; it also diverged on {len(diverged) - MAX_NAMED_DRIVES} more drives"
+        if len(diverged) > MAX_NAMED_DRIVES
+        else ""
     )
-    these = "this drive" if len(diverged) == 1 else "these drives"
-    why = f"the tuned filter {'; it '.join(diverged[:MAX_NAMED_DRIVES])}{others}, although it was tuned on {these}"
+    these = "this is a training drive" if len(diverged) == 1 else "these are training drives"
+    why = f"the tuned filter {'; it '.join(diverged[:MAX_NAMED_DRIVES])}{others}, although {these}"
     return [to_do(REMEDY, why)]
 
 
@@ -137,8 +145,8 @@ def drift_warnings(drifts: Iterable[tuple[float, ...]], most: float = MAX_DRIFT_
     if tuned <= most * other:
         return []
     why = (
-        f"over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m on its training drives, "
-        f"but the baseline {other:.3g} m"
+        f"in outages of {LONG_OUTAGE_LENGTH:g} s on its training drives, the tuned filter drifts {tuned:.3g} m, but "
+        f"the baseline only {other:.3g} m"
     )
     return [to_do(REMEDY, why)]
 
@@ -169,8 +177,8 @@ def correlation_warnings(
     if parameters.fix_error is not None or not supported or not known or np.median(known) < MAX_CORRELATION:
         return []
     why = (
-        f"the innovations and the errors of the fixes are correlated from fix to fix (lag 1: {np.median(known):.2f}), "
-        "and the stated covariance is too small"
+        "the innovations are correlated from fix to fix, so the errors of the fixes are correlated and the filter's "
+        f"covariance is too small (autocorrelation at lag 1: {np.median(known):.2f})"
     )
     return [to_do(f"tune with --use {' '.join([*use, 'fix-error'])}", why)]
 
@@ -221,7 +229,7 @@ def scale_warnings(objective: Objective, parameters: FilterParameters, scorer: A
     nis = float(before.mean_nis.mean())
     name = objective.name
     message = (
-        f"{name} does not determine the scale of the covariances: mean NIS is {nis:.2g}, but should be 2"
+        f"{name} does not determine the scale of the covariances (the mean NIS is {nis:.2g}, but should be 2)"
     )
     remedy = SCALE_REMEDY.format(objective=name, measure="nees" if objective.needs_truth else "nis")
     if parameters.model != "planar5" and nis > 0:
@@ -229,8 +237,8 @@ def scale_warnings(objective: Objective, parameters: FilterParameters, scorer: A
         moved = float(after.position_rmse.mean() / before.position_rmse.mean() - 1)
         if abs(moved) <= MAX_RMSE_CHANGE and abs(float(after.mean_nis.mean()) / 2 - 1) <= MAX_NIS_ERROR:
             right = (
-                f"a factor of {nis / 2:.3g} on all variances changes mean NIS to 2 and the position RMSE by "
+                f"With all variances multiplied by {nis / 2:.3g}, the mean NIS is 2, and the position RMSE changes by "
                 f"{moved:+.1%}"
             )
-            return [to_do(f"{remedy}, or use FilterParameters.scaled({nis / 2:.3g})", f"{message}; {right}")]
+            return [to_do(f"{remedy}, or use FilterParameters.scaled({nis / 2:.3g})", f"{message}. {right}")]
     return [to_do(remedy, message)]

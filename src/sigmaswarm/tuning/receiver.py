@@ -27,12 +27,12 @@ MIN_STATED_SHARE = 0.05  # smallest share of R from stated variances at which th
 SPAN = 600.0  # s of a drive in which the scatter of the fixes is measured; a longer part does not change the result
 MIN_PRIOR_COST = 0.02  # nats per fix; a larger cost of the prior leads to a remark
 MIN_SCATTER = 0.5  # m; if fixes scatter less, the receiver smooths them or uses RTK
-UNKNOWN = "without truth a log does not show the error that all fixes have in common"
+UNKNOWN = "A log without truth does not show an error that all fixes have in common"
 AT_THE_TOP = "at the top of drive.toml"
 TUNE_AGAIN = "tune into a new folder"
 STATE_REMEDY = (
-    f"write the line `gps_std_m = 1.5` {AT_THE_TOP}, with the standard deviation of the receiver's fixes, m per axis, "
-    f"in place of 1.5; then {TUNE_AGAIN}"
+    f"write the line `gps_std_m = 1.5` {AT_THE_TOP}; replace 1.5 by the standard deviation of the receiver's fixes, "
+    f"m per axis; then {TUNE_AGAIN}"
 )
 
 
@@ -91,30 +91,31 @@ def noise_warnings(
     r = float(np.mean(parameters.measurement_noise)) ** 0.5
     stated, scatter = (_median([getattr(one, what) for one in drives]) for what in ("stated", "scatter"))
     if parameters.fix_error is not None:
-        why = f"the receiver states no accuracy; its errors are modeled as correlated, {UNSTATED_GPS_STD:g} m per axis"
+        why = (
+            "the receiver states no accuracy, so the filter assumes correlated errors of "
+            f"{UNSTATED_GPS_STD:g} m per axis"
+        )
         return [to_do(STATE_REMEDY, why)] if np.isnan(stated) and scatter < MIN_SCATTER else []
     lasting = stated > MAX_SCATTER_RATIO * scatter
     remedy = STATE_REMEDY if np.isnan(stated) else f"tune with --use {' '.join([*use, 'accuracy'])}"
-    remedy += ", or score against a reference receiver"
+    remedy += ", or evaluate with the truth of a reference receiver"
     if r * MAX_STD_RATIO < stated:
         why = f"the receiver states {stated:.2g} m per axis"
     elif r * MAX_STD_RATIO < scatter:
         why = f"the fixes scatter by {scatter:.2g} m per axis about a path that is consistent with the IMU"
     elif lasting:
         why = f"the receiver states {stated:.2g} m per axis and its fixes scatter by {scatter:.2g} m"
-        return [to_do(remedy, f"{why}: their errors are correlated, and {UNKNOWN}")]
+        return [to_do(remedy, f"{why}, so their errors are correlated. {UNKNOWN}")]
     elif np.isnan(stated) and scatter < MIN_SCATTER:
-        why = f"the fixes scatter by {scatter:.2g} m per axis and their receiver states no accuracy"
-        return [
-            to_do(
-                remedy,
-                f"{why}; the scatter of fixes with correlated errors can also be this small, and {UNKNOWN}",
-            )
-        ]
+        why = (
+            f"the fixes scatter by {scatter:.2g} m per axis and their receiver states no accuracy. Fixes with "
+            "correlated errors can also scatter this little"
+        )
+        return [to_do(remedy, f"{why}. {UNKNOWN}")]
     else:
         return []
-    message = f"the filter copies the fixes: its R corresponds to {r:.2g} m per axis, and {why}"
-    return [to_do(remedy, f"{message}; forecasts do not show correlated errors, and {UNKNOWN}")]
+    message = f"the filter copies the fixes, since its R corresponds to {r:.2g} m per axis, but {why}"
+    return [to_do(remedy, f"{message}. Predictions of the fixes do not show correlated errors. {UNKNOWN}")]
 
 
 def prior_warnings(
@@ -131,13 +132,13 @@ def prior_warnings(
         if cost <= MIN_PRIOR_COST or near * MAX_STD_RATIO < std:
             continue
         if np.isfinite(one.stated):
-            lasting = f"; its fixes scatter less, so their errors are correlated, and {UNKNOWN}"
+            lasting = f". The fixes scatter less, so their errors are correlated. {UNKNOWN}"
             addition = lasting if std > MAX_SCATTER_RATIO * one.scatter else ""
             return [f"{name}: R was kept near the {std:.2g} m per axis that the receiver states{addition}"]
         if std == UNSTATED_GPS_STD:
             why = (
-                f"{name} does not state the accuracy of its fixes, so R was kept near that of a typical receiver, "
-                f"{std:.2g} m per axis. NIS will be low if the receiver smooths its fixes"
+                f"{name} does not state the accuracy of its fixes, so R was kept near that of a typical receiver "
+                f"({std:.2g} m per axis). If the receiver smooths its fixes, NIS will be low"
             )
             return [to_do(f"if you know the receiver, {STATE_REMEDY}", why)]
         return [f"{name}: R was kept near the {std:.2g} m per axis of white noise that the fixes show"]
@@ -156,8 +157,8 @@ def accuracy_warnings(
     if share > MIN_STATED_SHARE:
         return []
     why = (
-        f"the accuracy that the receiver states is {share:.0%} of R, so `accuracy` has no effect: the stated "
-        "accuracy hardly changes from fix to fix, or is unrelated to the errors of the fixes"
+        f"the stated accuracy contributes only {share:.0%} of R, so `accuracy` has no effect. The stated accuracy "
+        "hardly changes from fix to fix, or is unrelated to the errors of the fixes"
     )
     rest = " ".join(name for name in use if name != "accuracy")
     return [to_do(f"tune with --use {rest}" if rest else "leave accuracy out of --use", why)]

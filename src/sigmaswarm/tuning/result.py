@@ -21,7 +21,7 @@ from sigmaswarm.records import load_record
 from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
-from sigmaswarm.tuning.diagnostics import DriftComparison, describe_forecasts
+from sigmaswarm.tuning.diagnostics import DriftComparison, drift_table, larger_drifts
 from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.record import NOT_VALIDATED, TuningRecord, training_data_of, tuning_file
 from sigmaswarm.tuning.search import Trial, saved_trials
@@ -33,11 +33,12 @@ from sigmaswarm.wording import count_of, sort_remarks, to_do
 P = TypeVar("P", default=FilterParameters)
 SHOWN_REMARKS = 5  # number of remarks in the printed text
 INFLATION_REMARK = (
-    "process-noise inflation multiplied {}: inflation is for other roads and IMUs (--inflation 0: none)"
+    "process-noise inflation multiplied {}, so that the filter also works on other roads and with other IMUs; "
+    "--inflation 0 turns it off"
 )
 SENSORS_REMARK = (
-    "a filter tuned with truth is valid only for the receiver and the IMU of these drives: with other sensors it "
-    "may be far less accurate than the fixes. For other sensors tune without truth (--objective innovation-t)"
+    "a filter tuned with truth is valid only for the receiver and the IMU of these drives. With other sensors it may "
+    "be far less accurate than the fixes; for them, tune without truth (--objective innovation-t)"
 )
 MORE_DRIVES = "tune on more drives, or on drives that resemble the validation drives"
 STORED = (
@@ -223,11 +224,13 @@ class Tuning(Generic[P]):
         if v := self.validation:
             on = count_of(len(v.drives), f"validation {self._noun}")
             lines.append(f"cost {notebook.number(v.cost)} on {on}, errors {v.gap:+.1%}")
-        lines += describe_forecasts(self.forecasts, [one["duration_s"] for one in self.data])
+        if self.forecasts:
+            table = drift_table(self.forecasts, [one["duration_s"] for one in self.data])
+            lines += [f"{table.caption}:", table.to_text(), *larger_drifts(self.forecasts)]
         remarks = self.remarks
         lines += remarks[:SHOWN_REMARKS]
         if (more := len(remarks) - SHOWN_REMARKS) > 0:
-            lines.append(f"and {count_of(more, 'more remark')}: see .remarks")
+            lines.append(f"see .remarks for {count_of(more, 'more remark')}")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -319,11 +322,11 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
         yield INFLATION_REMARK.format(inflated)
     for touched in t.touched_bounds:
         if touched.parameter not in t.unidentified:
-            yield f"{touched}: the optimum may lie beyond the bounds"
+            yield f"{touched}, so the optimum may lie beyond the bounds"
     if names := ", ".join(name for name in t.unidentified if name != NOISE_SCALE):
         yield (
-            f"the tuned values of {names} are arbitrary: any other value within the bounds raises the cost by less "
-            "than 1%; no action is needed"
+            f"the tuned values of {names} are arbitrary, since any other value within the bounds raises the cost by "
+            "less than 1%; no action is needed"
         )
     if NOISE_SCALE in t.unidentified and not objective.scale_free:
         why = (
@@ -333,10 +336,7 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
         yield to_do("add innovation-nll or nis to the objective", why)
     if car and not (car.lateral_noise or car.velocity_noise) and "truth-pose" not in objective.name:
         remedy = "for a car use the lateral constraint (--use lateral), or tune with truth-pose"
-        why = (
-            "without other measurements, the fixes hardly determine the heading, which may be wrong by tens "
-            "of degrees"
-        )
+        why = "the fixes alone hardly determine the heading, which may be wrong by tens of degrees"
         yield to_do(remedy, why)
     better = min(t.sensitivities, key=lambda s: s.lowest_rise, default=None)
     if better and better.lowest_rise < -MAX_INCREASE and factor == 1.0:
@@ -345,7 +345,7 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     if car and objective.needs_truth:
         yield SENSORS_REMARK
     if t.mounting is None and any(KEY in entry for entry in t.data):
-        yield f"the training drives state different mountings ({KEY}), so an export does not rotate raw samples"
+        yield f"the training drives state different mountings ({KEY}), so exports do not rotate raw IMU samples"
     if t.start_cost is not None:
         yield f"the filter from which the search started has cost {notebook.number(t.start_cost)} with the same inputs"
     if t.validation is None:

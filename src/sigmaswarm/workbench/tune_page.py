@@ -102,7 +102,7 @@ class TunePage(Page):
                 select("Filter", MODELS, options.get("model", ""), partial(choose, "model"))
                 use, names = options.get("use") or [], list(get_args(Option))
                 more = select("Measurements (--use)", names, use, partial(choose, "use"), multiple=True)
-                more.props('hint="none: chosen from the sensors"')
+                more.props('hint="leave empty to choose by the sensors"')
             with line():
                 for key in ("particles", "generations", "trials", "seed"):
                     value = options.setdefault(key, TuneConfig.model_fields[key].default)

@@ -47,7 +47,7 @@ def _axes(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
     if not np.array_equal(axes, np.eye(2)):
         forward, left = (f"{'-' if row.sum() < 0 else ''}{'ax' if row[0] else 'ay'}" for row in axes)
         opposite = np.array_equal(axes, -np.eye(2)) and az is not None and float(np.median(az)) < 0
-        what = f"forward acceleration is in {forward}, leftward acceleration in {left}"
+        what = f"the forward acceleration is in {forward}, the leftward acceleration in {left}"
         if opposite:
             what = (
                 "the accelerometers report the opposite of specific force: ax, ay and az have the wrong sign"
@@ -56,7 +56,7 @@ def _axes(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
             what = f"{what} (the drive shows only {'forward' if mount.known[0] else 'sideways'} acceleration)"
         remedy = f"read ax as {forward} and ay as {left}" + (" and change the sign of az" if opposite else "")
         if (opposite and evidence.mounted) or (evidence.yaw.factor < 0 and np.linalg.det(axes) < 0):
-            remedy += "; exchanged x and y (lat and lon) of the fixes look the same, so check the fixes first"
+            remedy += "; check the fixes first, since exchanged x and y (lat and lon) have the same effect"
         yield Finding(
             "accelerometer-axes" if axes[0, 0] == 0 else "accelerometer-sign", "serious", what, WHERE, span, confidence,
             remedy, Repair("accelerometer", (*axes.ravel().tolist(), -1.0 if opposite else 1.0)),
@@ -82,10 +82,11 @@ def _size(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
             "left" if angle > 0 else "right",
         )  # a = R(angle) u: direction of x
         what = (
-            f"the IMU {'is' if clear else 'may be'} turned by {abs(degrees):.0f} deg (standard deviation "
-            f"{math.degrees(std):.0f}) to the {side} about the vertical"
+            f"the IMU {'is' if clear else 'may be'} rotated by {abs(degrees):.0f} deg to the {side} about the vertical "
+            f"axis (standard deviation {math.degrees(std):.0f} deg)"
         )
-        remedy = f"turn (ax, ay) and (gx, gy) by {degrees:+.0f} deg{'' if clear else ' if other drives show it too'}"
+        remedy = f"rotate (ax, ay) and (gx, gy) by {degrees:+.0f} deg"
+        remedy += "" if clear else ", if other drives also show this rotation"
         repair = Repair("turn", (angle,)) if clear else None
         yield Finding("mounting", severity, what, WHERE, span, confidence_of(angle / std), remedy, repair)
     second = np.arange(imu.time[0] + 0.5, imu.time[-1], 1.0)
@@ -105,7 +106,9 @@ def _size(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
         and abs(_size_of(_force(imu, mount.unit)) - GRAVITY) < MAGNITUDE_LIMITS[1]
     ):
         # the accelerometer measures gravity correctly
-        remedy = "check unit and projection of the positions, such as Web Mercator (EPSG:3857), which stretches them"
+        remedy = (
+            "check unit and projection of the positions; for example, Web Mercator (EPSG:3857) stretches them"
+        )
     for name, scale, std in wrong:
         what = (
             f"the car's {name} acceleration is {scale:.2f} times the acceleration that the IMU measures "
@@ -125,13 +128,13 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
         return
     tilt = math.degrees(math.asin(min(size / GRAVITY, 1.0)))
     offsets = f"{leak[0]:+.2f} and {leak[1]:+.2f} m/s2"
-    what = f"ax and ay contain constant offsets of {offsets}, which the motion does not explain"
+    what = f"ax and ay contain constant offsets of {offsets}, which the motion does not cause"
     severity, confidence = "warning", 0.95
     if size > RESIDUAL_LIMITS[1] + margin:
         severity, confidence = "serious", 0.99
-        what = f"{what}; this is gravity, since the IMU is tilted by about {tilt:.0f} deg"
+        what = f"{what}. They are gravity: the IMU is tilted by about {tilt:.0f} deg"
     else:
-        what = f"{what}; the IMU has a bias, or is tilted by about {tilt:.0f} deg"
+        what = f"{what}. The IMU has a bias, or is tilted by about {tilt:.0f} deg"
     remedy = "level the IMU, or subtract the offsets; --model planar8 estimates the remaining bias"
     repair = _leveled(evidence.drive.imu, leak)
     yield Finding("gravity", severity, what, WHERE, evidence.span, confidence, remedy, repair)
@@ -159,10 +162,11 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
         return  # reported with the axes
     elif is_upside_down(evidence):
         what = (
-            "az, gx and gy show that the IMU is upside down; the fixes do not show which axis points forward"
+            "az, gx and gy show that the IMU is upside down. The fixes do not show which axis points forward"
         )
         remedy = (
-            "turn all axes about x: import with --mount x=x,y=-y, or with the axes in the sensor's data sheet"
+            "rotate all axes by 180 deg about x: import with --mount x=x,y=-y, or with the axes in the sensor's "
+            "data sheet"
         )
         repair = Repair("rotate", tuple(np.diag([1.0, -1.0, -1.0]).ravel().tolist()))
         where = "imu.csv, ay, az, gy, gz"
@@ -175,7 +179,7 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
         yield finding_of(wrong, "warning", span, 0.9)
     elif unit == 1:
         factor = math.copysign(GRAVITY, up)
-        what = f"column az has median {up:.2f}, as if in g, while ax and ay are in m/s2"
+        what = f"the median of column az is {up:.2f}, so az seems to be in g, but ax and ay are in m/s2"
         repair = Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, factor))
         yield Finding(
             "accelerometer-up", "warning", what, "imu.csv, az", span, 0.99, f"multiply az by {factor}", repair
@@ -203,7 +207,8 @@ def _magnitude(evidence: Evidence, unit: float) -> Iterator[Finding]:
     level = float(np.median(np.sum(force[:2] ** 2, axis=0)))
     factor = math.sqrt(GRAVITY**2 - level) / float(np.median(force[2])) if level < GRAVITY**2 / 2 else 1.0
     what = (
-        f"the specific force is {size:.2f} m/s2 but gravity is {GRAVITY:.2f} m/s2: az deviates by {off:+.2f}"
+        f"the median specific force is {size:.2f} m/s2. It differs by {off:+.2f} m/s2 from gravity "
+        f"({GRAVITY:.2f} m/s2)"
     )
     yield Finding(
         "gravity-size", "warning" if large else "note", what, "imu.csv, az", evidence.span, 0.99,

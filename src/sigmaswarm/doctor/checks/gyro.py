@@ -42,8 +42,8 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     if fit is None or course is None or not yaw.known:
         if impossible_rate(imu.gz - np.median(imu.gz)):
             what = (
-                f"the yaw rate gz is above {IMPOSSIBLE_RATE:g} rad/s, as if in deg/s; the fixes show no course that "
-                "confirms this unit"
+                f"the yaw rate gz exceeds {IMPOSSIBLE_RATE:g} rad/s, so it is probably in deg/s. The fixes show no "
+                "course that confirms this unit"
             )
             remedy = "look up the unit; multiply gx, gy, gz by pi/180 if the unit is deg/s"
             yield Finding("gyro-unit", "warning", what, "imu.csv, gz", span, 0.9, remedy)
@@ -119,7 +119,7 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
         roll, pitch = (f"{'-' if sign < 0 else ''}{('gx', 'gy')[column]}" for column, sign, _ in seen)
         yield Finding(
             "gyro-tilt", "warning",
-            f"the roll rate is in {roll}, the pitch rate in {pitch}, as the direction of gravity shows",
+            f"the direction of gravity shows that the roll rate is in {roll} and the pitch rate in {pitch}",
             "imu.csv, gx, gy", span, confidence_of(min(axis[2] for axis in seen) / 2),
             f"read gx as {roll} and gy as {pitch}", Repair("tilt-rates", (0.0, seen[0][1], seen[1][1], 0.0)),
         )  # fmt: skip
@@ -130,8 +130,8 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
         signs = [axis[1] if axis else 1.0 for axis in follows]
         yield Finding(
             "gyro-tilt", "warning",
-            f"{names} {'have' if len(wrong) > 1 else 'has'} the wrong sign relative to gravity's rotation: the roll "
-            "rate gx must be positive when the left side rises, the pitch rate gy when the nose sinks",
+            f"{names} {'have' if len(wrong) > 1 else 'has'} the wrong sign relative to the rotation of gravity. The "
+            "roll rate gx must be positive when the left side rises, and the pitch rate gy when the nose sinks",
             f"imu.csv, {', '.join(columns)}", span, confidence_of(min(axis[2] for axis in wrong) / 2),
             f"change the sign of {names}", Repair("tilt-rates", (signs[0], 0.0, 0.0, signs[1])),
         )  # fmt: skip

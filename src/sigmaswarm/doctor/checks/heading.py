@@ -47,11 +47,10 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
         best = _fitting(offsets)
         yield from _of_convention(evidence, best, *offsets[best])
     if np.count_nonzero(known) >= MIN_FIXES and (delay := _delay(evidence, theta, known, best)):
-        way = "later" if delay > 0 else "earlier"
-        what = f"the heading is {abs(delay):.2f} s {way} than the positions of the same rows"
+        way = "lags" if delay > 0 else "leads"
+        what = f"the heading {way} the positions in the same rows by {abs(delay):.2f} s"
         remedy = (
-            "a filter assumes the same time for both, so map headings with their own times, or leave the column "
-            "out"
+            "map the headings with their own times, or leave them out: a filter assumes one time for each row"
         )
         yield Finding("heading-delay", "warning", what, WHERE, evidence.span, 0.95, remedy)
 

@@ -34,7 +34,7 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
         return
     if not evidence.yaw.known:
         what, remedy = _unseen_yaw(evidence)
-        what += ", so sign and unit of gz can't be checked, and errors of heading and gyro bias are hardly visible"
+        what += ". Sign and unit of gz can't be checked. Errors of heading and gyro bias are hardly visible"
         yield Finding("unseen-yaw", "warning", what, "imu.csv, gz", span, 0.95, remedy)
     known = evidence.mount.known if evidence.mount else (False, False)
     for axis, seen, motion in zip(("ax", "ay"), known, ("changes of speed", "cornering"), strict=True):
@@ -51,10 +51,10 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
     interval = float(np.median(np.diff(course.time)))
     shown = (
         f"the course is known for {np.count_nonzero(moving) * interval:.0f} of {np.ptp(course.time):.0f} s, "
-        f"in which the car is faster than {course.slowest:.1f} m/s"
+        f"when the car is faster than {course.slowest:.1f} m/s"
     )
     if fit is None:
-        return f"{shown}, but no part is long enough to compare the turns of course and gyro", REMEDY
+        return f"{shown}. No part is long enough to compare the course with the gyro", REMEDY
     change = np.degrees(fit.course_change)
     if fit.course_change > max(
         MIN_TURN, MIN_TURN_SIGMAS * course.std / np.median(np.abs(course.velocity[moving]))
@@ -64,9 +64,11 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
             f"check the gyro's unit and the clocks; offsets beyond {MAX_OFFSET:.0f} s are not searched",
         )
     if np.ptp(course.angle[moving]) > CIRCLE:
-        steady = "turns at a nearly constant rate, which does not separate the gyro's scale from its bias"
-        return f"{shown}, and the car {steady}", REMEDY
-    return f"{shown}, and changes there by {change:.1f} deg within 20 s; slower turns are not visible", REMEDY
+        steady = (
+            "The car turns at a nearly constant rate, which does not separate the gyro's scale from its bias"
+        )
+        return f"{shown}. {steady}", REMEDY
+    return f"{shown}. It changes there by {change:.1f} deg within 20 s; slower turns are not visible", REMEDY
 
 
 def check_use(evidence: Evidence) -> Iterator[Finding]:
@@ -85,17 +87,17 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
     if count := int(np.count_nonzero(evidence.outlying)):
         reasons["robust"] = f"{count_of(count, 'fix')} {'lie' if count > 1 else 'lies'} far off the path"
     if chosen.model == "tilted12":
-        reasons["model"] = "the IMU has az, gx and gy, which distinguish hills from motion"
-    because = "; ".join(filter(None, reasons.values()))
-    may = ["velocity to --use: the receiver measures speed and course"] if velocity_agrees(evidence) else []
+        reasons["model"] = "the IMU has az, gx and gy, which distinguish slopes from acceleration"
+    because = ", and ".join(filter(None, reasons.values()))
+    may = ["velocity (speed and course of the receiver)"] if velocity_agrees(evidence) else []
     if drive.gps.heading is not None and not any(check_heading(evidence)):
-        may.append("heading to --use: the fixes have a heading")
-    what = f"tune uses {chosen.options}{f': {because}' if because else ''}"
+        may.append("heading (of the fixes)")
+    what = f"tune uses {chosen.options}{f', since {because}' if because else ''}"
     # A tuning may use several drives, or a part of this one, so the number of fixes is stated, not compared.
     if (drive.truth is None or chosen.model == "tilted12") and has_lasting_errors(drive):
-        what += f"; with {FIXES_FOR_FIX_ERROR} fixes or more for training also fix-error"
+        what += f". If the training drives have {FIXES_FOR_FIX_ERROR} fixes or more, tune also uses fix-error"
         enough = len(drive.gps) >= FIXES_FOR_FIX_ERROR
-        what += ", since successive fixes differ by less than the receiver's error" if enough else ""
-    what += f"; you may add {'; and '.join(may)}" if may else ""
+        what += ", since consecutive fixes differ by less than the receiver's error" if enough else ""
+    what += f". You can add to --use: {' and '.join(may)}" if may else ""
     remedy = "see the options of `sigmaswarm tune`"
     yield Finding("use", "note", what, "imu.csv, gps.csv", evidence.span, 0.9, remedy)

@@ -41,8 +41,8 @@ def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
     drive, places = evidence.drive, "lat and lon" if evidence.drive.frame == "wgs84" else "x and y"
     one, other = places.split(" and ")
     what = (
-        f"the fixes are a mirror image of the motion: their {places} are exchanged (gz and ay are reversed relative to "
-        "the fixes, while ax agrees and az points up)"
+        f"{places} of the fixes are exchanged, so the track is a mirror image. Relative to the fixes, gz and ay have "
+        "the wrong sign, but ax has the correct sign and az points up"
     )
     remedy = (
         f"if gz and ay have the correct signs, exchange {places}: "
@@ -58,11 +58,11 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
     mounting = evidence.mounting
     if change := find_movement(evidence.drive):
         time, angle = change
-        what = f"the IMU was moved at t = {time:.0f} s: gravity's direction changes by {math.degrees(angle):.0f} deg"
+        degrees = math.degrees(angle)
+        what = f"the IMU was moved at t = {time:.0f} s: the direction of gravity changes by {degrees:.0f} deg"
         remedy = (
             f"split the drive at this time: sigmaswarm split DRIVE --at {time:.0f} --out parts; the two parts "
-            "have different "
-            "mountings"
+            "have different mountings"
         )
         span = time, evidence.span[1]
         yield Finding("mounting-changed", "serious", what, WHERE, span, 0.99, remedy, cut=round(time))
@@ -74,22 +74,24 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
     """Report a needed rotation; otherwise report a smaller difference from the mounting in drive.toml."""
     mount = ",".join(f"{degrees:g}" for degrees in roll_pitch_yaw(mounting.mount, 1))
     total, angle = float(np.linalg.norm(mounting.std)), angle_of(mounting.repair)
-    sure = f"(standard deviation {math.degrees(total):.1f} deg in total, {mounting.confidence})"
+    sure = f"(total standard deviation {math.degrees(total):.1f} deg; confidence: {mounting.confidence})"
     # The mounting is constant in a drive, and a part determines it less accurately than the whole drive.
     whole = name_of_whole(evidence.drive)
     if mounting.needed and (angle > SERIOUS or not whole):
         roll, pitch, yaw = roll_pitch_yaw(mounting.repair, 1)
         yield Finding(
             "mounting", "serious" if angle > SERIOUS else "warning",
-            f"the IMU is turned relative to the vehicle: roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg {sure}",
+            f"the IMU is rotated relative to the vehicle: roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg {sure}",
             WHERE, evidence.span, confidence_of(angle / total),
-            f"turn all six axes: import with --mount {mount}",
+            f"rotate all six axes: import with --mount {mount}",
             Repair("rotate", tuple(mounting.repair.ravel().tolist())),
         )  # fmt: skip
     elif evidence.drive.mounting and (apart := angle_of(mounting.mount @ mounting.before.T)) > MIN_DIFFERENCE:
-        what = f"the log shows the mounting {mount} deg {sure}; the mounting in drive.toml differs by "
-        what += f"{math.degrees(apart):.1f} deg, "
-        what += "which needs no repair in a part of a drive" if whole else "which needs no repair"
+        what = (
+            f"the log shows the mounting {mount} deg {sure}. The mounting in drive.toml differs from it by "
+        )
+        what += f"{math.degrees(apart):.1f} deg. This difference needs no repair"
+        what += " in a part of a drive" if whole else ""
         remedy = (
             f"keep a measured mounting; otherwise import {'the whole log ' * bool(whole)}with --mount {mount}"
         )
@@ -142,7 +144,7 @@ def check_handled(evidence: Evidence) -> Iterator[Finding]:
         return
     ends = [f"until t = {begin:.1f} s"] if begin > first else []
     ends += [f"from t = {end:.1f} s"] if end < last else []
-    what = f"the IMU is in motion relative to the vehicle {' and '.join(ends)}, as in someone's hand"
+    what = f"{' and '.join(ends)}, the IMU moves relative to the vehicle, for example in someone's hand"
     remedy = f"use only t = {begin:.1f} to {end:.1f} s"
     repair = Repair("cut-ends", (begin, end))
     yield Finding("mounting-handled", "warning", what, WHERE, evidence.span, 0.99, remedy, repair)

@@ -38,7 +38,7 @@ def check_noise(evidence: Evidence) -> Iterator[Finding]:
     what = f"{len(time)} {lie} far from the path ({share:.1f}% of all), at t = {first} s"
     severity, jump = "warning", float(np.hypot(gps.x[then] - gps.x[0], gps.y[then] - gps.y[0]))
     if off[0] and jump > MAX_FIRST_DISTANCE:
-        severity, what = "serious", f"{what}; the first fix lies {jump / 1e3:.3g} km from the others"
+        severity, what = "serious", f"{what}. The first fix lies {jump / 1e3:.3g} km from the others"
     span, repair = (float(time[0]), float(time[-1])), Repair("drop-fixes", tuple(time.tolist()))
     remedy = "leave these fixes out, or use a filter that reduces their weight: --use robust"
     yield Finding("gps-outliers", severity, what, "gps.csv, positions", span, 0.99, remedy, repair)
@@ -66,8 +66,8 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
     duration = len(fixes) * float(np.median(np.diff(course.time)))
     what = (
         f"for {duration:.0f} s the fixes scatter by {noise:.2g} m per axis from one to the next, {noise / usual:.0f} "
-        f"times as much as in the quiet parts; their course deviates by up to {turn:.0f} deg from that of the IMU, as "
-        "by multipath at buildings or trees"
+        f"times as much as in the quiet parts. Their course differs by up to {turn:.0f} deg from that of the IMU. "
+        "Multipath at buildings or trees has this effect"
     )
     span = float(course.time[fixes[0]]), float(course.time[fixes[-1]])
     remedy = "use a filter that reduces the weight of such fixes (--use robust), or leave this stretch out"
@@ -95,13 +95,13 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
             noise < MIN_WHITE_RATIO * scatter and scatter > MIN_NOISE
         ):
             what = (
-                f"the fixes scatter by {noise:.2g} m per axis from one to the next and by {scatter:.2g} m about a path "
-                f"of ten seconds, but the receiver states {stated:.2g} m: the errors are correlated, so the mean of "
-                "many fixes is hardly more accurate than one; without truth, neither the stated standard deviation nor "
-                "a filter's error can be checked"
+                f"the errors of the fixes are correlated. Per axis, the fixes scatter by {noise:.2g} m from one to the "
+                f"next and by {scatter:.2g} m about a smooth path of ten seconds; the receiver states {stated:.2g} m. "
+                "The mean of many fixes is hardly more accurate than one fix. If there is no truth, neither the stated "
+                "standard deviation nor a filter's error can be checked"
             )
             remedy = (
-                "expect errors larger than the filter's standard deviations, which contain only the scatter"
+                "expect errors larger than the filter's standard deviations, which represent only the scatter"
             )
             yield Finding(
                 "gps-correlated", "note", what, where, span, confidence_of(stated / scatter), remedy
@@ -109,13 +109,10 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         return
     factor = max(stated / scatter, scatter / stated)
     what = (
-        f"the stated standard deviation, {stated:.2g} m, is {factor:.0f} times {how} than the fixes' scatter, "
-        f"{scatter:.2g} m per axis"
+        f"the stated standard deviation of the fixes ({stated:.2g} m) is {factor:.0f} times {how} than their scatter "
+        f"({scatter:.2g} m per axis)"
     )
-    remedy = (
-        f"state {scatter:.2g} m, or more if you know that there are slow errors, which a log without truth does "
-        "not show"
-    )
+    remedy = f"state {scatter:.2g} m; state more if you know of slow errors, which a log without truth does not show"
     yield Finding(
         "gps-noise", "warning", what, where, span, confidence, remedy, Repair("state-noise", (scatter,))
     )

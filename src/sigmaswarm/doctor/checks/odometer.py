@@ -157,13 +157,15 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
         return
     for unit, factor in UNITS.items():
         if not 1 / MAX_SCALE_RATIO < size < MAX_SCALE_RATIO and abs(math.log(size * factor)) < 0.1:
-            what = f"speed is in {unit}: {size:.2f} times the speed of the fixes"
+            what = f"speed is in {unit}: its values are {size:.2f} times the speed of the fixes in m/s"
             remedy, repair = f"multiply speed by {factor:.4g}", Repair("odometer", (factor,))
             yield Finding("odometer-unit", "serious", what, SPEED, span, 0.99, remedy, repair)
             return
     if size > 0.1 and abs(size - 1) > max(MIN_SCALE_ERROR, 3 * unsure):
-        way = "more" if size > 1 else "less"
-        what = f"the odometer measures {abs(size - 1):.1%} {way} than the fixes (+- {unsure:.1%})"
+        way = "higher" if size > 1 else "lower"
+        what = (
+            f"the speed of the odometer is {abs(size - 1):.1%} {way} than that of the fixes (+- {unsure:.1%})"
+        )
         remedy = f"divide speed by {size:.4f}, or tune the scale with --use odometer"
         yield Finding(
             "odometer-scale", "warning", what, SPEED, span, 0.95, remedy, Repair("odometer", (1 / size,))
@@ -211,8 +213,8 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
     best = int(np.argmax(alike))
     delay = float(lags[best])
     if abs(delay) >= MIN_DELAY and alike[best] > max(MIN_CORRELATION, float(alike[len(lags) // 2]) + 0.05):
-        way = "late" if delay > 0 else "early"
-        what = f"the wheels' speed changes {abs(delay):.2f} s {way} relative to the acceleration"
+        way = "lags" if delay > 0 else "leads"
+        what = f"the wheel speed {way} the acceleration by {abs(delay):.2f} s"
         remedy = f"add {-delay:+.2f} s to the times of odometer.csv, or tune the latency with --use odometer"
         repair = Repair("shift-odometer", (-delay,))
         yield Finding(

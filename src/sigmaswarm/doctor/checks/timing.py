@@ -29,7 +29,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
     way, where, size = "late" if delay > 0 else "early", "gps.csv, t", f"{abs(delay):.2f} s"
     move = f"subtract {size} from" if delay > 0 else f"add {size} to"
     if evidence.moved:
-        what = f"turns of the gyro and the course show that the fixes are {abs(delay):.1f} s {way} relative to the IMU"
+        what = f"gyro and course show that the fixes are {abs(delay):.1f} s {way} relative to the IMU"
         leap = "; GPS time is 18 s ahead of UTC" if abs(abs(delay) - 18) < 1 else ""
         repair = Repair("shift-clock", (-evidence.moved,))
         yield Finding(
@@ -46,30 +46,23 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             f"(standard deviation {std:.2f} s)",
             where, span, confidence_of(delay / std),
             f"{move} the fixes' times{'' if clear else ' if other drives also show this offset'}, or tune the delay "
-            "with --use latency; the tuned value leads to the best forecasts, and may differ from this offset by a few "
-            "standard deviations",
+            "with --use latency. The tuned delay is that with the lowest cost, so it may differ from this offset by a "
+            "few standard deviations",
             Repair("shift-fixes", (-delay,)) if clear else None,
         )  # fmt: skip
     elif evidence.drives:
         visible = evidence.clock.visible
-        how = (
-            "can't be detected in this drive, whatever its size"
-            if visible is None
-            else f"below {visible:.2f} s can't be detected in this drive"
-        )
-        what = f"an offset between the clocks of IMU and GPS {how}"
+        below = "" if visible is None else f" below {visible:.2f} s"
+        what = f"in this drive, a clock offset{below} between IMU and GPS can't be detected reliably"
         if interval := evidence.clock.interval:
-            what += "; the fixes' delay lies between {:.2f} and {:.2f} s (95%)".format(*interval)
-        remedy = (
-            "use a drive with turns, starts and stops to see smaller offsets, or let the tuning find the offset "
-            "(--use latency)"
-        )
+            what += ". The 95% interval of the delay of the fixes is {:.2f} to {:.2f} s".format(*interval)
+        remedy = "use a drive with turns, starts and stops to detect smaller offsets, or tune the delay (--use latency)"
         yield Finding("unseen-clock", "note", what, where, span, 0.95, remedy)
 
 
 def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     imu, gps = evidence.drive.imu, evidence.drive.gps
-    yield _rate("imu", "samples", imu.time)
+    yield _rate("imu", "IMU samples", imu.time)
     yield _rate("gps", "fixes", gps.time)
     remedy = "a filter uses the mean of the samples around a gap, and increases its covariance"
     yield from _gaps("imu", gaps_in(imu.time, IMU_GAP), remedy)
@@ -90,10 +83,8 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
         yield Finding("imu-repeats", "warning", what, where, _ends(imu.time), 0.99, remedy, repair)
     stale = gps.time[evidence.stale]
     if len(stale) >= MIN_STALE_FIXES:
-        what = f"{len(stale)} fixes repeat the previous one to the last digit while the car drives"
-        remedy = (
-            "filters ignore these old positions with new times; remove the fixes for use with other programs"
-        )
+        what = f"{len(stale)} fixes repeat the previous position to the last digit, although the car moves"
+        remedy = "no action is needed here, since filters ignore these fixes; for other programs, remove them"
         repair = Repair("drop-fixes", tuple(stale.tolist()))
         yield Finding(
             "gps-repeats", "warning", what, "gps.csv, positions", _ends(stale), 0.99, remedy, repair
@@ -104,9 +95,9 @@ def _rate(sensor: str, counted: str, time: Array) -> Finding:
     interval = np.diff(time)
     usual = float(np.median(interval))
     low, high = np.quantile(interval, [0.05, 0.95])
-    what = f"{len(time)} {counted} at {1 / usual:.3g} Hz over {time[-1] - time[0]:.0f} s"
+    what = f"there are {len(time)} {counted} at {1 / usual:.3g} Hz over {time[-1] - time[0]:.0f} s"
     if high - low > MAX_INTERVAL_RANGE * usual:
-        what += f", uneven: 9 of 10 intervals last {1e3 * low:.0f} to {1e3 * high:.0f} ms"
+        what += f". The intervals are uneven: 90% of them are between {1e3 * low:.0f} and {1e3 * high:.0f} ms"
     severity, remedy = "note", "filters use the true intervals; no action is needed"
     if sensor == "imu" and usual > 1 / MIN_IMU_RATE:
         severity, remedy = "warning", "record at 25 Hz or more"
@@ -115,7 +106,7 @@ def _rate(sensor: str, counted: str, time: Array) -> Finding:
 
 def _gaps(sensor: str, gaps: GapSummary | None, remedy: str) -> Iterator[Finding]:
     if gaps:
-        many = f"{gaps.count} gaps, the longest" if gaps.count > 1 else "a gap of"
+        many = f"there are {gaps.count} gaps; the longest lasts" if gaps.count > 1 else "there is a gap of"
         what = f"{many} {gaps.length:.2g} s (usual interval {gaps.usual:.3g} s)"
         severity = "warning" if sensor == "imu" and gaps.length > LONG_GAP else "note"
         span = gaps.start, gaps.start + gaps.length
@@ -142,10 +133,10 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
             None,
         )
         if 0.5 * fix_missed < SIGMAS * std:
-            what = "the logger paused, or its clock jumped (the car's speed does not distinguish the two)"
+            what = "The logger paused, or its clock jumped; the car's speed does not distinguish the two"
         elif passed < fix_usual + 0.5 * fix_missed:
             what = (
-                f"the logger's clock jumped, since the car needs only {passed:.1f} s for the distance between "
+                f"The logger's clock jumped, since the car needs only {passed:.1f} s for the distance between "
                 "these fixes"
             )
             code, severity, remedy = (
@@ -157,8 +148,8 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
             if apart < 0.5 * fix_usual and passed < fix_usual + SIGMAS * std:
                 repair = Repair("close-jump", (float(imu[i]), missed))
         else:
-            what = "the logger paused while the car drove on"
-        what = f"IMU and fixes are both missing for {missed:.2g} s after t = {imu[i]:.2f} s: {what}"
+            what = "The logger paused while the car drove on"
+        what = f"for {missed:.2g} s after t = {imu[i]:.2f} s, IMU samples and fixes are missing. {what}"
         span = float(imu[i]), float(imu[i + 1])
         yield Finding(code, severity, what, "imu.csv, gps.csv, t", span, 0.9, remedy, repair)
 

@@ -23,8 +23,8 @@ MAX_DEVIATION = math.radians(15)
 MIN_DELAY = 0.2  # s, delay for a warning
 MIN_FIXES = 30
 REMEDY = (
-    "a filter assumes the same time for both. Leave speed and course out, or map them with their own times (in "
-    "a recipe, by a second [[gps]] for the same table, with a shifted t), and test this on another drive"
+    "leave speed and course out, or map them with their own times: add a second [[gps]] for the same table to the "
+    "recipe, with a shifted t, and test this on another drive. A filter assumes one time for each row"
 )
 
 
@@ -64,9 +64,9 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
         return
     delay, share = _delay(evidence, gps.course, speed * (1.0 if usual else ratio))
     if abs(delay) >= MIN_DELAY and share < 0.8:
-        way = "later" if delay > 0 else "earlier"
-        what = f"speed and course are {abs(delay):.2f} s {way} than the positions of the same rows; the default filter "
-        what += "does not use them, so no action is needed without velocity in --use"
+        way = "lag" if delay > 0 else "lead"
+        what = f"speed and course {way} the positions in the same rows by {abs(delay):.2f} s. The default filter does "
+        what += "not use speed and course, so this matters only with --use velocity"
         yield Finding("velocity-delay", "note", what, "gps.csv, speed, course", span, 0.95, REMEDY)
 
 

@@ -38,6 +38,7 @@ PROTOCOLS: dict[str, Protocol] = {
     "paper": Protocol(objective="gps-rmse", scale="linear"),
     "honest": Protocol(objective="truth-rmse", scale="log10"),
 }
+PROTOCOL_LABELS = {"paper": "tuned with the fixes", "honest": "tuned with truth"}
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ import polars as pl
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.study.config import ALL, BASELINE, Protocol, StudyConfig
+from sigmaswarm.experiments.study.config import ALL, BASELINE, PROTOCOL_LABELS, Protocol, StudyConfig
 from sigmaswarm.files import nan_to_none, write_json
 from sigmaswarm.records import load_record
 from sigmaswarm.scoring.tracks import Tracks, load_tracks
@@ -213,7 +213,7 @@ class Results(_Part):
 
     def label(self, method: str, protocol: str = BASELINE) -> str:
         name = self.methods.get(method, method)
-        return name if protocol == BASELINE else f"{name} ({protocol})"
+        return name if protocol == BASELINE else f"{name} ({PROTOCOL_LABELS.get(protocol, protocol)})"
 
     def means(self, measure: str) -> list[VariantSummary]:
         wanted = (measure, ALL, ALL)

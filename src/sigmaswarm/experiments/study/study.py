@@ -94,7 +94,7 @@ class Study:
 
 
 def shown_trial(trials: Trials) -> int:
-    """Return the trial to plot, which has the lowest training cost of the honest PSO-UKF."""
+    """Return the trial to plot, which has the lowest training cost of the PSO-UKF that is tuned with truth."""
     cost: dict[int, float] = {}
     for task, trial in trials.items():
         if task.variant == ("honest", MAIN_METHOD):

@@ -23,8 +23,8 @@ if hasattr(os, "register_at_fork"):
 class PendingSearch:
     """A search over the logged steps before step number ``logged``.
 
-    ``led`` is the lane with the largest weight. The search starts from an earlier state of this lane, or of the lane
-    of which this lane is a copy.
+    ``led`` is the filter with the largest weight. The search starts from an earlier state of this filter, or of the
+    filter of which it is a copy.
     A forked or unpickled copy searches in the calling thread.
     """
 

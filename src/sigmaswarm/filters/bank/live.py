@@ -1,6 +1,6 @@
 """A bank of sixteen filters with the interface of a `LiveFilter`.
 
-The result of a search replaces lanes in an earlier state, which no late fix can change. Then the filter processes the
+The result of a search replaces filters in an earlier state, which no late fix can change. Then the filter processes the
 later samples again. Therefore, the results depend only on samples and fixes.
 """
 
@@ -32,8 +32,10 @@ from sigmaswarm.filters.parameters import FilterParameters
 SEARCH_INTERVAL = 10.0  # s between the starts of two searches
 SEARCH_DELAY = 1.0  # s of samples until the result of a search is used; a search takes about 15 ms
 REPLAY_SPAN = 60.0  # s of samples that a search replays
-MIN_SPEED = 2.0  # m/s; at lower speeds no lane is replaced, since fixes hardly determine headings and biases
-N_REPLACED = 7  # lanes replaced per search: one by its result, the others by changed copies of good lanes
+MIN_SPEED = (
+    2.0  # m/s; at lower speeds no filter is replaced, since fixes hardly determine headings and biases
+)
+N_REPLACED = 7  # filters replaced per search: one by its result, the others by changed copies of good filters
 COPY_STD = 0.6  # standard deviation of a copy's random change, in standard deviations of the offset
 
 
@@ -51,14 +53,14 @@ class LiveFilterBank(LiveFilter):
     """Sixteen filters with different parameters for one stream of samples; the estimate is their mixture.
 
     The weight of a filter (lane) depends on its evidence, the likelihood of the fixes; evidence fades within a minute.
-    Lane 0 has the tuned parameters and equals a `LiveFilter`. Some lanes have the parameters of other receivers. Every
-    10 s of driving, the worst lanes are replaced: one by the result of a search over the last minute, the others by
+    Filter 0 has the tuned parameters and equals a `LiveFilter`. Some have the parameters of other receivers. Every
+    10 s of driving, the worst filters are replaced: one by the result of a search over the last minute, the others by
     changed copies of good lanes. Thus the bank adapts to other sensors or other reception. On the vehicle used for
     tuning, the bank is not more accurate than the single filter. If the mixture diverges, lanes 1 to 15 are reset; most
     of them keep their biases.
 
     The interface is that of a `LiveFilter` without the smoothed state. A copy by `pickle` continues with identical
-    results. After a reset, all lanes ignore earlier fixes.
+    results. After a reset, all filters ignore earlier fixes.
 
     Parameters
     ----------
@@ -67,7 +69,7 @@ class LiveFilterBank(LiveFilter):
     seed : int
         Seed of the lanes' first offsets and of the search.
     searches : bool
-        Search for better filters during the drive; False: no lane is replaced.
+        Search for better filters during the drive; False: no filter is replaced.
     trust_times : bool
         Accept all time stamps, for a recording with sorted samples.
 
@@ -145,7 +147,7 @@ class LiveFilterBank(LiveFilter):
         return self._filter_state[live.BEHIND :]
 
     def _start_lanes(self, start: InitialState, lanes: slice) -> None:
-        """Start some lanes, and set the evidence of all lanes to 0."""
+        """Start some filters, and set the evidence of all filters to 0."""
         rows = self._rows_of(self._numbers)
         rows[:, lanes] = self._started(start)[:, lanes]
         rows[CONSTANT_ROWS, lanes] = self.spread.constants(self._own_constants, self.offsets[lanes])
@@ -157,12 +159,12 @@ class LiveFilterBank(LiveFilter):
         swarm.weigh(self._filter_state)
 
     def _started(self, start: InitialState) -> Array:
-        """Return the rows (N_KEPT, LANES) of all lanes at a start."""
+        """Return the rows (N_KEPT, LANES) of all filters at a start."""
         sets = tuple(self.spread.parameters(self.offsets[lane]) for lane in range(LANES))
         return KernelArray(sets).start([start], [self._interval])[0]
 
     def count_only(self, lanes: int) -> None:
-        """Give weight only to the first ``lanes`` lanes, as in an export with so many lanes. Searches must be off."""
+        """Give weight only to the first ``lanes`` filters, as in an export with so many. Searches must be off."""
         self._counted = lanes
         self._numbers[swarm.PENALTY][lanes:] = np.inf
         swarm.weigh(self._filter_state)
@@ -173,7 +175,7 @@ class LiveFilterBank(LiveFilter):
 
     @staticmethod
     def _rows_of(numbers: Array) -> Array:
-        """View the lanes in `_numbers` or in a checkpoint as (N_KEPT, LANES)."""
+        """View the filters in `_numbers` or in a checkpoint as (N_KEPT, LANES)."""
         return numbers[swarm.ROWS].reshape(N_KEPT, LANES)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
@@ -246,7 +248,7 @@ class LiveFilterBank(LiveFilter):
         return step_log[np.arange(first, last) % length]
 
     def _replace(self, result: SearchResult, replayed: int, led: int) -> None:
-        """Replace the worst lanes by the result of a search and by copies of lanes; process the later samples again.
+        """Replace the worst filters by the result of a search and by copies; process the later samples again.
 
         ``replayed`` and ``led`` are the fields ``logged`` and ``led`` of the `PendingSearch`.
         """
@@ -298,7 +300,7 @@ class LiveFilterBank(LiveFilter):
         )
 
     def _brought_on(self, result: SearchResult, since: Array) -> tuple[Array, float]:
-        """Return the lane (N_KEPT,) that a search found, and the lane's evidence, after the later steps ``since``."""
+        """Return the filter (N_KEPT,) that a search found, and its evidence, after the later steps ``since``."""
         steps = LoggedSteps(self._kernel, since, self._filter_state[live.LEVER].copy())
         lane, known = steps.followed(result.lane, result.known)
         return lane, known.evidence
@@ -341,7 +343,7 @@ class LiveFilterBank(LiveFilter):
         return bias if np.isfinite(bias) else 0.0
 
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
-        """Keep the known biases, except in lanes that start with other biases.
+        """Keep the known biases, except in filters that start with other biases.
 
         The bias of the alignment is used if it is more precise than the known bias or contradicts it.
         """
@@ -385,7 +387,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def bank_restarts(self) -> list[float]:
-        """Times of the resets of lanes 1 to 15 after a divergence of the mixture, s."""
+        """Times of the resets of filters 1 to 15 after a divergence of the mixture, s."""
         return [] if self._together is None else self._together.restarts
 
     @property
@@ -395,28 +397,28 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def weights(self) -> Array:
-        """Weights of the lanes, (16,), with sum 1; all 0 if all lanes have failed."""
+        """Weights of the filters, (16,), with sum 1; all 0 if all filters have failed."""
         return self._numbers[swarm.WEIGHT].copy()
 
     @property
     def effective(self) -> float:
-        """Effective number of lanes: 1 / sum of squared weights."""
+        """Effective number of filters: 1 / sum of squared weights."""
         squares = float(np.square(self.weights).sum())
         return 1.0 / squares if squares > 0.0 else 0.0
 
     @property
     def leader(self) -> FilterParameters:
-        """Parameters of the lane with the largest weight."""
+        """Parameters of the filter with the largest weight."""
         return self.spread.parameters(self.offsets[int(np.argmax(self.weights))])
 
     @property
     def moved(self) -> Array:
-        """Weighted mean of the offsets from the tuning, (d,)."""
+        """Weighted mean of the offsets from the tuned parameters, (d,)."""
         return self.weights @ self.offsets * self.spread.lasting
 
     @property
     def settled(self) -> FilterParameters:
-        """The tuning with the mean offsets `moved`: the parameters to save for this car."""
+        """The tuned parameters plus the mean offsets `moved`: the parameters to save for this car."""
         return self.spread.parameters(self.moved)
 
     @property

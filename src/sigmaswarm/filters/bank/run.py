@@ -52,11 +52,11 @@ class BankLog:
 
     @property
     def shares(self) -> dict[str, Array]:
-        """Total weight of each group of lanes over time, (k,)."""
+        """Total weight of each group of filters over time, (k,)."""
         return {name: self.weights[:, lanes].sum(axis=1) for name, lanes in self.groups.items()}
 
     def to_frame(self) -> pl.DataFrame:
-        """Return a table of t, the lane with the largest weight, effective number of lanes, offsets, and weights."""
+        """Return a table of t, the filter with the largest weight, effective number of filters, offsets and weights."""
         columns = {"t": self.time, "leads": self.weights.argmax(axis=1), "effective": self.effective}
         columns |= {name: self.moved[:, i] for i, name in enumerate(self.names)}
         columns |= {f"weight_{lane}": self.weights[:, lane] for lane in range(self.weights.shape[1])}
@@ -66,7 +66,8 @@ class BankLog:
 class BankRun:
     """Run of a filter bank over a replay, as an iterator of pieces; the log is complete after the last piece.
 
-    ``failure`` states the first time at which all lanes had failed; None if this did not happen in the pieces so far.
+    ``failure`` is the first time at which all filters of the bank had failed; None if this did not happen in the pieces
+    so far.
     """
 
     def __init__(

@@ -67,7 +67,7 @@ class LoggedSteps:
     lever: Array
 
     def run(self, lanes: Array) -> Array:
-        """Run lanes (N_KEPT, m) over all steps, in place; return each lane's loss over the scored fixes, (m,).
+        """Run filters (N_KEPT, m) over all steps, in place; return each filter's loss over the scored fixes, (m,).
 
         The loss is the negative log-likelihood under Student's t, as in the objective ``innovation-t``.
         """
@@ -83,7 +83,7 @@ class LoggedSteps:
         return _lost(lanes) - before
 
     def followed(self, lane: Array, known: FilterEvidence) -> tuple[Array, FilterEvidence]:
-        """Return a lane (N_KEPT,) and its evidence after all steps."""
+        """Return the rows (N_KEPT,) and the evidence of a filter after all steps."""
         lanes = np.repeat(lane[:, np.newaxis], WIDEST, axis=1)
         fixes = np.flatnonzero(self.rows[:, T_FLAGS].astype(np.uint16) & FIX)
         innovations = np.empty((len(fixes), 5))
@@ -98,7 +98,7 @@ class LoggedSteps:
         return place
 
     def _run(self, lanes: Array, place: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
-        """Run the lanes from ``place`` to step ``stop``, exclusive; ``lanes`` and ``place`` change in place."""
+        """Run the filters from ``place`` to step ``stop``, exclusive; ``lanes`` and ``place`` change in place."""
         k = len(self.rows)
         flags, steps = self.rows[:, T_FLAGS].astype(np.uint16), self.rows[:, T_STEP]
         drive = (
@@ -134,7 +134,7 @@ def _lost(lanes: Array) -> Array:
 
 @np.errstate(all="ignore")
 def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
-    """Return the decrease of a lane's evidence at each fix, (f,), from nu (m) and S (m2): see `compiled.swarm`."""
+    """Return the decrease of a filter's evidence at each fix, (f,), from nu (m) and S (m2): see `compiled.swarm`."""
     det = xx * yy - xy * xy
     nis = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det
     lost = 0.5 * np.log(det) + 0.5 * np.minimum(nis, LARGEST_NIS)
@@ -146,7 +146,7 @@ FUZZY_FACTORS = R.TIMES_R, R.TIMES_Q
 
 
 def with_zero_sums(lanes: Array) -> Array:
-    """Return lanes (N_KEPT, m) in the same state, with all sums at 0."""
+    """Return filters (N_KEPT, m) in the same state, with all sums at 0."""
     fresh = lanes.copy()
     sums = fresh[SUM_ROWS]
     lasting = R.REJECTED, R.RECENT, R.OUTLIERS, R.SPAN, R.QUICK, R.SLOW, R.HEADING, R.OK
@@ -181,7 +181,7 @@ def search(
     """Search for better offsets over some steps; return None if too few fixes are scored or all filters fail.
 
     ``start`` (N_KEPT,) and ``known`` are the filter and its evidence before the steps. ``leader`` (d,) are the offsets
-    of the lane with the largest weight, which replace the last member of ``population`` (LANES, d).
+    of the filter with the largest weight, which replace the last member of ``population`` (LANES, d).
     """
     rng = np.random.default_rng(seed)
     if steps.n_scored < MIN_SCORED_FIXES:

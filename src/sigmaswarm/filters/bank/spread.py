@@ -28,14 +28,14 @@ FIXED_OFFSETS = (
     {R: 2.5, START: 3.0},
     {R: 4.5, START: 3.0},
 )
-"""Offsets of the lanes that are never replaced, from lane 0 on: the tuning, other biases, other receivers."""
+"""Offsets of the filters that are never replaced, from the first on: the tuned one, other biases, other receivers."""
 
 WARNING_OFFSET, WARNING_AXLE_OFFSET = 0.5, 0.5  # largest offsets without a warning, decades and m
 _MEANS = {
-    R: "R is {times}, which indicates another receiver",
-    SCALE: "all variances together are {times}, which indicates a tuning that ignored the covariance",
+    R: "R is {times}, which indicates a different receiver",
+    SCALE: "the common scale of all variances is {times}, which indicates a tuning that ignored the covariance",
     **dict.fromkeys(
-        NOISE_OF, "the noise of {name} is {times}, which indicates another vehicle or another mounting"
+        NOISE_OF, "the noise of {name} is {times}, which indicates a different vehicle or mounting"
     ),
 }
 
@@ -74,7 +74,7 @@ class OffsetPrior:
         return np.array([0.0 if name == START else 1.0 for name in self.names])
 
     def first(self, rng: np.random.Generator) -> Array:
-        """Draw the offsets at the start of a bank, (LANES, d). Lane 0 is the tuning."""
+        """Draw the initial offsets of a bank, (LANES, d). Filter 0 is the tuned one."""
         offsets = rng.standard_normal((LANES, len(self.names))) * self.std
         if START in self.names:
             start = self.names.index(START)
@@ -129,7 +129,7 @@ class OffsetPrior:
         return decades
 
     def constants(self, tuned: Array, offsets: Array) -> Array:
-        """Return the constants (N_CONSTANTS, m) of lanes with offsets (m, d), from the tuning's (N_CONSTANTS, 1)."""
+        """Return the constants (N_CONSTANTS, m) for offsets (m, d), from the tuned constants (N_CONSTANTS, 1)."""
         constants = tuned * 10.0 ** (self._decades @ offsets.T)
         if AXLE in self.names:
             constants[CONSTANTS.index("REAR_AXLE")] += offsets[:, self.names.index(AXLE)]
@@ -146,12 +146,14 @@ class OffsetPrior:
                 if abs(offset) > WARNING_AXLE_OFFSET:
                     where = "back" if offset > 0 else "ahead"
                     messages.append(
-                        f"the rear axle lies {abs(offset):.1f} m farther {where} than in the tuning"
+                        f"the rear axle is {abs(offset):.1f} m farther {where} than the tuned value"
                     )
             elif name not in (START, SCALE):
                 is_its_own = abs(offset) > WARNING_OFFSET or abs(common) <= WARNING_OFFSET
                 if is_its_own and abs(offset + common) > WARNING_OFFSET:
-                    sentence = _MEANS.get(name, "the noise of {name} is {times}, which indicates another IMU")
+                    sentence = _MEANS.get(
+                        name, "the noise of {name} is {times}, which indicates a different IMU"
+                    )
                     messages.append(
                         sentence.format(name=name.removeprefix("q_"), times=_times(offset + common))
                     )
@@ -182,4 +184,4 @@ class OffsetPrior:
 
 
 def _times(decades: float) -> str:
-    return f"{10.0**decades:.2g} times the tuning's"
+    return f"{10.0**decades:.2g} times the tuned value"

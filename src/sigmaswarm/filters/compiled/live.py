@@ -337,7 +337,10 @@ def _store_checkpoint(v, checkpoints, number):
 
 @_plain
 def _first_after(counts, history, t):
-    """Return the first stored sample at or after a time; -1 if the filter cannot return to before that sample."""
+    """Return the index of the first stored sample at or after a time, from which the filter can process again.
+
+    The result is -1 if there is none, or if the history does not contain the state before that sample.
+    """
     back = counts[N_HISTORY]
     while back > 0 and _record(counts, history, back - 1)[S_TIME] >= t:
         back -= 1

@@ -1,4 +1,4 @@
-"""Updates with velocity, heading and odometer, and with the constraints of a car on its wheels."""
+"""Updates with velocity, heading and odometer, and with the motion constraints of a wheeled vehicle."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 

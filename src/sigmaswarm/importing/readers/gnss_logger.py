@@ -81,12 +81,13 @@ def _cells(lines: pl.LazyFrame, names: list[str]) -> pl.LazyFrame:
 
 
 def _require_one_clock(columns: Wanted, path: Path) -> None:
-    """Refuse a sensor without the common clock: its comment is damaged, and UTC is another clock."""
+    """Refuse a sensor without the common clock: its header comment is damaged, and UTC is another clock."""
     clock = {kind: _CLOCK in names for kind, names in columns.items() if kind != "Fix"}
     if any(clock.values()) and not all(clock.values()):
         kind = next(kind for kind, found in clock.items() if not found)
         raise InputError(
-            f"{path}: the comment on {kind} names no {_CLOCK}, unlike other comments; correct the comment"
+            f"{path}: the header comment of {kind} lacks the column {_CLOCK}, which other header comments contain; "
+            "correct this line of the log"
         )
 
 

@@ -103,9 +103,9 @@ class _Messages:
     def _received(self, parts: Iterable[Part]) -> tuple[str, ...]:
         """Return a sentence on each part whose times are those at which the recorder received the messages."""
         topics = [part.table for part in parts if "received" in part.columns.get("t", "")]
-        no_stamp = {True: "header stamps are not set", False: "messages have no header"}
+        no_stamp = {True: "the header stamps are not set", False: "the messages have no header"}
         why = {topic: no_stamp["stamp" in self.tables[topic].columns] for topic in topics}
-        return tuple(f"{topic}: {reason}; receive times used" for topic, reason in why.items())
+        return tuple(f"{topic}: {reason}, so receive times are used" for topic, reason in why.items())
 
     def _placement(self, guess: Guess) -> Placement | None:
         static = static_topic(self.tables)
@@ -174,8 +174,8 @@ class _Collector:
         if abs(delay) > MIN_DELAY:
             when = "before" if delay > 0 else "after"
             yield (
-                f"{self.topic}: header stamps are {abs(delay):.3f} s {when} the receive times (median); "
-                "if the stamps are wrong, use --receive-times"
+                f"{self.topic}: the header stamps are {abs(delay):.3f} s {when} the receive times (median). "
+                "If the stamps are wrong, add --receive-times"
             )
 
 

@@ -63,7 +63,7 @@ def _rows(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[tupl
         day = date(1970, 1, 1)
         remarks.append(
             f"{path.name}: no sentence (RMC, ZDA) contains the date, so times count from midnight UTC; "
-            "--gps-offset changes the times"
+            "--gps-offset adds seconds to them"
         )
     clock: time | None = None
     fix: dict[str, float] = {}

@@ -1,8 +1,8 @@
 """phyphox: an experiment exported as CSV, a folder or zip with Accelerometer.csv, Gyroscope.csv and Location.csv.
 
 Column names contain their units: "Time (s)" since the start on one clock, "Acceleration x (m/s^2)" with gravity,
-"Gyroscope x (rad/s)", "Latitude (°)", "Velocity (m/s)", "Direction (°)" from north. Axes are Android's on both systems.
-In other languages, tables are identified by units, in the order of the app (phyphox/phyphox-experiments).
+"Gyroscope x (rad/s)", "Latitude (°)", "Velocity (m/s)", "Direction (°)" from north. On Android and iOS the axes are
+Android's. In other languages, tables are identified by units, in the order of the app (phyphox/phyphox-experiments).
 """
 
 import re

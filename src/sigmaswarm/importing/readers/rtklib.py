@@ -33,8 +33,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     system, columns = _header(path)
     targets = {target: name for target, name in _TARGETS.items() if name in columns}
     notes = {
-        "GPST": f"{path.name}: GPS time converted to UTC; if the other sensors use GPS time, specify --truth-offset or "
-        "--gps-offset 18 (leap seconds since 2017)",
+        "GPST": f"{path.name}: GPS time is converted to UTC. If the other sensors use GPS time, add --truth-offset 18 "
+        "or --gps-offset 18 (leap seconds since 2017)",
         "UTC": f"{path.name}: times are UTC",
     }
     fixed = "Q == 1" if "Q" in columns else ""

@@ -56,7 +56,7 @@ def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:
     down = pl.concat(z).median() if z else None
     if not isinstance(down, float):
         raise InputError(f"{log.path / _GRAVITY}: contains no numbers; export it again")
-    turned = ", both with reversed signs, as on iOS" if down < 0 else ""
-    notes.append(f"gravity added to Accelerometer.csv{turned}")
+    turned = "; the signs of both are reversed, as on iOS" if down < 0 else ""
+    notes.append(f"Gravity.csv is added to Accelerometer.csv{turned}")
     axes = {"ax": "-y", "ay": "x", "az": "-z"} if down < 0 else {"ax": "y", "ay": "-x", "az": "z"}
     return {_MOVED: axes, _GRAVITY: {f"+{name}": text for name, text in axes.items()}}

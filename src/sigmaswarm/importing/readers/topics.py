@@ -76,7 +76,7 @@ class Topics:
             turning = {t for t in self._having(_ORIENTATION) if _HEADING.search(t)}
             if heading := self._topic("heading", turning):
                 roles["gps"] += (self._part(heading, self._heading(heading)),)
-                self.notes.append(f"{heading} is used as the heading of two antennas")
+                self.notes.append(f"{heading} is used as the dual-antenna heading")
         located = self._having(_POSITION) | self._having(_FIX)
         truth = self._topic("truth", {t for t in located if _TRUTH.search(t)})
         if truth:
@@ -84,7 +84,7 @@ class Topics:
         elif poses := sorted(t for t, one in self.tables.items() if "Odometry" in one.kind and t != fixes):
             there = list_names(poses)
             self.notes.append(
-                f"{there} not used as truth, since no name indicates truth; choose a topic with --truth-topic"
+                f"no name indicates truth, so {there} can't be used as truth; choose a topic with --truth-topic"
             )
         other = re.compile(f"{_TRUTH.pattern}|{_RECEIVER.pattern}|cmd|command", re.IGNORECASE)
         counted = {t for t in self.tables if self._speed(t) and _WHEELS.search(t) and not other.search(t)}
@@ -201,13 +201,13 @@ class Topics:
         """Make a part with its time: the header stamp, unless it is not set or the user chose receive times."""
         time = "received*1e-9"
         if "stamp" not in self.tables[topic].columns:
-            self.notes.append(f"{topic}: messages have no header; receive times are used")
+            self.notes.append(f"{topic}: the messages have no header, so receive times are used")
         elif not self.choice.receive_times:
             message = self.first(topic)
             if message and stamp_of(message[2]):
                 time = "stamp*1e-9"
             else:
-                self.notes.append(f"{topic}: header stamps are not set; receive times are used")
+                self.notes.append(f"{topic}: the header stamps are not set, so receive times are used")
         return Part(topic, {"t": time, **columns})
 
     def _downward(self, topic: str) -> str:

@@ -61,7 +61,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         return log_of_rows(path, "NAV-PVT", columns, lambda: _rows(path, pyubx2, remarks), guess, remarks)
     if NAV_POSLLH in kinds:
         guess = Guess(
-            {"gps": (Part("NAV-POSLLH", POSLLH),)}, (f"NAV-POSLLH: GPS time converted to UTC; {split}",)
+            {"gps": (Part("NAV-POSLLH", POSLLH),)}, (f"NAV-POSLLH: GPS time is converted to UTC; {split}",)
         )
         return log_of_rows(
             path, "NAV-POSLLH", COLUMNS_6, lambda: _rows_6(path, pyubx2, remarks), guess, remarks
@@ -95,7 +95,7 @@ def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[f
             continue
         yield row, done
     if broken:
-        remarks.append(f"{path.name}: {broken} damaged messages skipped")
+        remarks.append(f"{path.name}: {broken} damaged messages are skipped")
     if undated:
         remarks.append(f"{path.name}: {undated} messages without a valid date are skipped")
 
@@ -150,12 +150,11 @@ def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple
     if "lat" in fix:
         yield _row_6(fix, week), 1.0
     if broken:
-        remarks.append(f"{path.name}: {broken} damaged messages skipped")
+        remarks.append(f"{path.name}: {broken} damaged messages are skipped")
     if not week:
         remarks.append(
             f"{path.name}: no NAV-SOL or NAV-TIMEUTC message contains the GPS week, so times count from the start of "
-            "the "
-            "week; --gps-offset changes the times"
+            "the week; --gps-offset adds seconds to them"
         )
 
 
