@@ -5,7 +5,7 @@ import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from typing import Any
+from typing import Any, NamedTuple
 
 from sigmaswarm.exports.c_names import CALLS, INPUTS, PARAMETERS, RENAMED, STATES
 from sigmaswarm.exports.c_text import in_c, is_truth, name_of, number_of, numeral, parsed, uses, wrapped
@@ -19,6 +19,13 @@ _SIGNS: dict[type, str] = {
 }
 _UNKNOWN = (NameError, TypeError, AttributeError, KeyError, SyntaxError, ValueError)
 _MISSING = "no row in C: "
+
+
+class Elements(NamedTuple):
+    """An array that a function unpacks: the C parameter, and the C text of each element."""
+
+    parameter: str
+    texts: Sequence[str]
 
 
 class Emitter:
@@ -38,7 +45,10 @@ class Emitter:
         self.signatures: dict[str, tuple[str, list[list[str]]]] = {}  # by name in Python
 
     def add(self, function: Any, name: str = "", **known: Any) -> None:
-        """Translate a kernel or a plain function; ``name`` is the name in C, by default that in Python."""
+        """Translate a kernel or a plain function; ``name`` is the name in C, by default that in Python.
+
+        ``known`` contains the values of parameters. A function with `Elements` ``e`` writes its results to these.
+        """
         if isinstance(function, Kernel):
             function, known = function.source, {**function.known, **known}
         self.texts.append(_Function(self, function, name or function.__name__.lstrip("_"), known).text())
@@ -109,6 +119,8 @@ class _Function(ast.NodeTransformer):
         return f"{comment}{head}\n{{\n" + "\n".join(wrapped(self.lines)) + "\n}\n"
 
     def parameters_of(self, name: str) -> tuple[str, ...]:
+        if isinstance(given := self.known.get(name), Elements):
+            return (given.parameter,)
         renamed = PARAMETERS.get(name) if self.is_kernel else None
         return (f"real {self.local(name)}",) if renamed is None else renamed
 
@@ -152,6 +164,9 @@ class _Function(ast.NodeTransformer):
                     self.store_results(targets, call, depth)
                 case ast.Assign([ast.Tuple(elts=targets)], ast.Tuple(elts=values)):
                     self.store_all(targets, values, depth)
+                case ast.Assign([ast.Tuple(elts=targets)], ast.Name(array)) if array in self.known:
+                    pairs = zip(map(ast.unparse, targets), self.known[array].texts, strict=True)
+                    self.numbers |= {target: ast.Name(text) for target, text in pairs}
                 case ast.Assign([target], value):
                     self.store_all([target], [value], depth)
                 case ast.AugAssign(target, op, value):
@@ -164,6 +179,10 @@ class _Function(ast.NodeTransformer):
                     self.put("}", depth)
                 case ast.Expr(ast.Call() as call):
                     self.put(f"{self.call(call)};", depth)
+                case ast.Return(ast.Tuple(elts=values)) if "e" in self.known:
+                    places = [ast.Name(text) for text in self.known["e"].texts]
+                    self.declared |= {place.id for place in places}
+                    self.store_all([*places], values, depth)
                 case ast.Return(ast.Tuple(elts=values)):
                     for k, each in enumerate(values):
                         self.outs.append(f"{each.id}_out" if isinstance(each, ast.Name) else f"result{k + 1}")

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from sigmaswarm.drives import events
-from sigmaswarm.exports.c_emitter import Emitter
+from sigmaswarm.exports.c_emitter import Elements, Emitter
 from sigmaswarm.exports.c_names import FIX_ERROR, PARAMETERS, STATES
 from sigmaswarm.filters.compiled import (
     adaptive,
@@ -18,10 +18,11 @@ from sigmaswarm.filters.compiled import (
     planar8,
     step,
     tilted12,
+    transition,
     updates,
     vehicle,
 )
-from sigmaswarm.filters.compiled.layout import MEAN, SUMS
+from sigmaswarm.filters.compiled.layout import MEAN, NAMES, SUMS
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.models import MEASURED, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
@@ -107,7 +108,7 @@ def _add_step(emitter: Emitter, p: FilterParameters, features: Mapping[str, bool
         _measure_fix=tilted12.measure_fix_tilted if model.tilts else measurements._measure_fix,
     )
     emitter.add(step._grow, tilted=int(model.tilts is not None))
-    if model.tilts:  # the template contains the prediction
+    if model.tilts:  # the template contains the order of the prediction
         state, sample = ["InsGpsEstimate *b", "Work *work"], [*PARAMETERS["u"]]
         emitter.signatures["predict_tilted12"] = "predict_tilted12", [state, sample]
     absent = {name: 0 for name in (*EVENTS, "HIDDEN") if name not in _events(features)}
@@ -155,6 +156,13 @@ def _add_fix_error(emitter: Emitter, n: int, features: Mapping[str, bool]) -> No
 def _add_tilted(emitter: Emitter, features: Mapping[str, bool], n: int) -> None:
     for function in (lanes.sinc_cos, tilted12._turn_far, tilted12._half_turn, tilted12._move, tilted12.fold):
         emitter.add(function)
+    coefficients = [f"work->{NAMES[row].lower()}" for row in transition.COEFFICIENTS["tilted12"]]
+    emitter.add(
+        transition.tilted12,
+        "propagate_error",
+        f=Elements("const Work *work", coefficients),
+        e=Elements("real *e", [f"e[{state}]" for state in STATES[: -len(FIX_ERROR)]]),
+    )
     emitter.add(tilted12.measure_fix_tilted, "measure_fix", n=n)
     along = tilted12.measure_along_tilted
     if features["USE_LATERAL"]:

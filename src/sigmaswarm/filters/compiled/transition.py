@@ -42,7 +42,7 @@ def planar8(f, dt, e):
 
 
 def tilted12(f, dt, e):
-    """Return A e; ``r_east``, ``r_north`` and ``r_up`` are a small rotation, stored as roll, pitch and heading."""
+    """Compute A e; ``r_east``, ``r_north`` and ``r_up`` are a small rotation, stored as roll, pitch and heading."""
     a_east, a_north, d11, d12, d13, d21, d22, d23, d31, d32, d33 = f
     x, y, vx, vy, r_up, ax, ay, wz, r_east, r_north, wx, wy = e
     h, g = 0.5 * dt, GRAVITY * dt
