@@ -21,7 +21,7 @@ def describe_kinds(log: Log) -> str:
         if not kinds or not times or not changing:
             continue
         file = log.path.name if log.path.is_file() else table
-        read = f"import os,polars as pl;f=pl.read_csv({file!r},comment_prefix='#')"
+        read = f"import os,polars as pl;f=pl.read_csv({file!r},comment_prefix='#',glob=False)"
         if len(changing) == 1:
             write = f"f.with_columns(k=pl.concat_str({kinds},separator='_')).pivot('k',index={times[0]!r},"
             write += (
