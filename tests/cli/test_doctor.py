@@ -34,7 +34,7 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
     ended = sigmaswarm("doctor", "fine")
     assert (ended.code, ended.err) == (0, "")
     assert ended.out.startswith("urban-clear-00: no serious fault")
-    assert "2000 samples at 50 Hz" in ended.out
+    assert "2000 IMU samples at 50 Hz" in ended.out
     assert "\nnext: sigmaswarm plot fine\nthen: sigmaswarm split fine --out parts\n" in ended.out
     for used in ("parts", "tuned", "tuned-2"):
         Path(used).mkdir()

@@ -268,8 +268,8 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
     }
     headline = Evaluation({"town": DriveResult(others | {"tuned": good} | close)}).view.result()
     assert headline.endswith(
-        " The tuned filter is NOT better than the filter of the fixes alone in the 5 s outage drift (2 instead of 2"
-        " m). The tuned filter is NOT better than the baseline in the 30 s outage drift (7 instead of 6.9 m)."
+        " It is NOT better than the filter of the fixes alone in the 5 s outage drift (2 instead of 2"
+        " m). It is NOT better than the baseline in the 30 s outage drift (7 instead of 6.9 m)."
     )
     farther = replace(sheet, position_rmse=0.4)
     (here,) = Evaluation(

@@ -31,7 +31,7 @@ class ExportOptions:
         filterpy: a Python script. c99: a C library. robot_localization: a YAML file, accurate only if tuned with
         --model robot-localization.
     out
-        Folder to write to. An earlier export and the files built from it are replaced; other files are kept.
+        Folder to write to. An earlier export, with the files built from it, is replaced; other files are kept.
     replay
         c99: also write replay.csv, the input of the program replay.c, from this drive.
     check

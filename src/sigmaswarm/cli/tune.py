@@ -114,7 +114,8 @@ def tune(
     Parameters
     ----------
     out
-        Folder for tuning.toml, the convergence history and figures. It may contain a tuning only with --resume.
+        Folder for tuning.toml, the convergence history and figures. It must not contain a tuning
+        unless --resume is given.
     """
     require_result_folder(out, [options.start], "tuning", "config.json")
     remedies = None if options.trust_log else list[Remedy]()

@@ -180,7 +180,7 @@ class EvaluationView:
             compared = f", {' and '.join(each)}," if each else ""
             spread = self.scores.describe_drift(measure)
             text = f"The tuned filter {what.format(f'{tuned:.3g}')}{compared} on {drives}."
-            return f"{text}{f' {spread}.' if spread else ''}{self._not_beaten()}"
+            return f"{text}{self._not_beaten()}{f' {spread}.' if spread else ''}"
         if any(mean_of("tuned", measure) is not None for measure in DRIFTS):
             return f"On {drives}, no outage of {self.setup.outage_length_s:g} s fits; use a longer part of a drive."
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
@@ -199,11 +199,8 @@ class EvaluationView:
                 and (other := mean_of(method, m)) is not None
                 and tuned >= other
             ]
-            sentences += (
-                f" The tuned filter is NOT better than {name} in the {' and the '.join(lost)}."
-                if lost
-                else ""
-            )
+            if lost:
+                sentences += f" It is NOT better than {name} in the {', '.join(lost)}."
         return sentences
 
     def coverage(self) -> tuple[str, ...]:
