@@ -48,6 +48,17 @@ def spoiled(
     return {**tables, table: tables[table].with_columns(cell)}
 
 
+def require_refused(tables: dict[str, pl.DataFrame], folder: Path, table: str, row: int, fault: str) -> None:
+    """Frames and files with a fault in a row are refused; the rows of a file are counted from 1, with its header."""
+    with pytest.raises(InputError, match=f"{table}, row {row}, {fault}"):
+        Drive.from_frames(**tables)
+    (folder / "drive.toml").touch()
+    for name, frame in tables.items():
+        frame.write_csv(folder / f"{name}.csv")
+    with pytest.raises(InputError, match=rf"{table}\.csv, row {row + 2}, {fault}"):
+        read_drive(folder)
+
+
 @pytest.mark.parametrize(
     ("table", "column", "value"),
     quickly(
@@ -58,14 +69,9 @@ def spoiled(
 def test_a_cell_is_refused_with_row_and_column(
     table: str, column: str, value: float, tables: dict[str, pl.DataFrame], tmp_path: Path
 ):
-    broken = spoiled(tables, table, column, value)
-    with pytest.raises(InputError, match=f"{table}, row 7, column {column}: .* is outside"):
-        Drive.from_frames(**broken)
-    (tmp_path / "drive.toml").touch()
-    for name, frame in broken.items():
-        frame.write_csv(tmp_path / f"{name}.csv")
-    with pytest.raises(InputError, match=rf"{table}\.csv, row 9, column {column}: .* is outside"):
-        read_drive(tmp_path)
+    require_refused(
+        spoiled(tables, table, column, value), tmp_path, table, 7, f"column {column}: .* is outside"
+    )
 
 
 @pytest.mark.parametrize("value", [1e16, 1e20, 1e155, 1e200, 1e308])
@@ -76,13 +82,7 @@ def test_a_time_far_away_is_refused(
     rows = tables[table].height
     last = pl.when(pl.int_range(pl.len()) == rows - 1).then(value).otherwise("t").alias("t")
     broken = {**tables, table: tables[table].with_columns(last)}
-    with pytest.raises(InputError, match=f"{table}, row {rows - 1}, column t: .* too far"):
-        Drive.from_frames(**broken)
-    (tmp_path / "drive.toml").touch()
-    for name, frame in broken.items():
-        frame.write_csv(tmp_path / f"{name}.csv")
-    with pytest.raises(InputError, match=rf"{table}\.csv, row {rows + 1}, column t: .* too far"):
-        read_drive(tmp_path)
+    require_refused(broken, tmp_path, table, rows - 1, "column t: .* too far")
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])

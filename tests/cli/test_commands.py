@@ -614,19 +614,14 @@ def test_readme_states_that_raw_gps_and_the_imu_alone_need_truth(
     assert "If there is truth, raw GPS and" in (Path(__file__).parents[2] / "README.md").read_text()
 
 
-def test_a_drive_without_stated_accuracy_can_not_use_it(sigmaswarm, here: Path):
+@pytest.mark.parametrize(
+    ("option", "columns"), [("accuracy", "std_x and std_y"), ("velocity", "speed and course")]
+)
+def test_a_drive_can_not_use_columns_that_it_lacks(sigmaswarm, here: Path, option: str, columns: str):
     write_drive(make_drive(duration=20.0), here / "plain")
-    ended = sigmaswarm("tune", "plain", "--out", "t", "--use", "accuracy")
+    ended = sigmaswarm("tune", "plain", "--out", "t", "--use", option)
     assert ended.code == 2
-    assert "no std_x and std_y, which --use accuracy needs; leave accuracy out" in ended.err
-    assert not (here / "t").exists()
-
-
-def test_a_drive_without_velocity_can_not_use_it(sigmaswarm, here: Path):
-    write_drive(make_drive(duration=30), here / "plain")
-    ended = sigmaswarm("tune", "plain", "--out", "t", "--use", "velocity")
-    assert ended.code == 2
-    assert "no speed and course" in ended.err
+    assert f"no {columns}, which --use {option} needs; leave {option} out" in ended.err
     assert not (here / "t").exists()
 
 

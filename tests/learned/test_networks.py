@@ -13,6 +13,7 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.filter_run import FilterRun
+from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, Targets
 from sigmaswarm.filters.run import run_filter, whole_pass
 from sigmaswarm.filters.textbook.car import TextbookCar
@@ -80,6 +81,18 @@ def test_an_infinite_inflation_leaves_the_filter_alone():
     assert run.whole().mean.tobytes() == run_filter(silent(), p).mean.tobytes()
 
 
+def displaced(
+    p: FilterParameters, replay: FilterPass, first: int = 1500
+) -> tuple[FilterRun, DisplacementStart, int, Displacements]:
+    """A run over the 100 samples of a displacement, its start, the step behind it, and its update."""
+    begins, stop = (int(np.flatnonzero(replay.timeline.sampled)[k]) + 1 for k in (first, first + 100))
+    run = FilterRun(replay, p)
+    run._steps_to(begins, np.empty((0, 0, 0)))
+    start = DisplacementStart(run._rows[0].copy(), run._place.copy())
+    run._steps_to(stop, np.empty((0, 0, 0)))
+    return run, start, stop, Displacements(replay, p)
+
+
 @pytest.mark.parametrize(
     ("model", "kind", "lateral_noise"),
     # planar5 without lateral knows at each step where it heads: unless it is told that somebody else has turned it
@@ -99,14 +112,8 @@ def test_a_displacement_is_absorbed_as_by_a_filter_that_keeps_a_clone(
     """The textbook's filter, run from states moved a little, one by one, and the joint update written out."""
     p = parameters(model, kind=kind, lateral_noise=lateral_noise)
     replay = whole_pass(silent())
-    line = replay.timeline
-    ends = np.flatnonzero(line.sampled) + 1
-    first, stop = int(ends[1200]), int(ends[1300])
-    run = FilterRun(replay, p)
-    run._steps_to(first, np.empty((0, 0, 0)))
-    begin = DisplacementStart(run._rows[0].copy(), run._place.copy())
-    run._steps_to(stop, np.empty((0, 0, 0)))
-    on = Displacements(replay, p)
+    line, first = replay.timeline, int(np.flatnonzero(replay.timeline.sampled)[1200]) + 1
+    run, begin, stop, on = displaced(p, replay, 1200)
     (x0, p0), (x1, p1) = on._state(begin.rows), on._state(run._rows[0])
     plus, minus = on._plus, on._minus
 
@@ -144,29 +151,16 @@ def test_a_displacement_is_absorbed_as_by_a_filter_that_keeps_a_clone(
 
 def test_a_displacement_says_nothing_of_the_place():
     """However sure a displacement is, the position is no surer behind it than before it."""
-    p = parameters("planar8", lateral_noise=0.05)
-    replay = whole_pass(silent())
-    ends = np.flatnonzero(replay.timeline.sampled) + 1
-    run = FilterRun(replay, p)
-    run._steps_to(int(ends[1500]), np.empty((0, 0, 0)))
-    begin = DisplacementStart(run._rows[0].copy(), run._place.copy())
-    run._steps_to(int(ends[1600]), np.empty((0, 0, 0)))
-    on = Displacements(replay, p)
+    run, begin, stop, on = displaced(parameters("planar8", lateral_noise=0.05), whole_pass(silent()))
     (x0, p0), (x1, _) = on._state(begin.rows), on._state(run._rows[0])
-    assert on.update(begin, run._rows[0], int(ends[1600]), body_displacement(x0, x1), 1e-6 * np.eye(2))
+    assert on.update(begin, run._rows[0], stop, body_displacement(x0, x1), 1e-6 * np.eye(2))
     assert np.linalg.eigvalsh(on._state(run._rows[0])[1][:2, :2])[1] > 0.9 * np.linalg.eigvalsh(p0[:2, :2])[1]
 
 
 def test_an_update_that_leads_away_from_the_displacement_is_left_out():
     """Heading and velocity so unsure, beside what was known at the begin, are not on one straight line."""
-    p = parameters("planar8", lateral_noise=0.05)
-    replay = whole_pass(silent())
-    ends = np.flatnonzero(replay.timeline.sampled) + 1
-    run = FilterRun(replay, p)
-    run._steps_to(int(ends[1500]), np.empty((0, 0, 0)))
-    begin = DisplacementStart(run._rows[0].copy(), run._place.copy())
-    run._steps_to(int(ends[1600]), np.empty((0, 0, 0)))
-    on, rows = Displacements(replay, p), run._rows[0]
+    run, begin, stop, on = displaced(parameters("planar8", lateral_noise=0.05), whole_pass(silent()))
+    rows = run._rows[0]
     (x0, _), (x1, _) = on._state(begin.rows), on._state(rows)
     for each in (begin.rows, rows):
         each[R.TT] = 0.1
@@ -176,7 +170,7 @@ def test_an_update_that_leads_away_from_the_displacement_is_left_out():
     for turn in (0.3, 1.0, 2.0):
         c, s = np.cos(turn), np.sin(turn)
         moved = np.array([c * forward - s * left, s * forward + c * left])
-        assert not on.update(begin, rows, int(ends[1600]), moved, 1e-2 * np.eye(2))
+        assert not on.update(begin, rows, stop, moved, 1e-2 * np.eye(2))
         assert rows.tobytes() == before.tobytes()
 
 

@@ -1,6 +1,7 @@
 """The definitions of the scores, against loops that follow their words."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Truth
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_filter
+from sigmaswarm.geodesy import Array
 from sigmaswarm.scoring.score import PieceErrors, score_estimate, score_raw_gps
 from support import make_drive
 
@@ -22,25 +24,9 @@ def turned(a: float, b: float) -> float:
     return math.atan2(math.sin(b - a), math.cos(b - a))
 
 
-def distances(truth: Truth, estimate: Estimate) -> list[float]:
-    """How far the estimate lies from each moment of truth, m."""
+def around(truth: Truth, estimate: Estimate) -> Iterator[tuple[int, float, Array, Array]]:
+    """Yield the index of each moment of truth, and the weight of the later of the two estimates around it."""
     nodes = [(estimate.initial.time, estimate.initial.mean), *zip(estimate.time, estimate.mean, strict=True)]
-    found, at = [], 0
-    for j, t in enumerate(truth.time):
-        if not nodes[0][0] <= t <= nodes[-1][0]:
-            continue
-        while nodes[at + 1][0] < t:
-            at += 1
-        (t0, a), (t1, b) = nodes[at], nodes[at + 1]
-        w = (t - t0) / (t1 - t0)
-        found.append(math.hypot(*((1 - w) * a[i] + w * b[i] - (truth.x, truth.y)[i][j] for i in (0, 1))))
-    return found
-
-
-def by_loop(truth: Truth, estimate: Estimate) -> tuple[float, float]:
-    """Position RMSE (m) and heading RMSE (rad), one moment of truth at a time."""
-    nodes = [(estimate.initial.time, estimate.initial.mean), *zip(estimate.time, estimate.mean, strict=True)]
-    position, heading = [], []
     at = 0
     for j, t in enumerate(truth.time):
         if not nodes[0][0] <= t <= nodes[-1][0]:
@@ -48,7 +34,22 @@ def by_loop(truth: Truth, estimate: Estimate) -> tuple[float, float]:
         while nodes[at + 1][0] < t:
             at += 1
         (t0, a), (t1, b) = nodes[at], nodes[at + 1]
-        w = (t - t0) / (t1 - t0)
+        yield j, (t - t0) / (t1 - t0), a, b
+
+
+def distances(truth: Truth, estimate: Estimate) -> list[float]:
+    """How far the estimate lies from each moment of truth, m."""
+    true = truth.x, truth.y
+    return [
+        math.hypot(*((1 - w) * a[i] + w * b[i] - true[i][j] for i in (0, 1)))
+        for j, w, a, b in around(truth, estimate)
+    ]
+
+
+def by_loop(truth: Truth, estimate: Estimate) -> tuple[float, float]:
+    """Position RMSE (m) and heading RMSE (rad), one moment of truth at a time."""
+    position, heading = [], []
+    for j, w, a, b in around(truth, estimate):
         x, y = a[0] + w * (b[0] - a[0]), a[1] + w * (b[1] - a[1])
         theta = a[4] + w * turned(a[4], b[4])
         position.append((x - truth.x[j]) ** 2 + (y - truth.y[j]) ** 2)

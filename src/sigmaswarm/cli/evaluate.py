@@ -109,7 +109,7 @@ def evaluate(
     remedies: list[Remedy] = []
     result = _evaluated(tuning, tuned, drives, options, learned, remedies)
     _warn_of_training_drives(result)
-    written = save_evaluation(result, out, tuning, learned) if out else []
+    written = save_evaluation(result, out, tuning, learned and learned.save) if out else []
     if options.json:
         print_json(result.to_dict())
         return

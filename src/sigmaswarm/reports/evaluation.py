@@ -1,6 +1,6 @@
 """Files and pictures of an evaluation: bars of the methods, consistency, tracks and errors over time."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import accumulate
 from pathlib import Path
 
@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from sigmaswarm.drives.overlap import TRAINING_DATA_FILE
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import staged_files, write_atomically
-from sigmaswarm.learned.folder import LearnedNetwork
 from sigmaswarm.reports.figures import (
     Chart,
     as_map,
@@ -56,11 +55,15 @@ HEADING_LIMITS = (1.0, 30.0)  # deg, limits of the heading axis's range; a diver
 
 
 def save_evaluation(
-    evaluation: Evaluation, folder: Path, tuning: Path | None = None, network: LearnedNetwork | None = None
+    evaluation: Evaluation,
+    folder: Path,
+    tuning: Path | None = None,
+    save_network: Callable[[Path], list[Path]] | None = None,
 ) -> list[Path]:
     """Write the records and pictures of an evaluation into a folder; return the paths of all files.
 
-    The files include copies of ``tuning`` (the evaluated tuning.toml or its folder) and ``network``.
+    The files include a copy of ``tuning`` (the evaluated tuning.toml or its folder). ``save_network`` writes a copy of
+    the evaluated network into a folder.
     """
     with staged_files(folder, EVALUATION, EVALUATION_FILE) as new:
         written = [*evaluation.save(new), save(comparison(evaluation), new / "comparison.png")]
@@ -74,7 +77,7 @@ def save_evaluation(
             stem = name.replace("/", "-")
             written += [save(f, new / f"{stem}-{kind}.png") for kind, f in figures.items() if f]
         written += copy_tuning(tuning, new) if tuning else []
-        written += network.save(new) if network else []
+        written += save_network(new) if save_network else []
         write_checksums(new)
     return [folder / file.relative_to(new) for file in written]
 
