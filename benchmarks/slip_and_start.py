@@ -1,15 +1,16 @@
-"""Tire slip and the start that is dated back: what each is worth, alone and together.
+"""Tire slip and the evidence of the start about tilts: what each is worth, alone and together.
 
     python benchmarks/slip_and_start.py ../shared/drives --out slip.jsonl
     python benchmarks/slip_and_start.py ../shared/drives --out slip.jsonl --table
 
 The cases are the 13 held-out ones of `defaults.py`. Every tuning is by default, with truth (T) and without (B), from
 the alignments' starts, with `tire_slip` 0 ("no slip"), with `--use slip` ("slip"), and with a fixed `tire_slip` (its
-value). Each is tested from the alignment's start and from `dated_back`. With `--fresh N`, drives with simulated white
-fix errors are also tested with N other realizations of these errors, since one realization hides effects below 5%.
-Each tuning and each row of scores is a line of the file, and is not repeated. Prints Markdown: medians over the seeds;
-then the geometric mean of the ratios to the default with the same seed and fixes, and the largest mean ratio of a case.
-Drifts are RMS over all placements of the outages.
+value). Each is tested from the alignment's start with its evidence about tilts ("window") and without ("level"). With
+`--every S`, the test drives are the parts of up to 100 s that begin every S s and last at least 45 s, so that there are
+many starts. With `--fresh N`, drives with simulated white fix errors are also tested with N other realizations of these
+errors, since one realization hides effects below 5%. Each tuning and each row of scores is a line of the file, and is
+not repeated. Prints Markdown: medians over the seeds; then the geometric mean of the ratios to the default with the
+same seed and fixes, and the largest mean ratio of a case. Drifts are RMS over all placements of the outages.
 """
 
 import argparse
@@ -26,9 +27,10 @@ from unittest import mock
 import numpy as np
 
 from defaults import cached, cases, stranger
-from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, tune
+from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, initial_state, tune
+from sigmaswarm.drives.alignment import StartFailure, find_start
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.filters.dating_back import dated_back
+from sigmaswarm.drives.split import clip
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.geodesy import wrap_angle
@@ -40,6 +42,7 @@ from sigmaswarm.tuning.defaults import default_filter_options
 from switches import quantities
 
 TUNINGS = ("no slip", "slip", "0.003", "0.005")
+SHORTEST, LONGEST = 45.0, 100.0  # s, length of a part with `--every`
 WHITE = ("kitti-09-26", "kitti-09-30-0018", "kitti-09-30-0033", "colorado-1", "white-1m")
 """Parts of the names of cases whose fixes are truth with white errors of 1 m per axis."""
 COLUMNS = (
@@ -58,6 +61,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", help="parts of cases' names")
     parser.add_argument("--tunings", nargs="+", default=TUNINGS[:2], choices=TUNINGS)
     parser.add_argument("--fresh", type=int, default=0, help="realizations of the fix errors")
+    parser.add_argument("--every", type=float, help="s between starts in a test drive")
     parser.add_argument("--table", action="store_true")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
@@ -68,6 +72,7 @@ def main() -> None:
             for seed, name, known, slip in product(range(options.seeds), names, "TB", options.tunings):
                 case = (name, *cached(name, parts[name]))
                 tuned = tuning(options.out, case, known, slip, seed, pool)
+                case = (*case[:2], [part for drive in case[2] for part in begun(drive, options.every)])
                 score(options.out, case, (known, slip, seed), tuned, options.fresh)
     table(lines(options.out))
 
@@ -103,12 +108,22 @@ def score(
     done = lines(out)
     for i in range(1 + (fresh if any(part in name for part in WHITE) and "outliers" not in name else 0)):
         drives = [renewed(drive, i) for drive in test] if i else test
-        for start in ("window", "dated back"):
+        for start in ("level", "window"):
             key = (name, *which, f"{start}, fresh {i}" if i else start)
             if key not in done:
-                back = [dated_back(drive, parameters) if start != "window" else None for drive in drives]
-                ready = [PreparedDrive(drive, one) for drive, one in zip(drives, back, strict=True)]
+                found = [initial_state(drive) for drive in drives]
+                found = [replace(one, tilt=None) for one in found] if start == "level" else found
+                ready = [PreparedDrive(drive, one) for drive, one in zip(drives, found, strict=True)]
                 note(out, key, figures(ready, parameters))
+
+
+def begun(drive: Drive, every: float | None) -> list[Drive]:
+    """Return the drive, or its parts that begin every so many seconds and have a start."""
+    if every is None:
+        return [drive]
+    first, last = drive.imu.time[[0, -1]]
+    parts = [clip(drive, start, start + LONGEST) for start in np.arange(first, last - SHORTEST, every)]
+    return [part for part in parts if not isinstance(find_start(part), StartFailure)]
 
 
 def renewed(drive: Drive, seed: int) -> Drive:
@@ -193,7 +208,7 @@ def table(done: dict[tuple[Any, ...], Any]) -> None:
         share = []
         for (*which, name), row in rows.items():
             if which == [known, slip, kind]:
-                default = rows.get((known, "no slip", kind.replace("dated back", "window"), name), {})
+                default = rows.get((known, "no slip", kind.replace("level", "window"), name), {})
                 paired = [np.log(row[one] / default[one]) for one in row if one in default]
                 share += [np.mean(paired, axis=0)] if paired else []
         mean, most = np.exp(np.nanmean(share, axis=0)), np.exp(np.nanmax(share, axis=0))

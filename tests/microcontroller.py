@@ -25,7 +25,7 @@ needs_arm = pytest.mark.skipif(bool(_MISSING), reason=f"not installed: {', '.joi
 
 BOARD = Path(__file__).parent / "arm"
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic")
-_START, _EVENT = 48, 8  # as in arm/replay.c
+_START, _EVENT = 64, 8  # as in arm/replay.c
 _EVENTS = {"imu": 0.0, "fix": 1.0, "odometer": 2.0}
 
 

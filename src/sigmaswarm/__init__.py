@@ -79,7 +79,6 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.custom.run import ModelEstimate as ModelEstimate
     from sigmaswarm.filters.custom.run import run_model as run_model
     from sigmaswarm.filters.custom.run import smooth_model as smooth_model
-    from sigmaswarm.filters.dating_back import dated_back as dated_back
     from sigmaswarm.filters.live import LiveFilter
     from sigmaswarm.filters.parameters import FilterParameters
     from sigmaswarm.filters.presets import baseline

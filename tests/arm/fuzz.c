@@ -51,10 +51,10 @@ static void predict(double time)
 {
     const ins_gps_real ax = number(5.0), rate = number(0.5);
 #ifdef HAS_TILT
-    const ins_gps_real gx = number(0.1), gy = number(0.1);
-    ins_gps_predict(&filter, time, ax, number(5.0), (ins_gps_real)9.81 + number(1.0), gx, gy, rate);
-    ins_gps_align_predict(&align, time, ax, gx, gy, rate);
-    ins_gps_watch_sample(&watch, &filter, time, ax, gx, gy, rate);
+    const ins_gps_real ay = number(5.0), gx = number(0.1), gy = number(0.1);
+    ins_gps_predict(&filter, time, ax, ay, (ins_gps_real)9.81 + number(1.0), gx, gy, rate);
+    ins_gps_align_predict(&align, time, ax, ay, gx, gy, rate);
+    ins_gps_watch_sample(&watch, &filter, time, ax, ay, gx, gy, rate);
 #else
     ins_gps_predict(&filter, time, ax, number(5.0), rate);
     ins_gps_align_predict(&align, time, ax, rate);

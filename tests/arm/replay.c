@@ -9,9 +9,10 @@
 #include "ins_gps.h"
 #include "ins_gps_align.h"
 
+#include <string.h>
 #include <math.h>
 
-enum { START = 48, EVENT = 8, AT_ONCE = 64 };
+enum { START = 64, EVENT = 8, AT_ONCE = 64 };
 enum { IMU, FIX, ODOMETER };
 
 static InsGps filter;
@@ -62,14 +63,7 @@ static void start(const double given[START])
     const double *seen = given + 33;
 #endif
     InsGpsGyro gyro;
-    for (int i = 0; i < 3; i++) {
-        gyro.bias[i] = seen[i];
-        gyro.variance[i] = seen[3 + i];
-    }
-    gyro.taken = seen[6];
-    for (int i = 0; i < 5; i++) {
-        gyro.turns[i] = seen[7 + i];
-    }
+    memcpy(&gyro, seen, sizeof gyro); /* it has only doubles */
     ins_gps_tell_gyro(&filter, &gyro);
 }
 

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from exported import SANITIZERS, build, distance, needs_gcc, replay, tuned
+from sigmaswarm.drives.alignment import Alignments
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.exports.c99 import replay_rows
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.simulation.scenarios import simulate
 from support import make_drive, quickly
 
 KINDS = {"planar8": "ukf", "tilted12": "ekf"}
@@ -100,3 +102,87 @@ def test_a_start_without_it_is_one_as_before(tmp_path: Path):
     initial = replace(run_filter(drive, p, recover=False).initial, gyro=None)
     ours = run_filter(drive, p, initial=initial, recover=False)
     np.testing.assert_allclose(last[1:9], ours.mean[-1], rtol=0, atol=1e-8)
+
+
+EVIDENCE = r"""
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include "ins_gps_align.h"
+
+int main(void) /* Time and evidence of every start. */
+{
+    static InsGpsAlign align;
+    static char row[4096];
+    double z[8] = {0.0};
+    ins_gps_real mean[5], P[25];
+    while (fgets(row, sizeof row, stdin)) {
+        int n = 0;
+        for (char *c = strchr(row, ','); c && n < 8; c = strchr(c + 1, ',')) {
+            z[n++] = strtod(c + 1, NULL);
+        }
+        if (row[0] == 'i') {
+            ins_gps_align_predict(&align, z[0], (ins_gps_real)z[1], (ins_gps_real)z[2], (ins_gps_real)z[5],
+                                  (ins_gps_real)z[6], (ins_gps_real)z[3]);
+        } else if (row[0] == 'f' && ins_gps_align_fix(&align, z[0], (ins_gps_real)z[1], (ins_gps_real)z[2], mean, P)) {
+            const double *numbers = (const double *)&align.gyro;
+            printf("%.17g", z[0]);
+            for (unsigned i = 0; i < sizeof align.gyro / sizeof *numbers; i++) {
+                printf(",%.17g", numbers[i]);
+            }
+            puts("");
+        }
+    }
+    return 0;
+}
+"""
+
+
+@needs_gcc
+def test_its_alignment_has_the_evidence_of_the_library(tmp_path: Path):
+    drive = make_drive(duration=30.0, seed=4, gps_std=0.3)
+    imu, t = drive.imu, drive.imu.time
+    leaning = {
+        "gx": 0.05 * np.cos(1.5 * t),
+        "gy": 0.03 * np.sin(t) - 0.01,
+        "ay": imu.ay + 0.3 * np.sin(1.5 * t),
+    }
+    drive = replace(drive, imu=replace(imu, ax=imu.ax - 0.3, gz=imu.gz + 0.4, **leaning))
+    rows = replay_rows(drive, "tilted12").splitlines()[1:]
+    program = build(tmp_path, filter_of("tilted12"), main=EVIDENCE)
+    done = subprocess.run([program], input="\n".join(rows) + "\n", capture_output=True, text=True, check=True)
+    table = np.array([[float(cell) for cell in line.split(",")] for line in done.stdout.splitlines()])
+    alignments, compared = Alignments(drive), 0
+    for time, *numbers in table[::5].tolist():
+        start = alignments.at(int(np.searchsorted(alignments.time, time)))
+        if start is None or start.tilt is None or start.gyro is None or not start.gyro.taken:
+            continue
+        compared += 1
+        force, variance, turns, rest = np.split(np.array(start.tilt.numbers), [2, 4, 8])
+        np.testing.assert_allclose(numbers[12:14], force, atol=0.15)
+        np.testing.assert_allclose(numbers[14:16], variance, rtol=0.5)
+        np.testing.assert_allclose(numbers[16:20], turns, atol=0.03)
+        np.testing.assert_allclose(numbers[20:22], rest[:2], atol=0.15)
+        np.testing.assert_allclose(numbers[22], rest[2], rtol=0.5)
+        np.testing.assert_allclose(numbers[23:25], rest[3:5], atol=0.6)
+        np.testing.assert_allclose(numbers[25:], rest[5:], atol=0.8)
+    assert compared > 10
+
+
+@needs_gcc
+@pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT",)], ids=["double", "float"])
+def test_its_own_alignment_sees_the_tilts(tmp_path: Path, flags: tuple[str, ...]):
+    drive = simulate("urban", terrain="hilly", gps="white-1m", imu="icm-20602", duration=30.0, seed=3)
+    p = replace(filter_of("tilted12"), bias_std=(0.02, 1e-3))
+    rows = ["align,0,0,0", *replay_rows(drive, "tilted12").splitlines()[1:]]
+    done = subprocess.run(
+        [build(tmp_path, p, *flags)], input="\n".join(rows) + "\n", capture_output=True, text=True, check=True
+    )
+    theirs = np.array([float(cell) for cell in done.stdout.splitlines()[1].split(",")])
+    ours = run_filter(drive, p)
+    k = int(np.searchsorted(ours.time, theirs[0]))
+    assert ours.time[k] == theirs[0]
+    std = np.sqrt(np.diag(ours.covariance[k]))
+    assert abs(ours.mean[k, 9]) > 3.0 * std[9]  # the road is steep
+    assert np.all(np.abs(theirs[1:13] - ours.mean[k]) < 0.4 * std)  # another fit of the same fixes
+    np.testing.assert_allclose(theirs[13:25], std, rtol=0.3)

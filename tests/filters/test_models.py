@@ -72,7 +72,7 @@ def test_constants_stand_in_the_rows_of_their_names(name: str):
 @EACH_DRIVEN
 def test_all_forms_start_from_the_same_state(name: str):
     seen, p = initial_state(equipped()), parameters(name, bias_std=(0.2, 0.004))
-    initial = replace(seen, gyro=None)
+    initial = replace(seen, gyro=None, tilt=None)
     mean, covariance = start_of(initial, p)
     assert mean[:5].tolist() == initial.mean.tolist()
     tilt, gyro = np.radians(3.0) ** 2, 0.004**2

@@ -12,11 +12,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.alignment_fit import AlignmentFit, InitialState
+from sigmaswarm.drives.alignment_fit import AlignmentFit, InitialState, integral_at
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.gyro_bias import CONTRADICTS, MOST_BIAS, GyroBiasEvidence
 from sigmaswarm.drives.stale_fixes import stale_fixes
 from sigmaswarm.drives.tables import headings_of
+from sigmaswarm.drives.tilt_evidence import Motion
 from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
 
@@ -127,7 +128,7 @@ def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | Sta
     first, time = fixes[0], float(gps.time[fixes[0]])
     std = STATED_HEADING_STD
     if drive.heading is not None:
-        theta = wrap_angle(drive.heading + float(np.interp(time, imu.time, _integrated(drive)[0])))
+        theta = wrap_angle(drive.heading + float(np.interp(time, imu.time, _integrated(imu.time, imu.gz))))
     else:
         heading, variance = headings_of(gps)
         theta, std = wrap_angle(float(heading[first])), max(std, float(np.sqrt(variance[first])))
@@ -221,7 +222,7 @@ class Alignments:
             return None
         smooth = fit.misfit <= MAX_MISFIT * fit.travel
         usable = fit.travel >= MIN_TRAVEL and fit.heading_std <= MAX_HEADING_STD and smooth
-        return fit.state(self._leaning(k, fit.time)) if usable else None
+        return fit.state(self._motion(k, fit.taken)) if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
         """Fit the gyro's bias, too; do not use the accelerometer, whose bias accumulates over the longer time."""
@@ -242,19 +243,29 @@ class Alignments:
         fit = fit.with_bias_variance(share * fit.bias_std**2)
         far = fit.travel >= max(SLOW_TRAVEL, SLOW_SPEED * fit.span) and fit.misfit <= MAX_MISFIT * fit.travel
         usable = far and fit.heading_std <= SLOW_HEADING_STD and abs(fit.yaw_bias) < MOST_BIAS
-        return fit.state(self._leaning(k, fit.time)) if usable else None
+        return fit.state(self._motion(k, fit.taken), tilts=False) if usable else None
 
-    def _leaning(self, k: int, last: float) -> Array:
-        """Return the mean rates about forward and left, rad/s, (2,), in the window of fix k; NaN if not measured."""
-        imu, first = self._drive.imu, float(self.time[self._first[k]])
+    def _motion(self, k: int, taken: float) -> Motion | None:
+        """Return the integrals at the fixes of the window that ends at fix k; None if the IMU lacks the axes."""
+        imu, time = self._drive.imu, self.time[self._first[k] : k + 1]
         if imu.gx is None or imu.gy is None:
-            return np.full(2, np.nan)
-        inside = slice(*np.searchsorted(imu.time, [first, last], side="right"))
-        return np.array([imu.gx[inside].mean(), imu.gy[inside].mean()], np.float64)
+            return None
+        integrals, rates = self._integrals + self._lean_integrals, (imu.gz, imu.ax, imu.gx, imu.gy, imu.ay)
+        turned, gained, gx, gy, lateral = (
+            integral_at(imu, integral, rate, time) for integral, rate in zip(integrals, rates, strict=True)
+        )
+        return Motion(time, turned - taken * time, gx + 1j * gy, gained, lateral, taken)
+
+    @cached_property
+    def _lean_integrals(self) -> tuple[Array, ...]:
+        imu = self._drive.imu
+        return tuple(_integrated(imu.time, rate) for rate in (imu.gx, imu.gy, imu.ay) if rate is not None)
 
     @cached_property
     def _integrals(self) -> tuple[Array, Array]:
-        return _integrated(self._drive)
+        """Changes of heading (rad) and speed (m/s) since the first IMU sample."""
+        imu = self._drive.imu
+        return _integrated(imu.time, imu.gz), _integrated(imu.time, imu.ax)
 
     @cached_property
     @np.errstate(all="ignore")
@@ -278,9 +289,6 @@ class Alignments:
         return course
 
 
-def _integrated(drive: Drive) -> tuple[Array, Array]:
-    """Return the changes of heading (rad) and speed (m/s) since the first IMU sample, at the IMU's times."""
-    dt = np.diff(drive.imu.time)
-    turned = np.concatenate([[0.0], np.cumsum(drive.imu.gz[1:] * dt)])
-    sped = np.concatenate([[0.0], np.cumsum(drive.imu.ax[1:] * dt)])
-    return turned, sped
+def _integrated(time: Array, rate: Array) -> Array:
+    """Return the integral of a rate since the first IMU sample, at the IMU's times."""
+    return np.concatenate([[0.0], np.cumsum(rate[1:] * np.diff(time))])

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.gyro_bias import LEAN_STD, MOST_BIAS, TURN_SHARE, UP, YAW_STD, GyroBiasEvidence
+from sigmaswarm.drives.tables import Imu
+from sigmaswarm.drives.tilt_evidence import Motion, TiltEvidence
 from sigmaswarm.geodesy import wrap_angle
 
 Complex = NDArray[np.complex128]
@@ -40,14 +42,17 @@ class InitialState:
         Covariance of ``mean``, positive definite.
     time : float
         Time of the last fix of the alignment, s, at which filters and scores start.
-    gyro : GyroSeen or None
+    gyro : GyroBiasEvidence or None
         Evidence about the gyro's bias, for filters that estimate it; with None, they start with a bias of 0.
+    tilt : TiltEvidence or None
+        Evidence about roll, pitch and accelerometer biases, for filters with tilts; with None, they start level.
     """
 
     mean: Array
     covariance: Array
     time: float
     gyro: GyroBiasEvidence | None = None
+    tilt: TiltEvidence | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +94,7 @@ class AlignmentFit:
         # the IMU's times from the first to the last fix
         inside = slice(*np.searchsorted(imu.time, [time[0]], side="right"), *np.searchsorted(imu.time, [end]))
         grid = np.concatenate([[time[0]], imu.time[inside], [end]])
-        psi, gained = np.interp(grid, imu.time, turned), np.interp(grid, imu.time, sped)
-        # A live filter has no sample after the last fix, so the last sample before the fix is repeated.
-        last = int(np.searchsorted(imu.time, end, side="right")) - 1
-        psi[-1] = turned[last] + imu.gz[last] * (end - imu.time[last])
-        gained[-1] = sped[last] + imu.ax[last] * (end - imu.time[last])
+        psi, gained = integral_at(imu, turned, imu.gz, grid), integral_at(imu, sped, imu.ax, grid)
         direction = np.exp(1j * (psi - psi[-1]))
 
         def until_end(integrand: Complex) -> Complex:
@@ -165,9 +166,9 @@ class AlignmentFit:
         more, std, turns = _one_more(jacobian, residual, bends)
         return cls(end, solution, covariance, forward, worst, taken, taken + more, std, turns[:4], span, std)
 
-    def state(self, leaning: Array) -> InitialState:
-        """Return the start; ``leaning`` (2,): mean gyro rates about forward and left, rad/s, or NaN."""
-        east, north, theta, v, _ = self.solution
+    def state(self, moved: Motion | None, *, tilts: bool = True) -> InitialState:
+        """Return the start, with evidence about tilts if b was fitted; ``moved``: the IMU in the window."""
+        east, north, theta, v, b = self.solution.tolist()
         c, s = np.cos(theta), np.sin(theta)
         # from (east, north, theta, v, slip angle) to (x, y, vx, vy, theta)
         motion = [0, 0, -v * s, c, 0], [0, 0, v * c, s, 0], [0, 0, 1, 0, -1]
@@ -177,14 +178,37 @@ class AlignmentFit:
         inner[[0, 1], [0, 1]] += MIN_POSITION_STD**2
         inner[4, 4] = SLIP_STD**2
         covariance = jacobian @ inner @ jacobian.T
-        mean = np.array([east, north, v * c, v * s, wrap_angle(float(theta))])
-        bias = np.nan_to_num(np.append(leaning, self.yaw_bias))
-        lean = np.where(np.isfinite(leaning), (LEAN_STD / self.span) ** 2, np.inf)
-        variance = np.append(lean, self.yaw_std**2)
+        mean = np.array([east, north, v * c, v * s, wrap_angle(theta)])
+        gyro, tilt = self._gyro(moved, jacobian[:, :4] @ self.turns), None
+        if moved is not None and tilts:
+            posterior = float(self.covariance[4, 4])
+            alone = posterior / max(
+                1.0 - posterior / ACCELERATION_BIAS_STD**2, 1e-9
+            )  # without the prior of b
+            tilt = moved.evidence(
+                v, b, alone, posterior, jacobian[:, :4] @ self.covariance[:4, 4] / posterior
+            )
+        return InitialState(mean, 0.5 * (covariance + covariance.T), self.time, gyro, tilt)
+
+    def _gyro(self, moved: Motion | None, turns: Array) -> GyroBiasEvidence:
+        bias, variance = np.append(np.zeros(2), self.yaw_bias), np.append(np.full(2, np.inf), self.yaw_std**2)
+        if moved is not None:
+            rates = (moved.leaned[-1] - moved.leaned[0]) / self.span
+            bias[:UP], variance[:UP] = (rates.real, rates.imag), (LEAN_STD / self.span) ** 2
         if abs(self.yaw_bias) > MOST_BIAS:  # the bias is unknown
             bias[UP], variance[UP] = self.taken, np.inf
-        gyro = GyroBiasEvidence(bias, variance, self.taken, jacobian[:, :4] @ self.turns)
-        return InitialState(mean, 0.5 * (covariance + covariance.T), self.time, gyro)
+        return GyroBiasEvidence(bias, variance, self.taken, turns)
+
+
+def integral_at(imu: Imu, integral: Array, rate: Array, time: Array) -> Array:
+    """Return the integral of a rate at some times, s, up to a fix.
+
+    A live filter has no sample after the last fix, so the last sample before the fix is repeated.
+    """
+    values = np.interp(time, imu.time, integral)
+    last = int(np.searchsorted(imu.time, time[-1], side="right")) - 1
+    values[-1] = integral[last] + rate[last] * (time[-1] - imu.time[last])
+    return values
 
 
 def _turned(way: FixPaths, each: Complex) -> FixPaths:

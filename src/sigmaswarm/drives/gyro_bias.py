@@ -5,8 +5,8 @@ the fixes, and the integrated roll drifts. Both effects determine the bias to ab
 than that of a cheap gyro's prior. A good gyro has a ``bias_std`` below 1 deg/s and keeps its prior.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,7 +31,7 @@ MOST_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that suggest a larger bi
 
 @dataclass(frozen=True, eq=False)
 class GyroBiasEvidence:
-    """Evidence about the gyro bias from one alignment, or from several: see `stack_evidence`.
+    """Evidence about the gyro bias from one alignment, or from several, stacked.
 
     ``bias`` and ``variance`` (3,), about forward, left and up, are in rad/s and (rad/s)^2; an unknown axis has infinite
     variance. The alignment's mean and covariance are valid for the bias ``taken`` about up; ``turns`` (5,) is the
@@ -77,11 +77,3 @@ class GyroBiasEvidence:
         left = std**2 / (1.0 + std**2 / variance)
         surprise = seen**2 / (std**2 + variance) + np.log(1.0 + std**2 / variance)
         return seen * left / variance, left, -0.5 * surprise.sum(axis=-1, keepdims=True)
-
-
-def stack_evidence(seen: Sequence[GyroBiasEvidence]) -> GyroBiasEvidence:
-    """Stack the evidence of m alignments for filters with means (m, r, n); arrays have shape (m, 1, ...)."""
-    stacked = (
-        np.array([getattr(one, f.name) for one in seen])[:, np.newaxis] for f in fields(GyroBiasEvidence)
-    )
-    return GyroBiasEvidence(*stacked)  # pyright: ignore[reportArgumentType] (``taken`` is an array, too)

@@ -11,6 +11,7 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.drives.mounting import Angles
 from sigmaswarm.drives.tables import headings_of
+from sigmaswarm.drives.tilt_evidence import NUMBERS
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c_kernels import kernels_of
 from sigmaswarm.exports.c_names import STATES
@@ -137,9 +138,11 @@ def replay_events(
     if MODELS[model].tilts is not None:
         start = [*start, drive.antenna_height]
         axes += ["az", "gx", "gy"]
-    gyro = initial.gyro
+    gyro, tilt = initial.gyro, initial.tilt
     assert gyro is not None  # every alignment estimates the gyro bias
     start += [*gyro.bias, *gyro.variance, gyro.taken, *gyro.turns]  # in the order of InsGpsGyro
+    if MODELS[model].tilts is not None:
+        start += tilt.numbers if tilt else [0.0] * NUMBERS
     events = [
         (z[0], 0, "fix", z) for z in _fixes(drive.gps, heading)
     ]  # a fix precedes a sample of the same time
@@ -212,7 +215,7 @@ def _texts_of_heading(used: bool) -> dict[str, str]:
 def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
     tilted = MODELS[p.model].tilts is not None
     axes = ["ax", "ay", *(["az", "gx", "gy"] if tilted else []), "yaw_rate"]
-    turning = [axis for axis in axes if axis not in ("ay", "az")]
+    turning = [axis for axis in axes if axis != "az" and (tilted or axis != "ay")]
 
     def joined(names: list[str], form: str, separator: str = ", ") -> str:
         return separator.join(form.format(name) for name in names)

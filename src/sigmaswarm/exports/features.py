@@ -10,9 +10,9 @@ from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from types import ModuleType
 
-from sigmaswarm.drives import alignment, events, gyro_bias, standstill
+from sigmaswarm.drives import alignment, events, gyro_bias, standstill, tilt_evidence
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters import divergence, fuzzy, schedule, student, tilted
+from sigmaswarm.filters import divergence, fuzzy, schedule, student
 from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.models import MEASURED, MODELS, NOISE_OF, SENSORS
 from sigmaswarm.filters.parameters import FilterParameters
@@ -122,7 +122,7 @@ CONSTANTS: Mapping[ModuleType, str] = {
     schedule: "STANDSTILL_RATE_NOISE SLIP_GATE MOST_REJECTED",
     standstill: "BLOCK N_MEMORY",
     student: "ITERATIONS OUTLIERS OUTLYING OUTLIERS_SPAN",
-    tilted: "GRAVITY",
+    tilt_evidence: "GRAVITY FORWARD_STD LEFT_STD SPEED_ERROR",
 }
 
 

@@ -129,7 +129,7 @@ class StateCheck:
         for dt, *imu in self.since():
             mean = planar5(mean, dt, np.array(imu) - biases)
         sound = np.isfinite(mean).all() and np.isfinite(aligned.covariance).all()
-        return InitialState(mean, aligned.covariance, self.time, gyro) if sound else None
+        return replace(aligned, mean=mean, time=self.time) if sound else None
 
 
 class DivergenceMonitor:
@@ -261,7 +261,8 @@ def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -
         return None
     if alignment is None or alignment.gyro is None or not gyro_bias:
         return alignment
-    return replace(alignment, gyro=alignment.gyro.with_bias(gyro_bias))
+    tilt = alignment.tilt and alignment.tilt.with_bias(gyro_bias)
+    return replace(alignment, gyro=alignment.gyro.with_bias(gyro_bias), tilt=tilt)
 
 
 def state_at_fix(time: float, fix: Array, variance: Array, theta: float, lever: Array) -> InitialState:

@@ -1,20 +1,24 @@
 """Initial state, constants of the measurements, and required data, shared by all forms of a filter."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
+from typing import TypeVar
 
 import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.gyro_bias import GyroBiasEvidence, stack_evidence
+from sigmaswarm.drives.gyro_bias import GyroBiasEvidence
+from sigmaswarm.drives.tilt_evidence import TiltEvidence
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters import tilted
 from sigmaswarm.filters.fix_error import FILTERS, add_start, known_states
 from sigmaswarm.filters.models import MODELS, NOISE_OF, SENSORS, THETA, CarModel
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 
+Evidence = TypeVar("Evidence", GyroBiasEvidence, TiltEvidence)
 STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2  # rad2/s2, variance of the gyro's reading around its bias
 SLIP_GATE = 9.0
 """Largest accepted NIS of a wheel speed: three sigmas. Slipping or locked wheels have equal errors for seconds, so even
@@ -103,8 +107,8 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
     """Return means (m, r, n) and covariances (m, r, n, n) for m starts and std of shape (r, 3).
 
     All starts have the same number of states. States that a start lacks begin at 0, with the standard deviation ``std``
-    of a bias or the state's ``start_std``. Gyro biases observed at the start are included: see
-    `GyroBiasEvidence.update`.
+    of a bias or the state's ``start_std``. Evidence of the alignment is included: see
+    `GyroBiasEvidence.update` and `add_tilt_evidence`.
     """
     n = len(model.states)
     known = known_states(n, len(initial[0].mean))
@@ -121,19 +125,29 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
             covariance[..., i, i] = state.start_std**2
     if model.gyro_places:
         gyro = std[:, sensors.index("gyro")]
-        for some, seen in _seen(initial):
+        for some, seen in _stacked([start.gyro for start in initial]):
             seen.update(mean[some], covariance[some], model.gyro_places, gyro)
+    if model.tilts:
+        for some, seen in _stacked([start.tilt for start in initial]):
+            tilted.add_tilt_evidence(mean[some], covariance[some], seen)
     if model.fix_error and known < n:
         add_start(mean, covariance, std[:, 2] ** 2)
     return mean, covariance
 
 
-def _seen(initial: Sequence[InitialState]) -> list[tuple[slice, GyroBiasEvidence]]:
-    """Return gyro observations, each with the indices of its starts; a single one if every start has an observation."""
-    each = [(k, start.gyro) for k, start in enumerate(initial) if start.gyro is not None]
-    if len(each) == len(initial):
-        return [(slice(None), stack_evidence([seen for _, seen in each]))]
-    return [(slice(k, k + 1), seen) for k, seen in each]
+def _stacked(evidence: Sequence[Evidence | None]) -> list[tuple[slice, Evidence]]:
+    """Stack the evidence of m starts for means (m, r, n), with arrays (m, 1, ...); also return its starts.
+
+    If starts lack evidence, that of each other start is returned alone.
+    """
+    each = [(k, one) for k, one in enumerate(evidence) if one is not None]
+    if each and len(each) == len(evidence):
+        of = {
+            name: np.array([getattr(one, name) for _, one in each])[:, np.newaxis]
+            for name in vars(each[0][1])
+        }
+        return [(slice(None), replace(each[0][1], **of))]
+    return [(slice(k, k + 1), one) for k, one in each]
 
 
 def process_noise_per_step(p: FilterParameters, nominal_interval: float) -> Array:

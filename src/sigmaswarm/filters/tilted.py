@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sigmaswarm.drives.tilt_evidence import FORWARD_STD, GRAVITY, TiltEvidence
 from sigmaswarm.geodesy import Array, wrap_angle
 
-GRAVITY = 9.81  # m/s2
 ATTITUDE = (8, 9, 4)  # indices of the error about east, north and up; also of roll, pitch and theta
 ACCEL_BIAS, GYRO_BIAS = (5, 6), (10, 11, 7)  # indices: forward, left; about forward, left, up
 STEP_FIRST, MEASURED_FIRST = (7, 10, 11, 4, 8, 9), (4, 8, 9)
@@ -258,6 +258,45 @@ class States:
 
     def jacobian(self, state: Array) -> Array:
         return np.eye(len(state))[[*self.places]]
+
+
+def add_tilt_evidence(mean: Array, covariance: Array, seen: TiltEvidence) -> None:
+    """Update means (..., n) and covariances (..., n, n) of level starts with the evidence of an alignment, in place.
+
+    Two Kalman updates with the mean specific force, forward and left. The alignment's state depends on the forward
+    force: the distribution of this force that the alignment assumed is replaced by that after the update.
+    """
+    roll, pitch, theta = ATTITUDE
+    turn, drift = np.asarray(seen.turn) * np.exp(-1j * mean[..., theta]), np.asarray(seen.drift)
+    rows: Array = np.zeros((2, *mean.shape))
+    change: Array = np.zeros((2, *mean.shape))
+    tilts = (roll, turn), (pitch, 1j * turn), (GYRO_BIAS[0], drift), (GYRO_BIAS[1], 1j * drift)
+    for place, tilt in tilts:
+        rows[0, ..., place], rows[1, ..., place] = -GRAVITY * np.imag(tilt), GRAVITY * np.real(tilt)
+    rows[0, ..., ACCEL_BIAS[0]] = rows[1, ..., ACCEL_BIAS[1]] = 1.0
+    rows[1, ..., GYRO_BIAS[2]] = -np.asarray(seen.speed)
+    change[0, ..., :5] = seen.change
+    for axis in range(2):
+        h, d = rows[axis, ...], change[axis, ...]
+        gain, force = _times(covariance, h), np.sum(h * mean, axis=-1)
+        s = np.sum(h * gain, axis=-1) + (FORWARD_STD**2 if axis == 0 else 0.0)
+        share = s / (s + seen.variance[..., axis])  # of the measured force
+        after = force + share * (seen.force[..., axis] - force)
+        mean += gain * ((after - force) / s)[..., None] + d * (after - seen.assumed)[..., None]
+        left = gain * (1.0 - share)[..., None]  # covariance with the force after the update
+        spread = s * (1.0 - share) - seen.assumed_variance
+        covariance -= _outer(gain, gain * (share / s)[..., None]) - _outer(left, d) - _outer(d, left)
+        covariance += _outer(d, d * spread[..., None])
+    e = (mean[..., roll] + 1j * mean[..., pitch]) * np.exp(-1j * mean[..., theta])
+    mean[..., roll], mean[..., pitch] = e.real, e.imag
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    return np.einsum("...ij,...j->...i", matrix, vector)
+
+
+def _outer(a: Array, b: Array) -> Array:
+    return a[..., :, None] * b[..., None, :]
 
 
 @np.errstate(all="ignore")  # a failed filter has no finite values

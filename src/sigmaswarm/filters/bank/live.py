@@ -362,7 +362,7 @@ class LiveFilterBank(LiveFilter):
         biases = self._biases
         rows, state = self._rows_of(self._numbers), state_rows(self._kernel)
         of_state = state[:, np.newaxis], np.array(lanes)
-        rows[of_state] = self._started(replace(start, gyro=None))[of_state]
+        rows[of_state] = self._started(replace(start, gyro=None, tilt=None))[of_state]
         for i in biases:
             rows[i, lanes] = mean[i]
             for j in biases[: biases.index(i) + 1]:
