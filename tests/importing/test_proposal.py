@@ -333,3 +333,17 @@ def test_columns_without_names_are_recognized_by_their_values(tmp_path: Path, or
     for name in ("ax", "az", "gz"):
         np.testing.assert_allclose(getattr(drive.imu, name), getattr(imu, name), atol=2e-3)
     np.testing.assert_allclose(np.ptp(drive.gps.x), np.ptp(gps.x), rtol=0.01)
+
+
+def test_rates_of_an_unknown_unit_are_not_imported(tmp_path: Path):
+    """Without turns, the log does not show the scale of raw counts."""
+    drive = simulate("accelerate", run=1, imu_rate=50.0, gps="white-1m", imu="icm-20602")
+    imu, gps, per = drive.imu, drive.gps, 131 * 180 / np.pi
+    lat, lon, _ = enu_to_geodetic(np.column_stack([gps.x, gps.y, 0 * gps.x]), (50.0, 8.0, 100.0)).T
+    columns = {"t": imu.time, "fwd acc": imu.ax, "left acc": imu.ay, "up acc": imu.az}
+    rates = {"roll gyro": imu.gx, "pitch gyro": imu.gy, "yaw gyro": imu.gz}
+    columns |= {name: np.round(v * per) for name, v in rates.items()}
+    pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
+    pl.DataFrame({"t": gps.time, "lat": lat, "lon": lon}).write_csv(tmp_path / "gps.csv")
+    seen = inspect_request(Request(tmp_path / "imu.csv", gps=tmp_path / "gps.csv"))
+    assert not seen.works and "the doctor still finds gyro-unit" in seen.evidence
