@@ -115,7 +115,7 @@ def test_errors_show_position_and_heading_over_time():
     position, heading = figure.axes
     assert position.get_ylabel() == "position error, m"
     assert position.get_yscale() == "log"
-    assert (heading.get_ylabel(), heading.get_xlabel()) == ("heading error, deg", "time, s")
+    assert (heading.get_ylabel(), heading.get_xlabel()) == ("heading error, deg", "time t, s")
     assert position.get_title(loc="left") == "monday: error against truth"
     assert labels(figure) == {
         "3 sigma of the tuned UKF",
