@@ -33,7 +33,7 @@ FIXED_OFFSETS = (
 WARNING_OFFSET, WARNING_AXLE_OFFSET = 0.5, 0.5  # largest offsets without a warning, decades and m
 _MEANS = {
     R: "R is {times}, which indicates a different receiver",
-    SCALE: "the common scale of all variances is {times}, which indicates a tuning that ignored the covariance",
+    SCALE: "all variances together are {times}, which indicates a tuning that ignored the covariance",
     **dict.fromkeys(
         NOISE_OF, "the noise of {name} is {times}, which indicates a different vehicle or mounting"
     ),
