@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment_fit import AlignmentFit, InitialState, integral_at
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.gyro_bias import CONTRADICTS, MOST_BIAS, GyroBiasEvidence
+from sigmaswarm.drives.gyro_bias import CONTRADICTS, MAX_BIAS, GyroBiasEvidence
 from sigmaswarm.drives.stale_fixes import stale_fixes
 from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.drives.tilt_evidence import Motion
@@ -215,7 +215,7 @@ class Alignments:
         seen = self._drive, *self._integrals, self.time[window], self._position[window]
         try:
             fit = AlignmentFit.of(*seen)
-            if CONTRADICTS * fit.yaw_std < abs(fit.yaw_bias) < MOST_BIAS:
+            if CONTRADICTS * fit.yaw_std < abs(fit.yaw_bias) < MAX_BIAS:
                 for _ in range(REFITS):
                     fit = AlignmentFit.of(*seen, fit.yaw_bias)
         except np.linalg.LinAlgError:  # a value was not finite
@@ -242,7 +242,7 @@ class Alignments:
             return None
         fit = fit.with_bias_variance(share * fit.bias_std**2)
         far = fit.travel >= max(SLOW_TRAVEL, SLOW_SPEED * fit.span) and fit.misfit <= MAX_MISFIT * fit.travel
-        usable = far and fit.heading_std <= SLOW_HEADING_STD and abs(fit.yaw_bias) < MOST_BIAS
+        usable = far and fit.heading_std <= SLOW_HEADING_STD and abs(fit.yaw_bias) < MAX_BIAS
         return fit.state(self._motion(k, fit.taken), tilts=False) if usable else None
 
     def _motion(self, k: int, taken: float) -> Motion | None:

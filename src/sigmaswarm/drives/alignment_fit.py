@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.gyro_bias import LEAN_STD, MOST_BIAS, TURN_SHARE, UP, YAW_STD, GyroBiasEvidence
+from sigmaswarm.drives.gyro_bias import MAX_BIAS, TILT_CHANGE_STD, TURN_SHARE, UP, YAW_STD, GyroBiasEvidence
 from sigmaswarm.drives.tables import Imu
 from sigmaswarm.drives.tilt_evidence import Motion, TiltEvidence
 from sigmaswarm.geodesy import wrap_angle
@@ -194,8 +194,8 @@ class AlignmentFit:
         bias, variance = np.append(np.zeros(2), self.yaw_bias), np.append(np.full(2, np.inf), self.yaw_std**2)
         if moved is not None:
             rates = (moved.leaned[-1] - moved.leaned[0]) / self.span
-            bias[:UP], variance[:UP] = (rates.real, rates.imag), (LEAN_STD / self.span) ** 2
-        if abs(self.yaw_bias) > MOST_BIAS:  # the bias is unknown
+            bias[:UP], variance[:UP] = (rates.real, rates.imag), (TILT_CHANGE_STD / self.span) ** 2
+        if abs(self.yaw_bias) > MAX_BIAS:  # the bias is unknown
             bias[UP], variance[UP] = self.taken, np.inf
         return GyroBiasEvidence(bias, variance, self.taken, turns)
 

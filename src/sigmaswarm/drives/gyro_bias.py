@@ -14,19 +14,19 @@ from sigmaswarm.drives.tables import Array
 
 UP = 2  # axis of the rate about the vertical
 CONTRADICTS = 5.0  # standard deviations; an alignment subtracts a larger bias about the vertical axis
-STRANGE = 1e-5
+OUTLIER_PROBABILITY = 1e-5
 """Prior probability that the gyro is far worse than that used for tuning; a bias of five sigmas confirms that the gyro
 is worse.
 
 With 1e-3, the standard deviation of a good gyro's bias would increase by 0.07 deg/s.
 """
-STRANGE_STD = 0.2  # rad/s, deviation of a far worse gyro's bias; an uncalibrated MPU-6050 may have 20 deg/s
+OUTLIER_STD = 0.2  # rad/s, deviation of a far worse gyro's bias; an uncalibrated MPU-6050 may have 20 deg/s
 YAW_STD = np.radians(1.0)  # rad/s, smallest deviation of the bias, since cars slip and receivers smooth
 TURN_SHARE = 0.3  # share of a turn's mean rate that may look like a bias, since fixes lag and the car slips
-LEAN_STD = np.radians(
+TILT_CHANGE_STD = np.radians(
     8.0
 )  # rad, standard deviation of changes of roll and pitch in a few seconds, as on hills
-MOST_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that suggest a larger bias have jumped
+MAX_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that suggest a larger bias have jumped
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,15 +53,15 @@ class GyroBiasEvidence:
         """Update ``mean`` (..., n) and ``covariance`` (..., n, n) of the states at the start, in place.
 
         The bias follows from two measurements: 0 with standard deviation ``std`` (...), rad/s, and the observed bias.
-        Alternatively, the gyro is far worse (`STRANGE`, `STRANGE_STD`). The two cases are weighted by the likelihood of
-        all axes. ``places`` maps each axis, 0 to 2, with an estimated bias to its state.
+        Alternatively, the gyro is far worse (`OUTLIER_PROBABILITY`, `OUTLIER_STD`). The two cases are weighted by the
+        likelihood of all axes. ``places`` maps each axis, 0 to 2, with an estimated bias to its state.
         """
         std, axes = np.asarray(std)[..., None], [*places]
-        usual, strange = (self._measured(each, axes) for each in (std, np.array([STRANGE_STD])))
-        odds = np.log(STRANGE / (1 - STRANGE)) + strange[2] - usual[2]
+        usual, outlier = (self._measured(each, axes) for each in (std, np.array([OUTLIER_STD])))
+        odds = np.log(OUTLIER_PROBABILITY / (1 - OUTLIER_PROBABILITY)) + outlier[2] - usual[2]
         share = 1.0 / (1.0 + np.exp(np.clip(-odds, -700.0, 700.0)))
-        bias = (1 - share) * usual[0] + share * strange[0]
-        parts = [each[1] + (each[0] - bias) ** 2 for each in (usual, strange)]
+        bias = (1 - share) * usual[0] + share * outlier[0]
+        parts = [each[1] + (each[0] - bias) ** 2 for each in (usual, outlier)]
         variance = (1 - share) * parts[0] + share * parts[1]
         for k, (axis, place) in enumerate(places.items()):
             mean[..., place], covariance[..., place, place] = bias[..., k], variance[..., k]

@@ -250,8 +250,8 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
     derived: dict[str, float | None] = {
         "PER_ODOMETER_SCALE": None if p.odometer_noise is None else 1.0 / p.odometer_scale,
         "PATIENCE": (OUTLIERS_SPAN - 1e-6) / interval,
-        "LOST_AFTER": divergence.DIVERGED_AFTER,
-        "FEWEST_LOOKS": divergence.MIN_CHECKS,
+        "DIVERGED_AFTER": divergence.DIVERGED_AFTER,
+        "MIN_CHECKS": divergence.MIN_CHECKS,
         "SLOTS": round(1.0 / odometer.INTERVAL),
         "BLOCKS": round(1.0 / standstill.BLOCK),
         "HISTORY": max(1, math.ceil(1.0 / interval)),  # default of LiveFilter
