@@ -1,10 +1,12 @@
-"""Check the prose of README, docs, docstrings, messages and the changelog's first version: `make check` runs it.
+"""Check the prose of README, CONTRIBUTING, docs, docstrings, messages and the changelog's first version.
+
+`make check` runs it.
 
     python tests/prose.py                  # print what breaks a rule; exit code 1 if anything does
     python tests/prose.py --sample 3000 --seed 1   # draw words to read as an editor
 
-A sample has equal parts of README, docs, help and messages, and docstrings. Rules are constructions, sentence length
-and headings. An option or a file may be called anything: code is skipped.
+A sample has equal parts of README and CONTRIBUTING, docs, help and messages, and docstrings. Rules are constructions,
+sentence length and headings. An option or a file may be called anything: code is skipped.
 """
 
 import argparse
@@ -48,8 +50,9 @@ Text = tuple[str, int, str]  # file, line, paragraph
 
 
 def pages() -> Iterator[Path]:
-    """Yield README and the pages of docs."""
+    """Yield README, CONTRIBUTING and the pages of docs."""
     yield ROOT / "README.md"
+    yield ROOT / "CONTRIBUTING.md"
     generated = {ROOT / "docs/_build", ROOT / "docs/reference/generated"}
     yield from (p for p in sorted((ROOT / "docs").rglob("*.md")) if not generated & set(p.parents))
 
@@ -137,8 +140,15 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     changes = (ROOT / "CHANGELOG.md").read_text().split("\n## ")[1]
-    readme, *docs = ([*paragraphs(page.read_text(), str(page.relative_to(ROOT)))] for page in pages())
-    parts = [readme, [*chain(*docs)], [*docstrings(cli=True), *messages()], [*docstrings(cli=False)]]
+    readme, contributing, *docs = (
+        [*paragraphs(page.read_text(), str(page.relative_to(ROOT)))] for page in pages()
+    )
+    parts = [
+        [*readme, *contributing],
+        [*chain(*docs)],
+        [*docstrings(cli=True), *messages()],
+        [*docstrings(cli=False)],
+    ]
     if options.sample:
         for part in parts:
             part = [

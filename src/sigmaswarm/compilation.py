@@ -60,7 +60,7 @@ class FunctionRecipe:
 
 
 def cached(function: Callable[..., Any] | FunctionRecipe | None = None, **options: Any) -> Any:
-    """Compile with `numba.njit`, and cache the machine code if there is a safe folder."""
+    """Compile with `numba.njit`, and cache the machine code if a folder exists that no other user can write to."""
     if function is None:
         return lambda function: cached(function, **options)
     if config.DISABLE_JIT:

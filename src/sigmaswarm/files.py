@@ -305,7 +305,7 @@ class _Part(io.FileIO):
 def _staging(path: Path, named: Path | None = None) -> Generator[Path]:
     """Yield a free, hidden path next to ``path`` with a locked lock file; remove its remains at the end.
 
-    An error that names the hidden path, or no path, is raised as an error of ``named``.
+    An `OSError` that names the hidden path, or no path, is raised again as one that names ``named``.
     """
     _sweep(path.parent.resolve())
     stem = path.name.encode()[:200].decode(errors="ignore")  # names end at 255 bytes

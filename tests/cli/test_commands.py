@@ -115,7 +115,7 @@ def test_the_help_states_what_happens_to_earlier_results(command: str):
 )
 def test_a_drift_larger_than_the_baseline_s_names_a_safe_step(particles: int, inflation: float, remedy: str):
     forecasts = [DriftComparison(5.0, 1.0, 2.0, 9.0), DriftComparison(30.0, 7.13, 6.36, 59.4)]
-    config = TuneConfig(particles=particles)
+    config = TuneConfig(particles=particles, objective="innovation-t")
     tuned = SimpleNamespace(
         **{"forecasts": forecasts, "inflation_factor": inflation, "config": config, "trial_costs": [1.0]},
         **{
@@ -126,7 +126,9 @@ def test_a_drift_larger_than_the_baseline_s_names_a_safe_step(particles: int, in
             "validation": None,
         },
     )
-    (said,) = (line for line in _costs(tuned) if "drifts MORE than the baseline" in str(line))
+    lines = [*map(str, _costs(tuned))]
+    assert lines[0] == "cost 1.0000 nats per fix (innovation-t) on 1 drive" or inflation != 1.0
+    (said,) = (line for line in lines if "drifts MORE than the baseline" in line)
     assert said.endswith(f"; {remedy}")
     tuned.forecasts = forecasts[:1]
     assert "; tune" not in " ".join(map(str, _costs(tuned)))
@@ -478,7 +480,7 @@ def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, 
     said = sigmaswarm("run", tuned, "stood", "--out", "e.csv", "--before", "f.csv").out
     earlier = pl.read_csv("e.csv")["t"][0] + 8.0
     assert (
-        f"the first {earlier:.1f} s have no estimate, since a filter starts at the first fix before which"
+        f"the first {earlier:.1f} s have no estimate, since a filter starts at the first fix that follows 20 m"
         in said
     )
     assert f"wrote f.csv: {len(pl.read_csv('f.csv'))} fixes before the start" in said
@@ -494,7 +496,7 @@ def test_split_in_time(sigmaswarm, drives: Path, here: Path):
     assert train.imu.time[-1] < 15 <= test.imu.time[0]
     assert len(train.imu) + len(test.imu) == len(read_drive(drives / "urban-clear-00").imu)
     refused = sigmaswarm("split", drives / "urban-clear-00", "--out", "few", "--at", 29.9)
-    assert refused.code == 2 and "fixes are too few for a drive" in refused.err and not Path("few").exists()
+    assert refused.code == 2 and "fixes is too short for a drive" in refused.err and not Path("few").exists()
     for time in re.search(r"from ([\d.]+) to ([\d.]+) s", refused.err).groups():
         assert (
             sigmaswarm("split", drives / "urban-clear-00", "--out", "few", "--at", time, "--overwrite").code

@@ -36,6 +36,7 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
     assert ended.out.startswith("urban-clear-00: no serious fault")
     assert "2000 IMU samples at 50 Hz" in ended.out
     assert "\nnext: sigmaswarm plot fine\nthen: sigmaswarm split fine --out parts\n" in ended.out
+    assert "evaluation, do not split; instead: sigmaswarm tune fine --out tuned)\n" in ended.out
     for used in ("parts", "tuned", "tuned-2"):
         Path(used).mkdir()
     said = sigmaswarm("doctor", "fine").out

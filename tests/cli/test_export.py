@@ -30,7 +30,7 @@ def test_export_names_what_it_wrote(sigmaswarm: Command, tuned: Path, here: Path
     assert json.loads(ended.out) == {"written": ["py/run_filter.py"]}
 
 
-def test_c_of_a_tuning_with_a_mounting_says_so(sigmaswarm: Command, tuned: Path, here: Path):
+def test_c_of_a_tuning_with_a_mounting_says_so(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
     def mounted(*angles: float) -> str:
         content = tomllib.loads(tuned.read_text())
         data = [{"name": "monday", "imu_mounting_deg": angles}]
@@ -38,7 +38,11 @@ def test_c_of_a_tuning_with_a_mounting_says_so(sigmaswarm: Command, tuned: Path,
         return "tuning.toml"
 
     said = sigmaswarm("export", mounted(0.0, 10.5, 90.0), "--to", "c99", "--out", "c").out
-    assert "by the mounting of the training drives (0, 10.5, 90 deg)" in said
+    assert "the mounting of the training drives (roll, pitch, yaw: 0, 10.5, 90 deg)\nnext: " in said
+    replayed = sigmaswarm(
+        "export", "tuning.toml", "--to", "c99", "--out", "r", "--replay", drives / "urban-clear-00"
+    ).out
+    assert "deg). The samples in replay.csv are rotated already\nnext: " in replayed
     assert "ins_gps_turn_imu" in Path("c/ins_gps.c").read_text()
     assert "ins_gps_turn_imu" not in sigmaswarm("export", tuned, "--to", "c99", "--out", "d").out
     ended = sigmaswarm("export", mounted(0.0, np.nan, 90.0), "--to", "c99", "--out", "e")

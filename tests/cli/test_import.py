@@ -360,7 +360,7 @@ def test_rows_are_counted_as_show_proposes(sigmaswarm: Command, here: Path):
     columns = {"ax": drive.imu.ax, "ay": drive.imu.ay, "gz": drive.imu.gz, **fixes}
     pl.DataFrame(columns).write_csv(here / "log.csv")
     said = sigmaswarm("import", "log.csv", "--show").out
-    assert "for 100 Hz with --time row/100\n" in said
+    assert "compute it from the row number, for example --time row/100 for 100 Hz\n" in said
     said = sigmaswarm("import", "log.csv", "--show", "--time", "row/50").out
     assert "next: sigmaswarm import log.csv --time row/50 --out drive\n" in said and "50 Hz" in said, said
     assert sigmaswarm("import", "log.csv", "--out", "drive", "--time", "row/50").code == 0
@@ -395,7 +395,7 @@ def test_show_proposes_mount_auto_if_gravity_is_not_on_z(
     said = sigmaswarm("import", "log.csv", "--show").out
     (command,) = re.findall(r"next: (sigmaswarm .*)\n", said)
     assert command == f"sigmaswarm import log.csv --out drive {f'--mount {mount}' if mount else ''}".rstrip()
-    assert ("; --mount auto finds the rotation" in said) == (mount == "auto")
+    assert ("; --mount auto estimates the rotation" in said) == (mount == "auto")
     assert "gravity" not in sigmaswarm("import", "log.csv", "--show", "--mount", "0,0,90").out
 
 
@@ -423,10 +423,10 @@ def test_what_was_read_from_which_column_is_said_without_show(sigmaswarm: Comman
     np.savetxt(log / "receiver.csv", fixes, "%.3f", ",", header="stamp_ms,east_m,north_m", comments="")
     ended = sigmaswarm("import", "log", "--out", "drive", "--map", "gz=1.0*gyro_z")
     assert ended.code == 0, ended.err
-    told = [line for line in ended.out.splitlines() if line.startswith("read: ")]
+    told = [line for line in ended.out.splitlines() if line.startswith("read ")]
     assert told == [
-        "read: imu of inertial.csv: t=stamp_ms*1e-3, ax=acc_x_g*9.80665, ay=acc_y_g*9.80665, gz=1.0*gyro_z",
-        "read: gps of receiver.csv: t=stamp_ms*1e-3, x=east_m, y=north_m",
+        "read imu from inertial.csv: t=stamp_ms*1e-3, ax=acc_x_g*9.80665, ay=acc_y_g*9.80665, gz=1.0*gyro_z",
+        "read gps from receiver.csv: t=stamp_ms*1e-3, x=east_m, y=north_m",
     ]
     said = json.loads(sigmaswarm("import", "log", "--out", "d2", "--map", "gz=1.0*gyro_z", "--json").out)
     assert tomllib.loads(said["recipe"])["imu"][0]["gz"] == "1.0*gyro_z"
@@ -508,7 +508,11 @@ def test_what_is_next_follows_the_findings(sigmaswarm: Command, here: Path, doct
     assert "[mounting]" in told and "assumed" not in told and "points down" not in told
     assert "next: sigmaswarm doctor drive --fix mended " in told
     told = sigmaswarm(*log, "right", "--mount", "auto").out
-    assert "was found in the log" in told and "assumed" not in told and "next: sigmaswarm plot right" in told
+    assert (
+        "was estimated from the log" in told
+        and "assumed" not in told
+        and "next: sigmaswarm plot right" in told
+    )
     told = sigmaswarm("split", "drive", "--out", "parts").out
     assert "next: sigmaswarm doctor drive --fix mended " in told
     quick = "--particles", "2", "--generations", "1", "--model", "planar5"

@@ -284,10 +284,23 @@ def test_an_imu_in_someones_hand_at_an_end_is_cut_off(
     if kept is None:
         return
     finding = found["mounting-handled"]
+    ends = (sick.imu.time[0], kept[0]) if kept[0] else (kept[1], sick.imu.time[-1])
+    assert finding.span == pytest.approx(ends, abs=1.1)
     mended = repaired(sick, sigmaswarm.diagnose(sick))
     for time in (mended.imu.time, mended.gps.time):
         np.testing.assert_allclose(time[[0, -1]], kept, atol=1.1)
     assert finding.repair and "mounting-handled" not in sigmaswarm.diagnose(mended).codes
+
+
+def test_an_imu_in_someones_hand_at_both_ends_has_a_finding_and_a_repair_for_each():
+    drive = drive_of("icm-20602", "hilly")
+    sick = handled(handled(drive, 2.0, 2.525, "y"), 148.0, 148.525, "x")
+    findings = [f for f in sigmaswarm.diagnose(sick).findings if f.code == "mounting-handled"]
+    first, last = sick.imu.time[[0, -1]]
+    spans = [time for finding in findings for time in finding.span]
+    assert spans == pytest.approx((first, 2.5, 148.0, last), abs=1.1)
+    mended = repaired(sick, sigmaswarm.diagnose(sick))
+    np.testing.assert_allclose(mended.imu.time[[0, -1]], (2.5, 148.0), atol=1.1)
 
 
 def test_accelerations_without_gravity_show_no_moved_imu():

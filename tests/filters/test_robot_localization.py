@@ -315,8 +315,11 @@ def test_constants_and_start_stand_in_their_rows():
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"velocity_noise": 0.1}, "robot-localization has no velocity_noise; leave it out"),
-        ({"robust_dof": 4.0, "gate": None}, "robot-localization has no robust_dof; leave it out"),
+        ({"velocity_noise": 0.1}, "robot-localization does not have the option velocity_noise; leave it out"),
+        (
+            {"robust_dof": 4.0, "gate": None},
+            "robot-localization does not have the option robust_dof; leave it out",
+        ),
         ({"latency": 0.1}, "set smooth_lagged_data if fixes are late"),
     ],
 )

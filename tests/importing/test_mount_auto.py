@@ -34,7 +34,7 @@ def test_the_mounting_is_found(tmp_path: Path, roll: float, pitch: float, yaw: f
     drive = sigmaswarm.simulate("urban", duration=120, gps="white-1m", run=4)
     rotation = Rotation.from_euler("xyz", (roll, pitch, yaw), degrees=True).as_matrix()
     log = log_of(replace(drive, imu=rotate_imu(drive.imu, rotation.T)), tmp_path / "log")
-    with pytest.warns(sigmaswarm.SigmaswarmWarning, match="was found in the log"):
+    with pytest.warns(sigmaswarm.SigmaswarmWarning, match="was estimated from the log"):
         made = sigmaswarm.import_log(log / "imu.csv", gps=log / "fixes.csv", mount="auto")
     assert np.sqrt(np.mean((made.imu.ax - drive.imu.ax) ** 2)) < 9.81 * np.sin(np.radians(5))
     assert made.imu.az is not None

@@ -349,7 +349,7 @@ def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
             for i, column in enumerate(table.columns):
                 assert any(row[i] is not None for row in table.rows), column
     scores, spread = report.sections[1].tables
-    assert " sets; in a single set it is" in report.lead[0]
+    assert " random placements; for a single placement it is" in report.lead[0]
     titles = [title for s in (1, 5) for title in ("outages", f"{s} s outage drift", "a single set")]
     assert [c.title for c in spread.columns[2:]] == titles
     for row in spread.rows:

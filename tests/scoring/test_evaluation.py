@@ -117,9 +117,9 @@ def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(ev
     assert told.each["tuned"][0] == pytest.approx(first, rel=1e-12)
     said = evaluate(drive, GOOD).record.describe_drift("outage_drift_m")
     low, high = told.spread("tuned") or (np.nan, np.nan)
-    of = f"The drift is the RMS over {told.outages} outages in 8 sets"
+    of = f"The drift is the RMS error over {told.outages} outages in 8 random placements"
     few = ". All outages are on one short stretch; the drift on another stretch may be far larger"
-    assert said == f"{of}; in a single set it is {low:.3g} to {high:.3g} m{few}"
+    assert said == f"{of}; for a single placement it is {low:.3g} to {high:.3g} m{few}"
     two = {each: {"outage_drift_m": told.model_copy(update={"outages": 8})} for each in (name, "drive-1")}
     said = evaluation.record.model_copy(update={"drifts": two}).describe_drift("outage_drift_m")
     assert ". All outages are on one short stretch of each drive; the drift" in said

@@ -36,8 +36,8 @@ def recorded(nis: float, next_one: float) -> Consistency:
         (2.0, 0.4, "0.5 m RMS or more, estimated from the filter's covariance"),
         (3.0, 0.0, "more than the 0.5 m RMS that the filter estimates. The fixes, with their own errors,"),
         (1.7, 0.0, "0.5 m RMS or somewhat less, estimated from the filter's covariance"),
-        (1.7, 0.4, "not known, since there is no truth. It may be about 1.4 m"),
-        (0.2, 0.0, "not known, since there is no truth. It may be about 1.4 m"),
+        (1.7, 0.4, "unknown, since there is no truth. It may be as large as the error of a fix, 1.4 m RMS"),
+        (0.2, 0.0, "unknown, since there is no truth. It may be as large as the error of a fix, 1.4 m RMS"),
     ],
 )  # fmt: skip
 def test_how_far_off_without_truth_is_the_filters_word_held_against_the_fixes(
@@ -50,7 +50,7 @@ def test_a_log_that_shows_nothing_of_the_error_gets_no_figure():
     """The filter's own sigmas exceed what it expects of the fixes: the difference of the two is no error."""
     said = describe_position(recorded(0.2, 0.4).model_copy(update={"own_sigma": 1.6}))
     assert said.startswith(
-        "not known, since there is no truth. The filter estimates 1.6 m RMS, but the fixes"
+        "unknown, since there is no truth. The filter's covariance gives 1.6 m RMS, but it is not reliable"
     )
 
 

@@ -74,15 +74,15 @@ def test_the_cost_rises_by_the_inflation_and_no_more(inflation: float, model: st
 @pytest.mark.parametrize(
     ("model", "said"),
     [
-        ("planar5", "process-noise inflation multiplied all process noise variances by {:.3g}: "),
+        ("planar5", "process-noise inflation multiplied all process noise variances by {:.3g}, "),
         (
             "planar8",
-            "process-noise inflation multiplied all process noise variances except that of the gyro's bias by {:.3g}: ",
+            "process-noise inflation multiplied all process noise variances except that of the gyro's bias by {:.3g}, ",
         ),
         (
             "tilted12",
-            "process-noise inflation multiplied the random walks of biases by {:.3g} and the noise of position and "
-            "velocity by {:.3g}: ",
+            "process-noise inflation multiplied the variances of the biases' random walks by {:.3g} and the process "
+            "noise variances of position and velocity by {:.3g}, ",
         ),
     ],
 )
@@ -92,7 +92,7 @@ def test_it_is_kept_with_the_tuning(tmp_path, model: str, said: str):
     assert tuning.to_dict()["result"]["inflation_factor"] == tuning.inflation_factor
     said = said.format(tuning.inflation_factor, tuning.inflation_factor**0.5)
     (remark,) = (remark for remark in tuning.remarks if remark.startswith(said))
-    assert remark.endswith(": inflation is for other roads and IMUs (--inflation 0: none)")
+    assert remark.endswith("also works on other roads and with other IMUs; --inflation 0 turns it off")
     again = tune([town()], resume=True, **options)
     assert again.parameters == tuning.parameters
     assert not [remark for remark in tuning.remarks if "search longer" in remark]

@@ -132,7 +132,7 @@ def find_mounting(page: Any) -> None:
     """Follow the note."""
     page.get_by_text("press 'Find the mounting in the log'").wait_for()
     page.get_by_role("button", name="Find the mounting in the log").click()
-    page.get_by_text("deg was found in the log").wait_for()
+    page.get_by_text("deg was estimated from the log").wait_for()
     settle(page)
 
 

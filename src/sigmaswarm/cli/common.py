@@ -58,7 +58,7 @@ def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *
 
 
 def require_result_folder(out: Path, sources: "Iterable[Location | None]", kind: str, mark: str = "") -> None:
-    """Raise, before any work, if a folder has other files than a result of this kind, or is the folder of a source."""
+    """Raise `InputError` if a folder contains a source, or files other than an earlier result of this kind."""
     from sigmaswarm.errors import InputError
     from sigmaswarm.files import earlier_result
 

@@ -48,7 +48,7 @@ def doctor(
     """Check drives for wrong signs, units, axes, clocks, noise and gaps.
 
     The doctor compares the IMU with the motion of the fixes. It does not use truth. The exit code is 0 if there is no
-    serious fault, 1 if there is one, and 2 if a drive can't be read. If --fix is given, the faults of the copies count.
+    serious fault, 1 if there is one, and 2 if a drive can't be read. With --fix, it is that of the repaired copies.
 
     For example:
 

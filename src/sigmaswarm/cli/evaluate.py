@@ -83,10 +83,10 @@ def evaluate(
 ) -> None:
     """Evaluate a tuned filter on drives.
 
-    The filter is compared with the baseline filter and with a filter of the fixes alone. --against adds another filter.
-    If there is truth, the filter is also compared with raw GPS and with the IMU alone. If not, the scores are the
-    consistency of the innovations and the drift in simulated outages, measured at the hidden fixes. All methods start
-    at the same time from the same state. Use drives that the tuning did not use.
+    The filter is compared with the baseline filter and with a filter that uses only the fixes. --against adds another
+    filter. If there is truth, the filter is also compared with raw GPS and with the IMU alone. If not, the scores are
+    the consistency of the innovations and the drift in simulated outages, measured at the hidden fixes. All methods
+    start at the same time from the same state. Use drives that the tuning did not use.
 
     For example:
 

@@ -28,8 +28,8 @@ class ExportOptions:
     Attributes
     ----------
     to
-        filterpy: a Python script. c99: a C library. robot_localization: a YAML file, accurate only if tuned with
-        --model robot-localization.
+        c99: a C library. filterpy: a Python script (planar models). robot_localization: a YAML file (accurate only for
+        --model robot-localization).
     out
         Folder to write to. An earlier export, with the files built from it, is replaced; other files are kept.
     replay
@@ -62,13 +62,13 @@ def export(
 ) -> None:
     """Export a tuned filter as C, as a Python script or for robot_localization.
 
-    `sigmaswarm run` writes trajectories.
+    To write the estimates of a filter, use `sigmaswarm run`.
 
     For example:
 
-        sigmaswarm export tuned --to filterpy --out filter-py
         sigmaswarm export tuned --to c99 --out filter-c --replay drives/friday
         sigmaswarm export tuned --to c99 --out filter-c --check drives
+        sigmaswarm export tuned-planar8 --to filterpy --out filter-py
         sigmaswarm export tuned --to robot_localization --out filter-ros
         sigmaswarm export tuned --to robot_localization --out ekf --check drives/friday --against tuned-tilted12
     """
@@ -105,7 +105,9 @@ def export(
         print_lines(
             *(f"wrote {path}" for path in written), *(_describe(check, options.lanes) for check in checked)
         )
-        print_lines(*_mounting_notes(to, record), f"next: {next_command(to, out, texts)}")
+        print_lines(
+            *_mounting_notes(to, record, replay=drive is not None), f"next: {next_command(to, out, texts)}"
+        )
     for warning in record.unusable:  # the last line, since nothing else is as important
         warnings.warn(f"{tuning}: {warning.removeprefix(TO_DO)}", sigmaswarm.SigmaswarmWarning, stacklevel=1)
 
@@ -122,12 +124,13 @@ def _check_options(options: ExportOptions, *, ros: bool) -> None:
         )
 
 
-def _mounting_notes(target: AnyTarget, record: "TuningRecord") -> Iterator[str]:
+def _mounting_notes(target: AnyTarget, record: "TuningRecord", *, replay: bool) -> Iterator[str]:
     if record.mounting and target == "c99":
         angles = ", ".join(f"{angle:.4g}" for angle in record.mounting)
         yield (
-            "pass each IMU sample, in the axes of the import, to ins_gps_turn_imu(): it applies the mounting of the "
-            f"training drives (roll, pitch, yaw: {angles} deg). The samples in replay.csv are rotated already"
+            "pass each IMU sample, in the axes in which sigmaswarm import read it (README.md), to ins_gps_turn_imu(): "
+            f"it applies the mounting of the training drives (roll, pitch, yaw: {angles} deg)"
+            f"{'. The samples in replay.csv are rotated already' if replay else ''}"
         )
     if target != "filterpy" and record.mountings_differ:
         yield (

@@ -217,4 +217,5 @@ def next_steps(diagnosis: "Diagnosis", out: Path, part: str = "") -> Iterator[st
         yield "      (keep the other part for the evaluation)"
         return
     yield f"then: sigmaswarm split {shlex.quote(str(ready))} --out {free_path('parts')}"
-    yield "      (if you have another drive for the evaluation, do not split: run sigmaswarm tune on this drive)"
+    tune = f"sigmaswarm tune {shlex.quote(str(ready))} --out {free_path('tuned')}"
+    yield f"      (if you have another drive for the evaluation, do not split; instead: {tune})"

@@ -269,7 +269,7 @@ def _report(imported: "ImportResult", out: Path, diagnosis: "Diagnosis") -> Iter
     drive = imported.drive
     truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
     wheels = f", {len(drive.odometer)} of the odometer" if drive.odometer else ""
-    yield from (f"read: {printable(read, 1000)}" for read in imported.recipe.map_arguments())
+    yield from (f"read {printable(read, 1000)}" for read in imported.recipe.map_arguments())
     # a finding about the axes has a better remedy than an assumption
     assumed = (
         () if affects_axes(diagnosis) else imported.assumed or (() if imported.recipe.mount else (AXES_NOTE,))
@@ -298,12 +298,12 @@ def _show(request: "Request", options: ImportOptions) -> None:
 
 def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
     console = stdout()
+    print_lines("Lowest, median and highest value of each column in the first rows:")
     for preview in inspection.tables:
         rows = f", {preview.rows} rows" if preview.rows is not None else ""
         rate = f", {preview.rate:.4g} Hz" if preview.rate else ""
         console.print(f"{printable(preview.table)}: {printable(preview.kind)}{rows}{rate}", style="bold")
         print_lines(*_columns(preview))
-    print_lines("(lowest, median and highest value of each column in the first rows)")
     planned = "The recipe that import would use (save it with --save-recipe, change it with --map):"
     console.print(f"\n{planned}", style="bold")
     recipe = "\n".join(printable(line, 1000) for line in inspection.recipe.to_toml().split("\n"))

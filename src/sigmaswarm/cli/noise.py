@@ -28,7 +28,7 @@ class NoiseOptions:
     to
         Print the noise in the formats and units of these packages; with --out, write their files.
     out
-        Folder for the files of the packages, noise.png, noise.svg and noise.json; an earlier result is replaced.
+        Folder for noise.png, noise.svg, noise.json and the files for packages; an earlier result is replaced.
     recipe
         Recipe file that `sigmaswarm import --save-recipe` wrote.
     map

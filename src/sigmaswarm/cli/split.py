@@ -93,7 +93,7 @@ def _require_enough(whole: "sigmaswarm.Drive", parts: "Sequence[sigmaswarm.Drive
         )
         fixes = count_of(len(part.gps), "fix")
         raise sigmaswarm.InputError(
-            f"{part.name}: {part.duration:.1f} s with {fixes} are too few for a drive; {remedy}"
+            f"{part.name}: a part of {part.duration:.1f} s with {fixes} is too short for a drive; {remedy}"
         )
 
 

@@ -80,20 +80,19 @@ def tune(
         sigmaswarm tune drives/training --out tuned --validation drives/monday --trials 5
         sigmaswarm tune drives/training --out tuned --model planar5 --objective innovation-nll
         sigmaswarm tune drives/training --out tuned --start ekf.yaml
-        sigmaswarm tune drives/training --out tuned --racing
         sigmaswarm tune drives/training --out tuned --paper
         sigmaswarm tune drives/training --out tuned --resume
         sigmaswarm tune s3://fleet/training --out tuned --cluster tcp://scheduler:8786
 
-    Objectives of a search (default: truth-pose + 0.2 nees if all drives have truth, else innovation-t):
+    Objectives of a search (default: truth-pose + 0.2 nees if all drives have truth, otherwise innovation-t):
 
         truth-rmse      position error against truth
         truth-pose      errors of position and heading, and drift in outages
         innovation-nll  likelihood of each predicted fix, with normal errors
-        innovation-t    the same with Student's t errors, for outliers
+        innovation-t    the same with Student's t errors, for logs with outliers
         forecast-t      likelihood of fixes that are hidden for 3 to 5 s
         outage-rmse     error at fixes that are hidden for 3 to 5 s
-        nis, nees       penalty for a wrong scale of the covariance; add it to another
+        nis, nees       penalty for a wrong scale of the covariance; add it to another objective
         gps-rmse        distance of updated estimates to the fixes (paper)
 
     Values of --use:
@@ -178,7 +177,7 @@ def _remarks(tuning: "Tuning[Any]", track: "FirstTrack", given: Places) -> Itera
 
     folders = local_folders(given)
     if position := describe_first_track(track):
-        yield f"{position[0].lower()}{position[1:]}"
+        yield f"{position}."
     for remark in tuning.remarks[:MAX_REMARKS]:
         remark = name_files(remark, folders)
         yield remark if remark.startswith(TO_DO) else f"note: {remark}"
@@ -194,13 +193,15 @@ def _is_part(drive: "Drive") -> bool:
 
 def _costs(tuning: "Tuning[Any]") -> "Iterable[str | RichTable]":
     from sigmaswarm.tuning.diagnostics import drift_table, larger_drifts
+    from sigmaswarm.tuning.objectives import parse_objective
 
     before = tuning.trial_costs[tuning.best_trial]
     inflated = f"; {before:.4f} before process-noise inflation" if tuning.inflation_factor != 1.0 else ""
     on = count_of(len(tuning.data), "drive")
     if tuning.start_cost is not None:
         yield f"cost {tuning.start_cost:.4f} at the start"
-    yield f"cost {tuning.cost:.4f} ({tuning.config.objective}{inflated}) on {on}"
+    unit = " nats per fix" if parse_objective(tuning.config.objective).likelihood else ""
+    yield f"cost {tuning.cost:.4f}{unit} ({tuning.config.objective}{inflated}) on {on}"
     if tuning.config.racing:
         share = tuning.steps / tuning.full_steps
         yield f"racing: {tuning.steps} filter steps, {share:.0%} of the steps without racing"
@@ -248,7 +249,7 @@ def _evaluate(out: Path, drive: Path | None = None) -> str:
 
 
 def _next(out: Path, given: str, name: str, *, part: bool) -> tuple[str, list[str]]:
-    """Suggest the evaluation after tuning on one drive, and lines on how to split a whole drive and tune again."""
+    """Return the command that evaluates a filter tuned on one drive, and lines on splitting if it is a whole drive."""
     from sigmaswarm.drives.reader import drive_folders
     from sigmaswarm.drives.urls import is_url
 

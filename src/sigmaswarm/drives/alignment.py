@@ -27,7 +27,7 @@ MIN_TRAVEL = 20.0  # m within `MAX_DURATION`, for an accurate heading; requires 
 ALIGNMENT_FIXES = 4  # smallest number within `MAX_DURATION`; one fix every 3 s is not enough
 MIN_CHORD = 0.5 * MIN_TRAVEL  # m from the first to the last fix, a cheap test before the fit
 MAX_MISFIT = 0.3  # largest residual of an alignment / travel; fixes that jump have larger residuals
-MAX_HEADING_STD = np.radians(6.0)  # rad; with a larger deviation, the next fix is tried
+MAX_HEADING_STD = np.radians(6.0)  # rad; with a larger standard deviation, the next fix is tried
 REFITS = 3  # largest number of repeated fits, until the gyro bias has converged
 
 SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0  # s, windows for slow vehicles: no `MIN_TRAVEL` within `MAX_DURATION`
@@ -61,8 +61,8 @@ class StartFailure:
 def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     """Find the first time at which position, speed and heading are known.
 
-    The start is the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster), with at
-    least four fixes in that time. On a slower drive, it is the first fix after 10 m of travel in up to 90 s, or after
+    The start is the first fix that follows 20 m of forward driving in 4 to 6 s (12 km/h or faster), with at least
+    four fixes in that time. On a slower drive, it is the first fix after 10 m of travel in up to 90 s, or after
     more travel if the fixes are noisy. If the metadata have ``heading_deg`` (degrees counter-clockwise from east, at
     the first IMU sample), the start is the first fix. If the fixes have a column ``heading``, it is the first fix with
     a heading. The state depends only on earlier samples.

@@ -119,7 +119,7 @@ def _origin(value: Any, path: Path) -> Origin:
 
 
 def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
-    """Return the stated frame, which must agree with the columns, or else the frame of the columns."""
+    """Return the stated frame, which must agree with the columns; if none is stated, the frame of the columns."""
     description = gps.parent / "drive.toml"
     if stated not in (None, *POSITIONS):
         raise DriveError(

@@ -11,7 +11,7 @@ from sigmaswarm.drives.mounting import AXES_KEY, KEY, axes_of
 
 # For messages and pages, how `alignment` finds the start.
 START_RULE = (
-    "the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster; on a slower drive, 10 m "
+    "the first fix that follows 20 m of forward driving in 4 to 6 s (12 km/h or faster; on a slower drive, 10 m "
     "or more in up to 90 s), or at an earlier fix with a heading"
 )
 

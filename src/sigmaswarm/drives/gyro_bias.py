@@ -20,12 +20,13 @@ is worse.
 
 With 1e-3, the standard deviation of a good gyro's bias would increase by 0.07 deg/s.
 """
-OUTLIER_STD = 0.2  # rad/s, deviation of a far worse gyro's bias; an uncalibrated MPU-6050 may have 20 deg/s
-YAW_STD = np.radians(1.0)  # rad/s, smallest deviation of the bias, since cars slip and receivers smooth
+# rad/s, standard deviation of a far worse gyro's bias; an uncalibrated MPU-6050 may have 20 deg/s
+OUTLIER_STD = 0.2
+# rad/s, smallest standard deviation of the bias, since cars slip and receivers smooth
+YAW_STD = np.radians(1.0)
 TURN_SHARE = 0.3  # share of a turn's mean rate that may look like a bias, since fixes lag and the car slips
-TILT_CHANGE_STD = np.radians(
-    8.0
-)  # rad, standard deviation of changes of roll and pitch in a few seconds, as on hills
+# rad, standard deviation of changes of roll and pitch in a few seconds, as on hills
+TILT_CHANGE_STD = np.radians(8.0)
 MAX_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that suggest a larger bias have jumped
 
 

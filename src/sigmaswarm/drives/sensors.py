@@ -163,7 +163,7 @@ def stated_spread(drive: Drive) -> tuple[float, float] | None:
 def stated_std(drive: Drive) -> tuple[float, float] | None:
     """Return the standard deviation, m east and north, that the receiver states; None if it states none.
 
-    The result is the median over the fixes, else ``gps_std_m`` of drive.toml.
+    The result is the median over the fixes; if no fix states one, ``gps_std_m`` of drive.toml.
     """
     if (std := drive.gps.std) is not None:
         return float(np.median(std[0])), float(np.median(std[1]))
@@ -174,7 +174,7 @@ def stated_std(drive: Drive) -> tuple[float, float] | None:
 def receiver_std(drive: Drive) -> tuple[float, float]:
     """Return the standard deviation of the fixes of a drive's receiver, m east and north.
 
-    If the log states none, the result is the white noise of the fixes if large, else the deviation of a u-blox M8.
+    If the log states none, the result is the white noise of the fixes; if that is small, the value of a u-blox M8.
     """
     if stated := stated_std(drive):
         return stated

@@ -20,7 +20,7 @@ from sigmaswarm.wording import list_names, printable, quoted
 MAX_VALUE = 1e7  # largest accepted value, above a car sensor's in SI units, mm, mg or mdeg/s (repairable)
 _METERS, _NO_STD = (
     "convert it to meters from a nearby origin",
-    "leave the column out if no deviation is stated",
+    "leave the column out if no standard deviation is stated",
 )
 # Lowest and highest allowed value of a column, and the remedy.
 RANGES: dict[str, tuple[float, float, str]] = {

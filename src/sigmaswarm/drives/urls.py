@@ -25,7 +25,7 @@ def without_secrets(url: str) -> str:
 
 
 def drive_urls(url: str) -> list[str]:
-    """Return the URL if it names a drive, else the URLs of all drives in this folder, sorted by name."""
+    """Return the URL if it names a drive, otherwise the URLs of all drives in this folder, sorted by name."""
     url = url.rstrip("/")
     with _errors_in_one_line(url):
         system, path = _opened(url)

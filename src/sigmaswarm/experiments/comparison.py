@@ -107,7 +107,7 @@ class Comparison:
     drives, test : tuple of str
         Names of the training and of the held-out drives.
     fixes_alone_rmse : float or None
-        Mean position RMSE on the held-out drives, m, of a filter of fixes alone, which was fitted to the training
+        Mean position RMSE on the held-out drives, m, of a filter that uses only the fixes, fitted to the training
         drives.
     """
 

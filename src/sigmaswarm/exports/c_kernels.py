@@ -28,7 +28,7 @@ from sigmaswarm.filters.models import MEASURED, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
 EVENTS = ("FIX", *map(str.upper, MEASURED))
-"""Bits of `drives.events` in C. A filter has the bits of its features."""
+"""Names of the bits of `drives.events` in C. An exported filter defines only those that its features use."""
 
 
 def kernels_of(

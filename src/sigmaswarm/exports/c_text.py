@@ -1,4 +1,4 @@
-"""Text of C (numbers, names, wrapped lines, comments), and syntax trees of the Python source."""
+"""Formatting of C source (numbers, names, wrapped lines, comments), and syntax trees of the Python source."""
 
 import ast
 import inspect

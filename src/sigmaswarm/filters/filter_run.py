@@ -216,7 +216,7 @@ class FilterRun:
         )
 
     def _at_fix(self, step: int) -> InitialState:
-        """Return the state of a diverged filter after a step: the last fix."""
+        """Return the state to which a diverged filter is reset: position of the last fix, heading of the filter."""
         line, time = self._replay.timeline, float(self._replay.timeline.end[step])
         fix = int(np.searchsorted(line.fix_time, time, side="right")) - 1
         theta = float(self._estimate()[0][THETA])

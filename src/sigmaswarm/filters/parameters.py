@@ -189,13 +189,15 @@ class FilterParameters:
         known = MODELS[self.model].options
         for option in used:
             if known is not None and option not in known:
-                raise ValueError(f"{self.model} has no {_ACTIVATES[option]}; leave it out")
+                raise ValueError(f"{self.model} does not have the option {_ACTIVATES[option]}; leave it out")
         if self.kernel not in FILTERS:
             raise ValueError(
                 f"fix_error can't be combined with {self.model} as {self.kind}; use ekf, or leave fix_error out"
             )
         if known is not None and self.latency:
-            raise ValueError(f"{self.model} has no latency; set smooth_lagged_data if fixes are late")
+            raise ValueError(
+                f"{self.model} has no parameter latency; set smooth_lagged_data if fixes are late"
+            )
 
     @property
     def n_states(self) -> int:

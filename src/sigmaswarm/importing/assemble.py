@@ -155,7 +155,7 @@ def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[P
 def _in_one_turn(
     times: Mapping[Role, Nanoseconds], gathered: Mapping[Role, Sequence[PartColumns]], say: Say
 ) -> dict[Role, Nanoseconds]:
-    """Shift tables by whole periods of a clock that restarts, into the IMU's times; a table may begin after a restart.
+    """Shift tables by whole periods of a clock that wraps, so that they overlap the IMU; one may begin after a wrap.
 
     If several shifts are possible, use the one with which both tables end together.
     """
@@ -174,7 +174,7 @@ def _in_one_turn(
         if len(best) > 1 and role in ("gps", "truth", "odometer"):
             other = (best[1] - best[0]) / SECOND
             message = (
-                f"the clock restarts every {period / SECOND:.6g} s; the table is assumed to end with the IMU "
+                f"the clock wraps every {period / SECOND:.6g} s; the table is assumed to end with the IMU "
                 "samples"
             )
             say(f"{role}: {message}. If this is wrong, add --{role}-offset {other:.10g}")

@@ -46,7 +46,7 @@ class PartColumns:
     timeless: int = 0  # number of rows without a time
     # By column of the table: the marker of missing values, and its count
     placeholders: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
-    period: int = 0  # ns, after which the clock restarts, once the times are unwrapped; 0 if it does not
+    period: int = 0  # ns, after which the clock wraps, once the times are unwrapped; 0 if it does not
     set_back: int = 0  # ns by which the clock was set back before the chosen recording; 0 if it was not
 
     def add(self, frame: pl.DataFrame, log: Log) -> None:
@@ -166,8 +166,9 @@ def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame
         time = "--time {}" if role == "imu" and len(log.tables) == 1 else f'--map "{role}.t={{}}"'
         column, rate = "COLUMN" if rows is None else rising_column(rows), 100 if role == "imu" else 1
         raise InputError(
-            f"{where}: no column is recognized as the time of the {role}; specify it with {time.format(column)}, or "
-            f"count rows if the rate is known, for {rate} Hz with {time.format(f'row/{rate}')}"
+            f"{where}: no column is recognized as the time of the {role}; specify it with {time.format(column)}, or, "
+            f"if the rate is known, compute it from the row number, for example {time.format(f'row/{rate}')} for "
+            f"{rate} Hz"
         )
     for text in part.columns.values():
         try:

@@ -20,7 +20,7 @@ MAX_DEVIATION = 0.3  # relative deviation of the median specific force from grav
 
 
 def tilted_mount(recipe: Recipe, rows: Mapping[str, pl.DataFrame], *, downward: bool) -> tuple[str, str]:
-    """Return "auto" and a note if gravity in the first rows is clearly not on +z; else two empty texts.
+    """Return "auto" and a note if gravity in the first rows is clearly not on +z; otherwise two empty texts.
 
     ``downward``: gravity on -z has its own note, and needs none here.
     """
@@ -34,7 +34,7 @@ def tilted_mount(recipe: Recipe, rows: Mapping[str, pl.DataFrame], *, downward: 
     values = ", ".join(f"{name} {value:.3g}" for name, value in zip(FORCES, force, strict=True))
     note = (
         f"gravity is {math.degrees(tilt):.0f} deg from +z, so the IMU is rotated relative to the vehicle (medians of "
-        f"the first rows: {values} m/s2); --mount {AUTO} finds the rotation in the log"
+        f"the first rows: {values} m/s2); --mount {AUTO} estimates the rotation from the log"
     )
     return AUTO, note
 

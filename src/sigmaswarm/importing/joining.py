@@ -101,7 +101,7 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
         say(
             f"{where}: {count_of(count, 'value')} of {printable(name)} {are} left out, since {value:g} is a placeholder"
         )
-    time, part.period, note = unwrap(time)  # by all rows: a counter may restart before the first fix
+    time, part.period, note = unwrap(time)  # from all rows: a counter may wrap before the first fix
     filled = _finite(values, len(time)).any(axis=0)
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
         say(f"{role}: {rows_left_out(empty)}, since a cell is empty")

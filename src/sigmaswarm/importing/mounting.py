@@ -33,8 +33,8 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
     mount = ",".join(f"{angle:g}" for angle in roll_pitch_yaw(mounting.repair, 1))
     total = math.degrees(float(np.linalg.norm(mounting.std)))
     note = (
-        f"mounting {mount} deg was found in the log (total standard deviation {total:.1f} deg; confidence: "
-        f"{mounting.confidence})"
+        f"the mounting (roll, pitch, yaw) {mount} deg was estimated from the log (total standard deviation {total:.1f} "
+        f"deg; confidence: {mounting.confidence})"
     )
     rotation = parse_mount(mount)
     metadata = with_rotation(drive.metadata, rotation)

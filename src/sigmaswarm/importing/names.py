@@ -225,7 +225,7 @@ def _family(name: Name) -> str:
 def read_name(column: str) -> Name:
     """Separate the name of a column from its unit: "Acceleration x (m/s^2)", "gyro_z_dps", "time since start in ms".
 
-    A name without a meaning is read again with its words split at capitals: "gyroRotationX(rad/s)".
+    A name that is not recognized is read again with its words split at capitals: "gyroRotationX(rad/s)".
     """
     name, split = _read(column, column.strip()), re.sub(r"(?<=[a-z])(?=[A-Z])", "_", column.strip())
     if name.meaning is not None or split == column.strip():

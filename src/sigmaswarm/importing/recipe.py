@@ -100,7 +100,7 @@ class Recipe:
         """Describe the recipe as arguments of ``--map``, one line per table."""
         for role, parts in self.roles.items():
             for part in parts:
-                of = f" of {part.table}" if part.table else ""
+                of = f" from {part.table}" if part.table else ""
                 yield f"{role}{of}: {', '.join(f'{k}={v}' for k, v in part.columns.items())}"
 
     def save(self, path: Path) -> None:

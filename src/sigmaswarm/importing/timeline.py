@@ -13,7 +13,7 @@ from sigmaswarm.importing.times import MAX_DECREASING_SHARE, MAX_STEP, MIN_STEP,
 from sigmaswarm.wording import count_of, list_names, rows_left_out
 
 MINUTE = 60 * SECOND
-# Periods after which counters restart, ns
+# Periods after which counters wrap, ns
 WRAPS: tuple[tuple[int, str], ...] = (
     (2**32 * 1000, "a counter of 2^32 microseconds"),
     (2**32 * 1_000_000, "a counter of 2^32 milliseconds"),
@@ -57,7 +57,7 @@ def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
 
 
 def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, int, str]:
-    """Unwrap a counter that restarted; return the times, its period, ns, and a sentence; 0 and "" for other clocks."""
+    """Unwrap a counter that wrapped; return the times, its period, ns, and a sentence; 0 and "" for other clocks."""
     steps = np.diff(time)
     ahead = steps[steps > 0]
     if not len(ahead) or not 0 < np.mean(steps < 0) < MAX_DECREASING_SHARE:

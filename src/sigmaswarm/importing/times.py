@@ -178,7 +178,7 @@ def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[TimeExpressio
             continue
         text = f"utc({', '.join(map(quoted_column, columns))}, '{form}')"
         text += "".join(f" + {quoted_column(n.column)}*{scale:.0e}".replace("e-0", "e-") for n, scale in rest)
-        note = "the time is that of year, month, day, hour, minute and second"
+        note = "the time is computed from the columns of year, month, day, hour, minute and second"
         return TimeExpression(text, note), [*found.values(), *(n for n, _ in rest)]
     return None, ()
 
@@ -384,7 +384,7 @@ def _read_by(texts: pl.Series, form: str) -> pl.Series:
 
 
 def _of_numbers(values: pl.Series, text: str, role: Role) -> TimeExpression:
-    """Read numbers without a unit: by their size if they count from 1970, else by plausible steps."""
+    """Read numbers without a unit: by their size if they count from 1970, otherwise by plausible steps."""
     numbers = column_numbers(values)
     size, step = median_of(numbers.abs()), step_of(values)
     column = text.strip("`")

@@ -6,7 +6,8 @@ The measurement also depends on the state at the start, as in stochastic cloning
     z = R(theta_0)^T (p_1 - p_0) + noise
 
 The covariance of the errors at both times is Cov(e_1, e_0) = A P_0, since e_1 = A e_0 + an independent part. The
-columns of A are finite differences of the filter, which run in the columns of the compiled kernel.
+columns of A are finite differences between runs of the filter. These runs are columns of one call of the compiled
+kernel.
 """
 
 from typing import Any, NamedTuple

@@ -38,7 +38,7 @@ HIDDEN_FIRST = 10.0  # s from the start to the first window, and between windows
 PLACEMENTS = 3  # number of random sets of hidden windows
 COVERAGE = 0.95, 1.96  # share of the hidden fixes in an interval per axis; half the width in sigmas
 OBJECTIVE = "innovation-t"
-SLIP_STD = math.radians(0.1)  # rad, added to the heading's deviation; fixes do not show slip of the rear axle
+SLIP_STD = math.radians(0.1)  # rad, added to the heading's standard deviation; fixes do not show slip
 
 
 class ReferenceOptions(TypedDict, total=False):
@@ -218,7 +218,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
 
 
 def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.Generator) -> float:
-    """Return the factor, at least 1, by which the smoother's deviations must grow to agree with the hidden fixes."""
+    """Return the factor, at least 1, with which the smoother's standard deviations agree with the hidden fixes."""
     gps, start, end = ready.drive.gps, ready.initial.time, float(ready.drive.imu.time[-1])
     off: list[Array] = []
     for _ in range(PLACEMENTS):

@@ -28,7 +28,7 @@ from sigmaswarm.versions import __version__
 
 LONG_CELL = 24  # characters of a cell above which the column gets a minimum width
 TERMS = {
-    "NIS": "normalized innovation squared: deviation of a fix from the prediction, relative to the covariance",
+    "NIS": "normalized innovation squared: squared innovation of a fix, relative to its covariance",
     "NEES": "normalized estimation error squared: the position error relative to the filter's covariance",
     "RMSE": "root of the mean squared error",
     "whiteness p": "probability that uncorrelated innovations seem at least as correlated as these (Ljung-Box test "

@@ -147,7 +147,7 @@ def what_was_tuned(file: TuningRecord) -> str:
     length = sum(d.duration_s or 0 for d in file.data)
     on = count_of(len(file.data), "drive") + (f" ({length / 60:.1f} min)" if length else "")
     meaning = f": {file.result.objective_meaning}" if file.result.objective_meaning else ""
-    return f"{filter_name(file)} was tuned on {on} for {file.result.objective}{meaning}."
+    return f"{filter_name(file)} was tuned on {on}. The objective is {file.result.objective}{meaning}."
 
 
 def drifts_section(file: TuningRecord) -> Iterator[Section]:
@@ -176,7 +176,7 @@ def parameters_section(file: TuningRecord) -> Section:
         rows.append((NOISE_SCALE, 1.0, "", *ends, "", "together, one factor"))
     titles = ("parameter", "value", "unit", "from", "to", "density", "remark")
     text = (
-        "At the values in the columns from and to, the cost is 1% higher while all other parameters stay unchanged. "
+        'At the values in the columns "from" and "to", the cost is 1% higher; all other parameters are unchanged. '
         '"At the bound" means that the cost at the bound of the search is less than 1% higher.'
     )
     table = Table("", tuple(map(Column, titles)), tuple(rows))

@@ -49,7 +49,7 @@ def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, worke
 
 
 def _parts(steps: Mapping[str, Sequence[int]], least: float) -> Iterator[Job]:
-    """Group consecutive replays of each pass into parts of at least ``least`` steps."""
+    """Group consecutive replays of each pass into parts of at least ``least`` steps; the last part may be shorter."""
     for name, lengths in steps.items():
         first, total = 0, 0
         for last, length in enumerate(lengths):

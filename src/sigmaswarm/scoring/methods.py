@@ -64,10 +64,10 @@ def baseline_note(tuned: str) -> str:
     if tuned.endswith("robot-localization"):
         return (
             "The baseline is robot_localization with its default process noise. The IMU's variances are 0.0001 rad2/s2 "
-            "and 0.01 m2/s4. R is computed from the stated accuracy of the fixes (else from 2.1 m)"
+            "and 0.01 m2/s4. R is computed from the stated accuracy of the fixes, or from 2.1 m if none is stated"
         )
     return (
         "The baseline has the tuned filter's model, with typical noise parameters. R is computed from the stated or "
-        "observed accuracy of the fixes (else from 2.1 m). Q is computed from the IMU's noise density (else from that "
-        "of an MPU-6050) and typical errors of the model"
+        "observed accuracy of the fixes, or from 2.1 m if neither is known. Q is computed from the IMU's noise density "
+        "(that of an MPU-6050 if none is stated) and from typical errors of the model"
     )

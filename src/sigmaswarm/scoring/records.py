@@ -59,8 +59,9 @@ class ScoresRecord(BaseModel):
         short = "one short stretch" if len(drifts) == 1 else "one short stretch of each drive"
         few = f". All outages are on {short}; the drift on another stretch may be far larger"
         few *= outages < MIN_OUTAGES * count
-        single = f"in a single set it is {min(means):.3g} to {max(means):.3g} m"
-        return f"The drift is the RMS over {outages} outages in {count_of(count, 'set')}; {single}{few}"
+        single = f"for a single placement it is {min(means):.3g} to {max(means):.3g} m"
+        placed = count_of(count, "random placement")
+        return f"The drift is the RMS error over {outages} outages in {placed}; {single}{few}"
 
     def mean_of(self, method: str, measure: str) -> float | None:
         return self.mean.get(method, {}).get(measure)

@@ -132,11 +132,11 @@ def describe_position(consistency: Consistency) -> str:
         guess = ""
         if expected > own:
             fixes = (expected**2 - own**2) ** 0.5
-            guess = f". It may be about {fixes:.2g} m, the error that the filter assumes for a fix"
+            guess = f". It may be as large as the error of a fix, {fixes:.2g} m RMS according to R"
         return (
-            f"not known, since there is no truth{guess}. The filter estimates {own:.2g} m RMS, but the fixes differ "
-            f"from the predictions by less than expected ({nis}). The receiver smooths its fixes, or their errors are "
-            "correlated"
+            f"unknown, since there is no truth{guess}. The filter's covariance gives {own:.2g} m RMS, but it is not "
+            f"reliable: the innovations are smaller than expected ({nis}). The receiver smooths its fixes, or their "
+            "errors are correlated"
         )
     size, source = f"{own:.2g} m RMS", "estimated from the filter's covariance, since there is no truth"
     included = f"The fixes, with their own errors, differ from the predictions by {missed:.2g} m RMS"

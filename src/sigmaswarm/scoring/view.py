@@ -351,11 +351,11 @@ def explained_radius() -> str:
     return (
         "The position error should lie within this radius with a probability of 95% or 99.9% (median over the drive). "
         "The variance per axis is the sum of the filter's variance and the variance of correlated fix errors, which "
-        "the log does not show. The latter is the square of the stated standard deviation, else of 2.1 m, minus the "
-        f"variance of the white noise of the fixes. The radii are {factors[0]:.2f} and {factors[1]:.2f} standard "
-        f"deviations, from Student's t with {DOF:g} degrees of freedom, since a training drive determines a covariance "
-        "from few independent errors. The filter's own covariances, in estimates and in exports, do not contain this "
-        "addition."
+        "the log does not show. The latter is s^2 minus the variance of the fixes' white noise; s is the standard "
+        "deviation that the receiver states, or 2.1 m if it states none. The radii are "
+        f"{factors[0]:.2f} and {factors[1]:.2f} standard deviations, from Student's t with {DOF:g} degrees of freedom, "
+        "since a training drive determines a covariance from few independent errors. The filter's own covariances, in "
+        "estimates and in exports, do not contain this addition."
     )
 
 
@@ -364,8 +364,8 @@ def explained_scores(view: EvaluationView) -> str:
     drifts = rmse = ""
     if view.scores.drifts:
         drifts = (
-            " For the drift, each method runs again with hidden fixes, for up to eight sets of outages. The drift is "
-            "the RMS error at the ends of all outages."
+            " For the drift, each method runs again with hidden fixes, for up to eight random placements of the "
+            "outages. The drift is the RMS error at the ends of all outages."
         )
         if not with_truth:
             drifts += " Since there is no truth, the drift is relative to the hidden fixes and includes their errors."

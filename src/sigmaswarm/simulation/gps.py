@@ -159,7 +159,7 @@ def measure_gps(
 
     place = antenna.position[:, :2]
     x, y = _through_degrees(place, white).T if grade.carla else (place + white + markov).T
-    std = grade.stated_factor * grade.std  # ideal fixes state no deviation, since 0 is not valid
+    std = grade.stated_factor * grade.std  # ideal fixes state no standard deviation, since 0 is not valid
     stated = np.full(len(times), std) if std > 0 else None
     moving = grade.velocity_std is not None
     fixes = Gps(

@@ -11,16 +11,16 @@ the square root of the factor. With the whole factor, the error on another car i
 fixes. Without inflation of position and velocity, the heading error with a cheap IMU is 50% larger. The noises of
 heading and yaw rate in robot-localization are not inflated, since they do not depend on roads.
 
-A factor has no effect on a noise near zero. A filter with roll and pitch therefore has lower limits
-(`space.INFLATION_MINIMA`), also if it is tuned with truth: with the limits, the error of a filter tuned on one drive is
-0.8 instead of 1.7 m on another car's drive. On drives of the same car the limits change the error by -5 to +2%. Three
-drives with truth determine the deviations of the initial biases. With three or more, these deviations have no limit,
-since a limit would increase the heading error by 10%.
+A factor has no effect on a noise near zero. In a filter with roll and pitch, the process noise and the standard
+deviations of the initial biases therefore have minima (`space.INFLATION_MINIMA`), also in a tuning with truth. With
+these minima, the position error of a filter tuned on one drive is 0.8 m instead of 1.7 m on another car's drive. On
+drives of the same car they change the error by -5 to +2%. Three or more drives with truth determine the standard
+deviations of the initial biases, so these have no minimum. A minimum would increase the heading error by 10%.
 
-The gyro's initial bias has another limit if the starts of the training drives show biases: a filter subtracts a bias of
-many standard deviations at any start (`gyro_seen`), so the cost hardly depends on the initial deviation of this bias.
-For a gyro with biases of 0.2 rad/s, the tuned deviation was 5e-5 rad/s, and the filter diverged on drives with a
-smaller bias.
+The standard deviation of the gyro's initial bias has another minimum if the starts of the training drives show biases.
+A filter subtracts a bias of many standard deviations at any start (`gyro_seen`), so the cost hardly depends on this
+parameter. For a gyro with biases of 0.2 rad/s, the tuned standard deviation was 5e-5 rad/s, and the filter diverged on
+drives with a smaller bias.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ from sigmaswarm.tuning.problem import Problem
 
 INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
 """Default relative cost increases: planar without truth, other models without truth, tilted12 with truth."""
-MIN_DRIVES = 3  # drives with truth that determine the deviations of the initial biases
+MIN_DRIVES = 3  # drives with truth that determine the standard deviations of the initial biases
 REFERENCE_DURATION, TILTED_DURATION = 100.0, 150.0
 """Driving times, s, for which the whole cost increase is allowed: for planar models, and with roll and pitch.
 
@@ -63,7 +63,7 @@ def inflate(
 ) -> tuple[Array, float, float]:
     """Inflate the process noise of a point, shape (d,), within the bounds, until its cost has increased by ``allowed``.
 
-    ``allowed`` is a relative increase. Return the inflated point, within the lower limits, its cost, and the inflation
+    ``allowed`` is a relative increase. Return the inflated point, raised to the minima, its cost, and the inflation
     factor.
     """
     space = problem.space

@@ -1,9 +1,9 @@
 """Compare R with the receiver's accuracy: a prior for logs without truth, and warnings of an implausible R.
 
 Many receivers smooth their fixes. For smoothed fixes, the likelihood is largest with an R of centimeters, and a filter
-with this R copies the fixes. The prior penalizes only a smaller R, since receivers in cities state deviations that are
-too small. The prior is counted once per fix; otherwise it would lose its weight with more fixes, although their errors
-are correlated.
+with this R copies the fixes. The prior penalizes only a smaller R, since receivers in cities state standard
+deviations that are too small. The prior is counted once per fix; otherwise it would lose its weight with more fixes,
+although their errors are correlated.
 """
 
 from collections.abc import Sequence
@@ -125,23 +125,24 @@ def prior_warnings(
     receiver: Array,
     noise: Sequence[FixNoise],
 ) -> list[str]:
-    """Report the first drive on which the prior kept R close to the receiver's variance, with the reason."""
+    """Report the first drive on which the prior changed R noticeably, with the standard deviations, m per axis."""
     costs = weight * prior_costs([parameters], receiver)[0]
     r = np.sqrt(np.mean(typical_variance([parameters], receiver)[0], axis=1))
     for name, std, one, near, cost in zip(names, receiver.mean(axis=1), noise, r, costs, strict=True):
         if cost <= MIN_PRIOR_COST or near * MAX_STD_RATIO < std:
             continue
+        compromise = f"R corresponds to {near:.2g} m per axis, a compromise between the innovations and"
         if np.isfinite(one.stated):
-            lasting = f". The fixes scatter less, so their errors are correlated. {UNKNOWN}"
+            lasting = f". The fixes scatter by {one.scatter:.2g} m, so their errors are correlated. {UNKNOWN}"
             addition = lasting if std > MAX_SCATTER_RATIO * one.scatter else ""
-            return [f"{name}: R was kept near the {std:.2g} m per axis that the receiver states{addition}"]
+            return [f"{name}: {compromise} the {std:.2g} m that the receiver states{addition}"]
         if std == UNSTATED_GPS_STD:
             why = (
-                f"{name} does not state the accuracy of its fixes, so R was kept near that of a typical receiver "
-                f"({std:.2g} m per axis). If the receiver smooths its fixes, NIS will be low"
+                f"{name} does not state the accuracy of its fixes. {compromise} the {std:.2g} m of a typical receiver. "
+                "If the receiver smooths its fixes, NIS will be low"
             )
             return [to_do(f"if you know the receiver, {STATE_REMEDY}", why)]
-        return [f"{name}: R was kept near the {std:.2g} m per axis of white noise that the fixes show"]
+        return [f"{name}: {compromise} the {std:.2g} m of white noise that the fixes show"]
     return []
 
 

@@ -94,7 +94,8 @@ class Tuning(Generic[P]):
     start_cost : float or None
         Cost of the start filter on the training drives; None if no ``start`` was given.
     fixes_alone : MotionNoise or None
-        Noise parameters of a constant-velocity filter of fixes alone, fitted to the training drives by likelihood.
+        Noise parameters of a constant-velocity filter that uses only the fixes, fitted to the training drives by
+        likelihood.
     forecasts : tuple of Forecast
         Drifts over outages of 1, 5 and 30 s on the training drives, compared with fixes alone and the baseline.
     """
@@ -196,11 +197,10 @@ class Tuning(Generic[P]):
         if not isinstance(self.config, TuneConfig):
             return MODEL_OBJECTIVES[self.config.objective]
         meaning, prior = parse_objective(self.config.objective).summary, self.config.prior
-        return (
-            f"{meaning} + {prior:g} x the prior of R, if R is below the receiver's variance"
-            if prior
-            else meaning
-        )
+        lasting = isinstance(p := self.parameters, FilterParameters) and p.fix_error is not None
+        penalized = "different from" if lasting else "below"
+        added = f"; a prior with weight {prior:g} penalizes an R {penalized} the receiver's variance"
+        return f"{meaning}{added}" if prior else meaning
 
     @property
     def _noun(self) -> str:
@@ -313,11 +313,12 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
         if car and MODELS[car.model].gyro_bias is not None:
             inflated = f"all process noise variances except that of the gyro's bias by {factor:.3g}"
         if car and MODELS[car.model].measures_imu:
-            inflated = f"the noise variances of position, velocity and acceleration by {factor:.3g}"
+            inflated = f"the process noise variances of position, velocity and acceleration by {factor:.3g}"
         if car and MODELS[car.model].tilts:
             root = f"{factor**0.5:.3g}"
             inflated = (
-                f"the random walks of biases by {factor:.3g} and the noise of position and velocity by {root}"
+                f"the variances of the biases' random walks by {factor:.3g} and the process noise variances of "
+                f"position and velocity by {root}"
             )
         yield INFLATION_REMARK.format(inflated)
     for touched in t.touched_bounds:

@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 
 class Workbench:
-    """Folder of the workbench, created if missing, and logs from the command line."""
+    """State of a workbench: its folder, which is created if missing, its logs and choices."""
 
     def __init__(self, folder: Path, logs: Sequence[Path] = ()) -> None:
         for log in logs:

@@ -20,7 +20,7 @@ class TuningRun:
 
     Attributes
     ----------
-    shown_on : first validation drive, or else first training drive
+    shown_on : first validation drive; if there is none, the first training drive
     history : for each trial, lowest cost after each generation
     track : track of the best filter so far on ``shown_on``
     """

@@ -60,7 +60,7 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
         MIN_TURN, MIN_TURN_SIGMAS * course.std / np.median(np.abs(course.velocity[moving]))
     ):
         return (
-            f"the course changes by {change:.0f} deg within 20 s, and no column of the gyro follows this change",
+            f"the course changes by {change:.0f} deg (RMS) within 20 s, and no column of the gyro follows this change",
             f"check the gyro's unit and the clocks; offsets beyond {MAX_OFFSET:.0f} s are not searched",
         )
     if np.ptp(course.angle[moving]) > CIRCLE:
@@ -68,7 +68,8 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
             "The car turns at a nearly constant rate, which does not separate the gyro's scale from its bias"
         )
         return f"{shown}. {steady}", REMEDY
-    return f"{shown}. It changes there by {change:.1f} deg within 20 s; slower turns are not visible", REMEDY
+    turns = f"In this time, the course changes by {change:.1f} deg (RMS) within 20 s"
+    return f"{shown}. {turns}. Slower turns can't be distinguished from a gyro bias", REMEDY
 
 
 def check_use(evidence: Evidence) -> Iterator[Finding]:

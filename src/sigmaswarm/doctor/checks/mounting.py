@@ -90,8 +90,9 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
         what = (
             f"the log shows the mounting {mount} deg {sure}. The mounting in drive.toml differs from it by "
         )
-        what += f"{math.degrees(apart):.1f} deg. This difference needs no repair"
-        what += " in a part of a drive" if whole else ""
+        what += f"{math.degrees(apart):.1f} deg. "
+        less = "A part of a drive determines the mounting less accurately than the whole drive"
+        what += f"{less}, so no repair is needed" if whole else "This difference needs no repair"
         remedy = (
             f"keep a measured mounting; otherwise import {'the whole log ' * bool(whole)}with --mount {mount}"
         )
@@ -137,17 +138,17 @@ def _means(time: Array, columns: Sequence[Array], step: float) -> tuple[Array, A
 
 
 def check_handled(evidence: Evidence) -> Iterator[Finding]:
-    """Find parts at both ends of a log in which someone has the IMU, such as a phone, in the hand."""
+    """Find the ends of a log in which someone has the IMU, such as a phone, in the hand; yield one finding per end."""
     first, last = evidence.span
     begin, end = find_steady_span(evidence.drive)
-    if (begin, end) == (first, last):
-        return
-    ends = [f"until t = {begin:.1f} s"] if begin > first else []
-    ends += [f"from t = {end:.1f} s"] if end < last else []
-    what = f"{' and '.join(ends)}, the IMU moves relative to the vehicle, for example in someone's hand"
-    remedy = f"use only t = {begin:.1f} to {end:.1f} s"
-    repair = Repair("cut-ends", (begin, end))
-    yield Finding("mounting-handled", "warning", what, WHERE, evidence.span, 0.99, remedy, repair)
+    what = "{} t = {:.1f} s, the IMU moves relative to the vehicle, for example in someone's hand"
+    for word, edge, span in (("before", begin, (first, begin)), ("after", end, (end, last))):
+        if span[0] < span[1]:
+            repair = Repair("cut-ends", (begin, last) if edge == begin else (first, end))
+            remedy = f"leave out the samples and fixes {word} this time"
+            yield Finding(
+                "mounting-handled", "warning", what.format(word, edge), WHERE, span, 0.99, remedy, repair
+            )
 
 
 def find_steady_span(drive: Drive) -> tuple[float, float]:

@@ -95,10 +95,10 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
             noise < MIN_WHITE_RATIO * scatter and scatter > MIN_NOISE
         ):
             what = (
-                f"the errors of the fixes are correlated. Per axis, the fixes scatter by {noise:.2g} m from one to the "
-                f"next and by {scatter:.2g} m about a smooth path of ten seconds; the receiver states {stated:.2g} m. "
-                "The mean of many fixes is hardly more accurate than one fix. If there is no truth, neither the stated "
-                "standard deviation nor a filter's error can be checked"
+                "the errors of the fixes are correlated. The standard deviation of the fixes per axis is "
+                f"{noise:.2g} m from fix to fix and {scatter:.2g} m about a smooth path of ten seconds; the receiver "
+                f"states {stated:.2g} m. Averaging hardly reduces correlated errors. If there is no truth, neither the "
+                "stated standard deviation nor a filter's error can be checked"
             )
             remedy = (
                 "expect errors larger than the filter's standard deviations, which represent only the scatter"

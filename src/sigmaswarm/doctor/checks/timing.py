@@ -52,10 +52,12 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
         )  # fmt: skip
     elif evidence.drives:
         visible = evidence.clock.visible
-        below = "" if visible is None else f" below {visible:.2f} s"
-        what = f"in this drive, a clock offset{below} between IMU and GPS can't be detected reliably"
+        which = "no clock offset" if visible is None else f"only a clock offset above {visible:.2f} s"
+        what = f"in this drive, {which} between IMU and GPS can be detected reliably"
         if interval := evidence.clock.interval:
-            what += ". The 95% interval of the delay of the fixes is {:.2f} to {:.2f} s".format(*interval)
+            what += ". The estimated delay of the fixes is {:.2f} to {:.2f} s (95% interval)".format(
+                *interval
+            )
         remedy = "use a drive with turns, starts and stops to detect smaller offsets, or tune the delay (--use latency)"
         yield Finding("unseen-clock", "note", what, where, span, 0.95, remedy)
 

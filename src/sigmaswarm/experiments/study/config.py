@@ -168,7 +168,8 @@ class StudyConfig(BaseModel):
     learn_minutes: float = Field(default=20.0, ge=2)
     """With --rivals: minutes of training data for each network, after the filters' start."""
     elsewhere: tuple[str, ...] = ()
-    """With --rivals: drives with truth from other sensors or another car; else, without --drives, simulated drives."""
+    """With --rivals: drives with truth, recorded with other sensors or another car; simulated by default without
+    --drives."""
 
     @property
     def simulated(self) -> dict[str, Any]:

@@ -107,7 +107,7 @@ class Design:
     def map_prepared(
         self, function: Callable[[PreparedDrive], T], drives: Sequence[int] | None = None
     ) -> list[T]:
-        """Apply a module-level function to prepared drives, local or remote; by default all, else by index."""
+        """Apply a module-level function to prepared drives, local or remote: by default all, or given indices."""
         chosen = range(len(self.drives)) if drives is None else drives
         if self.remote is None:
             return [function(self.prepared[i]) for i in chosen]

@@ -107,7 +107,7 @@ def _turned(q, x, y, z, out):
 def _step_back(
     before, noted, behind, work, *, n, n_state, first, tilted, phi, transition_times, spread, solve
 ):
-    """Smooth one step: replace the smoothed state after the step, in ``behind`` (n_state,), by that before."""
+    """Smooth one step: replace the smoothed state after the step, ``behind`` (n_state,), by the one before the step."""
     prior = noted[n_state : 2 * n_state]
     p, change, x, s = work[0], work[1], work[2], work[3]
     error, shift = work[4, 0], work[4, 1]

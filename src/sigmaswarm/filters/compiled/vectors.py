@@ -235,7 +235,7 @@ class _Emitter:
             case ast.Expr(value=ast.Call() as call):
                 self.value(call, frame)
             case _:
-                raise TypeError(f"cannot be in a loop over lanes: {ast.unparse(node)}")
+                raise TypeError(f"not supported in a loop over lanes: {ast.unparse(node)}")
 
     def assign(self, target: ast.expr, value: Any, frame: _Frame) -> None:
         match target:
@@ -301,13 +301,13 @@ class _Emitter:
                 return self.builder.select(self.value(test, frame), chosen, other)
             case ast.Call(func=function, args=arguments, keywords=[]):
                 return self.call(self.value(function, frame), arguments, frame)
-        raise TypeError(f"cannot be in a loop over lanes: {ast.unparse(node)}")
+        raise TypeError(f"not supported in a loop over lanes: {ast.unparse(node)}")
 
     def binary(self, op: ast.operator, a: Any, b: Any) -> Any:
         if type(op) in _LOGIC:
             return getattr(self.builder, _LOGIC[type(op)])(a, b)
         if type(op) not in _ARITHMETIC:
-            raise TypeError(f"cannot be in a loop over lanes: {type(op).__name__}")
+            raise TypeError(f"not supported in a loop over lanes: {type(op).__name__}")
         in_python, in_llvm = _ARITHMETIC[type(op)]
         if isinstance(a, int | float) and isinstance(b, int | float):
             return in_python(a, b)

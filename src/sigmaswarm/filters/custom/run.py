@@ -1,4 +1,4 @@
-"""Run and smooth filters of users' models over logs, compiled if possible, else in textbook form."""
+"""Run and smooth filters of users' models over logs; the textbook form runs if a model can't be compiled."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -166,7 +166,7 @@ def run_kernel(
     covariances: bool,
     runs: Array | None = None,
 ) -> ModelTrajectory:
-    """Run the compiled filter, else the textbook filter; ``runs`` (m, 2): see `TextbookModel`, changed in place."""
+    """Run the compiled filter, or the textbook filter. ``runs`` (m, 2), changed in place: see `TextbookModel`."""
     runs = np.zeros((steps.measurements.shape[1], 2)) if runs is None else runs
     p = model.values(parameters)
     if kernel is None:

@@ -38,7 +38,7 @@ def bag_paths(path: Path) -> list[Path]:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence[Path] = ()) -> Log:
-    """Open a bag; definitions that a ROS 2 bag lacks are from ``definitions``, or else from the latest ROS."""
+    """Open a bag; definitions that a ROS 2 bag lacks are from ``definitions``, or by default from the latest ROS."""
     anyreader = import_library("rosbags.highlevel", "ros")
     typesys = import_library("rosbags.typesys", "ros")
     paths = bag_paths(path)

@@ -154,7 +154,7 @@ class Topics:
         return {"imu_stated_noise": [float(value) for value in stated]} if known else {}
 
     def _position(self, topic: str) -> dict[str, str]:
-        """Return the columns of fixes, a NavSatFix or a pose in m east and north, with stated deviations, if any."""
+        """Return the columns of fixes, a NavSatFix or a pose in m east and north, and of stated standard deviations."""
         columns = set(self.tables[topic].columns)
         if (at := prefix(self.tables[topic], _FIX)) is not None:
             found = self._named(topic, _FIX)

@@ -100,7 +100,7 @@ class Budgeted:
         self.global_best = np.asarray(state[f"{where}global_best"]).astype(np.float64, casting="same_kind")
         self.global_cost = float(state[f"{where}global_cost"])
         if not 0 <= self.spent <= self.budget <= most or np.isnan(self.global_cost):
-            raise ValueError("evaluations and costs should be those of this search")
+            raise ValueError("the evaluations or costs do not belong to this search")
         if self.global_best.shape != self.low.shape or not np.isfinite(self.global_best).all():
             raise ValueError("the best point should be one of this search")
         self.first.restore(part("first"))
