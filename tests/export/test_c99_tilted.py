@@ -147,7 +147,7 @@ def test_compilers_have_nothing_to_say(tmp_path: Path, compiler: str, flags: tup
 
 
 def test_what_c_does_not_have_is_refused_in_one_line(tmp_path: Path):
-    with pytest.raises(InputError, match=r"tilted12 has no ukf in C; use kind ekf"):
+    with pytest.raises(InputError, match=r"tilted12 is not available as ukf in C; use kind ekf"):
         export_filter(replace(given("plain"), kind="ukf"), "c99", tmp_path)
     with pytest.raises(InputError, match=r"has no az, gx, gy, which tilted12 needs"):
         drive = make_drive()

@@ -35,7 +35,7 @@ def find_whole(part: Location) -> tuple[Drive, Path] | None:
 
 
 def _near(part: Path) -> Iterator[Path]:
-    """Yield drive folders next to a part, next to its parent folder, and in the folders there."""
+    """Yield drive folders up to two levels below the parent folder of a part, and below the folder above that one."""
     bases = dict.fromkeys((part.parent, part.parent.parent))
     folders = (folder for base in bases for pattern in ("*", "*/*") for folder in sorted(base.glob(pattern)))
     for folder, _ in zip(folders, range(MAX_FOLDERS), strict=False):

@@ -82,7 +82,9 @@ def c99(
     model = MODELS[parameters.model]
     kinds = ("ekf",) if model.tilts else model.kinds
     if parameters.kind not in kinds:
-        raise InputError(f"{parameters.model} has no {parameters.kind} in C; use kind {' or '.join(kinds)}")
+        raise InputError(
+            f"{parameters.model} is not available as {parameters.kind} in C; use kind {' or '.join(kinds)}"
+        )
     features, several = features_of(parameters), lanes.n > 1
     features |= {
         "USE_DOUBLE": not all(fits_float(p) for p in lanes.filters(parameters)),

@@ -120,7 +120,7 @@ def nearest(error: Array, near: Array) -> Array:
 
 
 def _middle(state: Array, dt: float, imu: Array) -> tuple[Array, Array, Array]:
-    """Return R (3, 3) at the middle of a step, the rotation (3, 3) from there to the end, and the acceleration (3,)."""
+    """Return R (3, 3) at the middle of a step, the rotation (3, 3) from middle to end, and the acceleration (3,)."""
     force = imu[:3] - [*state[[*ACCEL_BIAS]], 0.0]
     half = turn((imu[3:] - state[[*GYRO_BIAS]]) * dt / 2)
     r = rotation(state) @ half
@@ -264,7 +264,7 @@ def add_tilt_evidence(mean: Array, covariance: Array, seen: TiltEvidence) -> Non
     """Update means (..., n) and covariances (..., n, n) of level starts with the evidence of an alignment, in place.
 
     Two Kalman updates with the mean specific force, forward and left. The alignment's state depends on the forward
-    force: the distribution of this force that the alignment assumed is replaced by that after the update.
+    force: the distribution after the update replaces the distribution of this force that the alignment assumed.
     """
     roll, pitch, theta = ATTITUDE
     turn, drift = np.asarray(seen.turn) * np.exp(-1j * mean[..., theta]), np.asarray(seen.drift)

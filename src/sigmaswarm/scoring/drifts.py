@@ -46,7 +46,7 @@ class OutageDrifts:
 
     @property
     def stated(self) -> tuple[Array, Array, Array]:
-        """Ends of the outages (s), with the tuned filter's position variances (m2 per axis) and errors (m) there."""
+        """Ends of the outages (s); position variances (m2 per axis) and errors (m) of the tuned filter at the ends."""
         return tuple(np.hstack([np.empty((3, 0)), *self._stated]))
 
     def add_estimate(self, method: str, estimate: Estimate) -> None:

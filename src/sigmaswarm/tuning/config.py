@@ -113,7 +113,7 @@ class TuneConfig(SearchConfig):
     as_recorded: bool = False
     """Run without preprocessing: use stale fixes, treat IMU gaps as ordinary steps; for diagnosis and the paper."""
     prior: float | None = Field(default=None, ge=0, le=100)
-    """Weight of a prior on R from the receiver's accuracy; 0 disables it. Default: 1 without truth, else 0."""
+    """Weight of a prior on R from the receiver's accuracy; 0 disables it. Default: 1 without truth, otherwise 0."""
     inflation: float | None = Field(default=None, ge=0, le=1)
     """Relative cost increase allowed for inflating process noise; 0 disables it. Without truth: 0.05, or 0.02
     for tilted12 and robot-localization."""
@@ -134,7 +134,7 @@ class TuneConfig(SearchConfig):
     def _inflation_needs_logarithms(self) -> Self:
         if self.inflation and self.scale != "log10":
             raise ValueError(
-                "inflation multiplies all process noise by one factor, which needs scale = log10"
+                "inflation multiplies process noise variances by a factor, which needs scale = log10"
             )
         return self
 

@@ -131,7 +131,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
         code, severity, remedy, repair = (
             "logger-pause",
             "note",
-            "no action is needed; you can split the drive there",
+            "no action is needed; you can split the drive at this time",
             None,
         )
         if 0.5 * fix_missed < SIGMAS * std:

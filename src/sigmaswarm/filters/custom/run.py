@@ -200,7 +200,7 @@ def _run_textbook(
 def _textbook(
     model: Model, steps: FilterSteps, parameters: Mapping[str, float], runs: Array
 ) -> TextbookModel | None:
-    """Return the textbook filter at the start of a log; None if the user's functions fail there."""
+    """Return the textbook filter at the start of a log; None if the user's functions fail at this start."""
     try:
         with np.errstate(all="ignore"):  # the result is checked
             return TextbookModel(model, steps, _scaling(parameters), model.values(parameters), runs)
