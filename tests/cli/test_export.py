@@ -13,6 +13,7 @@ import pytest
 import tomli_w
 
 from cli.conftest import Command
+from sigmaswarm import Evaluation
 from sigmaswarm.tuning.diagnostics import REMEDY
 from sigmaswarm.wording import to_do
 
@@ -81,6 +82,7 @@ def test_the_warning_not_to_use_a_filter_is_repeated_in_the_last_line(
 ):
     drive = drives / "urban-clear-00"
     text = tuned.read_text()
+    monkeypatch.setattr(Evaluation, "is_worse_than_untuned", False)
     for remedy, repeated in ((REMEDY, True), ("tune with more trials", False)):
         warned = {"cost": 1.0, "objective": "innovation-t", "warnings": [to_do(remedy, "it diverges")]}
         Path("bad.toml").write_text(text + tomli_w.dumps({"result": warned}))

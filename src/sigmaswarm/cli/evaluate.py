@@ -24,12 +24,17 @@ from sigmaswarm.cli.findings import Remedy
 from sigmaswarm.cli.options import FIELDS, AsRecorded, Cluster, Json, Places, Seed, TrustLog
 from sigmaswarm.cli.remarks import name_training_files
 from sigmaswarm.errors import InputError, SigmaswarmWarning
+from sigmaswarm.files import free_path
 
 if TYPE_CHECKING:
     from sigmaswarm import Evaluation
     from sigmaswarm.api import TunedFilter
     from sigmaswarm.exports.names import Target
     from sigmaswarm.learned.folder import LearnedNetwork
+
+WORSE_STEP = (
+    "then: tune on more or longer drives, and evaluate again; a method without tuning is more accurate"
+)
 
 
 @dataclass(frozen=True)
@@ -120,8 +125,11 @@ def evaluate(
     if written:
         names = ", ".join(path.name for path in written) if options.verbose else f"{len(written)} files"
         print_lines(f"wrote {names} to {out}")
-    usable = not (learned or record.unusable)
-    print_lines(*_next_steps(out, remedies, _export(tuning, tuned, drives) if usable else ()))
+    if result.is_worse_than_untuned:
+        steps: Iterable[str] = (WORSE_STEP,)
+    else:
+        steps = () if learned or record.unusable else _export(tuning, tuned, drives)
+    print_lines(*_next_steps(out, remedies, steps))
 
 
 def _check_input(tuning: Path, options: EvaluateOptions) -> None:
@@ -165,7 +173,7 @@ def _export(tuning: Path, tuned: "TunedFilter", drives: Sequence[str]) -> Iterat
         local = [quote(place) for place in drives if not is_url(place)][:1]
         checkable = local and (target != "c99" or find_compiler())
         check = f" --check {local[0]}" if checkable else ""
-        yield f"then: sigmaswarm export {quote(str(tuning))} --to {target} --out {folder}{check}"
+        yield f"then: sigmaswarm export {quote(str(tuning))} --to {target} --out {free_path(folder)}{check}"
         return
 
 

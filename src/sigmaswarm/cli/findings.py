@@ -209,7 +209,7 @@ def next_steps(diagnosis: "Diagnosis", out: Path, part: str = "") -> Iterator[st
         return
     yield f"next: {following}"
     if part == "test":
-        yield f"then: sigmaswarm evaluate TUNING {shlex.quote(str(ready))} --out evaluation"
+        yield f"then: sigmaswarm evaluate TUNING {shlex.quote(str(ready))} --out {free_path('evaluation')}"
         yield "      (this part is held out: TUNING is a filter that was tuned on the other part)"
         return
     if part:

@@ -168,7 +168,7 @@ def _tune(
     alone = len(read) == 1 and not len(held_back)
     evaluate, splitting = _next(out, first, everywhere[0].name, part=part) if alone else (_evaluate(out), [])
     compare = _compare(evaluate, out, [one["sha256"] for one in tuning.data])
-    lines = [f"next:     {evaluate} --out evaluation", *splitting, *compare]
+    lines = [f"next:     {evaluate} --out {free_path('evaluation')}", *splitting, *compare]
     return tuning, track, [f"model:    {chosen}"] if chosen else [], lines
 
 

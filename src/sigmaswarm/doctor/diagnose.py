@@ -88,7 +88,7 @@ def _diagnosed(drive: Drive) -> Diagnosis:
 def _of_part(found: Sequence[Finding], whole: str) -> Iterator[Finding]:
     """Replace the remedies of repairs, since a part that is repaired alone differs from the other part."""
     for finding in found:
-        remedy = f"repair the whole drive {printable(whole)}, then split again ({finding.remedy})"
+        remedy = f"if the whole drive {printable(whole)} has this fault, repair that and split again ({finding.remedy})"
         yield replace(finding, remedy=remedy) if whole and finding.repair else finding
 
 

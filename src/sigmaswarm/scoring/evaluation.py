@@ -50,7 +50,7 @@ from sigmaswarm.scoring.records import (
     EvaluationRecord,
     ScoresRecord,
 )
-from sigmaswarm.scoring.remarks import restarted, worse_than_raw, worse_than_untuned
+from sigmaswarm.scoring.remarks import is_worse_than_untuned, restarted, worse_than_raw, worse_than_untuned
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH, tracking_pass
 from sigmaswarm.scoring.tracks import (
@@ -237,6 +237,11 @@ class Evaluation:
     def worse_than_untuned(self) -> tuple[str, ...]:
         """Sentences on methods without tuning that are better on average over the drives."""
         return worse_than_untuned(self.record, self.measures)
+
+    @property
+    def is_worse_than_untuned(self) -> bool:
+        """True if a method without tuning has a smaller position RMSE, or is better in most measures."""
+        return is_worse_than_untuned(self.record, self.measures)
 
     @property
     def record(self) -> ScoresRecord:

@@ -1,6 +1,6 @@
 """Sentences about scores."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -71,24 +71,40 @@ def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tu
     messages: list[str] = []
     for method in (BASELINE, FIXES):
         name = in_sentence(method, METHODS[method])
-        known = {
-            m: (tuned, other)
-            for m in ("position_rmse_m", "heading_rmse_deg", *DRIFTS)
-            if m in shown
-            and (tuned := scores.mean_of("tuned", m)) is not None
-            and (other := scores.mean_of(method, m)) is not None
-        }
-        worse = {m: pair for m, pair in known.items() if pair[1] < MAX_ERROR_RATIO * pair[0]}
+        worse, known = _worse_measures(scores, shown, method)
         each = ", ".join(
             f"{shown[m].title} {tuned:.3g} {shown[m].unit} instead of {other:.3g} {shown[m].unit}"
             for m, (tuned, other) in worse.items()
         )
-        if "position_rmse_m" in worse or 2 * len(worse) > len(known):
+        if _is_worse(worse, known):
             messages.append(f"the tuned filter is WORSE than {name}: {each}")
         elif worse:
-            among = f"{len(worse)} of {len(known)} measures"
+            among = f"{len(worse)} of {known} measures"
             messages.append(f"the tuned filter is worse than {name} in {among}: {each}")
     return tuple(messages)
+
+
+def is_worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> bool:
+    """Return True if a method without tuning has a smaller position RMSE, or is better in most measures."""
+    return any(_is_worse(*_worse_measures(scores, shown, method)) for method in (BASELINE, FIXES))
+
+
+def _is_worse(worse: Collection[str], known: int) -> bool:
+    return "position_rmse_m" in worse or 2 * len(worse) > known
+
+
+def _worse_measures(
+    scores: ScoresRecord, shown: Mapping[str, Measure], method: str
+) -> tuple[dict[str, tuple[float, float]], int]:
+    """Return the means of both filters where a method is clearly better, and the number of known measures."""
+    known = {
+        m: (tuned, other)
+        for m in ("position_rmse_m", "heading_rmse_deg", *DRIFTS)
+        if m in shown
+        and (tuned := scores.mean_of("tuned", m)) is not None
+        and (other := scores.mean_of(method, m)) is not None
+    }
+    return {m: pair for m, pair in known.items() if pair[1] < MAX_ERROR_RATIO * pair[0]}, len(known)
 
 
 def estimate_position_errors(scores: ScoresRecord, data: Sequence[DriveRecord]) -> tuple[str, ...]:
