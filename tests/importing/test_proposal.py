@@ -170,6 +170,16 @@ def test_what_can_not_be_made_is_called_unchecked(tmp_path: Path):
         ("yawRate_ccw_rad_s", ("imu", "gz", "yawRate_ccw_rad_s")),
         ("roll_rate_dps", ("imu", "gx", "radians(roll_rate_dps)")),
         ("YGYRO", ("imu", "gy", "YGYRO")),
+        ("A_lon (milli-g)", ("imu", "ax", "`A_lon (milli-g)`*0.00980665")),
+        ("acc längs [mg]", ("imu", "ax", "`acc längs [mg]`*0.00980665")),
+        ("Gierrate [°/s]", ("imu", "gz", "radians(`Gierrate [°/s]`)")),
+        ("lon offset [m]", None),
+        (
+            "gyro_z_deg",
+            ("imu", "gz", "radians(gyro_z_deg)"),
+        ),  # a rate; the turns of the fixes confirm the unit
+        ("accel forward [km/h]", None),
+        ("yaw rate [m]", None),
         ("ZACCL", ("imu", "az", "ZACCL")),
         ("Länge", ("gps", "lon", "Länge")),
         ("Breite", ("gps", "lat", "Breite")),

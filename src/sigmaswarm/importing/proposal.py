@@ -18,7 +18,7 @@ from sigmaswarm.doctor.repairs import ACTIONS
 from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.drives.table_files import MAX_VALUE
 from sigmaswarm.errors import InputError, SigmaswarmError
-from sigmaswarm.importing.names import plain_words, unit_of
+from sigmaswarm.importing.names import plain_words, read_name, unit_of
 from sigmaswarm.importing.rates import unit_of_rates
 from sigmaswarm.importing.source import Part, Role
 from sigmaswarm.importing.times import quoted_column
@@ -26,7 +26,7 @@ from sigmaswarm.importing.units import in_si
 
 # Words for directions, with their signs in the axes x forward, y left, z up
 FORWARD = {
-    **dict.fromkeys(("fwd", "forward", "forwards", "front", "longitudinal", "long", "inline", "x"), 1),
+    **dict.fromkeys(("fwd", "forward", "forwards", "front", "longitudinal", "long", "lon", "inline", "x"), 1),
     **dict.fromkeys(("backward", "rear"), -1),
 }
 LEFT = {**dict.fromkeys(("left", "lateral", "lat", "port", "y"), 1), "right": -1, "starboard": -1}
@@ -70,28 +70,35 @@ class Meaning:
 
 def meaning_of(name: str) -> Meaning | None:
     """Interpret the name of a column word by word; None if no column of a drive has this meaning."""
-    split = re.sub(r"^([XYZ])(?=GYRO|ACC)|(?<=[a-z])(?=[A-Z])", r"\1_", name)
+    bracketed = re.fullmatch(r"(.+?)\s*[\[(][^\[\]()]*[\])]\s*", name)  # a name and its unit
+    unit = read_name(name).unit if bracketed else None
+    unit = unit if unit and unit.known else None
+    text = bracketed[1] if bracketed and unit else name
+    split = re.sub(r"^([XYZ])(?=GYRO|ACC)|(?<=[a-z])(?=[A-Z])", r"\1_", text)
     words = re.findall(r"[a-z]+|\d+", " ".join(plain_words(split)))
     sign = math.prod(CLOCKWISE[w] for w in words if w in CLOCKWISE)
     turns = not CLOCKWISE.keys().isdisjoint(words)
     words = [w for w in words if w not in CLOCKWISE]
-    said, unit = quoted_column(name), None
-    for count in (3, 2, 1):
+    said = quoted_column(name)
+    for count in () if unit else (3, 2, 1):
         if len(words) > count and words[-1] != "turn" and (found := unit_of(words[-count:])) and found.known:
             words, unit = words[:-count], found
             break
-    if unit and unit.dimension in ("rate", "acceleration", "length"):
+    if unit and unit.dimension in ("rate", "acceleration", "length", "angle"):
         said = in_si(unit, said)
     rest = set(words)
-    if rest & {"lat", "latitude", "breite"} and not rest & FORCE:
-        return Meaning("gps", "lat", quoted_column(name))
-    if rest & {"lon", "lng", "longitude", "lange", "laenge"} or rest == {"long"}:
-        return Meaning("gps", "lon", quoted_column(name))
+    if not rest & FORCE and (unit is None or unit.dimension == "angle"):
+        if rest & {"lat", "latitude", "breite"}:
+            return Meaning("gps", "lat", quoted_column(name))
+        if rest & {"lon", "lng", "longitude", "lange", "laenge"} or rest == {"long"}:
+            return Meaning("gps", "lon", quoted_column(name))
     horizontal = rest & {"h", "horizontal", "pos", "position"} and rest & {"acc", "accuracy"}
     length = unit is None or unit.dimension == "length"
     if (rest & ACCURACY or horizontal) and length and not rest & NO_PLACE:
         return Meaning("gps", "std_x", f"{said}/sqrt(2)")
     if rest & ACCURACY or not rest & (RATE | FORCE) or "gps" in rest:
+        return None
+    if unit and unit.dimension not in (("acceleration",) if rest & FORCE else ("rate", "angle")):
         return None
     for column, directions in MOVING if rest & FORCE else TURNING:
         if signs := [directions[w] for w in words if w in directions]:
