@@ -791,6 +791,16 @@ def test_rows_of_several_kinds_are_refused_and_the_command_helps(tmp_path: Path,
     require_right(tmp_path / new)
 
 
+@pytest.mark.parametrize("name", ["$(touch ran)", "`touch ran`", 'a"b', "a'b", "a!b"])
+def test_a_command_for_rows_of_several_kinds_runs_nothing_of_a_header(tmp_path: Path, name: str):
+    of_sensors(tmp_path)
+    log = tmp_path / "log.csv"
+    log.write_text(log.read_text().replace("MessageType", name, 1))
+    with pytest.raises(InputError) as caught:
+        imported(log)
+    assert "python -c" not in str(caught.value)
+
+
 def test_rows_of_several_kinds_below_a_header_name_the_command(tmp_path: Path):
     """A jumper's logger names the columns of each kind at the top; the last of these lines was the header."""
     rows = [row for i, t in enumerate(T) for row in (f"$TIME,{t},{i},2318", f"$IMU,{t},0,0,0,0,0,9.8,25")]

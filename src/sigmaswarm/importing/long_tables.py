@@ -1,5 +1,7 @@
 """Tables whose rows are of several kinds, named in a column: the command that writes a table for an import."""
 
+import re
+
 import polars as pl
 
 from sigmaswarm.importing.names import read_names
@@ -18,9 +20,14 @@ def describe_kinds(log: Log) -> str:
         times = [name.column for name in read_names(frame.columns) if is_time(name.plain)]
         numbers = [name for name in frame.columns if name not in times and len(column_numbers(frame[name]))]
         changing = [name for name in numbers if frame[name].n_unique() > MAX_KINDS]
-        if not kinds or not times or not changing:
-            continue
         file = log.path.name if log.path.is_file() else table
+        if (
+            not kinds
+            or not times
+            or not changing
+            or not all(map(_is_harmless, (file, *kinds, times[0], changing[0])))
+        ):
+            continue
         read = f"import os,polars as pl;f=pl.read_csv({file!r},comment_prefix='#',glob=False)"
         if len(changing) == 1:
             write = f"f.with_columns(k=pl.concat_str({kinds},separator='_')).pivot('k',index={times[0]!r},"
@@ -35,6 +42,11 @@ def describe_kinds(log: Log) -> str:
         there = ", ".join(map(str, frame[kinds[0]].drop_nulls().unique(maintain_order=True)[:4]))
         return f'{table} has rows of several kinds ({there}); run: python -c "{command}", and {then}'
     return ""
+
+
+def _is_harmless(name: str) -> bool:
+    """Return True if a shell runs nothing of a name within double quotes."""
+    return re.fullmatch(r"[^\\\"'`$!\n\r]*", name) is not None
 
 
 def _is_kind(values: pl.Series) -> bool:
