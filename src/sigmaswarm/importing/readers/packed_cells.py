@@ -104,6 +104,6 @@ def _sentence(
     remedy = "write one number in each cell, below a header such as t,ax,ay,az,gx,gy,gz"
     if works:
         first = "1d; " * titles
-        command = f"(echo {','.join(header)}; sed -E '{first}{edit}' {quote(shown_as.name)}) > new.csv"
+        command = f"(echo {quote(','.join(header))}; sed -E '{first}{edit}' {quote(shown_as.name)}) > new.csv"
         remedy = f"write one number in each cell, for example with: {command}"
     return f"{shown_as}: {what}; {remedy}"
