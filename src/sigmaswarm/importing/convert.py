@@ -100,10 +100,10 @@ def import_drive(request: Request, name: str, progress: ImportProgress = lambda 
         plain = replace(recipe, mount="") if recipe.mount == AUTO else recipe
         field = gathered.pop("mag", ())
         drive = assemble(name, gathered, plain, notes.append, request.part)
-        unit, unconfirmed = unit_of_rates(drive, recipe.roles, unitless)
-        if unit:
-            raise InputError(unit)
-        notes += [unconfirmed] if unconfirmed else []
+        unit = unit_of_rates(drive, recipe.roles, unitless)
+        if unit.fault:
+            raise InputError(unit.fault)
+        notes += [unit.note] if unit.note else []
         if recipe.mount == AUTO:
             drive, mount, note = find_mount(drive)
             recipe = replace(recipe, mount=mount)
@@ -230,7 +230,7 @@ def _with_unit_of_rates(
         gathered = _gather_all(request, logs, plain, lambda done: None)
         gathered.pop("mag", None)
         drive = assemble("log", gathered, plain, lambda note: None, request.part)
-        message, _ = unit_of_rates(drive, plain.roles, unitless)
+        message = unit_of_rates(drive, plain.roles, unitless).fault
     except InputError:  # other faults remain
         return faults
     rates = [fault for fault in faults if '"imu.g' in fault] if message else []

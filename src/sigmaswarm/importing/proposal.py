@@ -189,8 +189,7 @@ def _with_shown_unit(proposal: Proposal, drive: Drive) -> Proposal:
     """Convert rates from the unit that the turns of the fixes show."""
     imu = proposal.columns.get("imu", {})
     rates = {name: imu[name] for name in IMU[3:] if name in imu}
-    message, _ = unit_of_rates(drive, {"imu": [Part("", rates)]}, rates)
-    shown = dict(re.findall(r'"imu\.(g[xyz])=([^"]*)"', message)[: len(rates)])
+    shown = unit_of_rates(drive, {"imu": [Part("", rates)]}, rates).expressions
     return replace(proposal, columns={**proposal.columns, "imu": {**imu, **shown}}) if shown else proposal
 
 

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,10 +42,18 @@ OUTLIER_SIGMAS = 3.0  # standard deviations of an outlying change of course, as 
 MIN_AXIS_SHARE = 0.2
 
 
+class RateUnit(NamedTuple):
+    """The unit of rates: a fault with its remedy, a note, and expressions in the most likely unit, by column."""
+
+    fault: str = ""
+    note: str = ""
+    expressions: Mapping[str, str] = MappingProxyType({})
+
+
 def unit_of_rates(
     drive: Drive, roles: Mapping[Role, Sequence[Part]], unitless: Mapping[str, str]
-) -> tuple[str, str]:
-    """Describe the unit of rates whose turns contradict those of the fixes, with the remedy; return fault and note.
+) -> RateUnit:
+    """Find the unit of rates whose turns contradict those of the fixes.
 
     Only rates with an expression of `ASSUMED_UNITS` are checked. ``unitless``: columns without a unit, as text in
     expressions, by column of the drive. The note states that rates are assumed to be in rad/s, but the log does not
@@ -55,26 +64,28 @@ def unit_of_rates(
     used = {n: text for part in roles["imu"] for n, text in part.columns.items() if n in rates}
     forms = {text.replace(unitless[n], "{}") for n, text in used.items()}
     if len(forms) != 1 or not forms <= ASSUMED_UNITS.keys():
-        return "", ""
+        return RateUnit()
     assumed = ASSUMED_UNITS[forms.pop()]
     columns = ", ".join(unitless[n] for n in used)
     raw = [getattr(drive.imu, n) / assumed for n in used]
     share, ratio = _ratio(drive)
     if share < MIN_EXPLAINED:
         if share > MIN_CONFIRMED and 1 / MIN_FACTOR_RATIO < ratio < MIN_FACTOR_RATIO:
-            return "", ""
+            return RateUnit()
         message = f"the unit of {columns} is assumed to be rad/s, but no turn of the path confirms it; for deg/s write "
-        return "", message + _maps(used, unitless, "radians({})") if assumed == 1 and np.any(raw) else ""
+        confirmable = assumed == 1 and np.any(raw)
+        return RateUnit(note=message + _maps(used, unitless, "radians({})") if confirmable else "")
     whole = all(np.allclose(values, np.round(values), rtol=0, atol=1e-6) for values in raw)
     known = UNITS if whole else UNITS.keys() - COUNTS
     apart = {name: abs(math.log(ratio * assumed / UNITS[name][0])) for name in known}
     likely = sorted((name for name in apart if apart[name] < FACTOR_TOLERANCE), key=lambda name: apart[name])
     if 1 / MIN_FACTOR_RATIO < ratio < MIN_FACTOR_RATIO:
-        return "", ""
+        return RateUnit()
     if not likely:
-        return _wrong_clock(ratio, columns, times), ""
+        return RateUnit(_wrong_clock(ratio, columns, times))
     maps = " or ".join(_maps(used, unitless, UNITS[name][1]) for name in likely)
-    return f"the turns of the path show that the unit of {columns} is {' or '.join(likely)}; write {maps}", ""
+    fault = f"the turns of the path show that the unit of {columns} is {' or '.join(likely)}; write {maps}"
+    return RateUnit(fault, expressions={n: UNITS[likely[0]][1].format(unitless[n]) for n in used})
 
 
 def _maps(names: Iterable[str], unitless: Mapping[str, str], form: str) -> str:
