@@ -1,8 +1,8 @@
-"""Detection of a diverged filter, and its reset.
+"""Detection and reset of diverged filters.
 
 The fixes of the last few seconds determine position, speed and heading without a filter (`drives.alignment`). A filter
-has diverged if it contradicts this alignment for long and by far more than its covariance allows. The diverged filter
-is reset to the alignment.
+has diverged if, for `DIVERGED_AFTER` seconds, it differs from this alignment by far more than its covariance allows. It
+is then reset to the alignment.
 
 The thresholds were chosen on nine recordings. For filters that had not diverged, the heading differed by more than 20
 deg from the alignments for at most 8 s. The position differed by more than 20 m and 5 sigma from the fixes for at most
@@ -26,13 +26,11 @@ from sigmaswarm.filters.models import GYRO_BIAS, THETA, planar5
 from sigmaswarm.geodesy import wrap_angle
 
 DIVERGED_AFTER = 10.0  # s of contradiction; errors in a city and the recovery of robust filters are shorter
-MIN_CHECKS = 5  # smallest number of checks within the contradiction
+MIN_CHECKS = 5  # smallest number of checks in this time
 MANY_SIGMAS = 5.0  # smallest difference, in combined standard deviations of filter and fixes
 HEADING_OFF = np.radians(20.0)  # rad, smallest difference of the heading from the alignment
 POSITION_OFF = 20.0  # m, smallest difference of a fix from its prediction
-SUSPECT_HEADING = np.radians(
-    10.0
-)  # rad; if the heading is this far from a rough one, an alignment is computed
+SUSPECT_HEADING = np.radians(10.0)  # rad; at a larger difference from the rough heading, the check aligns
 SPEED_STD = 10.0  # m/s per axis, after a reset to the last fix
 
 
@@ -45,7 +43,7 @@ class CheckTimes:
 def check_times(line: Timeline) -> CheckTimes:
     """Find the first IMU sample after new fixes in each `CHECK_INTERVAL`.
 
-    A sample after a long gap is omitted, since a live filter accepts it only with the next one.
+    A sample after a long gap is omitted, since a live filter accepts it only together with the next sample.
     """
     sampled, updating = np.flatnonzero(line.sampled), np.flatnonzero(line.updates)
     before = np.searchsorted(updating, sampled, side="right")  # fixes up to each sample
@@ -73,7 +71,7 @@ class StateCheck:
     lever: Array  # (2,), m forward and left from the IMU to the antenna
     latency: float  # s
     since: Callable[[], Array]  # steps from the fix to the check, (k, 4): dt (s), ax, ay (m/s2), gz (rad/s)
-    heading: Callable[[], float]  # rough heading at the check from the log alone, rad, or NaN
+    heading: Callable[[], float]  # rough heading at the check, computed without a filter, rad, or NaN
     align: Callable[[], InitialState | None]  # alignment that ends at the fix, or None; slow
 
     @property
@@ -150,7 +148,7 @@ class DivergenceMonitor:
         self._position, self._heading = _Contradiction(), _Contradiction()
 
     def take(self, check: StateCheck) -> InitialState | None:
-        """Return the state for a reset after a check; None if the filter continues or becomes ``lost``."""
+        """Make a check; return the state for a reset, or None if the filter continues or becomes ``lost``."""
         if not np.isfinite(check.mean).all():  # a failure, which is reported elsewhere
             return None
         return self.take_all([check.time], lambda _: check)[1]
@@ -158,7 +156,7 @@ class DivergenceMonitor:
     def take_all(
         self, times: Sequence[float], check_at: Callable[[int], StateCheck]
     ) -> tuple[int | None, InitialState | None]:
-        """Check a filter at some times, s; return the index of the first divergence, and the state for a reset.
+        """Make checks at some times, s; return the index of the first divergence, and the state for a reset.
 
         ``check_at`` returns the check at the k-th time. If the filter is ``lost``, only the first check is made.
         """
@@ -181,7 +179,7 @@ class DivergenceMonitor:
 
 
 def describe_restarts(drive: str, times: Sequence[float]) -> str:
-    """Return the predicate of a sentence on a filter's resets on a drive."""
+    """Return the predicate of a sentence about the resets of a filter on a drive."""
     at = ", ".join(f"{t:.1f}" for t in times[:5]) + (" ..." if len(times) > 5 else "")
     often = f"{len(times)} times" if len(times) > 1 else "once"
     return f"diverged on {drive} and was reset {often}, at t = {at} s"
@@ -238,14 +236,14 @@ def steps_since(samples: Array, time: float) -> Array:
     return steps
 
 
-_MAX_MAGNITUDE = 1e12  # m, m/s2 or rad/s; with larger numbers a fit fails, and LAPACK prints a message
+_MAX_MAGNITUDE = 1e12  # m, m/s2 or rad/s; with larger numbers, a fit fails and LAPACK prints a message
 
 
 def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
     """Align with the last few seconds of a stream.
 
-    ``samples`` (k, 4 or 6): time, ax, ay, gz, gx, gy; ``fixes`` (m, 3), s and m; ``gyro_bias``: known bias about up,
-    rad/s.
+    ``samples`` (k, 4 or 6): time, ax, ay, gz, gx, gy; ``fixes`` (m, 3): time (s), x, y (m); ``gyro_bias``: known bias
+    of gz, rad/s.
     """
     columns = samples[(np.abs(samples[:, 1:]) < _MAX_MAGNITUDE).all(axis=1)].T
     fixes = fixes[(np.abs(fixes[:, 1:]) < _MAX_MAGNITUDE).all(axis=1)]
@@ -257,7 +255,7 @@ def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -
     try:
         alignments = Alignments(drive)
         alignment = alignments.at(len(alignments.time) - 1) if len(alignments.time) else None
-    except (ArithmeticError, np.linalg.LinAlgError):  # samples such as 1e200
+    except (ArithmeticError, np.linalg.LinAlgError):  # for extreme samples or times
         return None
     if alignment is None or alignment.gyro is None or not gyro_bias:
         return alignment
@@ -266,7 +264,7 @@ def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -
 
 
 def state_at_fix(time: float, fix: Array, variance: Array, theta: float, lever: Array) -> InitialState:
-    """Return the state at a fix (2,), m, with a variance (2,), m2, and with unknown speed and heading."""
+    """Return the state at a fix (2,), m, with its variance (2,), m2, unknown speed, and an uncertain heading theta."""
     c, s = np.cos(theta), np.sin(theta)
     turned = np.array([c * lever[0] - s * lever[1], s * lever[0] + c * lever[1]])
     mean = np.array([*(fix - turned), 0.0, 0.0, theta])

@@ -25,13 +25,13 @@ CHUNK_SAMPLES = 10_000  # IMU samples in a piece (9 MB for planar8)
 
 @dataclass(frozen=True, eq=False)
 class EstimateChunk:
-    """Estimates at some consecutive IMU samples, after all fixes up to each sample."""
+    """Estimates at consecutive IMU samples; each uses all fixes up to its sample."""
 
     time: Array  # (r,), s
     mean: Array  # (r, n), as in `Estimate`
     covariance: Array  # (r, n, n)
     sound: Mask  # (r,), False after a failure
-    lost: Mask  # (r,), diverged and not yet reset; the estimate is the last fix
+    lost: Mask  # (r,), True if diverged and not yet reset; the estimate is then the last fix
 
 
 def join_chunks(pieces: Iterable[EstimateChunk]) -> EstimateChunk:
@@ -74,9 +74,9 @@ class Innovations:
 class FilterRun:
     """Run of a filter over a replay: an iterator of pieces. Sums and innovations are available after the last piece.
 
-    ``samples``: number of IMU samples in a piece; the results do not depend on it. ``recover``: reset the filter if it
-    diverges. At the sample of a reset, and while the estimate is the last fix, the sums contain the errors of the
-    diverged filter.
+    ``samples``: number of IMU samples in a piece; it does not affect the results. ``recover``: reset the filter if it
+    diverges. The sums contain the errors of the diverged filter at the sample of a reset, and while the estimate is the
+    last fix.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class FilterRun:
         return join_chunks(self)
 
     def finished(self) -> Self:
-        """Run to the end without estimates and failure detection; return the recording."""
+        """Run to the end without computing estimates or detecting a failure; return the run."""
         for _ in self._parts:
             pass
         return self
@@ -137,10 +137,10 @@ class FilterRun:
         self._complete = True
 
     def _run_to(self, stops: Indices, record: Array) -> Mask:
-        """Run to the last of the stops, (r,), which follow IMU samples; mark where the estimate is the last fix, (r,).
+        """Run to the last of ``stops``, (r,), the steps after IMU samples; return `EstimateChunk.lost`, (r,).
 
-        Stopping the filter at every check would take longer than the steps. The filter therefore runs to the end, and
-        its recorded estimates are checked afterwards. After a divergence, it is reset and runs again from that step.
+        Stopping the filter at every check would take longer than the steps. Therefore, the filter runs to the end, and
+        its recorded estimates are checked afterwards. If it diverged, it is reset at that step and runs on from there.
         """
         lost = np.zeros(len(stops), dtype=np.bool_)
         if self._checks is None:
@@ -178,8 +178,8 @@ class FilterRun:
     def _check(self, steps: Indices, record: Array) -> tuple[int, InitialState | None]:
         """Check the filter at the recorded steps, up to the first divergence.
 
-        Return the row of the divergence and the state for a reset; if there is no divergence, return the last row and
-        None.
+        Return the row of the divergence and the state for a reset (None if there is no alignment); without a
+        divergence, return the last row and None.
         """
         times = self._checks
         assert times is not None
@@ -251,30 +251,30 @@ class FilterRun:
 
     @property
     def sums(self) -> KernelSums:
-        """Sums as in `run_passes` for this replay and set, shape (1, 1), after the last piece."""
+        """Sums of `run_passes` for this replay and parameter set, shape (1, 1); available after the last piece."""
         self._need_all()
         return self._array.sums(self._rows)
 
     @property
     def innovations(self) -> Innovations:
-        """Innovations of all fixes, including hidden fixes, after the last piece."""
+        """Innovations of all fixes, including hidden ones; available after the last piece."""
         self._need_all()
         rows, time = self._innovations, self._replay.timeline.fix_time
         return Innovations(time, rows[:, :2], rows[:, [2, 3, 3, 4]].reshape(-1, 2, 2))
 
     def _need_all(self) -> None:
         if not self._complete:
-            raise RuntimeError("take all pieces of the recording first")
+            raise RuntimeError("the run is not complete; take all pieces first")
 
 
 class InterruptibleRun(FilterRun):
-    """A recording that calls `_at` after the IMU samples with the sorted indices ``_marks``, (k,)."""
+    """Run of a filter that calls `_at` after the IMU samples with the sorted indices ``_marks``, (k,)."""
 
     _marks: Indices
     _done = 0
 
     def _at(self, sample: int, stop: int, record: Array, *, lost: bool) -> None:
-        """Change the filter after an IMU sample, before step ``stop``; ``record`` is its row (s, 1)."""
+        """Change the filter after an IMU sample, before step ``stop``; ``record`` (s, 1) is the row of this sample."""
         raise NotImplementedError
 
     def _run_to(self, stops: Indices, record: Array) -> Mask:
@@ -291,7 +291,7 @@ class InterruptibleRun(FilterRun):
 
 
 def failure_at(line: Timeline, time: float) -> str:
-    """Return a message about a filter's failure at a time, s."""
+    """Return the message about a filter that failed at a time, s."""
     return (
         f"{line.drive.name}: the filter failed at t = {time:.3f} s (covariance not positive "
         "definite, or NaN in the data); check that all variances are positive and all samples are finite"

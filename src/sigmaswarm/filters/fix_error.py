@@ -6,8 +6,9 @@ apart
 
     b <- phi b,    P_bb <- phi^2 P_bb + g s^2 (1 - phi^2),    phi = exp(-dt / tau)
 
-where s is the stated standard deviation of the later fix; if none is stated, s is that of the receiver. A filter starts
-at a fix, so its position has the error -b: P_bb = g s^2, P_pp += g s^2, P_pb = -g s^2. Returned estimates omit b.
+where g and tau are the parameters ``fix_error`` and ``fix_error_time``, and s is the stated standard deviation of the
+later fix; if none is stated, s is ``fix_std``. A filter starts at a fix, so its position has the error -b: P_bb = g
+s^2, P_pp += g s^2, P_pb = -g s^2. Returned estimates omit b.
 """
 
 from collections.abc import Callable
@@ -112,14 +113,14 @@ _LENGTHS = {len(model.states) for model in FILTERS.values() if model.fix_error}
 
 
 def known_states(n: int, given: int) -> int:
-    """Return the number of a model's n states that a start with ``given`` states determines."""
+    """Return how many of a model's n states a start with ``given`` states determines."""
     if n == given:
         return n
     return min(n - 2 if n in _LENGTHS else n, given - 2 if given in _LENGTHS else given)
 
 
 def transition(n: int, phi: float) -> Array:
-    """Return the transition F of n states between two fixes, (n, n)."""
+    """Return the transition F, (n, n), of a model's n states between two fixes: only b changes."""
     return np.diag([1.0] * (n - 2) + [phi] * 2)
 
 
@@ -129,7 +130,7 @@ def fix_error_noise(variance: Array, phi: float) -> Array:
 
 
 def add_start(mean: Array, covariance: Array, variance: Array) -> None:
-    """Add b with variance g s^2, (...) m2, to starts (..., n), (..., n, n), in place."""
+    """Add b with the variance g s^2, (...) m2, to initial means (..., n) and covariances (..., n, n), in place."""
     for position, b in ((0, -2), (1, -1)):
         mean[..., b] = 0.0
         covariance[..., b, b] = variance

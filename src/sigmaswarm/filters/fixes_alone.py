@@ -1,7 +1,7 @@
 """A Kalman filter that uses only the fixes: constant velocity with white acceleration, no IMU.
 
-Filters with an IMU should be more accurate. The model is that of Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation
-with Applications to Tracking and Navigation, 2001, section 6.2.2.
+A filter with an IMU should be more accurate. Source of the model: Y. Bar-Shalom, X. R. Li and T. Kirubarajan,
+Estimation with Applications to Tracking and Navigation, 2001, section 6.2.2.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -30,9 +30,9 @@ class MotionNoise:
     fix: float  # factor on the stated variance of a fix, or on 2.1^2 m2 if none is stated
 
     @classmethod
-    def typical(cls, each: Iterable["MotionNoise"]) -> "MotionNoise":
-        """Return the median of the noise parameters of several drives, on a logarithmic scale."""
-        density, fix = np.exp(np.median([(np.log(n.acceleration), np.log(n.fix)) for n in each], axis=0))
+    def typical(cls, noises: Iterable["MotionNoise"]) -> "MotionNoise":
+        """Return the median of the logarithms of several drives' noise parameters, as parameters."""
+        density, fix = np.exp(np.median([(np.log(n.acceleration), np.log(n.fix)) for n in noises], axis=0))
         return cls(float(density), float(fix))
 
 
@@ -40,7 +40,7 @@ class MotionNoise:
 def _filter(
     dt: Array, fixes: Array, variance: Array, density: float, start: Array, states: Array
 ) -> float:  # pragma: no cover
-    """Filter fixes (k, 2); write x, y, vx, vy and three terms of P after each fix, (k, 7); return -2 log likelihood."""
+    """Filter fixes (k, 2); write x, y, vx, vy, P_xx, P_xv and P_vv after each fix, (k, 7); return -2 log likelihood."""
     x, y, u, v, pp, pv, vv = start
     cost = 0.0
     for k in range(len(dt)):
@@ -60,7 +60,7 @@ def _filter(
 
 
 def _variances(line: Timeline) -> Array:
-    """Return the stated variances of the fixes, m2; a typical variance if none are stated."""
+    """Return the stated variances of the fixes, m2, or a typical variance if they are not stated."""
     stated = line.fixes[:, FIX_VAR_X : FIX_VAR_X + 2].mean(axis=1)
     return (
         stated if line.states_accuracy and np.all(stated > 0) else np.full(len(stated), UNSTATED_GPS_STD**2)
@@ -90,7 +90,7 @@ def fitted_noise(ready: PreparedDrive) -> MotionNoise:
 
 
 class FixesAlone:
-    """A run of the filter over a replay from the common start, as one piece of estimates at the IMU's times."""
+    """Run of the filter over a replay; yields one piece, with estimates at the times of the IMU."""
 
     failure: str | None = None
     restarts: Sequence[float] = ()

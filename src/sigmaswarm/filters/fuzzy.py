@@ -1,10 +1,10 @@
-"""Rules of a fuzzy filter for scaling R and Q, and their constants in every form of the filter.
+"""Rules by which a fuzzy filter scales R and Q, and their constants.
 
 The ratio d of the actual to the theoretical innovation covariance is NIS / 2, on average 1 for a consistent filter. The
 rules use two moving averages of d over the fixes; the time constant of the slow one is `SLOWER` times that of the quick
 one. The averages give two inputs in (-1, 1), ``ratio = (quick - 1) / (quick + 1)`` and ``trend = (quick - slow) /
-(quick + slow)``. Linear edges with tuned widths give the memberships "small", "right", "large" and "rises" between 0
-and 1:
+(quick + slow)``. Linear functions with tuned widths give the memberships "small", "right", "large" and "rises" between
+0 and 1:
 
     ratio is small                       R / g_R    Q / g_Q     the covariance is too large
     ratio is right                       R          Q
@@ -21,5 +21,5 @@ The ratio is computed from S before the update. The update uses the new R, the n
 1 the filter equals the unscented filter.
 """
 
-LARGEST_RATIO = 10.0  # limits the effect of an outlier; for good fixes, one ratio in 20 000 is larger
-SLOWER = 4.0  # ratio of the averages' time constants
+LARGEST_RATIO = 10.0  # upper limit of d, against outliers; for good fixes, one d in 20 000 is larger
+SLOWER = 4.0  # ratio of the time constants of the two averages

@@ -1,7 +1,7 @@
 """Parameter sets as columns of the compiled kernel's array: their constants, starts and sums.
 
-A kernel call takes 0.2 ms. Python code for each drive and block would take longer and block other threads, so this
-module processes all sets and all drives together.
+A kernel call takes 0.2 ms. Python code for each drive and block of columns would take longer and block other threads.
+Therefore, this module processes all sets and all drives together.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,17 +30,17 @@ from sigmaswarm.filters.compiled.layout import (
 )
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.models import NOISE_OF, THETA
-from sigmaswarm.filters.packing import RESULT_SUMS, pack_states, sound_lanes
+from sigmaswarm.filters.packing import RESULT_SUMS, pack_states, sound_columns
 from sigmaswarm.filters.parameter_table import ParameterTable
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, measured_by, start_std, starts_of
 from sigmaswarm.filters.student import OUTLIERS_SPAN
 
 Starts = dict[InitialState, tuple[Array, Array]]
-"""Initial state rows (N_STATE, columns) and headings (columns,), rad; one column if all columns are equal."""
+"""Initial state rows (N_STATE, columns) and headings (columns,), rad; a single column if all are equal."""
 
-MAX_STARTS = 20_000  # largest number of starts of columns, 3 kB each, that are computed in advance
-MAX_CACHED_STARTS = 1_000  # largest number of cached starts, 3 kB each, for the next generations
+MAX_STARTS = 20_000  # largest number of starts that are computed in advance; each column of a start has 3 kB
+MAX_CACHED_STARTS = 1_000  # largest number of cached starts with one column
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +72,12 @@ class KernelSums:
 
 
 class KernelArray:
-    """Parameter sets that run together, since they have the same kernel and the same measurements.
+    """Parameter sets with the same kernel and measurements, which run together.
 
-    Each block has ``width`` columns, up to `most_lanes`. A partial block is filled with copies of a set. ``like`` is a
-    set with the model and measurements of all ``size`` sets. ``reads`` are the requirements on a drive: model, stated
-    accuracy of fixes, `measured_by`. A model that is not compiled as this filter type raises `InputError`.
+    Each block has ``width`` columns, at most `most_lanes`; surplus columns contain other sets or copies of the last
+    set. ``like`` has the model and measurements of all ``size`` sets. ``reads`` states what the sets require of a
+    drive: axes of the model, stated accuracy of fixes, and measurements (`measured_by`). The constructor raises
+    `InputError` if the model is not compiled as this filter type.
     """
 
     def __init__(self, parameter_sets: Sequence[FilterParameters]) -> None:
@@ -101,7 +102,7 @@ class KernelArray:
         self._starts: Starts = {}
 
     def part(self, sets: range) -> "KernelArray":
-        """Return the array of some of the sets, with the values that were computed for all sets."""
+        """Return the array of some of the sets, which shares the values computed for all sets."""
         part = copy(self)
         part._first, part.size = self._first + sets.start, len(sets)
         return part
@@ -125,28 +126,28 @@ class KernelArray:
 
     @property
     def plausible(self) -> Mask:
-        """Sets with Q >= 0 and R > 0, bool of shape (size,); P of others may be indefinite long before a check."""
+        """True for sets with Q >= 0 and R > 0, (size,); for others, P may become indefinite long before a check."""
         own = self._constants[:, self._first : self._first + self.size]
         r = own[[R.RX - CONSTANT_ROWS.start, R.RY - CONSTANT_ROWS.start]]
         return (own[_Q].min(axis=0) >= 0) & (r.min(axis=0) > 0)
 
     def constants(self, nominal_interval: float) -> Array:
-        """Return the kernel's constants, (N_CONSTANTS, columns), for a drive with this IMU interval, s."""
+        """Return the kernel's constants, (N_CONSTANTS, columns), for a drive with the IMU interval, s."""
         constants, own = self._constants[:, self._columns].copy(), self._interval[self._columns]
         constants[_Q] *= nominal_interval / np.where(own > 0.0, own, nominal_interval)
-        # In nominal steps, less a margin for the rounding of Unix time.
+        # In nominal steps, minus a margin for the rounding of Unix time.
         constants[R.PATIENCE - CONSTANT_ROWS.start] = (OUTLIERS_SPAN - 1e-6) / nominal_interval
         constants[R.FIX_ERROR_RATE - CONSTANT_ROWS.start] *= nominal_interval
         return constants
 
     def compute_starts(self, initial: Sequence[InitialState]) -> None:
-        """Compute the starts of all sets for later parts; this takes as long as the starts of a few sets."""
+        """Compute the starts of all sets, for use in each `part`; this takes no longer than for a few sets."""
         unknown = tuple(dict.fromkeys(initial))
         if len(unknown) * len(self._start_std) <= MAX_STARTS:
             self._starts = self._starts_at(unknown, self._start_std)
 
     def start(self, initial: Sequence[InitialState], nominal_intervals: Sequence[float]) -> Array:
-        """Return the rows of the filters at m starts, (blocks * m, N_KEPT, width); intervals of the IMUs in s."""
+        """Return the rows of the filters at m starts, (blocks * m, N_KEPT, width); intervals of the IMU in s."""
         columns, blocks, m = self._columns, self.blocks, len(initial)
         shared = len(self._start_std) == 1
         starts, chosen = self._starts, slice(None) if shared else columns
@@ -169,7 +170,7 @@ class KernelArray:
 
     def sums(self, rows: Array) -> KernelSums:
         """Return the sums of the sets from the final rows of m replays that began with the rows of `start`."""
-        is_sound, sums = sound_lanes(rows, self.kernel), rows[:, RESULT_SUMS].swapaxes(0, 1)
+        is_sound, sums = sound_columns(rows, self.kernel), rows[:, RESULT_SUMS].swapaxes(0, 1)
         if self.blocks > 1:  # all columns of a replay side by side
             is_sound, sums = _side_by_side(is_sound, self.blocks), _side_by_side(sums, self.blocks)
         sound = is_sound[:, : self.size] & self.plausible
@@ -195,19 +196,19 @@ def _shared_starts(initial: tuple[InitialState, ...], model: str, std: tuple[flo
 
 
 def _in_blocks(rows: Array, blocks: int) -> Array:
-    """Reshape rows (r, columns) to (blocks, r, width), and rows of a single column for all sets to (1, r, 1)."""
+    """Reshape rows (r, columns) to (blocks, r, width); a single column, for all sets, to (1, r, 1)."""
     return rows.reshape(len(rows), blocks if rows.shape[1] > 1 else 1, -1).swapaxes(0, 1)
 
 
-def _side_by_side(each: NDArray[Any], blocks: int) -> NDArray[Any]:
+def _side_by_side(values: NDArray[Any], blocks: int) -> NDArray[Any]:
     """Reshape the values of each block, (..., blocks * m, width), to (..., m, columns)."""
-    *more, rows, width = each.shape
-    by_block = each.reshape(*more, blocks, rows // blocks, width)
+    *more, rows, width = values.shape
+    by_block = values.reshape(*more, blocks, rows // blocks, width)
     return by_block.swapaxes(-3, -2).reshape(*more, rows // blocks, blocks * width)
 
 
 def _constants(table: ParameterTable) -> Array:
-    """Return the kernel's constants, (N_CONSTANTS, n). Q refers to the sets' own interval; PATIENCE is 0."""
+    """Return the kernel's constants, (N_CONSTANTS, n), with Q per `nominal_interval` of the set, and PATIENCE 0."""
     constants = np.zeros((len(CONSTANTS), len(table)))
     for row, value in _values(table.field, table.like.kernel).items():
         constants[row - CONSTANT_ROWS.start] = value

@@ -15,9 +15,9 @@ LAG_ROUNDING = 1e-6  # s, largest rounding error of a lag
 
 
 class FixedLag:
-    """Fixed-lag smoother of a live filter, which processes the last samples again, logs the steps, and smooths.
+    """Fixed-lag smoother of a live filter: it processes the last samples again, logs their steps, and smooths the log.
 
-    ``lag`` is in s; ``most_steps`` is the largest number of steps in the memory.
+    ``lag`` is in s; ``most_steps`` is the largest number of logged steps.
     """
 
     def __init__(self, kernel: str, lag: float, *, most_steps: int) -> None:
@@ -28,7 +28,7 @@ class FixedLag:
         nothing = np.zeros((0, len(self._state)))
         self._no_starts = np.zeros(0, dtype=np.int64), nothing
         self._out = nothing
-        # Compiled now, so that no sample waits for the compiler.
+        # Compile now, so that no sample waits for the compiler.
         nothing = np.zeros((0, live.N_FIX)), np.zeros((0, 2)), np.zeros((1, live.N_RECORD)), np.zeros((0, 0))
         again_call()(
             self._step.address,
@@ -41,7 +41,7 @@ class FixedLag:
         self._back(np.zeros((0, self._width)), np.zeros(len(self._state)), np.zeros(len(self._state)))
 
     def smoothed(self, memory: LiveArrays) -> tuple[float, Array]:
-        """Return the time (s) of the smoothed state, and its rows of the state, (n_rows,)."""
+        """Return the time (s) and the rows (n_rows,) of the smoothed state."""
         filter_state, counts, _, fixes, speeds, history, checkpoints, _ = memory
         now, kept = float(filter_state[live.TIME]), int(counts[live.N_HISTORY])
         order = (int(counts[live.OLDEST]) + np.arange(kept)) % len(history)

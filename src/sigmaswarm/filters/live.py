@@ -37,18 +37,18 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import measured_by
 from sigmaswarm.geodesy import wrap_angle
 
-MAX_RESTARTS = 1000  # largest number of resets in the record of reset times
+MAX_RESTARTS = 1000  # largest number of times in `LiveFilter.restarts`
 MAX_READINGS = 2000  # stored odometer readings: ten seconds at 200 Hz
-MAX_RATE_RATIO = 4  # the monitor covers its full time if the IMU is up to this many times as fast as stated
+MAX_RATE_RATIO = 4  # the monitor covers its full span if the IMU is up to this many times as fast as stated
 MAX_HISTORY = 100_000  # IMU intervals in history and lag: 100 s at 1 kHz, 0.2 GB
 MAX_WAITING_FIXES = 1000  # approximate number of fixes that can wait during a gap of the IMU
 _NO_NUMBERS = (TypeError, LookupError, OverflowError)
-"""Errors of invalid input such as texts, None, too few numbers, or integers of 400 digits."""
+"""Errors that invalid input raises: texts, None, too few numbers, integers of 400 digits."""
 
 
 @dataclass(frozen=True, eq=False)
 class LiveState:
-    """The state estimate.
+    """State estimate of a live filter.
 
     Attributes
     ----------
@@ -70,22 +70,22 @@ class LiveFilter:
     """A Kalman filter that processes one sample at a time.
 
     Samples are in the axes of the vehicle. If the IMU is mounted as in the training drives, SciPy's
-    ``Rotation.from_euler("xyz", tuning.mounting, degrees=True)`` rotates its samples.
+    ``Rotation.from_euler("xyz", tuning.mounting, degrees=True)`` rotates its samples into these axes.
 
-    A fix waits for the next IMU sample, which propagates the filter to the time of the fix, and after the update to the
-    time of the sample. For a fix that is at most ``history`` seconds late, the filter returns to the fix's time and
-    processes the later samples again. The state therefore equals the result of `run_filter` for the same data in time
-    order. Fixes of the same time, for example from two receivers, are used one after the other. An identical fix is a
-    repeated message and is ignored. A stale fix is stored but not used: see `drives.stale_fixes`.
+    A fix waits for the next IMU sample, which propagates the filter to the time of the fix and, after the update, to
+    its own time. If a fix is at most ``history`` seconds late, the filter returns to the time of the fix and processes
+    the later samples again. The state therefore equals the result of `run_filter` for the same data in time order.
+    Fixes of the same time, for example from two receivers, are used one after the other. An identical fix is a repeated
+    message and is ignored. A stale fix is not used: see `drives.stale_fixes`.
 
-    Without IMU samples the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`). A
-    sample stamped more than 10 s ahead waits for a second sample within a second of its stamp. If the second sample
-    arrives, both are used, as after a gap; otherwise the first sample is dropped and counted. The same rule applies to
-    fixes. IMU samples near the time stamp of a fix also confirm it.
+    Without IMU samples, the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`). A
+    sample whose time stamp is more than 10 s ahead waits for a second sample within a second of this time. If that
+    sample arrives, both are used, as after a gap; otherwise the first one is dropped and counted. The same rule applies
+    to fixes, which IMU samples near their time also confirm.
 
     The divergence monitor compares the filter once a second with the latest fixes and resets it if it has diverged
-    (`divergence`). The delay of the fixes also delays a reset, relative to `run_filter`. Fixes from before the reset
-    count as too late.
+    (`divergence`). If fixes are delayed, the reset is later than in `run_filter`. Fixes from before a reset count as
+    too late.
 
     The memory has a fixed size. The compiled code (`compiled.live`) is loaded or compiled by the first filter of a
     process.
@@ -98,14 +98,14 @@ class LiveFilter:
     nominal_interval : float
         Interval between IMU samples, s.
     lever_arm : sequence of float
-        Vector from the IMU to the antenna, m forward and left: a drive's ``lever_arm``. For tilted12 a third number, m
-        up, can be given: ``[*drive.lever_arm, drive.antenna_height]``; the default is 0.
+        Vector from the IMU to the antenna, m forward and left: a drive's ``lever_arm``. tilted12 also reads a third
+        number, m up: ``[*drive.lever_arm, drive.antenna_height]``; the default is 0.
     history : float
         Largest delay of a fix, s.
     recover : bool
         Reset the filter if it diverges.
     as_recorded : bool
-        Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
+        Run without preprocessing, for diagnosis: use stale fixes, and treat IMU gaps as ordinary steps.
     lag : float, optional
         Delay of the `smoothed` state, s.
 
@@ -114,9 +114,10 @@ class LiveFilter:
     restarts : list of float
         Times of the last `MAX_RESTARTS` resets, s.
     too_late : int
-        Number of ignored fixes and odometer readings: later than ``history``, or during a long gap in the IMU.
+        Number of fixes and odometer readings that were ignored because they came later than ``history``, or in a long
+        IMU gap.
     time_jumps : int
-        Number of dropped samples, fixes and readings with unconfirmed stamps far ahead.
+        Number of dropped samples, fixes and readings, whose time stamps were far ahead and not confirmed.
     frozen : int
         Number of stale fixes, which are not used.
     """
@@ -146,7 +147,7 @@ class LiveFilter:
         self._takes_accuracy = p.accuracy_scale is not None
         filter_state = _initial_filter_state(p, initial, nominal_interval, lever_arm)
         filter_state[live.AS_RECORDED], filter_state[live.LATE_BY] = as_recorded, history
-        # More than for the history: an IMU may run faster than stated.
+        # With a margin of 25%, since an IMU may run faster than stated.
         samples = max(
             1, int(np.ceil(1.25 * max(history, (lag or -1.0) + nominal_interval) / nominal_interval))
         )
@@ -171,9 +172,9 @@ class LiveFilter:
         self._lag = None if lag is None else FixedLag(kernel, lag, most_steps=waiting + samples)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
-        """Process an IMU sample; ignore a repeated or earlier time; defer a time that is more than 10 s ahead.
+        """Process an IMU sample; ignore it if its time is not after the last one; defer it if it is over 10 s ahead.
 
-        Samples before the start only determine the noise at rest, for the detection of standstills.
+        Samples before the start are used only for the noise at rest, which the detection of standstills needs.
 
         Parameters
         ----------
@@ -208,16 +209,16 @@ class LiveFilter:
         std: Sequence[float] | None = None,
         heading: Sequence[float] | None = None,
     ) -> bool:
-        """Process a fix: x, y (m), and optionally its velocity, m/s east and north.
+        """Process a fix: x, y (m), and optionally the velocity, m/s east and north.
 
-        ``std``: the standard deviation that the receiver states, m east and north. A filter with ``accuracy_scale``
-        needs it; a filter with ``fix_error`` uses it if given. ``heading``: heading and its stated standard deviation,
-        rad (0 if none is stated), for a filter with ``heading_noise``.
+        ``std``: standard deviation that the receiver states, m east and north. A filter with ``accuracy_scale`` needs
+        it; a filter with ``fix_error`` uses it if given. ``heading``: heading and its stated standard deviation, rad (0
+        if none is stated), for a filter with ``heading_noise``.
 
         Returns
         -------
         bool
-            False if the fix was ignored (before the start, too late, or a repeat) or waits for confirmation.
+            False if the fix was ignored (before the start, too late, or a repetition) or waits for confirmation.
 
         Raises
         ------
@@ -238,7 +239,7 @@ class LiveFilter:
                 == live.TAKEN
             )
         except _NO_NUMBERS as error:
-            raise InputError(f"the fix does not consist of two numbers: {error}") from None
+            raise InputError(f"the fix contains values that are not numbers, or too few: {error}") from None
 
     def update_odometer(self, t: float, speed: float) -> bool:
         """Process an odometer reading, m/s, positive forward.
@@ -249,7 +250,7 @@ class LiveFilter:
         -------
         bool
             False if the reading was ignored: the filter uses no odometer, or the reading is too late, more than 10 s
-            ahead, or a repeat.
+            ahead, or a repetition.
         """
         try:
             return self._calls.speed(self._memory.handle, t, speed) == live.TAKEN
@@ -257,7 +258,7 @@ class LiveFilter:
             raise InputError(f"the odometer reading is not a number: {error}") from None
 
     def _check_divergence(self, now: float, *, due: bool) -> None:
-        """Reset the filter after a sample if it has diverged; ``due``: True if a check is due."""
+        """Reset the filter after a sample if it has diverged; ``due``: a check is due."""
         fix, monitor = self._last_fix(now), self._monitor
         if fix is None or monitor is None:
             return
@@ -316,7 +317,7 @@ class LiveFilter:
 
     @property
     def _samples(self) -> Array:
-        """Samples of the last `MONITOR_SPAN` seconds and the one before: time, ax, ay, gz, and gx, gy if read."""
+        """Samples of the last `MONITOR_SPAN` seconds and one before: time, ax, ay, gz (and gx, gy if read)."""
         arrays, columns = self._memory.arrays, [0, *_ALIGNING[: 5 if "gx" in self._axes else 3]]
         newest, n = int(arrays.counts[live.NEWEST]), int(arrays.counts[live.N_LATELY])
         samples = arrays.lately[np.arange(newest - n + 1, newest + 1) % len(arrays.lately)][:, columns]
@@ -370,16 +371,16 @@ class LiveFilter:
 
     @property
     def state(self) -> LiveState:
-        """The state estimate after the last IMU sample and all fixes up to its time."""
+        """State estimate after the last IMU sample and all fixes up to its time."""
         time, definite = float(self._filter_state[live.TIME]), self._calls.definite(self._memory.handle)
         return self._state_at(time, self._filter_state[self._state], definite)
 
     @property
     def smoothed(self) -> LiveState:
-        """The fixed-lag smoothed state at the last IMU sample that is at least ``lag`` s old.
+        """Fixed-lag smoothed state at the last IMU sample that is at least ``lag`` s old; computed at each access.
 
-        The state equals the result of `smooth` at that time with the data so far. Its ``time`` is never before the
-        start or the last reset. It is computed at each access.
+        It equals the result of `smooth` at that time with the data so far. Its ``time`` is never before the start or
+        the last reset.
 
         Raises
         ------
@@ -403,7 +404,7 @@ class LiveFilter:
 
 
 def live_state(time: float, mean: Array, covariance: Array, lost: bool, sound: bool) -> LiveState:
-    """Make a state with a wrapped heading; changes ``mean``."""
+    """Return a state with a wrapped heading; change ``mean`` in place."""
     sound = sound and bool(np.isfinite(mean).all() and np.isfinite(covariance).all())
     if np.pi < abs(mean[THETA]) < np.inf or mean[THETA] == -np.pi:
         mean[THETA] = wrap_angle(float(mean[THETA]))
@@ -411,7 +412,7 @@ def live_state(time: float, mean: Array, covariance: Array, lost: bool, sound: b
 
 
 _ALIGNING = (1, 2, 3, 5, 6)
-"""Indices of ax, ay, gz, gx, gy in a stored sample, whose index 0 is the time: see `AXES`."""
+"""Indices of ax, ay, gz, gx, gy in a stored sample: `AXES` after the time."""
 
 
 def _check_spans(interval: float, history: float, lag: float | None) -> None:

@@ -1,7 +1,7 @@
 """Vehicle models: their description, process f(state, dt, imu) and measurements h(state) in textbook form.
 
-The states of a model begin with those of the models before it, so measurements find states at the same indices.
-Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. `tilted` has the model with a full attitude.
+The states of a model begin with those of the models before it, so measurements find states at the same indices. Arrays:
+state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. `tilted` defines the model with roll and pitch.
 """
 
 import re
@@ -26,8 +26,8 @@ MEASURED = {
 }
 """Measurements other than fixes, and the unit of their variance.
 
-A filter uses the measurement NAME if its parameter NAME_noise is a number. The option of a tuning, the event in
-`drives.events`, the kernels' row R_NAME, and USE_NAME and NAME_NOISE in C have the same NAME.
+A filter uses the measurement NAME if its parameter NAME_noise is a number. NAME is also the option of ``tune --use``
+and the event in `drives.events`; the kernels' row is R_NAME, and the macros in C are USE_NAME and NAME_NOISE.
 """
 NOISE_OF = {name: f"{name}_noise" for name in MEASURED}
 
@@ -54,7 +54,7 @@ def planar5(state: Array, dt: float, imu: Array) -> Array:
 
 
 def planar8(state: Array, dt: float, imu: Array) -> Array:
-    """Propagate like planar5, minus the constant biases of accelerometer (x, y) and gyro (z)."""
+    """Propagate like planar5, with constant biases of accelerometer (x, y) and gyro (z) subtracted from the IMU."""
     return np.concatenate([planar5(state[:5], dt, imu - state[5:]), state[5:]])
 
 
@@ -67,10 +67,10 @@ def robot_localization(state: Array, dt: float, imu: Array) -> Array:
         x += cos(yaw) A - sin(yaw) B        y += sin(yaw) A + cos(yaw) B        yaw += d yaw rate
         vx += d ax                          vy += d ay                          P = J P J' + d Q
 
-    The velocity does not rotate with the body, so in a turn a fused ay becomes lateral speed. Each measurement is of
-    single states: gz, ax and ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix, and yaw of two
-    antennas. A fix, gz or ax with nu' S^-1 nu >= threshold^2 is rejected. Source:
-    https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
+    The velocity does not rotate with the body, so in a turn a fused ay becomes lateral speed. Measurements observe
+    states directly: the IMU gz, ax and ay; a twist vy = 0; the wheels vx; a fix x and y; two antennas yaw. A fix, gz or
+    ax with nu' S^-1 nu >= threshold^2 is rejected. Source: https://github.com/cra-ros-pkg/robot_localization, branch
+    rolling-devel.
     """
     x, y, vx, vy, theta, ax, ay, yaw_rate = state
     a, b = vx * dt + ax * dt**2 / 2, vy * dt + ay * dt**2 / 2
@@ -80,7 +80,7 @@ def robot_localization(state: Array, dt: float, imu: Array) -> Array:
 
 
 def gps_position(lever: Sequence[float] = (0.0, 0.0), latency: float = 0.0) -> Callable[[Array], Array]:
-    """Predict a fix: the position, ``latency`` s ago, of an antenna at ``lever``, m forward and left of the IMU."""
+    """Predict a fix: the position, ``latency`` s ago, of an antenna ``lever`` m forward and left of the IMU."""
 
     def h(state: Array) -> Array:
         c, s = np.cos(state[THETA]), np.sin(state[THETA])
@@ -105,7 +105,7 @@ def lateral_arm(state: Array, rear_axle: float, tire_slip: float) -> float:
 
 
 def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Array]:
-    """Predict the velocity to the left (m/s), ``rear_axle`` m behind the IMU: 0 at the rear axle without tire slip."""
+    """Predict the velocity to the left (m/s) at a point ``rear_axle`` m behind the IMU; it is 0 without tire slip."""
 
     def h(state: Array) -> Array:
         bias = state[GYRO_BIAS] if len(state) > GYRO_BIAS else 0.0
@@ -116,7 +116,7 @@ def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Arr
 
 
 def wheel_speed(ax: float, delay: float) -> Callable[[Array], Array]:
-    """Predict the forward velocity (m/s) ``delay`` s ago, as the wheels measure it, from the acceleration ax, m/s2.
+    """Predict the forward velocity (m/s) that the wheels measured ``delay`` s ago, from the acceleration ax, m/s2.
 
     The forward velocity is the same at the IMU and at the rear axle behind it.
     """
@@ -142,11 +142,13 @@ def gyro_bias(state: Array) -> Array:
 
 @dataclass(frozen=True)
 class Tilts:
-    """Functions of a model with roll and pitch for textbook filters: see `textbook.manifold`."""
+    """Functions that textbook filters of a model with roll and pitch use: see `textbook.manifold`."""
 
     plus: Callable[[Array, Array], Array]  # state, error -> state
     minus: Callable[[Array, Array], Array]  # state, state -> error
-    nearest: Callable[[Array, Array], Array]  # the equivalent of an error that is nearest to another
+    nearest: Callable[
+        [Array, Array], Array
+    ]  # error, error -> equivalent of the first that is nearest to the second
     transition: Callable[[Array, float, Array], Array]  # F of the error, (n, n), from a state, dt and imu
     as_angles: Callable[[Array, Array], Array]  # covariance of the states (..., n, n) from that of the error
 
@@ -155,7 +157,8 @@ VARIANCE = (1e-5, 10.0)  # bounds of all variances in the paper; Q is per nomina
 SMALL_VARIANCE = (1e-12, 10.0)  # bounds of Q for position and velocity
 HEADING_VARIANCE = (1e-10, 1e-1)
 """Bounds of Q per second for the heading; no gyro drifts by a third of a radian in one second. With a larger Q, a
-filter determines the heading from the fixes alone, which a likelihood may prefer if the receiver smooths its fixes.
+filter would determine the heading from the fixes alone. A likelihood may prefer such a filter if the receiver smooths
+its fixes.
 """
 CITY_VARIANCE = (1e-5, 1e3)  # bounds of R: between high buildings, fixes have errors of tens of meters
 BIAS_WALK = (1e-16, 1e-4)  # bounds of Q for the random walks of the biases
@@ -181,7 +184,7 @@ class State:
     shared: str  # name of the search parameter; east and north share this name if their noise is the same
     bias_of: str | None = None  # the sensor in SENSORS with this bias, which starts at 0
     per_second: bool = False  # the bounds are per second
-    start_std: float = 0.0  # initial standard deviation of a state that alignments lack, other than a bias
+    start_std: float = 0.0  # initial standard deviation, if neither a bias nor part of an alignment
 
     @property
     def variance_unit(self) -> str:
@@ -195,7 +198,7 @@ class State:
 
 @dataclass(frozen=True)
 class CarModel:
-    """A process model for cars. Measurements of a tilted model have a ``jacobian``.
+    """A process model for cars. The measurements of a model with roll and pitch have a ``jacobian``.
 
     ``kinds`` are the compiled filter types; the first one is the default. ``measures_imu``: as in robot-localization,
     acceleration and yaw rate are states that the IMU measures with `FilterParameters.imu_noise`, and the velocity is in
@@ -246,7 +249,7 @@ class CarModel:
 
     @cached_property
     def gyro_places(self) -> dict[int, int]:
-        """`gyro_axes` by axis number: 0 forward, 1 left, 2 up."""
+        """Indices of the gyro's biases by axis number: 0 forward, 1 left, 2 up."""
         return {"xyz".index(axis[-1]): place for axis, place in self.gyro_axes.items()}
 
 
@@ -274,7 +277,9 @@ _X, _Y, _VX, _VY, _THETA = _plane(SMALL_VARIANCE)
 _FORWARD, _LEFT, _YAW = _BIASES
 _HEADING = _per_second(_THETA, HEADING_VARIANCE)
 _TILT = (1e-10, 1e-2)
-_TILT_START = np.radians(3.0)  # slopes of roads; not tuned, since a tuned value would fit the training starts
+_TILT_START = np.radians(
+    3.0
+)  # slopes of roads; not tuned, lest it fit the training starts3.0)  # slopes of roads; a tuned value would fit the training starts
 _WALKS = {"accel": (1e-10, 1e-1), "gyro": (1e-14, 1e-4)}
 _TILTED = (
     *(_X, _Y),
@@ -326,6 +331,6 @@ MODELS: dict[str, CarModel] = {
 
 
 def require_driven_by_imu(model: str, use: str) -> None:
-    """Raise `InputError` if IMU samples are measurements in a model; ``use`` names the unsupported use."""
+    """Raise `InputError` if a model treats IMU samples as measurements; ``use`` names the unsupported use."""
     if MODELS[model].measures_imu:
         raise InputError(f"{use} does not support {model}; use planar8 or tilted12")

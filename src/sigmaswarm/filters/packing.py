@@ -17,7 +17,7 @@ RESULT_SUMS = slice(_FIRST_SHOWN, _LAST_SHOWN + 1)
 
 
 def pack_states(mean: Array, covariance: Array, model: str) -> Array:
-    """Return the state rows (..., N_STATE, lanes) of means (..., lanes, n) and covariances (..., lanes, n, n)."""
+    """Return the state rows (..., N_STATE, r) of r means (..., r, n) and covariances (..., r, n, n)."""
     rows, columns = _upper(mean.shape[-1])
     state = np.zeros((*mean.shape[:-2], N_STATE, mean.shape[-2]))
     if FILTERS[model].measures_imu:
@@ -32,7 +32,7 @@ def pack_states(mean: Array, covariance: Array, model: str) -> Array:
 
 
 def unpack_states(state: Array, model: str) -> tuple[Array, Array]:
-    """Return means (..., r, n) and covariances (..., r, n, n) of a filter, from its `state_rows`, (..., s, r)."""
+    """Return means (..., r, n) and covariances (..., r, n, n) from the `state_rows` of a model, (..., s, r)."""
     n = len(FILTERS[model].states)
     rows, columns = _upper(n)
     mean, packed = state[..., :n, :].swapaxes(-1, -2).copy(), state[..., -len(rows) :, :].swapaxes(-1, -2)
@@ -62,7 +62,7 @@ def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
 
 
 def _turned(mean: Array, covariance: Array, sign: float) -> tuple[Array, Array]:
-    """Rotate velocity and covariance (to first order) by the heading, from body to map (sign 1) or back (-1)."""
+    """Rotate velocity and covariance (to first order) by the heading: body to local frame (sign 1) or back (-1)."""
     c, s = np.cos(mean[..., THETA]), sign * np.sin(mean[..., THETA])
     vx, vy = mean[..., 2], mean[..., 3]
     turned, jacobian = mean.copy(), np.zeros_like(covariance) + np.eye(mean.shape[-1])
@@ -80,49 +80,49 @@ def _upper(n: int) -> tuple[Indices, Indices]:
     return rows, columns
 
 
-def sound_lanes(rows: Array, model: str) -> Mask:
-    """Return True, (m, lanes), for final rows (m, N_KEPT, lanes) without a failure and with a positive definite P."""
+def sound_columns(rows: Array, model: str) -> Mask:
+    """Return True where the final rows (m, N_KEPT, r) have no failure and a positive definite P, (m, r)."""
     sound = np.empty((len(rows), rows.shape[2]), dtype=np.bool_)
-    _definite_prefixes(rows, P0, len(FILTERS[model].states), R.OK, sound)
+    _find_definite(rows, P0, len(FILTERS[model].states), R.OK, sound)
     return sound
 
 
 def definite(covariance: Array) -> Mask:
-    """Return True for covariances (..., n, n) that are positive definite up to rounding.
+    """Return True where covariances (..., n, n) are positive definite up to rounding.
 
-    All eigenvalues of the correlation matrix are above -1e-9 if all pivots are positive after 1e-9 is added to its
-    diagonal.
+    The test adds 1e-9 to the diagonal of the correlation matrix. If all pivots are then positive, the eigenvalues of
+    the correlation matrix are above -1e-9.
     """
     n = covariance.shape[-1]
     packed = covariance[(..., *_upper(n))].reshape(-1, n * (n + 1) // 2, 1)
     result = np.empty((len(packed), 1), dtype=np.bool_)
-    _definite_prefixes(packed, 0, n, -1, result)
+    _find_definite(packed, 0, n, -1, result)
     return result.reshape(covariance.shape[:-2])
 
 
 @cached(nogil=True, error_model="numpy")
-def _definite_prefixes(rows: Array, first: int, n: int, ok: int, definite: Mask) -> None:
-    """Find definite covariances (n, n), packed in rows (m, s, lanes) from row ``first`` on, as in `_upper`.
+def _find_definite(rows: Array, first: int, n: int, ok: int, definite: Mask) -> None:
+    """Find definite covariances (n, n), packed in rows (m, s, r) from row ``first`` on, as in `_upper`.
 
-    ``ok``: the row that is 1 if the filter never failed; the state and sums must also be finite. If ``ok`` is -1, the
-    rows contain only covariances.
+    ``ok``: row that is 1 if the filter never failed; the state and sums must then also be finite. -1: the rows contain
+    only covariances.
     """
     scale, a = np.empty(n), np.empty((n, n))
     for m in range(rows.shape[0]):
-        for lane in range(rows.shape[2]):
+        for column in range(rows.shape[2]):
             sound, row = True, first
             for j in range(n):
                 for i in range(j + 1):
-                    a[i, j] = rows[m, row, lane]
+                    a[i, j] = rows[m, row, column]
                     sound &= math.isfinite(a[i, j])
                     row += 1
                 scale[j] = math.sqrt(a[j, j]) if a[j, j] > 0.0 else math.nan
             if ok >= 0:
-                sound &= rows[m, ok, lane] == 1.0
+                sound &= rows[m, ok, column] == 1.0
                 for r in range(first):
-                    sound &= math.isfinite(rows[m, r, lane])
+                    sound &= math.isfinite(rows[m, r, column])
                 for r in range(_FIRST_SHOWN, _LAST_SHOWN + 1):
-                    sound &= math.isfinite(rows[m, r, lane])
+                    sound &= math.isfinite(rows[m, r, column])
             for i in range(n):
                 for j in range(i, n):
                     a[i, j] /= scale[i] * scale[j]
@@ -133,4 +133,4 @@ def _definite_prefixes(rows: Array, first: int, n: int, ok: int, definite: Mask)
                     factor = a[k, i] / a[k, k]
                     for j in range(i, n):
                         a[i, j] -= factor * a[k, j]
-            definite[m, lane] = sound
+            definite[m, column] = sound

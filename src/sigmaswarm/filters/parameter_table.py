@@ -1,4 +1,4 @@
-"""Many parameter sets as columns of numbers; creating an object for each set would take as long as running a drive."""
+"""Many parameter sets as columns of numbers; building an object for each set would take as long as running a drive."""
 
 import math
 from collections.abc import Sequence
@@ -22,9 +22,9 @@ _ABSENT: dict[str, float] = {
 
 @dataclass(frozen=True, eq=False)
 class ParameterTable(Sequence[FilterParameters]):
-    """Parameter sets of one model and with the same measurements; indexing builds a `FilterParameters`.
+    """Parameter sets with the same model and measurements; indexing builds a `FilterParameters`.
 
-    ``like`` has the fields that all ``size`` = n sets share; ``columns`` those that differ, (n,) or (n, k).
+    ``like`` has the fields that all ``size`` = n sets share; ``columns`` has those that differ, (n,) or (n, k).
     """
 
     like: FilterParameters
@@ -35,13 +35,12 @@ class ParameterTable(Sequence[FilterParameters]):
     def of(cls, parameter_sets: Sequence[FilterParameters]) -> "ParameterTable":
         if isinstance(parameter_sets, ParameterTable):
             return parameter_sets
-        each = [vars(p) for p in parameter_sets]
         columns = dict[str, NDArray[Any]]()
-        for name, first in each[0].items():
-            values = [one[name] for one in each]
+        for name, first in vars(parameter_sets[0]).items():
+            values = [getattr(p, name) for p in parameter_sets]
             if any(value is not first and value != first for value in values):
                 columns[name] = np.array([_ABSENT[name] if value is None else value for value in values])
-        return cls(parameter_sets[0], columns, len(each))
+        return cls(parameter_sets[0], columns, len(parameter_sets))
 
     def field(self, name: str) -> Any:
         """Return the values of a field, (n,) or (n, k), or the shared value; None becomes inf or 0."""

@@ -37,7 +37,7 @@ NIS, OF_STATED = "NIS, dimensionless", "of the stated variance, dimensionless"  
 
 
 class SearchRange(NamedTuple):
-    """Search of a parameter: option of ``tune --use`` and bounds; ``spread``: the bounds span powers of ten."""
+    """Option of ``tune --use`` that searches a parameter, and its bounds; ``spread``: they span powers of ten."""
 
     option: str
     lowest: float
@@ -86,15 +86,15 @@ class FilterParameters:
     forgetting : float
         Forgetting factor per fix of an adaptive, strong tracking or fuzzy filter, in (0, 1).
     fuzzy_widths : tuple of float, length 2
-        Magnitudes of ratio and trend, both in (-1, 1), at which "large" and "rises" have membership 1.
+        Ratio and trend (see `filters.fuzzy`) at which "large" and "rises" reach membership 1.
     fuzzy_gains : tuple of float, length 2
         Largest factors (and divisors) that a fuzzy filter's rules apply to R and Q; at least 1.
     bias_std : tuple of float, length 2
         planar8, tilted12: standard deviation of the biases at the start, m/s2 and rad/s.
     imu_noise : tuple of float, length 2 or 3
-        robot-localization: variances in the IMU's messages: gz, (rad/s)2; ax, (m/s2)2; ay, (m/s2)2, if it is fused.
+        robot-localization: variances of gz, (rad/s)2, of ax, (m/s2)2, and of ay, if it is fused, in the IMU's messages.
     imu_gate : tuple of float, length 2
-        robot-localization: largest accepted NIS of gz and of ax; infinite without a limit.
+        robot-localization: largest accepted NIS of gz and of ax; inf: no limit.
     velocity_noise : float or None
         Variance of the receiver's velocity per axis, m2/s2, if the log has speed and course. None: not used.
     lateral_noise : float or None
@@ -123,15 +123,16 @@ class FilterParameters:
         Factor s2: R of a fix is ``measurement_noise`` + s2 std^2 per axis, with the standard deviation std that the
         receiver states. None: R is ``measurement_noise``.
     fix_error : float or None
-        Ratio g: variance of the correlated fix error, divided by the stated variance of a fix or by ``fix_std``
-        squared: see `filters.fix_error`. None: errors of fixes are independent.
+        Ratio g: variance of the correlated fix error, divided by the stated variance of a fix or, if none is stated, by
+        ``fix_std`` squared: see `filters.fix_error`. None: errors of fixes are independent.
     fix_error_time : float
         Time constant of the correlated fix error, s.
     fix_std : float
         Standard deviation of fixes per axis, m, which ``fix_error`` uses if the receiver states none.
     robust_dof : float or None
         Degrees of freedom of Student's t for the errors of fixes, so that outliers have little weight (R. Piche, S.
-        Sarkka and J. Hartikainen, MLSP 2012). Start with 4; choose less for more outliers. None: Gaussian errors.
+        Sarkka and J. Hartikainen, MLSP 2012). Start with 4; use fewer if there are more outliers. None: Gaussian
+        errors.
 
     Notes
     -----
@@ -205,15 +206,15 @@ class FilterParameters:
 
     @property
     def kernel(self) -> str:
-        """Name of the kernel, which is also the name in `fix_error.FILTERS` of the model with all states."""
+        """Name of the kernel: the key in `fix_error.FILTERS`."""
         return kernel_name(self.model, self.kind, self.fix_error is not None)
 
     def scaled(self, factor: float) -> "FilterParameters":
-        """Return the parameters with all variances multiplied by a factor, which hardly changes the estimates.
+        """Multiply all variances by a factor; the estimates hardly change.
 
         The initial standard deviations of the biases are multiplied by the root of the factor. The rest of the initial
-        covariance and the covariance of IMU gaps do not change. With a gate or ``robust_dof``, which depend on the
-        covariance, the estimates change.
+        covariance and the covariance that IMU gaps add do not change. The estimates change if a gate or ``robust_dof``
+        is set, since these depend on the covariance.
 
         Raises
         ------
@@ -257,7 +258,7 @@ class FilterParameters:
         Warns
         -----
         SigmaswarmWarning
-            If filters worked differently in the version that wrote the tuning.
+            If the file is from an older version, whose filters worked differently.
         """
         path = Path(path)
         if path.suffix in YAML:
@@ -312,12 +313,12 @@ _ACTIVATES = {s.option: n for n, s in SEARCHED.items() if getattr(FilterParamete
 """Options of ``tune --use`` and the fields that they set."""
 _SCALED = (*NOISE_OF.values(), "accuracy_scale", "fix_error")
 NOISES = ("process_noise", "measurement_noise", "imu_noise", *_SCALED)
-"""Fields with noise variances or factors of noise variances; a common factor of all of them scales the covariance."""
+"""Fields that are noise variances or factors of them; multiplying all by one factor scales the covariance."""
 RULES_SINCE = (0, 3)  # version that introduced the present treatment of stale fixes, gaps and standstills
 
 
 def incompatibility(kind: str, use: Collection[str]) -> str | None:
-    """Return why a filter type and an option, or two options, conflict; None if they do not."""
+    """Return the reason why a filter type and options conflict; None if they do not."""
     if "robust" in use and "gate" in use:
         return "robust and gate can't be combined, since robust weights the fixes that gate rejects; leave one out"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
@@ -356,9 +357,9 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
 
 
 def densities(parameters: FilterParameters) -> dict[str, str]:
-    """Return the densities of continuous white noise, as in data sheets: sqrt(Q / nominal interval).
+    """Return the density of white noise in each state, as in data sheets: sqrt(Q / nominal interval).
 
-    Empty if the interval of Q is unknown or a variance is negative.
+    The result is empty if the interval of Q is unknown or a variance is negative.
     """
     p = parameters
     if p.nominal_interval is None or min(p.process_noise) < 0:

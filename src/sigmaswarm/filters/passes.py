@@ -1,4 +1,4 @@
-"""Replay drives, and compute the sums of any number of filters over them."""
+"""Run any number of filters over drives, and compute their sums."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -17,22 +17,20 @@ from sigmaswarm.filters.kernel_array import KernelArray, KernelSums
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameter_table import group_tables
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import (
-    require_accuracy,
-    require_axes,
-    require_odometer,
-)
+from sigmaswarm.filters.schedule import require_accuracy, require_axes, require_odometer
 
 
 @dataclass(frozen=True, eq=False)
 class Targets:
     """Times at which estimates are compared with a known position and heading.
 
-    ``noise`` (m, 4) contains weights of the squared errors of position and heading, and the variances of x and y, m2,
-    which are added to P in the NEES; (0, 4) if the reference is exact.
+    ``noise`` (m, 4) contains the weights of the squared errors of position and heading, and the variances of x and y,
+    m2, which the NEES adds to P; its shape is (0, 4) if the reference is exact.
     """
 
-    weight: Array  # (m,), weight of the later of the two estimates around the time
+    weight: (
+        Array  # (m,), weight of the later estimate in the interpolation between the estimates around the time
+    )
     x: Array  # (m,), m
     y: Array  # (m,), m
     theta: Array  # (m,), rad
@@ -85,7 +83,7 @@ class FilterPass:
         return int(self.timeline.hides.sum())
 
     def arrays(self, used: frozenset[str]) -> run.DriveArrays:
-        """Return the drive as kernel arrays; the flags depend on the measurements that the filter uses."""
+        """Return the drive as kernel arrays; their flags depend on the measurements that the filter uses."""
         if used not in self._arrays:
             line, targets = self.timeline, self.targets
             flags, wheels = events_of(line, used)

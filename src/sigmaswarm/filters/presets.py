@@ -46,8 +46,9 @@ MPU6050_ACCEL_NOISE_DENSITY = 0.24 / 60  # m/s2/sqrt(Hz), 0.24 m/s/sqrt(h) (data
 MPU6050_GYRO_NOISE_DENSITY = np.radians(0.3) / 60
 """Noise density of the gyro, rad/s/sqrt(Hz), from 0.3 deg/sqrt(h) (MPU-6050 datasheet: 0.005 deg/s/sqrt(Hz))."""
 BIAS_WALKS = {"accel": 2 * 0.01**2 / 3600, "gyro": 2 * np.radians(200 / 3600) ** 2 / 3600}
-"""Growth of the biases' variances per second, (m/s2)2 and (rad/s)2, from 0.01 m/s2 and 200 deg/h over an hour: values
-of an ICM-20602 (i2Nav's awesome-gins-datasets), since the data sheet of the MPU-6050 states none.
+"""Growth of the biases' variances per second, (m/s2)2 and (rad/s)2: 2 s^2 / tau of Gauss-Markov biases with s = 0.01
+m/s2 and 200 deg/h, tau = 1 h. These are values of an ICM-20602 (i2Nav's awesome-gins-datasets); the data sheet of the
+MPU-6050 states none.
 """
 TYPICAL_VALUES = {
     "velocity_noise": 0.1**2,
@@ -65,9 +66,9 @@ HALF_A_WHEELBASE = 1.3  # m from the rear axle to an IMU in the middle of a car
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
 """Noise density for unmodeled effects (slopes, vibration, scale factors, mounting), m/s2/sqrt(Hz) and rad/s/sqrt(Hz).
 
-It is added to the densities of the sensors. IMUs at standstill have 0.001 to 0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4
-rad/s/sqrt(Hz). With only the densities of data sheets, the drift of a filter over 5 s was 1.3 to 60 times that of the
-tuned filter, on six drives.
+Its square is added to the squared density of the sensor. IMUs at standstill have 0.001 to 0.04 m/s2/sqrt(Hz) and 4e-5
+to 2e-4 rad/s/sqrt(Hz). On six drives, a filter with the densities of data sheets alone drifted 1.3 to 60 times as far
+in 5 s as the tuned filter.
 """
 ACCURACY_FLOOR = 0.1**2  # m2, added to the stated variance of each fix
 
@@ -77,15 +78,16 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
 
     The receiver's accuracy is the stated accuracy or, if none is stated, an estimate from the fixes. The IMU's
     densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml,
-    plus `MODEL_NOISE`. The random walks of the biases are ``accel_bias_walk`` (m/s2/sqrt(s)) and ``gyro_bias_walk``
-    (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures. Values that no data sheet states are in `TYPICAL_VALUES`.
+    combined with `MODEL_NOISE`. The random walks of the biases are ``accel_bias_walk`` (m/s2/sqrt(s)) and
+    ``gyro_bias_walk`` (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures. Values that no data sheet states are in
+    `TYPICAL_VALUES`.
 
     Parameters
     ----------
     drive : Drive
     like : FilterParameters, optional
-        Filter whose model, type and options the result has. By default (None) the result is the preset ``datasheet``: a
-        planar5 UKF with values from data sheets only.
+        Filter whose model, type and options the result has. None: the preset ``datasheet``, a planar5 UKF with values
+        from data sheets only: without `MODEL_NOISE` and without an estimate from the fixes.
     """
     if like is None:
         return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD))
@@ -151,10 +153,10 @@ def filter_for(given: FilterParameters | str | Path, dataset: Dataset) -> Filter
 
 
 def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
-    """Return a filter from a robot_localization configuration with the variances that the drive's messages state."""
+    """Return a robot_localization filter with the variances that the messages of a drive state."""
     gyro, accel = _stated_imu(drive, p)[:2]
     stated = [gyro, *[accel] * (len(p.imu_noise) - 1)]
-    imu = tuple(NOT_FUSED if r == NOT_FUSED else one for r, one in zip(p.imu_noise, stated, strict=True))
+    imu = tuple(r if r == NOT_FUSED else variance for r, variance in zip(p.imu_noise, stated, strict=True))
     variances: dict[str, Any] = {"measurement_noise": baseline(drive).measurement_noise}
     if drive.gps.std is not None:
         variances = {"measurement_noise": (MIN_VARIANCE,) * 2, "accuracy_scale": 1.0}
@@ -170,14 +172,14 @@ def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
 
 
 def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:
-    """Return the variances of gz and ax in the log's messages; if none, those in ``p``."""
+    """Return the variances of gz and ax that the log's messages state, else those of ``p``."""
     return tuple(map(float, drive.metadata.get("imu_stated_noise", p.imu_noise)))
 
 
 def _planar(
     drive: Drive, std: tuple[float, float], more: Mapping[str, float] = MappingProxyType({})
 ) -> FilterParameters:
-    """Return a planar5 UKF for fixes with a standard deviation (east, north; m); ``more``: IMU densities to add."""
+    """Return a planar5 UKF for fixes with ``std`` (east, north; m); ``more``: additional noise densities of the IMU."""
     stated, dt = drive.metadata, drive.nominal_interval
     accel = float(stated.get("accel_noise_density", MPU6050_ACCEL_NOISE_DENSITY)) ** 2
     gyro = float(stated.get("gyro_noise_density", MPU6050_GYRO_NOISE_DENSITY)) ** 2

@@ -1,7 +1,7 @@
-"""Read a configuration of robot_localization, ekf.yaml, as parameters of the model robot-localization.
+"""Read the ekf.yaml of robot_localization as parameters of the model robot-localization.
 
-The file contains process noise, thresholds and the entries to fuse. The variances of measurements are in the messages:
-see `presets.filter_for`.
+The file contains process noise, rejection thresholds, and which entries of a message are fused. The variances of
+measurements are in the messages: see `presets.filter_for`.
 """
 
 import math
@@ -32,7 +32,7 @@ Block = Mapping[str, Any]
 
 
 def read_configuration(path: Path) -> dict[str, Any]:
-    """Read fields of `FilterParameters` from an ekf.yaml of ROS 1 or 2; variances of measurements are typical values.
+    """Read fields of `FilterParameters` from an ekf.yaml of ROS 1 or 2, with typical variances of measurements.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def read_configuration(path: Path) -> dict[str, Any]:
     Warns
     -----
     SigmaswarmWarning
-        If the file has settings that the model lacks.
+        If the model does not support a setting in the file.
     """
     block = _chosen(_loaded(path), path)
     inputs = {found[1]: _entries(block[key], path, key) for key in block if (found := _CONFIG.fullmatch(key))}
@@ -97,7 +97,7 @@ def _chosen(content: Any, path: Path) -> Block:
 
 
 def _blocks(content: Any, visited: set[int]) -> Iterator[Block]:
-    """Yield the mappings with settings of a filter, at any depth; aliases may repeat a mapping endlessly."""
+    """Yield the mappings with settings of a filter, at any depth; aliases may make a mapping contain itself."""
     if isinstance(content, dict) and id(content) not in visited:
         visited.add(id(content))
         block = {str(key): value for key, value in cast("dict[Any, Any]", content).items()}
@@ -114,7 +114,7 @@ def _entries(value: Any, path: Path, key: str) -> list[bool]:
 
 
 def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
-    """Return the variances per second of the eight states; defaults if the file does not state them."""
+    """Return the variances per second of the eight states, or the defaults if the file has none."""
     key = "process_noise_covariance"
     if key not in block:
         return PROCESS_NOISE
@@ -133,7 +133,7 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
 
 
 def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float | None:
-    """Return the square of the first stated Mahalanobis threshold; None if there is no limit."""
+    """Return the square of the first of some Mahalanobis thresholds in the file; None: no limit."""
     keys = [key for name in names or () if (key := f"{name}_rejection_threshold") in block]
     if not keys:
         return None
@@ -157,6 +157,6 @@ def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
         if block.get(f"{name}_differential") is True or block.get(f"{name}_relative") is True:
             yield f"{name}: the settings differential and relative are ignored"
         if entries[_YAW]:
-            yield f"{name}: yaw is the heading of the fixes; it is not used for drives that have no headings"
+            yield f"{name}: yaw is the heading of the fixes; it is not used for drives without headings"
         if entries[_VYAW] and not name.startswith("imu"):
             yield f"{name}: the yaw rate is not used"

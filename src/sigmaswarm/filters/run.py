@@ -1,4 +1,4 @@
-"""Run one filter over one drive: compiled (`run_filter`), in textbook form (`run_textbook`), or as dead reckoning."""
+"""Run one filter over one drive: compiled (`run_filter`), in textbook form (`run_textbook`), or dead reckoning."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Estimates of a filter at each IMU sample after its start, each after all fixes up to that time.
+    """Estimates of a filter at each IMU sample after the start; each uses all fixes up to its time.
 
     Attributes
     ----------
     time : ndarray, shape (n,)
         Times of the IMU samples after ``initial.time``, s.
     mean : ndarray, shape (n, n_states)
-        x, y (m), vx, vy (m/s), theta (rad, wrapped to (-pi, pi]), planar8's biases, and tilted12's roll and pitch (rad)
-        and biases of the other gyro axes, in the order of the model's states. NaN after a failure.
+        States of the model in its order: x, y (m), vx, vy (m/s), theta (rad, wrapped to (-pi, pi]); planar8 and
+        tilted12 also biases (m/s2, rad/s); tilted12 also roll and pitch (rad). NaN after a failure.
     covariance : ndarray, shape (n, n_states, n_states) or (0,)
         Covariance of ``mean``; empty for dead reckoning.
     initial : InitialState
@@ -58,7 +58,7 @@ class Estimate:
     def columns(self, *, std: bool = False) -> dict[str, Array]:
         """Return time and states by name, in the units of ``mean``, each of shape (n,).
 
-        ``std``: also return standard deviations, if there is a covariance, under ``std_`` and the state's name.
+        ``std``: also return standard deviations, named ``std_STATE``, if there is a covariance.
         """
         states = MODELS["tilted12"].names  # the states of other models come first
         named = {"t": self.time} | dict(zip(states, self.mean.T, strict=False))
@@ -82,18 +82,15 @@ class Estimate:
     def _repr_html_(self) -> str:
         columns = self.columns(std=True)
         sound = np.flatnonzero(np.isfinite(self.mean).all(axis=1))
-        last = int(sound[-1]) if len(sound) else -1
-        at = f" at {self.time[last]:.2f} s" if len(sound) else ""
-        rows = [
-            (
-                name,
-                float(values[last]),
-                float(columns[f"std_{name}"][last]) if f"std_{name}" in columns else None,
-            )
-            for name, values in columns.items()
-            if len(sound) and name != "t" and not name.startswith("std_")
-        ]
-        rows = [(name, value, notebook.number(std)) for name, value, std in rows]
+        at, rows = "", []
+        if len(sound):
+            last = {name: float(values[sound[-1]]) for name, values in columns.items()}
+            at = f" at {last['t']:.2f} s"
+            rows = [
+                (name, value, notebook.number(last.get(f"std_{name}")))
+                for name, value in last.items()
+                if name != "t" and not name.startswith("std_")
+            ]
         restarts = [f"diverged, and was reset, at {t:.1f} s" for t in self.restarts]
         return (
             notebook.table(
@@ -148,7 +145,7 @@ def run_innovations(
     initial: InitialState | None = None,
     as_recorded: bool = False,
 ) -> Innovations:
-    """Run the compiled filter over a drive for its innovations; parameters as in `run_filter`.
+    """Compute the innovations of the compiled filter over a drive; parameters as in `run_filter`.
 
     Innovations after a failure are NaN or meaningless; `run_filter` reports the failure.
     """
@@ -159,7 +156,7 @@ def run_innovations(
 def whole_pass(
     drive: Drive | PreparedDrive, initial: InitialState | None = None, *, as_recorded: bool = False
 ) -> FilterPass:
-    """Prepare a whole drive for filters, without targets; raise `InputError` if no IMU sample follows the start."""
+    """Prepare a whole drive for filters, without `Targets`; raise `InputError` if no IMU sample follows the start."""
     ready = prepare_drive(drive, initial, as_recorded=as_recorded)
     timeline = ready.timeline()
     if not len(timeline.imu_time):
@@ -169,7 +166,7 @@ def whole_pass(
 
 
 class Run(Protocol):
-    """A run of one filter over a replay, as an iterator of pieces, so that memory does not grow with the drive."""
+    """Run of one filter over a replay, as an iterator of pieces, so that memory does not grow with the drive."""
 
     @property
     def initial(self) -> InitialState: ...
@@ -188,7 +185,7 @@ class Run(Protocol):
 
 
 def estimate_of(run: Run, *, recover: bool) -> Estimate:
-    """Join all pieces of a run; ``recover``: divergence was monitored in the run."""
+    """Join all pieces of a run; ``recover``: whether the run monitors divergence."""
     whole = join_chunks(run)
     lost = whole.lost if recover else None
     return Estimate(
@@ -224,8 +221,8 @@ def run_textbook(
     drive, parameters, initial
         See `run_filter`.
     heading_first : bool
-        Compute the square root of P with theta first, like the compiled filter. False: use the Cholesky factor in the
-        order of the states, like FilterPy.
+        Compute the Cholesky factor of P with theta as the first state, like the compiled filter. False: in the order of
+        the states, like FilterPy.
     redraw_sigma_points : bool
         See `UnscentedKalmanFilter`.
 

@@ -1,4 +1,4 @@
-"""Initial state, constants of the measurements, and required data, shared by all forms of a filter."""
+"""Initial states, constants of measurements, and checks of required data, for all forms of a filter."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import fields, replace
@@ -21,20 +21,20 @@ from sigmaswarm.filters.parameters import FilterParameters
 Evidence = TypeVar("Evidence", GyroBiasEvidence, TiltEvidence)
 STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2  # rad2/s2, variance of the gyro's reading around its bias
 SLIP_GATE = 9.0
-"""Largest accepted NIS of a wheel speed: three sigmas. Slipping or locked wheels have equal errors for seconds, so even
-small weights would add up. The number of rejections is not limited: P grows until it includes the true speed, and the
-fixes determine the speed in the meantime.
+"""Largest accepted NIS of a wheel speed: three sigmas. The errors of slipping or locked wheels last for seconds, so
+even updates with small weights would add up. The number of consecutive rejections is not limited: the fixes determine
+the speed meanwhile, and P grows until it includes the true speed.
 """
 HEADING_GATE = 9.0
-"""Largest NIS of a heading: for a larger NIS, the variance is increased until the NIS has this value (G. Chang, Robust
-Kalman filtering based on Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014). Thus a filter
-with a wrong heading recovers.
+"""Largest NIS of a heading. If the NIS is larger, the variance is increased until the NIS has this value (G. Chang,
+Robust Kalman filtering based on Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014). A
+filter with a wrong heading can therefore recover.
 """
 MOST_REJECTED = 5  # the gate rejects at most this many consecutive fixes, so that a filter can recover
 
-GAP_TURN_STD = 0.1  # rad/s, in an IMU gap, around the adjacent samples; 0.05 to 0.3 give equal results
-GAP_ACCELERATION_STD = 1.0  # m/s2 per axis in a gap; 0.5 to 2 give equal results
-GAP_TILT_STD = 0.01  # rad/s about east and north in a gap; 0.02 gives equal results
+GAP_TURN_STD = 0.1  # rad/s, of the rate in an IMU gap around adjacent samples; 0.05 to 0.3 give equal results
+GAP_ACCELERATION_STD = 1.0  # m/s2 per axis, likewise; 0.5 to 2 give equal results
+GAP_TILT_STD = 0.01  # rad/s about east and north, likewise; 0.02 gives equal results
 
 
 def measured_by(p: FilterParameters) -> frozenset[str]:
@@ -79,8 +79,9 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
     """Return the covariance (n, n) that a step of ``dt`` s in a gap of ``gap`` s adds to P + Q; 0 if there is no gap.
 
     The unobserved motion is a constant turn rate and a constant acceleration over the gap. Together, the steps in a gap
-    therefore add (GAP_TURN_STD gap)^2 to the heading and (GAP_ACCELERATION_STD gap)^2 to each velocity; in each step,
-    the position changes by dt / 2 times the change of velocity. (GAP_TILT_STD gap)^2 of roll and pitch is not included.
+    therefore add (GAP_TURN_STD gap)^2 to the variance of the heading and (GAP_ACCELERATION_STD gap)^2 to that of each
+    velocity; in each step, the position changes by dt / 2 times the change of velocity. The variances of roll and pitch
+    (`GAP_TILT_STD`) are not included.
     """
     added = np.zeros((n, n))
     g = GAP_ACCELERATION_STD**2 * gap * dt
@@ -106,17 +107,17 @@ def start_std(p: FilterParameters) -> Array:
 def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> tuple[Array, Array]:
     """Return means (m, r, n) and covariances (m, r, n, n) for m starts and std of shape (r, 3).
 
-    All starts have the same number of states. States that a start lacks begin at 0, with the standard deviation ``std``
-    of a bias or the state's ``start_std``. Evidence of the alignment is included: see
-    `GyroBiasEvidence.update` and `add_tilt_evidence`.
+    All starts have the same number of states. States that a start lacks begin at 0; their standard deviation is ``std``
+    for a bias, else the state's ``start_std``. The evidence of the alignment is included: see `GyroBiasEvidence.update`
+    and `add_tilt_evidence`.
     """
     n = len(model.states)
     known = known_states(n, len(initial[0].mean))
     shape = len(initial), len(std), n
     mean, covariance = np.zeros(shape), np.zeros((*shape, n))
-    for each_mean, each_covariance, start in zip(mean, covariance, initial, strict=True):
-        each_mean[..., :known] = start.mean[:known]
-        each_covariance[..., :known, :known] = start.covariance[:known, :known]
+    for k, start in enumerate(initial):
+        mean[k, :, :known] = start.mean[:known]
+        covariance[k, :, :known, :known] = start.covariance[:known, :known]
     sensors = [*SENSORS]
     for i, state in enumerate(model.states[known:], known):
         if state.bias_of is not None:
@@ -125,31 +126,31 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
             covariance[..., i, i] = state.start_std**2
     if model.gyro_places:
         gyro = std[:, sensors.index("gyro")]
-        for some, seen in _stacked([start.gyro for start in initial]):
-            seen.update(mean[some], covariance[some], model.gyro_places, gyro)
+        for starts, evidence in _stacked([start.gyro for start in initial]):
+            evidence.update(mean[starts], covariance[starts], model.gyro_places, gyro)
     if model.tilts:
-        for some, seen in _stacked([start.tilt for start in initial]):
-            tilted.add_tilt_evidence(mean[some], covariance[some], seen)
+        for starts, evidence in _stacked([start.tilt for start in initial]):
+            tilted.add_tilt_evidence(mean[starts], covariance[starts], evidence)
     if model.fix_error and known < n:
         add_start(mean, covariance, std[:, 2] ** 2)
     return mean, covariance
 
 
 def _stacked(evidence: Sequence[Evidence | None]) -> list[tuple[slice, Evidence]]:
-    """Stack the evidence of m starts for means (m, r, n), with arrays (m, 1, ...); also return its starts.
+    """Stack the evidence of m starts in arrays (m, 1, ...); also return the indices of these starts.
 
-    If starts lack evidence, that of each other start is returned alone.
+    If some starts lack evidence, the evidence of each other start is returned separately.
     """
-    each = [(k, one) for k, one in enumerate(evidence) if one is not None]
-    if each and len(each) == len(evidence):
-        of = {
-            name: np.array([getattr(one, name) for _, one in each])[:, np.newaxis]
-            for name in vars(each[0][1])
+    known = [(k, part) for k, part in enumerate(evidence) if part is not None]
+    if known and len(known) == len(evidence):
+        first = known[0][1]
+        fields_of_all = {
+            name: np.array([getattr(part, name) for _, part in known])[:, np.newaxis] for name in vars(first)
         }
-        return [(slice(None), replace(each[0][1], **of))]
-    return [(slice(k, k + 1), one) for k, one in each]
+        return [(slice(None), replace(first, **fields_of_all))]
+    return [(slice(k, k + 1), part) for k, part in known]
 
 
 def process_noise_per_step(p: FilterParameters, nominal_interval: float) -> Array:
-    """Convert the diagonal of Q, (n,), from the parameters' own interval to the nominal interval (s) of a drive."""
+    """Convert the diagonal of Q, (n,), from ``p.nominal_interval`` to the nominal IMU interval (s) of a drive."""
     return nominal_interval / (p.nominal_interval or nominal_interval) * np.array(p.process_noise)

@@ -1,11 +1,12 @@
 """Smooth the estimates of compiled filters (Rauch, Tung and Striebel).
 
-The forward pass logs its steps, and the backward pass smooths this log: see `compiled.smoothing`. Updates, weights and
-rejections are those of the forward pass.
+The forward pass logs its steps, and the backward pass smooths this log: see `compiled.smoothing`. Fixes have the
+weights of the forward pass, and rejected fixes stay rejected.
 
-Memory does not grow with the drive. The forward pass keeps a checkpoint before each piece. The backward pass runs the
-filter again from each checkpoint, the last one first, and keeps the smoothed state only at the checkpoints. A third
-pass, forward between checkpoints, returns the estimates sorted by time.
+Memory does not grow with the drive. The forward pass keeps a checkpoint before each piece of the drive. The backward
+pass runs the filter again from each checkpoint, the last one first, and keeps the smoothed state only at the
+checkpoints. A third pass repeats this from the first checkpoint to the last, and returns the estimates in order of
+time.
 """
 
 from collections.abc import Iterator
@@ -43,10 +44,10 @@ def smooth(
     recover: bool = True,
     as_recorded: bool = False,
 ) -> Estimate:
-    """Run the compiled filter over a drive, and smooth: each estimate uses all fixes, also later ones.
+    """Run the compiled filter over a drive, and smooth its estimates, so that each uses all fixes, also later ones.
 
-    H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3(8),
-    1965; for unscented filters S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC 53(3), 2008.
+    Sources: H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA
+    Journal 3(8), 1965; for unscented filters S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC 53(3), 2008.
 
     Parameters
     ----------
@@ -56,8 +57,8 @@ def smooth(
     Returns
     -------
     Estimate
-        Estimates at the times of `run_filter`. ``initial`` is also smoothed. Estimates before a reset of the filter do
-        not use the fixes after it. After a failure the estimates are NaN.
+        Estimates at the times of `run_filter`; ``initial`` is also smoothed. Estimates before a reset of the filter do
+        not use fixes after the reset. After a failure, estimates are NaN.
 
     Raises
     ------
@@ -77,7 +78,7 @@ class _Checkpoint:
 
 @dataclass(frozen=True, eq=False)
 class _ForwardLog:
-    """Log of some steps of the forward pass for `smooth_back`; ``lost``: True for steps at which the filter is lost."""
+    """Log of one piece of the forward pass for `smooth_back`; ``lost``: True at samples where the filter is lost."""
 
     steps: Array
     start: Array
@@ -148,10 +149,10 @@ class _Forward(FilterRun):
 
 
 class SmootherRun:
-    """A smoother over a replay, as an iterator of pieces; the constructor runs the forward and backward passes.
+    """Smoother over a replay, as an iterator of pieces; the constructor runs the forward and the backward pass.
 
-    Parameters and attributes are those of `FilterRun`; ``initial`` is smoothed. The length of the pieces, which is the
-    distance between two checkpoints, does not affect the results.
+    Parameters and attributes are those of `FilterRun`; ``initial`` is smoothed. Results do not depend on the length of
+    the pieces, which is the distance between checkpoints.
     """
 
     def __init__(

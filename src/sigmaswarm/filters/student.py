@@ -6,13 +6,13 @@ gamma distribution; an outlier's weight is small.
 
 ITERATIONS = 3  # number of alternating estimates of the state and the weight of a fix
 OUTLYING = 0.25  # a fix with a smaller weight is an outlier
-OUTLIERS = 3  # this many consecutive outliers over OUTLIERS_SPAN show that the filter is wrong
+OUTLIERS = 3  # so many consecutive outliers over OUTLIERS_SPAN show that the filter is wrong
 OUTLIERS_SPAN = 5.0  # s
 
-# c of an objective is 2 x with x e^x E1(x) = v / (v + 2), where E1 is the exponential integral. With this c, the mean
-# of ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over Gaussian innovations is least where their mean NIS is 2, as for
-# the Gaussian likelihood. With c = v, Student's density itself, the minimum is at a mean NIS of 2.75 (v = 4), 2.42 (v =
+# The scale of an objective is c = 2 x, where x e^x E1(x) = v / (v + 2) and E1 is the exponential integral. With this c,
+# the mean of ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over Gaussian innovations is least where their mean NIS is 2,
+# as for the Gaussian likelihood. With c = v (Student's density), it is least at a mean NIS of 2.75 (v = 4) or 2.42 (v =
 # 8).
 INNOVATION_DOF, INNOVATION_SCALE = 4.0, 2.9069903810286775  # v and c of `innovation-t`
 FORECAST_DOF, FORECAST_SCALE = 8.0, 6.609907797270899  # v and c of `forecast-t`
-LARGEST_TAIL = 1e38  # upper limit of 1 + NIS / c in `innovation-t`: a product of eight does not overflow
+LARGEST_TAIL = 1e38  # upper limit of 1 + NIS / c in `innovation-t`; a product of eight cannot overflow

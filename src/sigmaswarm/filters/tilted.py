@@ -3,8 +3,8 @@
 The attitude is a rotation R from body to local frame, R = Rz(theta) Ry(pitch) Rx(roll): pitch is positive nose down,
 roll left side up. The covariance is that of a small rotation ``e`` about east, north and up, multiplied from the left:
 R_true = exp([e]x) R (J. Sola, Quaternion kinematics for the error-state Kalman filter, 2017, section 7: the global
-error). In the state vector e has the indices of roll, pitch and theta. The injection of e does not change the
-covariance, to first order. There is no vertical channel, since the car stays on the road. The Jacobians assume that the
+error). In state vectors, e has the indices of roll, pitch and theta. To first order, the covariance does not change
+when e is injected. There is no vertical channel, since the car stays on the road. The Jacobians assume that the
 specific force along the local up axis is gravity; otherwise, bumps would make the Jacobians noisy.
 """
 
@@ -18,8 +18,8 @@ from sigmaswarm.geodesy import Array, wrap_angle
 ATTITUDE = (8, 9, 4)  # indices of the error about east, north and up; also of roll, pitch and theta
 ACCEL_BIAS, GYRO_BIAS = (5, 6), (10, 11, 7)  # indices: forward, left; about forward, left, up
 STEP_FIRST, MEASURED_FIRST = (7, 10, 11, 4, 8, 9), (4, 8, 9)
-"""States whose columns come first in the square root of P, for the sigma points of a step and of a measurement. If
-these states are fixed, process and measurements are linear in all others."""
+"""States whose columns come first in the square root of P: for the sigma points of a step, and of a measurement. The
+process and the measurements are linear in all other states."""
 N = 12
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 
@@ -79,7 +79,7 @@ def _sinc(x: float) -> float:
 
 
 def turn(vector: Array) -> Array:
-    """Return exp([v]x), (3, 3): the rotation about a vector (3,) by its length, rad (Rodrigues)."""
+    """Return exp([v]x), (3, 3), by Rodrigues' formula: the rotation about a vector (3,) by its length, rad."""
     angle = float(np.sqrt(vector @ vector))
     x, y, z = vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -108,7 +108,7 @@ def minus(state: Array, other: Array) -> Array:
 
 
 def nearest(error: Array, near: Array) -> Array:
-    """Return the error (12,) with the same rotation, up to whole turns, that is nearest to another."""
+    """Add whole turns to the rotation of an error (12,), so that it is nearest to that of ``near``."""
     vector, other = error[[*ATTITUDE]], near[[*ATTITUDE]]
     angle = np.sqrt(vector @ vector)
     if not angle > 0:
@@ -137,7 +137,7 @@ def tilted12(state: Array, dt: float, imu: Array) -> Array:
 
 
 def transition(state: Array, dt: float, imu: Array) -> Array:
-    """Return F, (12, 12), of a small error over a step."""
+    """Return F, (12, 12): the transition of a small error over a step."""
     r, _, a = _middle(state, dt, imu)
     of_error = np.zeros((2, N))  # derivatives of the acceleration's error, e x a - R b
     of_error[:, [*ATTITUDE]] = [[0.0, GRAVITY, -a[1]], [-GRAVITY, 0.0, a[0]]]
@@ -152,7 +152,7 @@ def transition(state: Array, dt: float, imu: Array) -> Array:
 
 @dataclass(frozen=True)
 class Antenna:
-    """Predict a fix: the position, ``latency`` s ago, of the antenna; ``lever``: m forward, left and up of the IMU."""
+    """Predict a fix: the position, ``latency`` s ago, of an antenna ``lever`` m forward, left and up of the IMU."""
 
     lever: tuple[float, float, float]
     latency: float = 0.0
@@ -194,7 +194,7 @@ class RearAxle:
 
 @dataclass(frozen=True)
 class Wheels:
-    """Predict the forward velocity along the road (m/s) ``delay`` s ago, as the wheels measure it.
+    """Predict the forward velocity along the road (m/s) that the wheels measured ``delay`` s ago.
 
     ``ax``: forward specific force, m/s2, which on a slope contains gravity.
     """
@@ -225,7 +225,7 @@ class Heading:
         return self.near + wrap_angle(state[[ATTITUDE[2]]] - self.near)
 
     def jacobian(self, state: Array) -> Array:
-        """Return H, (1, 12), of a small rotation of the forward axis."""
+        """Return H, (1, 12): the change of yaw by a small rotation of the forward axis."""
         east, north, up = rotation(state)[:, 0]
         h, level2 = np.zeros((1, N)), east**2 + north**2
         h[0, [*ATTITUDE]] = -east * up / level2, -north * up / level2, 1.0
@@ -249,7 +249,7 @@ def _jacobian_along(state: Array, axis: Array, up: Array) -> Array:
 
 @dataclass(frozen=True)
 class States:
-    """A direct measurement of states: a velocity, or the gyro's biases at rest."""
+    """Direct measurement of states: of the velocity, or of the gyro's biases at rest."""
 
     places: tuple[int, ...]
 
@@ -263,8 +263,8 @@ class States:
 def add_tilt_evidence(mean: Array, covariance: Array, seen: TiltEvidence) -> None:
     """Update means (..., n) and covariances (..., n, n) of level starts with the evidence of an alignment, in place.
 
-    Two Kalman updates with the mean specific force, forward and left. The alignment's state depends on the forward
-    force: the distribution after the update replaces the distribution of this force that the alignment assumed.
+    The evidence is the mean specific force, forward and left, which gives two Kalman updates. The alignment assumed a
+    distribution of the forward force, on which its state depends; the distribution after the update replaces it.
     """
     roll, pitch, theta = ATTITUDE
     turn, drift = np.asarray(seen.turn) * np.exp(-1j * mean[..., theta]), np.asarray(seen.drift)
@@ -301,9 +301,9 @@ def _outer(a: Array, b: Array) -> Array:
 
 @np.errstate(all="ignore")  # a failed filter has no finite values
 def as_angles(state: Array, covariance: Array) -> Array:
-    """Return the covariance (..., 12, 12) of states (..., 12) with roll, pitch and theta in place of the error.
+    """Return the covariance (..., 12, 12) of states (..., 12), with roll, pitch and theta instead of the error e.
 
-    A small error is e = A (changes of roll, pitch and theta); the columns of A are the axes of these rotations.
+    For small changes, e = A (roll, pitch, theta); the columns of A are the axes of these rotations.
     """
     theta, pitch = state[..., ATTITUDE[2]], state[..., ATTITUDE[1]]
     ct, st, tan, sec = np.cos(theta), np.sin(theta), np.tan(pitch), 1 / np.cos(pitch)

@@ -1,4 +1,4 @@
-"""A search that runs in a thread while the filters of a bank continue."""
+"""A search in a thread, during which the filters of a bank continue."""
 
 import os
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -24,8 +24,7 @@ class PendingSearch:
     """A search over the logged steps before step number ``logged``.
 
     ``led`` is the filter with the largest weight. The search starts from an earlier state of this filter, or of the
-    filter of which it is a copy.
-    A forked or unpickled copy searches in the calling thread.
+    filter from which it was copied. A forked or unpickled copy of this object searches in the calling thread.
     """
 
     logged: int

@@ -1,7 +1,7 @@
 """A bank of sixteen filters with the interface of a `LiveFilter`.
 
-The result of a search replaces filters in an earlier state, which no late fix can change. Then the filter processes the
-later samples again. Therefore, the results depend only on samples and fixes.
+The result of a search replaces filters in an earlier state of the bank, which no late fix can change. The bank then
+processes the later samples again. Therefore, estimates do not depend on the time that the search takes.
 """
 
 from collections.abc import Sequence
@@ -32,10 +32,8 @@ from sigmaswarm.filters.parameters import FilterParameters
 SEARCH_INTERVAL = 10.0  # s between the starts of two searches
 SEARCH_DELAY = 1.0  # s of samples until the result of a search is used; a search takes about 15 ms
 REPLAY_SPAN = 60.0  # s of samples that a search replays
-MIN_SPEED = (
-    2.0  # m/s; at lower speeds no filter is replaced, since fixes hardly determine headings and biases
-)
-N_REPLACED = 7  # filters replaced per search: one by its result, the others by changed copies of good filters
+MIN_SPEED = 2.0  # m/s; at lower speeds no search starts, since fixes hardly determine headings and biases
+N_REPLACED = 7  # filters replaced per search: one by its result, the others by changed copies of good ones
 COPY_STD = 0.6  # standard deviation of a copy's random change, in standard deviations of the offset
 
 
@@ -46,28 +44,28 @@ class _Snapshot:
     fixed_at: float  # time of the last fix before the snapshot, s
     lanes: Array  # (N_KEPT, LANES)
     evidence: Array
-    ancestors: Indices  # (LANES,): the snapshot's lanes from which the current lanes were copied
+    ancestors: Indices  # (LANES,), filter in the snapshot from which each current filter was copied
 
 
 class LiveFilterBank(LiveFilter):
     """Sixteen filters with different parameters for one stream of samples; the estimate is their mixture.
 
-    The weight of a filter (lane) depends on its evidence, the likelihood of the fixes; evidence fades within a minute.
-    Filter 0 has the tuned parameters and equals a `LiveFilter`. Some have the parameters of other receivers. Every
-    10 s of driving, the worst filters are replaced: one by the result of a search over the last minute, the others by
-    changed copies of good lanes. Thus the bank adapts to other sensors or other reception. On the vehicle used for
-    tuning, the bank is not more accurate than the single filter. If the mixture diverges, lanes 1 to 15 are reset; most
-    of them keep their biases.
+    The weight of a filter depends on its evidence, the log-likelihood of the fixes, which fades within a minute. Filter
+    0 has the tuned parameters and equals a `LiveFilter`. Some filters have the parameters of other receivers. Every 10
+    s of driving, the worst filters are replaced: one by the result of a search over the last minute, the others by
+    changed copies of good filters. Thus the bank adapts to other sensors or reception. On the vehicle of the tuning,
+    the bank is not more accurate than the single filter. If the mixture diverges, filters 1 to 15 are reset; most of
+    them keep the biases of the mixture.
 
     The interface is that of a `LiveFilter` without the smoothed state. A copy by `pickle` continues with identical
-    results. After a reset, all filters ignore earlier fixes.
+    results. After a reset, all filters ignore fixes from before the reset.
 
     Parameters
     ----------
     parameters, initial, nominal_interval, lever_arm, history, recover, as_recorded
         See `LiveFilter`.
     seed : int
-        Seed of the lanes' first offsets and of the search.
+        Seed of the initial offsets and of the searches.
     searches : bool
         Search for better filters during the drive; False: no filter is replaced.
     trust_times : bool
@@ -75,14 +73,14 @@ class LiveFilterBank(LiveFilter):
 
     Attributes
     ----------
-    spread : Spread
-        Possible offsets of the filters' parameters.
+    spread : OffsetPrior
+        Prior distribution and names of the offsets from the tuned parameters.
     offsets : ndarray, shape (16, d)
-        Offsets of the filters in decades; that of the rear axle in m.
+        Offsets of the filters in decades; for the rear axle in m.
     n_searches : int
         Number of searches with a result.
     restarts : list of float
-        Times of the resets of lane 0, s; ``bank_restarts`` has those of the other lanes.
+        Times of the resets of filter 0, s; ``bank_restarts`` has those of the other filters.
     """
 
     def __init__(
@@ -130,16 +128,16 @@ class LiveFilterBank(LiveFilter):
         again_call()
 
     def _with_lanes(self, nominal_interval: float) -> Memory:
-        of_one = self._memory.arrays
+        arrays = self._memory.arrays
         longest = SEARCH_INTERVAL + SEARCH_DELAY + REPLAY_SPAN
         step_log = int(2.5 * longest / nominal_interval) + self._settled  # at most as many fixes as samples
         wider = np.zeros(live.BEHIND + STEP_LOG + step_log * N_LOG_ROW)
-        wider[: live.N_ALL] = of_one.filter_state
+        wider[: live.N_ALL] = arrays.filter_state
         wider[live.BEHIND + swarm.LOG_LENGTH] = step_log
-        of_one.counts[live.SPARE] = live.CHECKPOINT_EVERY
+        arrays.counts[live.SPARE] = live.CHECKPOINT_EVERY
         longer = np.zeros((self._settled + live.CHECKPOINT_EVERY, live.N_RECORD))
         checkpoints = np.zeros((len(longer) // live.CHECKPOINT_EVERY + 2, swarm.N_CHECKPOINT))
-        arrays = of_one._replace(filter_state=wider, history=longer, checkpoints=checkpoints)
+        arrays = arrays._replace(filter_state=wider, history=longer, checkpoints=checkpoints)
         return Memory(swarm_step(self._kernel), arrays)
 
     @property
@@ -164,7 +162,7 @@ class LiveFilterBank(LiveFilter):
         return KernelArray(sets).start([start], [self._interval])[0]
 
     def count_only(self, lanes: int) -> None:
-        """Give weight only to the first ``lanes`` filters, as in an export with so many. Searches must be off."""
+        """Give weight only to the first ``lanes`` filters, as in an export with this number; searches must be off."""
         self._counted = lanes
         self._numbers[swarm.PENALTY][lanes:] = np.inf
         swarm.weigh(self._filter_state)
@@ -179,13 +177,13 @@ class LiveFilterBank(LiveFilter):
         return numbers[swarm.ROWS].reshape(N_KEPT, LANES)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
-        """Process an IMU sample, as `LiveFilter.predict`."""
+        """Process an IMU sample: see `LiveFilter.predict`."""
         super().predict(t, imu)
         if t >= self._due and self._filter_state[live.TIME] >= self._due:
             self._move()
 
     def _move(self) -> None:
-        """Start a search, or use the result of the last one, if due."""
+        """Use the result of the last search, or start a search."""
         now = float(self._filter_state[live.TIME])
         pending, self._pending = self._pending, None
         if pending is not None:
@@ -197,7 +195,7 @@ class LiveFilterBank(LiveFilter):
         self._due = now + (SEARCH_DELAY if self._pending else SEARCH_INTERVAL - SEARCH_DELAY)
 
     def _settled_checkpoint(self) -> tuple[int, Array, Array] | None:
-        """Return the last checkpoint that no late fix can change: index of its record, the record, the checkpoint."""
+        """Return the last checkpoint that no late fix can change: index in the history, record, and checkpoint."""
         arrays = self._memory.arrays
         counts, history, checkpoints = arrays.counts, arrays.history, arrays.checkpoints
         n, kept = int(counts[live.N_SAMPLES]), int(counts[live.N_HISTORY])
@@ -219,23 +217,24 @@ class LiveFilterBank(LiveFilter):
         if checkpoint is None:
             return None
         _, record, numbers = checkpoint
-        here = self._snapshot(numbers, float(record[live.TIME]))
-        self._snapshots = [s for s in (*self._snapshots, here) if s.time >= here.time - REPLAY_SPAN - 1e-6]
-        if not numbers[swarm.WEIGHT].any():  # all lanes have failed
+        settled = self._snapshot(numbers, float(record[live.TIME]))
+        self._snapshots = [
+            s for s in (*self._snapshots, settled) if s.time >= settled.time - REPLAY_SPAN - 1e-6
+        ]
+        if not numbers[swarm.WEIGHT].any():  # all filters have failed
             return None
         leads = int(np.argmax(numbers[swarm.WEIGHT]))
-        if np.hypot(*here.lanes[[R.U, R.V], leads]) <= MIN_SPEED:
+        if np.hypot(*settled.lanes[[R.U, R.V], leads]) <= MIN_SPEED:
             return None
         begins = next(s for s in self._snapshots if self._is_logged(s.logged))
         self._n_begun += 1
-        was = int(begins.ancestors[leads])
+        ancestor = int(begins.ancestors[leads])
         lever = self._filter_state[live.LEVER].copy()
-        steps = LoggedSteps(self._kernel, self._logged_steps(begins.logged, here.logged), lever)
-        chance = self._seed, self._n_begun
+        steps = LoggedSteps(self._kernel, self._logged_steps(begins.logged, settled.logged), lever)
         return PendingSearch.begun(
-            *(here.logged, leads, self.spread, steps, begins.lanes[:, was]),
-            *(FilterEvidence(float(begins.evidence[was]), begins.fixed_at), self.offsets[leads].copy()),
-            *(self._population, self._interval, chance),
+            *(settled.logged, leads, self.spread, steps, begins.lanes[:, ancestor]),
+            *(FilterEvidence(float(begins.evidence[ancestor]), begins.fixed_at), self.offsets[leads].copy()),
+            *(self._population, self._interval, (self._seed, self._n_begun)),
         )
 
     def _is_logged(self, first: int) -> bool:
@@ -248,7 +247,7 @@ class LiveFilterBank(LiveFilter):
         return step_log[np.arange(first, last) % length]
 
     def _replace(self, result: SearchResult, replayed: int, led: int) -> None:
-        """Replace the worst filters by the result of a search and by copies; process the later samples again.
+        """Replace the worst filters by the result of a search and by changed copies; process the later samples again.
 
         ``replayed`` and ``led`` are the fields ``logged`` and ``led`` of the `PendingSearch`.
         """
@@ -267,7 +266,7 @@ class LiveFilterBank(LiveFilter):
             :N_REPLACED
         ]
         parents = rng.choice(LANES, size=len(worst) - 1, p=weight / weight.sum())
-        state, evidence_now = self._brought_on(result, since)
+        state, evidence_now = self._after_later_steps(result, since)
         offsets, states, known = [result.offsets], [state], [evidence_now]
         for parent in parents:
             jitter = COPY_STD * self.spread.std * rng.standard_normal(len(self.spread.names))
@@ -276,15 +275,15 @@ class LiveFilterBank(LiveFilter):
             known.append(float(evidence[parent]))
         lost = ~np.isfinite(evidence) | (rows[R.OK] != 1.0)
         failed = [lane for lane in range(1, LANES) if lost[lane] and lane not in worst]
-        for lane in failed:  # continue from the best lane's state, with the lane's own offsets
+        for lane in failed:  # continue from the best filter's state, with their own offsets
             rows[:, lane], evidence[lane] = rows[:, leads], evidence[leads]
-        for lane, its, state, evidence_of in zip(worst, offsets, states, known, strict=True):
-            self.offsets[lane], rows[:, lane], evidence[lane] = its, state, evidence_of
+        for lane, *replacement in zip(worst, offsets, states, known, strict=True):
+            self.offsets[lane], rows[:, lane], evidence[lane] = replacement
         for snapshot in self._snapshots:
             ancestors = snapshot.ancestors.copy()
             snapshot.ancestors[worst] = ancestors[[led, *parents]]
             snapshot.ancestors[failed] = ancestors[leads]
-        new = [*worst, *failed]  # the constants of the other lanes may have been adapted
+        new = [*worst, *failed]  # the other filters may have adapted their constants
         rows[CONSTANT_ROWS, new] = self.spread.constants(self._own_constants, self.offsets[new])
         rows[np.ix_(np.array(FUZZY_FACTORS), np.array(new))] = 1.0
         numbers[swarm.PENALTY] = self.spread.penalty(self.offsets)
@@ -299,8 +298,8 @@ class LiveFilterBank(LiveFilter):
             self._memory.step.address, filter_state, counts, fixes, speeds, history, checkpoints, place, True
         )
 
-    def _brought_on(self, result: SearchResult, since: Array) -> tuple[Array, float]:
-        """Return the filter (N_KEPT,) that a search found, and its evidence, after the later steps ``since``."""
+    def _after_later_steps(self, result: SearchResult, since: Array) -> tuple[Array, float]:
+        """Return the rows (N_KEPT,) and the evidence of a search's best filter after the later steps ``since``."""
         steps = LoggedSteps(self._kernel, since, self._filter_state[live.LEVER].copy())
         lane, known = steps.followed(result.lane, result.known)
         return lane, known.evidence
@@ -313,7 +312,7 @@ class LiveFilterBank(LiveFilter):
         estimate = self._with_sound_biases(together.lost, *self._mixed())
         gyro_bias = self._gyro_bias(estimate[0])
         start = self._reset_state(together, now, fix, lambda: estimate, due=due, gyro_bias=gyro_bias)
-        if start is None and due and not self.weights.any():  # all lanes have failed
+        if start is None and due and not self.weights.any():  # all filters have failed
             with np.errstate(all="ignore"):  # non-finite values give no start
                 start = self._check(now, fix, *estimate).start
         if start is not None:
@@ -327,34 +326,34 @@ class LiveFilterBank(LiveFilter):
         return [i for i, state in enumerate(FILTERS[self._kernel].states) if state.bias_of]
 
     def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return mean (n,) and covariance (n, n); replace the biases by the last valid ones if ``lost``."""
+        """Return mean (n,) and covariance (n, n); if ``lost``, with the biases from before the divergence."""
         if not lost:
             self._last_sound = mean, covariance
             return mean, covariance
         biases = self._biases
-        was, variance = self._last_sound
-        mean[biases], covariance[biases], covariance[:, biases] = was[biases], 0.0, 0.0
-        covariance[np.ix_(biases, biases)] = variance[np.ix_(biases, biases)]
+        sound_mean, sound_covariance = self._last_sound
+        mean[biases], covariance[biases], covariance[:, biases] = sound_mean[biases], 0.0, 0.0
+        covariance[np.ix_(biases, biases)] = sound_covariance[np.ix_(biases, biases)]
         return mean, covariance
 
     def _gyro_bias(self, mean: Array) -> float:
-        """Return the known gyro bias, rad/s; an alignment without this bias has a wrong heading."""
+        """Return the known gyro bias, rad/s, without which an alignment has a wrong heading."""
         bias = float(mean[GYRO_BIAS]) if len(mean) > GYRO_BIAS else 0.0
         return bias if np.isfinite(bias) else 0.0
 
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
-        """Keep the known biases, except in filters that start with other biases.
+        """Set the known biases in the restarted filters, except in those that search other biases.
 
         The bias of the alignment is used if it is more precise than the known bias or contradicts it.
         """
         gyro = start.gyro
-        surer = (
+        more_precise = (
             gyro is not None
             and len(mean) > GYRO_BIAS
             and gyro.variance[UP] < covariance[GYRO_BIAS, GYRO_BIAS]
         )
         contradicts = gyro is not None and gyro.taken != gyro_bias
-        if surer or contradicts or not np.isfinite(mean.sum() + covariance.sum()):
+        if more_precise or contradicts or not np.isfinite(mean.sum() + covariance.sum()):
             return
         lanes = [
             lane for lane in range(1, LANES) if lane >= len(FIXED_OFFSETS) or START not in FIXED_OFFSETS[lane]
@@ -372,7 +371,7 @@ class LiveFilterBank(LiveFilter):
         super()._reset(start)
         self._rows_of(self._numbers)[:, 0] = self._filter_state[:N_KEPT]
         evidence = self._numbers[swarm.EVIDENCE]
-        if not np.isfinite(evidence[0]):  # failed before: use the least evidence of all lanes
+        if not np.isfinite(evidence[0]):  # failed before: use the least evidence of all filters
             evidence[0] = evidence[np.isfinite(evidence)].min(initial=0.0)
         self._begin_history()
 
@@ -397,7 +396,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def weights(self) -> Array:
-        """Weights of the filters, (16,), with sum 1; all 0 if all filters have failed."""
+        """Weights of the filters, (16,); their sum is 1, or 0 if all filters have failed."""
         return self._numbers[swarm.WEIGHT].copy()
 
     @property
@@ -418,7 +417,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def settled(self) -> FilterParameters:
-        """The tuned parameters plus the mean offsets `moved`: the parameters to save for this car."""
+        """Tuned parameters plus the mean offsets `moved`, to be saved for this car."""
         return self.spread.parameters(self.moved)
 
     @property
@@ -428,7 +427,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def innovation(self) -> tuple[Array, Array]:
-        """Innovation nu (2,), m, of the mixture at the last fix, and its covariance S (2, 2), m2."""
+        """Innovation nu of the mixture at the last fix, (2,), m, and its covariance S, (2, 2), m2."""
         n = self._numbers
         xy = n[swarm.S_XY]
         return n[[swarm.NU_X, swarm.NU_Y]], np.array([[n[swarm.S_XX], xy], [xy, n[swarm.S_YY]]])

@@ -13,13 +13,16 @@ from sigmaswarm.geodesy import wrap_angle
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """Means (k, n) and covariances (k, n, n) of a mixture at k times; the mean heading is a circular mean."""
+    """Means (k, n) and covariances (k, n, n) of a mixture at k times.
+
+    Headings are averaged as wrapped differences from the heading of the filter with the largest weight.
+    """
 
     mean: Array
     covariance: Array
 
     @classmethod
-    @np.errstate(all="ignore")  # a failed lane has no weight
+    @np.errstate(all="ignore")  # failed filters have no weight
     def of(cls, states: Array, weights: Array, model: str) -> "Mixture":
         """Mix state rows (k, s, LANES) with weights (k, LANES); NaN where all weights are 0."""
         mean, covariance = state_estimate(states, model)  # (k, LANES, n), (k, LANES, n, n)
@@ -27,16 +30,16 @@ class Mixture:
         weights = np.where(sound, weights, 0.0)
         total = weights.sum(axis=1, keepdims=True)
         weights = np.divide(weights, total, out=np.full_like(weights, np.nan), where=total > 0.0)
-        leads = np.argmax(weights, axis=1)
-        from_leader = mean - mean[np.arange(len(mean)), leads][:, np.newaxis]
+        leader = np.argmax(weights, axis=1)
+        from_leader = mean - mean[np.arange(len(mean)), leader][:, np.newaxis]
         from_leader[:, :, THETA] = wrap_angle(from_leader[:, :, THETA])
-        out = weights == 0.0  # including lanes with NaN
+        out = weights == 0.0  # including filters with NaN
         from_leader[out], covariance[out] = 0.0, 0.0
         middle = np.einsum("kl,kln->kn", weights, from_leader)
         off = from_leader - middle[:, np.newaxis]
         spread = np.einsum("kl,kln,klm->knm", weights, off, off)
         together = np.einsum("kl,klnm->knm", weights, covariance) + spread
-        return cls(mean[np.arange(len(mean)), leads] + middle, together)
+        return cls(mean[np.arange(len(mean)), leader] + middle, together)
 
 
 def is_definite(covariance: Array) -> bool:

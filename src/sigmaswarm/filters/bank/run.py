@@ -1,4 +1,4 @@
-"""A run of a `LiveFilterBank` over a whole drive."""
+"""Run of a `LiveFilterBank` over a whole drive."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,15 +33,15 @@ _BATCH_SIZE = 500  # samples per computation of mixtures
 class BankLog:
     """Log of a filter bank, with one row per second."""
 
-    names: tuple[str, ...]  # d names of offsets: see `spread`
+    names: tuple[str, ...]  # names of the d offsets: see `spread`
     time: Array  # (k,), s
     weights: Array  # (k, LANES)
     moved: Array  # (k, d), mean offsets from the tuning in decades; of the rear axle in m
-    groups: Mapping[str, list[int]]  # lanes of each group
+    groups: Mapping[str, list[int]]  # indices of the filters in each group
 
     @property
     def effective(self) -> Array:
-        """Effective number of filters in the mixture, (k,); 0 where all have failed."""
+        """Effective number of filters in the mixture, (k,); 0 where all filters have failed."""
         squares = np.square(self.weights).sum(axis=1)
         return np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 0.0)
 
@@ -53,10 +53,10 @@ class BankLog:
     @property
     def shares(self) -> dict[str, Array]:
         """Total weight of each group of filters over time, (k,)."""
-        return {name: self.weights[:, lanes].sum(axis=1) for name, lanes in self.groups.items()}
+        return {name: self.weights[:, members].sum(axis=1) for name, members in self.groups.items()}
 
     def to_frame(self) -> pl.DataFrame:
-        """Return a table of t, the filter with the largest weight, effective number of filters, offsets and weights."""
+        """Return a table: t, filter with the largest weight, effective number of filters, offsets, weights."""
         columns = {"t": self.time, "leads": self.weights.argmax(axis=1), "effective": self.effective}
         columns |= {name: self.moved[:, i] for i, name in enumerate(self.names)}
         columns |= {f"weight_{lane}": self.weights[:, lane] for lane in range(self.weights.shape[1])}
@@ -66,8 +66,7 @@ class BankLog:
 class BankRun:
     """Run of a filter bank over a replay, as an iterator of pieces; the log is complete after the last piece.
 
-    ``failure`` is the first time at which all filters of the bank had failed; None if this did not happen in the pieces
-    so far.
+    ``failure`` states the first time in the pieces so far at which all filters had failed; None if there is none.
     """
 
     def __init__(
@@ -111,7 +110,7 @@ class BankRun:
         events = _events(drive)
         event = next(events, None)
         states, weights, lost = [], [], []
-        at, logged, fixed = 0, -np.inf, 0
+        first, logged, n_fixes = 0, -np.inf, 0
         for k, (t, *sample) in enumerate(_rows(imu)):
             while event is not None and event[0] <= t:
                 if event[1] is None:
@@ -122,8 +121,8 @@ class BankRun:
             bank.predict(t, sample)
             if k < begins:
                 continue
-            if bank.n_fixes != fixed:
-                fixed = bank.n_fixes
+            if bank.n_fixes != n_fixes:
+                n_fixes = bank.n_fixes
                 nu, s = bank.innovation
                 self._innovations.append((t, *nu.tolist(), s[0, 0], s[0, 1], s[1, 1]))
             if t >= logged + LOG_INTERVAL:
@@ -134,8 +133,8 @@ class BankRun:
             weights.append(weight)
             lost.append(bank.lost)
             if len(states) == _BATCH_SIZE or k == last:
-                yield self._piece(line.imu_time[at : at + len(states)], states, weights, lost)
-                at += len(states)
+                yield self._piece(line.imu_time[first : first + len(states)], states, weights, lost)
+                first += len(states)
                 states, weights, lost = [], [], []
 
     def _piece(
@@ -166,7 +165,7 @@ def _rows(columns: Sequence[Array]) -> Iterator[list[float]]:
 
 
 def _events(drive: Drive) -> Iterator[tuple[float, Any, Any]]:
-    """Yield fixes (time, position, (velocity, std, heading)) and odometer readings (time, None, speed), by time."""
+    """Yield fixes (time, position, (velocity, std, heading)) and readings (time, None, speed), sorted by time."""
     gps, wheels = drive.gps, drive.odometer
     velocity, std, (heading, variance) = gps.velocity, gps.std, headings_of(gps)
     columns = [gps.time, gps.x, gps.y, heading, np.sqrt(variance)]
@@ -193,7 +192,7 @@ def run_bank(
     recover: bool = True,
     as_recorded: bool = False,
 ) -> Estimate:
-    """Run a filter bank over a drive; return the estimate of a `LiveFilterBank` at each IMU sample.
+    """Run a `LiveFilterBank` over a drive; return its estimate at each IMU sample.
 
     Parameters
     ----------

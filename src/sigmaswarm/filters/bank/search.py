@@ -1,7 +1,7 @@
-"""Search for better offsets of a filter bank by differential evolution; each candidate replays the last minute.
+"""Search for better offsets of a bank's filters by differential evolution; each candidate replays the last minute.
 
-R. Storn and K. Price, Differential evolution, Journal of Global Optimization 11, 1997 (rand/1/bin). Each search begins
-with the population of the previous one.
+Source: R. Storn and K. Price, Differential evolution, Journal of Global Optimization 11, 1997 (rand/1/bin). Each search
+begins with the population of the previous one.
 """
 
 from collections.abc import Sequence
@@ -38,24 +38,24 @@ from sigmaswarm.filters.student import INNOVATION_DOF
 
 GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9  # F and CR of differential evolution
-CONVERGENCE_TIME = 2.0  # s at the start of a replay without scores, while a filter with new offsets converges
+CONVERGENCE_TIME = 2.0  # s at the start of a replay, not scored: a filter with new offsets converges
 MIN_SCORED_FIXES = 8  # smallest number of scored fixes for a result
-MAX_OFFSET = 8.0  # bound of an offset, in standard deviations of this offset
+MAX_OFFSET = 8.0  # largest offset, in its standard deviations
 
 
 @dataclass(frozen=True)
 class FilterEvidence:
-    """Evidence of a filter, and the time of its last fix, s."""
+    """Evidence of a filter, and the time ``at`` of its last fix, s."""
 
     evidence: float
     at: float
 
-    def then(self, time: Array, lost: Array) -> "FilterEvidence":
-        """Return the evidence after fixes at the times ``time``, s; each fix lowers the evidence by its ``lost``."""
+    def then(self, time: Array, losses: Array) -> "FilterEvidence":
+        """Return the evidence after fixes at ``time``, s: each fix subtracts its loss; both fade exponentially."""
         if not len(time):
             return self
         decay = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)
-        return FilterEvidence(float(decay[0] * self.evidence - decay[1:] @ lost), float(time[-1]))
+        return FilterEvidence(float(decay[0] * self.evidence - decay[1:] @ losses), float(time[-1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +78,9 @@ class LoggedSteps:
             else 0
         )
         self._run(lanes, place, scored)
-        before = _lost(lanes)
+        before = _loss(lanes)
         self._run(lanes, place, len(self.rows))
-        return _lost(lanes) - before
+        return _loss(lanes) - before
 
     def followed(self, lane: Array, known: FilterEvidence) -> tuple[Array, FilterEvidence]:
         """Return the rows (N_KEPT,) and the evidence of a filter after all steps."""
@@ -88,7 +88,7 @@ class LoggedSteps:
         fixes = np.flatnonzero(self.rows[:, T_FLAGS].astype(np.uint16) & FIX)
         innovations = np.empty((len(fixes), 5))
         self._run(lanes, self._place, len(self.rows), innovations)
-        return lanes[:, 0], known.then(self.rows[fixes, T_TIME], _lost_over(*innovations.T))
+        return lanes[:, 0], known.then(self.rows[fixes, T_TIME], _evidence_losses(*innovations.T))
 
     @property
     def _place(self) -> Array:
@@ -126,27 +126,27 @@ class LoggedSteps:
         return int((is_fix & (self.rows[:, T_TIME] >= self._begins + CONVERGENCE_TIME)).sum())
 
 
-@np.errstate(all="ignore")  # a lane may fail
-def _lost(lanes: Array) -> Array:
+@np.errstate(all="ignore")  # a filter may fail
+def _loss(lanes: Array) -> Array:
     determinants = lanes[R.LOG_DET] + np.log(lanes[R.DET])
     return 0.5 * determinants + 0.5 * (INNOVATION_DOF + 2.0) * (lanes[R.LOG_TAIL] + np.log(lanes[R.TAIL]))
 
 
 @np.errstate(all="ignore")
-def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
-    """Return the decrease of a filter's evidence at each fix, (f,), from nu (m) and S (m2): see `compiled.swarm`."""
+def _evidence_losses(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
+    """Return what each fix subtracts from a filter's evidence, (f,), from nu (m) and S (m2): see `compiled.swarm`."""
     det = xx * yy - xy * xy
     nis = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det
-    lost = 0.5 * np.log(det) + 0.5 * np.minimum(nis, LARGEST_NIS)
-    return np.where((det > 0.0) & np.isfinite(det) & (nis >= 0.0), lost, np.inf)
+    losses = 0.5 * np.log(det) + 0.5 * np.minimum(nis, LARGEST_NIS)
+    return np.where((det > 0.0) & np.isfinite(det) & (nis >= 0.0), losses, np.inf)
 
 
 FUZZY_FACTORS = R.TIMES_R, R.TIMES_Q
-"""Rows of the factors of R and Q in a fuzzy filter; the factors are 1 in a lane with new constants."""
+"""Rows of a fuzzy filter's factors of R and Q; with new constants, they start at 1."""
 
 
 def with_zero_sums(lanes: Array) -> Array:
-    """Return filters (N_KEPT, m) in the same state, with all sums at 0."""
+    """Return filters (N_KEPT, m) in the same state, with sums of 0 and fuzzy factors of 1."""
     fresh = lanes.copy()
     sums = fresh[SUM_ROWS]
     lasting = R.REJECTED, R.RECENT, R.OUTLIERS, R.SPAN, R.QUICK, R.SLOW, R.HEADING, R.OK
@@ -160,10 +160,10 @@ def with_zero_sums(lanes: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """The best filter's offsets (d,), and the population (LANES, d) at the start of the next search."""
+    """The best filter's offsets (d,), rows, and evidence, and the population (LANES, d) for the next search."""
 
     offsets: Array
-    lane: Array  # (N_KEPT,), at the end of the replay
+    lane: Array  # rows (N_KEPT,) at the end of the replay
     known: FilterEvidence
     population: Array
 
@@ -178,7 +178,7 @@ def search(
     nominal_interval: float,
     seed: Sequence[int],
 ) -> SearchResult | None:
-    """Search for better offsets over some steps; return None if too few fixes are scored or all filters fail.
+    """Search for the best offsets over some steps; return None if too few fixes are scored or all filters fail.
 
     ``start`` (N_KEPT,) and ``known`` are the filter and its evidence before the steps. ``leader`` (d,) are the offsets
     of the filter with the largest weight, which replace the last member of ``population`` (LANES, d).
@@ -195,9 +195,9 @@ def search(
 
     def costs(offsets: Array) -> Array:
         lanes = begun(offsets)
-        lost = steps.run(lanes)
-        lost[(lanes[R.OK] != 1.0) | ~np.isfinite(lost)] = np.inf
-        return EVIDENCE_COUNTS * lost + spread.penalty(offsets)
+        losses = steps.run(lanes)
+        losses[(lanes[R.OK] != 1.0) | ~np.isfinite(losses)] = np.inf
+        return EVIDENCE_COUNTS * losses + spread.penalty(offsets)
 
     offsets = population.copy()
     offsets[-1] = leader
@@ -215,7 +215,7 @@ def search(
 
 
 def _trials(offsets: Array, spread: OffsetPrior, rng: np.random.Generator) -> Array:
-    """Return a trial for each member: the member crossed with another one plus the scaled difference of two more."""
+    """Return a trial for each member: its crossover with another member plus the scaled difference of two more."""
     n, d = offsets.shape
     others = np.array([rng.permutation(np.delete(np.arange(n), i))[:3] for i in range(n)])
     a, b, c = (offsets[others[:, k]] for k in range(3))

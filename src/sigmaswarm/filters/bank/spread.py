@@ -1,4 +1,4 @@
-"""Offsets of a bank's filters from the tuning, most of them in decades of variance."""
+"""Offsets of a bank's filters from the tuned parameters, mostly in decades of variance."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,12 +10,12 @@ from sigmaswarm.filters.compiled.layout import CONSTANTS, LANES, LETTERS
 from sigmaswarm.filters.models import MODELS, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
-OFFSET_DOF = 4.0  # degrees of freedom of Student's t, the prior of an offset; a few offsets are large
+OFFSET_DOF = 4.0  # degrees of freedom of Student's t, the prior of an offset; allows a few large offsets
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
 """Standard deviations, in decades, of offsets of Q, of bias walks, of R, and of other variances."""
-R_DOWN_STD = 0.45  # decades, for a smaller R than tuned; fixes in a city are accurate until they jump
-SCALE_STD = 0.7  # decades, for a common factor of all variances, which hardly changes the estimates
-START_STD = 1.5  # decades, for the initial variance of the biases; the first draws do not reduce it
+R_DOWN_STD = 0.45  # decades, for an R below the tuned one; in a city, fixes seem accurate until they jump
+SCALE_STD = 0.7  # decades, for a factor of all variances, which hardly changes the estimates
+START_STD = 1.5  # decades, for the initial variance of the biases; `OffsetPrior.first` only increases it
 AXLE_STD = 0.7  # m, standard deviation of the offset of the rear axle
 R, SCALE, START, AXLE = "r", "scale", "bias_start", "rear_axle"
 FIXED_OFFSETS = (
@@ -28,7 +28,7 @@ FIXED_OFFSETS = (
     {R: 2.5, START: 3.0},
     {R: 4.5, START: 3.0},
 )
-"""Offsets of the filters that are never replaced, from the first on: the tuned one, other biases, other receivers."""
+"""Offsets of the filters that are never replaced, the first filters: tuned, for other biases, for other receivers."""
 
 WARNING_OFFSET, WARNING_AXLE_OFFSET = 0.5, 0.5  # largest offsets without a warning, decades and m
 _MEANS = {
@@ -42,7 +42,7 @@ _MEANS = {
 
 @dataclass(frozen=True)
 class OffsetPrior:
-    """The offsets from a tuning that the filters of a bank can have."""
+    """Prior distribution of the offsets of a bank's filters from a tuning."""
 
     tuning: FilterParameters
 
@@ -70,11 +70,11 @@ class OffsetPrior:
 
     @cached_property
     def lasting(self) -> Array:
-        """1 for offsets that have an effect after the start, 0 for the others, (d,)."""
+        """1 for offsets with an effect after the start, else 0, (d,)."""
         return np.array([0.0 if name == START else 1.0 for name in self.names])
 
     def first(self, rng: np.random.Generator) -> Array:
-        """Draw the initial offsets of a bank, (LANES, d). Filter 0 is the tuned one."""
+        """Draw the initial offsets of a bank, (LANES, d); filter 0 has the tuned parameters."""
         offsets = rng.standard_normal((LANES, len(self.names))) * self.std
         if START in self.names:
             start = self.names.index(START)
@@ -136,7 +136,7 @@ class OffsetPrior:
         return constants
 
     def warnings(self, moved: Array) -> tuple[str, ...]:
-        """Return warnings of offsets (d,) that are too large for the tuned vehicle."""
+        """Return warnings about offsets (d,) that indicate a vehicle or sensors other than those of the tuning."""
         messages, changes = list[str](), dict(zip(self.names, moved.tolist(), strict=True))
         common = changes[SCALE]
         if abs(common) > WARNING_OFFSET:

@@ -1,4 +1,4 @@
-"""`LiveModel`: a filter of a user's model that processes one sample at a time."""
+"""`LiveModel`: the filter of a user's model for one sample at a time."""
 
 from bisect import insort
 from collections import deque
@@ -22,7 +22,7 @@ Timed = tuple[float, Array]  # a measurement (m,) and its time, s
 
 @dataclass(eq=False)
 class _Sample:
-    """A sample of the inputs, the filter's state before it, and the measurements between that state and the sample."""
+    """Inputs of a step, the state before the step, and the measurements within the step."""
 
     before: float  # s
     state: State
@@ -32,17 +32,17 @@ class _Sample:
 
 
 class LiveModel:
-    """A Kalman filter of a user's model that processes one sample at a time.
+    """Kalman filter of a user's model that processes one sample at a time.
 
-    As in a `Log`, the inputs at t_k drive the step from t_(k-1) to t_k, so a measurement waits for the next inputs.
-    After a measurement that is at most ``history`` seconds late, the filter returns to its time and processes the later
-    samples again. The state therefore equals the result of `run_model` for the same data in time order.
+    As in a `Log`, the inputs at t_k drive the step from t_(k-1) to t_k, so a measurement waits for the next inputs. If
+    a measurement is at most ``history`` seconds late, the filter returns to its time and processes the later samples
+    again. The state therefore equals the result of `run_model` for the same data in time order.
 
     Parameters
     ----------
     model : Model
     parameters : mapping of str to float
-        As `run_model`.
+        See `run_model`.
     time : float
         Start, s.
     mean, covariance : array_like, shapes (n,), (n, n)
@@ -55,7 +55,7 @@ class LiveModel:
     Attributes
     ----------
     too_late : int
-        Number of ignored measurements that were later than ``history`` or before the start.
+        Number of measurements that were ignored because they came later than ``history`` or precede the start.
 
     Raises
     ------
@@ -105,7 +105,7 @@ class LiveModel:
         u, t = _numbers("inputs", inputs, self._n_inputs), _seconds(t)
         if not self._time < t < np.inf:
             return
-        now = [each for each in self._waiting if each[0] <= t]
+        now = [measured for measured in self._waiting if measured[0] <= t]
         self._waiting = self._waiting[len(now) :]
         sample = _Sample(self._time, self._state, t, u, now)
         self._samples.append(sample)
@@ -121,7 +121,7 @@ class LiveModel:
         Returns
         -------
         bool
-            False if the measurement was ignored: too late, before the start, or a repeat.
+            False if the measurement was ignored: too late, before the start, or a repetition.
 
         Raises
         ------
@@ -190,7 +190,7 @@ def _seconds(t: float) -> float:
 
 
 def _store(stored: list[Timed], t: float, z: Array) -> bool:
-    """Insert a measurement by time, or complete one of the same time; return False if no element is new."""
+    """Insert a measurement by time, or fill NaN in one of the same time; return False if no element is new."""
     for k, (time, known) in enumerate(stored):
         if time == t:
             both = np.where(np.isnan(known), z, known)

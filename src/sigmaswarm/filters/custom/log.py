@@ -1,4 +1,4 @@
-"""A log of sensors for a user's model, and the steps of a filter at its merged times."""
+"""A log of sensors for a user's model, and the steps of a filter at the merged times."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,10 +13,10 @@ from sigmaswarm.geodesy import Array
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """One recording: inputs, measurements, the initial state of a filter, and the truth if known.
+    """One recording: inputs, measurements, the initial state of a filter, and truth if known.
 
-    The filter steps at ``time``; the inputs at t_k drive the step from t_(k-1) to t_k. A measurement between them
-    splits that step. Measurements outside of ``time`` are ignored.
+    The filter steps to each ``time``; the inputs at t_k drive the step from t_(k-1) to t_k. A measurement between these
+    times splits the step. Measurements outside of ``time`` are ignored.
 
     Attributes
     ----------
@@ -26,10 +26,10 @@ class Log:
     measurement_time : ndarray, shape (f,)
         s, strictly increasing; these times may differ from ``time``.
     measurements : ndarray, shape (f, m)
-        (f,) stands for (f, 1). An element without a value at a time is NaN; the update uses the other elements. See
+        (f,) stands for (f, 1). NaN: no value of this element at this time; the update uses the other elements. See
         `from_sensors`.
     mean, covariance : ndarray, shapes (n,), (n, n)
-        State estimate at ``time[0]``, where the filter starts; not computed from truth.
+        State estimate at ``time[0]``, where the filter starts; it must not come from truth.
     inputs : ndarray, shape (k, u), optional
         Inputs of the process; (k,) stands for (k, 1). None: the input of f is an empty array.
     truth : mapping of str to ndarray, shape (j,)
@@ -71,8 +71,8 @@ class Log:
         Parameters
         ----------
         sensors : mapping of str to (times, values)
-            Shapes (f,), strictly increasing, s, and (f, m) or (f,). A measurement has the elements of all sensors in
-            this order, as ``h`` returns them. Rows that are all NaN are left out.
+            Times (f,), s, strictly increasing, and values (f, m) or (f,). A measurement has the elements of all sensors
+            in the order of this mapping; ``h`` must return them in this order. Rows that are all NaN are left out.
         name, time, mean, covariance, inputs, truth, truth_time
             See `Log`.
 
@@ -218,14 +218,14 @@ def _check_overlap(log: str, name: str, moments: Array, time: Array) -> None:
 
 @dataclass(frozen=True, eq=False)
 class FilterSteps:
-    """Steps of a filter over a log. The first step has length zero, for a measurement at the first time."""
+    """Steps of a filter over a log. The first step has length zero; a measurement at the first time updates it."""
 
     dt: Array  # (k,), s
     source: NDArray[np.int64]  # (k,), row of the inputs for each step
     updates: NDArray[np.int64]  # (k,), row of ``measurements`` for the update at the step's end, or -1
     records: NDArray[np.int64]  # (k,), row of the log's ``time`` at which the step ends, or -1
     inputs: Array  # (i, u)
-    measurements: Array  # (f, m), those within the log's time; NaN: no value
+    measurements: Array  # (f, m), within the log's time; NaN: no value
     measurement_time: Array  # (f,), s
     mean: Array  # (n,), at the start
     covariance: Array  # (n, n), at the start
@@ -249,6 +249,6 @@ def build_steps(log: Log) -> FilterSteps:
 
 
 def _rows(times: Array, ends: Array) -> NDArray[np.int64]:
-    """Return the index in ``times`` of each of ``ends``; -1 if ``times`` does not contain it."""
+    """Return the index of each of ``ends`` in ``times``, or -1."""
     known = np.isin(ends, times)
     return np.where(known, np.cumsum(known) - 1, -1).astype(np.int64)

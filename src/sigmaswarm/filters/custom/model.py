@@ -18,7 +18,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import Array
 
 SCALING_NAMES = ("alpha", "beta", "kappa")
-"""Scaling of the sigma points, which a tuning of an unscented filter searches in addition to a model's parameters."""
+"""Scaling of the sigma points, which tuning of an unscented filter searches in addition to the model's parameters."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Tunable:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A user's process and measurement, and the parameters that are tuned in them.
+    """A user's process and measurement, and their tuned parameters.
 
     ``p`` contains the values of ``parameters`` by name, such as ``p.length``. Plain functions of numbers and NumPy
     arrays are compiled with Numba; other functions are about a hundred times slower.
@@ -71,10 +71,10 @@ class Model:
     scored : tuple of str
         States that truth-rmse compares; empty: all states with truth in the log.
     robust : float, optional
-        Against outliers: a probability, such as 0.99. If the NIS of a measurement is above this quantile of chi-square,
-        S is multiplied by NIS / quantile in the update (G. Chang, Journal of Geodesy 88, 2014), and innovation-nll
-        increases only with the logarithm of the NIS. Three or more such measurements over 5 s show that the filter is
-        wrong, and have full weight. None: all measurements have full weight.
+        Probability, such as 0.99, that defines outliers: measurements whose NIS is above this quantile of chi-square.
+        Their update multiplies S by NIS / quantile (G. Chang, Journal of Geodesy 88, 2014), and innovation-nll
+        increases only with the logarithm of the NIS. Three or more consecutive outliers over 5 s show that the filter
+        is wrong; from then on they have full weight. None: all measurements have full weight.
     kind : {"ukf", "ekf"}
         Unscented or extended. The extended filter takes derivatives by complex steps, so f and h must accept complex
         states and are not compiled.
@@ -156,11 +156,11 @@ class Model:
 
     @cached_property
     def record(self) -> Any:
-        """Class of p: a named tuple, which NumPy code and Numba both accept."""
+        """Class of ``p``: a named tuple, which Python and Numba both accept."""
         return _record(tuple(t.name for t in self.parameters))
 
     def values(self, parameters: Mapping[str, Any]) -> Any:
-        """Return p from parameters by name; raise `InputError` if one is missing, unknown or not finite."""
+        """Return ``p`` from parameters by name; raise `InputError` if one is missing, unknown or not finite."""
         known = [t.name for t in self.parameters]
         needed = [*SCALING_NAMES, *known] if self.kind == "ukf" else known
         missing = [name for name in needed if name not in parameters]
@@ -176,7 +176,7 @@ class Model:
         return self.record(*(float(parameters[name]) for name in known))
 
     def limits(self, m: int) -> Array:
-        """Return the limits of the NIS of 1 to m elements, (m,), see ``robust``."""
+        """Return the largest NIS of 1 to m elements that is not an outlier, (m,): see ``robust``."""
         outside = 0.0 if self.robust is None else 1.0 - self.robust
         return chdtri(np.arange(1, m + 1), outside)
 
@@ -184,7 +184,7 @@ class Model:
         return [self.states.index(name) for name in names]
 
     def identity(self) -> dict[str, Any]:
-        """Return names, bounds and a hash of the functions, as plain types."""
+        """Return names and bounds in plain types, and a hash of them and of the functions."""
         plain: dict[str, Any] = {
             "name": self.name,
             "kind": self.kind,
@@ -201,7 +201,7 @@ class Model:
 
 @cache
 def _record(names: tuple[str, ...]) -> Any:
-    """Return one class for equal names, since Numba compiles a kernel again for another class."""
+    """Return the same class for equal names, since Numba would compile a kernel again for another class."""
     return namedtuple("p", names)  # pyright: ignore[reportUntypedNamedTuple]
 
 
@@ -214,7 +214,7 @@ def as_covariance(noise: Any) -> Array:
 def fingerprint(*things: Any) -> str:
     """Hash values and functions; a function is hashed by its bytecode and the global values that it uses.
 
-    Equal code with equal values has the same hash in every process, also for lambdas and functions in notebooks.
+    Equal code with equal values has the same hash in every process, even in lambdas and notebooks.
     """
     digest = hashlib.sha256()
     visited: set[int] = set()

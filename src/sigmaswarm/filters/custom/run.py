@@ -1,4 +1,4 @@
-"""Run and smooth filters of users' models over logs; the textbook form runs if a model can't be compiled."""
+"""Run and smooth filters of users' models over logs; a model that can't be compiled runs in textbook form."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -18,9 +18,9 @@ from sigmaswarm.filters.textbook.ekf import complex_step
 from sigmaswarm.filters.textbook.loop import FAILURES, Trajectory, run_steps, smooth_steps
 from sigmaswarm.geodesy import Array, wrap_angle
 
-# Steps over which the compiled filter is compared with the textbook filter before its use
+# Number of steps in which the compiled filter is compared with the textbook filter before its first use
 VERIFIED_STEPS = 20
-# Largest difference in standard deviations; rounding is far below, a compilation error above
+# Largest difference in standard deviations; rounding errors are far smaller, wrong compilation gives larger ones
 MAX_DIFFERENCE = 1e-6
 
 
@@ -73,16 +73,16 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
     InputError
         If model, log and parameters do not fit together.
     """
-    model.values(parameters)  # a wrong name is reported before anything is compiled
+    model.values(parameters)  # report wrong names before compiling
     runner = Runner(model, [log])
     return _estimate(log, model, runner.steps[0], runner.run(0, parameters, covariances=True))
 
 
 def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelEstimate:
-    """Run the filter of a user's model over a log, and smooth: each estimate uses all measurements.
+    """Run the filter of a user's model over a log, and smooth its estimates, so that each uses all measurements.
 
-    H. E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, IEEE TAC 53(3), 2008. The smoother runs
-    in NumPy, about a hundred times slower than `run_model`.
+    Sources: H. E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, IEEE TAC 53(3), 2008. The
+    smoother runs in NumPy, about a hundred times slower than `run_model`.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> Mod
     Returns
     -------
     ModelEstimate
-        ``nis`` and ``nll`` are those of the filter. If the filter failed, ``failure`` is set, and the estimates before
+        ``nis`` and ``nll`` are those of the filter. If the filter failed, ``failure`` is set; only the estimates before
         the failure are smoothed.
 
     Raises
@@ -136,14 +136,14 @@ def failure_in(log: Log, steps: FilterSteps, failed: int) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class ModelTrajectory(Trajectory):
-    """Trajectory of a filter at the times of a log, and NIS and NLL of each measurement, (f,)."""
+    """Trajectory of a filter at the times of a log; NIS and negative log-likelihood of each measurement, (f,)."""
 
     nis: Array
     nll: Array
 
 
 class Runner:
-    """Logs prepared once for any number of parameter sets; raises `InputError` if the model does not fit the logs."""
+    """Logs, prepared once for any number of parameter sets; raises `InputError` if the model does not fit a log."""
 
     def __init__(self, model: Model, logs: Sequence[Log]) -> None:
         for log in logs:
@@ -166,7 +166,7 @@ def run_kernel(
     covariances: bool,
     runs: Array | None = None,
 ) -> ModelTrajectory:
-    """Run the compiled filter, or the textbook filter. ``runs`` (m, 2), changed in place: see `TextbookModel`."""
+    """Run the compiled filter, or without ``kernel`` the textbook filter. ``runs`` changes: see `TextbookModel`."""
     runs = np.zeros((steps.measurements.shape[1], 2)) if runs is None else runs
     p = model.values(parameters)
     if kernel is None:
@@ -182,7 +182,7 @@ def run_kernel(
         limits = model.limits(steps.measurements.shape[1])
         start = steps.mean, steps.covariance
         failed = kernel(*line, *start, angles, measured, scaling, noise, limits, runs, p, *written)
-    except FAILURES:  # raised by the user's functions, in an unknown step
+    except FAILURES:  # from the user's functions, in an unknown step
         return _nothing(steps, covariances=covariances, failed=0)
     return replace(run, failed=int(failed))
 
@@ -213,14 +213,14 @@ def _scaling(parameters: Mapping[str, float]) -> Array:
 
 
 def _nothing(steps: FilterSteps, *, covariances: bool, failed: int = -1) -> ModelTrajectory:
-    k, n, each = len(steps.inputs), len(steps.mean), np.full((2, len(steps.measurements)), np.nan)
+    k, n, (nis, nll) = len(steps.inputs), len(steps.mean), np.full((2, len(steps.measurements)), np.nan)
     trajectory = Trajectory.empty(k, n, covariances=covariances, failed=failed)
-    return ModelTrajectory(**vars(trajectory), nis=each[0], nll=each[1])
+    return ModelTrajectory(**vars(trajectory), nis=nis, nll=nll)
 
 
 _KERNELS: "WeakKeyDictionary[Model, dict[bool, Any]]" = WeakKeyDictionary()
 _BUILT: "WeakValueDictionary[str, Any]" = WeakValueDictionary()
-"""Kernels by the functions of a model, since other bounds or another R do not need another compilation."""
+"""Kernels by the hash of a model's functions; models with other bounds or another R share a kernel."""
 
 
 def kernel_of(model: Model, steps: FilterSteps, *, absent: bool = False) -> Any:
@@ -246,7 +246,7 @@ def _compiled(model: Model, steps: FilterSteps, *, absent: bool) -> Any:
     key = fingerprint(*functions, diagonal, absent)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Numba's, on slow constructs in a user's function
+            warnings.simplefilter("ignore")  # Numba warns about slow constructs in a user's function
             kernel = _BUILT.get(key) or build_kernel(*functions, diagonal=diagonal, absent=absent)
             compiled = run_kernel(model, kernel, few, trial, covariances=True)
     except (NumbaError, TypeError, NotImplementedError) as error:  # Numba also raises other errors
@@ -256,12 +256,12 @@ def _compiled(model: Model, steps: FilterSteps, *, absent: bool) -> Any:
         if _same(compiled, textbook):
             _BUILT[key] = kernel
             return kernel
-        if _BUILT.pop(key, None):  # a value that the functions read from a module has changed
+        if _BUILT.pop(key, None):  # a module's value that the functions read has changed
             return _compiled(model, steps, absent=absent)
-        why = "the compiled functions return other numbers"
+        why = "the compiled functions return other numbers than in Python"
     warnings.warn(
         f"model {model.name}: can't be compiled ({why}); the textbook filter runs instead, about a hundred times "
-        f"slower",
+        "slower",
         SigmaswarmWarning,
         stacklevel=2,
     )
@@ -294,7 +294,7 @@ def trial_parameters(model: Model) -> dict[str, float]:
 
 
 def check(model: Model, log: Log) -> None:
-    """Call the model's functions with the first data of the log; raise `InputError` if a result is not usable."""
+    """Call the model's functions with the first data of the log; raise `InputError` if a result is unusable."""
     n, m = len(model.states), log.measurements.shape[1]
     if len(log.mean) != n:
         raise log.wrong(f"mean has {len(log.mean)} values, but the model {model.name} has {n} states")

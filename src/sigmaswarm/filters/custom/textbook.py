@@ -15,12 +15,12 @@ from sigmaswarm.geodesy import Array
 
 
 class TextbookModel:
-    """A textbook filter of a model on a log's steps.
+    """Textbook filter of a model on a log's steps.
 
-    ``scaling`` (3,) is alpha, beta, kappa; ``p`` the model's record. ``nis`` and ``nll`` (f,) are the normalized
-    innovation squared and the negative log-likelihood of each measurement before its update, NaN for measurements after
-    the current step. ``runs`` (m, 2): for each element the number of consecutive outliers (`Model.robust`), and the
-    time since the first, s.
+    ``scaling`` (3,) is alpha, beta, kappa; ``p`` is a `Model.record`. ``nis`` and ``nll`` (f,) are the normalized
+    innovation squared and the negative log-likelihood of each measurement before its update; NaN for measurements after
+    the current step. ``runs`` (m, 2) contains, for each element, the number of consecutive outliers (`Model.robust`)
+    and the time since the first, s.
     """
 
     def __init__(self, model: Model, steps: FilterSteps, scaling: Array, p: Any, runs: Array) -> None:
@@ -49,7 +49,7 @@ class TextbookModel:
             kalman.correct(innovation)
 
     def _is_outlier(self, present: NDArray[np.int64], above: bool) -> bool:
-        """Return True if the NIS is above the limit, unless a long run of outliers of all present elements ends."""
+        """Return True if the NIS is above the limit, unless all present elements have had outliers for long."""
         count, since = self.runs[present, 0], self.runs[present, 1]
         since[count == 0] = 0.0
         count = count + 1 if above else np.zeros(len(present))

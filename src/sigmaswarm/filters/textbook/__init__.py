@@ -1,4 +1,4 @@
-"""The filters in textbook form, in NumPy: slow, general, and easy to check. Nothing here imports `compiled/`."""
+"""The filters in textbook form, in NumPy: slow, general, and easy to check. They do not import `compiled/`."""
 
 from sigmaswarm.filters.textbook.ekf import ExtendedKalmanFilter
 from sigmaswarm.filters.textbook.ukf import NotPositiveDefiniteError, SigmaPoints, UnscentedKalmanFilter

@@ -1,4 +1,4 @@
-"""Adaptive filters: adapted noise, fuzzy rules, the fading factor of strong tracking, Student's t."""
+"""Parts of adaptive filters: adapted noise, fuzzy rules, the fading factor of strong tracking, Student's t."""
 
 from dataclasses import dataclass, replace
 
@@ -13,9 +13,9 @@ from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Innovati
 class SageHusa:
     """Adapt Q and R to the innovations of the fixes.
 
-    A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, with the limit of their
-    weights (1 - b) / (1 - b^(k+1)) for large k. R is computed from the residual after the update, so it is positive by
-    construction. A change that makes Q negative is not used.
+    A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969. The weight of a fix is 1 -
+    b, the limit of their (1 - b) / (1 - b^(k+1)) for large k. R is computed from the residual after the update, so it
+    is positive by construction. A fix reduces an element of Q at most to b times its value.
     """
 
     process_noise: Array  # (n,), diagonal of Q per nominal step
@@ -23,7 +23,7 @@ class SageHusa:
     forgetting: float  # b
 
     def adapt(self, innovation: Innovation, since: float) -> None:
-        """Adapt to a fix; ``since``: nominal steps since the last fix; if 0, Q does not change."""
+        """Adapt to a fix; ``since``: number of nominal steps since the last fix; if it is 0, Q does not change."""
         weight = 1 - self.forgetting
         inverse = np.linalg.inv(innovation.variance)
         r = self.measurement_noise
@@ -46,9 +46,9 @@ class FuzzyNoise:
     tuned_process_noise: Array  # (n,), diagonal of Q per nominal step at a ratio of 1
     tuned_measurement_noise: Array  # (2,), diagonal of R at a ratio of 1
     memory: float  # weight of the previous average at each fix
-    widths: tuple[float, float]  # widths of the edges of ratio and trend
+    widths: tuple[float, float]  # ratio and trend at which a membership reaches 1
     gains: tuple[float, float]  # largest factors of R and Q
-    quick: float = 1.0  # quick, slow: averages of actual / theoretical innovation covariance
+    quick: float = 1.0  # quick, slow: moving averages of NIS / 2
     slow: float = 1.0
     times_r: float = 1.0  # times_r, times_q: current factors of R and Q
     times_q: float = 1.0
@@ -110,11 +110,11 @@ class StrongTracking:
 
 @dataclass
 class StudentT:
-    """Weight fixes by Student's t: the R of each fix is divided by the weight of the fix.
+    """Weight fixes by Student's t: R of each fix is divided by the weight of the fix.
 
     R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
     the multivariate Student-t distribution, MLSP 2012. A filter with a wrong state would treat all fixes as outliers.
-    Therefore, the fix that ends a long run of outliers has weight 1, and P is inflated before this fix.
+    Therefore, after a long run of outliers, a fix has weight 1, and P is inflated before it.
     """
 
     dof: float  # degrees of freedom
@@ -140,9 +140,7 @@ class StudentT:
         for _ in range(ITERATIONS):
             variance = innovation.variance - r + r / weight
             residual = r / weight @ np.linalg.solve(variance, nu)  # after the update
-            remaining = r / weight - r / weight @ np.linalg.solve(
-                variance, r / weight
-            )  # covariance of the residual
+            remaining = r / weight - r / weight @ np.linalg.solve(variance, r / weight)  # its covariance
             gamma = residual @ np.linalg.solve(r, residual) + np.trace(np.linalg.solve(r, remaining))
             weight = (self.dof + len(nu)) / (self.dof + gamma)
         return float(weight)

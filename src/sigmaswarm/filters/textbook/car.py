@@ -1,4 +1,4 @@
-"""Filters for cars in textbook form. Tests compare them with `compiled/run.py`, one step at a time."""
+"""Textbook filters for cars. Tests compare them with `compiled/run.py`, one step at a time."""
 
 from dataclasses import replace
 
@@ -38,10 +38,10 @@ from sigmaswarm.geodesy import wrap_angle
 
 
 class TextbookCar:
-    """A textbook filter on a drive's time line.
+    """Textbook filter on a drive's time line.
 
-    The ``mean`` and ``covariance`` of its ``filter`` may be set before a step. ``noise`` has the current diagonals of Q
-    and R. ``heading_first`` and ``redraw_sigma_points``: see `run_textbook`.
+    ``filter.mean`` and ``filter.covariance`` may be set before a step. ``noise`` has the current diagonals of Q and R.
+    For ``heading_first`` and ``redraw_sigma_points`` see `run_textbook`.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class TextbookCar:
             points=None if p.kind == "ekf" else points,
             redraw_sigma_points=redraw_sigma_points,
         )
-        self._beyond = np.zeros(len(mean) - p.n_states)  # states without process noise from step to step
+        self._beyond = np.zeros(len(mean) - p.n_states)  # Q of the fix error, which changes only at fixes
         q = process_noise_per_step(p, timeline.nominal_interval)
         r = np.array(p.measurement_noise)
         fuzzy = p.kind == "fuzzy-ukf"
@@ -147,7 +147,7 @@ class TextbookCar:
         self._since = 0.0
 
     def _update_with_heading(self, theta: float, stated: float, yaw_rate: float) -> None:
-        """Update with the heading ``latency`` s ago, with a variance that limits the NIS to `HEADING_GATE`."""
+        """Update with a heading that is ``latency`` s old; a larger variance limits its NIS to `HEADING_GATE`."""
         p, near = self.parameters, float(self.filter.mean[THETA])
         z = near + wrap_angle(theta + p.latency * yaw_rate - near)
         noise = np.array([[(p.heading_noise or 0.0) + stated]])
@@ -176,7 +176,7 @@ def _filter(
     points: SigmaPoints | None,
     redraw_sigma_points: bool,
 ) -> GaussianFilter:
-    """Return the filter of a model: unscented if ``points`` are given, else extended; on a manifold if it has tilts."""
+    """Return the filter of a model: unscented with ``points``, else extended; on a manifold if it has ``tilts``."""
     f, tilts = model.process, model.tilts
     if tilts:
         manifold = Manifold(tilts.plus, tilts.minus, tilts.nearest)

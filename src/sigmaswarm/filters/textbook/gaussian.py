@@ -1,4 +1,4 @@
-"""The common part of all Kalman filters: a Gaussian state, and its update with an innovation."""
+"""Common part of all Kalman filters: a Gaussian state, and its update with an innovation."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -44,7 +44,7 @@ class Innovation:
         return float(self.nu @ np.linalg.solve(self.variance, self.nu))
 
     def of(self, elements: NDArray[np.int64]) -> "Innovation":
-        """Return the innovation of some elements of the measurement."""
+        """Return the innovation of only some elements of the measurement."""
         square = np.ix_(elements, elements)
         return Innovation(
             self.nu[elements], self.variance[square], self.cross[:, elements], self.noise[square]
@@ -53,9 +53,9 @@ class Innovation:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Prediction of a filter before the update, and its covariance with the previous state: see `loop.smooth_steps`.
+    """Prediction of a filter before the update, for smoothing.
 
-    ``mean`` (n,) and ``covariance`` (n, n) are m- and P-, with the inflation of an adaptive filter
+    ``mean`` (n,) and ``covariance`` (n, n) are m- and P-; P- includes the inflation of an adaptive filter
     (`adaptive.stretched`). ``cross`` (n, n) is the covariance of the previous state with the predicted state.
     """
 
@@ -65,7 +65,7 @@ class Prediction:
 
 
 def wrapped_differences(values: Array, columns: Sequence[int]) -> Array:
-    """Return ``values``, shape (..., m), with the columns that are angles (rad) wrapped to (-pi, pi]."""
+    """Return ``values``, shape (..., m); ``columns``, which are angles (rad), are wrapped to [-pi, pi]."""
     values = values.copy()
     values[..., columns] -= 2 * np.pi * np.round(values[..., columns] / (2 * np.pi))
     return values
@@ -74,7 +74,7 @@ def wrapped_differences(values: Array, columns: Sequence[int]) -> Array:
 class GaussianFilter:
     """A Gaussian state (``mean``, shape (n,); ``covariance``, shape (n, n)) with updates by innovations.
 
-    ``f(state, dt, u) -> state`` is the process, ``h(state) -> measurement`` the measurement; arrays (n,), (m,).
+    ``f(state, dt, u) -> state`` is the process, ``h(state) -> measurement`` is the measurement; arrays (n,), (m,).
     """
 
     prediction: Prediction  # the last one

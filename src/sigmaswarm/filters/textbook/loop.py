@@ -1,7 +1,7 @@
 """Run any textbook filter over the steps of a drive or a log, and smooth its estimates (Rauch, Tung and Striebel).
 
-H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3, 1965.
-S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE Transactions on Automatic Control 53(3), 2008.
+Sources: H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA Journal
+3, 1965. S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE Transactions on Automatic Control 53(3), 2008.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ from sigmaswarm.errors import SigmaswarmError
 from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Prediction
 
 FAILURES = (SigmaswarmError, np.linalg.LinAlgError, ArithmeticError, ValueError)
-"""Errors that end a filter but not a tuning: a covariance without square root, a function outside of its domain."""
+"""Errors that end a filter but not a tuning: P without a square root, or an argument outside a function's domain."""
 Retraction = Callable[[Array, Array], Array]
 
 
@@ -42,7 +42,7 @@ class Trajectory:
 def run_steps(
     stepper: Stepper, records: Sequence[int], *, n_rows: int, covariances: bool = True
 ) -> Trajectory:
-    """Compute all steps; ``records``: the row of the trajectory (of ``n_rows``) that each step writes, or -1."""
+    """Compute all steps; ``records``: for each step, the row of the trajectory (of ``n_rows``) to write, or -1."""
     n, failed = len(stepper.filter.mean), -1
     trajectory = Trajectory.empty(n_rows, n, covariances=covariances)
     for i, row in enumerate(records):
@@ -73,14 +73,12 @@ class SmoothedStates:
 def smooth_steps(
     stepper: Stepper, n_steps: int, *, plus: Retraction = add, minus: Retraction = sub
 ) -> SmoothedStates:
-    """Compute all steps, and smooth. ``plus`` adds an error to a state; ``minus`` is the inverse: see `manifold`."""
+    """Compute all steps, and smooth. ``plus`` adds an error to a state; ``minus`` is its inverse: see `Manifold`."""
     filter, failed = stepper.filter, -1
     filtered, predictions = [(filter.mean, filter.covariance)], list[Prediction]()
     for i in range(n_steps):
         mean, covariance = filtered[-1]
-        filter.prediction = Prediction(
-            mean, covariance, covariance
-        )  # a step of length zero has no prediction
+        filter.prediction = Prediction(mean, covariance, covariance)  # a step of length zero has no other
         try:
             with np.errstate(all="ignore"):  # the result is checked
                 stepper.step(i)

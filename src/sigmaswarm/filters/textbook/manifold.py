@@ -1,7 +1,7 @@
-"""Filters whose mean is on a manifold, with the covariance of a small error that ``plus`` adds to the mean.
+"""Filters whose mean is on a manifold; the covariance is that of a small error, which ``plus`` adds to the mean.
 
-J. Sola, Quaternion kinematics for the error-state Kalman filter, 2017, section 6. M. Brossard, A. Barrau and S.
-Bonnabel, A code for unscented Kalman filtering on manifolds (UKF-M), ICRA 2020.
+Sources: J. Sola, Quaternion kinematics for the error-state Kalman filter, 2017, section 6. M. Brossard, A. Barrau and
+S. Bonnabel, A code for unscented Kalman filtering on manifolds (UKF-M), ICRA 2020.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ Retraction = Callable[[Array, Array], Array]
 
 @dataclass(frozen=True)
 class Manifold:
-    """A manifold on which the mean of a filter lies.
+    """Manifold on which the mean of a filter lies.
 
     Attributes
     ----------
@@ -67,9 +67,10 @@ class ErrorStateKalmanFilter(_OnManifold, ExtendedKalmanFilter):
 
 
 class ManifoldUnscentedKalmanFilter(_OnManifold, UnscentedKalmanFilter):
-    """UKF-M: sigma points are errors, added to the mean; parameters as in `ErrorStateKalmanFilter`.
+    """Unscented Kalman filter (UKF-M): its sigma points are errors, which ``manifold.plus`` adds to the mean.
 
-    ``measured``: sigma points of measurements, if they differ from those of the process.
+    ``measured``: scaling of the sigma points for measurements, if it differs from ``points``. For other parameters see
+    `UnscentedKalmanFilter`.
     """
 
     def __init__(
@@ -89,15 +90,15 @@ class ManifoldUnscentedKalmanFilter(_OnManifold, UnscentedKalmanFilter):
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
         """Compute x' = f(x) plus the mean error; P' is the covariance of the errors, plus Q."""
         wm, wc = self.points.weights(len(self.mean))
-        centre = self.f(self.mean, dt, u)
+        center = self.f(self.mean, dt, u)
         drawn = self.points.draw(np.zeros(len(self.mean)), self.covariance)
         moved = [self.f(self.manifold.plus(self.mean, error), dt, u) for error in drawn]
-        # An error may be a rotation by more than half a turn; its change in one step may not.
-        each = zip(moved, drawn, strict=True)
-        errors = np.array([self.manifold.nearest(self.manifold.minus(s, centre), e) for s, e in each])
+        # An error may exceed half a turn, but its change in one step may not.
+        pairs = zip(moved, drawn, strict=True)
+        errors = np.array([self.manifold.nearest(self.manifold.minus(s, center), e) for s, e in pairs])
         shift = wm @ errors
         spread = errors - shift
-        self.mean = self.manifold.plus(centre, shift)
+        self.mean = self.manifold.plus(center, shift)
         self.covariance = (spread.T * wc) @ spread + process_noise
         self._expect((drawn.T * wc) @ spread)
 

@@ -48,7 +48,7 @@ class SigmaPoints:
 
     def weights(self, n: int) -> tuple[Array, Array]:
         """Return the weights for the mean and for the covariance, each of shape (2n + 1,)."""
-        gamma2 = self.alpha**2 * (n + self.kappa)  # n + lambda, without the digits that lambda - n loses
+        gamma2 = self.alpha**2 * (n + self.kappa)  # n + lambda; computing lambda alone would lose digits
         wm = np.full(2 * n + 1, 0.5 / gamma2)
         wc = wm.copy()
         wm[0] = 1 - n / gamma2
@@ -56,7 +56,7 @@ class SigmaPoints:
         return wm, wc
 
     def draw(self, mean: Array, covariance: Array) -> Array:
-        """Return the points, (2n + 1, n): center, center plus each column of the root, center minus each."""
+        """Return the points, (2n + 1, n): the mean, mean plus each scaled column of the root, mean minus each."""
         n = len(mean)
         gamma = np.sqrt(self.alpha**2 * (n + self.kappa))
         columns = gamma * square_root(covariance, self.first).T
@@ -95,11 +95,10 @@ class UnscentedKalmanFilter(GaussianFilter):
         Draw new sigma points after Q is added (FilterPy 2.0.0). False: apply h to the propagated points (FilterPy
         1.4.5, which the paper probably used).
     angles : sequence of int
-        States that are angles. The change by f of an angle's difference from the center point is wrapped. A circular
-        mean would be wrong, since for a small alpha the center's weight is a large negative number.
+        States that are angles. Of each angle's difference from the center point, the change by f is wrapped. A circular
+        mean would be wrong, since the center's weight is a large negative number for a small alpha.
     measured_angles : sequence of int
-        Elements of ``h`` that are angles: their differences from those of the center point, and their innovations, are
-        wrapped.
+        Elements of ``h`` that are angles: their differences from the center point and their innovations are wrapped.
 
     Attributes
     ----------
@@ -130,10 +129,10 @@ class UnscentedKalmanFilter(GaussianFilter):
         drawn = self.points.draw(self.mean, self.covariance)
         sigmas = np.array([self.f(s, dt, u) for s in drawn])
         offsets = sigmas - sigmas[0]
-        # An offset may be more than half a turn; its change by f in one step may not.
+        # An offset may exceed half a turn, but its change by f in one step may not.
         turned = (offsets - (drawn - drawn[0]))[:, self.angles]
         offsets[:, self.angles] -= 2 * np.pi * np.round(turned / (2 * np.pi))
-        shift = wm @ offsets  # the weights add up to one, so this is the mean relative to the center
+        shift = wm @ offsets  # mean relative to the center, since the weights add up to one
         spread = offsets - shift
         before = drawn - drawn[0]
         self.mean = sigmas[0] + shift
@@ -152,10 +151,10 @@ class UnscentedKalmanFilter(GaussianFilter):
         predicted = np.array([h(s) for s in sigmas])
         offsets = wrapped_differences(predicted - predicted[0], angles)
         predicted[:, angles] = predicted[0, angles] + offsets[:, angles]
-        centre = wm @ (predicted - predicted[0]) + predicted[0]
-        spread_z = predicted - centre
+        center = wm @ (predicted - predicted[0]) + predicted[0]
+        spread_z = predicted - center
         s = (spread_z.T * wc) @ spread_z + measurement_noise
-        nu = wrapped_differences(measurement - centre, angles)
+        nu = wrapped_differences(measurement - center, angles)
         return Innovation(nu, s, (spread_x.T * wc) @ spread_z, measurement_noise)
 
     def _measured_points(self) -> tuple[SigmaPoints, Array, Array]:
