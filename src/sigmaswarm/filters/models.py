@@ -277,9 +277,7 @@ _X, _Y, _VX, _VY, _THETA = _plane(SMALL_VARIANCE)
 _FORWARD, _LEFT, _YAW = _BIASES
 _HEADING = _per_second(_THETA, HEADING_VARIANCE)
 _TILT = (1e-10, 1e-2)
-_TILT_START = np.radians(
-    3.0
-)  # slopes of roads; not tuned, lest it fit the training starts3.0)  # slopes of roads; a tuned value would fit the training starts
+_TILT_START = np.radians(3.0)  # slopes of roads; not tuned, since it would fit the training starts
 _WALKS = {"accel": (1e-10, 1e-1), "gyro": (1e-14, 1e-4)}
 _TILTED = (
     *(_X, _Y),
