@@ -33,8 +33,8 @@ filter with a wrong heading can therefore recover.
 MOST_REJECTED = 5  # the gate rejects at most this many consecutive fixes, so that a filter can recover
 
 GAP_TURN_STD = 0.1  # rad/s, of the rate in an IMU gap around adjacent samples; 0.05 to 0.3 give equal results
-GAP_ACCELERATION_STD = 1.0  # m/s2 per axis, likewise; 0.5 to 2 give equal results
-GAP_TILT_STD = 0.01  # rad/s about east and north, likewise; 0.02 gives equal results
+GAP_ACCELERATION_STD = 1.0  # m/s2 per axis in an IMU gap; 0.5 to 2 give equal results
+GAP_TILT_STD = 0.01  # rad/s about east and north in an IMU gap; 0.02 gives equal results
 
 
 def measured_by(p: FilterParameters) -> frozenset[str]:

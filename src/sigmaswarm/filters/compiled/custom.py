@@ -1,7 +1,7 @@
-"""The unscented filter of `textbook`, compiled with a user's f and h: one parameter set over one log.
+"""Unscented filter of `textbook`, compiled with a user's f and h, for one parameter set over one log.
 
-Numba cannot cache a user's function, so each process compiles its kernel at the first use. To shorten compilation, the
-code uses plain loops. Arrays are passed separately, since a step with a tuple of arrays takes twice as long.
+Numba cannot cache a user's function, so each process compiles its kernel at the first use. The code uses plain loops,
+which compile faster. Arrays are passed separately, since a step takes twice as long with a tuple of arrays.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false
@@ -20,11 +20,11 @@ from sigmaswarm.filters.student import OUTLIERS, OUTLIERS_SPAN
 _TWO_PI = 2 * math.pi
 
 _kernel = cached(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""Options of functions that only kernels call; entry points for Python and C would take time to compile."""
+"""Options of functions that only kernels call, without entry points for Python and C, which take time to compile."""
 _inlined = njit(error_model="numpy", inline="always")
 """Options of functions that are called once; otherwise LLVM would optimize them twice, alone and inlined."""
 
-_Weights = namedtuple("_Weights", "gamma centre_mean centre_covariance other")
+_Weights = namedtuple("_Weights", "gamma center_mean center_covariance other")
 
 
 def build_kernel(
@@ -53,7 +53,7 @@ def build_kernel(
         for k in range(drawn.shape[0]):
             _copy(drawn[k], state)  # a copy: f may work in place
             _copy(f(state, dt, u, p), moved[k])
-        _centre(moved, drawn, angles, weights, mean)
+        _center(moved, drawn, angles, weights, mean)
         put(process_noise(dt, p), covariance)
         _add_products(moved, moved, weights, covariance)
         return True
@@ -70,7 +70,7 @@ def build_kernel(
             _copy(h(state, p), seen[k])
             for i in range(mean.size):
                 drawn[k, i] -= mean[i]
-        _centre(seen, seen[:, :0], angles, weights, predicted)
+        _center(seen, seen[:, :0], angles, weights, predicted)
         for i in range(z.size):
             nu[i] = z[i] - predicted[i]
             if angles[i]:
@@ -129,8 +129,8 @@ def build_kernel(
 def _weights(n, scaling):
     alpha, beta, kappa = scaling[0], scaling[1], scaling[2]
     gamma2 = alpha**2 * (n + kappa)
-    centre = 1 - n / gamma2
-    return _Weights(math.sqrt(gamma2), centre, centre + 1 - alpha**2 + beta, 0.5 / gamma2)
+    center = 1 - n / gamma2
+    return _Weights(math.sqrt(gamma2), center, center + 1 - alpha**2 + beta, 0.5 / gamma2)
 
 
 @_kernel
@@ -166,11 +166,11 @@ def _root(a, root):
 
 
 @_kernel
-def _centre(images, points, angles, weights, mean):
+def _center(images, points, angles, weights, mean):
     """Write the mean of ``images`` to ``mean``, and subtract the mean from the images.
 
     For an angle, the difference between an image and the first image is wrapped to within half a turn of the difference
-    of the two points (0 if there are no points).
+    between their points (0 without points).
     """
     for i in range(images.shape[1]):
         first, shift = images[0, i], 0.0
@@ -180,7 +180,7 @@ def _centre(images, points, angles, weights, mean):
                 own = points[k, i] - points[0, i] if points.shape[1] > 0 else 0.0
                 offset -= _TWO_PI * np.rint((offset - own) / _TWO_PI)
             images[k, i] = offset
-            shift += (weights.centre_mean if k == 0 else weights.other) * offset
+            shift += (weights.center_mean if k == 0 else weights.other) * offset
         for k in range(images.shape[0]):
             images[k, i] -= shift
         mean[i] = first + shift
@@ -189,7 +189,7 @@ def _centre(images, points, angles, weights, mean):
 @_kernel
 def _add_products(a, b, weights, out):
     for k in range(a.shape[0]):
-        weight = weights.centre_covariance if k == 0 else weights.other
+        weight = weights.center_covariance if k == 0 else weights.other
         for i in range(a.shape[1]):
             for j in range(b.shape[1]):
                 out[i, j] += weight * a[k, i] * b[k, j]
@@ -199,7 +199,7 @@ def _add_products(a, b, weights, out):
 def _leave_out(z, nu, s, cross):
     """Make the update ignore elements that are NaN; return the number of the other elements.
 
-    With nu = 0, C = 0 and a row and column of S as in the identity, the update has the same bits as in a filter
+    With nu = 0, C = 0, and a row and column of S as in the identity, the result has the same bits as that of a filter
     without these rows of h and R.
     """
     present = 0
@@ -255,7 +255,7 @@ def _update(mean, covariance, y, w, share):
 
 @_kernel
 def _limited_share(z, nis, limit, runs):
-    """Return the share of an update, limit / NIS if the NIS is above the limit, else 1: see `Model.robust`.
+    """Return the share of an update: limit / NIS if the NIS is above the limit, else 1; see `Model.robust`.
 
     ``runs`` (m, 2): for each element of z, the number of consecutive measurements above the limit, and the time since
     the first one, s. A filter with a wrong state would treat all measurements as outliers, so a long run has full
@@ -277,9 +277,9 @@ def _limited_share(z, nis, limit, runs):
 
 @_kernel
 def _limited(nis, limit):
-    """Return the term of a measurement in the likelihood: logarithmic above the limit.
+    """Return the term of a measurement in -2 log likelihood: the NIS, or above the limit a logarithm of it.
 
-    Above the limit, its derivative by nu is 2 S^-1 nu limit / NIS, with the direction and size of the limited update.
+    Above the limit, its derivative by nu is 2 S^-1 nu limit / NIS, which corresponds to the limited update.
     """
     return nis if nis <= limit else limit * (1 + math.log(nis / limit))
 

@@ -1,7 +1,7 @@
 """Closed form of `filters.fix_error`: the correlated fix error b, in the last two states.
 
-The process does not depend on b, so a prediction only multiplies the columns of b in P by F. The model's prediction
-writes F to scratch rows. In an unscented filter F is the statistical linearization: see `step_log`.
+The process does not depend on b, so a prediction only multiplies the columns of b in P by the transition A. The model's
+prediction writes the coefficients of A to scratch rows: see transition.py.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -15,7 +15,7 @@ from sigmaswarm.filters.compiled.layout import C1, C2, LANES, MOVE, R, at
 def carry(w, u, *, n, biases):
     """Propagate the covariance of the fix error through a step.
 
-    The columns of the fix error in P are multiplied by F of a planar model. ``biases``: True for planar8.
+    The columns of the fix error in P are multiplied by A of a planar model. ``biases``: True for planar8.
     """
     dt = u[DT]
     h = 0.5 * dt
@@ -34,7 +34,7 @@ def carry(w, u, *, n, biases):
 
 
 def age_fix_error(w, z, since):
-    """Compute the factor phi of the fix error since the last fix, and its gain in variance, from the nominal steps."""
+    """Compute the factor phi and the gained variance of the fix error, ``since`` nominal steps after the last fix."""
     var_x, var_y = z[FIX_VAR_X], z[FIX_VAR_Y]
     for l in range(LANES):
         phi = math.exp(-since * w[R.FIX_ERROR_RATE, l])
@@ -47,7 +47,7 @@ def age_fix_error(w, z, since):
 def move_fix_error(w, *, n, noted):
     """Propagate the fix error from the last fix to the new fix.
 
-    ``noted``: index of phi in a row of `step_log`, or 0.
+    ``noted``: index of phi among the rows MOVE of `step_log`, or 0.
     """
     for l in range(LANES):
         phi = w[R.PHI, l]

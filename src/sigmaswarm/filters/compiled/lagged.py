@@ -1,4 +1,4 @@
-"""Repeat the last seconds of a live filter, and log every step for the smoother."""
+"""Process the last samples of a live filter again, and log every step for the smoother."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
@@ -24,6 +24,6 @@ def _again(sources):
 def again_call():
     """Return `live.replay` as a compiled function.
 
-    For a smoother, ``step`` is the address of a `single_step` with its log at N_LOGGED.
+    For a smoother, ``step`` is the address of a `single_step` whose log begins at N_LOGGED.
     """
     return cached_by_sources(_again, "live again")

@@ -1,6 +1,6 @@
-"""The array of a run, (row, lane), and the numbers of its rows.
+"""Layout of the array of a run, (row, lane): a lane is one filter, a row is one of its numbers.
 
-Kernels contain ``w[R.XX, l]``; `unroll.unrolled` replaces R.XX by a number before Numba compiles them.
+Kernels contain ``w[R.XX, l]``; before Numba compiles them, `unroll.unrolled` replaces R.XX by the number of the row.
 """
 
 from collections import namedtuple
@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from sigmaswarm.filters.fix_error import FILTERS
 
-LANES = 16  # parameter sets per array, a compile-time constant: two AVX-512 or four AVX2 vectors
+LANES = 16  # lanes per block, a compile-time constant: two AVX-512 or four AVX2 vectors
 
-WIDEST = 8  # lanes in the widest vector; the number of lanes of a run is a multiple of this number
+WIDEST = 8  # lanes in the widest vector; the number of lanes of a run is a multiple of it
 
 BLOCKS = 2  # largest number of blocks of LANES in a run; the second block is in additional rows
 
 
 def most_lanes(kernel: str) -> int:
-    """Return the largest number of filters per run: many filters hide latencies, but all must fit in the L1 cache."""
+    """Return the largest number of lanes of a run: many hide latencies, but all must fit in the L1 cache."""
     uncompiled = config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
     return LANES if FILTERS[kernel].tilts or uncompiled else BLOCKS * LANES
 
@@ -36,7 +36,7 @@ LETTERS = {
     "roll": "I", "pitch": "J", "gyro_bias_x": "K", "gyro_bias_y": "L",
     "fix_error_x": "M", "fix_error_y": "N",
 }  # fmt: skip
-"""One letter for each state of any model. Two letters are an element of the covariance."""
+"""One letter for each state of any model. Two letters denote an element of the covariance."""
 
 _LARGEST = max(FILTERS.values(), key=lambda model: len(model.states))
 _STATES = [LETTERS[name] for name in _LARGEST.names]
@@ -44,7 +44,7 @@ _STATES = [LETTERS[name] for name in _LARGEST.names]
 MEAN = tuple(_STATES)
 QUATERNION = ("ATT_W", "ATT_X", "ATT_Y", "ATT_Z")  # of models with tilts: see `tilted12`
 COVARIANCE = tuple(a + b for j, b in enumerate(_STATES) for a in _STATES[: j + 1])
-"""Upper triangle, column by column, so that a model's rows are the first rows of a larger model."""
+"""Upper triangle, column by column; the rows of a model are therefore the first rows of a larger model."""
 CONSTANTS = (
     # Sigma points. QUARTER_GAMMA, SHORTENS (-8 / gamma^2) and SECOND are 0 in an extended filter.
     "QUARTER_GAMMA", "SHORTENS", "SPREAD", "SECOND",
@@ -52,9 +52,9 @@ CONSTANTS = (
     "R_VELOCITY", "R_LATERAL", "R_STANDSTILL", "R_RATE",
     "REAR_AXLE", "TIRE_SLIP", "LATENCY", "GATE", "FORGETTING", "FADING",
     "FUZZY", "WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q",  # FUZZY < 0: no fuzzy filter
-    "ACCURACY",  # factor of the stated variance of a fix in its R, 0: none; a fuzzy filter also writes this row
+    "ACCURACY",  # factor of a fix's stated variance in R, 0: not used; a fuzzy filter also writes this row
     "R_HEADING", "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: reciprocal of odometer_scale
-    "DOF", "PATIENCE",  # DOF: of Student's t, 0: Gaussian. PATIENCE: nominal steps of outliers before recovery
+    "DOF", "PATIENCE",  # DOF of Student's t, 0: Gaussian; PATIENCE: duration of outliers before recovery, nominal steps
     "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal interval / tau; variance of a fix if none is stated
 )  # fmt: skip
 SUMS = (
@@ -72,7 +72,7 @@ SUMS = (
     # SIN_COS_VALID_ALL to 0.
     "SIN_COS_VALID", "COS", "SIN",
 )  # fmt: skip
-"""Sums and memory of a run. Sums up to LOG_DET are in `kernel_array.KernelSums`."""
+"""Sums and other numbers that a run keeps. The sums up to LOG_DET are in `kernel_array.KernelSums`."""
 SCRATCH = (
     "SIN_COS_VALID_ALL",  # equal in all lanes; 1: SIN_COS_VALID is 1 in all lanes; 0: unknown
     "BEFORE_X", "BEFORE_Y", "BEFORE_T",  # the last estimate

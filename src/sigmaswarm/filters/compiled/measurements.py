@@ -1,9 +1,9 @@
-"""Measurements of the compiled filter: fixes here, the others in `vehicle`.
+"""Measurements of the compiled filter: fixes (the others are in `vehicle`).
 
 For each measurement, a kernel computes nu, S and C = Cov(state, z) in every lane. Then `update_pair` or `update_scalar`
-computes x += C S^-1 nu and P -= C S^-1 C^T. In an unscented filter nu, S and C are the moments of sigma points. For z
-linear in the state, they equal those of the Kalman filter. For z rotated by the heading, they have a closed form, as in
-planar5.py and planar8.py.
+computes x += C S^-1 nu and P -= C S^-1 C^T. In an unscented filter, nu, S and C are the moments of sigma points. If z
+is linear in the state, they equal those of the Kalman filter. If z is rotated by the heading, they have a closed form,
+as in planar5.py and planar8.py.
 
 Loops over states (i, j, row) are unrolled for the model's n by `unroll.unrolled`.
 """
@@ -12,12 +12,7 @@ Loops over states (i, j, row) are unrolled for the model's n by `unroll.unrolled
 
 import math
 
-from sigmaswarm.drives.timeline import (
-    FIX_VAR_X,
-    FIX_VAR_Y,
-    FIX_X,
-    FIX_Y,
-)
+from sigmaswarm.drives.timeline import FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y
 from sigmaswarm.filters.compiled.adaptive import (
     adapt,
     apply_fuzzy_rules,
@@ -55,19 +50,14 @@ from sigmaswarm.filters.compiled.vehicle import (
 )
 from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED
 from sigmaswarm.filters.schedule import MOST_REJECTED
-from sigmaswarm.filters.student import (
-    FORECAST_DOF,
-    FORECAST_SCALE,
-    INNOVATION_SCALE,
-    LARGEST_TAIL,
-)
+from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE, INNOVATION_SCALE, LARGEST_TAIL
 
 
 def update_fix(w, z, lever, since, *, stores_innovation, gated, adaptive, fix_error, note_prior):
     """Update with a position fix of the antenna.
 
-    ``z`` is a row of `Timeline.fixes`, ``since`` the scale of Q since the last fix. Parts that no lane uses are
-    skipped.
+    ``z`` is a row of `Timeline.fixes`; ``since`` is the time since the last fix, in nominal steps. Parts that no lane
+    uses are skipped.
     """
     fading, adapting, fuzzy, robust = 0, 0, 0, 0
     for l in range(LANES):
@@ -241,7 +231,7 @@ UPDATES = (
 
 
 def measurement_kernels(name: str, note_prior=None, noted=0):
-    """Return the `UPDATES` of a kernel by name.
+    """Return the functions in `UPDATES` for a kernel, by name.
 
     ``note_prior``: see `step_log`; ``noted``: see `move_fix_error`.
     """

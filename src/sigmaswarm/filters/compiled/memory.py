@@ -1,4 +1,4 @@
-"""Memory of a live filter as one number for compiled code, since passing eight arrays takes longer than a step."""
+"""Memory of a live filter, passed to compiled code as one number, since passing eight arrays takes longer than a step."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 
@@ -34,7 +34,8 @@ class LiveArrays(NamedTuple):
 class Memory:
     """The arrays of a live filter (see `live`) and the address of its step.
 
-    ``handle``, the argument of `memory_at`, is valid while this object exists. ``arrays.filter_state`` is a copy.
+    ``handle``, the argument of `memory_at`, is valid while this object exists. ``arrays.filter_state`` is a copy of the
+    given array.
     """
 
     def __init__(self, step: Any, given: LiveArrays) -> None:
@@ -48,7 +49,7 @@ class Memory:
 
 
 def _aligned(numbers):
-    """Return a copy that is aligned to a cache line, as vector instructions require."""
+    """Return a copy aligned to a cache line, as vector instructions require."""
     room = np.empty(len(numbers) + CACHE_LINE // 8)
     first = (-room.ctypes.data // 8) % (CACHE_LINE // 8)
     copy = room[first : first + len(numbers)]

@@ -1,9 +1,10 @@
 """planar5's prediction in closed form; compare `models.planar5` and `textbook.UnscentedKalmanFilter`.
 
 The process is linear in all states except theta: u' = u + dt g(theta), x' = x + (u + u') dt/2, theta' = theta + dt yaw
-rate, with g the acceleration in the local frame. Sigma points may use any square root of P; here theta is its first
-state. With this root, only the first column (and its mirror image) changes theta, by d = gamma sigma_theta with gamma^2
-= n + lambda = alpha^2 (n + kappa). All other sigma points have the center's g0 = g(theta). With J a turn by 90 degrees,
+rate, with g the acceleration in the local frame. Sigma points may use any square root of P; here theta is the first
+state of the root. Then only the first column (and its mirror image) changes theta, by d = gamma sigma_theta with
+gamma^2 = n + lambda = alpha^2 (n + kappa). All other sigma points have the center's g0 = g(theta). With J a turn by 90
+degrees,
 
     g(theta +- d) = g0 cos d +- J g0 sin d
     e         = (cos d - 1) / gamma^2 = -(2 / gamma^2) sin^2(d/2)    (second form: without cancellation)
@@ -14,9 +15,9 @@ state. With this root, only the first column (and its mirror image) changes thet
 
 The rest is the covariance of sums: Cov(., u') = Cov(., u) + dt Cov(., g), and so on; Q is added at the end.
 
-The extended Kalman filter is the case without second-order terms: gamma = 0, so e = 0 and k = 1. In a step, the heading
-turns by the same angle in all lanes, so rows COS and SIN are rotated. After any other change of the heading (by a fix
-or a start), SIN_COS_VALID and SIN_COS_VALID_ALL are 0, and the next step computes COS and SIN from the heading.
+The extended Kalman filter has no second-order terms: gamma = 0, so e = 0 and k = 1. In a step, the heading turns by the
+same angle in all lanes, so rows COS and SIN are rotated. After any other change of the heading (by a fix or a start),
+SIN_COS_VALID and SIN_COS_VALID_ALL are 0, and the next step computes COS and SIN from the heading.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -39,10 +40,7 @@ def _refresh_sin_cos(w):
 
 @kernel
 def _invalidate_sin_cos(w):
-    """Mark cosine and sine of the heading as invalid after a large turn.
-
-    The angle is too large for `sinc_cos`.
-    """
+    """Mark cosine and sine of the heading as invalid after a turn that is too large for `sinc_cos`."""
     for l in range(LANES):
         w[R.SIN_COS_VALID, l], w[R.SIN_COS_VALID_ALL, l] = 0.0, 0.0
 

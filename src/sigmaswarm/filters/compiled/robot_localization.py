@@ -1,8 +1,8 @@
 """The extended filter of robot_localization in ``two_d_mode``, for many parameter sets at once.
 
-`models.robot_localization` contains the equations. The eight states are in planar8's rows: x, y,
-vx, vy (body), yaw, ax, ay (body), yaw rate. F is a product of elementary matrices, one for each row that differs from
-the identity. R is diagonal, so sequential updates with single states equal the joint update.
+`models.robot_localization` contains the equations. The eight states are in planar8's rows: x, y, vx, vy (body), yaw,
+ax, ay (body), yaw rate. F is a product of elementary matrices, one for each row that differs from the identity. R is
+diagonal, so sequential updates with single states equal the joint update.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -45,7 +45,7 @@ def _wrap(angle):
 
 @kernel
 def _predict(w, d, q):
-    """Predict x += cos A - sin B, y += sin A + cos B, A = vx d + ax d^2/2, B = vy d + ay d^2/2; P = F P F^T + q Q."""
+    """Compute a step of ``d`` s by the equations of `models.robot_localization`; q Q is added to F P F^T."""
     h = 0.5 * d
     for l in range(LANES):
         s, c = sincos(w[R.T, l])
@@ -87,7 +87,7 @@ RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
 
 
 def _correct(w, l, off, r, use, *, state):
-    """Update with one state: x += K nu, P -= p p^T / S, with p the state's column of P, which becomes p R / S.
+    """Update with a measurement of one state: x += K nu, P -= p p^T / S; the state's column of P, p, becomes p R / S.
 
     ``off``: nu; ``r``: R; ``use``: 0 if the measurement is rejected, else 1.
     """
@@ -108,7 +108,7 @@ def _correct(w, l, off, r, use, *, state):
 
 
 def _update(w, z, *, state, noise, gate, correct):
-    """Update with one state. ``gate``: row of the NIS at which the measurement is rejected; 0: never."""
+    """Update with a measurement of one state. ``gate``: row of the NIS from which it is rejected; 0: never rejected."""
     for l in range(LANES):
         r, use, off = w[noise, l], 1.0, z - w[state, l]
         if state == R.T:

@@ -1,6 +1,6 @@
-"""The array of a run on the stack, aligned to a cache line.
+"""Allocation of the array of a run on the stack, aligned to a cache line.
 
-Arrays of Numba's `np.empty` start at any multiple of 32 bytes. With AVX-512 each load and store may then access two
+An array of Numba's `np.empty` starts at any multiple of 32 bytes. With AVX-512 each load and store may then access two
 cache lines, and a run takes a seventh longer.
 """
 
@@ -18,7 +18,7 @@ CACHE_LINE = 64  # bytes; also the width of the widest vectors
 
 
 def array_at(context, builder, kind, data, shape, strides):
-    """Return an array of doubles on given memory, for the generator of an intrinsic; strides in bytes."""
+    """Return an array of doubles in given memory, for the generator of an intrinsic; strides in bytes."""
     array = context.make_array(kind)(context, builder)
     size = ir.IntType(64)(8)
     context.populate_array(array, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None)
@@ -31,7 +31,7 @@ def _on_the_stack(typing_context, lanes):
 
     def generate(context, builder, signature, arguments):
         size = ir.IntType(64)
-        with builder.goto_entry_block():  # not by Numba's function, which also fills it with zeros
+        with builder.goto_entry_block():  # Numba's own function would also write zeros
             data = builder.alloca(ir.ArrayType(ir.DoubleType(), BLOCKS * N_ROWS * LANES))
         data.align = CACHE_LINE
         data = builder.bitcast(data, ir.DoubleType().as_pointer())
@@ -46,8 +46,8 @@ def _in_python(lanes):
 
 
 new_rows = _in_python if config.DISABLE_JIT else _on_the_stack
-"""Make an uninitialized array of rows, with argument ``(lanes)``, on the calling kernel's stack.
+"""``new_rows(lanes)`` returns an uninitialized array of rows on the stack of the calling kernel.
 
-The array has ``lanes`` columns by its type, but LANES columns in memory: w[r, LANES + k] is stored at w[N_ROWS + r, k].
-Without compilation the array always has LANES columns.
+Its type has ``lanes`` columns, but its memory has LANES columns: w[r, LANES + k] is stored at w[N_ROWS + r, k]. Without
+compilation, the array always has LANES columns.
 """

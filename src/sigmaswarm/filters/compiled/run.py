@@ -1,4 +1,4 @@
-"""The compiled run: up to `most_lanes` filters over one time line, with scores."""
+"""Compiled run of up to `most_lanes` filters over one time line, with scores."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
@@ -28,19 +28,19 @@ from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.geodesy import Array
 
-# State of a run in pieces: the next step, fix and target, the scale of Q since the last fix, the next wheel speed.
+# Cursor of a run in pieces: the next step, fix and target, the time since the last fix, the next wheel speed.
 NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE, NEXT_SPEED = range(5)
 NO_RECORD, NO_INNOVATIONS = np.empty((0, 0, 0)), np.empty((0, 5))
 
 
 def readonly(column: Array) -> Array:
-    """Return a contiguous read-only array, the type of input for which kernels are compiled."""
+    """Return a contiguous read-only array; kernels are compiled for this type."""
     view = np.ascontiguousarray(column).view()
     view.flags.writeable = False
     return view
 
 
-TargetColumns = tuple[Array, Array, Array, Array, NDArray[np.bool_], Array]  # see `replay.Targets.columns`
+TargetColumns = tuple[Array, Array, Array, Array, NDArray[np.bool_], Array]  # see `passes.Targets.columns`
 _NOTHING, NO_DEVIATIONS = readonly(np.empty(0)), readonly(np.empty((0, 4)))
 NO_TARGETS: TargetColumns = _NOTHING, _NOTHING, _NOTHING, _NOTHING, np.empty(0, dtype=np.bool_), NO_DEVIATIONS
 DriveArrays = tuple[
@@ -71,7 +71,7 @@ _DETERMINANTS_PER_LOG = 8  # determinants per logarithm; a double can contain th
 
 @kernel
 def _take_logarithm(w):
-    """Add the logarithms of the last fixes' products to the sums, and reset the products."""
+    """Add the logarithms of the products over the last fixes to the sums, and reset the products."""
     for l in range(LANES):
         w[R.LOG_DET, l] += math.log(w[R.DET, l])
         w[R.LOG_TAIL, l] += math.log(w[R.TAIL, l])
@@ -113,9 +113,9 @@ def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
 def _score_by_deviation(
     w, weight, true_x, true_y, true_theta, scores_heading, counts, heading_counts, var_x, var_y, *, heading
 ):
-    """Score like `_score`, for truth with a variance. The variance weights each time and is added to P in the NEES.
+    """Score like `_score` for truth with a variance: weight the squared errors, and add the variance to P in the NEES.
 
-    This is a separate function, since `_score` with a factor of 1 would round differently.
+    This is a separate function, since `_score` would round differently with weights of 1.
     """
     for l in range(LANES):
         x, y, wrong = _off_between(w, l, weight, true_x, true_y, true_theta, heading)
@@ -141,10 +141,10 @@ def _run(
     score_there,
     score_by_deviation,
 ):
-    """Run the steps from a place to a stop; w contains the filters, and is changed.
+    """Run the steps from ``place`` to ``stop``, and change the filters ``w``.
 
     ``state``: the recorded rows; ``heading``: the row of the scored heading. Steps and fixes are passed as tuples,
-    since a row of an array would be reference-counted at each step.
+    since Numba would count references to a row of an array at each step.
     """
     steps, sample, driving, flags, fixes, speeds, lever, targets, target_end = drive
     z, arm = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), tuple(lever[k] for k in range(3))
@@ -218,7 +218,7 @@ def _load(w, rows):
         below = first // LANES * N_ROWS
         for r in range(N_KEPT):
             for lane in range(first, min(first + LANES, w.shape[1])):
-                w[below + r, lane - first] = rows[r, lane % rows.shape[1]]  # interpreted: w has LANES
+                w[below + r, lane - first] = rows[r, lane % rows.shape[1]]  # uncompiled, w has LANES
         for r in range(N_KEPT, N_ROWS):
             for lane in range(first, min(first + LANES, w.shape[1])):
                 w[below + r, lane - first] = 0.0
@@ -262,9 +262,9 @@ def _digest():
 def named_by_sources(make, name, known=None):
     """Return the function of ``make(sources)``; its key in Numba's cache contains a hash of all kernels' sources.
 
-    Numba alone would not notice a change of a function in another file. Numba would also not distinguish equal lines
-    that call different functions under one ``name``, but values in a closure are part of Numba's key. ``known`` returns
-    the values of make's keyword-only parameters, which are needed only for compilation.
+    Numba's own key does not change with a function in another file, and is the same for equal lines that call different
+    functions; but it includes the values in a closure. ``known`` returns the values of make's keyword-only parameters,
+    which are needed only for compilation.
     """
     sources = f"{name} {_digest()}"
 
@@ -332,9 +332,10 @@ def run_lanes(
     record: Array,
     innovations: Array,
 ) -> None:
-    """Run up to `most_lanes` filters over steps of one time line, from the place where the last call stopped.
+    """Run up to `most_lanes` filters over steps of one time line, from the step at which the last call stopped.
 
-    Results do not depend on the pieces of a run if each piece except the last stops after a step with the flag IMU.
+    A run may be divided into pieces without an effect on the results, if each piece except the last stops after a step
+    with the flag IMU.
 
     Parameters
     ----------
@@ -342,10 +343,10 @@ def run_lanes(
     drive : DriveArrays
     rows : (N_KEPT, a multiple of WIDEST), changed: state, constants, sums and memory of each lane
     place : (5,), changed: see NEXT_STEP ... NEXT_SPEED
-    stop : the step before which the run stops; for k the sums are complete
-    record : (r, s + 1, m), written from its start: the model's s `state_rows` and the OK flag of the first m lanes (at
-        most LANES), at each IMU sample of these steps; r = 0: none
+    stop : the step before which the run stops; after k, the number of steps, the sums are complete
+    record : (r, s + 1, m), written from its start: at each IMU sample of these steps, the model's s `state_rows` and
+        the OK flag of the first m lanes, at most LANES; r = 0: none
     innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix of these steps, before
-        the update; no rows: none
+        the update; f = 0: none
     """
     run_kernel(model)(drive, rows, place, stop, record, innovations)

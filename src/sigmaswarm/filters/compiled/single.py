@@ -117,5 +117,5 @@ take_step = _called if config.DISABLE_JIT else _call
 - ``z``: (8,) a row of `Timeline.fixes`
 - ``wheels``: (3,) a row of `events.Events.wheels`
 - ``lever``: (3,) lever arm of the time line, m
-- ``since``: scale of Q since the last fix
+- ``since``: time since the last fix, in nominal steps
 """

@@ -1,13 +1,13 @@
-"""The compiled backward pass of Rauch, Tung and Striebel: one filter over its logged steps, from the last to the first.
+"""Compiled backward pass of Rauch, Tung and Striebel over the logged steps of one filter, from the last to the first.
 
     G   = P A^T (P-)^-1
     m^s = m + G (m^s' - m-)
     P^s = P + G (P^s' - P-) G^T
 
-m, P are the filter's state before a step, m-, P- its prediction, and m^s', P^s' the smoothed state after the step (H.
-E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965). For sigma points, P A^T is their cross-covariance (S.
-Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC 53(3), 2008): see `step_log`. X = G^T solves P- X = A P. A
-model with attitude takes differences and sums in the tangent space: see `tilted`.
+m, P are the filter's state before a step, m-, P- are its prediction, and m^s', P^s' are the smoothed state after the
+step (H. E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965). For sigma points, P A^T is their
+cross-covariance (S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC 53(3), 2008): see `step_log`. X = G^T
+solves P- X = A P. In a model with roll and pitch, differences and sums are in the tangent space: see `tilted`.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportIndexIssue=false
@@ -32,7 +32,7 @@ def _plain(function, **known):
 
 
 def _transition_times(move, p, ap, *, n, coefficients, transition):
-    """Compute A P of a model's own states (n); the logged row has the length of the step and the coefficients."""
+    """Compute A P for a model's own n states; ``move`` has the length of the step and the coefficients of A."""
     f = tuple(move[1 + k] for k in coefficients)
     for c in range(p.shape[1]):
         moved = transition(f, move[0], tuple(p[k, c] for k in range(n)))
@@ -163,8 +163,7 @@ def _backwards(sources, *, n, step_back):
             if sampled[s]:
                 written -= 1
                 out[written] = behind
-            starts_again = starts > 0 and ends[starts - 1] == s
-            if starts_again:
+            if starts > 0 and ends[starts - 1] == s:
                 starts -= 1
                 behind[:] = step_log[s, : len(behind)]
             before = step_log[s - 1] if s > 0 else start

@@ -50,7 +50,7 @@ def _step(
 
     ``u`` (DT ... GY of a step), ``z`` (a row of `Timeline.fixes`) and ``wheels`` (a row of `Events.wheels`) are tuples.
     ``events`` contains the bits of `drives.events`, ``lever`` is the lever arm of the time line, m, and ``since`` is
-    the scale of Q since the last fix.
+    the time since the last fix, in nominal steps.
     """
     dt, gap = u[DT], u[GAP]
     if dt > 0.0:
@@ -97,7 +97,7 @@ _PREDICTIONS = {
 
 @cache
 def step_of(name, *, noted=False):
-    """Return the step of a kernel, for LANES filters, as a function to be inlined.
+    """Return the step of a kernel for LANES filters, as a function that callers inline.
 
     ``noted``: the step also writes the inputs of a smoother to scratch rows; see `step_log`.
     """
@@ -105,7 +105,7 @@ def step_of(name, *, noted=False):
     if model.measures_imu:
         return robot_localization.step
     predict, settle = _PREDICTIONS.get(name) or _PREDICTIONS[base_model_name(name)]
-    carries = model.fix_error and not model.tilts  # a prediction with tilts carries all columns
+    carries = model.fix_error and not model.tilts  # a prediction with tilts propagates all columns
     biases = int(model.gyro_bias is not None)
     note_prior = step_log.note_prior(name) if noted else None
     return kernel(

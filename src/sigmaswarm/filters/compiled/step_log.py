@@ -1,7 +1,7 @@
 """Log of each step of the compiled filter for a smoother: the prediction before any update, and its transition A.
 
-The log has the coefficients of A (see transition.py), and phi of `fix_error`. The prediction includes the inflation by
-a fading factor or after a run of outliers.
+The log contains the coefficients of A (see transition.py) and phi of `fix_error`. If a fading factor or a run of
+outliers inflates P, the prediction includes this inflation.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -19,7 +19,7 @@ def _moves_of(name):
 
 
 def logged_rows(name):
-    """Return the logged rows: the state after the step, the prediction, the step's length, other numbers of A."""
+    """Return the logged rows: state after the step, prediction, length of the step, coefficients of A, phi if any."""
     state, n_moves = state_rows(name), 1 + len(_moves_of(name)) + FILTERS[name].fix_error
     return np.array([*state, *(PRIOR + state), *range(MOVE, MOVE + n_moves)], dtype=np.intp)
 
@@ -35,7 +35,7 @@ def _note_move(w, dt, *, places, moves, phi):
         for i in places:  # A is the identity in a step of length 0
             w[MOVE + 1 + i, l] = w[moves[i], l] if dt > 0.0 else 0.0
         if phi:
-            w[MOVE + phi, l] = 1.0  # except at a fix: see `move_fix_error`
+            w[MOVE + phi, l] = 1.0  # at a fix, `move_fix_error` replaces it
 
 
 def _note_prior(w, *, state):

@@ -1,7 +1,7 @@
 """A step of a filter bank: LANES filters of one model at once, and the evidence of each filter.
 
 This step replaces the `single_step` of a live filter. The live filter is the first lane of the bank. All lanes are
-stored behind the state of the live filter (`live.BEHIND`), so that a late fix also returns them to an earlier state:
+stored after the state of the live filter (`live.BEHIND`), so that they also return to an earlier state for a late fix:
 
     NUMBERS   a few numbers, then for each lane: evidence, log-prior penalty, weight
     ROWS      (N_KEPT, LANES) the lanes, as in `layout`; the checkpoints of a live filter end here
@@ -32,10 +32,10 @@ from sigmaswarm.filters.compiled.run import named_by_sources
 from sigmaswarm.filters.compiled.single import SIGNATURE, SingleStep
 from sigmaswarm.filters.compiled.step import step_of
 
-EVIDENCE_LASTS = 60.0  # s in which the evidence decays to 1/e
+EVIDENCE_LASTS = 60.0  # s, time constant of the decay of evidence
 LARGEST_NIS = 200.0
-"""Upper limit of a fix's NIS, so that no single fix decides. Between high buildings, fixes are accurate until they
-jump. With Student's t instead, a lane with a small R would get too much weight."""
+"""Upper limit of a fix's NIS in the evidence, so that a single fix cannot decide. Student's t instead would give too
+much weight to a lane with a small R, since fixes between high buildings are accurate until they jump."""
 EVIDENCE_COUNTS = 0.1  # weight of a fix: errors of fixes are correlated, so ten fixes count about as one
 
 # Counted from BEHIND: number of logged steps, and capacity of the log; time of the last fix, and number of fixes; nu
@@ -49,8 +49,8 @@ ROWS = slice(NUMBERS, NUMBERS + N_KEPT * LANES)
 N_CHECKPOINT = ROWS.stop  # values of a checkpoint
 STEP_LOG = NUMBERS + N_ROWS * LANES
 
-# A logged step: its numbers DT ... GY, its flags, its rows of `Timeline.fixes` and `Events.wheels`, the scale of Q
-# since the last fix, and the end time of the step, s.
+# A logged step: its numbers DT ... GY, its flags, its rows of `Timeline.fixes` and `Events.wheels`, the time since the
+# last fix in nominal steps, and the end time of the step, s.
 T_STEP, T_FLAGS, T_FIX, T_WHEELS, T_SINCE, T_TIME = slice(0, 9), 9, slice(10, 18), slice(18, 21), 21, 22
 N_LOG_ROW = 23
 
@@ -79,7 +79,7 @@ _rows_of = _rows_in_python if config.DISABLE_JIT else _rows_behind
 
 @njit(**OPTIONS)
 def weigh(v):
-    """Compute the weights of the lanes from their evidence; all are 0 if no lane has evidence."""
+    """Compute the weights of the lanes from their evidence; all are 0 if no lane has finite evidence."""
     best = -math.inf
     for lane in range(LANES):
         for_it = EVIDENCE_COUNTS * v[_AT_EVIDENCE + lane] - v[_AT_PENALTY + lane]

@@ -2,8 +2,8 @@
 
 A is the Jacobian of an extended filter, or the statistical linearization Cov(s', s) P^-1 of an unscented filter. In
 planar5.py and planar8.py this linearization is the Jacobian with k J g0 + m t in place of J g0; see also
-tilted12_unscented.py. Each function returns A e as a tuple, from its coefficients ``f``, the values of the rows
-`COEFFICIENTS`, which are proportional to the length of the step ``dt``.
+tilted12_unscented.py. Each function returns A e as a tuple. Its coefficients ``f`` are the values of the rows
+`COEFFICIENTS`; they are proportional to the length ``dt`` of the step.
 """
 
 # pyright: basic
@@ -55,7 +55,7 @@ def tilted12(f, dt, e):
 
 
 def tilted12_unscented(f, dt, e):
-    """Return A e with the slopes H of tilted12_unscented.py: vx and vy by STEP_FIRST, rotation by biases of rates."""
+    """Compute A e; ``f`` has slopes H of tilted12_unscented.py: vx and vy by STEP_FIRST, rotation by gyro biases."""
     (
         d11, d12, d21, d22,
         vx_wz, vx_wx, vx_wy, vx_up, vx_east, vx_north, vy_wz, vy_wx, vy_wy, vy_up, vy_east, vy_north,

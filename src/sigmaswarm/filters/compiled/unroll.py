@@ -1,9 +1,9 @@
 """Unroll loops over states, and inline kernels into each other.
 
-Loops over lanes become vector instructions, so their bodies must not contain branches (see `vectors`). Therefore
-`unrolled` unrolls the loops over states, for a known number n of states, writes out ``tuple(... for ...)``, and
-replaces names of rows by numbers. It also inlines kernels, which Numba does slowly. Names in a function must be defined
-above the function in its file.
+Loops over lanes become vector instructions, so their bodies must not contain branches (see `vectors`). Therefore,
+`unrolled` unrolls the loops over the n states of a model, writes out ``tuple(... for ...)``, and replaces names of rows
+by numbers. It also inlines kernels, since Numba does this slowly. Names in a function must be defined above the
+function in its file.
 """
 
 import ast
@@ -54,7 +54,7 @@ Change = Callable[[ast.FunctionDef, Names], None]
 
 
 class Kernel:
-    """A function to be inlined, with bound keyword-only parameters; its code is generated when needed.
+    """A function that callers inline, with bound keyword-only parameters; its code is generated when needed.
 
     ``known`` contains the values of keyword-only parameters and of globals.
     """
@@ -98,7 +98,7 @@ def _with_retries(make: Callable[..., T], *arguments: Any) -> T:
     for _ in range(9):
         try:
             return make(*arguments)
-        except SystemError:  # Python 3.11 adds the tree depths of all threads
+        except SystemError:  # in Python 3.11, `compile` adds the recursion depths of all threads
             time.sleep(0.001)
     return make(*arguments)
 
@@ -141,7 +141,7 @@ def _hash_of(known: Names) -> str:
 def _copied(node: Any) -> Any:
     """Copy a tree; `copy.deepcopy` takes ten times as long."""
     if isinstance(node, list):
-        return [_copied(each) for each in node]
+        return [_copied(child) for child in node]
     if not isinstance(node, ast.AST):
         return node
     new = type(node)(**{name: _copied(getattr(node, name)) for name in node._fields})
@@ -173,7 +173,7 @@ class _Writer(ast.NodeTransformer):
     def visit_If(self, node: ast.If) -> Any:
         try:
             chosen = node.body if self._value(node.test) else node.orelse
-        except NameError:  # not known before the program runs
+        except NameError:  # the test is not known at compilation
             node.test, node.body, node.orelse = (
                 self.visit(node.test),
                 self.block(node.body),
@@ -194,7 +194,7 @@ class _Writer(ast.NodeTransformer):
         """Replace a call of a kernel by its statements, with unique names."""
         self.calls += 1
         definition = _copied(written.definition)
-        parameters = [each.arg for each in definition.args.args]
+        parameters = [argument.arg for argument in definition.args.args]
         names = [n for n in ast.walk(definition) if isinstance(n, ast.Name)]
         stored = {n.id for n in names if isinstance(n.ctx, ast.Store)}
         if any(isinstance(node, ast.Return) for node in ast.walk(definition)):
@@ -212,7 +212,7 @@ class _Writer(ast.NodeTransformer):
                 self.names[renamed[node.id]] = written.names[node.id]
             node.id = renamed.get(node.id, node.id)
         documented = ast.get_docstring(definition) is not None
-        return [ast.fix_missing_locations(each) for each in (*body, *definition.body[documented:])]
+        return [ast.fix_missing_locations(statement) for statement in (*body, *definition.body[documented:])]
 
     def visit_Call(self, node: ast.Call) -> Any:
         if node.args and isinstance(node.args[0], ast.GeneratorExp):

@@ -1,4 +1,4 @@
-"""Updates of mean and covariance by nu, S and C of a measurement, which the caller has computed in every lane."""
+"""Updates of mean and covariance by nu, S and C of a measurement, which the caller computes in every lane."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 

@@ -1,8 +1,8 @@
 """Loops over lanes, emitted as vector instructions of LLVM.
 
-Numba would infer the types of some thousand lines, which takes half a minute or more. All numbers in kernels are
-doubles, so each loop over lanes is emitted directly, as a separate function of the array of rows and the few numbers
-that all lanes share. The function's name contains a hash of its text, so all callers share it and get identical
+Numba would infer the types of some thousand lines, which takes half a minute or more. Since all numbers in kernels are
+doubles, each loop over lanes is emitted directly, as a separate function of the array of rows and of the few numbers
+that all lanes share. The name of this function contains a hash of its text, so all callers share it and get identical
 results.
 
 The body of a loop over lanes must not contain branches. It may contain assignments to names and to ``w[row, l]`` with a
@@ -29,7 +29,7 @@ from numba.extending import intrinsic
 from sigmaswarm.filters.compiled.layout import LANES, N_ROWS, WIDEST
 from sigmaswarm.filters.compiled.unroll import Names, written_out
 
-# Only these flags of fast-math, since NaN and inf must keep their meaning.
+# Only these flags of fast-math are used, since NaN and inf must keep their meaning.
 FLAGS = ("contract", "reassoc", "nsz", "arcp")
 
 _DOUBLE, _WHOLE = ir.DoubleType(), ir.IntType(64)
@@ -55,7 +55,7 @@ class _Loops(ast.NodeTransformer):
         stored = {
             n.id for n in ast.walk(definition) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
         }
-        self.locals = stored | {each.arg for each in definition.args.args}
+        self.locals = stored | {argument.arg for argument in definition.args.args}
 
     def block(self, statements: list[ast.stmt]) -> list[ast.stmt]:
         return self.generic_visit(ast.Module(statements, [])).body
@@ -75,7 +75,7 @@ class _Loops(ast.NodeTransformer):
 class _Loop(NamedTuple):
     """A loop over lanes: its function, its body, and the values of its names.
 
-    ``shared`` are the names of the enclosing function that the loop reads, ``counted`` the names that the loop adds to.
+    ``shared`` are the names of the enclosing function that the loop reads; ``counted`` are the names that it adds to.
     """
 
     called: str
@@ -100,10 +100,10 @@ def _used_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[str], l
         made |= {
             n.id for n in ast.walk(statement) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
         }
-    handed_on = made & set(shared) - set(counted)
-    if handed_on:
+    carried = made & set(shared) - set(counted)
+    if carried:
         raise TypeError(
-            f"cannot be a loop over lanes: {min(handed_on)} carries a value from one lane to the next"
+            f"cannot be a loop over lanes: {min(carried)} carries a value from one lane to the next"
         )
     return [name for name in shared if name not in counted], counted
 
@@ -208,10 +208,10 @@ class _Frame(NamedTuple):
 
 
 class _Emitter:
-    """Straight-line code for one vector of lanes. Values are vectors, known numbers, or tuples of these."""
+    """Emit code without branches for one vector of lanes. Values are vectors, known numbers, or tuples of these."""
 
     def __init__(self, builder: ir.IRBuilder, vector: ir.VectorType, lanes: Any) -> None:
-        """Create the code of some lanes; ``lanes`` is a pointer to these lanes in the first row."""
+        """``lanes`` is a pointer to the lanes of the vector in the first row."""
         self.builder, self.vector, self.lanes = builder, vector, lanes
         self.rows: dict[int, Any] = {}
 
@@ -242,8 +242,8 @@ class _Emitter:
             case ast.Name(id=name):
                 frame.values[name] = value
             case ast.Tuple(elts=targets):
-                for each, part in zip(targets, value, strict=True):
-                    self.assign(each, part, frame)
+                for element, part in zip(targets, value, strict=True):
+                    self.assign(element, part, frame)
             case _:
                 row = self.row(target, frame)
                 self.rows[row] = self.as_vector(value)
@@ -292,12 +292,12 @@ class _Emitter:
             case ast.UnaryOp(op=ast.Not(), operand=operand):
                 return self.builder.not_(self.value(operand, frame))
             case ast.Compare(left=left, ops=[op], comparators=[right]):
-                a, b = (self.as_vector(self.value(each, frame)) for each in (left, right))
+                a, b = (self.as_vector(self.value(operand, frame)) for operand in (left, right))
                 if isinstance(op, ast.NotEq):  # true for NaN
                     return self.builder.fcmp_unordered("!=", a, b)
                 return self.builder.fcmp_ordered(_COMPARISONS[type(op)], a, b)
             case ast.IfExp(test=test, body=body, orelse=orelse):
-                chosen, other = (self.as_vector(self.value(each, frame)) for each in (body, orelse))
+                chosen, other = (self.as_vector(self.value(branch, frame)) for branch in (body, orelse))
                 return self.builder.select(self.value(test, frame), chosen, other)
             case ast.Call(func=function, args=arguments, keywords=[]):
                 return self.call(self.value(function, frame), arguments, frame)
@@ -325,7 +325,7 @@ class _Emitter:
 
     def call(self, function: Callable[..., Any], arguments: list[ast.expr], frame: _Frame) -> Any:
         if function in _FUNCTIONS:
-            (value,) = (self.as_vector(self.value(each, frame)) for each in arguments)
+            (value,) = (self.as_vector(self.value(argument, frame)) for argument in arguments)
             return self.builder.call(self.builtin(_FUNCTIONS[function]), [value], fastmath=FLAGS)
         inner = written_out(function)
         given = {

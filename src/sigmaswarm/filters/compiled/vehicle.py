@@ -18,7 +18,7 @@ TWO_PI = 2.0 * math.pi
 
 
 def axis_of(bias):
-    """Return the index, in a step's numbers, of the gyro axis of a bias."""
+    """Return the index of a bias's gyro axis in the numbers of a step."""
     return {R.W: GZ, R.K: GX, R.L: GY}[bias]
 
 
@@ -52,7 +52,7 @@ def update_standstill(w, u, *, n, gyro_biases, tilted):
 def take_velocity(w, zu, zv, *, n):
     """Update with a velocity of variance R1; compute its covariances without differences of large numbers.
 
-    Compare `_keep_digits`.
+    See `_keep_digits`.
     """
     for l in range(LANES):
         w[R.N1, l], w[R.N2, l] = zu - w[R.U, l], zv - w[R.V, l]
@@ -164,7 +164,7 @@ def measure_heading_planar(w, *, n):
 
 
 def update_heading(w, u, z, *, tilted, measure_heading):
-    """Update with the heading at the time ``latency`` ago; increase the variance of an outlier.
+    """Update with a heading that is ``latency`` s old; increase the variance of an outlier.
 
     See `schedule.HEADING_GATE`.
     """
