@@ -239,7 +239,7 @@ def test_the_commands(quick, sigmaswarm, unpainted: None, tmp_path: Path):
     assert ended.code == 2
     assert (
         ended.err.strip()
-        == f"sigmaswarm: {out / 'weights.npz'}: not readable; repeat the command that made the folder"
+        == f"sigmaswarm: {out / 'weights.npz'}: is not readable; repeat the command that made the folder"
     )
     with pytest.raises(InputError, match="not written by sigmaswarm"):
         (out / "learned.toml").write_text("kind = 3")

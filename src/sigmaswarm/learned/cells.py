@@ -17,8 +17,8 @@ def _sigmoid(xp: Any, x: Any) -> Any:
 def lstm(xp: Any, weights: Weights, state: tuple[Any, Any], x: Any) -> tuple[Any, Any]:
     """Run a step of a long short-term memory for the input x (..., features); return h and c, each (..., hidden units).
 
-    S. Hochreiter and J. Schmidhuber, Neural Computation 9(8), 1997; F. Gers, J. Schmidhuber and F. Cummins, Neural
-    Computation 12(10), 2000.
+    Sources: S. Hochreiter and J. Schmidhuber, Neural Computation 9(8), 1997; F. Gers, J. Schmidhuber and F. Cummins,
+    Neural Computation 12(10), 2000.
     """
     h, c = state
     gates = x @ weights["input"] + h @ weights["hidden"] + weights["bias"]
@@ -38,7 +38,7 @@ def gru(xp: Any, weights: Weights, h: Any, x: Any) -> Any:
 
 
 def head(weights: Weights, h: Any) -> Any:
-    """Return the outputs (..., outputs) for a state (..., hidden units)."""
+    """Return the outputs (..., outputs) for a hidden state (..., hidden units)."""
     return h @ weights["head"] + weights["head_bias"]
 
 
@@ -47,8 +47,8 @@ def new_weights(
 ) -> dict[str, Array]:
     """Draw initial weights; those of the output layer are zero, so that a new network has no effect.
 
-    X. Glorot and Y. Bengio, AISTATS 2010. The forget gate of an LSTM is open at first (R. Jozefowicz, W. Zaremba and I.
-    Sutskever, ICML 2015).
+    Source: X. Glorot and Y. Bengio, AISTATS 2010. The forget gate of an LSTM is open at first (R. Jozefowicz, W.
+    Zaremba and I. Sutskever, ICML 2015).
     """
 
     def uniform(rows: int, columns: int) -> Array:

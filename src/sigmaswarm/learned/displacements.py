@@ -1,7 +1,7 @@
 """Update a filter with a displacement between two times.
 
 The measurement also depends on the state at the start, as in stochastic cloning (S. Roumeliotis and J. Burdick, ICRA
-2002); otherwise each update would add the error of the last position again:
+2002). Otherwise, each update would add the error of the last position again:
 
     z = R(theta_0)^T (p_1 - p_0) + noise
 
@@ -28,7 +28,7 @@ GATE = 13.8  # largest NIS of a displacement: 99.9% quantile of chi-square with 
 
 
 class DisplacementStart(NamedTuple):
-    """Filter at the start of a displacement: its rows (N_KEPT, lanes), and the place of its run (5,)."""
+    """Filter at the start of a displacement: its rows (N_KEPT, columns), and the cursor of its run (5,)."""
 
     rows: Array
     place: Array
@@ -46,9 +46,9 @@ class Displacements:
     def update(self, begin: DisplacementStart, rows: Array, stop: int, moved: Array, noise: Array) -> bool:
         """Update with a displacement that ends before step ``stop``; return False if it was rejected.
 
-        ``rows``, (N_KEPT, lanes), is changed in place. ``moved``, (2,), m, is forward and left in the body frame at the
-        start, ``noise`` its covariance, (2, 2), m2. A displacement is rejected if the NIS is too large, the update
-        would diverge, or the covariance would not be positive definite.
+        ``rows``, (N_KEPT, columns), changes in place. ``moved``, (2,), m, is forward and left in the body frame at the
+        start; ``noise`` is its covariance, (2, 2), m2. A displacement is rejected if its NIS is too large, if the
+        update would increase the residual, or if the covariance would not be positive definite.
         """
         x0, p0 = self._state(begin.rows)
         x1, p1 = self._state(rows)
@@ -68,17 +68,17 @@ class Displacements:
         covariance = 0.5 * (covariance + covariance.T)
         begun = self._plus(x0, np.linalg.solve(s, h0 @ p0 + h1 @ crossed).T @ innovation)
         residual = moved - body_displacement(begun, mean)
-        # In a linear problem the residual R S^-1 nu is smaller than nu. With a very uncertain heading, the problem is
-        # not linear.
+        # In a linear problem, the residual R S^-1 nu is smaller than nu. With a very uncertain heading, the problem
+        # is not linear, and the residual may be larger.
         farther = residual @ np.linalg.solve(noise, residual) > innovation @ np.linalg.solve(
             noise, innovation
         )
         if farther or not definite(covariance[np.newaxis])[0]:
             return False
-        lanes = rows.shape[1]
+        columns = rows.shape[1]
         packed = pack_states(
-            np.broadcast_to(mean, (lanes, len(mean))),
-            np.broadcast_to(covariance, (lanes, *p1.shape)),
+            np.broadcast_to(mean, (columns, len(mean))),
+            np.broadcast_to(covariance, (columns, *p1.shape)),
             self._model,
         )
         rows[state_rows(self._model)] = packed[state_rows(self._model)]

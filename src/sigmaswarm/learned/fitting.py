@@ -1,4 +1,4 @@
-"""Fit weights by Adam with early stopping, reproducibly; a stopped fit continues after its last epoch.
+"""Fit weights by Adam with early stopping; results are reproducible, and a stopped fit continues after its last epoch.
 
 This module needs JAX and Optax, the extra ``learned``.
 """
@@ -20,7 +20,7 @@ from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
 
 Loss = Callable[[Any, tuple[Any, ...]], Any]  # loss for weights and a batch
 Settings = Mapping[str, float]  # number of hidden units, window (s) and learning rate of a network
-WEIGHT_DECAY = 1e-4  # weight decay per step / learning rate: I. Loshchilov and F. Hutter, ICLR 2019
+WEIGHT_DECAY = 1e-4  # per step, relative to the learning rate: I. Loshchilov and F. Hutter, ICLR 2019
 MAX_GRADIENT_NORM = 1.0
 """Largest norm of a gradient; a larger gradient is scaled down: R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013."""
 VALIDATION_SHARE = 0.25  # share of each drive, at its end, for validation if no validation drives are given
@@ -52,7 +52,7 @@ class TrainingProblem:
 class Schedule:
     """Options of a training run.
 
-    ``batch`` is the number of examples per step, ``patience`` the largest number of epochs without improvement.
+    ``batch`` is the number of examples per step; ``patience`` is the largest number of epochs without improvement.
     """
 
     learning_rate: float
@@ -66,8 +66,8 @@ class Schedule:
 class TrainingResult:
     """Weights after the best epoch, and losses.
 
-    ``losses``, shape (epochs + 1, 2): means over the training and the validation examples, initially and after each
-    epoch.
+    ``losses``, shape (epochs + 1, 2): means over the training and over the validation examples, before the first epoch
+    and after each epoch.
     """
 
     weights: dict[str, Array]
@@ -98,8 +98,8 @@ def fit(
 ) -> TrainingResult:
     """Minimize the loss by Adam; return the weights with the least loss on the validation examples.
 
-    A stopped training continues from the file ``checkpoint``. ``progress`` is called after each epoch with the number
-    of the epoch and the least loss so far.
+    A stopped training continues from the file ``checkpoint``. After each epoch, ``progress`` is called with its number
+    and the least loss so far.
     """
     with double_precision():
         import jax
@@ -114,7 +114,7 @@ def fit(
                 state = state.restored(saved[0])
             except (LookupError, ValueError):
                 raise InputError(
-                    f"{checkpoint}: not a checkpoint of this training; delete it to redo the training"
+                    f"{checkpoint}: is not a checkpoint of this training; delete it to repeat the training"
                 ) from None
         count = len(problem.examples[0])
         size = min(schedule.batch, count)
@@ -137,13 +137,13 @@ def fit(
 
 @lru_cache(maxsize=4)
 def _compiled(loss: Loss, learning_rate: float) -> tuple[Any, Any, Any]:
-    """Return the optimizer, the loss and an epoch; trainings of the same loss share the compiled code."""
+    """Return the optimizer, the compiled loss and the compiled epoch; trainings with the same loss share them."""
     import jax
     import optax
 
     adam = optax.adamw(learning_rate, weight_decay=WEIGHT_DECAY)
     steps = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), adam)
-    # updates that are not finite are skipped
+    # Skip updates that are not finite.
     optimizer = optax.apply_if_finite(steps, max_consecutive_errors=np.iinfo(np.int32).max)
     return optimizer, jax.jit(loss), jax.jit(partial(_epoch, loss, optimizer))
 
@@ -182,7 +182,9 @@ class _State:
         parts["moments"] = {
             str(k): np.asarray(array) for k, array in enumerate(jax.tree.leaves(self.moments))
         }
-        named = {f"{part}/{name}": array for part, of in parts.items() for name, array in of.items()}
+        named = {
+            f"{part}/{name}": array for part, content in parts.items() for name, array in content.items()
+        }
         return {**named, "losses": self.losses}
 
     def restored(self, arrays: dict[str, Any]) -> "_State":

@@ -1,4 +1,4 @@
-"""The folder of a training run; none of its files is a pickle.
+"""The folder of a training run. It contains no pickles, which could execute code.
 
 tuning.toml, seen.npz   the filter's files, from its tuning
 learned.toml            type of network, settings, and training data
@@ -100,7 +100,7 @@ def training_landmarks(folder: Path) -> list[Landmarks]:
 
 
 def load_learned(folder: Path) -> LearnedNetwork | None:
-    """Read the network of a folder, if any; raise `InputError` if a file is damaged."""
+    """Read the network of a folder; return None if there is none; raise `InputError` if a file is damaged."""
     folder = folder if folder.is_dir() else folder.parent
     file, weights = folder / LEARNED_FILE, folder / WEIGHTS_FILE
     if not file.exists():
@@ -109,7 +109,7 @@ def load_learned(folder: Path) -> LearnedNetwork | None:
     try:
         arrays = {name: np.asarray(array, np.float64) for name, array in read_arrays(weights).items()}
     except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
-        raise InputError(f"{weights}: not readable; repeat the command that made the folder") from None
+        raise InputError(f"{weights}: is not readable; repeat the command that made the folder") from None
     if n_weights(arrays) != record.network.numbers or not _fits(record, arrays):
         raise InputError(f"{weights}: does not match {file.name}; repeat the command that made the folder")
     return LearnedNetwork(record, arrays)

@@ -52,17 +52,16 @@ class TrainingProgress:
 
 Learner = OutageLearner | NoiseLearner
 LEARNERS: Mapping[str, type[Learner]] = {outage_lstm.NAME: OutageLearner, noise_gru.NAME: NoiseLearner}
-"""Training of each type of network.
+"""Learner of each type of network.
 
-``start``: settings of the first training. ``box``: bounds of the search, as logarithms to the base of 2.
-``training_problem`` prepares the input of `fit`. ``finish`` returns the weights of the best network and further entries
-of its record.
+``start``: settings of the first training. ``box``: bounds of the search, as logarithms to base 2. ``training_problem``
+prepares the input of `fit`. ``finish`` returns the weights of the best network, and further entries of its record.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class LearnConfig:
-    """The network, its settings and its data: saved as config.json.
+    """The network, its settings and its data, which are saved as config.json.
 
     Attributes
     ----------
@@ -75,8 +74,8 @@ class LearnConfig:
         Drives for early stopping, and for the calibration of outage-lstm. The default is the last quarter of each
         drive; for outage-lstm with three or more drives, the last third of the drives.
     search : int
-        Number of further settings (number of hidden units, window, learning rate) to try; the best on the validation
-        data is used.
+        Number of additional settings (number of hidden units, window, learning rate) to try. The settings with the
+        least loss on the validation data are used.
     seed : int
         The same seed gives identical results on the same machine.
     """
@@ -100,7 +99,7 @@ class LearnConfig:
         }
 
     def split(self) -> tuple[Sequence[Drive], Sequence[Drive]]:
-        """Return training and validation drives; the latter are empty if the end of each drive is validation data."""
+        """Return training and validation drives; if the latter are empty, the ends of the drives are validation data."""
         if self.kind == noise_gru.NAME or self.validation:
             return self.drives, self.validation
         last = len(self.drives) - len(self.drives) // 3  # the calibration needs long drives
@@ -121,9 +120,9 @@ def learn(
     ----------
     config : LearnConfig
     out : Path
-        Folder of the results; `sigmaswarm run` and `evaluate` read it like a folder of `tune`.
+        Folder of the results, which `sigmaswarm run` and `evaluate` read like a folder of `tune`.
     tuning : Path, optional
-        The tuning.toml of the parameters, which is copied.
+        The tuning.toml of the parameters; it is copied to ``out``.
     resume : bool
         Continue an interrupted training; the result is the same as without interruption.
     progress : callable, optional
@@ -139,16 +138,16 @@ def learn(
     with double_precision():  # raises at once if JAX is missing
         began, record = time.process_time(), config.record()
     folder = ResultFolder(out, record, resume=resume)
-    shown, held_back = config.split()
-    learner = LEARNERS[config.kind](shown, held_back, config.parameters, config.seed)
+    drives, held_back = config.split()
+    learner = LEARNERS[config.kind](drives, held_back, config.parameters, config.seed)
     settings, result = _best_training(learner, folder, config, progress)
-    weights, more = learner.finish(settings, result.weights)
+    weights, entries = learner.finish(settings, result.weights)
     network = NetworkRecord(
         units=int(settings["units"]),
         window=settings["window"],
         learning_rate=settings["learning_rate"],
         numbers=n_weights(weights),
-        **more,
+        **entries,
     )
     training = TrainingRecord(
         seed=config.seed,
@@ -160,10 +159,10 @@ def learn(
         held_back=", ".join(d.name for d in held_back) or "the last quarter of each drive",
     )
     data = [DriveRecord.model_validate(entry) for entry in record["data"]]
-    kept = LearnedRecord(
+    description = LearnedRecord(
         kind=config.kind, network=network, training=training, versions=record["versions"], data=data
     )
-    learned = LearnedNetwork(kept, weights)
+    learned = LearnedNetwork(description, weights)
     _save(learned, config, tuning, out)
     write_json(out / "timings.json", {"processor_s": time.process_time() - began})
     return learned
@@ -226,7 +225,7 @@ def _best_training(
                 settings = {name: float(2.0**value) for name, value in zip(learner.box, point, strict=True)}
                 costs.append(train(settings | {"units": round(settings["units"])}))
             optimizer.tell(np.array(costs))
-    _, settings, best = min(found, key=lambda each: each[0])
+    _, settings, best = min(found, key=lambda training: training[0])
     return settings, best
 
 

@@ -1,7 +1,8 @@
-"""The extended Kalman filter of planar5 and planar8 in JAX, to train `noise-gru` with gradients.
+"""Extended Kalman filter of planar5 and planar8 in JAX, to train `noise-gru` with gradients.
 
-This filter has the textbook form and the rules of `schedule`. The filter uses neither the receiver's velocity nor an
-odometer, and is not reset after a divergence. This module needs JAX, the extra ``learned``.
+The filter has the textbook form and the rules of `schedule`. It uses neither the receiver's velocity nor an odometer.
+It is not reset after a divergence, and has no recovery from a run of outliers. This module needs JAX, the extra
+``learned``.
 """
 
 from dataclasses import dataclass
@@ -30,10 +31,8 @@ from sigmaswarm.learned.cells import gru
 from sigmaswarm.learned.noise_gru import features_of, log_scales, nis_of
 
 N_COLUMNS = 14
-"""Columns of a step.
-
-dt, q_scale, gap, ax, ay, gz; flags of a fix, a sample, a lateral update and a standstill; x and y of the fix, m; the
-stated variances of x and y, m2.
+"""Number of columns of a step: dt, q_scale, gap, ax, ay, gz; flags of a fix, a sample, a lateral update and a
+standstill; x and y of the fix, m; the stated variances of x and y, m2.
 """
 
 
@@ -68,7 +67,7 @@ def _inverse(s: Any) -> Any:
 
 
 def _update(m: Any, c: Any, h: Any, nu: Any, noise: Any, use: Any) -> tuple[Any, Any]:
-    """Return mean and covariance after a measurement, unchanged if ``use`` is 0."""
+    """Return mean and covariance after a measurement; unchanged if ``use`` is 0."""
     s = h @ c @ h.T + noise
     gain = use * (c @ h.T) @ (1.0 / s if len(nu) == 1 else _inverse(s))
     changed = c - gain @ h @ c
@@ -88,9 +87,9 @@ def _predict(q: Array, m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
     f = jnp.eye(n).at[0, 2].set(dt).at[1, 3].set(dt)
     turned = jnp.array([[-b], [a]])
     jacobian = [turned, *([jnp.array([[-cos, sin], [-sin, -cos]])] if biased else [])]
-    at = [slice(THETA, THETA + 1), slice(5, 7)]
-    for columns_at, what in zip(at, jacobian, strict=False):
-        f = f.at[0:2, columns_at].set(what * dt**2 / 2).at[2:4, columns_at].set(what * dt)
+    places = [slice(THETA, THETA + 1), slice(5, 7)]
+    for place, part in zip(places, jacobian, strict=False):
+        f = f.at[0:2, place].set(part * dt**2 / 2).at[2:4, place].set(part * dt)
     if biased:
         f = f.at[THETA, GYRO_BIAS].set(-dt)
     g = GAP_ACCELERATION_STD**2 * gap * dt
@@ -105,7 +104,7 @@ def _predict(q: Array, m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
 
 
 def _weight(dof: float, observed: Any, noise: Any, nu: Any) -> Any:
-    """Weight a fix by Student's t, as in `compiled.adaptive.student_t_weight`."""
+    """Return the weight of a fix by Student's t, as in `compiled.adaptive.student_t_weight`."""
     weight = 1.0
     for _ in range(ITERATIONS):
         a = noise / weight
@@ -117,7 +116,7 @@ def _weight(dof: float, observed: Any, noise: Any, nu: Any) -> Any:
 
 
 def _take_fix(settings: FilterConstants, state: tuple[Any, ...], u: Any, scale: Any) -> tuple[Any, ...]:
-    """Update mean, covariance and number of rejected fixes with a fix; ``scale`` is the logarithm of R's factor.
+    """Update mean, covariance and number of rejected fixes with a fix; ``scale``: logarithm of the factor of R.
 
     Also return nu, m, and xx, xy, yy of S, m2, before the update.
     """
@@ -151,7 +150,7 @@ def _take_lateral(p: FilterParameters, m: Any, c: Any, u: Any) -> tuple[Any, Any
 
 
 def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
-    """Update with a velocity of zero, and with the gyro's reading at rest as the gyro's bias."""
+    """Update with a velocity of 0, and with the reading of the gyro at rest, which is its bias."""
     identity, bias = jnp.eye(len(m)), slice(GYRO_BIAS, GYRO_BIAS + 1)
     m, c = _update(m, c, identity[2:4], -m[2:4], noise * jnp.eye(2), u[9])
     if len(m) > GYRO_BIAS:
@@ -162,8 +161,8 @@ def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
 def run(settings: FilterConstants, weights: Any, mean: Any, covariance: Any, columns: Any) -> tuple[Any, Any]:
     """Run the filter with its network over k steps, from a mean (n,) and a covariance (n, n).
 
-    Return (k, 6): nu, m, xx, xy, yy of S, m2, before the update, and 1 if the step has a fix, else 0. Also return the
-    means (k, n).
+    Return an array (k, 6), and the means (k, n). The array contains nu, m, and xx, xy, yy of S, m2, before the update,
+    and 1 if the step has a fix, else 0.
     """
     p, nothing = settings.parameters, jnp.array([0.0, 0.0, 1.0, 0.0, 1.0, -1.0])
 
@@ -178,12 +177,12 @@ def run(settings: FilterConstants, weights: Any, mean: Any, covariance: Any, col
         if p.standstill_noise is not None:
             m, c = _take_standstill(p.standstill_noise, m, c, u)
         # The network sees a fix at the next sample.
-        looks = (u[7] > 0) & (last[5] > 0.0)
+        reads_fix = (u[7] > 0) & (last[5] > 0.0)
         features = features_of(jnp, last[:2], last[2:5], m[THETA], jnp.maximum(last[5], 0.0))
-        h = jnp.where(looks, gru(jnp, weights, h, features), h)
-        active = jnp.where(looks, log_scales(jnp, weights, h), active)
-        since = jnp.where(looks, since - last[5], since)
-        last = jnp.where(looks, nothing, last)
+        h = jnp.where(reads_fix, gru(jnp, weights, h, features), h)
+        active = jnp.where(reads_fix, log_scales(jnp, weights, h), active)
+        since = jnp.where(reads_fix, since - last[5], since)
+        last = jnp.where(reads_fix, nothing, last)
         return (m, c, h, active, rejected, last, since), (jnp.append(innovation, u[6]), m)
 
     units = weights["hidden"].shape[0]
@@ -202,5 +201,5 @@ def innovation_loss(settings: FilterConstants, innovations: Any) -> tuple[Any, A
     tail = 0.5 * nis
     if settings.parameters.robust_dof is not None:
         tail = 0.5 * (INNOVATION_DOF + 2.0) * jnp.log1p(nis / INNOVATION_SCALE)
-    each = jnp.where(fixed > 0, jnp.log(2 * jnp.pi) + 0.5 * jnp.log(det) + tail, 0.0)
-    return jnp.sum(each), jnp.sum(fixed)
+    losses = jnp.where(fixed > 0, jnp.log(2 * jnp.pi) + 0.5 * jnp.log(det) + tail, 0.0)
+    return jnp.sum(losses), jnp.sum(fixed)

@@ -1,7 +1,7 @@
 """noise-gru: a filter with a network that scales Q and R according to the latest innovations.
 
-The network takes one step after each fix. The factors apply from the next IMU sample to the sample after the next fix,
-so a factor does not depend on the fix that it scales. The inputs are the innovation in the body frame divided by its
+The network runs one step after each fix. Its factors apply from the next IMU sample to the sample after the next fix,
+so they do not depend on the fix whose R they scale. The inputs are the innovation in the body frame divided by its
 expected size, the NIS, and the time since the last fix.
 """
 
@@ -54,7 +54,7 @@ def nis_of(nu: Any, s: Any) -> tuple[Any, Any]:
 class NoiseRun(InterruptibleRun):
     """Run of a filter over a replay with a network that scales Q and R.
 
-    ``scales``: factors of Q and R after each fix. With an untrained network the run equals that of `FilterRun`.
+    ``scales``: factors of R and Q after each fix. With an untrained network, the run equals that of `FilterRun`.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Train `noise-gru` with gradients of the whole filter: maximize the likelihood of each fix before its update.
+"""Train `noise-gru` with gradients of the whole filter: maximize the likelihood of the fixes before their updates.
 
 Each segment of a drive starts from the state of the filter without a network.
 """
@@ -34,22 +34,23 @@ def require_supported(p: FilterParameters) -> None:
 def segments_of(
     drives: Sequence[Drive], parameters: FilterParameters, length: float, validation: Sequence[Drive] = ()
 ) -> Examples:
-    """Cut drives into segments of ``length`` s; ``validation`` defaults to the last segments of each drive.
+    """Cut drives into segments of ``length`` s; without ``validation``, the last segments of each drive validate.
 
-    The arrays are means (s, n) and covariances (s, n, n), steps (s, k, N_COLUMNS), Q (s, n) and lever arms (s, 2).
+    The arrays are initial means (s, n) and covariances (s, n, n), steps (s, k, N_COLUMNS), Q (s, n) and lever arms (s,
+    2).
     """
     from sigmaswarm.learned.noise_filter import FilterConstants, columns_of
 
     require_supported(parameters)
-    twin = replace(parameters, kind="ekf")
-    parts, held = list[tuple[Array, ...]](), list[bool]()
-    for group, all_held in [(drives, False), (validation, True)] if validation else [(drives, None)]:
+    ekf = replace(parameters, kind="ekf")
+    parts, held_back = list[tuple[Array, ...]](), list[bool]()
+    for group, validates in [(drives, False), (validation, True)] if validation else [(drives, None)]:
         before = len(parts)
         for drive in group:
             replay = whole_pass(drive)
-            settings = FilterConstants.of(replay, twin)
-            columns, ends = columns_of(replay, twin)
-            estimate = FilterRun(replay, twin).whole()
+            settings = FilterConstants.of(replay, ekf)
+            columns, ends = columns_of(replay, ekf)
+            estimate = FilterRun(replay, ekf).whole()
             last = float(estimate.time[-1])
             since = last - VALIDATION_SHARE * (last - replay.initial.time)
             for start in np.arange(replay.initial.time, last - length, length):
@@ -60,14 +61,14 @@ def segments_of(
                     continue
                 begin = estimate.mean[sample], estimate.covariance[sample]
                 parts.append((*begin, columns[first:stop], settings.q, settings.lever))
-                held.append(bool(start + length > since) if all_held is None else all_held)
+                held_back.append(bool(start + length > since) if validates is None else validates)
         if len(parts) == before:
             raise InputError(
                 f"no drive has {length:g} s with fixes after the start of the filter; use longer drives"
             )
     most = max(len(part[2]) for part in parts)
     padded = [(*p[:2], np.pad(p[2], ((0, most - len(p[2])), (0, 0))), *p[3:]) for p in parts]
-    return Examples(tuple(np.array(column) for column in zip(*padded, strict=True)), np.array(held))
+    return Examples(tuple(np.array(column) for column in zip(*padded, strict=True)), np.array(held_back))
 
 
 def loss(parameters: FilterParameters) -> Loss:
@@ -77,14 +78,14 @@ def loss(parameters: FilterParameters) -> Loss:
 
     from sigmaswarm.learned.noise_filter import FilterConstants, innovation_loss, run
 
-    twin = replace(parameters, kind="ekf")
+    ekf = replace(parameters, kind="ekf")
 
-    def of_one(weights: Any, mean: Any, covariance: Any, columns: Any, q: Any, lever: Any) -> Any:
-        settings = FilterConstants(q, lever, twin)
+    def loss_of_segment(weights: Any, mean: Any, covariance: Any, columns: Any, q: Any, lever: Any) -> Any:
+        settings = FilterConstants(q, lever, ekf)
         return innovation_loss(settings, run(settings, weights, mean, covariance, columns)[0])
 
     def of(weights: Any, batch: tuple[Any, ...]) -> Any:
-        sums, counts = jax.vmap(of_one, in_axes=(None, 0, 0, 0, 0, 0))(weights, *batch)
+        sums, counts = jax.vmap(loss_of_segment, in_axes=(None, 0, 0, 0, 0, 0))(weights, *batch)
         return jnp.sum(sums) / jnp.sum(counts)
 
     return of
@@ -112,6 +113,6 @@ class NoiseLearner:
     def finish(
         self, settings: Settings, weights: Mapping[str, Array]
     ) -> tuple[Mapping[str, Array], dict[str, Any]]:
-        """Return the weights without calibration, since the loss is a likelihood."""
+        """Return the weights unchanged: the loss is a likelihood, so the network needs no calibration."""
         del settings
         return weights, {}

@@ -1,13 +1,13 @@
-"""outage-lstm: a filter that is updated with a network's forecasts of displacements during outages.
+"""outage-lstm: during outages, a filter is updated with a network's forecasts of displacements.
 
 The network estimates the displacement in the last second, forward and left, from windows of the IMU. The windows
 contain information on the speed, since vibration and lateral acceleration depend on it. The filter's speed is not an
 input, since the update would use it twice.
 
-Errors of the forecasts are modeled as Gauss-Markov processes. In an outage the last known error, multiplied by a decay,
-is subtracted. Two factors maximize the likelihood of hidden fixes on validation drives. The factor of the forecasts'
-variance accounts for the remaining correlation in time. The factor of the velocity's Q is needed since the velocity
-covariance of a filter tuned with fixes is often too small in an outage.
+Errors of the forecasts are modeled as Gauss-Markov processes. In an outage, the last known error, multiplied by a
+decay, is subtracted. Two factors are chosen to maximize the likelihood of hidden fixes on validation data. The factor
+of the forecasts' variance accounts for the remaining correlation in time. The factor of the velocity's Q is needed
+since, in an outage, the velocity covariance of a filter tuned with fixes is often too small.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,17 +31,17 @@ from sigmaswarm.learned.displacements import Displacements, DisplacementStart, t
 
 Indices = NDArray[np.intp]
 HORIZON = 1.0  # s, duration of a displacement
-OUTAGE_AFTER = 2.0  # s from the last fix to the begin of an outage; a working receiver has 1 Hz or more
-WINDOW_STEPS = 40  # number of steps of a resampled window
+OUTAGE_AFTER = 2.0  # s from the last fix to the start of an outage; a working receiver has at least 1 Hz
+WINDOW_STEPS = 40  # number of steps to which a window is resampled
 _VIBRATION_OFFSET = 1e-3  # m/s2, added to an axis's vibration before the logarithm; 1e-4 rad/s for a gyro
 _GRAVITY = 9.80665
 
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Times in the outages of a drive, and the inputs at them.
+    """Displacements in the outages of a drive, and the inputs of the network.
 
-    - ``begin``, ``end``: IMU samples, counted from the filter's start, of a displacement (k,).
+    - ``begin``, ``end``: IMU samples at the start and end of a displacement, counted from the filter's start (k,).
     - ``features``, ``features_at_first``: inputs at ``end`` and ``first`` (k, WINDOW_STEPS, f), see `features_at`.
     - ``first``: sample after the last fix (k,).
     - ``age``: time from ``first`` to ``end``, s (k,).
@@ -63,10 +63,10 @@ def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Win
     The IMU's ``axes`` over ``window`` s are the inputs.
     """
     time = line.imu_time
-    came = np.concatenate([[line.start], line.end[line.updates]])
+    fix_times = np.concatenate([[line.start], line.end[line.updates]])
     spans = [
         (fix, until)
-        for fix, until in zip(came, np.append(came[1:], np.inf), strict=True)
+        for fix, until in zip(fix_times, np.append(fix_times[1:], np.inf), strict=True)
         if min(until, time[-1]) - fix >= OUTAGE_AFTER
     ]
     none = np.empty(0, dtype=np.intp)
@@ -77,7 +77,7 @@ def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Win
         begins.append(begin[late])
         ends.append(end[late])
         firsts.append(np.full(int(late.sum()), np.searchsorted(time, fix)))
-    begin, end, first = (np.concatenate(each) for each in (begins, ends, firsts))
+    begin, end, first = (np.concatenate(parts) for parts in (begins, ends, firsts))
     over = np.searchsorted(time, [until for _, until in spans if until <= time[-1]])
     return Windows(
         begin,
@@ -91,7 +91,7 @@ def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Win
 
 
 def pairs_of(time: Array, after: float, until: float, every: float) -> tuple[Indices, Indices]:
-    """Return indices of pairs of samples, `HORIZON` apart, between two times, (k,) each."""
+    """Return indices of pairs of samples, `HORIZON` apart, between two times, one pair per ``every`` s, (k,) each."""
     first, stop = np.searchsorted(time, [after, until])
     grid = np.arange(float(time[first]), float(time[stop - 1]) + 1e-9, every) if stop > first else np.empty(0)
     at = np.searchsorted(time[:stop], grid - 1e-9)
@@ -110,7 +110,7 @@ def features_at(line: Timeline, end: Indices, *, axes: Sequence[str], window: fl
     time = line.drive.imu.time
     edges = line.imu_time[end][:, np.newaxis] + np.linspace(-window, 0.0, WINDOW_STEPS + 1)
     means: list[Array] = []
-    shakes: list[Array] = []
+    vibrations: list[Array] = []
     for axis in axes:
         values: Array | None = getattr(line.drive.imu, axis)
         if values is None:
@@ -123,12 +123,12 @@ def features_at(line: Timeline, end: Indices, *, axes: Sequence[str], window: fl
         variance = _means(time, values**2, edges) - mean**2
         means.append(mean)
         quiet = _VIBRATION_OFFSET if axis.startswith("a") else 0.1 * _VIBRATION_OFFSET
-        shakes.append(np.log(np.sqrt(np.maximum(variance, 0.0)) + quiet))
-    return np.stack([*means, *shakes], axis=-1)
+        vibrations.append(np.log(np.sqrt(np.maximum(variance, 0.0)) + quiet))
+    return np.stack([*means, *vibrations], axis=-1)
 
 
 def _means(time: Array, values: Array, edges: Array) -> Array:
-    """Return the means (k, m) of a signal between edges (k, m + 1); before its first sample the signal is constant."""
+    """Return the means (k, m) of a signal between edges (k, m + 1), s; it is constant before its first sample."""
     whole = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
     inside = np.maximum(edges, time[0])
     length = np.diff(inside, axis=1)
@@ -142,7 +142,7 @@ MIN_STD, MAX_STD = 0.02, 20.0  # m, bounds of the standard deviation of a displa
 
 
 class DisplacementForecast(NamedTuple):
-    """Outputs of a network for a window in an outage.
+    """Outputs of a network for a displacement in an outage.
 
     - ``begin``, ``first``: indices of the IMU sample at the start of the displacement, and of the first IMU sample
       after the last fix.
@@ -161,11 +161,12 @@ class DisplacementForecast(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class OutageLstm:
-    """A trained network; ``axes`` of the IMU over ``window``, s, are inputs.
+    """A trained network; its inputs are ``axes`` of the IMU over ``window`` s.
 
-    - ``weights``: weights of `cells`; ``center`` and ``spread`` (f,) of the features; ``usual`` and ``scale`` (2,) of
-      the outputs, m; ``kept`` (2,) and ``lasts`` (2,), s: autocorrelation of the errors, kept x exp(-t / lasts).
-    - ``inflation``: factor of the variances; if it is infinite, there is no update.
+    - ``weights``: weights of `cells`; mean ``center`` and deviation ``spread`` (f,) of the features; mean ``usual`` and
+      deviation ``scale`` (2,) of the displacements, m; ``kept`` (2,) and ``lasts`` (2,), s, of the errors'
+      autocorrelation, kept exp(-t / lasts).
+    - ``inflation``: factor of the variances; if it is infinite, forecasts are not used.
     - ``unsure``: factor of the velocity's Q in outages.
     """
 
@@ -192,7 +193,7 @@ class OutageLstm:
         return dict(zip(windows.end.tolist(), map(DisplacementForecast, *numbers, *outputs), strict=True))
 
     def corrected(self, forecast: DisplacementForecast, velocity: Array) -> tuple[Array, Array]:
-        """Return a displacement (2,), m, and its variance (2,), m2, corrected by the velocity at the last fix."""
+        """Return a displacement (2,), m, and its variance (2,), m2, corrected with the velocity at the last fix, m/s."""
         share = self.remains(forecast.age)
         moved = forecast.moved + share * (HORIZON * velocity - forecast.before)
         return moved, self.inflation * (forecast.variance * (1.0 - share**2) + MIN_STD**2)
@@ -216,7 +217,7 @@ def outputs_of(xp: Any, weights: Weights, features: Any) -> Any:
 def new_network(
     rng: np.random.Generator, axes: tuple[str, ...], window: float, units: int, features: Array, moved: Array
 ) -> OutageLstm:
-    """Make a new network; ``features`` (k, WINDOW_STEPS, f) and ``moved`` (k, 2), m, determine its scales."""
+    """Return an untrained network; ``features`` (k, WINDOW_STEPS, f) and ``moved`` (k, 2), m, define its scales."""
     flat = features.reshape(-1, features.shape[-1])
     scales = {
         "center": flat.mean(axis=0),
@@ -232,7 +233,7 @@ def new_network(
 class OutageRun(InterruptibleRun):
     """Run of a filter over a replay with forecasts of displacements in outages.
 
-    If the drive has no outages, the run equals that of `FilterRun`. ``accepted`` and ``rejected`` count displacements.
+    Without outages, the run equals that of `FilterRun`. ``accepted`` and ``rejected`` count displacements.
     """
 
     def __init__(
@@ -259,12 +260,12 @@ class OutageRun(InterruptibleRun):
                 windows = outage_windows(replay.timeline, axes=network.axes, window=network.window)
             self._forecasts = network.forecasts(windows)
             self._marks = np.unique(np.concatenate([windows.begin, windows.end, windows.first, windows.over]))
-        self._begins = {one.begin for one in self._forecasts.values()}
-        self._firsts = {one.first for one in self._forecasts.values()}
+        self._begins = {forecast.begin for forecast in self._forecasts.values()}
+        self._firsts = {forecast.first for forecast in self._forecasts.values()}
         self._over = set() if windows is None else set(windows.over.tolist())
 
     def _at(self, sample: int, stop: int, record: Array, *, lost: bool) -> None:
-        """Update with the displacement that ends at a sample; store the state for displacements that begin there."""
+        """Update with the displacement that ends at a sample; store the state if a displacement begins there."""
         forecast = self._forecasts.get(sample)
         if forecast is not None and not lost:
             velocity, begin = self._velocity.get(forecast.first), self._begin.pop(forecast.begin, None)

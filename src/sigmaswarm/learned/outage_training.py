@@ -1,7 +1,7 @@
 """Train `outage-lstm`: its examples, its loss, and the calibration of its variances.
 
-The network learns the displacements of the smoothed filter with all fixes. Hidden fixes of outages on the validation
-data calibrate the variances.
+The network learns the displacements of the smoothed filter with all fixes. Fixes that are hidden in outages of the
+validation data calibrate the variances.
 """
 
 from collections.abc import Mapping, Sequence
@@ -61,7 +61,7 @@ class Track:
 def tracks_of(
     drives: Sequence[Drive], parameters: FilterParameters, validation: Sequence[Drive] = ()
 ) -> list[Track]:
-    """Smooth drives for training; the end of each drive is for validation if there are no ``validation`` drives."""
+    """Smooth drives for training; without ``validation`` drives, the end of each drive is for validation."""
     tracks: list[Track] = []
     for drive in (*drives, *validation):
         ready = PreparedDrive(drive)
@@ -77,7 +77,7 @@ def tracks_of(
 
 
 def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[FilterPass, float]]:
-    """Place outages on validation data several times; return the replays and the starts of their data, s."""
+    """Place outages on validation data several times; return the replays and the starts of the validation data, s."""
     cases: list[tuple[FilterPass, float]] = []
     for number, track in enumerate(tracks):
         drive, initial = track.ready.drive, track.ready.initial
@@ -97,7 +97,7 @@ def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[FilterPass, float
 
 
 def _windows_of(track: Track, axes: Sequence[str], window: float) -> tuple[Array, Array, Array]:
-    """Return windows of a whole drive: times of their ends (k,), s, features, and displacements (k, 2), m."""
+    """Return windows of a whole drive: their end times (k,), s, features, and displacements (k, 2), m."""
     line = track.ready.timeline()
     begins, ends = pairs_of(line.imu_time, line.start, np.inf, EXAMPLE_INTERVAL)
     features = features_at(line, ends, axes=axes, window=window)
@@ -105,15 +105,15 @@ def _windows_of(track: Track, axes: Sequence[str], window: float) -> tuple[Array
 
 
 def examples_of(tracks: Sequence[Track], axes: Sequence[str], window: float) -> Examples:
-    """Make examples away from the border of the validation data: inputs (k, STEPS, f), displacements (k, 2)."""
+    """Make examples: inputs (k, WINDOW_STEPS, f), displacements (k, 2), none near the border of the validation data."""
     parts: list[tuple[Array, Array, NDArray[np.bool_]]] = []
     for track in tracks:
         end, features, moved = _windows_of(track, axes, window)
         late, clear = end > track.held_back_from, end - VALIDATION_GAP > track.held_back_from
         sound = (late == clear) & np.isfinite(moved).all(axis=1) & np.isfinite(features).all(axis=(1, 2))
         parts.append((features[sound], moved[sound], late[sound]))
-    features, moved, held = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Examples((features, moved), held)
+    features, moved, held_back = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return Examples((features, moved), held_back)
 
 
 def _loss(fixed: dict[str, Array]) -> Loss:
@@ -169,7 +169,7 @@ class OutageLearner:
         cases = cases_of(self._tracks, self._seed)
         if not cases:
             raise InputError(
-                "the held-back driving is too short for outages of 10 s; use longer drives, or --validation"
+                "the validation data is too short for outages of 10 s; use longer drives, or --validation"
             )
         calibration = calibrate(network, cases, self._parameters)
         inflation = calibration.inflation if np.isfinite(calibration.inflation) else None
@@ -190,9 +190,9 @@ def with_error_decay(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm
     t = EXAMPLE_INTERVAL * np.array(LAGS)
     decay = {"kept": np.zeros(2), "lasts": np.ones(2)}
     for i in range(2):
-        each = [part[np.isfinite(part[:, i]), i] for part in parts]
-        power = sum(float(np.mean(e**2)) * len(e) for e in each) / max(sum(map(len, each)), 1)
-        pairs = [[(e[lag:], e[:-lag]) for e in each if len(e) > 2 * lag] for lag in LAGS]
+        errors = [part[np.isfinite(part[:, i]), i] for part in parts]
+        power = sum(float(np.mean(e**2)) * len(e) for e in errors) / max(sum(map(len, errors)), 1)
+        pairs = [[(e[lag:], e[:-lag]) for e in errors if len(e) > 2 * lag] for lag in LAGS]
         known = [k for k, pair in enumerate(pairs) if pair and power > 0.0]
         if not known:
             continue
@@ -210,8 +210,8 @@ def calibrate(
 ) -> OutageLstm:
     """Choose the factors of `OutageLstm` that maximize the likelihood of hidden fixes.
 
-    The inflation is infinite if the mean gain over the filter alone is below the standard error of the mean. Only
-    outages of one set count as independent.
+    The inflation is infinite if no factors have a mean gain over the filter alone that exceeds its standard error. Only
+    the outages of one set count as independent.
     """
     windows = [
         outage_windows(replay.timeline, axes=network.axes, window=network.window) for replay, _ in cases
@@ -223,12 +223,12 @@ def calibrate(
 
     best, gain = (np.inf, 1.0), 0.0
     alone = losses(*best)
-    for each in product(INFLATIONS, UNSURE):
-        better = alone - losses(*each)
-        apart = len(better) / PLACEMENTS
-        error = float(np.std(better)) / np.sqrt(apart - 1.0) if apart > 1.0 else np.inf
-        if np.isfinite(better).all() and better.mean() > max(gain, error):
-            best, gain = each, float(better.mean())
+    for factors in product(INFLATIONS, UNSURE):
+        gains = alone - losses(*factors)
+        independent = len(gains) / PLACEMENTS
+        error = float(np.std(gains)) / np.sqrt(independent - 1.0) if independent > 1.0 else np.inf
+        if np.isfinite(gains).all() and gains.mean() > max(gain, error):
+            best, gain = factors, float(gains.mean())
     return replace(network, inflation=best[0], unsure=best[1])
 
 
@@ -246,7 +246,7 @@ def forecast_losses(
         fixes = line.hides | line.updates
         hidden = line.hides[fixes] & (line.fix_time > held_back_from)
         outage = np.cumsum(line.updates)[fixes]
-        each = negative_log_t(innovations.innovation, innovations.covariance, FORECAST_DOF, FORECAST_SCALE)
-        each = np.where(np.isfinite(each), each, np.inf)
-        losses += [float(each[hidden & (outage == number)].mean()) for number in np.unique(outage[hidden])]
+        loss = negative_log_t(innovations.innovation, innovations.covariance, FORECAST_DOF, FORECAST_SCALE)
+        loss = np.where(np.isfinite(loss), loss, np.inf)
+        losses += [float(loss[hidden & (outage == number)].mean()) for number in np.unique(outage[hidden])]
     return np.array(losses)

@@ -10,7 +10,7 @@ from sigmaswarm.drives.tables import Array
 FLICKER = 2 * math.log(2) / math.pi  # Allan variance of flicker noise / square of its coefficient
 MARKOV_PEAK = 0.3811  # largest Allan variance of a unit Gauss-Markov process, at 1.89 correlation times
 PER_DECADE = 8  # averaging times per decade
-# Longest stretch / longest averaging time; estimates at longer times scatter by more than half
+# Ratio of longest stretch to longest averaging time; estimates at longer times scatter by more than half
 MIN_STRETCH_RATIO = 5
 PIECE = 32_768  # samples per batch, which fits into the processor's cache
 
@@ -65,7 +65,7 @@ def model_parts(tau: Array, white: float, instability: float, walk: float, time:
     if math.isinf(time):
         share = tau / 3
     else:
-        series = r / 3 - r**2 / 4  # the formula loses all digits where r is small
+        series = r / 3 - r**2 / 4  # for small r, where the exact formula loses all digits
         exact = (r - 1.5 + 2 * np.exp(-r) - 0.5 * np.exp(-2 * r)) / np.maximum(r, 1e-9) ** 2
         share = time * np.where(r < 1e-3, series, exact)
     flicker = np.full(len(tau), instability * math.sqrt(FLICKER))

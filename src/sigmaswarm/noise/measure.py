@@ -1,3 +1,5 @@
+"""Measure the noise of an IMU from a log, or read it from the Q of a filter."""
+
 import math
 import warnings
 from pathlib import Path

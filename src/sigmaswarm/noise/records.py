@@ -17,7 +17,7 @@ DEG_PER_SQRT_HOUR = math.degrees(1) * 60  # factor from rad/s/sqrt(Hz)
 DEG_PER_HOUR = math.degrees(1) * HOUR  # factor from rad/s
 MPS_PER_SQRT_HOUR = 60.0  # factor from m/s2/sqrt(Hz)
 MGAL = 1e5  # factor from m/s2
-# Names, factors and units of data sheets for the terms of an accelerometer's and a gyro's axis.
+# Terms of an axis of an accelerometer and of a gyro in data sheets: name, factor from SI units, and unit.
 UNITS = {
     "a": (
         ("velocity random walk", MPS_PER_SQRT_HOUR, "m/s/sqrt(h)"),
@@ -50,7 +50,7 @@ class AxisNoise:
     correlation_time : float
         Correlation time of a Gauss-Markov bias, s; inf if the log does not show that the bias returns to its mean.
     drift : float
-        Trend, unit/s, if these processes do not explain it; else 0.
+        Trend, unit/s, if the other terms do not explain it; else 0.
     tau, deviation : array (n,)
         Overlapping Allan deviation, s and unit.
     """
@@ -71,9 +71,9 @@ class AxisNoise:
     def bias(self, longest: float) -> tuple[float, float]:
         """Return standard deviation (unit) and correlation time (s) of the bias as a Gauss-Markov process.
 
-        ``longest``: length (s) of the longest stretch, used if no correlation time is found. The peak of the process's
-        Allan variance represents flicker noise. If the log shows no bias process, the upper end of the walk's interval
-        is used.
+        ``longest``: length (s) of the longest stretch, which replaces an infinite correlation time. Flicker noise adds
+        the variance of a Gauss-Markov process whose largest Allan variance equals that of the flicker noise. If the log
+        shows neither flicker noise nor a walk, the upper end of the walk's interval is used.
         """
         time = self.correlation_time if math.isfinite(self.correlation_time) else longest
         nothing = self.walk.value == 0 and self.instability.value == 0

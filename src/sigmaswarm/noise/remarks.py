@@ -1,4 +1,4 @@
-"""Remarks on a log: noise terms that the log determines, and signs of faults of an axis."""
+"""Remarks on a log: noise terms that it does not determine, and signs of faults."""
 
 import math
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ MAX_GRAVITY_ERROR = 0.1  # relative error of gravity that suggests another unit
 # 10 deg/sqrt(h) in rad/s/sqrt(Hz). Gyros in rad/s have less white noise, gyros in deg/s usually more.
 MAX_GYRO_NOISE = 3e-3
 MIN_INTERVALS = 30.0  # averaging intervals (duration / tau) for an accurate Allan deviation
-MISFIT = 1.5  # smallest reported ratio of the Allan deviation to the model, or its inverse
-TREND = 4.0  # smallest reported trend / standard deviation of the trend under the fitted processes
+MISFIT = 1.5  # smallest reported ratio of the Allan deviation to that of the model, or its inverse
+TREND = 4.0  # smallest reported ratio of a trend to its standard deviation under the fitted processes
 MIN_STEP_RATIO = 0.5  # smallest reported ratio of the quantization step to the standard deviation
 
 
@@ -118,7 +118,7 @@ def trend_of(values: Array, interval: float, noise: NoiseFit) -> float:
     x = np.geomspace(1e-2, 1e3, 2000)
     omega = 2 * x / duration
     rate = 0.0 if math.isinf(noise.time) else 1 / noise.time
-    w, b, k = (one.value for one in (noise.white, noise.instability, noise.walk))
+    w, b, k = (term.value for term in (noise.white, noise.instability, noise.walk))
     density = w**2 + b**2 / omega + k**2 / (omega**2 + rate**2)
     response = 24 * (np.sin(x) - x * np.cos(x)) / (omega**2 * duration**3)
     variance = float(np.trapezoid(density * response**2, omega)) / math.pi

@@ -6,8 +6,8 @@ The two-sided spectral density is
 
 with white noise N (angle or velocity random walk), flicker noise B (bias instability) and a bias with rate random walk
 K. For finite T the bias is a first-order Gauss-Markov process with variance K^2 T / 2. The fit maximizes Whittle's
-likelihood (1953) of the periodogram; its profile gives the intervals. Unlike lines along an Allan deviation, the
-likelihood separates overlapping processes and shows which of them the log does not determine.
+likelihood (1953) of the periodogram; its profile gives the intervals. Unlike straight lines fitted to an Allan
+deviation, the likelihood separates overlapping processes, and shows which of them the log does not determine.
 """
 
 import math
@@ -20,13 +20,13 @@ from scipy.fft import prev_fast_len, rfft
 
 from sigmaswarm.drives.tables import Array
 
-BAND = 0.1  # highest used frequency / sampling rate; filters and engine vibration change higher frequencies
+BAND = 0.1  # highest used frequency / sampling rate; filters and the engine affect higher frequencies
 # Smallest number of used frequencies; for fewer, the band is extended to half the sampling rate
 MIN_FREQUENCIES = 200
-# Lowest used frequency, periods per stretch; the subtracted trend contains most lower frequencies
+# Lowest used frequency in periods per stretch; the subtracted trend contains most of the lower frequencies
 MIN_PERIODS = 2
-PER_DECADE = 24  # number of bands over which the periodogram is averaged
-TAPER = 1.5  # number of neighboring frequencies that the sine taper correlates
+PER_DECADE = 24  # bands per decade of frequency, in which the periodogram is averaged
+TAPER = 1.5  # number of neighboring frequencies that the sine taper makes equivalent to one independent value
 DEVIANCE_95 = 5.99
 """Largest excess deviance inside a 95% interval: chi-square with two degrees of freedom.
 
@@ -61,7 +61,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """The fitted N, B, K and T (s); T is inf if the log does not show that it is finite."""
+    """Fitted N, B, K and T (s); T is inf if the log does not show that it is finite."""
 
     white: Interval
     instability: Interval
@@ -70,9 +70,10 @@ class NoiseFit:
 
 
 def spectrum_of(parts: Sequence[Array], interval: float) -> Spectrum:
-    """Average the periodograms of stretches (n,) of one signal, without their means and trends.
+    """Average the periodograms of stretches (n,) of one signal, after subtraction of their means and trends.
 
-    The sine taper keeps the power of a drift away from higher frequencies (Riedel and Sidorenko 1995).
+    The sine taper keeps the power of a drift away from higher frequencies (K. Riedel and A. Sidorenko, IEEE Trans.
+    Signal Processing 43, 1995).
     """
     duration = interval * sum(map(len, parts))
     highest = min(0.5, max(BAND, MIN_FREQUENCIES * interval / duration)) / interval
@@ -96,7 +97,7 @@ def spectrum_of(parts: Sequence[Array], interval: float) -> Spectrum:
 
 
 def fit(spectrum: Spectrum, duration: float) -> NoiseFit:
-    """Fit the noise model to a spectrum; the longest stretch, ``duration`` (s), is the largest correlation time."""
+    """Fit the noise model to a spectrum; ``duration`` (s), the longest stretch, limits the correlation time."""
     s, angle = spectrum, 2 * np.pi * spectrum.frequency * spectrum.interval
     times = (
         np.geomspace(MIN_CORRELATION_TIME, duration, N_TIMES)
@@ -120,7 +121,7 @@ def _walk(angle: Array, interval: float, rate: float) -> Array:
 
 
 def _smallest(s: Spectrum, known: Array, shapes: Array) -> tuple[Array, Array]:
-    """Minimize Whittle's deviance of models known (..., n) + sum_k v_k shapes (..., k, n) over variances v >= 0.
+    """Minimize Whittle's deviance of the models ``known`` (..., n) + sum_k v_k ``shapes`` (..., k, n) over v >= 0.
 
     Each step of Fisher's scoring is a least-squares fit with the weights of the previous model.
     """
@@ -156,7 +157,7 @@ def _least_squares(matrix: Array, right: Array, sets: list[list[int]]) -> Array:
 
 
 def _interval(s: Spectrum, shapes: Array, k: int, variance: float, limit: float) -> Interval:
-    """Return the root of a variance, and the ends of its interval, at which the profile crosses a limit."""
+    """Return the root of a variance, and the ends of its interval, where the deviance profile crosses a limit."""
     others = shapes[:, [i for i in range(3) if i != k]]
     own = shapes[:, k]
 
@@ -173,7 +174,7 @@ def _interval(s: Spectrum, shapes: Array, k: int, variance: float, limit: float)
 
 
 def _crossing(profile: Callable[[Array], Array], grid: Array, limit: float) -> float:
-    """Return the first place on a grid at which a profile, below the limit at first, exceeds the limit."""
+    """Return the first value on a grid at which a profile exceeds the limit; it is below the limit at the start."""
     first, last, share = grid[0], grid[0], 0.0
     for _ in range(PASSES):
         excess = profile(grid) - limit

@@ -13,26 +13,23 @@ from sigmaswarm.errors import InputError
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 MIN_DURATION = 10.0  # s, shortest stretch
 MIN_SAMPLES = 50  # samples of the shortest stretch
-BLOCK = 1.0  # s, length of the blocks whose mean and standard deviation show motion
+BLOCK = 1.0  # s, length of the blocks whose means and standard deviations show motion
 MIN_BLOCK_SAMPLES = 20  # samples of a block; the standard deviation of fewer samples scatters too much
-MIN_MEAN_CHANGE = {
-    "a": 0.1,
-    "g": np.radians(0.5),
-}  # m/s2, rad/s: change of the mean between blocks that shows motion
-# Deviation / deviation of the quietest blocks; a moving block exceeds this and `STATIC_STD`
+MIN_MEAN_CHANGE = {"a": 0.1, "g": np.radians(0.5)}  # m/s2, rad/s, between blocks; shows motion
+# Ratio of a block's standard deviation to that of the quietest blocks; in motion it is above this and `STATIC_STD`
 MAX_STD_RATIO = 3.0
-STATIC_STD = {"a": 0.02, "g": np.radians(0.1)}  # m/s2, rad/s: standard deviation without motion
-MOTION_STD = 0.3  # m/s2, standard deviation of an accelerometer in motion
-FIX_SPEED = 0.5  # m/s, speed of the line through a stretch's fixes that shows motion
-SAMPLE = 100_000  # approximate number of samples for the quantization step
-# Smallest count at the end of the range / count at the next value, for a saturated axis
+STATIC_STD = {"a": 0.02, "g": np.radians(0.1)}  # m/s2, rad/s, largest standard deviation of a block at rest
+MOTION_STD = 0.3  # m/s2, an accelerometer with a larger standard deviation is in motion
+FIX_SPEED = 0.5  # m/s, speed of a line fitted to the fixes of a stretch; a larger speed shows motion
+SAMPLE = 100_000  # approximate number of samples from which the quantization step is determined
+# Saturated axis: smallest ratio of the counts of the value at the end of the range and of the next value
 MIN_SATURATION_RATIO = 3.0
-MIN_SATURATION_SHARE = 1e-3  # share of samples at the end of the range of a saturated axis
+MIN_SATURATION_SHARE = 1e-3  # saturated axis: smallest share of samples at the end of the range
 
 
 @dataclass(frozen=True)
 class Stretches:
-    """Static stretches as slices of the samples, their share of the log, 0 to 1, and the number of gaps."""
+    """Static stretches: slices of the samples, share of the log (0 to 1), and number of gaps in the log."""
 
     parts: tuple[slice, ...]
     share: float
@@ -85,7 +82,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
 
 
 def _calm_blocks(imu: Imu, starts: NDArray[np.int_], size: int, fresh: Mask) -> Mask:
-    """Return a mask of blocks that are nearly as quiet as the quietest and have the means of their neighbors."""
+    """Return a mask of blocks that are nearly as quiet as the quietest, and whose means are near their neighbors'."""
     calm = np.ones(len(starts), np.bool_)
     for axis in AXES:
         values = getattr(imu, axis)

@@ -1,7 +1,7 @@
 """Compute truth with standard deviations: the fixes of a good receiver, smoothed with the drive's IMU.
 
-The smoother's standard deviations are multiplied until they agree with fixes that are hidden for several seconds. The
-standard deviation of a fix is added: errors are correlated, so many fixes are no more accurate than one.
+The smoother's standard deviations are multiplied by a factor so that they agree with fixes that are hidden for several
+seconds. The variance of a fix is added, since errors are correlated: many fixes are no more accurate than one.
 """
 
 import math
@@ -33,10 +33,10 @@ from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.tune import tune
 
 MAX_STD = 0.1  # m per axis, largest standard deviation of the truth
-HIDDEN_DURATIONS = (2.0, 20.0)  # s, durations of hidden fixes; in 2 s, IMUs of cars drift by a decimeter
-HIDDEN_FIRST = 10.0  # s from the start to the first window, and between windows
+HIDDEN_DURATIONS = (2.0, 20.0)  # s, range of windows of hidden fixes; in 2 s, cars' IMUs drift by a decimeter
+HIDDEN_FIRST = 10.0  # s from the start to the first window, and between two windows
 PLACEMENTS = 3  # number of random sets of hidden windows
-COVERAGE = 0.95, 1.96  # share of the hidden fixes in an interval per axis; half the width in sigmas
+COVERAGE = 0.95, 1.96  # share of hidden fixes within an interval, per axis, and half its width in sigmas
 OBJECTIVE = "innovation-t"
 SLIP_STD = math.radians(0.1)  # rad, added to the heading's standard deviation; fixes do not show slip
 
@@ -61,7 +61,7 @@ class _Options:
         for name, value in (("accuracy", self.accuracy), ("fix_std", self.fix_std)):
             if value is not None and not 0 < value < np.inf:
                 raise InputError(
-                    f"{name} = {value:g}: is not a standard deviation in m; specify a number above 0"
+                    f"{name} = {value:g} is not a standard deviation in m; specify a number above 0"
                 )
 
 
@@ -76,7 +76,7 @@ def reference(
     """Compute truth from the fixes of a good receiver (RTK) on the same vehicle, and from the drive's IMU.
 
     A filter is tuned on these fixes, without truth, and its estimates are smoothed. Float solutions, and fixes with a
-    stated standard deviation above ``accuracy``, are left out, since their errors are correlated. The IMU bridges the
+    stated standard deviation above ``accuracy``, are omitted, since their errors are correlated. The IMU bridges the
     gaps.
 
     Parameters
@@ -87,12 +87,13 @@ def reference(
         Fixes of the good receiver: a log in any format that can be imported (RTKLIB, NMEA, UBX, CSV ...), a drive's
         folder, or a `Gps` in the drive's local frame. From RTKLIB, NMEA and UBX only fixed solutions are used.
     executor, progress
+        See `tune`.
     lever_arm : (float, float, float), optional
         Vector from the IMU to the good receiver's antenna, m forward, left and up; by default 0.
     offset : float
         Time to add to the fixes' times, s, so that both are on one clock; 0 by default.
     accuracy : float
-        Largest standard deviation of the truth per axis, m; other rows are left out. 0.1 by default.
+        Largest standard deviation of the truth per axis, m; rows with a larger one are omitted. 0.1 by default.
     fix_std : float, optional
         Lower limit of a fix's standard deviation, m per axis; also used for fixes without a stated standard deviation.
     seed : int
@@ -147,8 +148,7 @@ def _smoothed(
     if truth is None:
         raise InputError(
             f"{name}: the standard deviation is above {accuracy:g} m everywhere; raise --accuracy, or check the log "
-            f"with "
-            "sigmaswarm doctor"
+            "with sigmaswarm doctor"
         )
     share = share_known(truth, float(receiver.imu.time[0]), float(receiver.imu.time[-1]))
     return truth, {
@@ -178,7 +178,7 @@ def _tuned(
 
 
 def _log(fixes: "str | Path | Drive | Gps", drive: Drive, offset: float) -> tuple[ReceiverLog, str]:
-    """Return the fixes on the drive's clock and plane, and their name."""
+    """Return the fixes in the drive's time and local frame, and their name."""
     if isinstance(fixes, str | Path):
         path = Path(fixes)
         return read_fixes(path, drive, offset), path.name
@@ -210,15 +210,15 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
     known = sure & np.all(_stated(gps) <= accuracy, axis=0)
     if np.count_nonzero(known) < MIN_SHARED_FIXES:
         raise InputError(
-            f"{name}: of {np.count_nonzero(within)} fixes {np.count_nonzero(sure)} are fixed solutions, and "
-            f"{np.count_nonzero(known)} of these have a stated standard deviation of at most {accuracy:g} m per "
-            "axis, which are too few; raise --accuracy, or use another receiver"
+            f"{name}: has too few accurate fixes: {np.count_nonzero(sure)} of {np.count_nonzero(within)} are fixed "
+            f"solutions, and {np.count_nonzero(known)} of these have a stated standard deviation of at most "
+            f"{accuracy:g} m per axis; raise --accuracy, or use another receiver"
         )
     return replace(gps, lat=None, lon=None, alt=None).select(known)
 
 
 def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.Generator) -> float:
-    """Return the factor, at least 1, with which the smoother's standard deviations agree with the hidden fixes."""
+    """Return the factor, at least 1, by which the smoother's standard deviations agree with hidden fixes."""
     gps, start, end = ready.drive.gps, ready.initial.time, float(ready.drive.imu.time[-1])
     off: list[Array] = []
     for _ in range(PLACEMENTS):
@@ -240,7 +240,7 @@ def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.
 
 
 def _off(estimate: Estimate, gps: Gps, drive: Drive) -> Array:
-    """Return the distances of hidden fixes from the smoothed antenna, in sigma, by axis."""
+    """Return the distances of hidden fixes from the smoothed antenna along each axis, in sigmas."""
     gps = gps.select((gps.time > estimate.time[0]) & (gps.time <= estimate.time[-1]))
     antenna = _antenna(estimate.mean, drive)
     variance = np.diagonal(estimate.covariance, axis1=1, axis2=2)
@@ -267,7 +267,7 @@ def _antenna(mean: Array, drive: Drive) -> Array:
 
 
 def _truth(estimate: Estimate, good: Gps, stretched: float, accuracy: float) -> Truth | None:
-    """Return the rows with a known position; None if there are fewer than two."""
+    """Return truth at the times with a known position; None if there are fewer than two."""
     mean, time = estimate.mean, estimate.time
     deviation = stretched * np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
     std_x, std_y = (
