@@ -30,7 +30,7 @@ _SOURCES = ("ins_gps.c", "ins_gps_align.c", "ins_gps_shared.c")
 
 @dataclass(frozen=True)
 class Difference:
-    """Largest differences: state, relative to max(1, |x|); position, m; heading, rad. NaN after a failure."""
+    """Largest differences: state, relative to max(1, |x|); position, m; heading, rad. NaN if a filter failed."""
 
     state: float
     position: float
@@ -39,7 +39,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class ExportCheck:
-    """Differences on a drive in double and in float; None in float if the filter exceeds the range of float."""
+    """Differences on a drive, computed in double and in float; None if the filter exceeds the range of float."""
 
     drive: str
     double: Difference
@@ -74,19 +74,19 @@ def check_export(
     checked: list[ExportCheck] = []
     # A process loads a path only once, so a new build needs another path.
     with tempfile.TemporaryDirectory() as loaded:
-        libraries = [Path(shutil.copy(each, loaded)) for each in built]
+        libraries = [Path(shutil.copy(library, loaded)) for library in built]
         for drive in drives:
-            ours = _of_library(drive, parameters, all_lanes, as_recorded=as_recorded)
+            expected = _expected(drive, parameters, all_lanes, as_recorded=as_recorded)
             uses_heading = parameters.heading_noise is not None
             events = replay_events(drive, parameters.model, as_recorded=as_recorded, heading=uses_heading)
             runs = [_replay(folder, library, parameters, events) for library in libraries]
-            double, *single = (_difference(run, ours) for run in runs)
+            double, *single = (_difference(run, expected) for run in runs)
             checked.append(ExportCheck(drive.name, double, single[0] if single else None))
     return checked
 
 
-def _of_library(drive: Drive, parameters: FilterParameters, lanes: Lanes, *, as_recorded: bool) -> Array:
-    """Return the means (k, n) that the library computes."""
+def _expected(drive: Drive, parameters: FilterParameters, lanes: Lanes, *, as_recorded: bool) -> Array:
+    """Return the means (k, n) that sigmaswarm computes."""
     if lanes.n == 1:
         return run_filter(drive, parameters, recover=False, as_recorded=as_recorded).mean
     replay = whole_pass(drive, as_recorded=as_recorded)
@@ -141,29 +141,29 @@ def _replay(
     takes_std = parameters.accuracy_scale is not None or parameters.fix_error is not None
     (_, (begin, *start)), *others = events
     lever_arm, gyro = (*start[:2], start.pop(32) if tilted else 0.0), start[32:]
-    board = module.Filter(begin, start[2:7], start[7:32], lever_arm, library, gyro)
+    exported = module.Filter(begin, start[2:7], start[7:32], lever_arm, library, gyro)
     means: list[list[float]] = []
     for name, (time, *z) in others:
         if name == "imu":
-            board.predict(time, [*z[:2], *z[3:], z[2]] if tilted else z)
+            exported.predict(time, [*z[:2], *z[3:], z[2]] if tilted else z)
             if time > begin:
-                means.append(board.mean)
+                means.append(exported.mean)
         elif name == "fix":
             velocity = None if len(z) < 4 or np.isnan(z[2]) else z[2:4]
             more = {"std": z[4:6] or [0.0, 0.0]} if takes_std else {}
             if len(z) > 6 and np.isfinite(z[6]):
                 more["heading"] = z[6:]
-            board.update(time, z[:2], velocity=velocity, **more)
+            exported.update(time, z[:2], velocity=velocity, **more)
         elif parameters.odometer_noise is not None:
-            board.odometer(time, z[0])
+            exported.odometer(time, z[0])
     return np.array(means)
 
 
-def _difference(theirs: Array, estimates: Array) -> Difference:
-    error = theirs - estimates
+def _difference(means: Array, expected: Array) -> Difference:
+    error = means - expected
     error[:, 4] = wrap_angle(error[:, 4])
     return Difference(
-        float(np.max(np.abs(error) / np.maximum(1.0, np.abs(estimates)))),
+        float(np.max(np.abs(error) / np.maximum(1.0, np.abs(expected)))),
         float(np.max(np.hypot(error[:, 0], error[:, 1]))),
         float(np.max(np.abs(error[:, 4]))),
     )

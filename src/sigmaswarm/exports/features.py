@@ -1,7 +1,7 @@
 """Fill the templates of exported files.
 
-``@NAME@`` is replaced by a value. Lines between ``#if FEATURE`` and its ``#else`` or ``#endif`` stay if the feature is
-used. Other ``#if`` lines belong to the C preprocessor.
+``@NAME@`` is replaced by a value. Lines between ``#if FEATURE`` and its ``#else`` or ``#endif`` are kept if the feature
+is used. Other ``#if`` lines belong to the C preprocessor.
 """
 
 import math
@@ -76,15 +76,15 @@ NUMBERS = {
     "GAIN_R": "largest factor of R",
     "GAIN_Q": "largest factor of Q",
     "LARGEST_RATIO": "limit of NIS / 2 in the fuzzy rules",
-    "SLOWER": "ratio of the two time constants of the trend",
+    "SLOWER": "ratio of the time constants of the two averages of NIS / 2",
     "GATE": "largest normalized innovation squared (NIS) of a fix that is used",
-    "MOST_REJECTED": "after this many rejected fixes the next fix is used, so that a diverged filter can recover",
+    "MOST_REJECTED": "number of consecutive rejected fixes after which a fix is used, so that a filter can recover",
     "ACCURACY_SCALE": "the stated variance of a fix, times this factor, is added to R",
     "FIX_ERROR": "g: variance of the correlated fix error, relative to the stated variance",
     "FIX_ERROR_RATE": "nominal interval / time constant of the correlated fix error",
     "FIX_VAR": "m2: variance of a fix that has no stated standard deviation",
     "ROBUST_DOF": "degrees of freedom of Student's t, the distribution of the errors of fixes",
-    "ITERATIONS": "iterations to find the weight of a fix",
+    "ITERATIONS": "number of iterations that determine the weight of a fix",
     "OUTLYING": "weight below which a fix is an outlier",
     "OUTLIERS": "number of consecutive outliers that show that the filter is wrong, if they span enough time",
     "PATIENCE": "smallest number of nominal steps from the first to the last of the OUTLIERS consecutive outliers",
@@ -98,11 +98,10 @@ NUMBERS = {
     "PER_ODOMETER_SCALE": "true speed / reading",
     "ODOMETER_LATENCY": "s: delay of a reading: its time stamp minus the time at which its value was true",
     "EVIDENCE_LASTS": "s: time constant with which the evidence of the weights decays",
-    "EVIDENCE_COUNTS": "each fix counts as this share of a fix with independent errors, since fix errors are "
-    "correlated",
+    "EVIDENCE_COUNTS": "weight of a fix in the evidence, less than 1 since the errors of fixes are correlated",
     "LARGEST_NIS": "upper limit of the NIS of a fix in the evidence of the weights",
 }
-"""Numbers that a template may use, with the comments of their definitions."""
+"""Numbers that a template may use, and the comments in their definitions."""
 
 
 def with_definitions(text: str, numbers: Mapping[str, str], form: str) -> str:
@@ -150,10 +149,10 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
 
 
 def in_range(value: float, of: str) -> float:
-    """Return a number as it is; raise `InputError` with the description ``of`` if it is not finite."""
+    """Return the number; raise `InputError` with its description ``of`` if it is not finite."""
     if not math.isfinite(value):
         raise InputError(
-            f"the filter can't be exported: {of} is not a finite number; tune it again or correct it"
+            f"the filter can't be exported: {of} is not a finite number; correct it, or tune the filter again"
         )
     return value
 

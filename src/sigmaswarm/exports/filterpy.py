@@ -1,6 +1,6 @@
 """Write the filter as a Python script that needs only NumPy and FilterPy.
 
-The script contains the library's source of the parts that FilterPy lacks, so both give the same results.
+The script contains sigmaswarm's source of the parts that FilterPy lacks, so both give the same results.
 """
 
 import ast
@@ -33,7 +33,7 @@ def filterpy(
 ) -> dict[str, str]:
     """Return the script by file name. Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`.
 
-    The script reads drives, whose samples are in the axes of the vehicle, so the mounting is not needed.
+    The mounting is ignored, since the script reads drives, whose samples are in the axes of the vehicle.
     """
     p = parameters
     if p.odometer_noise is not None:
@@ -79,9 +79,9 @@ def filterpy(
 
 
 def source_of(module: ModuleType, names: list[str] | None = None) -> str:
-    """Return the source of a module's constants, functions and classes: of those in ``names``, by default of all.
+    """Return the source of a module's constants, functions and classes: those in ``names``, by default all.
 
-    Imports, Numba's decorators and overloads are left out.
+    Imports, and decorators and overloads of Numba, are omitted.
     """
     text = inspect.getsource(module)
     lines = text.splitlines()

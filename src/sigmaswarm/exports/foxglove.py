@@ -1,4 +1,4 @@
-"""Layout for Foxglove, which shows an exported bag: track on a map, and plots of the consistency.
+"""Layout in which Foxglove shows an exported bag: the track on a map, and plots of the consistency.
 
 Source of the fields: layouts that Foxglove exports (docs.foxglove.dev, "Layouts").
 """
@@ -23,9 +23,11 @@ def layout(topics: Collection[str]) -> dict[str, Any]:
     if (fix := "/sigmaswarm/fix") in topics:
         panels["map!track"] = {"followTopic": fix, "layer": "map", "disabledTopics": [], "zoomLevel": 16}
     for title, paths in PLOTS.items():
-        there = [f"/sigmaswarm/{path}" for path in paths if f"/sigmaswarm/{path.partition('.')[0]}" in topics]
-        if there:
-            panels[f"Plot!{len(panels)}"] = _plot(title, there)
+        present = [
+            f"/sigmaswarm/{path}" for path in paths if f"/sigmaswarm/{path.partition('.')[0]}" in topics
+        ]
+        if present:
+            panels[f"Plot!{len(panels)}"] = _plot(title, present)
     return {
         "configById": panels,
         "globalVariables": {},
@@ -50,7 +52,7 @@ def _plot(title: str, paths: Collection[str]) -> dict[str, Any]:
 
 
 def _arranged(panels: list[str], direction: str = "row") -> Any:
-    """Return a binary tree of the panels, alternately side by side and stacked."""
+    """Return a binary tree of the panels; its levels are alternately side by side and stacked."""
     if len(panels) == 1:
         return panels[0]
     half, other = (len(panels) + 1) // 2, "column" if direction == "row" else "row"

@@ -51,7 +51,7 @@ def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:
     sign = "%" if target == "matlab" else "#"
     lines = [f"Noise of the IMU of {noise.name}, {noise.rate:.6g} Hz, by sigmaswarm", *noise.remarks]
     lines += [
-        f"{axis} was not measured; it has the value of the other axes"
+        f"{axis} was not measured; its value is that of the other axes"
         for axes, _ in SENSORS.values()
         for axis in axes.split()
         if axis not in known
@@ -66,7 +66,7 @@ _white = attrgetter("white.value")
 
 
 def _walk_of(noise: Noise, sensor: str) -> Callable[[AxisNoise], float]:
-    """Return a function from an axis to the random walk of its bias, unit/sqrt(s); if not measured, a typical value."""
+    """Return a function from an axis to the random walk of its bias, unit/sqrt(s), or to a typical value."""
 
     def walk(axis: AxisNoise) -> float:
         std, time = axis.bias(noise.longest)
@@ -96,7 +96,7 @@ def _drive(noise: Noise) -> list[str]:
 
 def _kf_gins(noise: Noise) -> list[str]:
     times = [axis.bias(noise.longest)[1] for axis in noise.axes]
-    time = sum(times) / len(times)  # one correlation time per file; the random walks do not change
+    time = sum(times) / len(times)  # the file has one correlation time; the random walks do not change
     white, bias = (DEG_PER_SQRT_HOUR, MPS_PER_SQRT_HOUR), (DEG_PER_HOUR, MGAL)
     arw, vrw = (
         [scale * v for v in noise.of(s, _white)] for s, scale in zip(("gyro", "accel"), white, strict=True)
@@ -127,8 +127,8 @@ def _kalibr(noise: Noise) -> list[str]:
         f"gyroscope_random_walk: {walk['gyro']}  # rad/s^2/sqrt(Hz)",
         f"update_rate: {_number(noise.rate)}  # Hz",
         "rostopic: /imu/data  # set your topic",
-        "# VINS-Mono and VINS-Fusion: the same densities under other names. Their integration uses them as standard",
-        f"# deviations of a sample, which are {noise.rate**0.5:.4g} times larger: the square root of the rate.",
+        "# VINS-Mono and VINS-Fusion: the same densities under other names. These programs use them as the standard",
+        f"# deviation of a sample, which is {noise.rate**0.5:.4g} times larger (square root of the rate).",
         f"acc_n: {white['accel']}",
         f"acc_w: {walk['accel']}",
         f"gyr_n: {white['gyro']}",

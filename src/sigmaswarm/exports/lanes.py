@@ -27,7 +27,7 @@ class Lanes:
             )
 
     def filters(self, tuning: FilterParameters) -> list[FilterParameters]:
-        """Return the parameters of each filter of the bank. Filter 0 is the tuned one."""
+        """Return the parameters of each filter of the bank; filter 0 has the tuned parameters."""
         spread = OffsetPrior(tuning)
         return [tuning, *(spread.parameters(offsets) for offsets in self._offsets(spread)[1:])]
 

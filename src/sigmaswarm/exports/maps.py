@@ -1,6 +1,6 @@
 """Write tracks for maps: GeoJSON (RFC 7946), GPX 1.1 and KML 2.2, in degrees on WGS-84, without heights.
 
-Unix times are recognized by their size and written as dates in UTC. Other times are not written as dates.
+Times that can be Unix times by their size are written as dates in UTC.
 """
 
 import json
@@ -26,9 +26,9 @@ _MAX_LONGITUDE = 179.999999999  # deg, largest longitude in GPX, which excludes 
 
 
 def geojson(time: Array, places: Array, path: Path, name: str) -> None:
-    """Write a line, cut at the antimeridian (RFC 7946, 3.1.9). ``places`` (n, 2) are latitude and longitude, deg.
+    """Write a line, cut at the antimeridian (RFC 7946, 3.1.9). ``places`` (n, 2): latitude and longitude, deg.
 
-    ``coordTimes`` has the format of togeojson: a list, or a list of lists for a line in parts.
+    The property ``coordTimes`` has the format of togeojson: a list, or a list of lists for a line in parts.
     """
     parts = split_at_antimeridian(time, places)
     lines: list[Any] = [[[round(lon, 9), round(lat, 9)] for lat, lon in part.tolist()] for _, part in parts]
@@ -88,7 +88,7 @@ def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
 def split_at_antimeridian(time: Array, places: Array) -> list[tuple[Array, Array]]:
     """Cut a track at the antimeridian; return times (k,), s, and places (k, 2), deg, of each part.
 
-    A cut is a new point on the antimeridian, which ends a part and starts the next part.
+    At each cut, a new point on the antimeridian ends one part and starts the next part.
     """
     turned = np.unwrap(places[:, 1], period=360.0)
     if (turned == places[:, 1]).all():
@@ -119,7 +119,7 @@ def _escaped(text: str) -> str:
 
 
 def _stamps(time: Array) -> list[str]:
-    """Return times in UTC; an empty list if the times are not Unix times."""
+    """Return times in UTC as text; an empty list if the times are not Unix times."""
     if not (len(time) and _UNIX_TIMES[0] <= time[0] and time[-1] <= _UNIX_TIMES[1]):
         return []
     return [

@@ -1,4 +1,4 @@
-"""Names and descriptions of export targets, without kernels, so that help and workbench are fast."""
+"""Names and descriptions of export targets. This module imports no kernels, so that help and workbench are fast."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import Literal
 
 Target = Literal["c99", "filterpy", "robot_localization"]
 AnyTarget = Literal[Target, "robot-localization"]
-"""Targets and the name of the model, accepted for the target robot_localization."""
+"""Targets; the name of the model robot-localization is accepted for the target robot_localization."""
 LIBRARIES = ("libins_gps.so", "libins_gps_float.so")  # C libraries in double and in float
 
 
@@ -21,14 +21,14 @@ class Description:
     title, needs : str
         Name and requirements, for users.
     commands : dict of str to str
-        By exported file, a part of the shell command that uses the files; ``{}`` is the folder of the files.
+        Parts of the shell command that uses the files, by exported file; ``{}`` is the folder of the files.
     lacks : tuple of str
         Options of `tune` that the target does not support.
     tilts : bool
         True if the target supports models with attitude.
     built : tuple of str
-        Files that the commands of the exported README.md and ``--check`` make in the folder. They contain the exported
-        filter, so a new export removes them.
+        Files that the commands of the exported README.md, and ``--check``, create in the folder. A new export removes
+        them, since they contain the earlier filter.
     """
 
     title: str

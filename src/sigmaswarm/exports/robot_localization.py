@@ -27,15 +27,16 @@ DEFAULT_PROCESS_NOISE = (
 SMALL, FIRST_FIX = 1e-6, 1.0
 """Initial variance of states that stay at 0, and smallest initial variance of x and y (m2)."""
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
-"""Initial variances of vx, vy, yaw, ax, ay, yaw rate if initial_state is set as in README.md."""
+"""Initial variances of vx, vy, yaw, ax, ay, yaw rate, for an initial_state set as in README.md."""
 
 
 def robot_localization(
     parameters: FilterParameters, interval: float, _: bool = False, mounting: Angles | None = None
 ) -> dict[str, str]:
-    """Return the text of each file by name. Q refers to steps of ``interval`` s. ROS's filter has no preprocessing.
+    """Return the text of each file by name. Q refers to steps of ``interval`` s.
 
-    ``mounting``: roll, pitch and yaw of the IMU, deg, for the static transform that ROS needs.
+    ``mounting``: roll, pitch and yaw of the IMU, deg, for the static transform that ROS needs. The third argument is
+    ignored, since this filter has no preprocessing.
 
     Raises
     ------
@@ -118,7 +119,7 @@ def process_noise(p: FilterParameters, interval: float) -> list[float]:
 
 
 def yaml_number(value: float) -> str:
-    """Return a number with a dot, since some YAML readers read 1e-05 as text."""
+    """Return the text of a number with a dot, since some YAML readers read 1e-05 as text."""
     text = repr(float(value))
     return text if "." in text else text.replace("e", ".0e")
 

@@ -1,7 +1,7 @@
-"""Write an estimate as a ROS 2 bag with a layout for Foxglove, by rosbags.
+"""Write an estimate as a ROS 2 bag with a layout for Foxglove; needs the package rosbags.
 
-/sigmaswarm/odometry, nav_msgs/Odometry, has the pose in ``map`` (east-north-up) and the twist in ``base_link`` (x
-forward, y left), by REP-105 and the definition of the message.
+The topic /sigmaswarm/odometry, nav_msgs/Odometry, has the pose in ``map`` (east-north-up) and the twist in
+``base_link`` (x forward, y left): see REP-105 and the definition of the message.
 """
 
 import heapq
@@ -56,8 +56,8 @@ def ros2(
     Raises
     ------
     InputError
-        If rosbags is not installed, a time is before 0, or ``merge`` is damaged, covers other times, or already has the
-        topic. No file remains.
+        If rosbags is not installed, a time is before 0, or ``merge`` is damaged, covers other times, or already
+        contains the topic. No file remains.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -76,9 +76,9 @@ def ros2(
         Writer(new, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
     ):
         originals = _copied(merge, recorded, writer) if merge else iter(())
-        made = MessageFactory(store.types, time_origin)
+        factory = MessageFactory(store.types, time_origin)
         own = heapq.merge(
-            _messages(pieces, made, origin), _of_innovations(innovations, made), key=itemgetter(0)
+            _messages(pieces, factory, origin), _of_innovations(innovations, factory), key=itemgetter(0)
         )
         added: dict[str, Any] = {}
         estimates = _serialized(own, store, writer, added)
@@ -109,7 +109,7 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
     try:
         reader = highlevel.AnyReader(paths, default_typestore=typesys.get_typestore(typesys.Stores.LATEST))
         reader.open()
-    except Exception as error:  # the library raises anything on damaged bytes
+    except Exception as error:  # for damaged bytes, the library raises any error
         if "rofile" in str(error):
             raise InputError(
                 f"{path}: is an MCAP file that ROS 2 did not write, so a ROS 2 bag can't contain its messages; "
@@ -161,7 +161,7 @@ def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
         try:
             for old, time, raw in reader.messages(connections=wanted) if wanted else ():
                 yield time, added[old.topic, old.msgtype], raw
-        except Exception as error:  # the library raises anything on damaged bytes
+        except Exception as error:  # for damaged bytes, the library raises any error
             raise damage_error(path, error) from None
 
     return messages()
@@ -202,7 +202,9 @@ class MessageFactory:
         return self.message("geometry_msgs/Vector3Stamped", self.header(nanoseconds), vector)
 
 
-def _messages(pieces: Iterable[Estimate], made: MessageFactory, origin: Origin | None) -> Iterator[Message]:
+def _messages(
+    pieces: Iterable[Estimate], factory: MessageFactory, origin: Origin | None
+) -> Iterator[Message]:
     """Yield estimates and, every `INTERVAL`, a NavSatFix and standard deviations of x, y (m) and heading (rad)."""
     before = -1
     for estimate in pieces:
@@ -214,17 +216,17 @@ def _messages(pieces: Iterable[Estimate], made: MessageFactory, origin: Origin |
         poses = covariance[:, np.array(of_pose)[:, None], of_pose]
         columns = (estimate.time, estimate.mean, poses, velocity, twists)
         for t, mean, pose, *moves in zip(*columns, strict=True):
-            nanoseconds = made.nanoseconds(t)
-            yield nanoseconds, TOPIC, _odometry(made, nanoseconds, mean, pose, *moves)
+            nanoseconds = factory.nanoseconds(t)
+            yield nanoseconds, TOPIC, _odometry(factory, nanoseconds, mean, pose, *moves)
             if (slot := int(np.floor(t / INTERVAL + 1e-6))) > before:
                 before, (x, y, *_, heading) = slot, np.sqrt(np.diagonal(pose))
                 if estimate.covariance.size:
-                    yield nanoseconds, SIGMA, made.vector(nanoseconds, x, y, heading)
+                    yield nanoseconds, SIGMA, factory.vector(nanoseconds, x, y, heading)
                 if origin is not None:
-                    yield nanoseconds, FIX, _fix(made, nanoseconds, mean, pose, origin)
+                    yield nanoseconds, FIX, _fix(factory, nanoseconds, mean, pose, origin)
 
 
-def _of_innovations(innovations: Innovations | None, made: MessageFactory) -> Iterator[Message]:
+def _of_innovations(innovations: Innovations | None, factory: MessageFactory) -> Iterator[Message]:
     """Yield the innovations of the fixes, m east and north, with standard deviations, m, and NIS."""
     if innovations is None:
         return
@@ -234,48 +236,50 @@ def _of_innovations(innovations: Innovations | None, made: MessageFactory) -> It
     )
     sigma = np.sqrt(np.diagonal(innovations.covariance, axis1=1, axis2=2))
     for t, nu, std, nis in zip(innovations.time, innovations.innovation, sigma, innovations.nis, strict=True):
-        nanoseconds = made.nanoseconds(t)
-        yield nanoseconds, INNOVATION, made.vector(nanoseconds, *nu)
-        yield nanoseconds, INNOVATION_SIGMA, made.vector(nanoseconds, *std)
-        yield nanoseconds, NIS, made.message("std_msgs/Float64", float(nis))
+        nanoseconds = factory.nanoseconds(t)
+        yield nanoseconds, INNOVATION, factory.vector(nanoseconds, *nu)
+        yield nanoseconds, INNOVATION_SIGMA, factory.vector(nanoseconds, *std)
+        yield nanoseconds, NIS, factory.message("std_msgs/Float64", float(nis))
 
 
-def _fix(made: MessageFactory, nanoseconds: int, mean: Array, pose: Array, origin: Origin) -> Any:
-    """Make a NavSatFix with the height of the origin, since no model estimates the height."""
+def _fix(factory: MessageFactory, nanoseconds: int, mean: Array, pose: Array, origin: Origin) -> Any:
+    """Build a NavSatFix with the height of the origin, since no model estimates height."""
     lat, lon, alt = map(float, enu_to_geodetic(np.array([[mean[0], mean[1], 0.0]]), origin)[0])
     covariance = NOT_ESTIMATED * np.eye(3)
     covariance[:2, :2] = pose[:2, :2]
-    status = made.message("sensor_msgs/NavSatStatus", 0, 1)
+    status = factory.message("sensor_msgs/NavSatStatus", 0, 1)
     fields = status, lat, lon, alt, covariance.ravel(), 3  # COVARIANCE_TYPE_KNOWN
-    return made.message("sensor_msgs/NavSatFix", made.header(nanoseconds), *fields)
+    return factory.message("sensor_msgs/NavSatFix", factory.header(nanoseconds), *fields)
 
 
 def _pose_of(n: int) -> dict[int, int]:
     """Return a mapping from the states of the pose to rows in the covariance of a message.
 
-    These rows are x, y, z and the rotations about the fixed axes x, y, z: roll, pitch, theta, since R = Rz(theta)
-    Ry(pitch) Rx(roll).
+    The rows are x, y, z, and the rotations about the fixed axes x, y, z, which are roll, pitch and theta, since R =
+    Rz(theta) Ry(pitch) Rx(roll).
     """
     return {0: 0, 1: 1} | dict(zip(tilt_indices(n), (3, 4), strict=False)) | {THETA: 5}
 
 
 def _odometry(
-    made: MessageFactory, nanoseconds: int, mean: Array, pose: Array, velocity: Array, twist: Array
+    factory: MessageFactory, nanoseconds: int, mean: Array, pose: Array, velocity: Array, twist: Array
 ) -> Any:
-    """Make an Odometry message. Covariances are 6 x 6: x, y, z and rotations about these axes."""
-    still = made.message("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
-    moves = made.message("geometry_msgs/Vector3", *map(float, velocity), 0.0)
-    position = made.message("geometry_msgs/Point", *map(float, mean[:2]), 0.0)
-    orientation = made.message("geometry_msgs/Quaternion", *quaternions(mean).tolist())
-    placed = made.message("geometry_msgs/Pose", position, orientation)
-    return made.message(
+    """Build an Odometry message. Its covariances are 6 x 6: x, y, z and rotations about these axes."""
+    still = factory.message("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
+    moves = factory.message("geometry_msgs/Vector3", *map(float, velocity), 0.0)
+    position = factory.message("geometry_msgs/Point", *map(float, mean[:2]), 0.0)
+    orientation = factory.message("geometry_msgs/Quaternion", *quaternions(mean).tolist())
+    placed = factory.message("geometry_msgs/Pose", position, orientation)
+    return factory.message(
         "nav_msgs/Odometry",
-        made.header(nanoseconds),
+        factory.header(nanoseconds),
         "base_link",
-        made.message("geometry_msgs/PoseWithCovariance", placed, _six(pose, [*_pose_of(len(mean)).values()])),
-        made.message(
+        factory.message(
+            "geometry_msgs/PoseWithCovariance", placed, _six(pose, [*_pose_of(len(mean)).values()])
+        ),
+        factory.message(
             "geometry_msgs/TwistWithCovariance",
-            made.message("geometry_msgs/Twist", moves, still),
+            factory.message("geometry_msgs/Twist", moves, still),
             _six(twist, [0, 1]),
         ),
     )

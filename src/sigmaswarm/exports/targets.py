@@ -20,7 +20,7 @@ TARGETS: dict[Target, Callable[..., dict[str, str]]] = {
     "filterpy": filterpy,
     "robot_localization": robot_localization,
 }
-"""Functions that return texts by file name. Arguments: parameters, nominal interval (s), ``as_recorded``, mounting."""
+"""Functions that return texts by file name, from parameters, nominal interval (s), ``as_recorded`` and mounting."""
 
 
 def export_texts(
@@ -34,7 +34,7 @@ def export_texts(
     lanes: int = 1,
     seed: int = 0,
 ) -> dict[str, str]:
-    """Return the texts of the files of a filter by file name.
+    """Return the texts of an exported filter by file name.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def export_texts(
     mounting : (float, float, float), optional
         c99, robot_localization: roll, pitch and yaw of the IMU in the vehicle, deg, for raw samples.
     imu_axes : dict of str to str, optional
-        c99: expressions with which the import read the IMU's axes, for the README.
+        c99: expressions from which the import computed the IMU's axes, for the README.
     lanes : int
         c99: number of filters with different parameters. The estimate is their mixture, as in a `LiveFilterBank`
         without searches.
@@ -64,14 +64,14 @@ def export_texts(
     """
     target = target_named(target)
     interval = _checked(parameters, target)
-    side_by_side = Lanes(lanes, seed)
+    bank = Lanes(lanes, seed)
     if target != "c99":
         if replay is not None:
             raise InputError(f"--replay is for --to c99 only: {target} has no program that replays a drive")
         if lanes > 1:
             raise InputError(f"--lanes is for --to c99 only: {target} runs one filter")
         return TARGETS[target](parameters, interval, as_recorded, mounting)
-    texts = c99(parameters, interval, as_recorded, mounting, side_by_side, imu_axes)
+    texts = c99(parameters, interval, as_recorded, mounting, bank, imu_axes)
     if replay is not None:
         texts["replay.csv"] = replay_rows(
             replay, parameters.model, as_recorded=as_recorded, heading=parameters.heading_noise is not None

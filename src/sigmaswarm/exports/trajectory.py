@@ -35,7 +35,7 @@ def write_pieces(
     merge: str | Path | None = None,
     name: str | None = None,
 ) -> None:
-    """Write an estimate to a file. The extension selects the format. The division into pieces does not affect the file.
+    """Write an estimate, in pieces, to a file; the extension selects the format.
 
     ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); for planar8 and tilted12 also biases,
     roll and pitch with standard deviations. ``.mat``, for MATLAB: t, the states by name, and covariance (n, states,
@@ -45,7 +45,8 @@ def write_pieces(
     standard deviations, innovations, NIS, and a layout for Foxglove. ``.geojson``, ``.gpx``, ``.kml``: the track in
     degrees.
 
-    Maps and .mat need all pieces in memory, the other formats one piece. After an error no file remains.
+    The file does not depend on the division into pieces. Maps and .mat need all pieces in memory, the other formats one
+    piece. After an error, no file remains.
 
     Parameters
     ----------
@@ -95,10 +96,10 @@ def write_fixes(
     origin: Origin | None = None,
     time_origin: float = 0.0,
 ) -> int:
-    """Write the fixes before ``until``, s, such as the start of a filter; return the number of written fixes.
+    """Write the fixes before ``until``, s, for example the start of a filter; return the number of written fixes.
 
-    Formats: ``.csv`` (t, x, y in s and m), and the maps ``.geojson``, ``.gpx`` and ``.kml``. Formats that contain poses
-    raise `InputError`.
+    Formats: ``.csv`` (t, x, y in s and m), and the maps ``.geojson``, ``.gpx`` and ``.kml``. Other formats raise
+    `InputError`.
     """
     path = Path(path)
     check_fixes_target(path, origin)
@@ -163,7 +164,7 @@ def _csv(pieces: Iterable[Estimate], file: BinaryIO) -> None:
 
 
 def _mat(pieces: Iterable[Estimate], file: BinaryIO) -> None:
-    """Write a MATLAB file. The format begins with the array size, so all pieces must be in memory."""
+    """Write a MATLAB file. Its arrays begin with their size, so all pieces must be in memory."""
     from scipy.io import savemat
 
     parts = [estimate.columns() | {"covariance": estimate.covariance} for estimate in pieces]

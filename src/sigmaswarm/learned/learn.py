@@ -99,7 +99,7 @@ class LearnConfig:
         }
 
     def split(self) -> tuple[Sequence[Drive], Sequence[Drive]]:
-        """Return training and validation drives; if the latter are empty, the ends of the drives are validation data."""
+        """Return training and validation drives; if the latter are empty, the ends of drives are validation data."""
         if self.kind == noise_gru.NAME or self.validation:
             return self.drives, self.validation
         last = len(self.drives) - len(self.drives) // 3  # the calibration needs long drives

@@ -217,7 +217,7 @@ def outputs_of(xp: Any, weights: Weights, features: Any) -> Any:
 def new_network(
     rng: np.random.Generator, axes: tuple[str, ...], window: float, units: int, features: Array, moved: Array
 ) -> OutageLstm:
-    """Return an untrained network; ``features`` (k, WINDOW_STEPS, f) and ``moved`` (k, 2), m, define its scales."""
+    """Return an untrained network, scaled for ``features`` (k, WINDOW_STEPS, f) and ``moved`` (k, 2), m."""
     flat = features.reshape(-1, features.shape[-1])
     scales = {
         "center": flat.mean(axis=0),
