@@ -193,7 +193,7 @@ class OutageLstm:
         return dict(zip(windows.end.tolist(), map(DisplacementForecast, *numbers, *outputs), strict=True))
 
     def corrected(self, forecast: DisplacementForecast, velocity: Array) -> tuple[Array, Array]:
-        """Return a displacement (2,), m, and its variance (2,), m2, corrected with the velocity at the last fix, m/s."""
+        """Return a displacement (2,), m, and its variance (2,), m2, corrected with the velocity at the last fix."""
         share = self.remains(forecast.age)
         moved = forecast.moved + share * (HORIZON * velocity - forecast.before)
         return moved, self.inflation * (forecast.variance * (1.0 - share**2) + MIN_STD**2)
@@ -217,7 +217,7 @@ def outputs_of(xp: Any, weights: Weights, features: Any) -> Any:
 def new_network(
     rng: np.random.Generator, axes: tuple[str, ...], window: float, units: int, features: Array, moved: Array
 ) -> OutageLstm:
-    """Return an untrained network, scaled for ``features`` (k, WINDOW_STEPS, f) and ``moved`` (k, 2), m."""
+    """Return a new network; ``features`` (k, WINDOW_STEPS, f) and ``moved`` (k, 2), m, determine its scales."""
     flat = features.reshape(-1, features.shape[-1])
     scales = {
         "center": flat.mean(axis=0),
