@@ -105,18 +105,8 @@ def _shared_object(folder: Path, name: str, *flags: str) -> Path:
         raise InputError(
             f"no C compiler was found ({', '.join(COMPILERS)}); install a compiler, or set the environment variable CC"
         )
-    command = [
-        *compiler.split(),
-        "-std=c99",
-        OPTIMIZE,
-        "-shared",
-        "-fPIC",
-        *flags,
-        *_SOURCES,
-        "-lm",
-        "-o",
-        name,
-    ]
+    options = ("-std=c99", OPTIMIZE, "-shared", "-fPIC", *flags)
+    command = [*compiler.split(), *options, *_SOURCES, "-lm", "-o", name]
     try:
         built = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     except OSError as error:

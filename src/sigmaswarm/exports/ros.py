@@ -138,7 +138,7 @@ def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
     added: dict[tuple[str, str], Any] = {}
     for old in reader.connections:
         kind = old.topic, old.msgtype
-        if kind in added:  # a bag of several files
+        if kind in added:  # a bag of several files repeats its topics
             continue
         if old.msgtype not in reader.typestore.fielddefs:
             warnings.warn(

@@ -89,12 +89,7 @@ def _degrees(east: Array, north: Array, origin: Origin) -> Array:
 
 
 def write_fixes(
-    drive: Drive,
-    until: float,
-    path: str | Path,
-    *,
-    origin: Origin | None = None,
-    time_origin: float = 0.0,
+    drive: Drive, until: float, path: str | Path, *, origin: Origin | None = None, time_origin: float = 0.0
 ) -> int:
     """Write the fixes before ``until``, s, for example the start of a filter; return the number of written fixes.
 

@@ -30,7 +30,7 @@ MIN_CHECKS = 5  # smallest number of checks in this time
 MANY_SIGMAS = 5.0  # smallest difference, in combined standard deviations of filter and fixes
 HEADING_OFF = np.radians(20.0)  # rad, smallest difference of the heading from the alignment
 POSITION_OFF = 20.0  # m, smallest difference of a fix from its prediction
-SUSPECT_HEADING = np.radians(10.0)  # rad; at a larger difference from the rough heading, the check aligns
+SUSPECT_HEADING = np.radians(10.0)  # rad, from the rough heading; beyond it, an alignment is computed
 SPEED_STD = 10.0  # m/s per axis, after a reset to the last fix
 
 

@@ -11,8 +11,8 @@ OUTLIERS_SPAN = 5.0  # s
 
 # The scale of an objective is c = 2 x, where x e^x E1(x) = v / (v + 2) and E1 is the exponential integral. With this c,
 # the mean of ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over Gaussian innovations is least where their mean NIS is 2,
-# as for the Gaussian likelihood. With c = v (Student's density), it is least at a mean NIS of 2.75 (v = 4) or 2.42 (v =
-# 8).
+# as for the Gaussian likelihood. With c = v (Student's density), it is least at a mean NIS of 2.75 (v = 4) or
+# 2.42 (v = 8).
 INNOVATION_DOF, INNOVATION_SCALE = 4.0, 2.9069903810286775  # v and c of `innovation-t`
 FORECAST_DOF, FORECAST_SCALE = 8.0, 6.609907797270899  # v and c of `forecast-t`
 LARGEST_TAIL = 1e38  # upper limit of 1 + NIS / c in `innovation-t`; a product of eight cannot overflow

@@ -1,4 +1,4 @@
-"""outage-lstm: during outages, a filter is updated with a network's forecasts of displacements.
+"""outage-lstm: a filter that uses a network's forecasts of displacements in outages.
 
 The network estimates the displacement in the last second, forward and left, from windows of the IMU. The windows
 contain information on the speed, since vibration and lateral acceleration depend on it. The filter's speed is not an
@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.checks import GRAVITY
+from sigmaswarm.drives.tables import Array, Indices
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.layout import R
@@ -29,12 +29,10 @@ from sigmaswarm.filters.passes import FilterPass
 from sigmaswarm.learned.cells import Weights, head, lstm, new_weights
 from sigmaswarm.learned.displacements import Displacements, DisplacementStart, to_body_axes
 
-Indices = NDArray[np.intp]
 HORIZON = 1.0  # s, duration of a displacement
 OUTAGE_AFTER = 2.0  # s from the last fix to the start of an outage; a working receiver has at least 1 Hz
 WINDOW_STEPS = 40  # number of steps to which a window is resampled
 _VIBRATION_OFFSET = 1e-3  # m/s2, added to an axis's vibration before the logarithm; 1e-4 rad/s for a gyro
-_GRAVITY = 9.80665
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +95,7 @@ def pairs_of(time: Array, after: float, until: float, every: float) -> tuple[Ind
     at = np.searchsorted(time[:stop], grid - 1e-9)
     per = round(HORIZON / every)
     begin, end = at[:-per], at[per:]
-    near = time[end] - time[begin] < 1.5 * HORIZON  # not across a gap in the IMU
+    near = time[end] - time[begin] < 1.5 * HORIZON  # without pairs across an IMU gap
     return begin[near], end[near]
 
 
@@ -118,7 +116,7 @@ def features_at(line: Timeline, end: Indices, *, axes: Sequence[str], window: fl
                 f"{line.drive.name}: imu.csv has no {axis}, an input of the network; train a network on drives of this "
                 "car"
             )
-        values = values - (_GRAVITY if axis == "az" else 0.0)
+        values = values - (GRAVITY if axis == "az" else 0.0)
         mean = _means(time, values, edges)
         variance = _means(time, values**2, edges) - mean**2
         means.append(mean)

@@ -172,7 +172,7 @@ def _tuned(
     suggestion = suggest_filter([receiver])
     use = tuple(option for option in suggestion.use if option != "standstill")
     options: Any = {"model": suggestion.model, "use": use, "objective": OBJECTIVE, "seed": seed}
-    with warnings.catch_warnings():  # warnings about a filter that is used only here
+    with warnings.catch_warnings():  # they concern a filter that is used only here
         warnings.simplefilter("ignore", SigmaswarmWarning)
         return tune(receiver, executor=executor, progress=progress, **options).parameters
 

@@ -275,7 +275,7 @@ class LiveFilterBank(LiveFilter):
             known.append(float(evidence[parent]))
         lost = ~np.isfinite(evidence) | (rows[R.OK] != 1.0)
         failed = [lane for lane in range(1, LANES) if lost[lane] and lane not in worst]
-        for lane in failed:  # continue from the best filter's state, with their own offsets
+        for lane in failed:  # they keep their offsets, and continue from the state of the best filter
             rows[:, lane], evidence[lane] = rows[:, leads], evidence[leads]
         for lane, *replacement in zip(worst, offsets, states, known, strict=True):
             self.offsets[lane], rows[:, lane], evidence[lane] = replacement

@@ -28,7 +28,7 @@ FIXED_OFFSETS = (
     {R: 2.5, START: 3.0},
     {R: 4.5, START: 3.0},
 )
-"""Offsets of the filters that are never replaced, the first filters: tuned, for other biases, for other receivers."""
+"""Offsets of the first filters, which are never replaced: the tuned one, other biases, other receivers."""
 
 WARNING_OFFSET, WARNING_AXLE_OFFSET = 0.5, 0.5  # largest offsets without a warning, decades and m
 _MEANS = {

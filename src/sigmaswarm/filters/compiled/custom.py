@@ -35,7 +35,7 @@ def build_kernel(
     diagonal: bool,
     absent: bool,
 ) -> Any:
-    """Build the filter for a user's functions, compiled on its first call.
+    """Build the filter of a user's functions, which is compiled at its first call.
 
     ``diagonal``: process_noise returns the diagonal of Q. ``absent``: elements of measurements may be NaN, which takes
     a tenth more time to compile. An index out of bounds in a user's function raises IndexError.

@@ -12,11 +12,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.filters.compiled.rows import CACHE_LINE, array_at
 
-_ARRAYS = (
-    types.Array(float64, 1, "C"),
-    types.Array(int64, 1, "C"),
-    *(types.Array(float64, 2, "C"),) * 6,
-)
+_ARRAYS = (types.Array(float64, 1, "C"), types.Array(int64, 1, "C"), *(types.Array(float64, 2, "C"),) * 6)
 _KIND = types.Tuple((int64, *_ARRAYS))
 
 

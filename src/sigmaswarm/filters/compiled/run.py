@@ -324,13 +324,7 @@ def logging_kernel(model):
 
 
 def run_lanes(
-    model: str,
-    drive: DriveArrays,
-    rows: Array,
-    place: Array,
-    stop: int,
-    record: Array,
-    innovations: Array,
+    model: str, drive: DriveArrays, rows: Array, place: Array, stop: int, record: Array, innovations: Array
 ) -> None:
     """Run up to `most_lanes` filters over steps of one time line, from the step at which the last call stopped.
 

@@ -92,7 +92,7 @@ def _turn_between(q, p, error):
 
 @_plain
 def _turned(q, x, y, z, out):
-    """Compute exp((x, y, z)) q."""
+    """Write the quaternion q, rotated from the left by the rotation vector (x, y, z), to ``out``."""
     angle = 0.5 * math.sqrt(x * x + y * y + z * z)
     k = 0.5 * math.sin(angle) / angle if angle > 0.0 else 0.5
     c, x, y, z = math.cos(angle), k * x, k * y, k * z

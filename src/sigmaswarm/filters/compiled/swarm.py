@@ -103,7 +103,7 @@ def _is_predicted(w, lane):
 
 @njit(**OPTIONS)
 def _note_fix(v, w, now):
-    """Store the mixture's innovation of a fix, and update the evidence of each lane."""
+    """Store the innovation of the mixture at a fix, and update the evidence of each lane."""
     x, y, total = 0.0, 0.0, 0.0
     for lane in range(LANES):
         share = v[_AT_WEIGHT + lane]

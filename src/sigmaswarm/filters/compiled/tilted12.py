@@ -13,20 +13,7 @@ scratch rows, then (A P) A^T. The columns of the biases are computed last.
 import math
 
 from sigmaswarm.drives.odometer import AGE, MORE, SPEED
-from sigmaswarm.drives.timeline import (
-    AX,
-    AY,
-    AZ,
-    DT,
-    FIX_VAR_X,
-    FIX_VAR_Y,
-    FIX_X,
-    FIX_Y,
-    GX,
-    GY,
-    GZ,
-    Q_SCALE,
-)
+from sigmaswarm.drives.timeline import AX, AY, AZ, DT, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GX, GY, GZ, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import FAR, TINY, angle_of, kernel, sinc_cos, sincos
 from sigmaswarm.filters.compiled.layout import C1, C2, FP, LANES, Q0, R, at
 from sigmaswarm.filters.tilted import GRAVITY, N

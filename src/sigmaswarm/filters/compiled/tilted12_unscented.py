@@ -34,19 +34,7 @@ import numpy as np
 from sigmaswarm.drives.odometer import AGE, MORE, SPEED
 from sigmaswarm.drives.timeline import AX, AY, AZ, DT, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GZ
 from sigmaswarm.filters.compiled.lanes import FAR, TINY, angle_of, kernel, sinc_cos, sincos, spread_of
-from sigmaswarm.filters.compiled.layout import (
-    BEND,
-    C1,
-    C2,
-    EXTRA,
-    LANES,
-    PIVOT,
-    ROOT,
-    SHIFT,
-    SLOPE,
-    R,
-    at,
-)
+from sigmaswarm.filters.compiled.layout import BEND, C1, C2, EXTRA, LANES, PIVOT, ROOT, SHIFT, SLOPE, R, at
 from sigmaswarm.filters.compiled.tilted12 import fold
 from sigmaswarm.filters.compiled.transition import OUTPUTS
 from sigmaswarm.filters.compiled.unroll import unrolled

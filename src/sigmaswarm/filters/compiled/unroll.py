@@ -80,10 +80,7 @@ class Kernel:
 
 
 def unrolled(
-    function: Callable[..., Any],
-    change: Change | None = None,
-    /,
-    **known: Any,
+    function: Callable[..., Any], change: Change | None = None, /, **known: Any
 ) -> Callable[..., Any]:
     """Return the function with its keyword-only parameters bound to ``known``, and loops over states and rows unrolled.
 
@@ -166,7 +163,7 @@ class _Writer(ast.NodeTransformer):
         outer, written = self.values, list[ast.stmt]()
         for value in self._value(node.iter):
             self.values = outer | {node.target.id: value}
-            written += self.block(_copied(node.body))  # once for each value
+            written += self.block(_copied(node.body))  # a copy for each value
         self.values = outer
         return written
 

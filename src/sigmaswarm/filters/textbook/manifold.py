@@ -4,7 +4,6 @@ Sources: J. Sola, Quaternion kinematics for the error-state Kalman filter, 2017,
 S. Bonnabel, A code for unscented Kalman filtering on manifolds (UKF-M), ICRA 2020.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,9 +11,8 @@ import numpy as np
 
 from sigmaswarm.filters.textbook.ekf import ExtendedKalmanFilter
 from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Innovation, Measurement, Process
+from sigmaswarm.filters.textbook.loop import Retraction
 from sigmaswarm.filters.textbook.ukf import SigmaPoints, UnscentedKalmanFilter
-
-Retraction = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True)
