@@ -13,7 +13,7 @@ from sigmaswarm.exports.names import DESCRIPTIONS, AnyTarget, Target, target_nam
 from sigmaswarm.exports.robot_localization import robot_localization
 from sigmaswarm.files import make_folder, staged_files, write_atomically
 from sigmaswarm.filters.models import MODELS, require_driven_by_imu
-from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.parameters import FilterParameters, known_interval
 
 TARGETS: dict[Target, Callable[..., dict[str, str]]] = {
     "c99": c99,
@@ -97,16 +97,12 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
         )
     if target != "robot_localization":
         require_driven_by_imu(parameters.model, target)
-    if parameters.nominal_interval is None:
-        raise InputError(
-            "the file of the filter does not contain the IMU interval of its process noise; add "
-            "nominal_interval (s) to [filter], for example nominal_interval = 0.01"
-        )
+    interval = known_interval(parameters)
     if min(parameters.process_noise) < 0 or min(parameters.measurement_noise) <= 0:
         raise InputError(
             "a variance of the filter is not positive, so the filter would fail; correct it, or tune the filter again"
         )
-    return parameters.nominal_interval
+    return interval
 
 
 def write_texts(texts: Mapping[str, str], folder: str | Path, target: AnyTarget) -> list[Path]:

@@ -1,7 +1,7 @@
 """A Kalman filter that uses only the fixes: constant velocity with white acceleration, no IMU.
 
-A filter with an IMU should be more accurate. Source of the model: Y. Bar-Shalom, X. R. Li and T. Kirubarajan,
-Estimation with Applications to Tracking and Navigation, 2001, section 6.2.2.
+Source of the model: Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking and
+Navigation, 2001, section 6.2.2.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

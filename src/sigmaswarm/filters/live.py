@@ -174,7 +174,7 @@ class LiveFilter:
     def predict(self, t: float, imu: Sequence[float]) -> None:
         """Process an IMU sample; ignore it if its time is not after the last one; defer it if it is over 10 s ahead.
 
-        Samples before the start are used only for the noise at rest, which the detection of standstills needs.
+        Samples before the start only determine the noise at rest, for the detection of standstills.
 
         Parameters
         ----------

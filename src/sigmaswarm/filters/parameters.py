@@ -356,6 +356,16 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
     return {k: v for k, v in known.items() if v and k in stated} | {"states": [s.name for s in states]}
 
 
+def known_interval(parameters: FilterParameters) -> float:
+    """Return ``nominal_interval``, s; raise `InputError` if it is None."""
+    if parameters.nominal_interval is None:
+        raise InputError(
+            "the file of the filter does not contain the IMU interval of its process noise; add "
+            "nominal_interval (s) to [filter], for example nominal_interval = 0.01"
+        )
+    return parameters.nominal_interval
+
+
 def densities(parameters: FilterParameters) -> dict[str, str]:
     """Return the density of white noise in each state, as in data sheets: sqrt(Q / nominal interval).
 

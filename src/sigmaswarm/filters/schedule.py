@@ -80,8 +80,7 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
 
     The unobserved motion is a constant turn rate and a constant acceleration over the gap. Together, the steps in a gap
     therefore add (GAP_TURN_STD gap)^2 to the variance of the heading and (GAP_ACCELERATION_STD gap)^2 to that of each
-    velocity; in each step, the position changes by dt / 2 times the change of velocity. The variances of roll and pitch
-    (`GAP_TILT_STD`) are not included.
+    velocity; in each step, the position changes by dt / 2 times the change of velocity. `GAP_TILT_STD` is not included.
     """
     added = np.zeros((n, n))
     g = GAP_ACCELERATION_STD**2 * gap * dt

@@ -13,7 +13,7 @@ from sigmaswarm.drives.tables import Array, Gps, Imu
 from sigmaswarm.drives.urls import is_url
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.filters.models import MODELS
-from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.parameters import FilterParameters, known_interval
 from sigmaswarm.importing.convert import import_imu, request_of
 from sigmaswarm.noise.allan import allan_deviation
 from sigmaswarm.noise.records import AxisNoise, Noise
@@ -83,12 +83,7 @@ def filter_noise(parameters: FilterParameters, name: str = "filter") -> Noise:
     InputError
         If the filter does not state the interval of its Q.
     """
-    p, dt = parameters, parameters.nominal_interval
-    if dt is None:
-        raise InputError(
-            "the file of the filter does not contain the IMU interval of its process noise; add "
-            "nominal_interval (s) to [filter], for example nominal_interval = 0.01"
-        )
+    p, dt = parameters, known_interval(parameters)
     model = MODELS[p.model]
     q = {state: max(v, 0.0) / dt for state, v in zip(model.names, p.process_noise, strict=True)}
     if model.measures_imu:

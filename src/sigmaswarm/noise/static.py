@@ -20,9 +20,9 @@ MIN_MEAN_CHANGE = {"a": 0.1, "g": np.radians(0.5)}  # m/s2, rad/s, between block
 MAX_STD_RATIO = 3.0
 STATIC_STD = {"a": 0.02, "g": np.radians(0.1)}  # m/s2, rad/s, largest standard deviation of a block at rest
 MOTION_STD = 0.3  # m/s2, an accelerometer with a larger standard deviation is in motion
-FIX_SPEED = 0.5  # m/s, speed of a line fitted to the fixes of a stretch; a larger speed shows motion
-SAMPLE = 100_000  # approximate number of samples from which the quantization step is determined
-# Saturated axis: smallest ratio of the counts of the value at the end of the range and of the next value
+FIX_SPEED = 0.5  # m/s, of a line fitted to the fixes of a stretch; a larger speed shows motion
+SAMPLE = 100_000  # approximate number of samples that determine the quantization step
+# Saturated axis: smallest ratio of the count at the end of the range to that at the next value
 MIN_SATURATION_RATIO = 3.0
 MIN_SATURATION_SHARE = 1e-3  # saturated axis: smallest share of samples at the end of the range
 

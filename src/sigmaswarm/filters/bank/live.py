@@ -53,7 +53,7 @@ class LiveFilterBank(LiveFilter):
     The weight of a filter depends on its evidence, the log-likelihood of the fixes, which fades within a minute. Filter
     0 has the tuned parameters and equals a `LiveFilter`. Some filters have the parameters of other receivers. Every 10
     s of driving, the worst filters are replaced: one by the result of a search over the last minute, the others by
-    changed copies of good filters. Thus the bank adapts to other sensors or reception. On the vehicle of the tuning,
+    changed copies of good filters. Thus the bank adapts to other sensors or reception; on the vehicle of the tuning,
     the bank is not more accurate than the single filter. If the mixture diverges, filters 1 to 15 are reset; most of
     them keep the biases of the mixture.
 

@@ -91,13 +91,9 @@ def inflate_observed(w, l, s11, s12, s22, factor, *, n):
 def student_t_weight(w, since):
     """Compute the weight w of a fix by Student's t, and divide its R by w.
 
-    DOF = 0: off. R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear
-    systems using the multivariate Student-t distribution, MLSP 2012. With S = H P H^T + R / w and e = S^-1 nu, the
-    residual after the update is r = (R / w) e. Its covariance is A = R / w - (R / w) S^-1 (R / w). Three iterations
-    from w = 1 compute w = (dof + 2) / (dof + r^T R^-1 r + tr R^-1 A).
-
-    A filter with a wrong state would treat all fixes as outliers. Therefore, after a long run of outliers, a fix has
-    weight 1, and the part of P that it observes is inflated until P explains the innovation.
+    DOF = 0: off. See `textbook.adaptive.StudentT`, also for the inflation of P after a long run of outliers. With S = H
+    P H^T + R / w and e = S^-1 nu, the residual after the update is r = (R / w) e. Its covariance is A = R / w - (R / w)
+    S^-1 (R / w). Three iterations from w = 1 compute w = (dof + 2) / (dof + r^T R^-1 r + tr R^-1 A).
     """
     recovering = 0
     for l in range(LANES):
@@ -133,10 +129,9 @@ def student_t_weight(w, since):
 def adapt(w, since, *, n):
     """Adapt Q and R to the innovation of a fix, with weight 1 - FORGETTING (1: off).
 
-    Source: A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969. The weight is the
-    limit of their (1 - b) / (1 - b^(k+1)) for large k. The estimate of R is eps eps^T + H P+ H^T, positive by
-    construction, with the residual eps after the update. The estimate of Q is K nu nu^T K^T + P+ - (P- - Q), or 0 if
-    this is negative. A second fix at the same time (since = 0) has no information on Q.
+    See `textbook.adaptive.SageHusa`. The estimate of R is eps eps^T + H P+ H^T, positive by construction, with the
+    residual eps after the update. The estimate of Q is K nu nu^T K^T + P+ - (P- - Q), or 0 if this is negative. A
+    second fix at the same time (since = 0) has no information on Q.
     """
     span = since if since > 0.0 else math.inf
     for l in range(LANES):

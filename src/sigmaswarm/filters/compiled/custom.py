@@ -257,9 +257,7 @@ def _update(mean, covariance, y, w, share):
 def _limited_share(z, nis, limit, runs):
     """Return the share of an update: limit / NIS if the NIS is above the limit, else 1; see `Model.robust`.
 
-    ``runs`` (m, 2): for each element of z, the number of consecutive measurements above the limit, and the time since
-    the first one, s. A filter with a wrong state would treat all measurements as outliers, so a long run has full
-    weight.
+    ``runs``: see `TextbookModel`.
     """
     lasts = True
     for i in range(z.size):

@@ -328,8 +328,7 @@ def run_lanes(
 ) -> None:
     """Run up to `most_lanes` filters over steps of one time line, from the step at which the last call stopped.
 
-    A run may be divided into pieces without an effect on the results, if each piece except the last stops after a step
-    with the flag IMU.
+    Pieces of a run do not affect the results if each one, except the last, stops after a step with the flag IMU.
 
     Parameters
     ----------

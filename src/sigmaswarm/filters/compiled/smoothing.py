@@ -5,9 +5,8 @@
     P^s = P + G (P^s' - P-) G^T
 
 m, P are the filter's state before a step, m-, P- are its prediction, and m^s', P^s' are the smoothed state after the
-step (H. E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965). For sigma points, P A^T is their
-cross-covariance (S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC 53(3), 2008): see `step_log`. X = G^T
-solves P- X = A P. In a model with roll and pitch, differences and sums are in the tangent space: see `tilted`.
+step. For sigma points, P A^T is their cross-covariance: see `step_log`. Sources: see `filters.smoothing.smooth`. X =
+G^T solves P- X = A P. In a model with roll and pitch, differences and sums are in the tangent space: see `tilted`.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportIndexIssue=false

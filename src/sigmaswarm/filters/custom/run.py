@@ -81,8 +81,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
 def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelEstimate:
     """Run the filter of a user's model over a log, and smooth its estimates, so that each uses all measurements.
 
-    Sources: H. E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, IEEE TAC 53(3), 2008. The
-    smoother runs in NumPy, about a hundred times slower than `run_model`.
+    Sources: see `smooth`. The smoother runs in NumPy, about a hundred times slower than `run_model`.
 
     Parameters
     ----------
