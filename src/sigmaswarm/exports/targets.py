@@ -51,8 +51,7 @@ def export_texts(
     imu_axes : dict of str to str, optional
         c99: expressions from which the import computed the IMU's axes, for the README.
     lanes : int
-        c99: number of filters with different parameters. The estimate is their mixture, as in a `LiveFilterBank`
-        without searches.
+        c99: number of filters in a bank, like a `LiveFilterBank` without searches.
     seed : int
         c99: seed of the parameters of the filters.
 

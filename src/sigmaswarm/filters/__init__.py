@@ -1,1 +1,1 @@
-"""sigmaswarm.filters."""
+"""Kalman filters: models, parameters, and runs over drives."""

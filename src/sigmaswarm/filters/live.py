@@ -87,8 +87,7 @@ class LiveFilter:
     (`divergence`). If fixes are delayed, the reset is later than in `run_filter`. Fixes from before a reset count as
     too late.
 
-    The memory has a fixed size. The compiled code (`compiled.live`) is loaded or compiled by the first filter of a
-    process.
+    The memory has a fixed size. The first filter of a process loads or compiles the code (`compiled.live`).
 
     Parameters
     ----------

@@ -113,6 +113,6 @@ class NoiseLearner:
     def finish(
         self, settings: Settings, weights: Mapping[str, Array]
     ) -> tuple[Mapping[str, Array], dict[str, Any]]:
-        """Return the weights unchanged: the loss is a likelihood, so the network needs no calibration."""
+        """Return the weights, which need no calibration, since the loss is a likelihood."""
         del settings
         return weights, {}

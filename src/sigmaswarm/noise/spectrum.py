@@ -72,8 +72,7 @@ class NoiseFit:
 def spectrum_of(parts: Sequence[Array], interval: float) -> Spectrum:
     """Average the periodograms of stretches (n,) of one signal, after subtraction of their means and trends.
 
-    The sine taper keeps the power of a drift away from higher frequencies (K. Riedel and A. Sidorenko, IEEE Trans.
-    Signal Processing 43, 1995).
+    The sine taper keeps the power of a drift away from higher frequencies (Riedel and Sidorenko 1995).
     """
     duration = interval * sum(map(len, parts))
     highest = min(0.5, max(BAND, MIN_FREQUENCIES * interval / duration)) / interval

@@ -262,9 +262,9 @@ def _digest():
 def named_by_sources(make, name, known=None):
     """Return the function of ``make(sources)``; its key in Numba's cache contains a hash of all kernels' sources.
 
-    Numba's own key does not change with a function in another file, and is the same for equal lines that call different
-    functions; but it includes the values in a closure. ``known`` returns the values of make's keyword-only parameters,
-    which are needed only for compilation.
+    Numba's own key ignores functions in other files, and is the same for equal lines that call different functions; but
+    it includes the values in a closure. ``known`` returns the values of make's keyword-only parameters, which are
+    needed only for compilation.
     """
     sources = f"{name} {_digest()}"
 

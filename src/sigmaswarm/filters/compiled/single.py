@@ -110,12 +110,6 @@ def _called(step, v, u, events, z, wheels, lever, since):
 take_step = _called if config.DISABLE_JIT else _call
 """Compute one step of one filter in compiled code, with ``(step, v, u, events, z, wheels, lever, since)``.
 
-- ``step``: the address of the result of `single_step`
-- ``v``: (N_KEPT or more,) the filter before and after
-- ``u``: (9,) a step's numbers, DT ... GY of `drives.timeline`
-- ``events``: the step's bits of `drives.events`
-- ``z``: (8,) a row of `Timeline.fixes`
-- ``wheels``: (3,) a row of `events.Events.wheels`
-- ``lever``: (3,) lever arm of the time line, m
-- ``since``: time since the last fix, in nominal steps
+``step`` is the address of the result of `single_step`; ``v`` (N_KEPT or more,) is the filter, which changes in place.
+For the other arguments see `step._step`; ``u``, ``z``, ``wheels`` and ``lever`` are arrays (9,), (8,), (3,) and (3,).
 """

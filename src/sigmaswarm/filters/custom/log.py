@@ -26,8 +26,7 @@ class Log:
     measurement_time : ndarray, shape (f,)
         s, strictly increasing; these times may differ from ``time``.
     measurements : ndarray, shape (f, m)
-        (f,) stands for (f, 1). NaN: no value of this element at this time; the update uses the other elements. See
-        `from_sensors`.
+        (f,) stands for (f, 1). NaN: no value; the update uses the other elements. See `from_sensors`.
     mean, covariance : ndarray, shapes (n,), (n, n)
         State estimate at ``time[0]``, where the filter starts; it must not come from truth.
     inputs : ndarray, shape (k, u), optional

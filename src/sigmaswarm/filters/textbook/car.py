@@ -1,4 +1,4 @@
-"""Textbook filters for cars. Tests compare them with `compiled/run.py`, one step at a time."""
+"""Textbook filters for cars, with which tests compare `compiled/run.py`."""
 
 from dataclasses import replace
 
