@@ -34,7 +34,7 @@ def carry(w, u, *, n, biases):
 
 
 def age_fix_error(w, z, since):
-    """Compute the factor phi and the gained variance of the fix error, ``since`` nominal steps after the last fix."""
+    """Compute phi and the gained variance of the fix error from the nominal steps since the last fix."""
     var_x, var_y = z[FIX_VAR_X], z[FIX_VAR_Y]
     for l in range(LANES):
         phi = math.exp(-since * w[R.FIX_ERROR_RATE, l])
