@@ -116,8 +116,8 @@ def test_c_takes_raw_samples(imported: Drive, tuning: Path, tmp_path: Path, flag
     parameters = sigmaswarm.FilterParameters.load(tuning)
     assert distance(means, expected(imported, parameters)) < off
     readme = (tmp_path / "README.md").read_text()
-    assert "`ins_gps_turn_imu()` turns each\nsample, as in `on_sample()` below" in readme
-    assert "turn each\nsample in the same way" not in readme
+    assert "`ins_gps_turn_imu()` rotates each\nsample, as in `on_sample()` below" in readme
+    assert "rotate\neach sample in the same way" not in readme
     board = board_of(tmp_path, *flags).Filter(0.0, [0.0] * 5, np.eye(5).ravel().tolist())
     matrix = np.array([board.turned(sample) for sample in np.eye(6).tolist()]).T
     rounding = 1e-7 if flags else 1e-15
@@ -155,7 +155,7 @@ def test_a_tuning_keeps_the_mounting_on_which_its_drives_agree(imported: Drive, 
     assert texts == sigmaswarm.export(tuning, "c99")
     plain = sigmaswarm.export(found.parameters, "c99")
     assert not any("turn_imu" in text or "MOUNTING" in text for text in plain.values())
-    assert "turn each\nsample in the same way" in plain["README.md"]
+    assert "rotate\neach sample in the same way" in plain["README.md"]
 
     def of(*mountings: tuple[float, ...] | None) -> sigmaswarm.Tuning:
         return replace(found, data=[{"imu_mounting_deg": m} if m else {} for m in mountings])

@@ -63,7 +63,7 @@ FAULTS = {
     ),
     "not UTF-8": (lambda d: (d / "imu.csv").write_bytes(b"t,ax,ay,gz\n\xff\xfe"), r"run_filter.py: .*utf-8"),
     "a missing file": (lambda d: (d / "gps.csv").unlink(), r"gps.csv: No such file"),
-    "broken TOML": (lambda d: (d / "drive.toml").write_text("name = \n"), r"drive.toml: can't be used: .*; mend"),
+    "broken TOML": (lambda d: (d / "drive.toml").write_text("name = \n"), r"drive.toml: can't be used: .*; correct"),
     "a lever arm of text": (
         lambda d: (d / "drive.toml").write_text('frame = "enu"\ngps_lever_arm_m = "front"\n'),
         r"drive.toml: ",
