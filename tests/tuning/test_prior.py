@@ -136,7 +136,7 @@ def test_it_stands_where_truth_has_no_say(asked, prior, inflation):
 
 
 def test_metres_and_nats_do_not_add_up():
-    with pytest.raises(InputError, match="prior = 1: is in nats, but truth-rmse is not"):
+    with pytest.raises(InputError, match="prior = 1: the prior is in nats, but truth-rmse is not"):
         tune(town(), objective="truth-rmse", prior=1.0, **SEARCH)
 
 

@@ -85,7 +85,7 @@ def test_touched_bounds_are_named(scale):
     ]
     assert list(map(str, touched)) == said
     assert list(map(TouchedBound.read, said)) == touched
-    with pytest.raises(ValueError, match="does not name a parameter"):
+    with pytest.raises(ValueError, match="is not a parameter at a bound"):
         TouchedBound.read("alpha at its lower end")
     almost = middle.copy()
     almost[8] = space.high[8] - 1e-3 * (space.high[8] - space.low[8])

@@ -65,7 +65,7 @@ for name in COMMANDS:
 
 
 def completion(shell: Literal["bash", "zsh", "fish", "powershell"], /) -> None:
-    """Print a script with which a shell completes commands, options and values.
+    """Print a shell script that completes commands, options and values.
 
     The command installs nothing and writes no file.
 
@@ -92,7 +92,7 @@ def main() -> NoReturn:
     Exit codes: 0 success, 1 serious faults of a drive (doctor), 2 wrong input, 3 unexpected error, 130 interrupted.
     """
     warnings.showwarning = _show_warning
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # no message about its cache folder
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # suppress the message about its cache folder
     terminal.prepare()
     terminal.report_compilation()
     _warned.clear()
@@ -153,7 +153,7 @@ def _unforeseen(error: Exception) -> int:
 
 
 def _missing_out(error: Exception) -> str | None:
-    """Return the message for a missing --out, else None; cyclopts reports an --out without a value."""
+    """Return the message for a missing --out, else None. cyclopts itself reports an --out without a value."""
     if not isinstance(error, MissingArgumentError) or error.keyword or "Did you mean" in str(error):
         return None
     if error.argument is None or error.argument.name != "--out" or error.argument.tokens:
@@ -195,7 +195,7 @@ def _too_many(error: Exception) -> str | None:
 
 
 def _hidden_option(message: str) -> str:
-    """Refer to the long help if a message names an option that the short help of the command omits; else return ""."""
+    """Return a reference to the long help if a message names an option that the short help omits, else ""."""
     command = sys.argv[1] if len(sys.argv) > 1 else ""
     if command not in app:
         return ""

@@ -1,4 +1,4 @@
-"""Functions of several commands that read drives and print results."""
+"""Functions with which several commands read drives and print results."""
 
 import json
 import warnings
@@ -23,7 +23,7 @@ MAX_REMARKS = 3  # remarks on an evaluation or a tuning that the terminal shows 
 
 
 def read_silently(place: "Location") -> "Drive":
-    """Read a drive without warnings about gaps and unused samples, which were printed by an earlier command."""
+    """Read a drive without warnings about gaps and unused samples, which an earlier command printed."""
     from sigmaswarm.drives.reader import read_with_warnings
 
     drive, warned = read_with_warnings(place)
@@ -45,7 +45,7 @@ def read_drives(places: "Sequence[Location]") -> "list[Drive]":
 
 
 def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *, overwrite: bool) -> None:
-    """Refuse, before anything is written, folders that exist or, with ``overwrite``, that are in ``sources``."""
+    """Raise `InputError` if a folder exists or, with ``overwrite``, if it is one of the ``sources``."""
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.writer import require_replaceable
     from sigmaswarm.errors import InputError
@@ -79,7 +79,7 @@ def require_tuning(tuning: Path, remedy: str) -> None:
 
 
 def cluster_at(address: str | None) -> "AbstractContextManager[Client | None]":
-    """Connect to a cluster until the block ends; the client is None if there is no address."""
+    """Return a context with the client of a cluster; without an address, the client is None."""
     from sigmaswarm.datasets.cluster import connected
 
     return connected(address) if address is not None else nullcontext()
@@ -93,8 +93,8 @@ def read_datasets(
 ) -> "list[Dataset]":
     """Read groups of drives in this process or on the workers of a cluster.
 
-    With ``remedies`` the doctor checks the drives; the remedies of serious faults are added to the list.
-    ``gaps`` selects whether warnings about gaps and unused samples are printed.
+    With ``remedies`` the doctor checks the drives and adds the remedies of serious faults to the list. With ``gaps``,
+    warnings about gaps and unused samples are printed.
     """
     from sigmaswarm.cli.findings import warn_of_serious
     from sigmaswarm.cli.terminal import progress_bar
@@ -120,7 +120,7 @@ def read_datasets(
 
 
 def parse_numbers(text: str | None, count: int, option: str, example: str) -> tuple[float, ...] | None:
-    """Parse ``count`` numbers separated by commas; return None if the option is not given."""
+    """Parse ``count`` numbers that are separated by commas; return None if the option is not given."""
     from sigmaswarm.errors import InputError
 
     if text is None:
@@ -163,7 +163,7 @@ def print_result(as_json: bool, content: Any, *lines: object) -> None:
 def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "Iterable[str]" = ()) -> None:
     """Print the mean scores and the first remarks; with ``verbose`` print all tables and remarks.
 
-    ``more`` are additional remarks, for example the warnings of the tuning.
+    ``more``: additional remarks, for example the warnings of the tuning.
     """
     from dataclasses import replace
 
@@ -171,11 +171,11 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
 
     view = evaluation.view
     several = len(view.scores.drives) > 1
-    each, mean, sentences = view.drive_table(), view.mean_table(), view.sentences(more)
-    table = mean if several else each
+    by_drive, mean, sentences = view.drive_table(), view.mean_table(), view.sentences(more)
+    table = mean if several else by_drive
     if verbose and several:
-        strong = each.strong | {len(each.rows) + i for i in mean.strong}
-        table = replace(each, rows=each.rows + mean.rows, strong=strong)
+        strong = by_drive.strong | {len(by_drive.rows) + i for i in mean.strong}
+        table = replace(by_drive, rows=by_drive.rows + mean.rows, strong=strong)
     title = f"On {describe_drives(view.setup.data)} (lower is better)"
     print_lines(replace(table, caption=title).to_rich(grouped=True))
     if verbose:
@@ -188,8 +188,5 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
         return
     shown = tuple(dict.fromkeys((*sentences[:MAX_REMARKS], *view.missing_drifts())))
     hidden = [f"{len(sentences) - len(shown)} more remarks"] if len(sentences) > len(shown) else []
-    *adds, last = [*(["each drive"] if several else []), "the consistency", *hidden]
-    print_lines(
-        *shown,
-        f"--verbose also shows {' and '.join(filter(None, [', '.join(adds), last]))}",
-    )
+    *others, last = [*(["each drive"] if several else []), "the consistency", *hidden]
+    print_lines(*shown, f"--verbose also shows {' and '.join(filter(None, [', '.join(others), last]))}")

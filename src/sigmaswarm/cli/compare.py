@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import sigmaswarm
 from sigmaswarm.cli.common import cluster_at, print_result, read_datasets, require_result_folder
-from sigmaswarm.cli.options import FIELDS, MORE, Cluster, Json, Places, Workers, options_of
+from sigmaswarm.cli.options import FIELDS, MORE, Cluster, Count, Json, Places, options_of
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.tuning.config import DEFERRED_OPTIONS, TuneConfig
 from sigmaswarm.tuning.options import SEEDS, Scale
@@ -23,24 +23,25 @@ class CompareOptions:
     Attributes
     ----------
     optimizers
-        Names of optimizers. Settings follow a colon, as in pso:polish=300. Each optimizer is compared with the first.
+        Optimizers, each compared with the first. Settings follow a colon: pso:polish=300. Default: pso, ga, ga-pso,
+        de, cma-es, random.
     scales
         Scales of the search space; log10 by default.
     seeds
         Number of runs of each optimizer, each with a different seed.
     validation
-        Drives that the search does not use; the tuned filters are also evaluated on these drives.
+        Held-out drives: the search does not use them, and the tuned filters are also evaluated on them.
     workers
         Number of threads or, with --cluster, of simultaneous tuning runs; one per core by default.
     resume
-        Continue an interrupted comparison. The result is the same, except for the times.
+        Continue an interrupted comparison. Except for the times, the result is the same as without the interruption.
     """
 
     optimizers: list[str] | None = None
     scales: list[Scale] | None = None
     seeds: int = SEEDS
     validation: list[str] | None = None
-    workers: Workers = None
+    workers: Count = None
     cluster: Annotated[Cluster, MORE] = None
     resume: bool = False
     json: Json = False
@@ -57,9 +58,9 @@ def compare(
 ) -> None:
     """Compare optimizers with the same budget on the same drives.
 
-    OUT contains comparison.md (a table with intervals and paired tests), comparison.csv, runs.csv, curves.csv,
-    comparison.png, times.csv and all tunings. The intervals describe the spread between seeds. They do not apply to
-    other drives.
+    Each optimizer tunes the filter with several seeds. OUT contains comparison.md (a table with intervals and paired
+    tests), comparison.csv, runs.csv, curves.csv, comparison.png, times.csv and all tunings. The intervals describe the
+    spread between seeds on these drives, and do not apply to other drives.
 
     For example:
 

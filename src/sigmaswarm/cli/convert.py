@@ -19,8 +19,8 @@ def convert(
 ) -> None:
     """Convert drives between Parquet and CSV.
 
-    Every command reads both formats. Parquet files are smaller and much faster to read, with the same numbers. Columns
-    that sigmaswarm does not use are dropped with a warning.
+    Every command reads both formats. Parquet files contain the same numbers, are smaller, and are much faster to read.
+    Columns that sigmaswarm does not use are dropped with a warning.
 
     For example:
 

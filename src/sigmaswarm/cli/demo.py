@@ -19,6 +19,6 @@ def demo(*, out: Path = Path("demo"), seed: Seed = 0, json: Json = False) -> Non
         Folder for results, tables, figures and the page. An unfinished demo continues; a finished demo is shown
         again.
     seed
-        Seed of drives, splits and swarms.
+        Seed of the simulated drives, the splits and the searches.
     """
     study(out=out, options=StudyOptions(quick=True, resume=True, json=json), seed=seed)

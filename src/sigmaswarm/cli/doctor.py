@@ -48,7 +48,8 @@ def doctor(
     """Check drives for wrong signs, units, axes, clocks, noise and gaps.
 
     The doctor compares the IMU with the motion of the fixes. It does not use truth. The exit code is 0 if there is no
-    serious fault, 1 if there is one, and 2 if a drive can't be read. With --fix, it is that of the repaired copies.
+    serious fault, 1 if there is one, and 2 if a drive can't be read. With --fix, the exit code describes the repaired
+    copies.
 
     For example:
 
@@ -107,7 +108,7 @@ def _repair(
         print_lines(f"wrote {folder}. Repaired: {', '.join(repaired)}. Remaining findings:\n")
         print_diagnosis(remaining, explained)
     elif not options.json:
-        why = "all repairs are withheld" if codes else "the doctor has no repair for these findings"
+        why = "every repair was rejected" if codes else "the doctor has no repair for these findings"
         print_lines(f"wrote {folder}, an unchanged copy, since {why}\n")
     return remaining, {"path": str(folder), "mended": repaired, **remaining.to_dict()}
 
@@ -133,7 +134,7 @@ def _lever_arm(drives: "list[Drive]", within: float, *, repaired: bool) -> "Leve
 
 
 def _refuse_parts(drives: "list[Drive]", given: list[Path]) -> None:
-    """Refuse, before anything is written, to repair a part alone, since the other part would keep other axes."""
+    """Raise `InputError` for a part of a split drive, since a repair of one part could leave the parts inconsistent."""
     from sigmaswarm.drives.reader import all_drive_locations
 
     for drive, folder in zip(drives, all_drive_locations(given), strict=True):
@@ -149,7 +150,7 @@ def _refuse_parts(drives: "list[Drive]", given: list[Path]) -> None:
 
 
 def _check_names(drives: "list[Drive]") -> None:
-    """Refuse, before anything is written, copies that would replace each other."""
+    """Raise `InputError` if two drives have the same name, since their copies would replace each other."""
     names = [drive.name for drive in drives]
     for name in names:
         if names.count(name) > 1:

@@ -88,10 +88,10 @@ def evaluate(
 ) -> None:
     """Evaluate a tuned filter on drives.
 
-    The filter is compared with the baseline filter and with a filter that uses only the fixes. --against adds another
-    filter. If there is truth, the filter is also compared with raw GPS and with the IMU alone. If not, the scores are
-    the consistency of the innovations and the drift in simulated outages, measured at the hidden fixes. All methods
-    start at the same time from the same state. Use drives that the tuning did not use.
+    The filter is compared with the baseline filter (typical parameters, not tuned) and with a filter that uses only the
+    fixes. --against adds another filter. With truth, the filter is also compared with raw GPS and with the IMU alone.
+    Without truth, the scores are the consistency of the innovations and the drift in simulated outages, measured at the
+    hidden fixes. All methods start at the same time from the same state. Use drives that the tuning did not use.
 
     For example:
 
@@ -185,7 +185,7 @@ def _evaluated(
     learned: "LearnedNetwork | None",
     remedies: list[Remedy],
 ) -> "Evaluation":
-    """Evaluate; the remedies of serious faults of the drives are added to ``remedies``."""
+    """Evaluate the filter, and add the remedies of serious faults of the drives to ``remedies``."""
     from sigmaswarm.learned.folder import training_landmarks
     from sigmaswarm.scoring.evaluation import evaluate as evaluate_drives
 

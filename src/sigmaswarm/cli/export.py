@@ -108,12 +108,12 @@ def export(
         print_lines(
             *_mounting_notes(to, record, replay=drive is not None), f"next: {next_command(to, out, texts)}"
         )
-    for warning in record.unusable:  # the last line, since nothing else is as important
+    for warning in record.unusable:  # printed last, so that the user sees it
         warnings.warn(f"{tuning}: {warning.removeprefix(TO_DO)}", sigmaswarm.SigmaswarmWarning, stacklevel=1)
 
 
 def _check_options(options: ExportOptions, *, ros: bool) -> None:
-    """Refuse options that a target does not have; ``ros``: whether the export is a tuning of robot-localization."""
+    """Raise `InputError` for options that a target lacks; ``ros``: True for a tuning of robot-localization."""
     if options.check and options.to != "c99" and not ros:
         raise sigmaswarm.InputError(
             f"--check is for --to c99 and for tunings of robot-localization, not for {options.to}; leave --check out"
@@ -128,8 +128,8 @@ def _mounting_notes(target: AnyTarget, record: "TuningRecord", *, replay: bool) 
     if record.mounting and target == "c99":
         angles = ", ".join(f"{angle:.4g}" for angle in record.mounting)
         yield (
-            "pass each IMU sample, in the axes in which sigmaswarm import read it (README.md), to ins_gps_turn_imu(): "
-            f"it applies the mounting of the training drives (roll, pitch, yaw: {angles} deg)"
+            "pass each IMU sample, with the axes that sigmaswarm import read (README.md), to ins_gps_turn_imu(), "
+            f"which applies the mounting of the training drives (roll, pitch, yaw: {angles} deg)"
             f"{'. The samples in replay.csv are rotated already' if replay else ''}"
         )
     if target != "filterpy" and record.mountings_differ:

@@ -1,4 +1,4 @@
-"""Print a diagnosis on the terminal."""
+"""Print a diagnosis on the terminal, with the commands that repair the drive."""
 
 import re
 import shlex
@@ -22,7 +22,7 @@ _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
 
 def print_diagnosis(diagnosis: "Diagnosis", explained: set[str] | None = None) -> None:
-    """Print the findings about a drive; notes in ``explained`` are only counted, and new notes are added to it."""
+    """Print the findings about a drive. Notes in ``explained`` are only counted; printed messages are added to it."""
     from rich.table import Table
     from rich.text import Text
 
@@ -43,7 +43,7 @@ def print_diagnosis(diagnosis: "Diagnosis", explained: set[str] | None = None) -
         explained.add(message)
         table.add_row(Text(f"  {finding.severity}", _STYLES[finding.severity]), Text(message))
     if repeated:
-        table.add_row(Text("  note", _STYLES["note"]), Text(f"{count_of(repeated, 'other note')}, as above."))
+        table.add_row(Text("  note", _STYLES["note"]), Text(f"{count_of(repeated, 'note')} printed above."))
     out.print(table)
     out.print()
 
@@ -51,7 +51,7 @@ def print_diagnosis(diagnosis: "Diagnosis", explained: set[str] | None = None) -
 def _in_words(finding: "Finding", *, part: bool) -> str:
     """Format a finding as three lines (fault, place and confidence, remedy) and a note as one line.
 
-    ``part``: True for a part of a drive, which is not repaired alone.
+    ``part``: True for a part of a split drive; a part is not repaired alone.
     """
     what = f"{finding.what[0].upper()}{finding.what[1:]}."
     if finding.severity == "note":
@@ -66,7 +66,7 @@ def _in_words(finding: "Finding", *, part: bool) -> str:
 
 
 def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Remedy]:
-    """Print one line about the serious faults, or the warnings, of each drive; return the remedies of the faults."""
+    """Warn in one line per drive about its serious faults, else about its warnings; return the faults' remedies."""
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.errors import SigmaswarmWarning
 
@@ -116,7 +116,7 @@ def has_unrepairable(diagnosis: "Diagnosis") -> bool:
 def repair_command(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
     """Return the command that repairs a drive, and the folder of the repaired copy.
 
-    If the doctor can repair no fault, or not every serious fault, return the command that shows the faults, and None.
+    If a serious fault has no repair, or there is nothing to repair, return the command that shows the faults, and None.
     For a part of a drive, return the command that repairs the whole drive.
     """
     command = _doctor(folder)
@@ -141,7 +141,7 @@ def diagnosis_of_whole(part: "Location") -> "tuple[Diagnosis, Path] | None":
 
 
 def repair_and_split(diagnosis: "Diagnosis", folder: Path, options: Sequence[str] = ()) -> Iterator[str]:
-    """Yield the commands that repair a drive and split it again with these options; nothing if there is no repair."""
+    """Yield the commands that repair a drive and split it again with these options; none if it needs no repair."""
     if cut := split_command(diagnosis, folder):
         yield f"next: {cut}"
         return
@@ -157,7 +157,10 @@ def repair_and_split(diagnosis: "Diagnosis", folder: Path, options: Sequence[str
 
 
 def exchanging(diagnosis: "Diagnosis", folder: "Location") -> Remedy | None:
-    """Return the command that copies a drive with exchanged coordinates of its fixes, and the folder of the copy."""
+    """Return the command that copies a drive and exchanges the coordinates of its fixes, and the folder of the copy.
+
+    Return None if the fixes are not mirrored.
+    """
     exchange = next((f for f in diagnosis.findings if f.code == "mirrored-fixes" and not f.repair), None)
     if exchange is None:
         return None
@@ -176,7 +179,7 @@ def _doctor(folder: "Location") -> str:
 
 
 def repair_whole(diagnosis: "Diagnosis", part: "Location") -> "tuple[list[str], Location]":
-    """Return the lines that repair the whole drive of a part, none if it needs no repair, and its folder."""
+    """Return the next steps to repair the drive of a part, and its folder; no steps if it needs no repair."""
     if whole := diagnosis_of_whole(part):
         return [*repair_and_split(*whole)], whole[1]
     name = printable(diagnosis.whole)

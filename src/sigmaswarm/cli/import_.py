@@ -53,7 +53,7 @@ class ImportOptions:
     map
         Columns of the drive as column=expression: "ax=-acc_y*9.80665", "gps.t=stamp"; "az=" leaves a column out.
     time
-        Expression for the time in s of the tables of SOURCE, such as "stamp*1e-9" or "utc(date)".
+        Expression for the times, s, in the tables of SOURCE, such as "stamp*1e-9" or "utc(date)".
     recipe
         Recipe file that --save-recipe wrote.
     save_recipe
@@ -91,7 +91,7 @@ class ImportOptions:
     lever_arm
         Vector from the IMU to the antenna: forward,left,up in m.
     heading_from_north
-        Heading at the first IMU sample, deg clockwise from north. Needed if the vehicle is too slow to determine it.
+        Heading at the first IMU sample, deg clockwise from north. Needed if the vehicle is too slow for an estimate.
     gps_from_truth
         Simulate fixes from the truth: rate in Hz and white noise in m, for example 5,1.
     max_rows
@@ -241,7 +241,7 @@ def _with_exchanged_fixes(diagnosis: "Diagnosis") -> str:
 
 
 def _with_columns(diagnosis: "Diagnosis", imported: "ImportResult") -> "Diagnosis":
-    """Replace COLUMN_OF_LAT, which stands for a column of the log in a remedy, by this column's expression."""
+    """Replace placeholders such as COLUMN_OF_LAT in remedies by expressions of the recipe."""
     texts = {n: text for part in imported.recipe.roles.get("gps", ()) for n, text in part.columns.items()}
 
     def named(text: str) -> str:
@@ -310,13 +310,13 @@ def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
     print_lines(recipe or "nothing was recognized; map the columns with --map")
     print_lines(*(f"note: {printable(note, 1000)}" for note in inspection.notes))
     if inspection.proposal:
-        title = "To read the other columns, add to the command"
-        console.print(f"\n{title}{'' if inspection.works else ', with the missing parts'}:", style="bold")
+        complete = "" if inspection.works else ", and fill in the missing parts"
+        console.print(
+            f"\nTo read the other columns, add these options to the command{complete}:", style="bold"
+        )
         of_rows = re.search(r"\b(imu|gps)\.t=", inspection.proposal)
         times = "; imu.t and gps.t are the times of the rows of IMU and fixes" if of_rows else ""
-        evidence = (
-            f"({printable(inspection.evidence, 1000)}{times}; import applies it only with these options)"
-        )
+        evidence = f"({printable(inspection.evidence, 1000)}{times}; import uses the proposal only with these options)"
         print_lines(printable(inspection.proposal, 4000), evidence)
     if inspection.unread:
         console.print("\nColumns that are not used:", style="bold")
@@ -331,7 +331,7 @@ def _command(inspection: "Inspection", options: ImportOptions) -> str:
     """Return the user's command with --out instead of --show, and with the proposed options."""
     typed = [word for word in sys.argv[1:] if word != "--show"]
     out = [] if options.out else ["--out", "drive"]
-    # A proposal is checked with the drive's axes.
+    # The check of a proposal assumes the drive's axes.
     out += ["--mount", inspection.mount] if inspection.mount and not inspection.proposal else []
     command = printable(shlex.join(["sigmaswarm", *typed, *out]), 4000)
     return f"{command} {printable(inspection.proposal, 4000)}".rstrip()

@@ -27,9 +27,9 @@ class LearnOptions:
     out
         Folder for learned.toml, weights.npz and the filter. It must not contain a network, except with --resume.
     validation
-        Drives for early stopping and calibration, which the training does not use; by default a part of the drives.
+        Drives for early stopping and calibration, not for training; by default a part of the given drives (see above).
     search
-        Number of additional settings (hidden units, window, learning rate) to try.
+        Number of additional combinations of hidden units, window and learning rate to try.
     seed
         Seed of all random numbers. The same seed gives the same result.
     resume
@@ -47,8 +47,8 @@ class LearnOptions:
 
 
 def learn(
-    network: Annotated[NetworkName, Parameter(name="NETWORK", help="outage-lstm or noise-gru.")],
-    tuning: Annotated[Path, Parameter(name="TUNING", help="A tuning.toml, or its folder.")],
+    network: Annotated[NetworkName, Parameter(name="NETWORK", help="Name of the network.")],
+    tuning: Annotated[Path, Parameter(name="TUNING", help="A tuning.toml, or the folder that contains it.")],
     drives: Annotated[
         list[str], Parameter(name="DRIVE", help="Drive folders to train on, or folders of drive folders.")
     ],
@@ -58,12 +58,12 @@ def learn(
 ) -> None:
     """Train a network that supports a tuned filter.
 
-    outage-lstm predicts the displacement in outages. noise-gru scales Q and R depending on the latest innovations; it
-    needs a filter with model planar5 or planar8. OUT also contains the filter: `sigmaswarm run` and `evaluate` read OUT
-    like a tuning. Training needs the extra `learned`, but running a trained network does not.
+    outage-lstm predicts the displacement of the vehicle in outages. noise-gru scales Q and R depending on the latest
+    innovations, and needs a filter with the model planar5 or planar8. OUT also contains the filter, so that `sigmaswarm
+    run` and `evaluate` read OUT like a tuning. Only training needs `pip install 'sigmaswarm[learned]'`.
 
-    Without --validation, the last quarter of each drive is held out. outage-lstm with three or more drives holds out
-    the last third of the drives instead.
+    Without --validation, the last quarter of each drive is held out. For outage-lstm and three or more drives, the last
+    third of the drives is held out instead.
 
     For example:
 

@@ -24,9 +24,9 @@ class NoiseOptions:
     Attributes
     ----------
     tuned
-        Show the Q of this tuning instead of the noise of a log.
+        Show the process noise Q of this tuning instead of the noise of a log.
     to
-        Print the noise in the formats and units of these packages; with --out, write their files.
+        Packages in whose formats and units the noise is printed or, with --out, written to files.
     out
         Folder for noise.png, noise.svg, noise.json and the files for packages; an earlier result is replaced.
     recipe
@@ -57,10 +57,10 @@ def noise(
     *,
     options: Annotated[NoiseOptions, FIELDS] = NoiseOptions(),
 ) -> None:
-    """Measure the noise of an IMU at rest, in the units of filter packages.
+    """Measure the noise of an IMU at rest, in the units of other software.
 
-    The log needs no fixes. A log of an hour at rest determines all noise terms. The standstills of a drive determine
-    only the white noise.
+    The log needs no fixes. A log of an hour at rest determines white noise, bias instability and random walk. The
+    standstills of a drive determine only the white noise.
 
     For example:
 
@@ -73,7 +73,7 @@ def noise(
 
     if options.out is not None:
         require_result_folder(options.out, [log, options.tuned], RESULT_KIND)
-    measured = _found(log, options)
+    measured = _noise_of(log, options)
     texts = {
         file: text for target in options.to or () for file, text in noise_texts(measured, target).items()
     }
@@ -87,7 +87,7 @@ def noise(
     print_lines(*(f"wrote {path}" for path in written))
 
 
-def _found(log: Path | None, options: NoiseOptions) -> "Noise":
+def _noise_of(log: Path | None, options: NoiseOptions) -> "Noise":
     from sigmaswarm.filters.parameters import FilterParameters
     from sigmaswarm.noise import filter_noise, imu_noise
 

@@ -36,7 +36,7 @@ Workers = Annotated[
 Cluster = Annotated[
     str | None,
     Parameter(
-        help="Dask cluster that reads the drives and computes: tcp://host:8786, a scheduler file, or local:4."
+        help="Dask cluster that computes: tcp://host:8786, a scheduler file, or local:4 for 4 processes here."
     ),
 ]
 TrustLog = Annotated[bool, Parameter(help="Skip the check of the drives for serious faults.")]
@@ -58,7 +58,7 @@ def options_of(
     by_data: Collection[str] = (),
     renamed: Mapping[str, str] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Add fields as options to a command, whose parameter ``**options`` contains the options of the user.
+    """Add fields as options to a command, which receives the options of the user as ``**options``.
 
     ``shown``: fields in the short help, by default all. ``omitted``: fields that are not options. ``by_data``: fields
     with a default that depends on the data. ``renamed``: deprecated names and the current names.

@@ -13,23 +13,24 @@ from sigmaswarm.errors import SigmaswarmError
 from sigmaswarm_carla.options import Options
 
 RECORDER: dict[str, FieldInfo] = {}  # options by name; an option that can be repeated has a singular name
-for one in fields(Options):
-    kind, name = (
-        (tuple[str, ...], one.name[:-1]) if isinstance(one.default, tuple) else (type(one.default), one.name)
-    )
-    RECORDER[name] = FieldInfo(annotation=kind, default=one.default, description=one.metadata["help"])
+for option in fields(Options):
+    if isinstance(option.default, tuple):
+        kind, name = tuple[str, ...], option.name[:-1]
+    else:
+        kind, name = type(option.default), option.name
+    RECORDER[name] = FieldInfo(annotation=kind, default=option.default, description=option.metadata["help"])
 
 
 @options_of(RECORDER, omitted=("out",))
 def record_carla(*, out: Path, **options: Any) -> None:
     """Record drives with known truth from a CARLA server.
 
-    The command records the maneuvers and environments of the paper with a Tesla Model 3, by default 20 runs of each of
-    the 25 conditions.
+    A Tesla Model 3 drives the maneuvers of the paper in the environments of the paper: 25 conditions, by default with
+    20 drives each.
 
-    CARLA 0.9.16 needs `pip install carla==0.9.16`. For an older server, write the recorder into one file with `python
-    -m sigmaswarm_carla.pack carla_recorder.pyz`, and run this file with the Python of the server's client
-    (docs/carla.md).
+    A server of CARLA 0.9.16 needs `pip install carla==0.9.16`. For an older server, write the recorder into one file
+    with `python -m sigmaswarm_carla.pack carla_recorder.pyz`, and run this file with the Python that has the server's
+    client (docs/carla.md).
 
     For example:
 
@@ -50,7 +51,7 @@ def record_carla(*, out: Path, **options: Any) -> None:
             arguments += [option] * value
         else:
             arguments.append(f"{option}={value}")
-    # In a separate process, since the client may end its process; this process then reports the end.
+    # The CARLA client can crash. It runs in a separate process, so that this process can report the crash.
     process = subprocess.Popen([sys.executable, "-m", "sigmaswarm_carla", *arguments])
     while True:
         try:

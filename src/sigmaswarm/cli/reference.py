@@ -21,7 +21,7 @@ class ReferenceOptions:
     Attributes
     ----------
     fixes
-        Log of the good receiver (RTKLIB, NMEA, UBX, CSV, ...), or a drive folder. Only fixed solutions are used.
+        Log of the good receiver (RTKLIB, NMEA, UBX, CSV, ...), or a drive folder. Only RTK-fixed solutions are used.
     out
         Folder of the new drive.
     lever_arm
@@ -31,9 +31,9 @@ class ReferenceOptions:
     accuracy
         Largest standard deviation of the truth per axis, m. Rows with a larger standard deviation are left out.
     fix_std
-        Minimum standard deviation of a fix per axis, m; also used for fixes without a standard deviation.
+        Minimum standard deviation of a good fix per axis, m; also used for fixes without a standard deviation.
     seed
-        Seed of the tuning for the good receiver and of the choice of hidden fixes.
+        Seed of the smoother's tuning, and of the choice of the fixes that are hidden to test the smoother.
     """
 
     fixes: Path
@@ -58,8 +58,8 @@ def reference(
     """Compute truth from a good receiver (RTK) on the same vehicle.
 
     A smoother fuses the good receiver's fixes with the drive's IMU. The new drive has a truth.csv at the IMU's times,
-    with standard deviations. The truth has gaps where the receiver has only a float solution, and in outages that are
-    too long for the IMU.
+    with standard deviations. The truth has gaps where its standard deviation exceeds --accuracy, for example in long
+    outages of the good receiver.
 
     For example:
 

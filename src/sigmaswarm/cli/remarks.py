@@ -1,4 +1,4 @@
-"""Name the files of drives in the remarks on a tuning."""
+"""Add the paths of the drives' files to the remarks on a tuning."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -38,7 +38,7 @@ def name_files(remark: str, folders: Sequence[Path]) -> str:
 
 
 def local_folders(places: "Sequence[Location]") -> list[Path]:
-    """Return the folders of all drives, or none if a drive has a URL."""
+    """Return the folders of all drives, or an empty list if a drive has a URL."""
     from sigmaswarm.drives.reader import drive_folders
     from sigmaswarm.drives.urls import is_url
 
@@ -50,7 +50,10 @@ def local_folders(places: "Sequence[Location]") -> list[Path]:
 def name_training_files(
     remarks: Iterable[str], names: Sequence[str], evaluated: "Sequence[Location]"
 ) -> list[str]:
-    """Name drive.toml of the training drives ``names``: its path if the drives are next to the evaluated drives."""
+    """Replace drive.toml in remarks by its path, for training drives (``names``) next to the evaluated drives.
+
+    If no training drive is there, add the name of the first training drive.
+    """
     from sigmaswarm.cli.whole_drive import description_of
 
     near = dict.fromkeys(folder.parent for folder in local_folders(evaluated))

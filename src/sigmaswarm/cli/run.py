@@ -147,7 +147,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
 
 
 def _check_options(tuning: Path, drive: Path, options: RunOptions) -> None:
-    """Raise, before any work, if files of the drive would be replaced, or options can't be combined."""
+    """Raise `InputError` if files of the drive would be replaced, or options can't be combined."""
     from sigmaswarm.drives.writer import FILES
 
     for file in filter(None, (options.out, options.before, options.truth)):
@@ -196,10 +196,9 @@ def _lines(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixe
         yield from (f"wrote {summary['swarm']}", f"wrote {summary['settled']}")
     earlier = first - float(drive.imu.time[0])
     if earlier > 5.0:  # s; less is usual, since a start in motion needs some seconds
-        rest = f"wrote {options.before}: {fixes} fixes before the start"
-        rest = rest if options.before else "--before NAME.csv writes the fixes before the start"
+        written = f"wrote {options.before}: {fixes} fixes before the start"
         yield f"the first {earlier:.1f} s have no estimate, since a filter starts at {START_RULE}"
-        yield rest
+        yield written if options.before else "--before NAME.csv writes the fixes before the start"
 
 
 def _bank_files(out: Path) -> tuple[Path, Path]:
@@ -208,7 +207,7 @@ def _bank_files(out: Path) -> tuple[Path, Path]:
 
 
 def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
-    """Raise, before any work, if a file of the bank can't be written or is the file of another option."""
+    """Raise `InputError` if a file of the bank is a folder or the file of another option."""
     for file in _bank_files(out):
         if file.is_dir() or file.resolve() in [other.resolve() for other in (out, *others) if other]:
             what = "is a folder" if file.is_dir() else "is also the file of another option"

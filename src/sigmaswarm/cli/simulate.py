@@ -36,12 +36,12 @@ class SimulateOptions:
     runs
         Number of drives of each maneuver in each environment.
     imu
-        ideal, mpu-6050, icm-20602, adis16465, adis16405, adis16488, gnss-ins-sim-low, gnss-ins-sim-mid,
+        IMU: ideal, mpu-6050, icm-20602, adis16465, adis16405, adis16488, gnss-ins-sim-low, gnss-ins-sim-mid,
         gnss-ins-sim-high or carla.
     gps
-        ideal, ublox-m8 (errors correlated over a minute), white-1m, gnss-ins-sim, f9p-rtk or carla.
+        Receiver: ideal, ublox-m8 (errors correlated over a minute), white-1m, gnss-ins-sim, f9p-rtk or carla.
     vehicle
-        model3, or model3-carla with CARLA's pedals and weak brakes.
+        Car: model3, or model3-carla with CARLA's pedals and weak brakes.
     seed
         Seed of the routes and the noise.
     duration
@@ -51,9 +51,9 @@ class SimulateOptions:
     vibration
         Add the vibration of road and engine to the IMU, as in two recordings of real cars.
     gnss_degradation
-        Degrade the fixes depending on the weather: an assumption that is not based on measurements.
+        Degrade the fixes in bad weather. The degradation is an assumption, not based on measurements.
     terrain
-        flat, rolling or hilly. Hills and banked roads tilt the car.
+        Terrain: flat, rolling or hilly. Hills and banked roads tilt the car.
     odometer
         Sensor of the wheel speed: pulses (coarse, 50 Hz), can (fine, 83 Hz) or ideal. None by default.
     heading
@@ -86,8 +86,9 @@ class SimulateOptions:
 def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
     """Simulate drives with known truth.
 
-    The car is a Tesla Model 3. Maneuvers and environments are those of the paper. Sensor errors are those of real
-    sensors. By default 20 runs of each of the paper's 25 conditions are simulated. The same seed gives the same files.
+    The car is a Tesla Model 3. By default, the command simulates 20 drives in each of the paper's 25 conditions: five
+    maneuvers in five environments. The default sensors have the errors of real sensors. The same seed gives the same
+    files.
 
     For example:
 
@@ -150,10 +151,10 @@ def simulated_on(client: "Client", *what: Any, **options: Any) -> "Iterator[Driv
 
 
 def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str, Any]) -> set[str]:
-    """Return the names of existing drives to keep; raise, before any work, if OUT has other drives or is a file."""
-    there = next(path for path in (out, *out.parents) if path.exists())
-    if not there.is_dir():
-        raise InputError(f"{out}: {there} is a file; choose another folder")
+    """Return the names of existing drives to keep; raise `InputError` if OUT has other drives or is a file."""
+    nearest = next(path for path in (out, *out.parents) if path.exists())
+    if not nearest.is_dir():
+        raise InputError(f"{out}: {nearest} is a file; choose another folder")
     existing = {name for name in names if (out / name).exists()}
     drives = sorted(existing | {path.parent.name for path in out.glob("*/imu.*")})
     if drives and not resume:

@@ -42,7 +42,7 @@ def split(
     train_fraction
         Share of the drive's duration in the first part; 0.7 by default.
     at
-        Time of the split on the drive's clock, s. If two are given, the part between them is left out.
+        Time of the split on the drive's clock, s. With two times, the data between them are left out.
     """
     if at is not None and train_fraction is not None:
         raise sigmaswarm.InputError("specify --at or --train-fraction, not both")
@@ -76,7 +76,7 @@ def _options(train_fraction: float | None, at: list[float] | None) -> list[str]:
 
 
 def _require_enough(whole: "sigmaswarm.Drive", parts: "Sequence[sigmaswarm.Drive]") -> None:
-    """Refuse, before anything is written, a part that is too short for a drive."""
+    """Raise `InputError` for a part that is too short for a drive."""
     from sigmaswarm.drives.checks import MIN_SAMPLES, MIN_SHARED_FIXES, shortage_of
 
     imu, gps = whole.imu.time, whole.gps.time

@@ -25,13 +25,13 @@ class StudyOptions:
     Attributes
     ----------
     config
-        A study.toml whose values the other options override; by default the paper's study.
+        A study.toml; other options take precedence over its values. Default: the paper's study.
     quick
         Run a small study: 50 drives and 3 trials, in about two minutes.
     workers
         Number of processes (Linux) or threads, one per core by default; with --cluster, of simultaneous tuning runs.
     resume
-        Continue an interrupted study. The result is the same.
+        Continue an interrupted study. The result is the same as without the interruption.
     """
 
     config: Path | None = None
@@ -55,9 +55,10 @@ def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(
     - three filters tuned with the same budget: EKF, adaptive UKF, planar8;
     - the default filter of `tune`.
 
-    Filters are tuned under two protocols. Protocol "paper": tuned with the fixes, linear search. Protocol "honest":
-    tuned with truth, logarithmic search. The tables also list the values in the paper. Racing is on by default with 96
-    training drives or more. The result does not depend on the number of workers.
+    Filters are tuned under two protocols. The protocol "paper" compares the filter with the fixes, and searches
+    variances on a linear scale. The protocol "honest" compares the filter with truth, and searches variances on a
+    logarithmic scale. The tables also list the values in the paper. Racing (fewer drives for bad candidates) is on by
+    default with 96 training drives or more. The result does not depend on the number of workers.
 
     In each trial, --rivals also tunes a fuzzy UKF, tunes a UKF by Bayesian optimization (at most 100 evaluations), and
     trains outage-lstm and noise-gru for planar8. The option adds the drift after 15, 30 and 60 s, drives with other

@@ -87,8 +87,8 @@ def progress_bar(
 ) -> Generator[Callable[..., None]]:
     """Show a bar and the remaining time on stderr; yield a function of done, total and fields that updates the bar.
 
-    The bar appears at the first update, so that an earlier error prints one line only. Before it, a terminal shows
-    ``waiting``. If ``counted`` is empty, the bar shows a percentage.
+    The bar appears at the first update, so that an earlier error prints one line only. Before the first update, a
+    terminal shows ``waiting``. If ``counted`` is empty, the bar shows a percentage.
     """
     from rich.console import Console
     from rich.progress import (

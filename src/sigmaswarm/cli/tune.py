@@ -43,7 +43,7 @@ class TuneOptions:
     Attributes
     ----------
     validation
-        Drives that the search does not use; the tuned filter is also evaluated on these drives.
+        Held-out drives: the search does not use them, and the tuned filter is also evaluated on them.
     start
         Filter from which the search starts: a tuning, or an ekf.yaml of robot_localization (select its inputs with
         --use).
@@ -89,7 +89,7 @@ def tune(
         truth-rmse      position error against truth
         truth-pose      errors of position and heading, and drift in outages
         innovation-nll  likelihood of each predicted fix, with normal errors
-        innovation-t    the same with Student's t errors, for logs with outliers
+        innovation-t    likelihood of each predicted fix, with Student's t errors (for outliers)
         forecast-t      likelihood of fixes that are hidden for 3 to 5 s
         outage-rmse     error at fixes that are hidden for 3 to 5 s
         nis, nees       penalty for a wrong scale of the covariance; add it to another objective
@@ -99,7 +99,7 @@ def tune(
 
         velocity        use the receiver's speed and course
         lateral         assume that a car does not move sideways
-        slip            tune the tire slip in lateral
+        slip            tune the tire slip that lateral allows
         standstill      assume zero velocity while the car stands
         odometer        use the wheel speed
         heading         use the heading of two antennas or a compass
@@ -113,15 +113,14 @@ def tune(
     Parameters
     ----------
     out
-        Folder for tuning.toml, the convergence history and figures. It must not contain a tuning
-        unless --resume is given.
+        Folder for tuning.toml, the convergence history and figures. It must not contain a tuning, except with --resume.
     """
     require_result_folder(out, [options.start], "tuning", "config.json")
     remedies = None if options.trust_log else list[Remedy]()
     with cluster_at(options.cluster) as client:
         groups = read_datasets(drives, options.validation or [], cluster=client, remedies=remedies, gaps=True)
         tuning, track, before, after = _tune(groups, drives[0], out, options, config)
-    from sigmaswarm.reports.tuning import save_tuning_figures  # late, since it takes memory
+    from sigmaswarm.reports.tuning import save_tuning_figures  # imported late, since matplotlib takes memory
 
     if remedies:
         command, repaired = remedies[0]
@@ -216,7 +215,7 @@ def _costs(tuning: "Tuning[Any]") -> "Iterable[str | RichTable]":
 
 
 def _remedy(tuning: "Tuning[Any]") -> str:
-    """Return a remedy for a filter that drifts more than another method; no remedy may increase the drift."""
+    """Return a remedy for a filter that drifts more than another method."""
     usual, config = TuneConfig.model_fields, tuning.config
     if config.particles * config.generations < usual["particles"].default * usual["generations"].default:
         return "tune with the default --particles and --generations"
@@ -236,9 +235,9 @@ def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
         except InputError:
             continue
         if [one.sha256 for one in data] == [*tuned_on]:
-            sibling = out.parent / file.parent.name  # as the user writes it, unless OUT is "." or a link
-            there = sibling.exists() and sibling.samefile(file.parent)
-            other = quote(str(sibling if there else relpath(file.parent)))
+            sibling = out.parent / file.parent.name  # wrong if OUT is "." or a link
+            same = sibling.exists() and sibling.samefile(file.parent)
+            other = quote(str(sibling if same else relpath(file.parent)))
             return [f"compare:  {evaluate} --out comparison --against {other}"]
     return []
 

@@ -17,7 +17,7 @@ MAX_FOLDERS = 1000  # folders that are searched
 def find_whole(part: Location) -> tuple[Drive, Path] | None:
     """Return the drive from which a part was split, and its folder; None if it is not near the part's folder.
 
-    The folder contains the data whose fingerprint drive.toml of the part states.
+    The part's drive.toml states the fingerprint of this drive.
     """
     if is_url(part):
         return None
@@ -35,7 +35,7 @@ def find_whole(part: Location) -> tuple[Drive, Path] | None:
 
 
 def _near(part: Path) -> Iterator[Path]:
-    """Yield drive folders up to two levels below the parent folder of a part, and below the folder above that one."""
+    """Yield drive folders up to two levels below the parent and the grandparent folder of a part."""
     bases = dict.fromkeys((part.parent, part.parent.parent))
     folders = (folder for base in bases for pattern in ("*", "*/*") for folder in sorted(base.glob(pattern)))
     for folder, _ in zip(folders, range(MAX_FOLDERS), strict=False):

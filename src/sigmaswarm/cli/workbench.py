@@ -19,8 +19,8 @@ def workbench(
 ) -> None:
     """Import, check, tune, evaluate and export in the browser.
 
-    Only this machine can open the page. The address of the page contains a secret token. The other commands can read
-    the drives, tunings and evaluations in OUT. An interrupted tuning run in OUT can be resumed.
+    The page opens on this machine only. Its address contains a secret token. Other commands can read the drives,
+    tunings and evaluations in OUT. An interrupted tuning run in OUT can be resumed.
 
     For example:
 
@@ -31,7 +31,7 @@ def workbench(
     Parameters
     ----------
     logs
-        Logs to open. You can drop more logs into the page.
+        Log files or folders to open. You can drop more logs into the page.
     out
         Folder for drives, tunings, evaluations and exports.
     port

@@ -32,7 +32,7 @@ LOG_2PI = math.log(2 * math.pi)
 class Scores:
     """Scores of every parameter set on every drive; each array has shape (n_sets, n_drives).
 
-    Names and units are as in `Score`. Undefined values are NaN.
+    `Score` describes the names and units. Undefined values are NaN.
     """
 
     position_rmse: Array
@@ -64,7 +64,7 @@ _NUMBERS = tuple(field.name for field in fields(Scores) if field.name != "failed
 
 
 @dataclass(frozen=True)
-class PassOptions:  # options of BatchScorer and PreparedDrive
+class PassOptions:  # arguments for BatchScorer and PreparedDrive
     outages: bool = False
     forecasts: bool = False
     outage_seed: int = 0
@@ -72,10 +72,10 @@ class PassOptions:  # options of BatchScorer and PreparedDrive
 
 
 class BatchScorer:
-    """Drives that are prepared once and replayed with any number of parameter sets.
+    """Scorer that prepares drives once and runs any number of parameter sets over them.
 
-    ``outages`` adds a pass over every drive with outages of ``outage_length`` s. ``forecasts`` adds a pass with fixes
-    hidden in windows of 3 to 5 s.
+    ``outages`` adds a pass over every drive with outages of ``outage_length`` s. ``forecasts`` adds a pass in which
+    fixes are hidden in windows of 3 to 5 s.
     """
 
     def __init__(
@@ -154,7 +154,7 @@ class BatchScorer:
         return {}
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
-        """Return the scores of the parameter sets, which do not depend on the executor."""
+        """Return the scores of the parameter sets; the scores do not depend on the executor."""
         if not parameter_sets or not self.drives:
             empty = np.full((len(parameter_sets), len(self.drives)), np.nan)
             return Scores(*[empty] * len(_NUMBERS), failed=np.zeros(empty.shape, dtype=np.bool_))

@@ -49,11 +49,12 @@ class Consistency(BaseModel):
     inside_gate : float
         Share of the fixes inside the 95% gate.
     autocorrelation : list of float, length LAGS
-        Autocorrelation of the normalized innovations at lags 1 to LAGS, mean of both axes; near 0 if they are white.
+        Autocorrelation of the normalized innovations at lags 1 to LAGS, mean of both axes; near 0 for white
+        innovations.
     white_band : float
         Half width of the 95% band of the autocorrelation of white innovations.
     white_p : float
-        p-value of the test for whiteness of G. M. Ljung and G. E. P. Box (1978).
+        p-value of Ljung and Box's test for whiteness (1978).
     mean_nees : float or None
         Mean NEES of the position at truth times: 2 for a consistent filter, None if the drive has no truth. The band is
         unknown, since position errors are correlated over time.
@@ -81,14 +82,14 @@ class Consistency(BaseModel):
 def consistency(
     drive: Drive | PreparedDrive, parameters: FilterParameters, mean_nees: float = math.nan
 ) -> Consistency | None:
-    """Compute a filter's consistency over a drive; None if it failed or had too few fixes."""
+    """Compute a filter's consistency over a drive; None if the filter failed or had too few fixes."""
     return consistency_of(run_innovations(drive, parameters), mean_nees)
 
 
 def consistency_of(
     innovations: Innovations, mean_nees: float = math.nan, own_sigma: float = math.nan
 ) -> Consistency | None:
-    """Compute consistency from innovations; None if there are too few or a covariance is invalid."""
+    """Compute consistency from innovations; None if there are too few innovations or a covariance is invalid."""
     n = len(innovations.time)
     s = innovations.covariance
     if n <= 2 * LAGS or not (
@@ -99,15 +100,15 @@ def consistency_of(
 
     nis, values = innovations.nis, innovations.normalized.T
     # The mean is not subtracted, since innovations of a consistent filter have zero mean.
-    each = np.array([[x[k:] @ x[:-k] / (x @ x) for k in range(1, LAGS + 1)] for x in values])
-    ljung_box = n * (n + 2) * float(np.sum(each**2 / (n - np.arange(1, LAGS + 1))))
+    correlations = np.array([[x[k:] @ x[:-k] / (x @ x) for k in range(1, LAGS + 1)] for x in values])
+    ljung_box = n * (n + 2) * float(np.sum(correlations**2 / (n - np.arange(1, LAGS + 1))))
     low, high = 2 * gammaincinv(n, [0.025, 0.975]) / n  # quantiles of chi-square with 2n degrees of freedom
     return Consistency(
         n_fixes=n,
         mean_nis=float(nis.mean()),
         nis_band=(float(low), float(high)),
         inside_gate=float(np.mean(nis <= GATE_95)),
-        autocorrelation=each.mean(axis=0).tolist(),
+        autocorrelation=correlations.mean(axis=0).tolist(),
         white_band=float(1.96 / np.sqrt(2 * n)),
         white_p=float(chdtrc(2 * LAGS, ljung_box)),
         mean_nees=None if math.isnan(mean_nees) else mean_nees,
@@ -127,12 +128,18 @@ Kind = Literal[
     "optimistic_position",
     "unknown",
 ]
-"""Kind of a verdict: the size of the innovations relative to their covariances.
+"""Kind of a verdict on the innovations.
 
-- ``optimistic``: larger (overconfident). ``pessimistic``: smaller.
-- ``alike``: smaller, and consecutive innovations are nearly equal, so the position error is unknown without truth.
-- ``lasting``: smaller, but errors against truth agree with the covariances, since predictions share the fixes' errors.
-- ``correlated``: of the expected size, but correlated; reported only if there is no truth.
+- ``optimistic``: The innovations are larger than their covariances predict (the filter is overconfident).
+- ``pessimistic``: The innovations are smaller than their covariances predict.
+- ``alike``: The innovations are smaller, and consecutive innovations are nearly equal, so without truth the position
+  error is unknown.
+- ``lasting``: The innovations are smaller, since the predictions contain the errors of the fixes. The errors against
+  truth agree with the covariances.
+- ``correlated``: The innovations have the expected size, but are correlated; used only without truth.
+- ``consistent``: The innovations agree with their covariances.
+- ``optimistic_position``: The innovations do not show that the errors against truth exceed the covariances.
+- ``unknown``: The filter failed, or there were too few fixes.
 """
 EQUAL_CORRELATION = 0.5  # lag-1 correlation above which consecutive innovations are nearly equal
 MAX_CORRELATION = 0.2  # lag-1 correlation above which a mean NIS of 2 does not prove consistency
@@ -200,13 +207,13 @@ def _kinds(one: Consistency) -> Iterator[Kind]:
 
 
 def _size(mean_squares: Sequence[float], what: str) -> str:
-    """Describe the size of sigmas, from the mean NIS or NEES on each drive (2 if sigmas are correct)."""
+    """Describe the size of the standard deviations, from the mean NIS or NEES on each drive (should be 2)."""
     mean = sum(mean_squares) / max(len(mean_squares), 1)
     return f"{describe_ratio(math.sqrt(2 / mean) if mean > 0 else math.inf)} (mean {what} {mean:.2g}, should be 2)"
 
 
 def describe_ratio(ratio: float) -> str:
-    """Describe the ratio of sigmas to the correct values, such as ``20% too small``."""
+    """Describe the ratio of standard deviations to the correct values, such as ``20% too small``."""
     size = "large" if ratio > 1 else "small"
     if 0.5 < ratio < 2:
         return f"{100 * abs(ratio - 1):.0f}% too {size}"

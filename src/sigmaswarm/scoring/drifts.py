@@ -29,7 +29,7 @@ RunFactories = Mapping[str, Callable[[FilterPass], Run]]
 class OutageDrifts:
     """Outages of one length on a drive, in several random sets, and the drift of each method.
 
-    ``seeds`` has one seed per set, and is empty if no outage fits. ``failed`` has the methods that failed in any
+    ``seeds``: one seed per set; empty if the drive is too short for an outage. ``failed``: methods that failed in a
     set.
     """
 
@@ -37,10 +37,10 @@ class OutageDrifts:
         self._ready, self._length = ready, length
         drive, initial = ready.drive, ready.initial
         placed = placements(drive, initial, length=length, seed=seed)[:most]
-        ends = {each: outage_windows(drive, initial, length=length, seed=each)[:, 1] for each in placed}
-        self.seeds = [each for each in placed if len(ends[each])]
-        self._ends = [ends[each] for each in self.seeds]
-        self._each: dict[str, list[float]] = {}
+        ends = {s: outage_windows(drive, initial, length=length, seed=s)[:, 1] for s in placed}
+        self.seeds = [s for s in placed if len(ends[s])]
+        self._ends = [ends[s] for s in self.seeds]
+        self._drifts: dict[str, list[float]] = {}
         self.failed: set[str] = set()
         self._stated: list[Array] = []
 
@@ -50,7 +50,7 @@ class OutageDrifts:
         return tuple(np.hstack([np.empty((3, 0)), *self._stated]))
 
     def add_estimate(self, method: str, estimate: Estimate) -> None:
-        self._each[method] = [rms_drift(self._ready, estimate, ends) for ends in self._ends]
+        self._drifts[method] = [rms_drift(self._ready, estimate, ends) for ends in self._ends]
 
     def run(
         self,
@@ -71,7 +71,7 @@ class OutageDrifts:
     def _run_placed(
         self, seed: Seed, filters: Mapping[str, FilterParameters], also: RunFactories, *, monitored: bool
     ) -> None:
-        """Run one set of outages; a separate function frees its memory before the next set."""
+        """Run one set of outages, in a separate function so that its memory is free before the next set."""
         outages = outage_pass(self._ready, length=self._length, seed=seed)
         ends = self._ends[self.seeds.index(seed)]
         if monitored:
@@ -95,27 +95,27 @@ class OutageDrifts:
             return recording.finished()
         for piece in recording:
             rows = _rows_at(ends, piece)
-            off = np.hypot(*_errors(self._ready, piece.time[rows], piece.mean[rows, :2]).T)
+            error = np.hypot(*_errors(self._ready, piece.time[rows], piece.mean[rows, :2]).T)
             variance = piece.covariance[rows][:, [0, 1], [0, 1]].mean(axis=1)
-            self._stated.append(np.vstack([piece.time[rows], variance, off]))
+            self._stated.append(np.vstack([piece.time[rows], variance, error]))
         return recording
 
     def _add(self, method: str, drift: float, *, failed: bool) -> None:
-        self._each.setdefault(method, []).append(drift)
+        self._drifts.setdefault(method, []).append(drift)
         if failed:
             self.failed.add(method)
 
     def drift(self, method: str) -> float:
-        """Return the RMS drift over all sets of outages, m; NaN if no outage fits or the method failed."""
+        """Return the RMS drift over all sets of outages, m; NaN if there is no outage or the method failed."""
         if not self.seeds or method in self.failed:
             return float("nan")
         counts = [len(ends) for ends in self._ends]
-        return float(np.sqrt(np.average(np.square(self._each[method]), weights=counts)))
+        return float(np.sqrt(np.average(np.square(self._drifts[method]), weights=counts)))
 
     @property
     def record(self) -> DriftRecord:
-        each = {m: [v if np.isfinite(v) else None for v in values] for m, values in self._each.items()}
-        return DriftRecord(outages=sum(map(len, self._ends)), each=each)
+        drifts = {m: [v if np.isfinite(v) else None for v in values] for m, values in self._drifts.items()}
+        return DriftRecord(outages=sum(map(len, self._ends)), each=drifts)
 
 
 def rms_drift(ready: PreparedDrive, estimate: Estimate | EstimateChunk, ends: Array) -> float:

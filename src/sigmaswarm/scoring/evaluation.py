@@ -81,8 +81,8 @@ class EvaluationOptions:
     Attributes
     ----------
     against : FilterParameters or path, optional
-        Another filter of any model, or its file: a tuning.toml, or an ekf.yaml of robot_localization. It is the first
-        row of every table.
+        Another filter of any model, or its file: a tuning.toml, or an ekf.yaml of robot_localization. Its scores are
+        the first row of every table.
     outage_length : float
         Length of the medium outages, s; the others last 1 s and 30 s.
     outage_seed : int
@@ -94,11 +94,11 @@ class EvaluationOptions:
     bank : bool
         Also evaluate a filter bank: see `sigmaswarm.LiveFilterBank`.
     more : mapping of str to callable
-        Further methods, with names from `OPTIONAL_METHODS`: functions that run a method on a replay, such as a trained
-        network.
+        Functions that run further methods, such as a trained network, over a `FilterPass`; names from
+        `OPTIONAL_METHODS`.
     fixes_alone : MotionNoise, optional
-        Noise parameters of the filter that uses only the fixes, as in ``tuning.fixes_alone``. By default, the
-        parameters are fitted to each evaluated drive, so the errors of this filter are lower bounds.
+        Noise parameters of the filter that uses only the fixes, as in ``tuning.fixes_alone``. By default, they are
+        fitted to each evaluated drive, so the errors of this filter are too small.
     """
 
     against: FilterParameters | None = None
@@ -124,8 +124,8 @@ class EvaluationOptions:
 class DriveResult:
     """Results of all methods on a drive.
 
-    ``restarts`` has the times of resets, s, by method; ``drifts`` has records by measure. ``consistency`` and
-    ``innovations`` are those of the tuned filter. ``picture`` has more points than ``tracks``.
+    ``restarts``: times of resets, s, by method. ``drifts``: records by measure. ``consistency`` and ``innovations`` are
+    those of the tuned filter. ``picture`` has more points than ``tracks``.
     """
 
     scores: Mapping[str, Score]
@@ -191,7 +191,7 @@ class Evaluation:
 
     @property
     def consistency(self) -> Mapping[str, Consistency | None]:
-        """Consistency of the tuned filter, by drive; None if it failed or had too few fixes."""
+        """Consistency of the tuned filter, by drive; None if the filter failed or had too few fixes."""
         return {name: result.consistency for name, result in self.drives.items()}
 
     def mean(self, method: str, measure: str) -> float | None:
@@ -215,12 +215,12 @@ class Evaluation:
 
     def improvement(self, over: str = BASELINE, measure: str = "position_rmse_m") -> float | None:
         """Return the improvement 100 (method - tuned) / method, %, of means over drives (the paper's equation 5)."""
-        manual, tuned = self.mean(over, measure), self.mean("tuned", measure)
-        return None if not manual or tuned is None else 100 * (manual - tuned) / manual
+        other, tuned = self.mean(over, measure), self.mean("tuned", measure)
+        return None if not other or tuned is None else 100 * (other - tuned) / other
 
     @property
     def measures(self) -> Mapping[str, Measure]:
-        """`MEASURES`, with the outage length in their names."""
+        """`MEASURES`, with the evaluation's outage length in their titles."""
         return measures(self.outage_length)
 
     @property
@@ -230,17 +230,17 @@ class Evaluation:
 
     @property
     def worse_than_raw(self) -> tuple[str, ...]:
-        """Sentences on drives on which the tuned filter's position is worse than that of the raw fixes."""
+        """Sentences on drives on which the tuned filter has larger position errors than the raw fixes."""
         return worse_than_raw(self.record)
 
     @property
     def worse_than_untuned(self) -> tuple[str, ...]:
-        """Sentences on methods without tuning that are better on average over the drives."""
+        """Sentences on the baseline and the fixes alone, where they are better on average over the drives."""
         return worse_than_untuned(self.record, self.measures)
 
     @property
     def is_worse_than_untuned(self) -> bool:
-        """True if a method without tuning has a smaller position RMSE, or is better in most measures."""
+        """True if the baseline or the fixes alone have a smaller position RMSE, or are better in most measures."""
         return is_worse_than_untuned(self.record, self.measures)
 
     @property
@@ -335,8 +335,8 @@ def evaluate(
 ) -> Evaluation:
     """Compare a tuned filter with the baseline, raw GPS, fixes alone and IMU only: see `sigmaswarm.evaluate`.
 
-    ``seen``: landmarks of the training drives, by which parts of training drives are recognized. ``cluster``: Dask
-    cluster whose workers read the drives (also given as paths or URLs) and run the filters. ``options``: attributes of
+    ``seen``: landmarks that identify the training drives and parts of them. ``cluster``: Dask cluster whose workers
+    read the drives and run the filters; ``drives`` may then be paths or URLs. ``options``: attributes of
     `EvaluationOptions`.
     """
     if isinstance(drives, FilterParameters):
@@ -352,10 +352,10 @@ def evaluate(
     chosen = EvaluationOptions(other, **options)
     one = partial(_evaluated, parameters=parameters, options=chosen, marked=seen is not None)
     results: dict[str, DriveResult] = {}
-    for drive, each, marks in dataset.imap(one):
+    for drive, result, marks in dataset.imap(one):
         numbered = (f"{drive} ({i})" for i in range(2, len(results) + 2))  # two drives may have the same name
         name = next(n for n in (drive, *numbered) if n not in results)
-        results[name] = each if name == drive else each.called(name)
+        results[name] = result if name == drive else result.called(name)
         if seen is not None and marks is not None and (overlap := known_overlap(marks, seen)) is not None:
             results[name] = results[name].seen_in(overlap)
     also = (*([AGAINST] if other else []), *chosen.optional_runs(parameters))
@@ -383,28 +383,28 @@ def _evaluated(
     ready = PreparedDrive(drive, as_recorded=options.as_recorded)
     tracker = Tracker(ready, picture=True)
     lengths = dict(zip(DRIFTS, (SHORT_OUTAGE_LENGTH, options.outage_length, LONG_OUTAGE_LENGTH), strict=True))
-    outages = {m: OutageDrifts(ready, length=each, seed=options.outage_seed) for m, each in lengths.items()}
+    outages = {m: OutageDrifts(ready, length=s, seed=options.outage_seed) for m, s in lengths.items()}
 
     imu_only = run_imu_only(ready)  # runs first, before the filters' targets take memory
     tracker.keep_estimate("imu_only", imu_only)
-    for of in outages.values():
-        of.add_estimate("imu_only", imu_only)
+    for drifts in outages.values():
+        drifts.add_estimate("imu_only", imu_only)
     scores = {"imu_only": replace(score_estimate(drive, imu_only), failed=False)}
     del imu_only
     passed, further = _tracked(ready, tracker, filters, options)
-    for of in outages.values():
-        of.run(filters, further)
+    for drifts in outages.values():
+        drifts.run(filters, further)
 
     for method, score in {**scores, **passed.scores}.items():
-        drifts = {measure.removesuffix("_m"): of.drift(method) for measure, of in outages.items()}
-        failed = score.failed or any(method in of.failed for of in outages.values())
-        scores[method] = replace(score, **drifts, failed=failed)
+        drift_scores = {measure.removesuffix("_m"): d.drift(method) for measure, d in outages.items()}
+        failed = score.failed or any(method in d.failed for d in outages.values())
+        scores[method] = replace(score, **drift_scores, failed=failed)
     scores["raw_gps"] = score_raw_gps(drive, ready.initial)
     tuned, start, end = scores["tuned"], ready.initial.time, float(drive.imu.time[-1])
     consistency = None
     if passed.innovations is not None and not tuned.failed:
         consistency = consistency_of(passed.innovations, tuned.mean_nees, tracker.own_sigma["tuned"])
-    radii = {m: _radius(drive, parameters, of.stated) for m, of in outages.items()}
+    radii = {m: _radius(drive, parameters, d.stated) for m, d in outages.items()}
     result = replace(
         passed,
         scores={
@@ -421,7 +421,7 @@ def _evaluated(
             truth_share=share_known(drive.truth, start, end),
         ),
         stale_fixes=int(ready.stale.sum()),
-        drifts={measure: of.record for measure, of in outages.items() if of.seeds},
+        drifts={measure: d.record for measure, d in outages.items() if d.seeds},
         findings=finding_sentences(drive),
         truth_offset=truth_offset(drive),
         radius={**passed.radius, **{measure: one for measure, one in radii.items() if one}},
@@ -432,7 +432,7 @@ def _evaluated(
 def _radius(
     drive: Drive, parameters: FilterParameters, stated: tuple[Array, Array, Array | None]
 ) -> RadiusRecord | None:
-    """Summarize the radius of the tuned filter from times (s), variances (m2) and errors (m)."""
+    """Summarize the position radius of the tuned filter; ``stated``: times (s), variances (m2) and errors (m)."""
     time, variance, error = stated
     lasting = lasting_variance(drive, parameters, time, variance)
     return radius_record(variance, lasting, None if drive.truth is None else error)
@@ -446,7 +446,7 @@ def _tracked(
 ) -> tuple[DriveResult, RunFactories]:
     """Run every method over all fixes; return the results, and a function for each method that is not a single filter.
 
-    A separate function frees the memory of this pass before the next one.
+    This is a separate function so that its memory is free before the next pass.
     """
     replay = tracking_pass(ready)
     further = options.optional_runs(filters["tuned"])

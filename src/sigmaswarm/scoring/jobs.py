@@ -1,4 +1,4 @@
-"""Jobs of a batch, each of which runs some of the replays with some of the parameter sets.
+"""Jobs of a batch; each job runs some parameter sets over some of the passes.
 
 A kernel runs up to `most_lanes` parameter sets at once; with fewer sets, each set takes more time.
 """
@@ -36,8 +36,8 @@ def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, worke
     total = sum(map(sum, steps.values()))
     parts = list(_parts(steps, total if workers == 1 else min(MIN_JOB_STEPS, total / workers)))
     most = MAX_SETS if workers == 1 else most_lanes(kernel)
-    # Parts that fill whole rounds of all workers have the full width. The shortest parts, which do not fill a round,
-    # are split among the workers.
+    # Parts that fill whole rounds of all workers have the full width. The remaining parts, the shortest ones, do not
+    # fill a round, so their parameter sets are split among the workers.
     left_over = sorted(parts, key=lambda part: part.steps)[: len(parts) % workers]
     narrow = min(most, -(-n_sets // workers // WIDEST) * WIDEST)
     widths = [(part, narrow if part in left_over else most) for part in parts]
@@ -68,7 +68,7 @@ def run_jobs(
 ) -> list[Result]:
     """Call a function with each tuple of arguments, in ``executor`` or in this thread.
 
-    After an exception or an interrupt, no further job starts, and running jobs end first.
+    After an exception or an interrupt, no further job starts, and the function waits for running jobs.
     """
     if executor is None:
         return [function(*job) for job in jobs]
@@ -76,8 +76,8 @@ def run_jobs(
     try:
         for job in jobs:
             futures.append(executor.submit(function, *job))
-        # Jobs start in order. If a job has not started when its result is needed, the executor is busy with other work
-        # (this thread may belong to it), so the job runs in this thread.
+        # Jobs start in order. If a job has not started when its result is needed, the executor is busy with other
+        # work, perhaps in this thread, so the job runs in this thread.
         return [
             function(*job) if future.cancel() else future.result()
             for job, future in zip(jobs, futures, strict=True)

@@ -23,7 +23,7 @@ class Measure:
 def measures(outage_length: float = OUTAGE_LENGTH) -> dict[str, Measure]:
     """Return the measures in display units; ``outage_length``, s, is that of the medium outages.
 
-    If the short or the long outages have this length, their measure is left out, since the drifts are equal.
+    If the short or the long outages have the same length, their measure is left out, since the drifts are equal.
     """
     known = {
         "position_rmse_m": Measure("position RMSE", "m", lambda s: s.position_rmse),

@@ -7,7 +7,7 @@ BANK = "swarm"  # a filter bank of the tuned filter
 LEARNED = ("outage-lstm", "noise-gru")
 AGAINST = "against"  # another tuning, or a user's own filter
 FIXES = "fixes_alone"  # a constant-velocity filter without IMU
-BASELINE = "untuned"  # the baseline
+BASELINE = "untuned"  # the tuned filter's model with typical noise parameters
 
 METHODS = {
     "tuned": "tuned filter",

@@ -6,10 +6,10 @@ axis is estimated as
     sigma^2 = P + max(s^2 - w^2 - min(g s^2, P), 0)
 
 where P is the mean of the filter's variances of x and y, s is the standard deviation of the fixes (`receiver_std`), and
-w that of their white noise (`white_noise`). If the filter has states for correlated errors, P contains their variance
-g s^2, or less if the errors last longer than the filter assumes; otherwise g = 0. A short training drive determines a
-covariance from few independent errors. Therefore, error / sigma is modeled by Student's t with `DOF` degrees of
-freedom. For a probability q,
+w is the standard deviation of their white noise (`white_noise`). If the filter has states for correlated errors, P
+contains their variance g s^2, or a part of it if the errors last longer than the filter assumes. Otherwise, g = 0. A
+short training drive determines a covariance from few independent errors. Therefore, error / sigma is modeled by
+Student's t with `DOF` degrees of freedom. For a probability q,
 
     radius^2 = DOF ((1 - q)^(-2 / DOF) - 1) sigma^2
 
@@ -66,7 +66,10 @@ def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array, va
 
 
 def radius_record(variance: Array, lasting: Array, error: Array | None) -> RadiusRecord | None:
-    """Summarize variances of the filter and of correlated errors (m2), and position errors (m); None if not finite."""
+    """Summarize variances of the filter and of correlated errors (m2), and position errors (m).
+
+    Return None if a variance is not finite, or there is none.
+    """
     total = variance + lasting
     if not len(total) or not np.isfinite(total).all():
         return None

@@ -21,7 +21,7 @@ MIN_OUTAGES = 4  # number of outages in a set; with fewer, all sets hide nearly 
 
 
 class DriftRecord(BaseModel):
-    """RMS drifts, m, over outages of one length, for each random set, by method; None if the filter failed."""
+    """Number of outages of one length, and RMS drifts, m, of each random set by method; None for a failed filter."""
 
     outages: int
     each: dict[str, list[float | None]]
@@ -60,8 +60,8 @@ class ScoresRecord(BaseModel):
         few = f". All outages are on {short}; the drift on another stretch may be far larger"
         few *= outages < MIN_OUTAGES * count
         single = f"for a single placement it is {min(means):.3g} to {max(means):.3g} m"
-        placed = count_of(count, "random placement")
-        return f"The drift is the RMS error over {outages} outages in {placed}; {single}{few}"
+        placements = count_of(count, "random placement")
+        return f"The drift is the RMS error over {outages} outages in {placements}; {single}{few}"
 
     def mean_of(self, method: str, measure: str) -> float | None:
         return self.mean.get(method, {}).get(measure)

@@ -37,9 +37,10 @@ def describe_training_drives(drive: DriveRecord) -> str:
 
 def describe_drives(data: Sequence[DriveRecord]) -> str:
     called = count_of(len(data), "drive")
-    each = [describe_training_drives(drive) for drive in data if drive.seen_s]
-    if each:
-        return f"{called} ({'PARTLY ' if len(each) < len(data) else ''}TRAINING DATA: {'; '.join(each)})"
+    training = [describe_training_drives(drive) for drive in data if drive.seen_s]
+    if training:
+        partly = "PARTLY " if len(training) < len(data) else ""
+        return f"{called} ({partly}TRAINING DATA: {'; '.join(training)})"
     return called + " that the tuning did not use" * all(drive.seen_s is not None for drive in data)
 
 
@@ -72,20 +73,20 @@ def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tu
     for method in (BASELINE, FIXES):
         name = in_sentence(method, METHODS[method])
         worse, known = _worse_measures(scores, shown, method)
-        each = ", ".join(
+        values = ", ".join(
             f"{shown[m].title} {tuned:.3g} {shown[m].unit} instead of {other:.3g} {shown[m].unit}"
             for m, (tuned, other) in worse.items()
         )
         if _is_worse(worse, known):
-            messages.append(f"the tuned filter is WORSE than {name}: {each}")
+            messages.append(f"the tuned filter is WORSE than {name}: {values}")
         elif worse:
             among = f"{len(worse)} of {known} measures"
-            messages.append(f"the tuned filter is worse than {name} in {among}: {each}")
+            messages.append(f"the tuned filter is worse than {name} in {among}: {values}")
     return tuple(messages)
 
 
 def is_worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> bool:
-    """Return True if a method without tuning has a smaller position RMSE, or is better in most measures."""
+    """Return True if the baseline or the fixes alone have a smaller position RMSE, or are better in most measures."""
     return any(_is_worse(*_worse_measures(scores, shown, method)) for method in (BASELINE, FIXES))
 
 
@@ -96,7 +97,7 @@ def _is_worse(worse: Collection[str], known: int) -> bool:
 def _worse_measures(
     scores: ScoresRecord, shown: Mapping[str, Measure], method: str
 ) -> tuple[dict[str, tuple[float, float]], int]:
-    """Return the means of both filters where a method is clearly better, and the number of known measures."""
+    """Return the means of the tuned filter and of a method where the method is better, and the number of measures."""
     known = {
         m: (tuned, other)
         for m in ("position_rmse_m", "heading_rmse_deg", *DRIFTS)
@@ -138,7 +139,7 @@ def describe_position(consistency: Consistency) -> str:
     """Return sentences that estimate a filter's position error on a drive without truth.
 
     The estimate is the RMS of the filter's position standard deviations. If the innovations are far smaller than
-    expected, the error may be as large as that of the fixes.
+    expected, the error may be as large as the error of a fix.
     """
     own, missed = consistency.own_sigma or 0.0, consistency.missed or 0.0
     expected = consistency.expected or 0.0

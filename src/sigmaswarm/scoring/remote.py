@@ -1,4 +1,4 @@
-"""Scores on drives of the workers of a cluster, which receive parameter sets and return numbers."""
+"""Scores on drives that the workers of a cluster have read; workers receive parameter sets and return numbers."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -68,11 +68,13 @@ class RemoteBatchScorer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """Score the sets on the workers, which also apply ``take``; return shape (..., n_sets, n_drives)."""
+        """Score the sets and apply ``take`` on the workers; return an array of shape (..., n_sets, n_drives)."""
         sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
         answers = self.dataset.call(_taken, self.passes, self.check, take, sets)
         shape = len(self.dataset), *answers[0][1].shape[-2::-1]
-        whole = np.empty(shape).T  # the memory order of `BatchScorer`, since bits of sums depend on it
+        whole = np.empty(
+            shape
+        ).T  # the memory order of `BatchScorer`, since the rounding of sums depends on it
         for places, part in answers:
             whole[..., places] = part
         return whole

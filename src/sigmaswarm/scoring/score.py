@@ -31,12 +31,12 @@ class Score:
     position_median, position_95 : m, the 50% and 95% quantiles of sqrt(ex^2 + ey^2) at truth times
     heading_rmse : rad, RMS of the wrapped error where the true speed is over 2 m/s
     outage_drift : m, RMS of the position errors at the ends of outages
-    short_outage_drift, long_outage_drift : m, the same for outages of 1 s and of 30 s
+    short_outage_drift, long_outage_drift : m, like outage_drift, for outages of 1 s and of 30 s
     fix_rmse : m, RMS residual of the fixes after their update (the paper's equation 4)
     forecast_rmse : m, RMS innovation of fixes hidden in windows of 3 to 5 s
     innovation_nll : nats, mean over the fixes of -ln N(nu; 0, S), before each update
-    innovation_t : nats, the same under Student's t with v = 4: see `negative_log_t`
-    forecast_t : nats, the same over the hidden fixes of ``forecast_rmse``, with v = 8
+    innovation_t : nats, mean of `negative_log_t` over the fixes, before each update, with v = 4
+    forecast_t : nats, mean of `negative_log_t` over the hidden fixes of ``forecast_rmse``, with v = 8
     mean_nis : mean of nu^T S^-1 nu over the fixes; 2 if the covariance is right
     mean_nees : mean of e^T P^-1 e of the position; 2 if the covariance is right. P includes the variances of truth
     failed : bool
@@ -78,9 +78,9 @@ class PieceErrors:
         self._truth = truth
         self._first = self._next = int(np.searchsorted(truth.time, initial.time, side="left"))
         self._time, self._pose = initial.time, initial.mean[: THETA + 1].copy()
-        self._off: list[Array] = []
+        self._position_errors: list[Array] = []
         self._variance: list[Array] = []
-        self._turned: list[Array] = []
+        self._heading_errors: list[Array] = []
 
     def add(self, time: Array, mean: Array, variance: Array | None = None) -> None:
         """Add times, s, (r,), state means (r, n), and optional position variances, m2, (r,)."""
@@ -90,8 +90,8 @@ class PieceErrors:
         pose = np.vstack([self._pose, mean[:, : THETA + 1]])
         pose[:, THETA] = np.unwrap(pose[:, THETA])
         x, y, theta = (np.interp(truth.time[at], nodes, pose[:, i]) for i in (0, 1, THETA))
-        self._off.append(np.hypot(x - truth.x[at], y - truth.y[at]))
-        self._turned.append(wrap_angle(theta - truth.theta[at]))
+        self._position_errors.append(np.hypot(x - truth.x[at], y - truth.y[at]))
+        self._heading_errors.append(wrap_angle(theta - truth.theta[at]))
         if variance is not None:
             self._variance.append(np.interp(truth.time[at], time, variance))
         self._time, self._pose = time[-1], pose[-1]
@@ -100,19 +100,19 @@ class PieceErrors:
     def errors(self) -> tuple[Array, Array, Array]:
         """Truth times so far (s), and the variances (m2) and position errors (m) at these times."""
         none = np.empty(0)
-        variance, off = (np.concatenate([none, *of]) for of in (self._variance, self._off))
-        return self._truth.time[self._first : self._next], variance, off
+        variance, error = (np.concatenate([none, *of]) for of in (self._variance, self._position_errors))
+        return self._truth.time[self._first : self._next], variance, error
 
     @property
     def score(self) -> Score:
-        if not self._off:
+        if not self._position_errors:
             return Score()
         truth, scored = self._truth, slice(self._first, self._next)
         fast = np.hypot(truth.vx[scored], truth.vy[scored]) > MIN_HEADING_SPEED
-        wrong, weights = np.concatenate(self._turned)[fast], heading_weights(truth)
-        score = _position_score(np.concatenate(self._off), weights_at(truth, truth.time[scored]))
+        heading_error, weights = np.concatenate(self._heading_errors)[fast], heading_weights(truth)
+        score = _position_score(np.concatenate(self._position_errors), weights_at(truth, truth.time[scored]))
         weights = None if weights is None else weights[scored][fast]
-        return replace(score, heading_rmse=root_mean(wrong**2, weights))
+        return replace(score, heading_rmse=root_mean(heading_error**2, weights))
 
 
 def truth_at(truth: Truth, time: Array) -> tuple[Array, Array]:
@@ -153,5 +153,5 @@ def score_raw_gps(drive: Drive, initial: InitialState) -> Score:
 
 def _position_score(errors: Array, weights: Array | None) -> Score:
     """Return RMSE and quantiles (linear between ranks) of errors, m, shape (m,); NaN if there are no errors."""
-    median, most = np.quantile(errors, [0.5, 0.95]).tolist() if errors.size else (math.nan, math.nan)
-    return Score(root_mean(errors**2, weights), position_median=median, position_95=most)
+    median, high = np.quantile(errors, [0.5, 0.95]).tolist() if errors.size else (math.nan, math.nan)
+    return Score(root_mean(errors**2, weights), position_median=median, position_95=high)

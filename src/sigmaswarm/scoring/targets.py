@@ -1,4 +1,4 @@
-"""Targets of the compiled batch: truth along the drive, or at the ends of outages."""
+"""Passes over a drive for scoring: the time line, and the truth along the drive or at the ends of outages."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,20 +18,20 @@ LONG_OUTAGE_LENGTH = 30.0  # s; shows errors of the estimated biases
 SHORT_OUTAGE_LENGTH = 1.0  # s, about the time to the next fix
 FORECAST_LENGTHS = (SHORT_OUTAGE_LENGTH, OUTAGE_LENGTH, LONG_OUTAGE_LENGTH)
 Seed = int | tuple[int, ...]
-TARGET_OUTAGES = 200  # number per drive for which the drift is accurate to about 10%
-MAX_PLACEMENTS = 8  # more sets would hide the same fixes again
-OUTAGE_FIRST_AFTER = 10.0  # s, from the start to the first outage
+TARGET_OUTAGES = 200  # outages per drive; with this number the drift is accurate to about 10%
+MAX_PLACEMENTS = 8  # sets of outages; more sets would hide the same fixes again
+OUTAGE_FIRST_AFTER = 10.0  # s, shortest time from the start to the first outage
 OUTAGE_APART = 5.0  # s, shortest time between outages
 
 
 def tracking_pass(ready: PreparedDrive) -> FilterPass:
-    """Create a replay with all fixes, compared with truth where it is known."""
+    """Create a pass with all fixes; estimates are compared with truth where it is known."""
     timeline = ready.timeline()
     return FilterPass(timeline, ready.initial, _truth_targets(ready.drive.truth, timeline))
 
 
 def outage_pass(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: Seed = 0) -> FilterPass:
-    """Create a replay with random outages; the errors at their ends are relative to truth, else to the fixes."""
+    """Create a pass with random outages; errors at their ends are relative to truth or, without truth, to the fixes."""
     windows = outage_windows(ready.drive, ready.initial, length=length, seed=seed)
     timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows), removed=True)
     ends, reference = windows[:, 1], drift_reference(ready)
@@ -56,7 +56,7 @@ def drift_weights(ready: PreparedDrive, ends: Array) -> Array | None:
 
 
 def forecast_pass(ready: PreparedDrive, *, seed: int = 0) -> FilterPass:
-    """Create a replay with fixes hidden in random windows of 3 to 5 s."""
+    """Create a pass in which fixes are hidden in random windows of 3 to 5 s."""
     windows = forecast_windows(ready.drive, ready.initial, seed=seed)
     timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows))
     return FilterPass(timeline, ready.initial, Targets.none(timeline))
@@ -78,7 +78,7 @@ def placements(drive: Drive, initial: InitialState, *, length: float, seed: int)
 
 
 def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: Seed) -> Array:
-    """Return windows of exactly ``length`` s, shape (k, 2), s, that end at IMU samples but not in gaps of truth."""
+    """Return outage windows of exactly ``length`` s, shape (k, 2), s; they end at IMU samples, not in gaps of truth."""
     reference = (drive.gps if drive.truth is None else drive.truth).time
     earliest = float(reference[0]) - OUTAGE_FIRST_AFTER - length  # so no window ends before the reference
     last = float(min(drive.imu.time[-1], reference[-1]))

@@ -1,4 +1,4 @@
-"""Thin series that arrive in pieces to a limited size."""
+"""Limit the number of points of series that arrive in pieces."""
 
 from collections.abc import Mapping
 from itertools import pairwise
@@ -14,7 +14,7 @@ class ThinnedSeries:
     """A limited number of rows of a series, including the peaks of the position error or of the NIS.
 
     The first and the last row are kept. The rows in between are divided into equal parts. In each part, the rows with
-    the smallest and the largest value are kept.
+    the smallest and the largest error or NIS are kept.
     """
 
     def __init__(self, n: int, most: int) -> None:
@@ -61,7 +61,7 @@ def _extremes(columns: Columns, ends: NDArray[np.intp]) -> NDArray[np.intp]:
 class CloseUp:
     """All rows of a series near a position, m, shape (2,), with a gap where the series leaves the region.
 
-    The region is twice as wide as ``side``, m, since axes of equal scale may show more.
+    The region is twice as wide as ``side``, m, since a plot with equal scales may show more than a square.
     """
 
     def __init__(self, place: NDArray[np.float64], side: float) -> None:

@@ -44,9 +44,9 @@ class Tracks:
     """Estimates and errors of all methods on one drive.
 
     Series have the columns time (s), x and y (m). All but ``truth`` also have position_error (m). Filters and
-    ``imu_only`` have heading_error (deg), and filters have position_3sigma (m) and heading_3sigma (deg). ``F.nis`` has
-    the time and NIS of the fixes that filter ``F`` used. Without truth there are no errors; in gaps of truth they are
-    NaN.
+    ``imu_only`` have heading_error (deg), and filters have position_3sigma (m) and heading_3sigma (deg). The series
+    ``F.nis`` has the time and NIS of the fixes that filter ``F`` used. Without truth there are no error columns; in
+    gaps of truth the errors are NaN.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Picture:
 
 
 def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameters]:
-    """Return the baseline and the tuned filter; the latter is last, so it is drawn on top."""
+    """Return the baseline and the tuned filter by name."""
     return {BASELINE: baseline(drive, like=tuned), "tuned": tuned}
 
 
@@ -78,8 +78,8 @@ class Tracker:
     """Recorder of thinned tracks of methods that run over a drive; complete estimates are not stored.
 
     ``own_sigma``: RMS of each filter's position standard deviation, m. ``stated``: times of truth (s), and the tuned
-    filter's position variances per axis (m2) and errors (m) at these times. If there is no truth, ``stated`` has the
-    times and variances of all estimates. With ``picture``, the data of a static plot are also recorded.
+    filter's position variances per axis (m2) and errors (m) at these times; without truth, times and variances of all
+    estimates. With ``picture``, the data of a static plot are also recorded.
     """
 
     def __init__(self, ready: PreparedDrive, most_points: int = MAX_POINTS, *, picture: bool = False) -> None:
@@ -126,16 +126,16 @@ class Tracker:
         def pieces() -> Iterator[Columns]:
             nonlocal variance, count
             for piece in run:
-                each = None
+                mean_variance = None
                 if len(piece.covariance):
                     both = piece.covariance[:, [0, 1], [0, 1]]
                     variance += float(both.sum())
                     count += len(piece.time)
-                    each = both.mean(axis=1) if series == "tuned" else None
+                    mean_variance = both.mean(axis=1) if series == "tuned" else None
                 if errors:
-                    errors.add(piece.time, piece.mean, each)
-                elif each is not None:
-                    blind.append(np.vstack([piece.time, each]))
+                    errors.add(piece.time, piece.mean, mean_variance)
+                elif mean_variance is not None:
+                    blind.append(np.vstack([piece.time, mean_variance]))
                 yield self._columns(piece)
 
         self._keep(series, pieces(), int((imu_time > self._ready.initial.time).sum()))
@@ -148,7 +148,7 @@ class Tracker:
         self._keep(series, [self._columns(estimate)], len(estimate.time))
 
     def _columns(self, estimate: Estimate | EstimateChunk) -> Columns:
-        """Return position, errors relative to truth, and 3 sigma."""
+        """Return the columns of a series; see `Tracks`."""
         time, mean, truth = estimate.time, estimate.mean, self._ready.drive.truth
         columns = {"time": time, "x": mean[:, 0], "y": mean[:, 1]}
         if truth is not None:
@@ -213,7 +213,7 @@ def first_track(drive: Drive, parameters: FilterParameters, *, as_recorded: bool
     ready = PreparedDrive(drive, as_recorded=as_recorded)
     tracker = Tracker(ready, picture=True)
     filters = compared(drive, parameters)
-    recorded = {series: tracker.record(series, whole_pass(ready), each) for series, each in filters.items()}
+    recorded = {series: tracker.record(series, whole_pass(ready), p) for series, p in filters.items()}
     rmse = {series: score.position_rmse for series, score in tracker.scores.items()}
     rmse["raw_gps"] = score_raw_gps(drive, ready.initial).position_rmse
     consistency = None

@@ -12,11 +12,13 @@ from sigmaswarm.drives.tables import Array, Truth
 POSITION_FLOOR = 0.3
 """Standard deviation of truth, m per axis, below which the weight hardly increases.
 
-This is the accuracy of the best filters with cheap receivers. If the weight had no limit, nearly all weight would be on
-parts under open sky, where every filter is accurate.
+This is the accuracy of the best filters with cheap receivers. Without a limit, nearly all weight would be on parts
+under open sky, where every filter is accurate.
 """
 HEADING_FLOOR = math.radians(0.3)  # rad, the same limit for the true heading
-N_BLOCKS = 8  # parts of a drive; the spread of their means shows the effect of correlated errors
+N_BLOCKS = (
+    8  # parts of a drive; the spread of the offset over the parts shows the effect of correlated errors
+)
 MIN_OFFSET_SIGMAS = 5.0  # smallest ratio of a reported offset to its standard deviation
 MIN_OFFSET = 0.3, 0.3  # smallest reported offset: m, and share of the scatter of the fixes
 
@@ -47,8 +49,8 @@ def root_mean(squares: Array, weights: Array | None = None) -> float:
 def truth_offset(drive: Drive) -> str:
     """Return a sentence on a constant offset of the fixes from truth, with its remedy; "" if there is none.
 
-    The offset is in the map frame (east, north) or in the vehicle frame (forward, left): the one in which the averages
-    over `N_BLOCKS` parts of the drive agree better.
+    The offset is constant in the map frame (east, north) or in the vehicle frame (forward, left). The frame is that in
+    which the averages over `N_BLOCKS` parts of the drive agree better.
     """
     gps, truth = drive.gps, drive.truth
     if truth is None or len(truth) < 2 or not np.any(used := is_known(truth, gps.time)):
@@ -87,7 +89,7 @@ def truth_offset(drive: Drive) -> str:
 
 
 def _constant(error: Complex) -> tuple[complex, float]:
-    """Return the mean of the parts' medians, m, and the ratio of this mean to its standard deviation."""
+    """Return the mean of the medians of `N_BLOCKS` parts, m, and the ratio of this mean to its standard deviation."""
     if len(error) < 2 * N_BLOCKS:
         return 0j, 0.0
     means = np.array(

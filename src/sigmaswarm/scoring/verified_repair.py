@@ -1,4 +1,4 @@
-"""Repair a log, but skip repairs that increase the errors of predicted fixes."""
+"""Repair a log, but reject repairs that increase the errors of predicted fixes."""
 
 import warnings
 from collections.abc import Collection
@@ -20,10 +20,10 @@ CLOCKS = {"shift-clock", "shift-fixes"}
 VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
 """Repairs of axes, signs, units and clocks, which change the motion that a filter computes."""
 MAX_ERROR_RATIO = 1.05
-"""Smallest ratio (after / before) of forecast errors at which a repair is withheld.
+"""Largest accepted ratio (after / before) of forecast errors.
 
-A rotation is judged by the geometric mean of four errors. After the rotation of a tilted phone, one error of planar8,
-which models no tilt, was 10% larger. The other three errors were 28 to 58% smaller.
+A rotation is accepted or rejected by the geometric mean of four errors. After the rotation of a tilted phone, one error
+of planar8, which models no tilt, was 10% larger. The other three errors were 28 to 58% smaller.
 """
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
 """Noise densities of planar8's states, unit/sqrt(s).
@@ -52,12 +52,12 @@ def checking_filter(drive: Drive) -> FilterParameters:
 
 
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
-    """Return a repaired copy of the drive; skip repairs that increase prediction errors.
+    """Return a repaired copy of the drive; reject repairs that increase prediction errors.
 
-    A filter with fixed noise, and for clocks and rotations also the baseline of the default filter, runs over the log
-    before and after the repairs. These filters forecast the next fix, and fixes that are hidden for 3 to 5 s. If a
-    forecast error increases by more than 5%, the responsible repair of axes or clocks is withheld. A rotation is
-    withheld only if the geometric mean of the errors increases by more than 5%.
+    A filter with fixed noise runs over the log before and after the repairs; for clocks and rotations, the baseline of
+    the default filter also runs. These filters forecast the next fix, and fixes that are hidden for 3 to 5 s. If a
+    forecast error increases by more than 5%, the responsible repair of axes or clocks is rejected. A rotation is
+    rejected only if the geometric mean of the errors increases by more than 5%.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
     Warns
     -----
     SigmaswarmWarning
-        If a repair was withheld.
+        If a repair was rejected.
     """
     if only is not None:
         diagnosis = _without(diagnosis, {f.code for f in diagnosis.findings}.difference(only))
@@ -86,36 +86,37 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
     withheld = list(dict.fromkeys(f.code for f in diagnosis.findings if f.repair and f.code in rejected))
     if not withheld:
         return repaired
-    what = f"{drive.name}: the repair of {', '.join(withheld)} is withheld, since it makes a filter's"
-    warnings.warn(
-        SigmaswarmWarning(f"{what} predictions of the fixes worse; check the log yourself"), stacklevel=2
+    message = (
+        f"{drive.name}: the repair of {', '.join(withheld)} was rejected, since it makes a filter's predictions of the "
+        "fixes worse; check the log yourself"
     )
+    warnings.warn(SigmaswarmWarning(message), stacklevel=2)
     return replace(repaired, metadata={**repaired.metadata, "withheld": withheld})
 
 
 def _rejected(drive: Drive, diagnosis: Diagnosis) -> set[str]:
     """Return the codes of the findings whose repair makes the forecasts of a filter worse."""
-    doubtful = {f.code for f in diagnosis.findings if f.repair is not None and f.repair.action in VERIFIED}
-    judges = [checking_filter(drive)] if doubtful else []
+    tested = {f.code for f in diagnosis.findings if f.repair is not None and f.repair.action in VERIFIED}
+    filters = [checking_filter(drive)] if tested else []
     if {f.repair.action for f in diagnosis.findings if f.repair} & {*CLOCKS, "rotate"}:
         # the baseline of the repaired drive's default filter
         model = "tilted12" if has_attitude(repairs.repair(drive, diagnosis)) else "planar8"
-        judges.append(baseline_of(drive, model, ("lateral", "standstill", "robust")))
-    before = _forecasts(drive, judges)
+        filters.append(baseline_of(drive, model, ("lateral", "standstill", "robust")))
+    before = _forecasts(drive, filters)
     rejected = set[str]()
-    while doubtful and np.isfinite(before).any():
+    while tested and np.isfinite(before).any():
         kept = _without(diagnosis, rejected)
-        ratio = (_forecasts(repairs.repair(drive, kept), judges) / before)[~np.isnan(before)]
+        ratio = (_forecasts(repairs.repair(drive, kept), filters) / before)[~np.isnan(before)]
         rotated = {f.repair.action for f in kept.findings if f.repair} & VERIFIED == {"rotate"}
         if (np.exp(np.mean(np.log(ratio))) if rotated else np.max(ratio)) <= MAX_ERROR_RATIO:
             break
         # The responsible repair is the one without which the predictions are best.
         errors: dict[str, float] = {}
-        for code in sorted(doubtful):
-            forecasts = _forecasts(repairs.repair(drive, _without(kept, {code})), judges)
+        for code in sorted(tested):
+            forecasts = _forecasts(repairs.repair(drive, _without(kept, {code})), filters)
             errors[code] = float(np.nan_to_num(np.prod(forecasts[np.isfinite(before)]), nan=np.inf))
         worst = min(errors, key=lambda code: errors[code])
-        doubtful, rejected = doubtful - {worst}, rejected | {worst}
+        tested, rejected = tested - {worst}, rejected | {worst}
     return rejected
 
 
@@ -124,10 +125,10 @@ def _without(diagnosis: Diagnosis, codes: Collection[str]) -> Diagnosis:
     return replace(diagnosis, findings=findings)
 
 
-def _forecasts(drive: Drive, judges: list[FilterParameters]) -> Array:
+def _forecasts(drive: Drive, filters: list[FilterParameters]) -> Array:
     """Return RMS errors, m, shape (2 n,), of the next fix and of hidden fixes, by n filters; NaN if unknown."""
-    errors = np.full((len(judges), 2), np.nan)
-    for row, parameters in zip(errors, judges, strict=True):
+    errors = np.full((len(filters), 2), np.nan)
+    for row, parameters in zip(errors, filters, strict=True):
         try:
             size = np.sort(np.hypot(*run_innovations(drive, parameters).innovation.T))
             row[1] = (

@@ -29,11 +29,11 @@ from sigmaswarm.scoring.remarks import (
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 from sigmaswarm.tables import Cell, Column, Table
 
-LATE_START = 5.0  # s from the start of a drive; if scores begin later, this is reported
+LATE_START = 5.0  # s from the start of a drive; a later start of the scores is reported
 NO_TRUTH = (
     "there is no truth, so errors of position and heading can't be computed. The tables contain the drift of each "
-    "filter relative to fixes that are hidden from it, including the errors of these fixes. They also contain the "
-    "consistency of its predictions of the fixes (NIS)"
+    "filter relative to the hidden fixes, which includes the errors of these fixes. They also contain the consistency "
+    "of the tuned filter's predictions of the fixes (NIS)"
 )
 
 
@@ -171,21 +171,24 @@ class EvaluationView:
             tuned = mean_of("tuned", measure)
             if tuned is None:
                 continue
-            rivals = (AGAINST, self.best_baseline(measure))  # a gain over a worse method would be misleading
-            each = [
+            rivals = (
+                AGAINST,
+                self.best_baseline(measure),
+            )  # an improvement over a bad method would be misleading
+            comparisons = [
                 _compared(tuned, value, in_sentence(m, self.names[m]))
                 for m in rivals
                 if m and (value := mean_of(m, measure))
             ]
-            compared = f", {' and '.join(each)}," if each else ""
+            compared = f", {' and '.join(comparisons)}," if comparisons else ""
             spread = self.scores.describe_drift(measure)
             text = f"The tuned filter {what.format(f'{tuned:.3g}')}{compared} on {drives}."
-            return f"{text}{self._not_beaten()}{f' {spread}.' if spread else ''}"
+            return f"{text}{self._not_better()}{f' {spread}.' if spread else ''}"
         if any(mean_of("tuned", measure) is not None for measure in DRIFTS):
             return f"On {drives}, no outage of {self.setup.outage_length_s:g} s fits; use a longer part of a drive."
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
-    def _not_beaten(self) -> str:
+    def _not_better(self) -> str:
         """Return sentences on fixes alone and baseline, with the drifts in which the tuned filter is not better."""
         mean_of = self.scores.mean_of
         sentences = ""
@@ -235,14 +238,14 @@ class EvaluationView:
             if (record := records.get(TRACKING)) is None:
                 continue
             inside, ratio = record.inside_95, record.sigma_ratio
-            held = "" if inside is None else f", and {100 * inside:.0f}% are"
+            coverage = "" if inside is None else f", and {100 * inside:.0f}% are"
             own = "" if ratio is None else f" The filter's own standard deviation is {describe_ratio(ratio)}."
-            lasts = (
+            correlated = (
                 f" This radius includes correlated fix errors of {record.lasting_m or 0.0:.2g} m per axis."
             )
             sentences.append(
                 f"{drive}: 95% of the position errors should be within {record.radius_95_m:.2g} m (median radius)"
-                f"{held}.{lasts * bool(record.lasting_m)}{own}"
+                f"{coverage}.{correlated * bool(record.lasting_m)}{own}"
             )
         return tuple(sentences)
 
@@ -326,10 +329,11 @@ class EvaluationView:
         return "\n".join([self.result(), methods.to_text(), *self.warnings()[:3]])
 
     def to_html(self) -> str:
-        each, remarks = self.drive_table().to_html(), notebook.html_list("To know:", self.warnings())
+        by_drive, remarks = self.drive_table().to_html(), notebook.html_list("Warnings:", self.warnings())
         if len(self.scores.drives) == 1:
-            return each + remarks
-        return f"{self.mean_table().to_html()}{remarks}<details><summary>each drive</summary>{each}</details>"
+            return by_drive + remarks
+        details = f"<details><summary>each drive</summary>{by_drive}</details>"
+        return f"{self.mean_table().to_html()}{remarks}{details}"
 
 
 def explained_consistency(nees: bool) -> str:
@@ -351,11 +355,11 @@ def explained_radius() -> str:
     return (
         "The position error should lie within this radius with a probability of 95% or 99.9% (median over the drive). "
         "The variance per axis is the sum of the filter's variance and the variance of correlated fix errors, which "
-        "the log does not show. The latter is s^2 minus the variance of the fixes' white noise; s is the standard "
-        "deviation that the receiver states, or 2.1 m if it states none. The radii are "
+        "the log does not show. The variance of these errors is s^2 minus the variance of the fixes' white noise; s is "
+        "the standard deviation that the receiver states, or 2.1 m if it states none. The radii are "
         f"{factors[0]:.2f} and {factors[1]:.2f} standard deviations, from Student's t with {DOF:g} degrees of freedom, "
-        "since a training drive determines a covariance from few independent errors. The filter's own covariances, in "
-        "estimates and in exports, do not contain this addition."
+        "since a training drive determines a covariance from few independent errors. The covariances in estimates and "
+        "exports are the filter's own, without this addition."
     )
 
 
@@ -381,7 +385,7 @@ def explained_scores(view: EvaluationView) -> str:
 def with_training(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
     """Mark a drive as a training drive if it has the hash of a training drive.
 
-    Other drives remain unmarked, since they may contain a part of a training drive.
+    Other drives remain unmarked, since it is unknown whether they contain a part of a training drive.
     """
     same = [one.name for one in tuned_on if one.sha256 == drive.sha256 and one.sha256]
     if drive.seen_s is not None or not same:

@@ -28,8 +28,8 @@ from sigmaswarm.wording import printable
 class BatchResult:
     """Costs and scores of parameter sets on drives.
 
-    Drifts and forecasts are NaN unless the objective needs them. Medians, and drifts over longer outages, are always
-    NaN; `evaluate` computes them.
+    Drifts and forecasts are NaN unless the objective needs them. Medians and drifts over 1 s and 30 s are always NaN;
+    `evaluate` computes them.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ def run_batch(
     objective : str
         A name in `OBJECTIVES`, or a weighted sum of them.
     worst : float
-        The cost of a set is averaged over this share of the drives, those with its highest costs; 1 means all drives.
+        Share of the drives over which the cost of a set is averaged: those with its highest costs. 1 means all drives.
     outage_seed : int
         Seed of the outages, for objectives that hide fixes.
     as_recorded : bool
@@ -76,7 +76,8 @@ def run_batch(
     Raises
     ------
     InputError
-        If the objective is unknown, a drive lacks the truth that it needs, or an argument has the wrong type.
+        If the objective is unknown, a drive lacks the truth that the objective needs, or an argument has the wrong
+        type.
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
@@ -96,8 +97,8 @@ def run_batch(
     scorer = scorer_for(goal, dataset, outage_seed, as_recorded=as_recorded)
     with nullcontext(executor) if executor else ThreadPoolExecutor(cores()) as pool:
         scores = scorer.scores(sets, pool)
-    each = tuple(tuple(scores[i, j] for j in range(len(dataset))) for i in range(len(sets)))
-    return BatchResult(goal.costs(scores, worst), each, np.asarray(scores.failed.any(axis=1)))
+    by_set = tuple(tuple(scores[i, j] for j in range(len(dataset))) for i in range(len(sets)))
+    return BatchResult(goal.costs(scores, worst), by_set, np.asarray(scores.failed.any(axis=1)))
 
 
 def check_drives(drives: Sequence[Drive | LogProperties], objective: Objective) -> None:

@@ -37,7 +37,9 @@ class TouchedBound:
             return text
         match = re.fullmatch(r"(.+) at its (lower|upper) bound \((\S+)\)", str(text))
         if not match:
-            raise ValueError(f"{text!r} does not name a parameter and the bound that it touches")
+            raise ValueError(
+                f"{text!r} is not a parameter at a bound, such as 'q_x at its lower bound (1e-05)'"
+            )
         name, end, value = match.groups()
         return cls(name, cast(BoundSide, end), float(value))
 
@@ -46,7 +48,7 @@ class TouchedBound:
 class Dimension:
     """One tuned parameter: its field of `FilterParameters`, and its range.
 
-    - ``entries``: number of entries of a tuple that the parameter sets; 0 if the field is a number.
+    - ``entries``: number of entries that the parameter sets in a field that is a tuple; 0 if the field is a number.
     - ``spread``: True if the range spans powers of ten.
     - ``inflation``: decades by which the parameter grows per decade of the inflation factor (`tuning.inflation`).
     - ``least``: lower limit after inflation.

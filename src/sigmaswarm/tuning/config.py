@@ -57,12 +57,12 @@ class SearchConfig(BaseModel):
     generations: int = Field(default=50, ge=1)
     """Generations of each trial, including the initial one."""
     trials: int = Field(default=1, ge=1)
-    """Independent runs of the search; the best one is kept, all are reported."""
+    """Number of independent searches; the result is the best one, and all are reported."""
     seed: int = Field(default=0, ge=0)
     """Seed of all random numbers; the same seed gives the same result."""
     worst: float = Field(default=1.0, gt=0, le=1)
-    """Average the cost over this share of the drives, those with the highest costs; 1 means all drives."""
-    # at the same budget at least as good as de and better than the paper's pso (docs/optimizers.md)
+    """Share of the drives, those with the highest costs, over which the cost is averaged; 1 means all drives."""
+    # At the same budget, de-qpso is at least as good as de and better than the paper's pso (docs/optimizers.md).
     optimizer: OptimizerName | OwnOptimizer | OwnOptimizerName = "de-qpso"
     """Search algorithm; bo needs scikit-learn. In Python also a custom class. See docs/optimizers.md."""
     polish: int = Field(default=0, ge=0)
@@ -78,7 +78,7 @@ class SearchConfig(BaseModel):
     zero_velocity_at_bounds: bool = False
     """For pso: stop particles along the coordinates in which they reach a bound."""
     patience: int | None = Field(default=None, ge=1)
-    """End a trial after this many generations without progress; never by default."""
+    """End a trial after this many generations without a lower cost; never by default."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -115,13 +115,13 @@ class TuneConfig(SearchConfig):
     prior: float | None = Field(default=None, ge=0, le=100)
     """Weight of a prior on R from the receiver's accuracy; 0 disables it. Default: 1 without truth, otherwise 0."""
     inflation: float | None = Field(default=None, ge=0, le=1)
-    """Relative cost increase allowed for inflating process noise; 0 disables it. Without truth: 0.05, or 0.02
-    for tilted12 and robot-localization."""
+    """Relative cost increase allowed for inflating process noise; 0 disables it. Default: 0 to 0.05, depending on
+    model and truth."""
 
     @model_validator(mode="before")
     @classmethod
     def _complete(cls, options: Any) -> Any:
-        """Read old names of options, and add the default filter type of the model."""
+        """Accept old names of options, and add the default filter type of the model."""
         from sigmaswarm.filters.models import MODELS  # slow, and not needed for the command line's help
 
         if not isinstance(options, Mapping):
@@ -169,7 +169,7 @@ PAPER_OPTIONS: dict[str, Any] = {
     "prior": 0.0,
     "inflation": 0.0,
 }
-"""The paper's settings of one tuning. The paper repeats this tuning 20 times and states no inertia, seed and bounds."""
+"""The paper's settings of one tuning. The paper repeats this tuning 20 times; inertia, seed and bounds are unknown."""
 
 
 def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,14 +22,14 @@ OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
 FORECAST_OBJECTIVE = "0.5 innovation-t + 0.5 forecast-t"
 """Objective without truth, for a model with roll and pitch and receivers with white errors.
 
-If the fix errors are correlated, a filter tuned by forecasts reproduces these errors: with a u-blox M8, the filter's
-error was 11 m instead of 4 m. A planar filter overfits to the training roads: on roads of another car, the filter's
-error was 3.6 times that of the fixes.
+If the fix errors are correlated, a filter that is tuned by forecasts reproduces these errors: with a u-blox M8, the
+filter's error was 11 m instead of 4 m. A planar filter overfits to the training roads: on the roads of another car, the
+filter's error was 3.6 times that of the fixes.
 """
 FIX_ERROR_OBJECTIVE = "innovation-t + 0.2 truth-pose + 0.2 nees"
 """Objective with truth and fix-error: mainly the likelihood, since a drive has few independent position errors.
 
-With a larger share of truth-pose, the filter fits the errors of the training drive.
+With a larger share of truth-pose, the filter overfits to the errors of the training drive.
 """
 MIN_DRIVEN = 30.0  # s, shortest driving time of a drive in which fixes can be hidden
 OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
@@ -42,8 +42,8 @@ def default_filter_options(
     """Add missing ``model`` and ``use``; return the options and one line that explains them, or "" if none was missing.
 
     For planar5, the paper's model, no measurements are added. Measurements that conflict with ``kind`` or the objective
-    are omitted. ``fix-error`` does not change the model: on roads that need tilted12, planar8 with ``fix-error`` drifts
-    twice as far over 30 s.
+    are omitted. ``fix-error`` is added only to the model that suits the sensors: on roads that need tilted12, planar8
+    with ``fix-error`` drifts twice as far over 30 s.
     """
     if "model" in options and "use" in options:
         return options, ""
@@ -69,11 +69,11 @@ def default_filter_options(
 
 
 def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive | LogProperties]) -> bool:
-    """Check that all logs show correlated fix errors, the filter can model them, and the objective suits them.
+    """Return True if all logs show correlated fix errors, the filter can model them, and the objective suits them.
 
     Without truth, the states for these errors reduce the position RMSE by 25% on kingston-1 and by 13% on comma2k19.
     With simulated receivers and errors that last minutes, only the covariance improves. With truth, these states are
-    used only for models with roll and pitch: `space.search_space` states the reason.
+    used only for models with roll and pitch: see `space.FIX_ERROR_TIME`.
     """
     have, objective = [log_properties(one) for one in drives], options.get("objective") or "auto"
     known = model in MODELS
@@ -154,7 +154,7 @@ def explain_tuning(drives: Sequence[Drive | LogProperties], **options: Any) -> l
 def with_default_guards(config: C) -> C:
     """Set the prior on R and the process-noise inflation, which by default apply to likelihoods without truth.
 
-    A model with roll and pitch is also inflated with truth.
+    With truth, only the process noise of models with roll and pitch is inflated.
     """
     if not isinstance(config, TuneConfig):
         return config

@@ -81,7 +81,8 @@ def larger_drifts(forecasts: Sequence[DriftComparison]) -> list[str]:
 def drift_table(forecasts: Sequence[DriftComparison], durations: Sequence[float] = ()) -> Table:
     """Return a table of the drifts on the training drives.
 
-    ``durations``: durations of the training drives, s, since only a part of many or long drives is measured.
+    ``durations``: durations of the training drives, s. The caption states whether only a part of the drives was
+    measured.
     """
     on = (
         f"the first {MAX_NAMED_DRIVES} training drives"
@@ -152,12 +153,12 @@ def drift_warnings(drifts: Iterable[tuple[float, ...]], most: float = MAX_DRIFT_
 
 
 def restarts_of(ready: PreparedDrive, parameters: FilterParameters) -> tuple[str, list[float]]:
-    """Return a drive's name and the times, s, at which a monitored filter was reset in its first hour."""
+    """Return a drive's name and the times, s, at which a monitored filter was reset in the drive's first hour."""
     return ready.drive.name, FilterRun(_first_part(ready), parameters, recover=True).finished().restarts
 
 
 def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
-    """Return the lag-1 autocorrelation of innovations in the first hour, averaged over both axes."""
+    """Return the lag-1 autocorrelation of the innovations in a drive's first hour, averaged over both axes."""
     innovations = FilterRun(_first_part(ready), parameters).finished().innovations
     with np.errstate(all="ignore"):  # a failed filter gives NaN and infinity
         nu = innovations.innovation / np.sqrt(np.diagonal(innovations.covariance, axis1=1, axis2=2))

@@ -1,26 +1,27 @@
 """Inflate the process noise, for roads and IMUs that the tuning did not use.
 
-The inflated noise is the largest with a cost close to the lowest, similar to the rule of one standard error (L. Breiman
-et al., Classification and Regression Trees, 1984, section 3.4.3). A longer drive determines the noise better, so it
-allows a smaller cost increase.
+Inflation selects the largest noise whose cost is close to the lowest cost, similar to the rule of one standard error
+(L. Breiman et al., Classification and Regression Trees, 1984, section 3.4.3). A longer drive determines the noise
+better, so it allows a smaller cost increase.
 
-A planar model inflates all process noise except the random walk of the gyro's bias, since the noise of the velocity
-represents the tilt of roads. One drive hardly determines this walk: inflated up to 1e-7 (rad/s)2/s, it raised the
-heading error on another car's drive by 29%. A model with roll and pitch inflates the noise of position and velocity by
-the square root of the factor. With the whole factor, the error on another car is 0.86 instead of 0.65 times that of the
-fixes. Without inflation of position and velocity, the heading error with a cheap IMU is 50% larger. The noises of
-heading and yaw rate in robot-localization are not inflated, since they do not depend on roads.
+For a planar model, all process noise is inflated except the random walk of the gyro's bias. The noise of the velocity
+is included, since it represents the tilt of roads. One drive hardly determines the random walk: an inflation to 1e-7
+(rad/s)2/s raised the heading error on another car's drive by 29%. For a model with roll and pitch, the noise of
+position and velocity is inflated by the square root of the factor. With the whole factor, the error on another car is
+0.86 instead of 0.65 times that of the fixes. Without inflation of position and velocity, the heading error with a cheap
+IMU is 50% larger. The noises of heading and yaw rate in robot-localization are not inflated, since they do not depend
+on roads.
 
 A factor has no effect on a noise near zero. In a filter with roll and pitch, the process noise and the standard
-deviations of the initial biases therefore have minima (`space.INFLATION_MINIMA`), also in a tuning with truth. With
-these minima, the position error of a filter tuned on one drive is 0.8 m instead of 1.7 m on another car's drive. On
-drives of the same car they change the error by -5 to +2%. Three or more drives with truth determine the standard
-deviations of the initial biases, so these have no minimum. A minimum would increase the heading error by 10%.
+deviations of the initial biases therefore have minima (`space.INFLATION_MINIMA`), also with truth. With these minima, a
+filter that was tuned on one drive has a position error of 0.8 m instead of 1.7 m on another car's drive. On drives of
+the same car, the minima change the error by -5 to +2%. Three or more drives with truth determine the standard
+deviations of the initial biases, so these have no minimum: a minimum would increase the heading error by 10%.
 
 The standard deviation of the gyro's initial bias has another minimum if the starts of the training drives show biases.
-A filter subtracts a bias of many standard deviations at any start (`gyro_seen`), so the cost hardly depends on this
-parameter. For a gyro with biases of 0.2 rad/s, the tuned standard deviation was 5e-5 rad/s, and the filter diverged on
-drives with a smaller bias.
+At its start, a filter subtracts a bias of many standard deviations (`gyro_seen` in `drives.alignment`), so the cost
+hardly depends on this parameter. For a gyro with biases of 0.2 rad/s, the tuned standard deviation was 5e-5 rad/s, and
+the filter diverged on drives with a smaller bias.
 """
 
 from collections.abc import Sequence
@@ -42,12 +43,12 @@ MIN_DRIVES = 3  # drives with truth that determine the standard deviations of th
 REFERENCE_DURATION, TILTED_DURATION = 100.0, 150.0
 """Driving times, s, for which the whole cost increase is allowed: for planar models, and with roll and pitch.
 
-Twice the time allows half of the increase. On the 72 pairs of drives of `benchmarks/road_matrix.py`, planar8 has a
-position RMSE 1 to 2% lower and a 5 s drift 3 to 4% lower with 100 than with 150 s. With roll and pitch, a filter was
-tuned on 200 s of kitti-09-30-0018 and tested on kitti-09-30-0033. With 100 s instead of 150 s, 83% instead of 90% of
-its errors were inside the 95% radius; the position RMSE on the training roads was the same within 1%. Shorter drives do
-not allow a larger increase: after tuning on 60 s of a highway, an increase of 0.086 instead of 0.05 raised the 5 s
-drift on other roads by 20%.
+Twice the driving time allows half of the increase. On the 72 pairs of drives of `benchmarks/road_matrix.py`, the
+position RMSE of planar8 is 1 to 2% lower and its 5 s drift 3 to 4% lower with 100 s than with 150 s. With roll and
+pitch, a filter was tuned on 200 s of kitti-09-30-0018 and tested on kitti-09-30-0033. With 100 s instead of 150 s, 83%
+instead of 90% of its errors were inside the 95% radius; the position RMSE on the training roads was the same within 1%.
+Shorter drives do not allow a larger increase: after tuning on 60 s of a highway, an increase of 0.086 instead of 0.05
+raised the 5 s drift on other roads by 20%.
 """
 MIN_BIAS_RATIO = 5.0
 """Mean of bias^2 / variance over starts and axes above which the starts show biases of the gyro.
@@ -63,8 +64,8 @@ def inflate(
 ) -> tuple[Array, float, float]:
     """Inflate the process noise of a point, shape (d,), within the bounds, until its cost has increased by ``allowed``.
 
-    ``allowed`` is a relative increase. Return the inflated point, raised to the minima, its cost, and the inflation
-    factor.
+    ``allowed`` is a relative increase. The inflated point is also raised to the minima. Return this point, its cost and
+    the inflation factor.
     """
     space = problem.space
     decades = np.arange(0.0, MAX_DECADES + STEP / 2, STEP)
@@ -96,9 +97,8 @@ def shown_bias(starts: Sequence[InitialState]) -> float:
     """Return the standard deviation of the gyro biases that starts show, rad/s; 0 if they show none."""
     gyros = [start.gyro for start in starts if start.gyro is not None]
     bias, variance = (np.array([getattr(one, what) for one in gyros]) for what in ("bias", "variance"))
-    known = np.isfinite(bias) & np.isfinite(
-        variance
-    )  # an axis that was not observed has an infinite variance
+    # The variance of an axis that was not observed is infinite.
+    known = np.isfinite(bias) & np.isfinite(variance)
     squares, variance = np.square(bias[known]), variance[known]
     if not known.any() or np.mean(squares / variance) < MIN_BIAS_RATIO:
         return 0.0

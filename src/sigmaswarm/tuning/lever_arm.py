@@ -46,7 +46,7 @@ BLOCK_LENGTH = 20.0  # s, length of a block; fix errors may be correlated within
 STD_FACTOR = 1.2
 """Factor on the standard deviations: the noise is fitted to the same fixes, and tire slip is not exactly linear.
 
-Without it, 93% of the errors on 65 simulated drives were within 1.96 standard deviations.
+Without this factor, 93% of the errors on 65 simulated drives were within 1.96 standard deviations.
 """
 MAX_ROUNDS, STEP_TOLERANCE = 8, 0.005
 """Largest number of Gauss-Newton steps, and size of the last step (m)."""
@@ -150,7 +150,7 @@ def estimate_lever_arm(
     AlignmentError
         If a drive never moves far enough to start a filter.
     InputError
-        If there are no drives, they state different lever arms, or ``within`` is not positive and finite.
+        If there are no drives, the drives state different lever arms, or ``within`` is not positive and finite.
     """
     read = [replace(drive, truth=None) for drive in as_list(drives)]
     if not read:
@@ -281,7 +281,7 @@ def _whitened(ready: PreparedDrive, parameters: FilterParameters, values: Values
     if not np.isfinite(start.nis).all():
         name = ready.drive.name
         raise InputError(
-            f"the filter fails on {name}; repair what `sigmaswarm doctor` finds, or leave the drive out"
+            f"the filter fails on {name}; repair the faults that `sigmaswarm doctor` finds, or leave the drive out"
         )
     moved = [run({**values, name: v + STEP[name]}).innovation for name, v in values.items()]
     slopes = [(nu - start.innovation) / STEP[name] for name, nu in zip(values, moved, strict=True)]

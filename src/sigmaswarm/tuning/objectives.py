@@ -32,10 +32,10 @@ class Objective:
     likelihood : bool
         True for a negative log-likelihood. In a sum with such a term, all terms are in nats.
     nats : float
-        Total weight of the logarithmic terms: a 1% increase of errors adds 0.01 nats per element of a measurement. 0 if
-        the cost is a positive error.
+        Total weight of the logarithmic terms; 0 if the cost is a positive error. In a term of weight 1, errors that are
+        1% larger add 0.01 nats per element of a measurement.
     warning : str or None
-        Shown to the user before the search.
+        Warning for the user before the search.
     """
 
     name: str
@@ -93,13 +93,13 @@ def conditional_value_at_risk(costs: Array, share: float) -> Array:
 
 
 def _pose(scores: Scores) -> Array:
-    # A drive that is too short for an outage or too slow for a heading lacks this term for every set.
+    # If a drive is too short for an outage or too slow for a heading, this term is 0 for every set.
     heading = np.nan_to_num(np.degrees(scores.heading_rmse), posinf=np.inf)
     drift = np.nan_to_num(scores.outage_drift, posinf=np.inf)
     return scores.position_rmse + HEADING_WEIGHT * heading + OUTAGE_WEIGHT * drift
 
 
-def _off(mean: Array) -> Array:
+def _deviation(mean: Array) -> Array:
     """Return the absolute logarithm of mean NIS / 2 or mean NEES / 2; both ratios are 1 for a consistent filter."""
     return np.abs(np.log(mean / 2))
 
@@ -154,13 +154,13 @@ OBJECTIVES = {
         Objective(
             "nis",
             "|ln(mean NIS / 2)|: deviation of the innovations from their covariances",
-            lambda scores: _off(scores.mean_nis),
+            lambda scores: _deviation(scores.mean_nis),
             nats=1.0,
         ),
         Objective(
             "nees",
             "|ln(mean NEES / 2)|: deviation of the position error from its covariance",
-            lambda scores: _off(scores.mean_nees),
+            lambda scores: _deviation(scores.mean_nees),
             needs_truth=True,
             nats=1.0,
         ),

@@ -37,7 +37,7 @@ SEEDS = 20
 """Number of runs of each optimizer in a comparison."""
 
 
-class SharedOptions(TypedDict, total=False):  # a comparison does not vary them
+class SharedOptions(TypedDict, total=False):  # equal for all tunings of a comparison
     objective: str
     worst: float
     particles: int

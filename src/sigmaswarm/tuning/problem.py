@@ -214,7 +214,7 @@ def car_problem(
     objective = parse_objective(config.objective)
     if config.prior and not objective.nats:
         raise InputError(
-            f"prior = {config.prior:g}: is in nats, but {objective.name} is not; leave prior out, or use "
+            f"prior = {config.prior:g}: the prior is in nats, but {objective.name} is not; leave prior out, or use "
             "innovation-nll or innovation-t"
         )
     dataset = LocalDataset(drives) if isinstance(drives, Sequence) else drives
@@ -223,7 +223,7 @@ def car_problem(
     _check_columns(have, config)
     scorer = scorer_for(objective, dataset, config.outage_seed, as_recorded=config.as_recorded)
     data = dataset.map(drive_record)
-    # Compiled before the threads start, since all of them would wait for the kernel.
+    # Compiled before the threads start; otherwise all threads would wait for the kernel.
     run_kernel(kernel_name(config.model, config.kind, "fix-error" in config.use))
     return CarProblem(config, space or car_space(config, have), data, scorer)
 

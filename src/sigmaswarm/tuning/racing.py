@@ -1,7 +1,7 @@
-"""Race candidates: drop those with high costs on the first drives before all drives are evaluated.
+"""Race candidates: evaluate all of them on a few drives, and only the better ones on more drives.
 
-Successive halving (K. Jamieson and A. Talwalkar, AISTATS 2016) with drives as the resource. Unlike F-race (M. Birattari
-et al., GECCO 2002) it drops a fixed share, so the number of steps is known in advance.
+This is successive halving (K. Jamieson and A. Talwalkar, AISTATS 2016) with drives as the resource. Unlike F-race (M.
+Birattari et al., GECCO 2002), a race drops a fixed share of the candidates, so the number of steps is known in advance.
 
 A single filter takes as long as eight filters in one vector, so the last candidate of a race is expensive. With many
 drives, a batch therefore also races against the best candidate so far, the leader. The leader's costs are a control
@@ -22,7 +22,7 @@ from sigmaswarm.tuning.problem import Problem
 
 FIRST_DIVISOR = 12  # a race starts with 1 / FIRST_DIVISOR of the drives
 MIN_DRIVES = 96
-"""Smallest number of drives for a race against the best filter so far; of fewer drives, 1/12 is too few for a test."""
+"""Smallest number of drives for a race against the leader; 1/12 of fewer drives is too small a sample for a test."""
 Order = Sequence[int] | NDArray[np.int64]
 
 
@@ -52,7 +52,7 @@ class RaceResult:
 
 
 def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
-    """Return numbers of candidates and drives per rung; each next rung has half the candidates and twice the drives."""
+    """Return numbers of candidates and drives per rung; each rung halves the candidates and doubles the drives."""
     rungs = [(n_candidates, n_drives // FIRST_DIVISOR if n_drives >= MIN_DRIVES else min(1, n_drives))]
     while (drives := rungs[-1][1]) < n_drives:
         rungs.append(((rungs[-1][0] + 1) // 2, min(2 * drives, n_drives)))
@@ -124,7 +124,7 @@ def _in_order(each: Array, order: NDArray[np.int64]) -> Array:
 def _behind(
     costs: Array, finished: NDArray[np.int64], dropped: list[NDArray[np.int64]], otherwise: float
 ) -> Array:
-    """Return costs with each dropped candidate above all finished ones, or above ``otherwise`` if none finished."""
+    """Raise the costs of dropped candidates above those of finished ones, or above ``otherwise`` if none finished."""
     shifted, floor = costs.copy(), _highest(costs[finished], otherwise)
     for group in reversed(dropped):
         best = float(costs[group].min(initial=np.inf))

@@ -1,9 +1,9 @@
 """Compare R with the receiver's accuracy: a prior for logs without truth, and warnings of an implausible R.
 
 Many receivers smooth their fixes. For smoothed fixes, the likelihood is largest with an R of centimeters, and a filter
-with this R copies the fixes. The prior penalizes only a smaller R, since receivers in cities state standard
-deviations that are too small. The prior is counted once per fix; otherwise it would lose its weight with more fixes,
-although their errors are correlated.
+with this R copies the fixes. The prior penalizes an R below the receiver's variance. It does not penalize a larger R,
+since in cities receivers state standard deviations that are too small. The prior is counted once per fix. Otherwise,
+its weight would decrease with the number of fixes, although their errors are correlated.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.wording import to_do
 
 PRIOR_STD = 0.5  # prior standard deviation of log10 R below the receiver's variance
-PRIOR_STD_ABOVE = 0.25  # the same for R above that variance; only for fix-error, which needs a small R
+PRIOR_STD_ABOVE = 0.25  # prior standard deviation of log10 R above that variance, for fix-error only
 MAX_STD_RATIO = 3.0  # ratio of the receiver's standard deviation to that of R above which a warning is given
 MIN_STATED_SHARE = 0.05  # smallest share of R from stated variances at which these have an effect
 SPAN = 600.0  # s of a drive in which the scatter of the fixes is measured; a longer part does not change the result
@@ -40,13 +40,14 @@ def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array
     """Return the prior's penalty per fix of n parameter sets on m drives, nats, shape (n, m).
 
     The penalty is 0.5 (log10(R / std^2) / 0.5)^2 if R is smaller than std^2, else 0, averaged over both axes. ``std``,
-    m, shape (m, 2), is the `receiver_std` of each drive. With stated accuracies, R is that of the median fix. With fix
-    errors, R includes their variance, and an R larger than std^2 costs 0.5 (log10(R / std^2) / 0.25)^2.
+    m, shape (m, 2), is the `receiver_std` of each drive. With stated accuracies, R is that of the median fix. In a
+    filter with fix-error, R includes the variance of the correlated errors, and an R larger than std^2 costs
+    0.5 (log10(R / std^2) / 0.25)^2.
     """
     log = np.log10(typical_variance(parameter_sets, std) / std**2)
-    lasts = ParameterTable.of(parameter_sets).column("fix_error")[:, None, None] > 0.0
-    off = np.minimum(log / PRIOR_STD, 0.0) + np.where(lasts, np.maximum(log / PRIOR_STD_ABOVE, 0.0), 0.0)
-    return 0.5 * np.mean(off**2, axis=2)
+    correlated = ParameterTable.of(parameter_sets).column("fix_error")[:, None, None] > 0.0
+    above = np.where(correlated, np.maximum(log / PRIOR_STD_ABOVE, 0.0), 0.0)
+    return 0.5 * np.mean((np.minimum(log / PRIOR_STD, 0.0) + above) ** 2, axis=2)
 
 
 def typical_variance(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
@@ -78,7 +79,7 @@ def fix_noise(drive: Drive) -> FixNoise:
 
 
 def median_stated_std(drive: Drive) -> float:
-    """Return the median standard deviation that the receiver states, m per axis; NaN if none."""
+    """Return the median standard deviation that the receiver states, m per axis; NaN if it states none."""
     return float(np.mean(stated_std(drive) or np.nan))
 
 
@@ -128,10 +129,10 @@ def prior_warnings(
     """Report the first drive on which the prior changed R noticeably, with the standard deviations, m per axis."""
     costs = weight * prior_costs([parameters], receiver)[0]
     r = np.sqrt(np.mean(typical_variance([parameters], receiver)[0], axis=1))
-    for name, std, one, near, cost in zip(names, receiver.mean(axis=1), noise, r, costs, strict=True):
-        if cost <= MIN_PRIOR_COST or near * MAX_STD_RATIO < std:
+    for name, std, one, tuned, cost in zip(names, receiver.mean(axis=1), noise, r, costs, strict=True):
+        if cost <= MIN_PRIOR_COST or tuned * MAX_STD_RATIO < std:
             continue
-        compromise = f"R corresponds to {near:.2g} m per axis, a compromise between the innovations and"
+        compromise = f"R corresponds to {tuned:.2g} m per axis, a compromise between the innovations and"
         if np.isfinite(one.stated):
             lasting = f". The fixes scatter by {one.scatter:.2g} m, so their errors are correlated. {UNKNOWN}"
             addition = lasting if std > MAX_SCATTER_RATIO * one.scatter else ""
@@ -147,10 +148,10 @@ def prior_warnings(
 
 
 def accuracy_warnings(
-    parameters: FilterParameters, each: Sequence[float], use: Sequence[str] = ()
+    parameters: FilterParameters, stated: Sequence[float], use: Sequence[str] = ()
 ) -> list[str]:
     """Warn if the stated accuracies, m, have no effect; ``use``: values of ``--use`` in the proposed command."""
-    std = _median(each)
+    std = _median(stated)
     if parameters.accuracy_scale is None or not np.isfinite(std):
         return []
     share = parameters.accuracy_scale * std**2

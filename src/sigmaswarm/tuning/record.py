@@ -25,7 +25,7 @@ End = float | Literal["-"]
 NOT_VALIDATED = (
     "the cost is that of the training drives; evaluate the filter on other drives, or pass validation drives"
 )
-"""Remark in files, which an evaluation omits."""
+"""Remark in tuning.toml; an evaluation omits it."""
 NOT_VALIDATED_TEXTS = (
     NOT_VALIDATED,
     "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation",
@@ -66,7 +66,7 @@ class ResultRecord(BaseModel):
     filter_steps: int = 0
     filter_steps_without_racing: int = 0
     lower_cost_at: dict[str, float] = Field(default_factory=dict)
-    """Relative change of the cost if only this parameter changes."""
+    """Lowest relative change of the cost if only this parameter changes, by parameter; negative changes only."""
 
 
 class TuningRecord(BaseModel):
@@ -105,12 +105,12 @@ class TuningRecord(BaseModel):
 
     @property
     def unusable(self) -> list[str]:
-        """Warnings of the tuning that its filter should not be used."""
+        """Warnings of the tuning that state that the filter should not be used."""
         return [one for one in (self.result.warnings if self.result else ()) if DO_NOT_USE in one]
 
     @property
     def mountings_differ(self) -> bool:
-        """True if the training drives state mountings that do not agree."""
+        """True if the training drives have different mountings."""
         return self.mounting is None and any(drive.imu_mounting_deg for drive in self.data)
 
 

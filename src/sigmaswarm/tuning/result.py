@@ -38,7 +38,7 @@ INFLATION_REMARK = (
 )
 SENSORS_REMARK = (
     "a filter tuned with truth is valid only for the receiver and the IMU of these drives. With other sensors it may "
-    "be far less accurate than the fixes; for them, tune without truth (--objective innovation-t)"
+    "be far less accurate than the fixes; for other sensors, tune without truth (--objective innovation-t)"
 )
 MORE_DRIVES = "tune on more drives, or on drives that resemble the validation drives"
 STORED = (
@@ -51,7 +51,7 @@ LARGE_GAP = 0.2  # relative increase of the errors on validation drives
 
 @dataclass(frozen=True)
 class Validation:
-    """Cost on drives that the search did not use; ``gap``: relative increase of errors over the training drives."""
+    """Cost on drives that the search did not use; ``gap``: relative increase of errors from the training drives."""
 
     cost: float
     gap: float
@@ -90,13 +90,13 @@ class Tuning(Generic[P]):
         Range of each parameter in which the cost increases by less than 1%.
     validation : Validation or None
     inflation_factor : float
-        Factor of the process-noise inflation, 1 without inflation: see `tuning.inflation`.
+        Factor by which process noise is inflated; 1 without inflation. See `tuning.inflation`.
     start_cost : float or None
         Cost of the start filter on the training drives; None if no ``start`` was given.
     fixes_alone : MotionNoise or None
         Noise parameters of a constant-velocity filter that uses only the fixes, fitted to the training drives by
         likelihood.
-    forecasts : tuple of Forecast
+    forecasts : tuple of DriftComparison
         Drifts over outages of 1, 5 and 30 s on the training drives, compared with fixes alone and the baseline.
     """
 

@@ -183,9 +183,9 @@ class TrialRunner:
         arrays, notes = saved
         try:
             optimizer.restore(arrays | {"rng": notes["rng"]})
-            if isinstance(optimizer.first, AskTell):  # a trial run on a copy detects an inconsistent state
-                again = deepcopy(optimizer)
-                again.tell(np.zeros(len(again.ask())))
+            if isinstance(optimizer.first, AskTell):  # a step of a copy fails if the state is inconsistent
+                copy = deepcopy(optimizer)
+                copy.tell(np.zeros(len(copy.ask())))
             history = {name: arrays[name] for name in HISTORY}
             TrialHistoryRecord(point=optimizer.global_best, **history)
             failures = int(notes["failures"])

@@ -1,6 +1,7 @@
 """The range of each parameter in which the cost increases by less than 1%.
 
-Only one parameter changes at a time, so trade-offs are not visible, except that of a common factor on all noise.
+Only one parameter changes at a time, so trade-offs between parameters are not visible. The exception is a common factor
+on all noise variances, which is varied like a parameter.
 """
 
 from concurrent.futures import Executor
@@ -50,7 +51,7 @@ def sensitivities(
     down, up = ((bound - point)[:, np.newaxis] * axes for bound in (space.low, space.high))
     noises = space.logarithmic & space.noises
     if noises.any():
-        # Two decades each way, also beyond the bounds; otherwise a variance at its bound would hide the trade-off.
+        # Two decades each way, also beyond the bounds; otherwise one variance at its bound would fix the factor.
         together = np.where(noises, 2.0, 0.0)
         down, up = np.vstack([down, -together]), np.vstack([up, together])
         names.append(NOISE_SCALE)

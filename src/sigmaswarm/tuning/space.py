@@ -38,8 +38,9 @@ After tuning with truth on kingston-1, the position RMSE was 3.1 m with a search
 TYPICAL_SLIP = 0.005
 """Tire slip of passenger cars, s2/m, used without truth.
 
-It is 0.004 to 0.012 on real drives (course relative to the gyro's heading) and 0.006 on simulated drives. A likelihood
-without truth finds 0.010 to 0.018, since cars turn at similar speeds, so it determines only rear_axle - slip v^2.
+The slip is 0.004 to 0.012 on real drives (course relative to the gyro's heading) and 0.006 on simulated drives. The
+likelihood without truth is largest at 0.010 to 0.018. Cars turn at similar speeds v, so the likelihood determines only
+rear_axle - slip v^2.
 """
 MIN_WHITE_SHARE = 0.04
 """Lower bound of R, relative to the receiver's variance, for fix-error with a fixed time.
@@ -64,7 +65,7 @@ IMU_DIMENSIONS = (
 ENTRIES = {"imu_gate": ("gate_gyro", "gate_accel")}
 """Names of the entries of a tuple."""
 NOISE_ONLY_OPTIONS = ("lateral", "odometer")
-"""Options that have only a noise parameter in robot-localization: its twists are in m/s, at the IMU, without delay."""
+"""Options with only a noise parameter in robot-localization, which reads twists in m/s, at the IMU, without delay."""
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     **dict.fromkeys(
         ("adaptive-ukf", "strong-tracking-ukf"),
@@ -141,7 +142,8 @@ def search_space(
     """Create the search space of a filter; ``scale`` applies to the variances.
 
     Bounds per second are converted to ``nominal_interval``, s, by default 10 ms. fix-error needs ``fix_std``, the
-    receiver's standard deviation per axis, m. fix-error and slip need ``has_truth``, True if the objective uses truth.
+    receiver's standard deviation per axis, m. For fix-error and slip, ``has_truth`` is True if the objective uses
+    truth.
     """
     if scale not in ("log10", "linear"):
         raise InputError(f"scale must be log10 or linear, not {scale!r}")
@@ -203,29 +205,29 @@ def _dimensions(
         alike = list(states)
         lowest, highest = alike[0].variance
         scale = interval if alike[0].per_second else 1.0
-        box, inflation, least = (scale * lowest, scale * highest), 1.0, -math.inf
+        bounds, inflation, least = (scale * lowest, scale * highest), 1.0, -math.inf
         if described.tilts:  # `tuning.inflation` states the measurements behind these numbers
             least = scale * INFLATION_MINIMA.get(name, 0.0)
             inflation = 1.0 if alike[0].bias_of else 0.0 if alike[0].unit == "rad" else 0.5
         elif alike[0].bias_of == "gyro" or (described.measures_imu and alike[0].unit.startswith("rad")):
             inflation = 0.0
-        yield Dimension(f"q_{name}", "process_noise", len(alike), *box, inflation=inflation, least=least)
+        yield Dimension(f"q_{name}", "process_noise", len(alike), *bounds, inflation=inflation, least=least)
     fixes = ACCURACY_FLOOR if "accuracy" in use else described.fix_variance
     for name, entries in (("xy", 2),) if blind else (("x", 1), ("y", 1)):
         yield Dimension(f"r_{name}", "measurement_noise", entries, *fixes)
     if described.measures_imu:
         yield from IMU_DIMENSIONS
     for sensor in described.sensors:
-        name, box = f"{sensor}_bias_std", SENSORS[sensor].start_std
+        name, bounds = f"{sensor}_bias_std", SENSORS[sensor].start_std
         least = INFLATION_MINIMA[name] if described.tilts else -math.inf
-        yield Dimension(name, "bias_std", 1, *box, least=least)
+        yield Dimension(name, "bias_std", 1, *bounds, least=least)
     yield from KIND_DIMENSIONS.get(kind, ())
     for option in (option for option in OPTIONS if option in use):
         wanted = [name for name, search in SEARCHED.items() if search.option == option]
         for field in wanted[:1] if described.measures_imu and option in NOISE_ONLY_OPTIONS else wanted:
-            _, *box, spread = SEARCHED[field]
+            _, *bounds, spread = SEARCHED[field]
             for name in ENTRIES.get(field, (field,)):
-                yield Dimension(name, field, int(field in ENTRIES), *box, spread=spread)
+                yield Dimension(name, field, int(field in ENTRIES), *bounds, spread=spread)
 
 
 def searched_name(name: str, known: Container[str], model: str) -> str:

@@ -6,7 +6,7 @@ The folder contains
     checkpoint-000.npz   complete state of a running trial after its last generation
     trial-000/           result.json and history.npz of a finished trial
     tuning.toml          filter of the best trial, after all trials
-    seen.npz             landmarks by which the training drives are recognized (`drives.overlap`)
+    seen.npz             landmarks that identify the training drives (`drives.overlap`)
 """
 
 import json
@@ -55,9 +55,9 @@ class TrialHistoryRecord(BaseModel):
     @model_validator(mode="after")
     def _of_one_length(self) -> Self:
         if not 0 < len(self.best) == len(self.median) == len(self.steps):
-            raise ValueError("best, median and steps should have one length")
+            raise ValueError("best, median and steps should have the same length")
         if np.isnan([*self.best, *self.median]).any() or not np.isfinite([*self.point, *self.steps]).all():
-            raise ValueError("its numbers should be finite; costs may be infinite")
+            raise ValueError("point and steps should be finite, and costs should not be NaN")
         return self
 
 

@@ -157,7 +157,7 @@ def _search_options(options: dict[str, Any], *, paper: bool) -> dict[str, Any]:
 
 
 def _landmarks_of(problem: Problem[Any], folder: ResultFolder | None) -> Sequence[Landmarks]:
-    """Save and return the landmarks of the drives, since a cluster may stop before they are needed."""
+    """Compute the landmarks of the drives before the search, since a cluster may stop later; save and return them."""
     marks = problem.seen
     if folder is None or not marks:
         return tuple(marks)
@@ -244,8 +244,8 @@ def tune_problem(
 ) -> Tuning[P]:
     """Run, resume or read the trials, and write tuning.toml.
 
-    The result is ``start`` if its cost is lower than that of every trial. ``diagnose`` checks for faults that the
-    objective does not show.
+    If the cost of ``start`` is lower than that of every trial, the result is ``start``. With ``diagnose``, the filter
+    is checked for faults that the objective does not show.
     """
     config, search = problem.config, TrialRunner(problem, executor, folder, progress, start)
     trials = tuple(search.trial(i) for i in range(config.trials))
@@ -263,7 +263,7 @@ def tune_problem(
         point, cost, factor = inflate(problem, point, cost, config.inflation, executor)
     validation = None
     if held_back:
-        own, other = (each.cost_without_prior(point, executor) for each in (problem, held_back))
+        own, other = (one.cost_without_prior(point, executor) for one in (problem, held_back))
         names = tuple(entry["name"] for entry in held_back.data)
         validation = Validation(other, float(problem.relative_increase(other, own)), names)
     evaluations = sum(trial.evaluations for trial in trials)

@@ -13,7 +13,7 @@ from sigmaswarm.geodesy import Array
 class Optimizer(Protocol):
     """A minimizer with ``ask`` and ``tell``.
 
-    The class is called as ``Own(low, high, population, rng)``. ``low`` and ``high`` are the bounds in search
+    The constructor has the arguments ``(low, high, population, rng)``. ``low`` and ``high`` are the bounds in search
     coordinates, shape (d,). ``population`` is the number of points per batch. ``rng`` is a `numpy.random.Generator`,
     the only source of random numbers. Points outside the bounds are clipped.
     """
@@ -98,7 +98,7 @@ class AskTell:
         """Update the state from the costs of `positions`."""
 
     def _redrawn(self, points: Array) -> Array:
-        """Draw coordinates outside the bounds again, uniformly."""
+        """Replace coordinates outside the bounds by uniform random ones."""
         outside = (points < self.low) | (points > self.high)
         return np.where(outside, self.rng.uniform(self.low, self.high, points.shape), points)
 

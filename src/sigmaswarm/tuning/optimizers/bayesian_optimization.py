@@ -17,11 +17,11 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 from sigmaswarm.tuning.optimizers.sampling import SobolSearch
 from sigmaswarm.tuning.options import require_packages
 
-MAX_POINTS = 200  # largest number n of costs in a fit, which takes a time proportional to n^3
+MAX_POINTS = 200  # largest number n of costs in a fit; the time of a fit is proportional to n^3
 NOISE = 1e-6  # variance of the noise of a cost, relative to the variance of all costs
 MIN_VARIANCE = 1e-12  # smallest variance of a predicted cost, relative to the variance of all costs
 N_BEST, NEAR_STD = 5, 0.02
-"""Number of best points near which half of the candidates are drawn; standard deviation in widths of the bounds."""
+"""Half of the candidates are near this number of best points, with this standard deviation in widths of the bounds."""
 MIN_LENGTH_SCALE, MAX_LENGTH_SCALE = 0.2, 10.0  # smallest and largest length scale, in widths of the bounds
 _LOCK = threading.Lock()
 """Lock for fits, since warning filters and thread limits apply to the whole process."""
@@ -33,7 +33,7 @@ class BayesianOptimization(AskTell):
     name = "bo"
     saved = ("points", "costs")
     batch: int = 1
-    """Number of points between two fits: fewer points use evaluations better, more points save time."""
+    """Number of points between two fits; fewer points need fewer evaluations, more points need less time."""
     candidates: int = 2000
     searches: int = 3
     """Number of local searches from the best candidates."""
@@ -71,7 +71,7 @@ class BayesianOptimization(AskTell):
 
 
 def normalized_costs(costs: Array) -> Array:
-    """Transform costs, shape (n,), to log(1 + (cost - best) / (median - best)); at least one must be finite.
+    """Transform costs, shape (n,), to log(1 + (cost - best) / (median - best)); at least one cost must be finite.
 
     A diverged filter may cost a thousand times as much as a good one. Without the transformation, the Gaussian process
     would be flat near the best point.
@@ -90,7 +90,7 @@ def next_points(
 
     ``effort``: numbers of candidates and of local searches.
     """
-    # One thread, since bits depend on the number of threads, and more threads are not faster with small matrices.
+    # One thread, since the rounding depends on the number of threads. With small matrices, more are not faster.
     from threadpoolctl import threadpool_limits
 
     n = len(points)

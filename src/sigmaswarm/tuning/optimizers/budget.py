@@ -10,7 +10,7 @@ from sigmaswarm.tuning.optimizers.nelder_mead import NelderMead
 
 
 class Budgeted:
-    """An optimizer with a budget of evaluations, of which ``polish`` are reserved for a final Nelder-Mead search.
+    """An optimizer with a budget of evaluations; ``polish`` of them are reserved for a final Nelder-Mead search.
 
     ``rng`` is the generator of ``first``; its state is saved and restored here.
     """
@@ -61,8 +61,8 @@ class Budgeted:
         if len(costs) and costs.min() < self.global_cost:
             best = int(np.argmin(costs))
             self.global_best, self.global_cost = self._points[best].copy(), float(costs[best])
-        cut = np.full(self._size - len(costs), np.inf)  # points of a last batch beyond the budget
-        (self.local or self.first).tell(np.concatenate([costs, cut]))
+        dropped = np.full(self._size - len(costs), np.inf)  # points of a last batch beyond the budget
+        (self.local or self.first).tell(np.concatenate([costs, dropped]))
         self.spent += len(costs)
 
     def end_global_search(self) -> bool:
@@ -95,14 +95,14 @@ class Budgeted:
             return own and own | {"rng": state["rng"]}
 
         most, self.spent, self.budget = self.budget, int(state["spent"]), int(state["budget"])
-        # in checkpoints of version 0.3.0 only the parts have these values
+        # In checkpoints of version 0.3.0, only the states of the two optimizers have these values.
         where = next(p for p in ("", "local.", "first.") if f"{p}global_cost" in state)
         self.global_best = np.asarray(state[f"{where}global_best"]).astype(np.float64, casting="same_kind")
         self.global_cost = float(state[f"{where}global_cost"])
         if not 0 <= self.spent <= self.budget <= most or np.isnan(self.global_cost):
             raise ValueError("the evaluations or costs do not belong to this search")
         if self.global_best.shape != self.low.shape or not np.isfinite(self.global_best).all():
-            raise ValueError("the best point should be one of this search")
+            raise ValueError("the best point does not belong to this search")
         self.first.restore(part("first"))
         self.local = None
         if local := part("local"):

@@ -3,9 +3,10 @@
 N. Hansen, The CMA evolution strategy: a tutorial, arXiv:1604.00772v2, 2023; comments have its equation numbers. CMA-ES
 libraries are not used, since they save their state only as pickles.
 
-A sample outside the bounds is drawn once more. If the second sample is outside, too, its cost is the cost of its
-projection on the bounds plus a penalty (N. Hansen et al., IEEE Trans. Evolutionary Computation 13, 180-197, 2009, but
-with a constant weight). Drawing until all samples are inside would keep the search away from an optimum on a bound.
+A sample outside the bounds is drawn once more. If the second sample is also outside, its cost is the cost of its
+projection on the bounds plus a penalty: that of N. Hansen et al., IEEE Trans. Evolutionary Computation 13, 180-197,
+2009, but with a constant weight. Repeated drawing until all samples are inside would keep the search away from an
+optimum on a bound.
 """
 
 import numpy as np

@@ -17,7 +17,7 @@ class DifferentialEvolution(AskTell):
     base: Literal["best", "rand"] = "best"
     """Base vector: the best member, or a random one."""
     scale: tuple[float, float] = (0.5, 1.0)
-    """Range of F."""
+    """Range of the scale factor F."""
     crossover: float = 0.7
     """CR, the probability that a coordinate comes from the mutant."""
 

@@ -25,12 +25,12 @@ class GeneticSwarm(MovingSwarm):
         super()._learn(costs)
 
     def _next(self) -> Array:
-        n, box = len(self.positions), (self.low, self.high)
+        n, bounds = len(self.positions), (self.low, self.high)
         elites = np.argsort(self.costs, kind="stable")[: (n + 1) // 2]
         x, costs, v = self.positions[elites], self.costs[elites], self.velocities[elites]
         best, best_cost = self.personal_best[elites], self.personal_cost[elites]
         v = self._accelerated(v, x, best)
-        children = mutated(offspring(x, costs, n - len(elites), box, self.rng), box, self.rng)
+        children = mutated(offspring(x, costs, n - len(elites), bounds, self.rng), bounds, self.rng)
         # a child starts with zero velocity, and its best position is its first one
         self.velocities = np.concatenate([v, np.zeros_like(children)])
         self.personal_best = np.concatenate([best, children])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 CROSSOVER, CROSSOVER_INDEX, MUTATION_INDEX = 0.9, 15.0, 20.0
-"""Probability of crossover, and indices eta; with higher indices, children are closer to their parents."""
+"""Probability of crossover, and indices eta of crossover and mutation; higher indices make smaller changes."""
 
 
 class GeneticAlgorithm(AskTell):
@@ -31,10 +31,10 @@ class GeneticAlgorithm(AskTell):
         if np.isinf(self.member_costs).all():  # the first generation
             self.members, self.member_costs = self.positions.copy(), costs
             return
-        everyone = np.concatenate([self.members, self.positions])
-        everyones = np.concatenate([self.member_costs, costs])
-        survivors = np.argsort(everyones, kind="stable")[: len(costs)]
-        self.members, self.member_costs = everyone[survivors], everyones[survivors]
+        points = np.concatenate([self.members, self.positions])
+        costs_of_points = np.concatenate([self.member_costs, costs])
+        survivors = np.argsort(costs_of_points, kind="stable")[: len(costs)]
+        self.members, self.member_costs = points[survivors], costs_of_points[survivors]
 
     def _next(self) -> Array:
         children = self._bred(len(self.members))
@@ -46,17 +46,17 @@ class GeneticAlgorithm(AskTell):
         return children
 
     def _bred(self, n: int) -> Array:
-        box, members, costs = (self.low, self.high), self.members, self.member_costs
+        bounds, members, costs = (self.low, self.high), self.members, self.member_costs
         chance, eta = self.crossover, self.crossover_index
-        children = offspring(members, costs, n, box, self.rng, crossover=chance, eta=eta)
-        return mutated(children, box, self.rng, eta=self.mutation_index)
+        children = offspring(members, costs, n, bounds, self.rng, crossover=chance, eta=eta)
+        return mutated(children, bounds, self.rng, eta=self.mutation_index)
 
 
 def offspring(
     parents: Array,
     costs: Array,
     n: int,
-    box: tuple[Array, Array],
+    bounds: tuple[Array, Array],
     rng: np.random.Generator,
     *,
     crossover: float = CROSSOVER,
@@ -64,15 +64,15 @@ def offspring(
 ) -> Array:
     """Return children, shape (n, d), of parents that won tournaments of two.
 
-    ``parents``, shape (m, d), have ``costs``, shape (m,). ``box`` has the lower and upper bounds.
+    ``parents``, shape (m, d), have ``costs``, shape (m,). ``bounds``: lower and upper bounds, shape (d,).
     """
     pairs = (n + 1) // 2
     # Winners of the same round are paired, so that a member is rarely paired with itself.
     first, second = parents[_winners(costs, 2 * pairs, rng).reshape(pairs, 2).T]
     low, high = np.minimum(first, second), np.maximum(first, second)
     u = rng.random(first.shape)
-    left = 0.5 * (low + high - _spread(u, low - box[0], high - low, eta))
-    right = 0.5 * (low + high + _spread(u, box[1] - high, high - low, eta))
+    left = 0.5 * (low + high - _spread(u, low - bounds[0], high - low, eta))
+    right = 0.5 * (low + high + _spread(u, bounds[1] - high, high - low, eta))
     swap = rng.random(first.shape) < 0.5
     crossed = (rng.random(first.shape) < 0.5) & (rng.random((pairs, 1)) < crossover)
     one = np.where(crossed, np.where(swap, right, left), first)
@@ -97,10 +97,10 @@ def _spread(u: Array, room: Array, distance: Array, eta: float) -> Array:
 
 
 def mutated(
-    points: Array, box: tuple[Array, Array], rng: np.random.Generator, eta: float = MUTATION_INDEX
+    points: Array, bounds: tuple[Array, Array], rng: np.random.Generator, eta: float = MUTATION_INDEX
 ) -> Array:
     """Mutate each coordinate of points, shape (n, d), with probability 1 / d."""
-    low, width = box[0], box[1] - box[0]
+    low, width = bounds[0], bounds[1] - bounds[0]
     u = rng.random(points.shape)
     below = (points - low) / width
     down = (2 * u + (1 - 2 * u) * (1 - below) ** (eta + 1)) ** (1 / (eta + 1)) - 1

@@ -1,4 +1,4 @@
-"""Local search with a simplex (Nelder-Mead), which may move several vertices at a time.
+"""Local search with a simplex (Nelder-Mead) that can move several vertices at a time.
 
 J. A. Nelder and R. Mead, Computer Journal 7, 308-313, 1965. Several vertices: D. Lee and M. Wiswall, Computational
 Economics 30, 171-187, 2007. Coefficients: F. Gao and L. Han, Comput. Optim. Appl. 51, 259-277, 2012.
@@ -76,7 +76,7 @@ class NelderMead(AskTell):
             self._settle(len(costs), self.positions, costs)
 
     def _judge_reflections(self, costs: Array) -> None:
-        """Expand points with costs below the lowest, contract those among the worst, and keep the others."""
+        """Expand points that are the best so far, contract bad points, and keep the others."""
         self.reflected, self.reflected_values = self.positions, costs
         best, kept, own = self.values[0], self.values[-self.moved - 1], self.values[-self.moved :]
         self.reach = np.select(
@@ -93,16 +93,16 @@ class NelderMead(AskTell):
         """Keep the expansions and contractions that lower the cost; otherwise shrink."""
         reach = self.reach[self.reach != 0]
         inside, outside = reach < 0, reach == self.contraction
-        asked = np.flatnonzero(self.reach)
-        rival = np.where(inside, self.values[-self.moved :][asked], self.reflected_values[asked])
-        worth = (costs < rival) | (outside & (costs == rival) & np.isfinite(costs))
-        if np.all(~worth & (reach != self.expansion)) and len(asked) == self.moved:
+        followed = np.flatnonzero(self.reach)
+        rival = np.where(inside, self.values[-self.moved :][followed], self.reflected_values[followed])
+        better = (costs < rival) | (outside & (costs == rival) & np.isfinite(costs))
+        if np.all(~better & (reach != self.expansion)) and len(followed) == self.moved:
             self.phase = "shrink"
             return
         points, values = self.reflected.copy(), self.reflected_values.copy()
-        stays = asked[inside & ~worth]
+        stays = followed[inside & ~better]
         points[stays], values[stays] = self.simplex[-self.moved :][stays], self.values[-self.moved :][stays]
-        points[asked[worth]], values[asked[worth]] = self.positions[worth], costs[worth]
+        points[followed[better]], values[followed[better]] = self.positions[better], costs[better]
         self._settle(self.moved, points, values)
 
     def _settle(self, n: int, points: Array, values: Array) -> None:

@@ -30,7 +30,7 @@ class ParticleSwarm(MovingSwarm):
 
     def _begin(self) -> Array:
         positions = super()._begin()
-        # Half the way to another random point (SPSO 2007), so that no particle starts toward the outside of the bounds.
+        # Half the vector to another random point (SPSO 2007), so that no initial velocity leads out of the bounds.
         self.velocities = 0.5 * (self.rng.uniform(self.low, self.high, positions.shape) - positions)
         return positions
 

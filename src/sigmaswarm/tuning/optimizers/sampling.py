@@ -32,13 +32,13 @@ class SobolSearch(AskTell):
     def _open(self) -> None:
         from scipy.stats import qmc  # takes a second to import
 
-        # a seed, since scipy would spawn another generator from ours, which the saved state does not contain
+        # A seed instead of our generator: scipy would spawn a generator that the saved state does not contain.
         self._sequence = qmc.Sobol(len(self.low), scramble=True, rng=self.seed)
         if self.drawn:
             self._sequence.fast_forward(self.drawn)
 
     def _next(self) -> Array:
-        # the first point is drawn separately, since scipy warns if the first batch is not a power of two
+        # The first point is drawn separately, since scipy warns if the size of the first batch is not a power of two.
         even = np.concatenate([self._sequence.random(1), self._sequence.random(self.population - 1)])
         self.drawn += self.population
         return self.low + even * (self.high - self.low)
