@@ -1,1 +1,1 @@
-"""sigmaswarm.experiments: tunings over seeds, splits and methods, and statistics of their results."""
+"""Many tunings, with different seeds, splits or methods, and statistics of their results."""

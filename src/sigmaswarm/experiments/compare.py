@@ -3,7 +3,7 @@
 The folder of a comparison contains
 
     config.json       configuration and data, which must be the same for a resumed comparison
-    runs/NAME-SEED/   folder of each tuning, as written by `tune`, and run.json of a finished one
+    runs/NAME-SEED/   folder of each tuning, in the format of `tune`, with run.json if it is finished
     times.csv         processor time of each run; the only file that differs between two identical comparisons
 """
 
@@ -59,7 +59,7 @@ REJECTED_OPTIONS = {
     **{name: f"varies in a comparison; use {name}s instead" for name in ("seed", "optimizer", "scale")},
     **dict.fromkeys(
         ("prior", "inflation", "margin"),
-        "is not available here, since a comparison uses the cost without prior and inflation; remove this option",
+        "is not an option of a comparison, which uses costs without prior and inflation; remove this option",
     ),
 }
 
@@ -92,14 +92,14 @@ def compare(
     resume : bool
         Continue the comparison in ``out``; except for the times, the result is the same as without interruption.
     cluster : distributed.Client, optional
-        Dask cluster whose workers read the drives (also given as paths or URLs) and run the filters; ``workers`` is
-        then the number of simultaneous tuning runs. The result does not depend on the cluster.
+        Dask cluster whose workers read the drives and run the filters. Drives may then be paths or URLs, and
+        ``workers`` is the number of simultaneous tuning runs. The result does not depend on the cluster.
     progress : callable, optional
-        Called with the numbers of finished runs and of all runs.
+        Called with the number of finished runs and the number of all runs.
     optimizers : sequence of str
         Names, optionally with settings: ``pso:polish=300``, ``pso:particles=10,trials=3``. All must have the same
-        budget: particles x generations x trials. The statistical tests compare with the first one. The default is pso,
-        ga, ga-pso, de, cma-es and random.
+        budget: particles x generations x trials. The statistical tests compare the others with the first one. By
+        default pso, ga, ga-pso, de, cma-es and random.
     scales : sequence of str
         log10 (the default), linear or both.
     seeds : int
@@ -193,7 +193,7 @@ class _Grid:
 def _grid(options: GridOptions, training: "Dataset", held_out: "Dataset") -> _Grid:
     seeds = options.get("seeds", SEEDS)
     if seeds < 1:
-        raise InputError(f"seeds = {seeds}: at least 1 is needed")
+        raise InputError(f"seeds = {seeds}: must be at least 1")
     for name in set(REJECTED_OPTIONS).intersection(options):
         raise InputError(f"{name}: {REJECTED_OPTIONS[name]}")
     rivals = _contenders(options, [*training.map(log_properties), *held_out.map(log_properties)])

@@ -18,7 +18,7 @@ from sigmaswarm.records import load_record
 from sigmaswarm.tuning.config import TuneConfig
 
 MIN_SEEDS = 6
-"""With fewer seeds, a two-sided signed-rank test can't reach p = 5%: its lowest p is 2^(1 - seeds)."""
+"""Smallest number of seeds for a two-sided signed-rank test at 5%, whose lowest p is 2^(1 - seeds)."""
 
 MEASURES = {
     "cost": "training cost",
@@ -59,7 +59,7 @@ class Outcome:
     cost : float
     held_out_cost, held_out_rmse, held_out_heading : float or None
         Objective, mean position RMSE (m) and mean heading error (deg) on the held-out drives; None if there are no
-        held-out drives, they have no truth, or the filter failed.
+        held-out drives, the drives have no truth, or the filter failed.
     touched : tuple of str
         Parameters at a bound.
     evaluations, failures : int
@@ -107,8 +107,8 @@ class Comparison:
     drives, test : tuple of str
         Names of the training and of the held-out drives.
     fixes_alone_rmse : float or None
-        Mean position RMSE on the held-out drives, m, of a filter that uses only the fixes, fitted to the training
-        drives.
+        Mean position RMSE, m, on the held-out drives of a filter that uses only the fixes and whose noise is fitted to
+        the training drives.
     """
 
     contenders: tuple[Contender, ...]
@@ -125,15 +125,15 @@ class Comparison:
         return len(self.runs[self.contenders[0].label])
 
     def values(self, label: str, measure: str) -> Array:
-        """Return a measure in every run, shape (seeds,), ``inf`` instead of None."""
+        """Return a measure in every run, shape (seeds,), with ``inf`` instead of None."""
         values = [getattr(run, measure) for run in self.runs[label]]
         return np.array([np.inf if v is None else v for v in values], dtype=np.float64)
 
     @cached_property
     def measures(self) -> tuple[str, ...]:
         """Measures with a value in at least one run."""
-        every = [run for runs in self.runs.values() for run in runs]
-        return tuple(m for m in MEASURES if any(getattr(run, m) is not None for run in every))
+        all_runs = [run for runs in self.runs.values() for run in runs]
+        return tuple(m for m in MEASURES if any(getattr(run, m) is not None for run in all_runs))
 
     @cached_property
     def frame(self) -> pl.DataFrame:

@@ -24,7 +24,7 @@ from sigmaswarm.errors import SigmaswarmError
 
 T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
-# Receives the number of finished rounds; raises `InterruptedError` after an interrupt.
+# Function that receives the number of finished rounds, and raises `InterruptedError` after an interrupt.
 Report = Callable[[int], None]
 PR_SET_PDEATHSIG = 1  # option of prctl(2): signal that Linux sends to a process when its parent dies
 POLL_INTERVAL = 0.05  # s, interval at which the progress of the tasks is read
@@ -106,13 +106,13 @@ def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) ->
 
 
 def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
-    """Prepare a forked process, which is killed when its parent or the grid ends; files are written atomically."""
+    """Prepare a forked process. It ends at once if its parent or the grid ends, which leaves no incomplete file."""
     global _run
     _run = run
-    # A resumed run removes unfinished files, so no old process may still write them.
+    # A resumed run removes unfinished files, so no process of the earlier run may still write.
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
-    gc.freeze()  # a collection would copy all inherited objects
+    gc.freeze()  # garbage collection would copy all inherited objects
 
     def watch() -> None:
         while not stop[0] and os.getppid() == parent:

@@ -21,7 +21,7 @@ LEVEL = 0.95
 
 
 class Draws:
-    """Random weights of drives and trials in resamples, cached by strata, times and number of trials."""
+    """Random weights of drives and trials in bootstrap resamples, cached by strata, times and number of trials."""
 
     def __init__(self, seed: int | np.random.Generator) -> None:
         self._seed = seed
@@ -60,7 +60,7 @@ def spread(values: Array) -> float:
 
 
 def trial_interval(values: Array) -> Interval:
-    """Return mean +- 1.96 SD / sqrt(n), as in the paper; half of these intervals contain the mean over new drives."""
+    """Return mean +- 1.96 SD / sqrt(n), as in the paper; half of these intervals contain the mean of new drives."""
     if not len(values):
         return math.nan, math.nan
     return _around_mean(values, 1.96 * spread(values) / math.sqrt(len(values)))
@@ -187,7 +187,7 @@ def median_interval(values: Array) -> Interval:
 def signed_rank(own: Array, theirs: Array) -> float:
     """Return the p-value of the two-sided signed-rank test over pairs; 1 if no pair differs.
 
-    Infinite costs count as the largest of all. F. Wilcoxon, Biometrics Bulletin 1, 1945.
+    An infinite cost is replaced by twice the largest finite cost. F. Wilcoxon, Biometrics Bulletin 1, 1945.
     """
     finite = np.concatenate([own, theirs])
     finite = finite[np.isfinite(finite)]

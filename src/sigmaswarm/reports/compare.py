@@ -24,9 +24,9 @@ def save_comparison(comparison: Comparison, folder: Path) -> list[Path]:
 
 
 def comparison_table(comparison: Comparison) -> Table:
-    """Tabulate medians with intervals, worst runs and tests of each optimizer; to_markdown() formats the table."""
+    """Tabulate medians with intervals, worst runs and tests of each optimizer."""
+    # With the objective truth-rmse, the cost is the RMSE.
     same = all(c.config.objective == "truth-rmse" for c in comparison.contenders)
-    # with this objective the cost is the RMSE
     shown = [m for m in comparison.measures if not (same and m == "held_out_cost")]
     tested = comparison.seeds >= MIN_SEEDS
     digits = "{:.4g}".format
@@ -51,12 +51,12 @@ def comparison_table(comparison: Comparison) -> Table:
         if alone
         else ""
     )
-    few = "" if tested else f"\n\nThere are too few seeds for a test, which needs {MIN_SEEDS} or more."
+    few = "" if tested else f"\n\nThere are too few seeds for the tests, which need {MIN_SEEDS} or more."
     note = (
         f"{comparison.seeds} seeds, {comparison.budget} evaluations each. Values: median [95% interval of the median] "
         f"and worst run. p: paired Wilcoxon test against {comparison.contenders[0].label}, with Holm's correction over "
-        "the rows. Steps: filter steps relative to the steps of all evaluations on all drives. Touched bounds: number "
-        f"of runs in which a parameter ended at a bound. Training drives: {', '.join(comparison.drives)}. "
+        "the rows. Steps: filter steps relative to those of the whole budget on all drives. Touched bounds: number of "
+        f"runs in which a parameter ended at a bound. Training drives: {', '.join(comparison.drives)}. "
         f"Held-out drives: {', '.join(comparison.test) or 'none'}.{rival}{few}"
     )
     return Table("", tuple(columns), tuple(rows), note=note)
@@ -68,14 +68,15 @@ def comparison_figure(comparison: Comparison) -> Figure:
     contenders = comparison.contenders
     looks = many_styles(len(contenders), 1.6)
 
-    def courses(ax: Axes) -> None:
+    def costs_over_budget(ax: Axes) -> None:
         for i, (contender, look) in enumerate(zip(contenders, looks, strict=True)):
             rows = comparison.curves.filter(
                 (pl.col("optimizer") == contender.name) & (pl.col("scale") == contender.scale)
             )
             spent = rows["full_evaluations"].to_numpy()
-            # just after the last evaluation
-            end = comparison.budget * (comparison.frame["steps_share"][i] + 0.01)
+            end = comparison.budget * (
+                comparison.frame["steps_share"][i] + 0.01
+            )  # just after the last evaluation
             costs = (rows[name].to_numpy() for name in ("median", "quartile_1", "quartile_3"))
             middle, low, high = (np.where(np.isfinite(c) & (spent <= end), c, np.nan) for c in costs)
             band(ax, spent, low, high, Look(look.color, opacity=0.12))
@@ -95,14 +96,14 @@ def comparison_figure(comparison: Comparison) -> Figure:
         name_rows(ax, [c.label for c in contenders])
 
     charts = (
-        Chart(f"Median and quartiles of {comparison.seeds} seeds", courses),
+        Chart(f"Median and quartiles of {comparison.seeds} seeds", costs_over_budget),
         Chart("All runs and their medians", runs),
     )
     return figure_of(*charts, size=(12, max(4.2, 1.6 + 0.28 * len(contenders))), legend="below")
 
 
 def _frame(comparison: Comparison) -> tuple[float | None, float | None]:
-    """Return the limits of the cost axis: lowest cost, and median over optimizers at a tenth of the budget."""
+    """Return the limits of the cost axis: the lowest cost, and the median cost at a tenth of the budget."""
     medians = comparison.curves["median"].to_numpy().reshape(len(comparison.contenders), -1)
     finite = medians[np.isfinite(medians)]
     if not len(finite):

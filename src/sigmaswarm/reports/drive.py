@@ -1,4 +1,4 @@
-"""Picture of a drive: path, speed, IMU, fixes, outages, target and achieved values."""
+"""Picture of a drive: path, speed, IMU, fixes and outages; for a simulated drive, target and achieved values."""
 
 from typing import Any
 

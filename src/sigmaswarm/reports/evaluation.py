@@ -51,7 +51,10 @@ from sigmaswarm.wording import list_names
 
 DRAWING_ORDER = [name for name, look in reversed(STYLES.items()) if look.visible]
 """Series of a track from bottom to top. The truth is drawn above the tuned filter, whose line is wider."""
-HEADING_LIMITS = (1.0, 30.0)  # deg, limits of the heading axis's range; a diverged filter has large errors
+HEADING_LIMITS = (
+    1.0,
+    30.0,
+)  # deg, smallest and largest end of the heading axis; diverged filters have larger errors
 
 
 def save_evaluation(
@@ -62,8 +65,8 @@ def save_evaluation(
 ) -> list[Path]:
     """Write the records and pictures of an evaluation into a folder; return the paths of all files.
 
-    The files include a copy of ``tuning`` (the evaluated tuning.toml or its folder). ``save_network`` writes a copy of
-    the evaluated network into a folder.
+    ``tuning``: the evaluated tuning.toml or its folder, of which a copy is also written. ``save_network`` writes a copy
+    of the evaluated network into a folder.
     """
     with staged_files(folder, EVALUATION, EVALUATION_FILE) as new:
         written = [*evaluation.save(new), save(comparison(evaluation), new / "comparison.png")]
@@ -83,7 +86,7 @@ def save_evaluation(
 
 
 def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
-    """Copy a tuning.toml, its history and its fingerprints into a folder; return the paths of the copies."""
+    """Copy tuning.toml, convergence.csv and seen.npz of a tuning into a folder; return the paths of the copies."""
     file = tuning_file(tuning)
     written: list[Path] = []
     for name in (FILE, HISTORY_FILE, TRAINING_DATA_FILE):
@@ -123,8 +126,8 @@ def comparison(evaluation: Evaluation) -> Figure:
 def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, ...]:
     """Draw bars of the means over the drives, one chart per measure.
 
-    IMU only and fixes alone do not set the scale; a bar beyond the scale is cut and has an arrow. With ``titled``, the
-    name of the measure is the title instead of the axis label.
+    The methods "IMU only" and "fixes alone" do not affect the scale. A bar beyond the scale is cut and has an arrow.
+    With ``titled``, the title is the name of the measure, which is then not the label of the axis.
     """
 
     def bars(measure: Measure, values: Mapping[str, float]) -> Chart:
@@ -209,8 +212,7 @@ def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
         corners = half * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
         curve(ax, x + corners[0], y + corners[1], Look(CHARCOAL, 0.8))
         low, high = picture.frame
-        # the fixes set the scale, not a diverged filter
-        margin = 0.08 * float((high - low).max())
+        margin = 0.08 * float((high - low).max())  # the fixes set the scale, not a diverged filter
         as_map(ax, *zip(low - margin, high + margin, strict=True))
 
     def close(ax: Axes) -> None:
@@ -257,7 +259,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
 
 
 def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
-    """Draw the stacked weights of the filters of a bank, and their distance from the tuning, over time."""
+    """Draw over time the stacked weights of a bank's filters, and the bank's distance from the tuned parameters."""
     shares, moved = (tracks.series.get("swarm" + ending) for ending in (SHARES, MOVED))
     if shares is None or moved is None:
         return ()

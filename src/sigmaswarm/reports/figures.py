@@ -1,6 +1,6 @@
 """Draw charts with matplotlib as PNG and SVG.
 
-The same chart gives an identical file. The global state of pyplot does not change.
+The same chart gives an identical file. The functions do not use pyplot's global state.
 """
 
 import re
@@ -61,7 +61,7 @@ def name_rows(ax: Axes, names: Sequence[str]) -> None:
 
 
 def show_time(ax: Axes, name: str = "time t, s") -> None:
-    """Label the time axis with full numbers, since commands such as `split --at` take these times of the log."""
+    """Label the time axis without offset or powers of ten, since users pass these times to `split --at`."""
     ax.set_xlabel(name)
     ax.ticklabel_format(axis="x", style="plain", useOffset=False)
 
@@ -95,7 +95,7 @@ def short_number(value: float) -> str:
 
 
 def hover_id(text: str) -> str:
-    """Encode a hover text as an artist's identifier, from which `_svg` makes a title element."""
+    """Encode a hover text as the identifier of an artist; `_svg` replaces it by a title element."""
     return f"hover-{urlsafe_b64encode(text.encode()).decode()}"
 
 
@@ -106,10 +106,10 @@ def figure_of(
     legend: Literal["none", "inside", "below"] = "inside",
     **shared: Any,
 ) -> Figure:
-    """Draw charts in a row or in columns on a figure of a ``size`` in inches.
+    """Draw charts on a figure, in rows of ``columns`` charts (by default one row); ``size`` is in inches.
 
-    The legend "below" all charts contains the names of the first chart only. ``shared`` are ``sharex`` and ``sharey``
-    of matplotlib.
+    The legend "below" all charts contains the names of the first chart only. ``shared``: ``sharex`` and ``sharey`` of
+    matplotlib.
     """
     columns = columns or len(charts)
     figure = Figure(figsize=size, layout="constrained")
@@ -139,7 +139,7 @@ def _legend_below(figure: Figure, columns: int) -> None:
 def _plain(artist: Artist) -> None:
     """Draw texts literally, since names of drives are not formulas.
 
-    Axes are excepted: their numbers may contain powers, and creating their ticks is slow.
+    Numbers at the axes are excepted: they may contain powers, and creating ticks is slow.
     """
     if isinstance(artist, Text):
         artist.set_parse_math(False)
@@ -151,8 +151,7 @@ def _plain(artist: Artist) -> None:
 def save(figure: Figure, path: Path) -> Path:
     _plain(figure)
     with atomic_file(path) as file, warnings.catch_warnings():
-        # the font may lack letters of a name
-        warnings.filterwarnings("ignore", message="Glyph")
+        warnings.filterwarnings("ignore", message="Glyph")  # the font may lack letters of a name
         figure.dpi = 130  # `savefig` would draw the figure twice, with the layout each time
         FigureCanvasAgg(figure).print_png(file, metadata={"Software": None})
     return path
@@ -184,14 +183,14 @@ def svg(chart: Chart) -> str:
 
 
 def _svg(figure: Figure, **settings: str) -> str:
-    """Draw an SVG without a date; hover texts become title elements."""
+    """Return a figure as SVG without a date; hover texts become title elements."""
     _plain(figure)
     file = StringIO()
     metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     look: dict[Any, Any] = {"svg.hashsalt": "sigmaswarm", **settings}
     with rc_context(look), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")
-        FigureCanvasSVG(figure).print_svg(file, metadata=metadata)  # once: see `save`
+        FigureCanvasSVG(figure).print_svg(file, metadata=metadata)  # `savefig` would draw twice
     return re.sub(
         r'<g id="hover-([^"]*)">',
         lambda found: f"<g><title>{escape(urlsafe_b64decode(found[1]).decode())}</title>",

@@ -1,4 +1,4 @@
-"""Page of a folder of results."""
+"""HTML page for a folder of results."""
 
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def read_report(folder: Path) -> Report:
 
 
 def save_page(folder: Path, out: Path | None = None) -> Path:
-    """Write the page of a folder of results, by default as page.html in it; return the path."""
+    """Write the page of a folder of results, by default page.html in this folder; return the path."""
     if out is not None:
         check_file(out, ".html")
     read = read_report(folder)

@@ -19,7 +19,7 @@ _SLOPES = (
 
 
 def noise_figure(noise: Noise) -> Figure:
-    """Draw measured Allan deviation, fitted model and slopes per axis; ``noise`` is from a log, not from a filter."""
+    """Draw measured Allan deviation, fitted model and slopes of each axis of an IMU log (not of a filter's Q)."""
     charts = [
         Chart(f"{axis.axis}{', drifts' * bool(axis.drift)}", lambda ax, axis=axis: _draw(ax, axis))
         for axis in noise.axes

@@ -1,6 +1,7 @@
 """A report as one HTML file, which needs no network and no other file.
 
-matplotlib draws the charts as SVG. plotly.js draws the tracks; its basic bundle is in the page (MIT license, assets/).
+matplotlib draws the charts as SVG. plotly.js draws the tracks; the page contains its basic bundle (MIT license,
+assets/).
 """
 
 import base64
@@ -36,7 +37,7 @@ TERMS = {
     "correlation": "correlation of consecutive innovations; 0 if the filter is consistent",
     "consistent": "range of mean NIS of a consistent filter (95%)",
     "95% gate": "share of the fixes with a NIS below 5.99; 95% if the filter is consistent",
-    "outage drift": "position error at the end of an outage of the fixes, RMS over all outages",
+    "outage drift": "RMS position error at the ends of intervals without fixes",
     "position 50%": "median of the position error",
     "position 95%": "95th percentile of the position error",
     "baseline": "the tuned filter's model with typical noise parameters, not tuned",
@@ -59,8 +60,8 @@ MAX_NUMBERS = 250_000
 class TrackView:
     """Interactive tracks.
 
-    ``labels`` and ``looks`` have an entry per series, from top to bottom. The series ``main`` provides the 3 sigma and
-    NIS that are shown first, and the scale of the heading error.
+    ``labels`` and ``looks`` have an entry per series, from top to bottom. When the page opens, it shows 3 sigma and NIS
+    of the series ``main``, whose heading errors also set the scale.
     """
 
     drives: Sequence[Tracks]
@@ -97,7 +98,7 @@ class Report:
 
 
 def page(report: Report) -> str:
-    """Render the page. Names of drives may be hostile, so texts are escaped and the page can make no request."""
+    """Render the page. Names of drives may contain code, so texts are escaped and the page can make no request."""
     tracks = next((section.tracks for section in report.sections if section.tracks), None)
     return (
         _environment()
@@ -157,7 +158,7 @@ def _view(view: TrackView) -> dict[str, Any]:
 
 
 def _tracks(tracks: Tracks, share: float) -> dict[str, Any]:
-    """Thin the tracks and round to mm and ms; large time stamps become relative to the start of the drive."""
+    """Thin the tracks, and round them to mm and ms; large times are stored relative to the start of the drive."""
     first = min(float(columns["time"][0]) for columns in tracks.series.values())
     origin = first if abs(first) > 1000 else 0.0
     series: dict[str, Any] = {}

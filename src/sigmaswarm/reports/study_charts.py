@@ -36,7 +36,9 @@ PROTOCOL_COLORS = {
     "paper": STUDY_STYLES["paper-pso-ukf"].color,
     "honest": STUDY_STYLES["honest-pso-ukf"].color,
 }
-SCALE_RATIO = 12  # end of the scale / lowest mean, so that good methods can be distinguished
+SCALE_RATIO = (
+    12  # end of the scale / lowest mean; with a longer scale, good methods could not be distinguished
+)
 DRAWN_FILTERS: dict[str, tuple[str, Look]] = {
     "ukf-defaults": ("UKF, manual: defaults", Look(ORANGE, 1.0, "--")),
     f"paper-{MAIN_METHOD}": ("PSO-UKF (tuned with the fixes)", STUDY_STYLES[f"paper-{MAIN_METHOD}"]),
@@ -48,9 +50,9 @@ MARK_STYLE = Look(SLATE, 1.0, "--")
 def means_chart(
     results: Results, measure: str, reach: float = SCALE_RATIO, mark: float | None = None
 ) -> Chart | None:
-    """Draw the mean of every method with two intervals, on a logarithmic scale.
+    """Draw the mean of every method with two intervals, on a logarithmic scale that ends at ``reach`` x lowest mean.
 
-    A mean beyond the scale is an arrow with the number, without intervals.
+    A mean beyond the scale is drawn as an arrow with the number, without intervals. ``mark``: position of a line.
     """
     rows = [(row, row.mean) for row in results.means(measure) if row.mean]
     if not rows:
@@ -142,15 +144,15 @@ def convergence_chart(
     results: Results, protocol: str, methods: Sequence[str] = (), *, log: bool = True
 ) -> Chart | None:
     """Draw the best cost over generations (the paper's Fig. 2), for all or some methods."""
-    mine = [c for c in results.convergence if c.protocol == protocol and c.method in (methods or [c.method])]
-    if any(c.group != ALL for c in mine):  # one line per condition leaves room for one method only
-        mine = [c for c in mine if c.method == mine[0].method]
-    if not mine:
+    shown = [c for c in results.convergence if c.protocol == protocol and c.method in (methods or [c.method])]
+    if any(c.group != ALL for c in shown):  # with one line per condition, there is room for one method only
+        shown = [c for c in shown if c.method == shown[0].method]
+    if not shown:
         return None
 
     def draw(ax: Axes) -> None:
-        for course in mine:
-            _draw_course(ax, results, course, alone=len(mine) == 1)
+        for course in shown:
+            _draw_course(ax, results, course, alone=len(shown) == 1)
         ax.set(xlabel="generation", ylabel=f"cost: {results.protocols[protocol].objective}, m")
         if log:
             logarithmic(ax.yaxis)
@@ -161,7 +163,7 @@ def convergence_chart(
 
 
 def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool) -> None:
-    """Draw median and middle 80% of the trials, and the generation from which the median is within 1% of its end."""
+    """Draw median and middle 80% of the trials; mark the generation from which the median is within 1% of its end."""
     key = f"{course.protocol}-{course.method}"
     color = STUDY_STYLES[key].color if key in STUDY_STYLES else GREEN
     whole, settles = course.group == ALL, course.stable
@@ -227,7 +229,7 @@ def error_charts(picture: Picture) -> tuple[Chart, ...]:
             band(ax, time, -sigma if signed else np.zeros(len(time)), sigma, Look(MIST))
             curve(ax, time, error, look)
             known = np.abs(error[np.isfinite(error)])
-            # the error sets the scale, since the band may be wide
+            # The error sets the scale, since the band may be wide.
             reach = 1.5 * float(known.max()) + 1e-3 if len(known) else 1.5
             ax.set(xlabel="time, s" if last else "", ylabel=f"{what}, {'deg' if signed else 'm'}")
             ax.set_ylim(-reach if signed else 0.0, reach)
@@ -258,7 +260,7 @@ def nis_charts(picture: Picture) -> tuple[Chart, ...]:
 
     known = {
         series: picture.whole.series.get(series + NIS) for series in DRAWN_FILTERS
-    }  # None: the filter failed
+    }  # None for a failed filter
     return tuple(chart(*DRAWN_FILTERS[series], columns) for series, columns in known.items() if columns)
 
 

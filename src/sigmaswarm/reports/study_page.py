@@ -1,4 +1,4 @@
-"""Page of a study: the paper's tables with the study's results, and all methods under both protocols."""
+"""HTML page of a study: the paper's tables with the study's results, and all methods under both protocols."""
 
 from collections.abc import Iterable
 from math import inf
@@ -109,7 +109,7 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
     costs = [t.cost for t in mine]
     if costs and max(costs) > MAX_COST_RATIO * min(costs):
         yield (
-            f"{protocol}: the training costs of the tunings of {main} differ, "
+            f"{protocol}: the training costs of the tunings of {main} range "
             f"from {min(costs):.3g} to {max(costs):.3g} m; tune several times and use the best result"
         )
     nis = results.summary(protocol, MAIN_METHOD, "nis")
@@ -156,9 +156,9 @@ def _known(charts: Iterable[Chart | None]) -> tuple[Chart, ...]:
 def _intervals(results: Results) -> Section:
     charts = [means_chart(results, measure) for measure in ERRORS]
     text = (
-        "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) shows only the variation by the "
-        "optimizer and by the random split of the drives. It contains the mean over new drives in only about half of "
-        "the cases. The bootstrap interval over drives and trials contains this mean in 95% of the cases in a full "
+        "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) shows only the variation from the "
+        "optimizer and the random split of the drives. In only about half of the cases, it contains the mean over new "
+        "drives. The bootstrap interval over drives and trials contains this mean in 95% of the cases in a full "
         "study, and in 85 to 95% in a small study.",
         "An arrow means that the mean is beyond the scale.",
     )

@@ -48,11 +48,11 @@ PAIRED_NOTE = (
     "95% intervals: bootstrap over drives. Negative differences and positive improvements favor the {}."
 )
 INTERVALS_NOTE = (
-    "The interval over trials (as in the paper) shows only the variation by the optimizer and by the random split of "
-    "the drives. It contains the mean over new drives in only about half of the cases. The other two intervals are for "
-    "new drives. The bootstrap interval contains this mean in 95% of the cases in a full study, and in 85 to 95% in a "
-    "small study. The interval of the corrected t-test contains this mean at least as often; if the results of the "
-    "optimizer vary much, it is too wide."
+    "The interval over trials (as in the paper) shows only the variation from the optimizer and the random split of "
+    "the drives. In only about half of the cases, it contains the mean over new drives. The other two intervals are "
+    "for new drives. The bootstrap interval contains this mean in 95% of the cases in a full study, and in 85 to 95% "
+    "in a small study. The interval of the corrected t-test contains this mean at least as often; if the results of "
+    "the optimizer vary much, it is too wide."
 )
 EFFORT_NOTE = (
     "Labeled: driving time with truth, for tuning. Learned: driving time without truth, for training a "
@@ -96,7 +96,7 @@ def _table(
     return Table(caption, tuple(columns), tuple(rows), strong, note)
 
 
-# Beginnings of the names of tables that `sigmaswarm study` only writes to files.
+# Beginnings of the names of tables that `sigmaswarm study` writes to files but does not print.
 FILE_ONLY_TABLES = ("comparison-", "conditions-", "trials")
 
 
@@ -224,13 +224,13 @@ def runtime_table(results: Results, live: Times) -> Table:
 
 
 def comparison(results: Results, protocol: str, measure: str, against: str) -> PairedComparison | None:
-    """Return the comparison of a protocol's PSO-UKF with another method; None if the study has none."""
+    """Return the comparison of a protocol's PSO-UKF with the method ``against``; None if there is none."""
     wanted = (protocol, measure, against)
     return next((c for c in results.comparisons if (c.protocol, c.measure, c.against) == wanted), None)
 
 
 def objectives_compared(results: Results) -> str:
-    """Explain with numbers of the study why the paper's objective is misleading."""
+    """Explain with the study's results why the paper's objective is misleading."""
     wanted = (("paper", "gps_rmse_m"), ("paper", POSITION), (BASELINE, POSITION), ("honest", POSITION))
     comparisons = [
         results.summary(p, "raw-gps" if p == BASELINE else MAIN_METHOD, measure) for p, measure in wanted
@@ -311,7 +311,7 @@ def _by_group(caption: str, columns: Sequence[Column], rows: Sequence[Row], resu
 
 
 def convergence_table(results: Results) -> Table:
-    """Tabulate the generation after which the median cost over trials stays within 1% of the last median."""
+    """Tabulate the generation from which the median cost over trials stays within 1% of the last median."""
     columns = [Column("method"), Column("drives"), Column("settles at generation")]
     rows = [
         (results.label(c.method, c.protocol), c.group, c.stable, c.median[-1]) for c in results.convergence
@@ -405,8 +405,9 @@ def _elsewhere_table(results: Results, rivals: RivalResults, place: str) -> Tabl
         for protocol, method in dict.fromkeys(variant[:2] for variant in by_method)
     ]
     note = (
-        "Filters and networks of all trials, tuned and trained on the drives of the study. 95% intervals for new "
-        f"drives: bootstrap over drives and trials. Drives: {max(row.n_drives for row in by_method.values())}."
+        "Filters and networks of all trials, which were tuned and trained on the drives of the study. 95% intervals "
+        "for new drives: bootstrap over drives and trials. Number of drives: "
+        f"{max(row.n_drives for row in by_method.values())}."
     )
     columns = [Column("method"), *_with_intervals(ELSEWHERE_MEASURES.values())]
     return _table(f"Other drives: {place}", columns, rows, results, note)
@@ -426,7 +427,7 @@ def _curve_table(results: Results, rivals: RivalResults) -> Table:
             row += [point.mean, point.interval] if point else [None, None]
         rows.append(tuple(row))
     note = (
-        "Results of the first trial on its held-out drives; 0 minutes: the filter alone. 95% intervals: bootstrap "
-        "over drives, without the variation between trainings."
+        "Results of the first trial on its held-out drives; 0 minutes: the filter without a network. 95% intervals: "
+        "bootstrap over drives, without the variation between trainings."
     )
     return _table("Learning curves", columns, rows, results, note)

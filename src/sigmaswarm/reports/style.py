@@ -27,7 +27,7 @@ class Look:
         return {"color": self.color, "lw": self.width, "ls": self.style, "alpha": self.opacity, **marker}
 
 
-# M. Okabe and K. Ito's palette (2008), P. Tol's indigo, and greys.
+# M. Okabe and K. Ito's palette (2008), P. Tol's indigo, and shades of gray.
 BLACK, BLUE, ORANGE, GREEN = "#000000", "#0072B2", "#E69F00", "#009E73"
 VERMILION, PURPLE, SKY, INDIGO = "#D55E00", "#CC79A7", "#56B4E9", "#332288"
 CHARCOAL, SLATE, GREY, SILVER, MIST = "#4d4d4d", "#51585f", "#999999", "#cccccc", "#e5e5e5"

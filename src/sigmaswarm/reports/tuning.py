@@ -32,7 +32,7 @@ from sigmaswarm.tuning.sensitivity import NOISE_SCALE
 from sigmaswarm.tuning.space import searched_name
 from sigmaswarm.wording import count_of
 
-# Options that the command contains even at their defaults.
+# Options that the command of a page contains even if they have their default values.
 STATED_OPTIONS = ("objective", "particles", "generations", "trials", "seed", "model", "use")
 TUNE_DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.items()}
 GUARD_OPTIONS = ("prior", "inflation")  # options of `tune` with a default that depends on the objective
@@ -169,11 +169,11 @@ def parameters_section(file: TuningRecord) -> Section:
         place = (
             "no effect within the bounds" if free else touched.get(searched_name(name, touched, model), "")
         )
-        remark = "; ".join(said for said in (PARAMETER_MEANINGS.get(name, ""), place) if said)
+        remark = "; ".join(filter(None, (PARAMETER_MEANINGS.get(name, ""), place)))
         rows.append((name, value, unit, _end(low), _end(high), density, remark))
     if NOISE_SCALE in ranges:
         ends = map(_end, ranges[NOISE_SCALE])
-        rows.append((NOISE_SCALE, 1.0, "", *ends, "", "together, one factor"))
+        rows.append((NOISE_SCALE, 1.0, "", *ends, "", "one factor on all noise variances"))
     titles = ("parameter", "value", "unit", "from", "to", "density", "remark")
     text = (
         'At the values in the columns "from" and "to", the cost is 1% higher; all other parameters are unchanged. '
@@ -229,7 +229,7 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
 
 
 def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
-    """List the drives and, if known, the use of evaluated drives in the tuning."""
+    """List the drives; for an evaluation, also state whether the tuning used them."""
 
     def held_out(drive: DriveRecord) -> Cell:
         if drive.seen_s:
@@ -275,9 +275,7 @@ def tune_command(
     config = {RENAMED.get(name, name): value for name, value in config.items()}
     options = {name: config[name] for name in STATED_OPTIONS if name in config}
     usual = _usual(config)
-    config = (
-        dict.fromkeys(GUARD_OPTIONS, 0.0) | config
-    )  # older versions tuned without a prior and without inflation
+    config = dict.fromkeys(GUARD_OPTIONS, 0.0) | config  # older versions had neither prior nor inflation
     for name in TUNE_DEFAULTS:
         value = config.get(name)
         if name not in STATED_OPTIONS and value is not None:
@@ -295,10 +293,10 @@ def _usual(config: Mapping[str, Any]) -> dict[str, Any]:
     usual = TUNE_DEFAULTS | dict.fromkeys(GUARD_OPTIONS, 0.0)
     with suppress(ValidationError, KeyError):  # a model of another version
         usual["kind"] = TuneConfig.model_validate({"model": config["model"]}).kind
-    asked = {name: config[name] for name in TUNE_DEFAULTS if name in config and name not in GUARD_OPTIONS}
+    given = {name: config[name] for name in TUNE_DEFAULTS if name in config and name not in GUARD_OPTIONS}
     with suppress(ValidationError, InputError):  # an objective of another version
-        settled = with_default_guards(TuneConfig.model_validate(asked))
-        usual |= {name: getattr(settled, name) for name in GUARD_OPTIONS}
+        completed = with_default_guards(TuneConfig.model_validate(given))
+        usual |= {name: getattr(completed, name) for name in GUARD_OPTIONS}
     return usual
 
 

@@ -1,1 +1,1 @@
-"""The paper's whole experiment: repeated trials, two protocols, scores on held-out drives."""
+"""The paper's experiment: repeated trials, two protocols, scores on held-out drives."""

@@ -21,8 +21,8 @@ from sigmaswarm.filters.names import FilterKind, ModelName, NetworkName
 from sigmaswarm.tuning.options import Scale
 from sigmaswarm.wording import first_mistake
 
-ALL = "all"  # group of all conditions, and name of an unknown maneuver or environment
-BASELINE = "untuned"  # protocol
+ALL = "all"  # group of all conditions; also the name of an unknown maneuver or environment
+BASELINE = "untuned"  # protocol of methods without tuning
 ProtocolName = Literal["paper", "honest"]
 
 
@@ -133,7 +133,7 @@ def _of_paper(name: str) -> tuple[str, ...]:
 
 
 class StudyConfig(BaseModel):
-    """Configuration of a study. Defaults are the paper's values, if it states them."""
+    """Configuration of a study. The defaults are the values that the paper states, if any."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
@@ -145,31 +145,31 @@ class StudyConfig(BaseModel):
     gps: str = "white-1m"
     """GPS grade. The paper does not state the noise of its sensors; CARLA's GNSS sensor has white noise."""
     vibration: float = Field(default=0.0, ge=0)
-    """Vibration of the IMU by road and engine, relative to real cars; a network may infer the speed from vibration."""
+    """Vibration of the IMU, relative to that of real cars; a network may infer the speed from vibration."""
     terrain: str = "flat"
     drives: tuple[str, ...] = ()
     """Folders or URLs of your own drives with truth, instead of simulated ones."""
     train_fraction: float = Field(default=0.7, gt=0, lt=1)
     """Share of the drives of each condition that are training drives; drawn again in each trial."""
     trials: int = Field(default=20, ge=2)
-    """Number of repetitions, each with another split and swarm."""
+    """Number of repetitions, each with another split of the drives and another seed."""
     particles: int = Field(default=30, ge=2)
     """Size of the swarm."""
     generations: int = Field(default=50, ge=1)
     """Generations of the swarm, including the initial one."""
     seed: int = Field(default=0, ge=0)
-    """Seed of drives, splits and swarms."""
+    """Seed of the simulated drives, the splits and the searches."""
     per_condition: bool = False
     """Tune one filter for each condition instead of one filter for all."""
     racing: bool | None = None
-    """Evaluate worse candidates on few drives (a fifth of the time); --no-racing: on all drives, as in the paper."""
+    """Evaluate worse candidates on few drives only, in a fifth of the time. --no-racing: on all drives, as in the
+    paper."""
     rivals: bool = False
     """Also compare a fuzzy filter, Bayesian optimization and networks, and test with other sensors and another car."""
     learn_minutes: float = Field(default=20.0, ge=2)
     """With --rivals: minutes of training data for each network, after the filters' start."""
     elsewhere: tuple[str, ...] = ()
-    """With --rivals: drives with truth, recorded with other sensors or another car; simulated by default without
-    --drives."""
+    """With --rivals: drives with truth from other sensors or another car. Without --drives, simulated by default."""
 
     @property
     def simulated(self) -> dict[str, Any]:

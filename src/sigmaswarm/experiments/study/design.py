@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 T = TypeVar("T")
-# IMUs for tests with other sensors; the first one that is not the study's IMU is used.
+# IMUs for tests with other sensors. The study uses the first one that is not its own IMU.
 OTHER_IMU = ("mpu-6050", "icm-20602")
 HOME_CAR, OTHER_CAR = "model3", "model3-carla"
 
@@ -107,7 +107,7 @@ class Design:
     def map_prepared(
         self, function: Callable[[PreparedDrive], T], drives: Sequence[int] | None = None
     ) -> list[T]:
-        """Apply a module-level function to prepared drives, local or remote: by default all, or given indices."""
+        """Apply a module-level function to prepared drives, local or remote; ``drives``: indices, by default all."""
         chosen = range(len(self.drives)) if drives is None else drives
         if self.remote is None:
             return [function(self.prepared[i]) for i in chosen]
@@ -150,7 +150,7 @@ class Design:
 
     @cached_property
     def _races(self) -> bool:
-        """True if configured or, by default, if every tuning has many training drives."""
+        """Value of ``racing``; by default, True if every tuning has at least `MIN_DRIVES` training drives."""
         if self.config.racing is not None:
             return self.config.racing
         train = set(self.split(0)[0])
@@ -262,7 +262,7 @@ def _simulated(config: StudyConfig, executor: Executor | None, runs: int, **othe
 
 
 def _accept(_: BatchScorer) -> None:
-    """Accept all drives."""
+    """Accept all drives: a check for `RemoteBatchScorer`."""
 
 
 def _identity(ready: PreparedDrive) -> str:
@@ -276,7 +276,7 @@ def _condition_of(drive: Drive) -> tuple[str, str]:
 
 
 def _require_apart(marks: Sequence[Landmarks]) -> None:
-    """Raise `InputError` if drives share a part, which could be in training and in test drives."""
+    """Raise `InputError` if drives have a part in common, since it could be in training and in test drives."""
     for i, one in enumerate(marks):
         if overlap := overlap_of(one, marks[:i]):
             raise InputError(

@@ -1,7 +1,7 @@
 """Networks of a study, each trained on the training drives of a trial for the filter of this trial.
 
-Each network has a folder in learned/, as written by `sigmaswarm learn`. Networks are trained one after the other, so
-that the processor time of each can be measured.
+Each network has a folder in learned/, in the format of `sigmaswarm learn`. Networks are trained one after the other, so
+that the processor time of each training can be measured.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,16 +30,16 @@ from sigmaswarm.scoring.score import PieceErrors
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_pass, outage_windows, tracking_pass
 
 MIN_DRIVING_TIME = 21.0
-"""Shortest usable drive, s after the filter's start: for segments of 20 s, and for 10 s outages that begin at 10 s."""
+"""Shortest time of a usable drive after the filter's start, s: for segments of 20 s, and outages from 10 to 20 s."""
 MIN_TIME_OF_ONLY_DRIVE = 80.0
-"""Shortest drive, s after the filter's start, that suffices as the only training drive."""
+"""Shortest time of a single training drive after the filter's start, s."""
 MIN_DRIVES_TO_SPLIT = 3
-"""Smallest number of drives of which whole drives, the last third, are for early stopping and calibration."""
+"""Number of drives from which the last third of the drives is used for early stopping and calibration."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingDrives:
-    """Training and validation drives of a network, and the time of each group after the filters' start, s."""
+    """Training and validation drives of a network; ``driven``: total time after the filters' starts, s."""
 
     training: tuple[Drive, ...]
     held_back: tuple[Drive, ...]
@@ -85,8 +85,8 @@ Networks = Mapping[Task, TrainedNetwork]
 def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrives:
     """Draw minutes of driving from a trial's training drives: complete drives, and the beginning of one more.
 
-    The drives for more minutes include those for fewer minutes. If too few drives are drawn for training, drives are
-    added.
+    With more minutes, drives are added to those for fewer minutes. If the drives for some minutes are too few for
+    training, further drives are added.
     """
     remaining, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
     order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()
@@ -94,9 +94,9 @@ def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrive
         drive, start = ready.drive, ready.initial.time
         if (length := float(drive.imu.time[-1]) - start) < MIN_DRIVING_TIME:
             continue
-        sound = len(whole) >= MIN_DRIVES_TO_SPLIT or longest >= MIN_TIME_OF_ONLY_DRIVE
-        if remaining <= 0 or (remaining < MIN_DRIVING_TIME and sound):
-            if sound:
+        enough = len(whole) >= MIN_DRIVES_TO_SPLIT or longest >= MIN_TIME_OF_ONLY_DRIVE
+        if remaining <= 0 or (remaining < MIN_DRIVING_TIME and enough):
+            if enough:
                 break
             remaining = 0.0  # one more complete drive
         took = min(length, remaining) if remaining >= MIN_DRIVING_TIME else length
@@ -112,8 +112,8 @@ def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrive
             f"{MIN_DRIVING_TIME:g} s after the start of the filter, or one drive of {MIN_TIME_OF_ONLY_DRIVE:g} s; "
             "add drives, or the maneuver urban"
         )
-    shown = len(chosen) - len(chosen) // MIN_DRIVES_TO_SPLIT
-    return TrainingDrives(tuple(chosen[:shown]), tuple(chosen[shown:]), driven)
+    count = len(chosen) - len(chosen) // MIN_DRIVES_TO_SPLIT
+    return TrainingDrives(tuple(chosen[:count]), tuple(chosen[count:]), driven)
 
 
 def trainings(design: Design) -> list[Training]:
@@ -136,26 +136,24 @@ def train_all(
 ) -> dict[Training, TrainedNetwork]:
     """Run, continue or read all trainings, one after the other.
 
-    ``progress`` is called with the finished generations and epochs, and the task.
+    ``progress`` is called with the number of finished generations and epochs, and with the task.
     """
     done = len(list(design.tasks)) * design.config.generations
     trained: dict[Training, TrainedNetwork] = {}
     for training in trainings(design):
         drives = training_drives(design, training.trial, training.minutes or design.config.learn_minutes)
-        out, helped = (
-            folder / training.folder,
-            parameters[Task("honest", NETWORK_FILTER, ALL, training.trial)],
-        )
+        out = folder / training.folder
+        supported = parameters[Task("honest", NETWORK_FILTER, ALL, training.trial)]
         finished = (out / "timings.json").exists()  # the last file that `learn` writes
         learned = load_learned(out) if finished else None
         seed = design.config.seed + training.trial
         learned = learned or learn(
-            LearnConfig(training.network, helped, drives.training, drives.held_back, seed=seed),
+            LearnConfig(training.network, supported, drives.training, drives.held_back, seed=seed),
             out,
             resume=True,
             progress=lambda now, before=done, task=training.task: progress(before + now.epoch, task),
         )
-        trained[training] = TrainedNetwork(helped, learned, drives.driven)
+        trained[training] = TrainedNetwork(supported, learned, drives.driven)
         done += training.epochs
         progress(done, training.task)
     return trained
@@ -167,7 +165,7 @@ def score_networks(
     drives: Sequence[Sequence[int]],
     executor: Executor | None = None,
 ) -> dict[str, Array]:
-    """Score networks on drives, given by index for each network: arrays of shape (networks, all drives) by measure."""
+    """Score each network on its ``drives`` (indices); return arrays of shape (networks, all drives) by measure."""
     jobs = [(k, i) for k, chosen in enumerate(drives) for i in chosen]
     one = partial(_score, long=design.config.long_outages, seed=design.config.seed)
     results = (executor.map if executor else map)(

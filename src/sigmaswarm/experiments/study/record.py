@@ -8,7 +8,7 @@ results.json contains (unknown numbers are null):
     protocols      {name: {objective, scale}}; methods without tuning have the protocol "untuned"
     methods        {name: label}
     measures       {name: meaning and unit}
-    summary        `VariantSummary` of every variant and measure, over all conditions and in each
+    summary        `VariantSummary` of every variant and measure, for all conditions together and for each condition
     comparisons    `PairedComparison` of pso-ukf with every other method, by protocol
     tunings        `TrialTuning` of every tuning and trial
     convergence    `Convergence` of every tuned variant and group
@@ -57,10 +57,10 @@ class ScoreStatistics(_Part):
 
     Attributes
     ----------
-    mean, sd : mean and standard deviation over trials of the mean over the trial's test drives
+    mean, sd : mean and standard deviation over trials; the value of a trial is the mean over its test drives
     trial_interval : mean +- 1.96 SD / sqrt(n); accounts for optimizer and split, not for new drives
-    corrected_t_interval : corrected resampled t interval, for new drives
-    bootstrap_interval : for new drives, by resampling trials, and drives within conditions
+    corrected_t_interval : interval for new drives: corrected resampled t
+    bootstrap_interval : interval for new drives: bootstrap over trials, and over drives within conditions
     n_trials, n_drives : number of trials with values, and number of drives with values
     """
 
@@ -136,7 +136,7 @@ class TrialTuning(_Part):
 class Convergence(_Part):
     """Quantiles (10%, 50%, 90%) over trials of the best cost after each generation.
 
-    ``stable``: the generation after which the median stays within 1% of the last median.
+    ``stable``: the generation from which the median stays within 1% of the last median.
     """
 
     protocol: str
@@ -170,7 +170,7 @@ class ElsewhereSummary(VariantSummary):
 
 
 class CurvePoint(_Part):
-    """A network after training on ``minutes`` of data, evaluated on the first trial's test drives.
+    """Score of a network that was trained on ``minutes`` of data, on the first trial's test drives.
 
     0 minutes is the filter without a network. ``interval`` is the bootstrap interval of the mean over drives.
     """
@@ -283,8 +283,9 @@ class _TuningConfig(BaseModel):
 class StudyRecord:
     """Content of the folder of a study.
 
-    ``spreads`` are from scores.csv, ``versions`` from the tunings. ``live``: predict_ms and predict_and_update_ms of
-    live filters, and their ranges. ``rival_times``: training_s of a trial and sample_us of an IMU sample.
+    ``spreads`` are from scores.csv, ``versions`` from the tunings. ``live``: times of live filters per IMU sample
+    without and with a fix, ms, and the ranges of these times. ``rival_times``: training time of a trial, s, and time of
+    an IMU sample, us, by variant.
     """
 
     results: Results

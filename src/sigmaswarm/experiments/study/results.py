@@ -145,7 +145,7 @@ def _against(
 
 
 def compare_paired(method: Array, other: Array, strata: Sequence[str], draws: Draws) -> PairedStatistics:
-    """Compare scores, shape (trials, drives), on the drives where both methods have values."""
+    """Compare the scores of two methods, shape (trials, drives), on the drives where both have values."""
     a, b = drive_means(method), drive_means(other)
     both = np.isfinite(a) & np.isfinite(b)
     a, b, kept = a[both], b[both], [s for s, k in zip(strata, both, strict=True) if k]
@@ -188,7 +188,7 @@ def rival_results(
 ) -> RivalResults:
     """Return the results of a study with rivals.
 
-    ``less``: networks trained on less data; ``curve``: their scores by measure, shape (networks, drives).
+    ``less``: networks that were trained on less data; ``curve``: their scores by measure, shape (networks, drives).
     """
     draws = Draws(scores.design.config.seed)
     return RivalResults(
@@ -247,7 +247,7 @@ def _curve(
     curve: Mapping[str, Array],
     draws: Draws,
 ) -> Iterator[CurvePoint]:
-    """Yield the learning curves of the first trial: without a network, with parts of its data, and with all data."""
+    """Yield the learning curves of the first trial: without a network, and with networks for more and more data."""
     for task, whole in networks.items():
         if task.trial:
             continue

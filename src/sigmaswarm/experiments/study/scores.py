@@ -42,7 +42,7 @@ SCORE_OF_MEASURE: dict[str, Callable[[Scores], Array]] = {
 class ScoreTable:
     """Scores of a study: arrays of shape (trials, drives) by variant and measure.
 
-    A score is NaN if the trial did not test on the drive or the measure is unknown, and ``inf`` if the filter failed.
+    A score is NaN if the trial did not test on the drive or the measure is undefined, and ``inf`` if the filter failed.
     """
 
     design: Design
@@ -78,7 +78,7 @@ class ScoreTable:
 
 
 def manual(ready: PreparedDrive, method: str) -> FilterParameters:
-    """Return the parameters of a method without tuning for a drive."""
+    """Return the parameters that a method without tuning has on a drive."""
     if method == "ukf-paper":
         return PAPER
     kind, _, preset = method.rpartition("-")
@@ -247,7 +247,7 @@ def _followed(
 def tracked_drives(design: Design, trial: int) -> list[int]:
     """Choose test drives of a trial: one of each condition, or of each maneuver if there are many conditions.
 
-    The drives are from different parts of the lists of drives, so that environments differ. A drive with turns is
+    From each list of drives, a drive at another position is chosen, so that environments differ. A drive with turns is
     first. If drives have no conditions, the first test drives are chosen.
     """
     _, test = design.split(trial)

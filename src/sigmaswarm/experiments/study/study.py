@@ -6,13 +6,13 @@ The folder of a study contains
     trials/              a folder for each protocol and tuned method, in the format of a tuning
     results.json         see `record.py`
     scores.csv           one row per protocol, trial, method, test drive and measure
-    learned/             only with rivals: a folder, in the format of `sigmaswarm learn`, for each network and trial and
+    learned/             only with rivals: a folder in the format of `sigmaswarm learn` for each network of a trial and
                          for each point of a learning curve
-    elsewhere/           only with rivals: scores.csv of drives with other sensors, and with another car
+    elsewhere/           only with rivals: scores.csv of drives with other sensors, and of drives with another car
     tracks.npz           tracks of a few test drives of the best trial
     best/                parameter file of the best trial of each tuning
-    timings.json         durations of the study and of filters; only this file and tables made from it differ between
-                         two runs; with rivals each tuning and training also has this file
+    timings.json         durations of the study and of filters; with rivals, also in the folder of each tuning and
+                         training; only these files and the tables of durations differ between two runs
 """
 
 import sys
@@ -94,7 +94,7 @@ class Study:
 
 
 def shown_trial(trials: Trials) -> int:
-    """Return the trial to plot, which has the lowest training cost of the PSO-UKF that is tuned with truth."""
+    """Return the trial to plot: the one with the lowest training cost of the PSO-UKF that is tuned with truth."""
     cost: dict[int, float] = {}
     for task, trial in trials.items():
         if task.variant == ("honest", MAIN_METHOD):
@@ -112,7 +112,7 @@ def run_study(
     cluster: "Client | None" = None,
     progress: Callable[[StudyProgress], None] | None = None,
 ) -> Study:
-    """Run a study, or resume one, and write its results.
+    """Run or resume a study, and write its results.
 
     Parameters
     ----------
@@ -146,7 +146,9 @@ def run_study(
     watch = Stopwatch()
     with locked_folder(Path(out)) as folder, ExitStack() as stack:
         _open_folder(folder, config, resume)
-        if config.rivals:  # bo suppresses this warning, but a compiler in another thread may undo that
+        if (
+            config.rivals
+        ):  # the optimizer bo suppresses this warning, but a compiler in another thread may undo that
             stack.enter_context(warnings.catch_warnings())
             warnings.filterwarnings("ignore", "The optimal value found for dimension")
         # Python's default number of threads is larger than the number of cores, and the threads would wait for each

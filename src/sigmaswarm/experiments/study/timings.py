@@ -1,4 +1,4 @@
-"""Durations of a study and of filter updates, the only results that differ between two runs."""
+"""Durations of a study and of filter updates: the only results that differ between two runs."""
 
 import os
 import time
@@ -30,7 +30,7 @@ LIVE_FILTERS: dict[str, tuple[FilterKind, ModelName]] = {
 
 
 class Stopwatch:
-    """Wall and processor time of each lap, s, including child processes after their end."""
+    """Wall and processor time of each lap, s, including the time of child processes that have ended."""
 
     def __init__(self) -> None:
         self.laps: Times = {}
@@ -102,7 +102,7 @@ def _live_times(ready: PreparedDrive) -> Times:
 
 
 def _live_time(ready: PreparedDrive, kind: FilterKind, model: ModelName) -> dict[str, float]:
-    """Measure the median times of an IMU sample without and with a fix, ms, and the ranges of 95% of the calls."""
+    """Measure the time of an IMU sample without and with a fix, ms: median, and range of 95% of the calls."""
     drive = ready.drive
     q = (*DEFAULTS.process_noise, *(1e-8,) * (3 if model == "planar8" else 0))
     parameters = FilterParameters(0.1, 2.0, 0.0, q, DEFAULTS.measurement_noise, model, kind=kind)
