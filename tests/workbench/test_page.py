@@ -48,7 +48,7 @@ def test_repair_and_back(tmp_path: Path, serve: Any, tab: Any):
     before = (original / "imu.csv").read_bytes()
     served = serve(tmp_path / "bench")
     page = tab(served.url + "check")
-    page.get_by_role("button", name="Mend: gyro-sign").click()
+    page.get_by_role("button", name="Repair: gyro-sign").click()
     page.get_by_text("repaired: gyro-sign").wait_for()
     page.get_by_role("heading", name="No serious finding").wait_for()
     checked = original.with_name("monday-checked")
@@ -56,7 +56,7 @@ def test_repair_and_back(tmp_path: Path, serve: Any, tab: Any):
     np.testing.assert_allclose(mended.imu.gz, -sigmaswarm.read_drive(original).imu.gz)
     other = tab(served.url + "check")
     other.get_by_role("button", name="Undo: repaired: gyro-sign").click()
-    page.get_by_role("button", name="Mend: gyro-sign").wait_for()
+    page.get_by_role("button", name="Repair: gyro-sign").wait_for()
     assert not checked.exists()
     assert (original / "imu.csv").read_bytes() == before
 
@@ -66,7 +66,7 @@ def test_cuts(tmp_path: Path, serve: Any, tab: Any):
     original = wrong_sign(tmp_path / "bench")
     served = serve(tmp_path / "bench")
     page, other = tab(served.url + "check"), tab(served.url + "check")
-    page.get_by_role("button", name="Mend: gyro-sign").click()
+    page.get_by_role("button", name="Repair: gyro-sign").click()
     for one in (page, other):
         one.get_by_text("repaired: gyro-sign").wait_for()
     page.get_by_role("heading", name="No serious finding").wait_for()
@@ -76,7 +76,7 @@ def test_cuts(tmp_path: Path, serve: Any, tab: Any):
     page.get_by_text("kept only 0 to 40 s").wait_for()
     assert sigmaswarm.read_drive(checked).duration == pytest.approx(40.0, abs=0.1)
     other.get_by_role("button", name="Undo: repaired: gyro-sign").click()
-    page.get_by_role("button", name="Mend: gyro-sign").wait_for()
+    page.get_by_role("button", name="Repair: gyro-sign").wait_for()
     assert (sigmaswarm.read_drive(checked).imu.gz == sigmaswarm.read_drive(original).imu.gz[:4000]).all()
     page.get_by_role("button", name="Undo: kept").click()
     page.get_by_text("kept only").wait_for(state="hidden")
@@ -164,8 +164,8 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
     assert contrast_of(page) == []
     page.set_viewport_size({"width": 1280, "height": 900})
     for step, name, do, done in (
-        ("judge", "Judge", "Evaluate", "Next: export the filter"),
-        ("take", "Next: export the filter", "Write Python", "wrote 1 file to"),
+        ("evaluate", "Evaluate", "Evaluate this filter", "Next: export the filter"),
+        ("export", "Next: export the filter", "Write Python", "wrote 1 file to"),
     ):
         tab_to(page, name)
         page.keyboard.press("Enter")

@@ -145,14 +145,14 @@ def set_offset(page: Any) -> None:
 SIZES = {"particles": 8, "generations": 3, "seed": 5}
 
 
-def take_away(page: Any, folder: Path) -> None:
+def tune_and_export(page: Any, folder: Path) -> None:
     """From a checked drive to a built C filter that has run."""
     page.get_by_role("link", name="Next: tune a filter").click()
     page.get_by_text("Filter: planar5").wait_for()
     for name, size in SIZES.items():  # without a pause
         page.get_by_label(name, exact=True).fill(str(size))
     page.get_by_role("button", name="Start").click()
-    page.get_by_role("link", name="Next: judge the filter").click()
+    page.get_by_role("link", name="Next: evaluate the filter").click()
     (tuned,) = (folder / "tunings").iterdir()
     assert SIZES.items() <= sigmaswarm.Tuning.load(tuned).config.model_dump().items()
     page.get_by_role("button", name="Evaluate").click()
@@ -185,7 +185,7 @@ def test_road(write: Any, prepare: Any, tmp_path: Path, serve: Any, tab: Any):
     line = page.locator("pre").inner_text()
     page.get_by_role("link", name="Next: check the drive").click()
     page.get_by_role("heading", name="No serious finding").wait_for()
-    take_away(page, served.folder)
+    tune_and_export(page, served.folder)
     (made,) = [
         name for name in sorted(p.name for p in (served.folder / "drives").iterdir()) if "-t" not in name
     ]
@@ -218,7 +218,7 @@ def test_killed_server_and_two_tabs(tmp_path: Path, serve: Any, tab: Any):
     second = serve(tmp_path / "bench")
     page = tab(second.url + "tune")
     page.get_by_role("button", name="Resume").click()
-    page.get_by_role("link", name="Next: judge the filter").wait_for()
+    page.get_by_role("link", name="Next: evaluate the filter").wait_for()
     drive = sigmaswarm.read_drive(tmp_path / "bench" / "drives" / "monday")
     alone = sigmaswarm.tune(drive, **options)
     assert sigmaswarm.Tuning.load(saved).parameters == alone.parameters

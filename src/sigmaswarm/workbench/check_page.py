@@ -16,9 +16,9 @@ MIN_PART_LENGTH = 30.0  # s, shortest part that a button keeps
 Step = dict[str, Any]  # ``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s
 Agreements = dict[str, Agreement]
 Repaired = dict[str, tuple[Agreements, str]]
-"""By code of a finding: agreements after the repair, and the reason if the repair is withheld, else ""."""
+"""By code of a finding: agreements after the repair, and the reason if the repair is rejected, else ""."""
 CheckState = tuple[list[Drive], list[Step], Diagnosis, Agreements]
-"""Drive before and after each step, the steps, and diagnosis and agreements of the last drive."""
+"""The drive before and after each step, the steps, and the diagnosis and agreements after the last step."""
 
 
 class CheckPage(Page):
@@ -64,11 +64,11 @@ class CheckPage(Page):
         self.bench.choices["drive"] = self._opened = name
         self.bench.save()
         self.stages, self.steps, self.diagnosis, self.wrong = [], [], None, ""
-        self.start("reading and checking the drive", self._checked, name, None, then=self._taken)
+        self.start("reading and checking the drive", self._checked, name, None, then=self._set_state)
 
     def _do(self, waiting: str, steps: list[Step]) -> None:
         """Apply all steps; results of unchanged steps are cached."""
-        self.start(waiting, self._checked, self._opened, steps, then=self._taken)
+        self.start(waiting, self._checked, self._opened, steps, then=self._set_state)
         self.refresh()
 
     def add(self, step: Step) -> None:
@@ -89,20 +89,22 @@ class CheckPage(Page):
             plan = self.bench.choices.setdefault("plan", {})
             plan |= dict.fromkeys((whole, whole + CHECKED), LEFT_OUT)
             self._open(names[0])
-            self.done = f"wrote drives/{names[0]} and {names[1]}; check both. Tunings will not use {whole}"
+            self.done = (
+                f"wrote drives/{names[0]} and drives/{names[1]}; check both. Tunings will not use {whole}"
+            )
         self.refresh()
 
-    def _taken(self, checked: CheckState | None) -> None:
+    def _set_state(self, checked: CheckState | None) -> None:
         if checked is not None:
             self.stages, self.steps, self.diagnosis, self.before = checked
             self.after = {}
-            self.start("", _look_ahead, self.stages[-1], self.diagnosis, then=self._looked_ahead)
+            self.start("", _try_repairs, self.stages[-1], self.diagnosis, then=self._show_repairs)
         self.refresh()
 
-    def _looked_ahead(self, after: Repaired | None) -> None:
+    def _show_repairs(self, after: Repaired | None) -> None:
         self.after = after or {}
         if self.after:
-            self._evidence.refresh()  # without the buttons, since the user may click one at this moment
+            self._evidence.refresh()  # not the buttons, since the user may be clicking one
 
     def _checked(self, name: str, steps: list[Step] | None) -> CheckState:
         """Apply ``steps``, by default the saved steps, to a drive, write the result, and check it."""
@@ -141,10 +143,10 @@ class CheckPage(Page):
             serious = sum(finding.severity == "serious" for finding in findings)
             with line("between"):
                 text("h2", f"{count_of(serious, 'serious finding')}" if serious else "No serious finding")
-                mendable = list(dict.fromkeys(f.code for f in findings if f.repair is not None))
-                if len(mendable) > 1:
-                    every = button("Mend all", lambda: self.add({"repair": mendable}), "done_all", main=True)
-                    every.set_enabled(not self.waiting)
+                codes = list(dict.fromkeys(f.code for f in findings if f.repair is not None))
+                if len(codes) > 1:
+                    repair = button("Repair all", lambda: self.add({"repair": codes}), "done_all", main=True)
+                    repair.set_enabled(not self.waiting)
             for finding in findings:
                 if finding.severity != "note":
                     self._card(finding)
@@ -170,15 +172,15 @@ class CheckPage(Page):
 
     @ui.refreshable_method
     def _evidence(self, finding: Finding) -> None:
-        """Show the plot of a finding, also after the repair if known, and the reason for a withheld repair."""
-        after, withheld = self.after.get(finding.code, ({}, ""))
-        message(withheld, "bad")
+        """Show the plot of a finding before and, if known, after its repair, and why a repair is rejected."""
+        after, rejected = self.after.get(finding.code, ({}, ""))
+        message(rejected, "bad")
         if shown := self.before.get(shown_by(finding.code)):
             agreement_plot(shown, finding.span, after.get(shown.key))
 
     def _ways(self, finding: Finding) -> None:
         first, last = (float(t) for t in self.stages[-1].imu.time[[0, -1]])
-        steps: dict[str, Step] = {"Mend": {"repair": [finding.code]}} if finding.repair else {}
+        steps: dict[str, Step] = {"Repair": {"repair": [finding.code]}} if finding.repair else {}
         if (at := finding.cut) is not None:
             steps |= {f"Keep from {at:g} s": {"keep": [at, last + 1]}}
             if at - first > MIN_PART_LENGTH:
@@ -186,11 +188,11 @@ class CheckPage(Page):
         with line():
             for label, step in steps.items():
                 icon = "build" if "repair" in step else "content_cut"
-                mend = button(label, lambda step=step: self.add(step), icon, main=True)
-                mend.props(f'aria-label="{label}: {finding.code}"').set_enabled(not self.waiting)
+                apply = button(label, lambda step=step: self.add(step), icon, main=True)
+                apply.props(f'aria-label="{label}: {finding.code}"').set_enabled(not self.waiting)
 
     def _cut(self) -> None:
-        """Select a time span with the mouse or by numbers; keep only this span, or leave it out."""
+        """Let the user select a time span with the mouse or by numbers, and keep only this span or remove it."""
         drive = self.stages[-1]
         time = drive.imu.time
         low, high = float(time[0]), float(time[-1])
@@ -206,7 +208,7 @@ class CheckPage(Page):
 
         with card():
             text("h2", "Cut")
-            text("p", "Drag over a part, or enter its start and end.", "soft")
+            text("p", "Drag over a part of the plot, or enter its start and end.", "soft")
             with box("grid"):
                 with box():
                     with line():
@@ -235,15 +237,14 @@ def _apply(drive: Drive, step: Step) -> Drive:
     return sigmaswarm.repair(drive, sigmaswarm.diagnose(drive), only=step["repair"])
 
 
-def _look_ahead(drive: Drive, diagnosis: Diagnosis) -> Repaired:
-    """Try each repair; return the agreements after it, and the reason if it is withheld."""
+def _try_repairs(drive: Drive, diagnosis: Diagnosis) -> Repaired:
+    """Try each repair; return the agreements after the repair, and the reason if the repair is rejected."""
     after: Repaired = {}
-    description = (
-        "The doctor withholds this repair, since it makes a filter's predictions of the fixes worse. Check "
-        "the log yourself."
+    reason = (
+        "This repair was rejected, since it makes a filter's predictions of the fixes worse. Check the log."
     )
     for code in dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None):
-        mended = sigmaswarm.repair(drive, diagnosis, only=[code])
-        withheld = code in mended.metadata.get("withheld", ())
-        after[code] = _agreements(mended), description if withheld else ""
+        repaired = sigmaswarm.repair(drive, diagnosis, only=[code])
+        rejected = code in repaired.metadata.get("withheld", ())
+        after[code] = _agreements(repaired), reason if rejected else ""
     return after

@@ -1,4 +1,4 @@
-"""Page of a step with work in the background, and elements of pages."""
+"""Base class of the pages, with work in the background, and elements of pages."""
 
 import asyncio
 import json
@@ -16,7 +16,7 @@ REQUEST_DELAY = 0.1  # s within which a new request replaces the previous reques
 
 
 class Page:
-    """A step: content, work in progress (``waiting``) and last error (``wrong``), the same in all tabs."""
+    """The page of a step, which all tabs share. ``waiting``: work in progress; ``wrong``: message of the last error."""
 
     def __init__(self, bench: Workbench) -> None:
         self.bench = bench
@@ -28,7 +28,7 @@ class Page:
         self.content()
 
     def content(self) -> None:
-        """Make the content of the step."""
+        """Create the content of the page."""
 
     def refresh(self) -> None:
         self.show.refresh()
@@ -36,9 +36,9 @@ class Page:
     def start(
         self, waiting: str, work: Callable[..., T], *arguments: Any, then: Callable[[T | None], Any]
     ) -> None:
-        """Run ``work`` on a thread, even after the tab is closed; a new request replaces the previous request.
+        """Run ``work`` in a thread, even after the tab is closed; a new request replaces the previous one.
 
-        ``then`` receives the result, or None after an error, which ``wrong`` contains.
+        ``then`` receives the result, or None after an error; ``wrong`` then contains the error message.
         """
         self.waiting, self._latest = waiting, self._latest + 1
         background_tasks.create(self._work(self._latest, work, arguments, then))
@@ -63,7 +63,7 @@ def text(tag: str, content: str, classes: str = "") -> None:
 
 
 def message(content: str, kind: str) -> None:
-    """Show a sentence of kind bad, good or wait (with a spinner); screen readers announce it."""
+    """Show a message, which screen readers also announce; ``kind``: bad, good, or wait (with a spinner)."""
     if content:
         with box(f"message {kind}").props('role="status"'):
             if kind == "wait":
@@ -95,7 +95,7 @@ def line(classes: str = "") -> ui.element:
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[str]], classes: str = "") -> None:
-    """Make a table that scrolls sideways; with the class "stacks", a narrow page stacks the cells of a row."""
+    """Create a table that scrolls sideways; with the class "stacks", a narrow page stacks the cells of a row."""
     scrolled = box("wide").props('tabindex="0" role="region" aria-label="table"')
     with scrolled, ui.element("table").classes(f"plain {classes}"):
         with ui.element("thead"), ui.element("tr"):
@@ -112,9 +112,9 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], classes: str = ""
 
 
 def select(label: str, options: Any, value: Any, choose: Callable[[Any], Any], **more: Any) -> ui.select:
-    """Make a dropdown; ``choose`` receives the new value, and nothing is selected if no option has the value.
+    """Create a dropdown; ``choose`` receives the new value. Nothing is selected if no option has the given value.
 
-    A list of several options stays open until all are chosen.
+    With ``multiple``, ``choose`` is called once, when the user closes the list.
     """
     known, several = isinstance(value, list) or value in options, more.get("multiple", False)
     made = ui.select(options, label=label, value=value if known else None, **more).classes("grow")

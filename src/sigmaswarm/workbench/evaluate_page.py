@@ -22,15 +22,15 @@ class EvaluatePage(Page):
             link("Tune a filter", "tune")
             return
         if chosen.get("tuning") not in tunings:
-            chosen |= {"tuning": tunings[-1], "drives": self._held(tunings[-1])}
+            chosen |= {"tuning": tunings[-1], "drives": self._held_out(tunings[-1])}
         with card():
-            text("h2", "Judge a filter")
+            text("h2", "Evaluate a filter")
             with line():
                 select(
                     "Filter",
                     tunings,
                     chosen["tuning"],
-                    lambda t: self._choose(tuning=t, drives=self._held(t)),
+                    lambda t: self._choose(tuning=t, drives=self._held_out(t)),
                 )
                 rivals = {"": "no other", **{name: name for name in tunings if name != chosen["tuning"]}}
                 against = chosen.get("against", "")
@@ -42,23 +42,23 @@ class EvaluatePage(Page):
             )
             pick.props("use-chips")
             self.messages()
-            judge = button("Evaluate", self._begin, "speed", main=True)
-            judge.set_enabled(bool(chosen["drives"]) and not self.waiting)
+            evaluate = button("Evaluate this filter", self._begin, "speed", main=True)
+            evaluate.set_enabled(bool(chosen["drives"]) and not self.waiting)
         self._result()
 
     def _choose(self, **chosen: Any) -> None:
         self.chosen |= chosen
         self.refresh()
 
-    def _held(self, name: str) -> list[str]:
+    def _held_out(self, name: str) -> list[str]:
         """Return the validation drives of a tuning or, if there are none, the drives that the tuning did not use."""
         tuning, _ = attempt(Tuning.load, self.bench.path("tunings", name))
         if tuning is None:
             return []
-        held = tuning.validation.drives if tuning.validation else ()
+        validation = tuning.validation.drives if tuning.validation else ()
         training = {one["name"] for one in tuning.data}
-        there = [name for name in held if name in self.bench.drive_names]
-        return there or [name for name in self.bench.drives if name not in training]
+        known = [name for name in validation if name in self.bench.drive_names]
+        return known or [name for name in self.bench.drives if name not in training]
 
     def _begin(self) -> None:
         self.start("evaluating", self._evaluate, {**self.chosen}, then=self._show)
@@ -93,7 +93,7 @@ class EvaluatePage(Page):
             with line():
                 select("Evaluation", names, shown, self._show)
                 link("Open the report on a separate page", f"report/evaluations/{shown}")
-                link("Next: export the filter", "take")
+                link("Next: export the filter", "export")
             frame = ui.element("iframe").classes("report")
             frame.props["src"] = f"report/evaluations/{shown}"
             frame.props["title"] = f"Report of {shown}"

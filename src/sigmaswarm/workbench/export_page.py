@@ -47,7 +47,7 @@ class ExportPage(Page):
             self._trajectories()
         with card():
             text("h2", "The filter itself")
-            about = "tuning.toml has the parameters with units, data and versions; FilterParameters.load reads it."
+            about = "tuning.toml states parameters, units, data and versions; FilterParameters.load reads this file."
             text("p", about)
             link("Download the tuning", f"download/tunings/{self.chosen['tuning']}", download=True)
 
@@ -70,7 +70,7 @@ class ExportPage(Page):
 
     def _trajectories(self) -> None:
         text("h2", "Trajectories")
-        text("p", "Estimates over the drive. Maps need a drive with an origin in degrees.", "soft")
+        text("p", "Estimates along the drive. Maps need a drive with an origin in degrees.", "soft")
         with line("end"):
             ending, smooth = self.chosen.get("ending", ".csv"), self.chosen.get("smooth", False)
             select("Format", ENDINGS, ending, partial(self._choose, "ending"))

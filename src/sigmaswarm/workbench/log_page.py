@@ -36,7 +36,7 @@ class LogPage(OpenLog):
         self._finish()
 
     def refresh(self) -> None:
-        """Show changes; unchanged rows of a table keep place and focus."""
+        """Redraw what has changed; unchanged rows of a table keep their place and the focus."""
         shown = [panel.preview.table for panel in self.panels]
         if self.inspection and shown == [preview.table for preview in self.inspection.tables]:
             uses = columns.uses_of(self.inspection)
@@ -75,7 +75,7 @@ class LogPage(OpenLog):
                 max_total_size=MAX_UPLOAD_SIZE,
                 on_multi_upload=self._dropped,
                 on_rejected=lambda: ui.notify(
-                    "larger than 2 GB; open it from the command line: sigmaswarm workbench LOG"
+                    "the log is larger than 2 GB; open it from the command line: sigmaswarm workbench LOG"
                 ),
                 label="Drop a file or a folder here, or press + and choose all files of one log",
             )
@@ -90,9 +90,9 @@ class LogPage(OpenLog):
     async def _dropped(self, event: MultiUploadEventArguments) -> None:
         """Save dropped files in a folder, and open the folder or the only file."""
         files, dropped = event.files, await ui.run_javascript("window.nameOfDrop()")
-        if odd := [file.name for file in files if not NAME.fullmatch(file.name)]:
+        if invalid := [file.name for file in files if not NAME.fullmatch(file.name)]:
             self.wrong = (
-                f"{odd[0]}: this name can't be used; rename the file with letters, digits, - and _ only"
+                f"{invalid[0]}: this name can't be used; rename the file with letters, digits, - and _ only"
             )
             self.status.refresh()
             return
@@ -121,10 +121,10 @@ class LogPage(OpenLog):
             for note in self.notes:
                 text("p", note, "soft")
             if any("--mount" in note for note in self.notes):
-                text("p", f"On this page: press {FIND!r} or enter the mounting, below the tables.", "soft")
+                text("p", f"On this page: press {FIND!r}, or enter the mounting below the tables.", "soft")
             if inspection.proposal:
                 with card("warning"):
-                    text("p", f"Not recognized automatically. The names suggest: {inspection.proposal}")
+                    text("p", f"Some columns were not recognized. Their names suggest: {inspection.proposal}")
                     text("p", inspection.evidence, "soft")
                     button("Use this", self._propose, "auto_fix_high", main=True)
 
@@ -175,7 +175,7 @@ class LogPage(OpenLog):
 
     @property
     def _finishing(self) -> tuple[bool, str, str, str]:
-        """Return four values: True if a log is open, the name of the drive, the name of the last drive, the result."""
+        """State of the last card: if a log is open, name of the drive, name of the last written drive, and message."""
         choices, log = self.bench.log_choices, self.bench.log
         name = choices.get("name") or self.bench.free("drives", log.stem if log else "")
         return log is not None and self.inspection is not None, name, choices.get("made", ""), self.done
@@ -192,8 +192,8 @@ class LogPage(OpenLog):
         self._command.refresh()
 
     def _make(self, name: str) -> None:
-        """Write the drive, which replaces an earlier drive of this log and its checked copy."""
-        if self.waiting:  # for a choice that was made just before
+        """Write the drive; it replaces an earlier drive of this log and the checked copy."""
+        if self.waiting:  # the log is being read again after a choice
             self.after_reading = partial(self._make, name)
             return
         if self.drive is None:

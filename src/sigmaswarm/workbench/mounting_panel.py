@@ -28,7 +28,7 @@ DIRECTIONS = (("forward", "backward"), ("left", "right"), ("up", "down"))
 
 
 class MountingPanel:
-    """Choice of the mounting; the sketch changes at once, the plots after a pause."""
+    """Choice of the mounting. A change updates the sketch at once, and the plots after a pause."""
 
     def __init__(self, page: OpenLog) -> None:
         self.page = page
@@ -63,7 +63,7 @@ class MountingPanel:
                         with sliders:
                             self._angles(rotation, picture, field)
                         button(FIND, self.page.find_mounting, "explore")
-                    about = "The arrows are the sensor's axes: x forward, y left and z up need no rotation."
+                    about = "The arrows are the sensor's axes. No rotation is needed if x is forward, y left and z up."
                     text("p", about, "soft")
                     with ui.expansion("More settings").classes("soft"):
                         self._settings()
@@ -79,21 +79,21 @@ class MountingPanel:
         sliders: list[ui.slider] = []
 
         def moved() -> None:
-            turned = ",".join(f"{slider.value:.1f}" for slider in sliders)
-            picture.set_content(sketch(parse_mount(turned)))
+            angles = ",".join(f"{slider.value:.1f}" for slider in sliders)
+            picture.set_content(sketch(parse_mount(angles)))
 
         def rested(changed: int, event: GenericEventArguments) -> None:
             values = [slider.value for slider in sliders]
             values[changed] = float(event.args)  # the slider itself may be updated later
-            turned = ",".join(f"{round(value or 0.0, 1):g}" for value in values)
-            field.value = "" if turned == "0,0,0" else turned
+            angles = ",".join(f"{round(value or 0.0, 1):g}" for value in values)
+            field.value = "" if angles == "0,0,0" else angles
             self.shown = True, field.value
             self._mount(field.value)
 
         for number, (name, angle) in enumerate(zip(ANGLES, roll_pitch_yaw(rotation, 1), strict=True)):
             with line():
                 label = ui.label().style("width: 110px")
-                # With step 0 a slider keeps fractions of a degree, and a key changes the angle by 1 degree.
+                # With step 0, a slider keeps fractions of a degree, and an arrow key changes the angle by 1 degree.
                 slider = ui.slider(min=-180, max=180, step=0, value=angle).classes("grow")
                 slider.props(f'aria-label="{name}, degrees"').on_value_change(moved)
                 slider.on("change", partial(rested, number), throttle=SLIDER_DELAY, leading_events=False)
@@ -121,7 +121,7 @@ class MountingPanel:
 
 
 def sketch(rotation: Array) -> str:
-    """Draw the vehicle and the axes of the sensor as SVG; ``rotation`` (3, 3) is as in `parse_mount`."""
+    """Draw the vehicle and the sensor's axes as SVG; ``rotation``: result of `parse_mount`, shape (3, 3)."""
     corners = np.array([(0.3, 0.2, 0.0), (-0.3, 0.2, 0.0), (-0.3, -0.2, 0.0), (0.3, -0.2, 0.0)])
     box = _polygon(_place(MOUNTED + corners @ rotation.T), 'fill="#ffffffcc" stroke="#1c2024"')
     parts = [_arrow(np.array([2.2, 0.0, 0.6]), np.array([3.3, 0.0, 0.6]), "#51585f", "forward"), box]

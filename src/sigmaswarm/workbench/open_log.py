@@ -1,4 +1,4 @@
-"""The open log of step 1, the choices for it, and the drive."""
+"""The open log of step 1, the user's choices for its import, and the resulting drive."""
 
 from collections.abc import Callable
 from functools import partial
@@ -55,9 +55,11 @@ class OpenLog(Page):
     def reread(self) -> None:
         self.opened, self.done = self.bench.log, ""
         if self.opened:
-            self.start("reading the log", _read, self.opened, {**self.bench.log_choices}, then=self._taken)
+            self.start(
+                "reading the log", _read, self.opened, {**self.bench.log_choices}, then=self._set_reading
+            )
 
-    def _taken(self, reading: Reading | None) -> None:
+    def _set_reading(self, reading: Reading | None) -> None:
         inspection, self.drive, self.found, wrong, self.notes = reading or (
             None,
             None,
@@ -91,14 +93,14 @@ class OpenLog(Page):
 def _read(log: Path, choices: dict[str, Any]) -> Reading:
     """Inspect a log and import it; an error keeps the results of earlier stages."""
     settings = columns.settings_of(choices)
-    drive, mounting, notes = None, (), list[str]()
+    drive, found, notes = None, (), list[str]()
     inspection, wrong = attempt(sigmaswarm.inspect_log, log, **settings)
     if inspection is not None:
         notes += inspection.notes
         drive, wrong = attempt(sigmaswarm.import_log, log, say=notes.append, **settings)
     if drive is not None:
-        mounting, wrong = attempt(agreements, drive)
-    return inspection, drive, mounting or (), wrong, [*dict.fromkeys(notes)]
+        found, wrong = attempt(agreements, drive)
+    return inspection, drive, found or (), wrong, [*dict.fromkeys(notes)]
 
 
 def _mounting(log: Path, choices: dict[str, Any]) -> tuple[str, str]:

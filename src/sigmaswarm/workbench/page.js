@@ -5,7 +5,7 @@
   document.addEventListener("focusin", (e) => { last = e.target; name = named(last); });
   const restore = () => {
     for (const input of document.querySelectorAll(".drop a.q-btn input:not([inert])")) {
-      input.inert = true; // the button around the input opens it
+      input.inert = true; // the button around the input opens the file dialog
       input.closest("a").setAttribute("aria-label", "Choose the files of a log");
     }
     if (!last || last.isConnected || document.activeElement !== document.body || !name) return;

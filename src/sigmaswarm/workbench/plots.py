@@ -1,4 +1,4 @@
-"""Plots of any length: the server sends the extremes per pixel of the visible part."""
+"""Plots of series of any length: the server sends only the extreme values per pixel of the visible part."""
 
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, cast
@@ -63,7 +63,11 @@ def lines(
     dashed: Collection[str] = (),
     pale: Mapping[str, Series] | None = None,
 ) -> Lines:
-    """Make the lines of a plot. ``points``: drawn as markers; ``pale``: series before a change, in the same colors."""
+    """Create the lines of a plot.
+
+    ``points``: names of series that are drawn as markers. ``dashed``: names of dashed lines. ``pale``: values of the
+    series before a change, which are drawn pale in the same colors.
+    """
     made: Lines = []
     for color, (label, (x, y)) in zip(COLORS * 4, series.items(), strict=False):
         drawn: dict[str, Any] = {"mode": "lines", "line": {"color": color, "width": 1.4}}
@@ -106,9 +110,9 @@ def time_plot(
     on_select: Callable[[float, float], Any] | None = None,
     **layout: Any,
 ) -> None:
-    """Show series over time; zooming in loads details, but with ``on_select`` the mouse selects a time span.
+    """Show series over time. The mouse zooms, which loads details, or selects a time span for ``on_select``.
 
-    ``dashed`` and ``pale`` are as in `lines`. ``span``, s, is shaded if it is shorter than the drive.
+    For ``dashed`` and ``pale`` see `lines`. ``span``, s, is shaded if it is shorter than the drive.
     """
 
     def visible(start: float = -np.inf, end: float = np.inf) -> Lines:

@@ -32,11 +32,11 @@ from sigmaswarm.workbench.tune_page import TunePage
 from sigmaswarm.workbench.tuning_runs import TuningRuns
 
 STEPS = {
-    "log": ("Log", "its content"),
+    "log": ("Log", "content and import"),
     "check": ("Check", "faults, repairs, cuts"),
-    "tune": ("Tune", "search the parameters"),
-    "judge": ("Judge", "on drives that the tuning did not use"),
-    "take": ("Take away", "C, ROS, Python, tracks"),
+    "tune": ("Tune", "search for parameters"),
+    "evaluate": ("Evaluate", "errors on drives that the tuning did not use"),
+    "export": ("Export", "C, ROS, Python, tracks"),
 }
 FAVICON = (
     '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 32 32"><rect width="32" height="32" rx="7" fill="#0072b2"/>'
@@ -54,8 +54,8 @@ class Frame:
             "log": LogPage(bench),
             "check": CheckPage(bench),
             "tune": TunePage(bench, self.runs),
-            "judge": EvaluatePage(bench),
-            "take": ExportPage(bench),
+            "evaluate": EvaluatePage(bench),
+            "export": ExportPage(bench),
         }
 
     def register(self) -> None:
@@ -69,7 +69,7 @@ class Frame:
         app.get("/download/{kind}/{name}")(self._download)
 
     def _first(self) -> str:
-        """Return the last step with content."""
+        """Return the step to show first: log if a log is open, else tune if there are tunings, else check."""
         if self.bench.log or not self.bench.drives:
             return "log"
         return "tune" if self.bench.finished or self.bench.unfinished else "check"
@@ -101,7 +101,7 @@ class Frame:
         return PlainTextResponse(wrong, 404) if page is None else HTMLResponse(page)
 
     def _page_of(self, kind: str, name: str) -> str:
-        """Return the page of a result, as `sigmaswarm report` writes it; write it first if it is missing."""
+        """Return the page of a result, in the format of `sigmaswarm report`; write the page if it is missing."""
         folder = self.bench.path(kind, name)
         file = folder / "page.html"
         if file.is_file() and not file.is_symlink():
@@ -128,7 +128,7 @@ Send = Callable[[Scope], Awaitable[None]]
 
 
 class Guard:
-    """Refuse requests without the token, from pages of other hosts, or with a body above `MAX_UPLOAD_SIZE`."""
+    """Refuse requests without the token, from pages of other hosts, or of more than `MAX_UPLOAD_SIZE` bytes."""
 
     def __init__(self, app: Any, token: str, port: int) -> None:
         self.app, self.prefix, self.hosts = app, f"/{token}/", {f"{HOST}:{port}", f"localhost:{port}"}
@@ -141,7 +141,7 @@ class Guard:
         origin = headers.get(b"origin", "").removeprefix("http://")
         known = hmac.compare_digest(f"{scope['path']}/"[: len(self.prefix)].encode(), self.prefix.encode())
         if not known or headers.get(b"host") not in self.hosts or (origin and origin not in self.hosts):
-            refusal = PlainTextResponse("403: the address needs the workbench's token", 403)
+            refusal = PlainTextResponse("403: open the whole address that sigmaswarm workbench printed", 403)
             await refusal(scope, receive, send)
         elif int(headers.get(b"content-length", "0") or 0) > MAX_UPLOAD_SIZE:
             refusal = PlainTextResponse(
@@ -167,7 +167,7 @@ class Guard:
 
     @staticmethod
     def _with_headers(send: Send) -> Send:
-        """Keep the token out of referrers, and forbid other sites to embed the page."""
+        """Add headers that keep the token out of referrers and prevent other sites from embedding the page."""
 
         async def sent(message: Scope) -> None:
             if message["type"] == "http.response.start":
@@ -181,7 +181,7 @@ class Guard:
 def serve(folder: Path, logs: list[Path], *, port: int = 0, browse: bool = True) -> None:
     bench = Workbench(folder, logs)
     warnings.simplefilter("ignore", SigmaswarmWarning)  # the page shows notes and findings
-    logging.getLogger("nicegui").setLevel(logging.ERROR)  # NiceGUI would also warn of a busy machine
+    logging.getLogger("nicegui").setLevel(logging.ERROR)  # NiceGUI warns if the machine is busy
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -15,14 +15,14 @@ from sigmaswarm.records import content_if_readable
 KINDS = ("logs", "drives", "tunings", "evaluations", "exports")
 DRIVE, TUNING = "drive.toml", "tuning.toml"
 LEFT_OUT = "leave it out"
-CHECKED = "-checked"  # suffix of a repaired or cut copy, whose drive.toml lists the ``steps``
+CHECKED = "-checked"  # suffix of a repaired or cut copy; its drive.toml lists the ``steps``
 NAME = re.compile(r"[\w][\w .()+-]{0,99}")
 MAX_UPLOAD_SIZE = 2_000_000_000  # bytes of an upload; the command line opens larger logs
 T = TypeVar("T")
 
 
 class Workbench:
-    """State of a workbench: its folder, which is created if missing, its logs and choices."""
+    """State of a workbench: its folder (created if missing), its logs, and the user's choices."""
 
     def __init__(self, folder: Path, logs: Sequence[Path] = ()) -> None:
         for log in logs:
@@ -39,20 +39,20 @@ class Workbench:
             self.choices["log"] = str(self.named[0])
 
     def save(self) -> None:
-        """Write the choices for the next server."""
+        """Write the choices to a file, which the next call of the workbench reads."""
         write_json(self._file, self.choices)
 
     def path(self, kind: str, name: str) -> Path:
-        """Return the folder of a drive, tuning, ... by name; raise `InputError` for names that lead to other places."""
+        """Return the folder of a drive, tuning, ... by name; raise `InputError` for a name that leads elsewhere."""
         path = self.folder / kind / name
         if kind not in KINDS or not NAME.fullmatch(name) or path.is_symlink():
             raise InputError(f"{name!r} is not a valid name; use letters, digits, - and _")
         return path
 
-    def names(self, kind: str, holds: str = "") -> list[str]:
-        """List the names of a kind whose folders contain the file ``holds``, the newest last."""
+    def names(self, kind: str, file: str = "") -> list[str]:
+        """List the names of drives, tunings, ... whose folders contain a file, the newest last."""
         folders = [p for p in (self.folder / kind).iterdir() if NAME.fullmatch(p.name) and not p.is_symlink()]
-        folders = [p for p in folders if not holds or (p / holds).is_file()]
+        folders = [p for p in folders if not file or (p / file).is_file()]
         return [p.name for p in sorted(folders, key=lambda p: (p.stat().st_mtime, p.name))]
 
     def free(self, kind: str, name: str) -> str:
@@ -63,7 +63,7 @@ class Workbench:
 
     @property
     def drives(self) -> list[str]:
-        """Drives for tunings: a checked copy replaces the original."""
+        """Names of the drives for tunings; a checked copy replaces its original."""
         names = self.drive_names
         return [name for name in names if name + CHECKED not in names]
 
@@ -82,7 +82,7 @@ class Workbench:
 
     @property
     def sources(self) -> list[Path]:
-        """Logs that can be opened: logs of the command line, dropped logs, and the files in both."""
+        """Logs that can be opened: arguments of the command, dropped files and folders, and the files in folders."""
         tops = [*self.named, *(self.folder / "logs" / name for name in self.names("logs"))]
         inside = [
             p for top in tops if top.is_dir() for p in sorted(top.iterdir()) if not p.name.startswith(".")

@@ -1,4 +1,4 @@
-"""A table of a log: columns with plots and their uses."""
+"""Panel for a table of a log: its columns, with small plots and their uses."""
 
 from functools import partial
 from typing import Any
@@ -17,19 +17,15 @@ MAX_COLUMNS = 30  # columns of a table on the page; columns in use are first
 
 
 class TablePanel:
-    """A table that can be folded; a choice redraws only the rows that it changes."""
+    """Panel for a table, which can be folded; after a choice, only changed rows are redrawn."""
 
     def __init__(self, page: OpenLog, inspection: Inspection, preview: TablePreview) -> None:
-        self.page, self.inspection, self.preview, self.uses = (
-            page,
-            inspection,
-            preview,
-            columns.uses_of(inspection),
-        )
+        self.page, self.inspection, self.preview = page, inspection, preview
+        self.uses = columns.uses_of(inspection)
         shown = sorted(preview.ranges, key=lambda r: (preview.table, r.column) not in self.uses)
         self.rows = [ColumnRow(self, one) for one in shown[:MAX_COLUMNS]]
         used = (preview.table, shown[0].column) in self.uses if shown else False
-        # Until a drive can be made, tables in use are unfolded; in a log with few tables, all tables are unfolded.
+        # Until the log can be imported, used tables are unfolded; in a log with few tables, all tables are unfolded.
         self.unfolded = page.drive is None and (used or len(inspection.tables) <= 4)
 
     def update(self, inspection: Inspection, uses: Uses) -> None:
@@ -49,7 +45,7 @@ class TablePanel:
         return f"{self.preview.table}: {description or 'not used'}"
 
     def show(self) -> None:
-        """Show the table; the server sends the columns when the table is first unfolded."""
+        """Show the table; its columns are created when the table is first unfolded."""
         preview = self.preview
         rows = f"{preview.rows} rows" if preview.rows is not None else ""
         rate = f"{preview.rate:.4g} Hz" if preview.rate else ""
@@ -72,7 +68,7 @@ class TablePanel:
             for row in self.rows:
                 row.show()
         if (hidden := len(self.preview.ranges) - MAX_COLUMNS) > 0:
-            text("p", f"and {hidden} more columns, which expressions can also use", "soft")
+            text("p", f"{hidden} more columns are not shown; expressions can also use them", "soft")
         first = self.inspection.rows[self.preview.table].head(5)
         if len(first) and (names := first.columns[:12]):
             with ui.expansion("First rows").classes("soft"):
@@ -129,7 +125,7 @@ class ColumnRow:
         field.on("change", lambda: page.express(target, field.value or ""))
 
     def _faults(self, target: str) -> list[str]:
-        """Return reasons not to use the column as guessed, and the error that names the column."""
+        """Return faults of the guessed use of the column, and an error message that names the column."""
         page, column = self.panel.page, self.about.column
         mapped = page.bench.log_choices.get("maps", {})
         faults = [

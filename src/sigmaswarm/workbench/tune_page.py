@@ -34,7 +34,7 @@ MODELS = {
     "planar8": "planar8",
     "tilted12": "tilted12",
 }
-STARTING = "reading the training drives"  # work that continues if the user changes a choice
+STARTING = "reading the training drives"  # this work continues if the user changes a choice
 MAX_COMPARED_TUNINGS = 6
 Update = Callable[[], None]
 
@@ -46,7 +46,7 @@ class TunePage(Page):
         self.why: list[str] = []
 
     def content(self) -> None:
-        """Show the step; a timer in each tab checks the tuning runs."""
+        """Show the page; a timer in each tab checks the tuning runs."""
         if self.plan and not self.why and not self.waiting:
             self._explain()
         self._setup()
@@ -55,7 +55,7 @@ class TunePage(Page):
         updates: dict[str, Update] = {}
         shown: list[Any] = [None]
 
-        def look() -> None:
+        def check_runs() -> None:
             runs = [(run.name, run.ended, run.error) for run in self.runs.runs.values()]
             now = runs, self.bench.unfinished, self.wrong
             if now != shown[0]:
@@ -68,14 +68,14 @@ class TunePage(Page):
             for update in updates.values():
                 update()
 
-        ui.timer(0.7, look)  # s
+        ui.timer(0.7, check_runs)  # s
 
     def refresh(self) -> None:
         self._setup.refresh()
 
     @property
     def plan(self) -> dict[str, str]:
-        """Use of each drive; by default the last drive is held back, and a single drive is split."""
+        """Use of each drive by name; by default the last drive is held back, and a single drive is split."""
         names = [n for n in self.bench.drives if not n.endswith(("-train", "-test"))] or self.bench.drives
         chosen = self.bench.choices.get("plan", {})
         used = [name for name in names if chosen.get(name) != LEFT_OUT]
@@ -102,7 +102,7 @@ class TunePage(Page):
                 select("Filter", MODELS, options.get("model", ""), partial(choose, "model"))
                 use, names = options.get("use") or [], list(get_args(Option))
                 more = select("Measurements (--use)", names, use, partial(choose, "use"), multiple=True)
-                more.props('hint="leave empty to choose by the sensors"')
+                more.props('hint="if empty, the sensors determine the choice"')
             with line():
                 for key in ("particles", "generations", "trials", "seed"):
                     value = options.setdefault(key, TuneConfig.model_fields[key].default)
@@ -115,7 +115,7 @@ class TunePage(Page):
 
     @ui.refreshable_method
     def _reasoning(self) -> None:
-        """Show filter and search of the next tuning; a refresh does not redraw the input fields."""
+        """Explain the filter and the search of the next tuning, in a part that is redrawn without the input fields."""
         self.messages()
         for sentence in self.why:
             text("p", sentence)
@@ -155,8 +155,8 @@ class TunePage(Page):
         if parts:
             used = [n.removesuffix(CHECKED) for n, what in self.plan.items() if what in (TRAIN, SPLIT)]
             name = self.bench.free("tunings", "+".join(used)[:40])
-            drives, held = ([drive.name for drive in part] for part in parts)
-            self.bench.choices.setdefault("tunings", {})[name] = {"drives": drives, "held": held}
+            drives, held_back = ([drive.name for drive in part] for part in parts)
+            self.bench.choices.setdefault("tunings", {})[name] = {"drives": drives, "held": held_back}
             self.bench.save()
             self.runs.begin(name, *parts, self._options)
         if not self.why:
@@ -164,20 +164,21 @@ class TunePage(Page):
         self._reasoning.refresh()
 
     def _drives(self) -> tuple[list[Drive], list[Drive]]:
-        """Read the drives; split drives as chosen, like `sigmaswarm split`."""
+        """Return training and validation drives; split drives if this is chosen, like `sigmaswarm split`."""
         drives: list[Drive] = []
-        held: list[Drive] = []
+        held_back: list[Drive] = []
         for name, what in self.plan.items():
             if what == SPLIT:
-                for part, group in zip(sigmaswarm.split(self.bench.read(name)), (drives, held), strict=True):
+                parts = sigmaswarm.split(self.bench.read(name))
+                for part, group in zip(parts, (drives, held_back), strict=True):
                     group.append(self.bench.read(self.bench.write(part)))
             elif what in (TRAIN, HOLD):
-                (drives if what == TRAIN else held).append(self.bench.read(name))
+                (drives if what == TRAIN else held_back).append(self.bench.read(name))
         if not drives:
             raise sigmaswarm.InputError(
                 f"no drive is chosen for the tuning; choose {TRAIN!r} for at least one"
             )
-        return drives, held
+        return drives, held_back
 
     def _cards(self) -> dict[str, Update]:
         updates = {r.name: self._run_card(r) for r in self.runs.runs.values() if not r.ended or r.error}
@@ -261,7 +262,7 @@ class TunePage(Page):
                         text("p", remark, "soft")
                     _parameters(tuning.parameters)
                     link("Page of this tuning", f"report/tunings/{name}")
-            link("Next: judge the filter", "judge")
+            link("Next: evaluate the filter", "evaluate")
 
 
 def _figure(label: str) -> ui.label:
@@ -271,10 +272,16 @@ def _figure(label: str) -> ui.label:
 
 
 def _row(tuning: Tuning[Any]) -> list[str]:
-    config, held = tuning.config, tuning.validation
+    config, validation = tuning.config, tuning.validation
     chosen = f"{config.model} ({config.kind})" if isinstance(config, TuneConfig) else "custom model"
-    judged = f"{held.cost:.4g} on {', '.join(held.drives)}" if held else "none"
-    return [chosen, config.objective, f"{tuning.cost:.4g}", judged, ", ".join(d["name"] for d in tuning.data)]
+    held_out = f"{validation.cost:.4g} on {', '.join(validation.drives)}" if validation else "none"
+    return [
+        chosen,
+        config.objective,
+        f"{tuning.cost:.4g}",
+        held_out,
+        ", ".join(d["name"] for d in tuning.data),
+    ]
 
 
 def _parameters(parameters: Any) -> None:

@@ -21,7 +21,7 @@ class TuningRun:
     Attributes
     ----------
     shown_on : first validation drive; if there is none, the first training drive
-    history : for each trial, lowest cost after each generation
+    history : lowest cost so far after each generation, by trial
     track : track of the best filter so far on ``shown_on``
     """
 
@@ -80,23 +80,23 @@ class TuningRuns:
         self._threads: list[threading.Thread] = []
 
     def begin(
-        self, name: str, drives: Sequence[Drive], held: Sequence[Drive], options: Mapping[str, Any]
+        self, name: str, drives: Sequence[Drive], held_back: Sequence[Drive], options: Mapping[str, Any]
     ) -> None:
-        run, folder = TuningRun(name, (held or drives)[0]), self.bench.path("tunings", name)
+        run, folder = TuningRun(name, (held_back or drives)[0]), self.bench.path("tunings", name)
         if options.get("resume"):
             run.history = {n: list(best) for n, best in saved_history(folder).items()}
         self.runs[name] = run
-        work = {**options, "validation": held, "out": folder}
+        work = {**options, "validation": held_back, "out": folder}
         self._threads.append(threading.Thread(target=run.tune, args=(drives, work), daemon=True))
         self._threads[-1].start()
 
     def resume(self, name: str) -> None:
-        """Resume a stopped or killed tuning run of the workbench or the command line."""
+        """Resume a tuning run of the workbench or the command line that was stopped or killed."""
         options, data = saved_options(self.bench.path("tunings", name))
         known = self.bench.choices.get("tunings", {}).get(name, {})
         drives = [self.bench.read(one) for one in known.get("drives", [one["name"] for one in data])]
-        held = [self.bench.read(one) for one in known.get("held", [])]
-        self.begin(name, drives, held, {**options, "resume": True})
+        held_back = [self.bench.read(one) for one in known.get("held", [])]
+        self.begin(name, drives, held_back, {**options, "resume": True})
 
     def stop_all(self) -> None:
         """Stop all tuning runs after the current generation and wait for their end."""
@@ -107,6 +107,6 @@ class TuningRuns:
 
 
 def best_so_far(history: Sequence[float]) -> Series:
-    """Return generations and costs of a trial, with NaN for failures."""
+    """Return the generations of a trial and the lowest cost so far; NaN if all filters failed."""
     costs = np.array(history)
     return np.arange(1.0, len(costs) + 1), np.where(np.isfinite(costs), costs, np.nan)
