@@ -37,7 +37,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def run() -> None:
-    """Run the command line and exit without the interpreter's shutdown, in which the 0.9.16 client may abort."""
+    """Run the command line and exit without the interpreter's shutdown, during which the client of 0.9.16 may abort."""
     code = main(sys.argv[1:])
     sys.stdout.flush()
     sys.stderr.flush()

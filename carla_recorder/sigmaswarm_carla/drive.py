@@ -1,4 +1,4 @@
-"""Record one drive: sensors, truth and fixes of each frame."""
+"""Record one drive: IMU, fixes and truth of each frame."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .plans import Plan
 from .server import Session
 from .vehicle import Physics, control
 
-DISCARDED_SAMPLES = 3  # samples to discard after listen() (carla#8970)
+DISCARDED_SAMPLES = 3  # first samples of a sensor, which are wrong (carla#8970)
 STUCK_TIME = 20.0  # s without 1 m of progress after which the car counts as stuck
 
 
@@ -77,8 +77,8 @@ class Sensors:
         for sensor, actor in actors.items():
             actor.listen(self._queues[sensor].put)
 
-    def awake(self, tick: Callable[[], int]) -> int:
-        """Tick until both sensors answer, skip their first samples, and return the frame."""
+    def start(self, tick: Callable[[], int]) -> int:
+        """Tick until both sensors send data, skip their first samples, and return the frame."""
         end, wait = time.monotonic() + self._timeout, 0.05
         while True:
             frame = tick()
@@ -94,7 +94,7 @@ class Sensors:
         return frame
 
     def read(self, frame: int) -> list[Any]:
-        """Wait for the data of IMU and GNSS receiver of a frame, and return both."""
+        """Wait for the data that the IMU and the GNSS receiver send for a frame, and return both."""
         found: list[Any] = []
         for sensor in self._queues:
             found.append(self._get(sensor, frame, self._timeout))
@@ -104,7 +104,7 @@ class Sensors:
 
     def _silence(self, sensor: str, frame: int) -> RecorderError:
         return RecorderError(
-            f"the sensor {sensor} did not answer for frame {frame} within {self._timeout:g} s; restart the "
+            f"the sensor {sensor} sent no data for frame {frame} within {self._timeout:g} s; restart the "
             "server, or increase --timeout"
         )
 
@@ -133,18 +133,18 @@ def drive(
     rng: random.Random,
     show: Callable[[float], None],
 ) -> Sensors:
-    """Drive a plan and append its data to `recording`, also if the drive fails."""
+    """Drive a plan and append the data to `recording`; after a failure, `recording` has the data up to this time."""
     name, rows = recording.name, recording.rows
     sensors = Sensors(session, car, name, rng)
     driver = Driver(plan, physics.wheelbase, rng)
     car.apply_control(session.carla.VehicleControl(brake=1.0))
-    frame = sensors.awake(session.tick)
+    frame = sensors.start(session.tick)
     recording.first_frame = frame + 1
     state, began = state_of(session, car, frame), None
     furthest, since = 0.0, 0.0  # m and s
     while not driver.arrived:
         x, y = state.place[:2]
-        control(session, car, physics, driver.look(x, y, state.heading, state.speed))
+        control(session, car, physics, driver.step(x, y, state.heading, state.speed))
         frame, now = frame + 1, session.tick()
         if now != frame:
             raise RecorderError(
@@ -196,11 +196,11 @@ def state_of(session: Session, car: Any, frame: int) -> Row:
 
 
 def check_fixes(recording: Recording, noise: float) -> None:
-    """Raise RecorderError if fixes are far from the car, since server and client then use different geodesies."""
+    """Raise RecorderError if the fixes are far from the car: server and client then use different geodesies."""
     places = {row.t: row.place for row in recording.rows}
-    off = sorted(math.hypot(x - places[t][0], y - places[t][1]) for t, x, y in recording.fixes)
-    if off and off[len(off) // 2] > 3 * noise + 0.5:
+    errors = sorted(math.hypot(x - places[t][0], y - places[t][1]) for t, x, y in recording.fixes)
+    if errors and errors[len(errors) // 2] > 3 * noise + 0.5:
         raise RecorderError(
-            f"the fixes of {recording.name} are {off[len(off) // 2]:.1f} m from the car: server and client compute "
-            "different latitudes and longitudes; use a client and a server of the same build"
+            f"the fixes of {recording.name} are {errors[len(errors) // 2]:.1f} m from the car: server and client "
+            "compute different latitudes and longitudes; use a client and a server of the same build"
         )

@@ -32,7 +32,7 @@ class Driver:
     ----------
     plan : the plan to follow
     wheelbase : m
-    rng : random numbers for the deviations from the plan: 0.1 m to the sides, 0.6% of the speed
+    rng : generator of the random deviations from the plan: 0.1 m to the sides, 0.6% of the speed
 
     Attributes
     ----------
@@ -63,8 +63,8 @@ class Driver:
         """True after all legs."""
         return self._leg >= len(self.plan.legs)
 
-    def look(self, x: float, y: float, heading: float, speed: float) -> Control:
-        """Return the controls of a tick, from position (m east and north), heading (rad) and speed (m/s)."""
+    def step(self, x: float, y: float, heading: float, speed: float) -> Control:
+        """Return the controls for a tick, from position (m east and north), heading (rad) and speed (m/s)."""
         self._locate(x, y)
         angle = self._steer(heading, speed)
         while not self.arrived and not self.plan.legs[self._leg].wait and self.way >= self._leg_end:
@@ -93,7 +93,7 @@ class Driver:
         self.way, self.off = i * SPACING + dx * cos + dy * sin, dy * cos - dx * sin
 
     def _steer(self, heading: float, speed: float) -> float:
-        """Return the angle of the wheels, rad; an offset from the path decays like a second-order system."""
+        """Return the angle of the wheels, rad, with which an offset from the path decays like a second-order system."""
         path, v = self.plan.path, max(speed, 1.0)
         i = self._nearest
         course = wrap(heading - path.heading[i] - (self.way - i * SPACING) * path.curvature[i])
@@ -105,7 +105,7 @@ class Driver:
         return math.atan(self.wheelbase * curvature)
 
     def _press(self, speed: float, angle: float) -> Control:
-        """Choose the pedals; the planned speed increases with the acceleration of the leg up to the allowed speed."""
+        """Choose the pedals. The planned speed increases with the leg's acceleration, up to the allowed speed."""
         leg = self.plan.legs[self._leg]
         profile = self._allowed[self._leg]
         place = max(self.way - self._leg_end + leg.length, 0.0) / SPACING
@@ -115,12 +115,12 @@ class Driver:
         allowed = math.sqrt(max(a * a + (b * b - a * a) * part, 0.0))
         stopping = leg.wait > 0 and self._leg_end - self.way < 3.0 and allowed < 3.0
         before = self._speed
-        if stopping:  # brake over time, since the last meters take too long if the speed depends on distance
+        if stopping:  # the planned speed depends on time: with distance, the last meters would take too long
             self._speed = max(min(before, allowed + 1.0) - leg.braking * TICK, 0.0)
         else:
             self._speed = max(min(before + leg.acceleration * TICK, allowed), 0.0)
         wanted = (self._speed - before) / TICK
-        self._speed = min(max(self._speed, speed - 1.5), speed + 1.5)  # if the car can't follow the plan
+        self._speed = min(max(self._speed, speed - 1.5), speed + 1.5)  # in case the car can't follow the plan
         if stopping and self._speed <= 0.05 and speed < 0.2:
             self._hold, self._speed, self._acceleration, self._missing = leg.wait, 0.0, 0.0, 0.0
             self._next_leg()

@@ -1,4 +1,4 @@
-"""Write recording.json and the drive folders, with the content of drive.toml."""
+"""Write recording.json and the folders of drives; compute the content of drive.toml."""
 
 from __future__ import annotations
 
@@ -19,39 +19,39 @@ from .vehicle import CAR, Physics
 
 
 class Journal:
-    """File recording.json of an output folder: options, versions, geodesy, physics and measured friction."""
+    """The file recording.json of an output folder: options, version, geodesy, physics and measured friction."""
 
     def __init__(self, options: Options) -> None:
         self._file = options.out / "recording.json"
         self._content: dict[str, Any] = {"options": options.figures()}
-        there = sorted(path.parent.name for path in options.out.glob("*/imu.csv"))
-        if there and not options.resume:
+        existing = sorted(path.parent.name for path in options.out.glob("*/imu.csv"))
+        if existing and not options.resume:
             raise RecorderError(
-                f"{options.out}: contains {there[0]} already; choose another folder, or continue with --resume"
+                f"{options.out}: contains {existing[0]} already; choose another folder, or continue with --resume"
             )
         if self._file.exists():
-            self._read(options, there)
+            self._read(options, existing)
 
-    def _read(self, options: Options, there: Sequence[str]) -> None:
+    def _read(self, options: Options, existing: Sequence[str]) -> None:
         try:
-            held = json.loads(self._file.read_text(encoding="utf-8"))
-            made = dict(held["options"])
+            saved = json.loads(self._file.read_text(encoding="utf-8"))
+            made = dict(saved["options"])
         except (ValueError, KeyError, TypeError):
             raise RecorderError(
                 f"{self._file}: is not a file of the recorder; choose another folder"
             ) from None
         for key, value in options.figures().items():
-            if there and made.get(key) != value:
+            if existing and made.get(key) != value:
                 raise RecorderError(
                     f"{self._file}: the existing drives were recorded with {key} {made.get(key)}, not {value}; "
                     "choose another folder, or use the same options"
                 )
-        if there and options.brake_sweep and not held.get("friction"):
+        if existing and options.brake_sweep and not saved.get("friction"):
             raise RecorderError(
                 f"{self._file}: the existing drives were recorded without --brake-sweep; choose another folder, "
                 "or leave out --brake-sweep"
             )
-        self._content = {**held, "options": options.figures()}
+        self._content = {**saved, "options": options.figures()}
 
     @property
     def friction(self) -> list[list[float]]:
@@ -59,7 +59,7 @@ class Journal:
         return self._content.get("friction", [])
 
     def tire_friction(self, friction: float) -> float | None:
-        """Return the tire_friction for a friction of the road; None if --brake-sweep was not used."""
+        """Return the tire_friction that results in a measured friction; None if --brake-sweep was not used."""
         if not self.friction:
             return None
         table = sorted((measured, tire) for tire, measured in self.friction)
@@ -79,7 +79,7 @@ class Journal:
 
 
 def write_drive(folder: Path, recording: Recording, about: dict[str, Any], options: Options) -> None:
-    """Write the folder of a drive under a temporary name, and rename the complete folder."""
+    """Write the folder of a drive under a temporary name, and rename it when it is complete."""
     new = folder.parent / f".{folder.name}.new"
     shutil.rmtree(new, ignore_errors=True)
     new.mkdir(parents=True)
@@ -103,7 +103,7 @@ def _write_csv(path: Path, header: str, rows: Any) -> None:
 
 
 def keep_incomplete(recording: Recording, options: Options) -> None:
-    """Save an incomplete drive in the folder ``incomplete``, which no command reads."""
+    """Save an incomplete drive in the folder ``incomplete``, for the analysis of failures."""
     if not recording.rows:
         return
     parent = options.out / "incomplete"
@@ -132,7 +132,7 @@ def describe(
     sensors: Sensors,
     condition: Condition,
 ) -> dict[str, Any]:
-    """Return the content of drive.toml, under the names that `sigmaswarm simulate` uses."""
+    """Return the content of drive.toml, with the same names as in simulated drives."""
     o, where = session.options, ENVIRONMENTS[condition.environment]
     began = next((row.t for row in recording.rows if _passed(row, plan)), 0.0)
     noise = {
@@ -176,7 +176,7 @@ def describe(
 
 
 def _passed(row: Row, plan: Plan) -> bool:
-    """Check if the car has reached the beginning of its maneuver."""
+    """Return True if the car has reached the beginning of its maneuver."""
     path = plan.path
     i = min(round(plan.start / SPACING), len(path.x) - 1)
     dx, dy = row.place[0] - path.x[i], row.place[1] - path.y[i]
@@ -186,7 +186,7 @@ def _passed(row: Row, plan: Plan) -> bool:
 def velocity_check(rows: Sequence[Row]) -> float:
     """Return the RMS difference between velocities and central differences of positions, m/s.
 
-    The difference is large if CARLA returns the velocity of the center of mass but the position of the car's origin.
+    The result is large if CARLA returns the velocity of the center of mass, but the position of the car's origin.
     """
     total = 0.0
     for a, b, c in zip(rows, rows[1:], rows[2:]):
@@ -195,7 +195,7 @@ def velocity_check(rows: Sequence[Row]) -> float:
 
 
 def achieved(maneuver: str, recording: Recording, began: float) -> dict[str, float]:
-    """Return the achieved values under the names of the plan's ``target``."""
+    """Return the achieved values of a maneuver, with the names of the plan's ``target``."""
     rows = recording.rows
     own = [row for row in rows if row.t >= began]
     speeds = [row.speed for row in rows]
@@ -228,7 +228,7 @@ def _length(rows: Sequence[Row]) -> float:
 
 
 def _time_to(fast: float, speeds: Sequence[float]) -> float:
-    """Return the shortest time, s, from standstill to the speed `fast`, m/s; inf if it is never reached."""
+    """Return the shortest time, s, from standstill to the speed `fast`, m/s; inf if this speed is not reached."""
     best, stood = math.inf, None
     for i, speed in enumerate(speeds):
         if speed <= 0.1:

@@ -37,7 +37,7 @@ def wrap(angle: float) -> float:
 
 
 def interpolate(table: Sequence[tuple[float, float]], x: float) -> float:
-    """Interpolate linearly in a table of (x, y); values are constant beyond its ends."""
+    """Interpolate linearly in a table of (x, y); beyond the ends of the table, y is constant."""
     if x <= table[0][0]:
         return table[0][1]
     for (x0, y0), (x1, y1) in zip(table, table[1:]):
@@ -49,7 +49,7 @@ def interpolate(table: Sequence[tuple[float, float]], x: float) -> float:
 class Geodesy:
     """Conversion of CARLA's latitudes and longitudes to m: Newton's method inverts the formula of the client.
 
-    The formula is not WGS-84 and differs between versions: 0.9.16 mirrors north and south (carla#9389).
+    This formula is not WGS-84 and differs between versions: 0.9.16 mirrors north and south (carla#9389).
     """
 
     def __init__(self, locate: Callable[[float, float], tuple[float, float]]) -> None:

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 RATE = 100  # Hz, of ticks and IMU
 TICK = 1.0 / RATE
-GPS_EVERY = 20  # ticks from fix to fix (5 Hz); CARLA's sensor_tick does not stay synchronous (carla#3653)
+GPS_EVERY = 20  # ticks from fix to fix (5 Hz), since CARLA's sensor_tick is not synchronous (carla#3653)
 STANDSTILL_TIME = 1.0  # s of standstill at the beginning of a drive
 GRAVITY = 9.81
 KMH = 1 / 3.6
 DRY = 0.85  # friction of stock tires if --brake-sweep was not used
 BRAKE_GAIN = 2.0
-"""Factor of max_brake_torque. Stock brakes stop the car from 50 km/h in 2.7 s, but the paper's car needs 2 s."""
+"""Factor on CARLA's max_brake_torque: without it, the car stops from 50 km/h in 2.7 s, but in the paper in 2 s."""
 
 
 class Environment(NamedTuple):
@@ -54,11 +54,11 @@ class RecorderError(Exception):
 
 
 class LostConnection(RecorderError):
-    """Error if the server no longer answers."""
+    """Error that the server no longer answers."""
 
 
 class FailedRun(RecorderError):
-    """Error of one drive, which may succeed on another route."""
+    """Error of one drive; the drive may succeed on another route."""
 
 
 class Condition(NamedTuple):
@@ -79,9 +79,11 @@ def _option(default: Any, text: str) -> Any:
 
 @dataclass(frozen=True)
 class Options:
-    """Options of a recording, which are the options of the command line."""
+    """Options of a recording and of the command line."""
 
-    out: Path = field(metadata={"help": "Folder for the drive folders."})
+    out: Path = field(
+        metadata={"help": "Folder for the drive folders. It must not contain drives, except with --resume."}
+    )
     host: str = _option("127.0.0.1", "Host of the CARLA server.")
     port: int = _option(2000, "Port of the CARLA server.")
     maneuvers: tuple[str, ...] = _option(MANEUVERS, f"{', '.join(MANEUVERS)}; all by default.")
@@ -98,10 +100,12 @@ class Options:
         0.001, "Largest gyro bias, rad/s; each drive has a constant bias within +- this value."
     )
     gps_noise: float = _option(0.56, "Standard deviation of each fix, m per axis.")
-    timeout: float = _option(20.0, "Longest time to wait for an answer of the server, s.")
-    patience: float = _option(120.0, "Longest time to wait for a server that stopped answering, s.")
+    timeout: float = _option(20.0, "Longest time to wait for an answer to a request, s.")
+    patience: float = _option(
+        120.0, "Longest time to wait for a new connection after the server has stopped answering, s."
+    )
     brake_sweep: bool = _option(
-        False, "First measure the friction for several values of CARLA's tire_friction, and use the result."
+        False, "First brake with several values of CARLA's tire_friction, and measure the friction of each."
     )
     resume: bool = _option(False, "Keep existing drives and record the missing drives.")
 
@@ -113,13 +117,15 @@ class Options:
 def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(
         prog="sigmaswarm_carla",
-        description="Record the paper's maneuvers from a CARLA server, as drive folders with truth.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        description="Record drives with known truth from a CARLA server: the maneuvers and environments of the paper, "
+        "driven by a Tesla Model 3.",
     )
     for option in fields(Options):
         several = isinstance(option.default, tuple)
         flag = "--" + (option.name[:-1] if several else option.name).replace("_", "-")
-        about: dict[str, Any] = {"dest": option.name, "help": option.metadata["help"]}
+        stated = isinstance(option.default, (int, float, str)) and option.default not in (False, "")
+        text = f"{option.metadata['help']} Default: {option.default}." if stated else option.metadata["help"]
+        about: dict[str, Any] = {"dest": option.name, "help": text}
         if option.name == "out":
             p.add_argument(flag, type=Path, required=True, **about)
         elif isinstance(option.default, bool):

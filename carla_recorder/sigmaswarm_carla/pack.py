@@ -25,5 +25,6 @@ if __name__ == "__main__":
         sys.exit("usage: python -m sigmaswarm_carla.pack FILE.pyz")
     pack(Path(sys.argv[1]))
     print(
-        f"wrote {sys.argv[1]}; run it with the Python that has the server's client: python {sys.argv[1]} --help"
+        f"wrote {sys.argv[1]}; run it with the Python in which the server's client is installed: "
+        f"python {sys.argv[1]} --help"
     )

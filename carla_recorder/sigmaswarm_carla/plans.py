@@ -20,8 +20,8 @@ class Leg(NamedTuple):
     acceleration: float  # m/s2
     braking: float  # m/s2, positive
     lateral: float = 3.0  # m/s2, in bends
-    wait: float = 0.0  # s of standstill at its end; with 0 the car does not stop
-    ease: float = 0.6  # s in which the acceleration may change by 8 m/s2
+    wait: float = 0.0  # s of standstill at the end of the leg; with 0 the car does not stop
+    ease: float = 0.6  # s, shortest time in which the acceleration changes by 8 m/s2
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class Plan:
 
     path: Path2D
     legs: list[Leg]
-    target: dict[str, float]  # the paper's figures, with their units in the names
-    start: float = 0.0  # m along the path at which the maneuver begins, after the warm-up
+    target: dict[str, float]  # the paper's values, with units in the names
+    start: float = 0.0  # m along the path; here the maneuver begins
     outages: list[tuple[float, float]] = field(default_factory=list)  # (s after the start, length in s)
 
     @property
@@ -41,10 +41,11 @@ class Plan:
 
 
 def plan_maneuver(name: str, friction: float, town: Any, rng: random.Random) -> Plan:
-    """Draw the random values of one of the paper's maneuvers, and find a path for it.
+    """Draw the random values of one of the paper's maneuvers, and find a path for the maneuver.
 
     The values are those of `sigmaswarm.simulation.maneuvers`: values of the paper, or the largest values that friction
-    allows. Each maneuver begins with at least 30 m at 5 m/s or more, so that a filter can find its heading.
+    allows. Before each maneuver, the car drives at least 30 m at 5 m/s or more, so that a filter can determine the
+    heading.
     """
     hard = 0.9 * friction * GRAVITY
     easy = min(2.5, 0.5 * friction * GRAVITY)
@@ -82,7 +83,7 @@ def plan_maneuver(name: str, friction: float, town: Any, rng: random.Random) -> 
 def _plan_bends(name: str, hard: float, easy: float, friction: float, town: Any, rng: random.Random) -> Plan:
     """Plan the maneuvers that turn at junctions: `turns` and `outages`."""
     side = 1.0 if rng.random() < 0.5 else -1.0
-    before = 35.0 + 1.15 * (34 * KMH) ** 2 / 2 / easy  # m, to accelerate and to find the heading
+    before = 35.0 + 1.15 * (34 * KMH) ** 2 / 2 / easy  # m, to accelerate and to determine the heading
 
     def fits(path: Path2D) -> bool:
         bends = path.turns
@@ -112,7 +113,7 @@ def _plan_bends(name: str, hard: float, easy: float, friction: float, town: Any,
 
 
 def allowed_speed(plan: Plan, sway: Callable[[float], float]) -> list[list[float]]:
-    """Return the highest speed, m/s, at each point of each leg, from which the car can slow down in time."""
+    """Return the allowed speed, m/s, at each point of each leg, from which the car can slow down in time."""
     profiles: list[list[float]] = []
     end, after = plan.length, math.inf
     for leg in reversed(plan.legs):

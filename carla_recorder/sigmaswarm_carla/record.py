@@ -1,4 +1,4 @@
-"""Record all drives, with a new connection after a loss of the server; measure friction by braking."""
+"""Record all drives, and connect again if the connection is lost; measure friction by braking."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from .vehicle import control, edit_physics, place_car, settle
 
 
 class Progress:
-    """Show progress on stderr: one changing line on a terminal, elsewhere one line per drive."""
+    """Progress on stderr: one line that changes on a terminal, otherwise one line per drive."""
 
     def __init__(self, total: int) -> None:
         self.total, self.done = total, 0
@@ -72,12 +72,12 @@ def record(options: Options) -> int:
     Raises
     ------
     RecorderError
-        If the recording can't continue. Complete drives are in `options.out`, an incomplete drive is in its folder
-        ``incomplete``.
+        If the recording can't continue. Complete drives are in `options.out`, and an incomplete drive is in the
+        subfolder ``incomplete``.
     """
     journal = Journal(options)
     conditions = starmap(Condition, product(options.maneuvers, options.environments, range(options.runs)))
-    wanted = [each for each in conditions if not (options.out / each.name).exists()]
+    wanted = [condition for condition in conditions if not (options.out / condition.name).exists()]
     progress = Progress(len(wanted))
     try:
         _record(options, journal, wanted, progress)
@@ -87,7 +87,7 @@ def record(options: Options) -> int:
 
 
 def _record(options: Options, journal: Journal, wanted: list[Condition], progress: Progress) -> None:
-    """Record drives; after a loss of the connection open a new session, at most three times in a row."""
+    """Record drives; if the connection is lost, open a new session, at most three times in a row."""
     checked, lost = False, 0
     before: dict[str, Any] = {}
     while wanted or (options.brake_sweep and not journal.friction):
@@ -106,10 +106,12 @@ def _record(options: Options, journal: Journal, wanted: list[Condition], progres
                     progress.done, lost = progress.done + 1, 0
         except LostConnection as error:
             lost += 1
-            here = f"{progress.done} drives of this call are complete in {options.out}"
+            complete = f"{progress.done} drives of this call are complete in {options.out}"
             if lost > 3 or not _wait_for(options):
-                _put_in_order(options, before)
-                raise RecorderError(f"{error}; {here}; restart the server and repeat with --resume") from None
+                _restore_settings(options, before)
+                raise RecorderError(
+                    f"{error}; {complete}; restart the server and repeat with --resume"
+                ) from None
             progress.say(f"warning: {error}; the server answers again, and the recording continues")
 
 
@@ -121,7 +123,7 @@ def check_routes(session: Session, wanted: Sequence[Condition]) -> None:
 
 
 def _wait_for(options: Options) -> bool:
-    """Wait until a lost server answers again; return False after `patience` s."""
+    """Wait until the server accepts connections again; return False after `patience` s."""
     end = time.monotonic() + options.patience
     while time.monotonic() < end:
         if reachable(options.host, options.port, 1.0):
@@ -131,15 +133,15 @@ def _wait_for(options: Options) -> bool:
     return False
 
 
-def _put_in_order(options: Options, before: dict[str, Any]) -> None:
-    """Restore the settings of a server that still answers."""
+def _restore_settings(options: Options, before: dict[str, Any]) -> None:
+    """Restore the settings of the server if it answers."""
     if reachable(options.host, options.port, 1.0):
         with suppress(RecorderError), Session(options, before):
             pass
 
 
 def record_one(session: Session, journal: Journal, progress: Progress, condition: Condition) -> None:
-    """Record one drive; after a failure try up to three other routes."""
+    """Record one drive; after a failure, try up to three other routes."""
     options, name, where = session.options, condition.name, ENVIRONMENTS[condition.environment]
     session.show_weather(condition.environment)
     for attempt in range(4):
@@ -161,7 +163,7 @@ def record_one(session: Session, journal: Journal, progress: Progress, condition
             keep_incomplete(recording, options)
             session.clear()
             if attempt == 3:
-                raise RecorderError(f"{error} (four routes tried)") from None
+                raise RecorderError(f"{error}; the recorder tried four routes") from None
             progress.say(f"warning: {error}; trying another route")
         except BaseException:
             keep_incomplete(recording, options)
@@ -169,7 +171,7 @@ def record_one(session: Session, journal: Journal, progress: Progress, condition
 
 
 SWEEP_FRICTIONS = (3.5, 2.0, 1.0, 0.5, 0.25)
-"""Values of tire_friction, the same for all wheels. The resulting friction depends on CARLA's road and version."""
+"""Values of tire_friction, equal for all wheels. The resulting friction depends on the road and on CARLA's version."""
 
 
 def sweep_brakes(session: Session, say: Callable[[str], None]) -> list[list[float]]:
@@ -186,7 +188,7 @@ def sweep_brakes(session: Session, say: Callable[[str], None]) -> list[list[floa
             plan = Plan(path, [Leg(away, speed, easy, 20.0)], {})
             measured = _brake(session, plan, tire_friction, rng)
         found.append([tire_friction, round(measured, 4)])
-        say(f"tire_friction {tire_friction:g} brakes with {measured:.3f} g")
+        say(f"with tire_friction {tire_friction:g}, the car brakes with {measured:.3f} g")
         guess = max(0.5 * measured, 0.02)
     return found
 
@@ -200,7 +202,7 @@ def _brake(session: Session, plan: Plan, tire_friction: float, rng: random.Rando
     state = state_of(session, car, session.tick())
     fast, falling = 0.0, [0.0, 0.0]
     for tick in range(RATE * 120):
-        wanted = driver.look(*state.place[:2], state.heading, state.speed)
+        wanted = driver.step(*state.place[:2], state.heading, state.speed)
         if driver.arrived:
             fast = fast or state.speed
             falling = [tick if state.speed > share * fast else at for share, at in zip((0.9, 0.3), falling)]

@@ -27,14 +27,14 @@ class Turn(NamedTuple):
 
 @dataclass(frozen=True)
 class Path2D:
-    """A path along lanes, every `SPACING` m: m east and north, heading (rad, not wrapped), curvature (1/m)."""
+    """Points every `SPACING` m along lanes: m east and north, heading (rad, not wrapped), curvature (1/m)."""
 
     x: list[float]
     y: list[float]
     heading: list[float]
     curvature: list[float]
     climb: float
-    start: Any  # the waypoint at its beginning
+    start: Any  # CARLA's waypoint at the beginning
 
     @property
     def length(self) -> float:
@@ -89,13 +89,13 @@ def straight(length: float) -> Need:
 def find_path(town: Any, need: Need, rng: random.Random) -> Path2D:
     """Find a random path in a `carla.Map` that meets the requirements.
 
-    Walks begin at the waypoints of the map, in random order. If the path must be straight, the walks go straight ahead.
-    Otherwise six walks from each waypoint choose at random at each junction.
+    Walks begin at the waypoints of the map, in random order. If the path must be straight, one walk from each waypoint
+    goes straight ahead. Otherwise, six walks from each waypoint choose a random branch at each junction.
 
     Raises
     ------
     RecorderError
-        If `MAX_WALKS` walks find no path.
+        If no path is found in `MAX_WALKS` walks.
     """
     starts = [w for w in town.generate_waypoints(10.0) if not w.is_junction]
     rng.shuffle(starts)
@@ -143,7 +143,7 @@ def _turning(way: Any) -> float:
 
 
 def _resample(points: Sequence[Any]) -> Path2D:
-    """Resample waypoints with distances of about 1 m to `SPACING`."""
+    """Interpolate waypoints, which are about 1 m apart, at distances of `SPACING`."""
     places = [polar(p.transform.location) for p in points]
     headings = [heading_of(points[0].transform.rotation)]
     for p in points[1:]:

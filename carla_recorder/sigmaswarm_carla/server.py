@@ -1,4 +1,4 @@
-"""Connect to a CARLA server, prepare it for a recording, and restore it."""
+"""Connect to a CARLA server, prepare it for a recording, and restore its settings."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from .geometry import Geodesy
 from .options import ENVIRONMENTS, TICK, LostConnection, Options, RecorderError
 
 _KEEP: list[Any] = []
-"""Objects of a broken connection, kept since their destructors would wait for the lost server."""
+"""Objects of a lost connection. They are kept, since their destructors would wait for the server."""
 
 
 def reachable(host: str, port: int, seconds: float) -> bool:
-    """Check if a program accepts connections at the port."""
+    """Return True if a program accepts connections at the port."""
     try:
         socket.create_connection((host, port), seconds).close()
     except OSError:
@@ -27,7 +27,7 @@ def reachable(host: str, port: int, seconds: float) -> bool:
 
 
 def number_of(version: str) -> str:
-    """Return the numbers of a version such as 0.9.14-2-gabc, which must be equal for client and server."""
+    """Return the numbers of a version such as 0.9.14-2-gabc; client and server must have the same numbers."""
     found = re.match(r"\d+\.\d+\.\d+", version)
     return found.group() if found else version
 
@@ -37,13 +37,13 @@ def import_carla() -> Any:
         return import_module("carla")
     except ImportError as error:
         raise RecorderError(
-            f"the CARLA client can't be imported ({error}); pip install carla==VERSION, the server's version: "
-            "0.9.14 needs Python 3.8, 0.9.15 3.8 to 3.10, 0.9.16 3.10 to 3.12"
+            f"the CARLA client can't be imported ({error}); run pip install carla==VERSION with the version of the "
+            "server: 0.9.14 needs Python 3.8, 0.9.15 needs 3.8 to 3.10, 0.9.16 needs 3.10 to 3.12"
         ) from None
 
 
 def connect(carla: Any, options: Options) -> Any:
-    """Connect to the server; raise RecorderError for another version, since its calls may crash this process."""
+    """Connect to the server; raise RecorderError if its version differs, since calls could crash this process."""
     place = f"{options.host}:{options.port}"
     if not reachable(options.host, options.port, options.timeout):
         raise RecorderError(
@@ -61,7 +61,7 @@ def connect(carla: Any, options: Options) -> Any:
     mine = client.get_client_version()
     if number_of(mine) != number_of(server):
         raise RecorderError(
-            f"the server at {place} is CARLA {server}, but the client is {mine}; pip install "
+            f"the server at {place} is CARLA {server}, but the client is {mine}; run pip install "
             f"carla=={number_of(server)}"
         )
     return client
@@ -71,7 +71,7 @@ def one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-ROLE = "sigmaswarm"  # role name of the recorder's actors, to find the actors of a crashed call
+ROLE = "sigmaswarm"  # role name of the recorder's actors, which identifies the actors of a crashed call
 SUBSTEP = 0.001  # s, step of the physics; with CARLA's default the gyro is wrong
 # Settings of the server during a recording.
 SETTINGS: dict[str, Any] = {
@@ -89,7 +89,7 @@ def _same(found: Any, wanted: Any) -> bool:
 
 
 class Session:
-    """A server that is prepared for a recording, and restored at the end of the `with` block.
+    """A connection to a server, whose settings are those of a recording until the `with` block ends.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Session:
     """
 
     def __init__(self, options: Options, before: dict[str, Any]) -> None:
-        """Connect; `before` keeps the original settings and weather of the server over several sessions."""
+        """Connect to the server; `before` contains its original settings and weather, for several sessions."""
         self.options, self._before = options, before
         self.actors: list[Any] = []
         self.carla = import_carla()
@@ -113,7 +113,7 @@ class Session:
             self.town = self.world.get_map()
             self.geodesy = Geodesy.probe(self.carla, self.town)
             settings = self.world.get_settings()
-            if not self._before:  # otherwise this session follows a lost connection
+            if not self._before:  # after a lost connection, the settings are those of the recording
                 self._before.update(settings=self._as_before(settings), weather=self.world.get_weather())
         try:
             with self.trouble():
@@ -157,11 +157,12 @@ class Session:
             self.client.set_timeout(self.options.timeout)
 
     def _as_before(self, settings: Any) -> Any:
-        """Return the settings to restore, or CARLA's defaults after a killed recorder."""
+        """Return the settings to restore; if an earlier recorder was killed, return CARLA's defaults."""
         if not all(_same(getattr(settings, name), value) for name, value in SETTINGS.items()):
             return settings
         print(
-            "warning: the server still has the settings of a recording that was killed; CARLA's defaults replace them",
+            "warning: the server has the settings of a recording that was killed; this recording will restore CARLA's "
+            "default settings",
             file=sys.stderr,
         )
         return self.carla.WorldSettings()
@@ -180,7 +181,7 @@ class Session:
                 )
 
     def _remove_leftovers(self) -> None:
-        """Remove the actors of an earlier call that crashed, sensors first."""
+        """Remove the actors of a crashed call, sensors first."""
         left = [a for a in self.world.get_actors() if a.attributes.get("role_name") == ROLE]
         for actor in sorted(left, key=lambda a: not a.type_id.startswith("sensor")):
             actor.destroy()
@@ -194,7 +195,7 @@ class Session:
         return int(self.world.tick(self.options.timeout))
 
     def spawn(self, blueprint: str, attributes: dict[str, str], transform: Any, parent: Any = None) -> Any:
-        """Spawn an actor, which `clear` removes."""
+        """Spawn an actor; `clear` removes it."""
         definition = self.world.get_blueprint_library().find(blueprint)
         for name, value in {"role_name": ROLE, **attributes}.items():
             if definition.has_attribute(name):
@@ -204,7 +205,7 @@ class Session:
         return actor
 
     def clear(self) -> None:
-        """Remove all actors: sensors before the car, otherwise the server may crash."""
+        """Remove all actors, first the sensors and then the car; otherwise the server may crash."""
         sensors = [a for a in self.actors if a.type_id.startswith("sensor")]
         for sensor in sensors:
             if sensor.is_listening:

@@ -13,7 +13,7 @@ from .routes import Path2D
 from .server import Session, one_line
 
 CAR = "vehicle.tesla.model3"
-SETTLE_TICKS = 100  # until the car is at rest on its springs
+SETTLE_TICKS = 100  # ticks after which a spawned car is at rest on its springs
 
 
 class Physics(NamedTuple):
@@ -27,7 +27,7 @@ class Physics(NamedTuple):
 
 
 def edit_physics(session: Session, car: Any, tire_friction: float | None, share: float = 1.0) -> Physics:
-    """Set friction of tires, stronger brakes and a flat steering curve; check that the server applied them.
+    """Set the friction of the tires, stronger brakes and a flat steering curve; check that the server applies them.
 
     If `tire_friction` is None, the friction is `share` times the friction of the stock tires.
     """
@@ -54,10 +54,10 @@ def edit_physics(session: Session, car: Any, tire_friction: float | None, share:
 
 
 def axles(wheels: Sequence[Any], car: Any) -> tuple[float, float]:
-    """Return wheelbase and distance from the rear axle to the car's origin, m.
+    """Return the wheelbase and the distance from the rear axle to the car's origin, m.
 
-    CARLA gives world positions in cm, front wheels first. If the positions do not fit a car, the values of the real car
-    are returned.
+    CARLA states world positions in cm, front wheels first. If these positions are implausible, return the values of the
+    real car.
     """
     heading, (x, y, _) = heading_of(car.rotation), polar(car.location)
     places = [polar(wheel.position) for wheel in wheels]
