@@ -2,20 +2,21 @@
 
 Data flow
 ---------
-A `Drive` is read, recorded or simulated; filters run over it; scores measure their errors; an objective
-turns scores into a cost; a swarm searches for the parameters with the lowest cost; the result is a `Tuning`.
+A `Drive` is read, recorded or simulated. Filters run over drives, and scores measure the errors of the filters. An
+objective converts scores to a cost, and a swarm searches for the parameters with the lowest cost. The result is a
+`Tuning`.
 
 Conventions
 -----------
 - Values are in SI units and radians. Degrees are used only in text and in columns whose names end in ``deg``.
 - Local frame: east-north-up; x east, y north. Heading ``theta`` counter-clockwise from east, in (-pi, pi].
 - Body frame: x forward, y left, z up (REP-103). The IMU measures specific force and angular rate in this frame.
-- Attitude of models with roll and pitch: R = Rz(theta) Ry(pitch) Rx(roll) rotates body axes into local axes, so that
-  ``roll`` is positive left side up and ``pitch`` nose down.
+- Attitude of models with roll and pitch: R = Rz(theta) Ry(pitch) Rx(roll) rotates body axes into local axes. ``roll``
+  is positive with the left side up, and ``pitch`` with the nose down.
 - Time: float64 seconds, strictly increasing within a sensor; sensors keep their own clocks and rates.
-- State of ``planar5``: x, y (m), vx, vy (m/s), theta (rad). ``process_noise`` is the diagonal of Q, the variance
-  added per nominal IMU step; ``measurement_noise`` is the diagonal of R. Other models have additional states after
-  these.
+- State of ``planar5``: x, y (m), vx, vy (m/s), theta (rad); other models have additional states after these.
+  ``process_noise`` is the diagonal of Q, the variance added per nominal IMU step; ``measurement_noise`` is the diagonal
+  of R.
 - Filters never use truth. The error is estimate - truth. Costs are minimized; the cost of a failed filter is ``inf``.
 
 Symbols: x, P state mean and covariance; Q, R process and measurement noise covariance; alpha, beta, kappa sigma-point
@@ -32,7 +33,7 @@ from typing import TYPE_CHECKING, Any
 
 from sigmaswarm.versions import __version__ as __version__
 
-# Only type checkers follow these imports. At run time, `__getattr__` does each of them at the first use of its name.
+# Only type checkers follow these imports. At run time, `__getattr__` imports a name at its first use.
 if TYPE_CHECKING:
     from sigmaswarm.api import evaluate, export, import_log, inspect_log, plot, report, run
     from sigmaswarm.doctor.agreements import Agreement as Agreement

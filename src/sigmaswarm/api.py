@@ -101,7 +101,7 @@ def import_log(
     request = request_of(log, settings)
     imported = import_drive(request, name or Path(log).resolve().stem)
     drive, notes = imported.drive, [*imported.notes, *imported.assumed]
-    # The command shows this as a finding of the doctor.
+    # The command `sigmaswarm import` shows this as a finding of the doctor.
     if unshared := unshared_times(drive.imu.time, drive.gps.time):
         notes.append(str(unshared).replace(".csv", ""))
     for note in notes:
@@ -133,23 +133,23 @@ def run(
     recover: bool = True,
     as_recorded: bool | None = None,
 ) -> Estimate:
-    """Run a filter over a drive; the truth of the drive, if any, is not used.
+    """Run a filter over a drive, without using the truth of the drive.
 
     Parameters
     ----------
     drive : Drive
     parameters : FilterParameters, Tuning, or the path of a tuning
     smooth : bool
-        Smooth the estimates, so that each uses earlier and later fixes.
+        Smooth the estimates, so that each estimate uses earlier and later fixes.
     bank : bool
-        Run a bank of sixteen filters with different parameters; their mixture is the estimate.
+        Run a bank of sixteen filters with different parameters; the estimate is their mixture.
     initial : InitialState, optional
         Start of the filter; by default the first time at which the drive shows position, speed and heading.
     recover : bool
         Reset the filter if it diverges.
     as_recorded : bool, optional
-        Run without preprocessing: use stale fixes, and treat gaps in the IMU as ordinary steps. By default as the
-        tuning.
+        Run without preprocessing: use stale fixes, and treat gaps in the IMU as ordinary steps. The default is the
+        setting of the tuning.
 
     Returns
     -------
@@ -184,15 +184,17 @@ def evaluate(
     Parameters
     ----------
     drives : Drive or sequence of Drive
-        Without truth the scores are the consistency and the drift over outages, relative to the fixes.
+        Drives to evaluate on. Without truth, the scores are the consistency, and the drift over outages relative to the
+        fixes.
     parameters : FilterParameters, Tuning, or the path of a tuning
-        A tuning also identifies its training drives: the evaluation warns if ``drives`` contain parts of these drives.
+        A tuning also identifies its training drives, so that the evaluation can warn if ``drives`` contain parts of
+        them.
     against : FilterParameters, Tuning, or the path of a tuning, optional
         A second filter of any model, or the path of an ekf.yaml of robot_localization.
     **options
-        ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``bank`` (a filter bank), ``seen``,
-        ``fixes_alone`` (noise parameters of the filter that uses only the fixes), ``cluster``. ``as_recorded``,
-        ``seen`` and ``fixes_alone`` are by default those of the tuning.
+        ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``bank`` (also evaluate a filter bank),
+        ``seen`` (landmarks of the training drives), ``fixes_alone`` (noise parameters of the filter that uses only the
+        fixes), ``cluster``. ``as_recorded``, ``seen`` and ``fixes_alone`` are by default those of the tuning.
 
     Returns
     -------
@@ -229,8 +231,8 @@ def export(
         Folder for the files; by default nothing is written.
     **options
         ``replay`` (a Drive), ``as_recorded``, ``lanes``, ``seed``: see ``sigmaswarm export --help``. ``mounting``:
-        roll, pitch and yaw, deg, of an IMU whose raw samples are to be turned; ``imu_axes``: expressions of its axes.
-        ``as_recorded``, ``mounting`` and ``imu_axes`` are by default those of the tuning.
+        roll, pitch and yaw of the IMU, deg, for an export that rotates raw samples; ``imu_axes``: expressions of the
+        IMU's axes. ``as_recorded``, ``mounting`` and ``imu_axes`` are by default those of the tuning.
 
     Returns
     -------
@@ -306,7 +308,7 @@ def plot(what: Any, drive: str | None = None) -> "Figure":
     ----------
     what : Drive, Evaluation, Tuning or Comparison
     drive : str, optional
-        For an evaluation: the drive with the track to draw; by default the scores of all methods are compared.
+        For an evaluation: name of the drive whose track is drawn. By default, the scores of all methods are drawn.
 
     Returns
     -------

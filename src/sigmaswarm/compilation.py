@@ -49,9 +49,9 @@ def call_once(make: Callable[P, T]) -> Callable[P, T]:
 
 @dataclass(frozen=True)
 class FunctionRecipe:
-    """A function that is generated only if its machine code is not cached, since this takes half a second.
+    """A function that is generated only if its machine code is not cached, since the generation takes half a second.
 
-    ``like`` has the same name and parameters. ``key`` distinguishes functions of this name.
+    ``like`` has the same name and parameters. ``key`` distinguishes functions with the same name.
     """
 
     like: Callable[..., Any]
@@ -60,7 +60,7 @@ class FunctionRecipe:
 
 
 def cached(function: Callable[..., Any] | FunctionRecipe | None = None, **options: Any) -> Any:
-    """Compile with `numba.njit`, and cache the machine code if a folder exists that no other user can write to."""
+    """Compile with `numba.njit`, and cache the machine code if there is a folder to which no other user can write."""
     if function is None:
         return lambda function: cached(function, **options)
     if config.DISABLE_JIT:
@@ -84,7 +84,7 @@ def address_of(function: FunctionRecipe, signature: Any, **options: Any) -> Any:
     return made.address
 
 
-_CALLED: list[CFunc] = []  # functions whose address is in use, which must stay in memory
+_CALLED: list[CFunc] = []  # functions that must stay in memory, since their addresses are in use
 
 
 def _cache_of(function: Callable[..., Any] | FunctionRecipe, compiled: Any) -> Any:
@@ -108,7 +108,7 @@ def _cache_of(function: Callable[..., Any] | FunctionRecipe, compiled: Any) -> A
 
 
 def _write(recipe: FunctionRecipe, compiled: Any) -> None:
-    """Generate the function of a recipe, and compile it in place of its placeholder."""
+    """Generate the function of a recipe, and put it in place of its placeholder ``like``."""
     compiled.py_func = compiled._compiler.py_func = recipe.make()
 
 
@@ -129,7 +129,10 @@ def _folder() -> tuple[Path | None, str]:
     except OSError:
         return None, f"{folder} can't be made"
     if not private:
-        return None, f"{folder} can be written by other users, who could put code into it (use mode 700)"
+        return (
+            None,
+            f"other users can write to {folder}, and could put code there (set the folder's mode to 700)",
+        )
     return folder, ""
 
 
@@ -183,7 +186,7 @@ class _Cache(FunctionCache):
             super().save_overload(sig, data)
         except OSError:  # a full disk
             pass
-        except Exception:  # a garbled index
+        except Exception:  # a damaged index
             try:
                 self.flush()
                 super().save_overload(sig, data)

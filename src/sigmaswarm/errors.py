@@ -16,11 +16,11 @@ class DriveError(InputError):
 
 
 class AlignmentError(DriveError):
-    """No filter can start on a drive: the vehicle is too slow, fixes are too few, or they contradict the IMU."""
+    """No filter can start on a drive: the vehicle is too slow, or the fixes are too few or contradict the IMU."""
 
 
 class TuningStopped(SigmaswarmError):
-    """The progress callback stopped a tuning run; with a folder it can be resumed."""
+    """The progress callback stopped a tuning run; a run with a folder can be resumed."""
 
 
 class SigmaswarmWarning(UserWarning):

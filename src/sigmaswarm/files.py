@@ -1,8 +1,8 @@
 """Write files and folders completely or not at all.
 
 New content is written under a hidden name next to its destination, flushed to the disk and then renamed. A rename
-replaces a symbolic link and never follows it. A locked file next to the hidden name shows that a run is writing. A lock
-ends with its process, so the next run removes the files of killed runs.
+replaces a symbolic link and never follows it. While a run writes, it locks a file next to the hidden name. A lock ends
+with its process, so the next run can recognize and remove the files of killed runs.
 """
 
 import io
@@ -49,7 +49,7 @@ def read_arrays(path: Path) -> "dict[str, NDArray[Any]]":
     import numpy as np  # heavy, and not needed to write text
 
     require_regular(path)
-    # opened here, since np.load leaves a damaged file open
+    # The file is opened here, since np.load leaves a damaged file open.
     with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
         require_members(path, file.zip.infolist())
         return {name: file[name] for name in file.files}
@@ -65,11 +65,11 @@ def nan_to_none(content: Any) -> Any:
 
 
 def free_path(path: Path | str, inside: str = "") -> Path:
-    """Return the first of PATH, PATH-2, PATH-3 ... that does not exist, or in which ``inside`` does not exist."""
+    """Return the first path of PATH/``inside``, PATH-2/``inside``, PATH-3/``inside`` ... that does not exist."""
     path = Path(path)
     base = path.resolve() if path.name in ("", "..") else path
     paths = ((path if i == 1 else base.with_name(f"{base.name}-{i}")) / inside for i in count(1))
-    return next(each for each in paths if not each.exists())
+    return next(free for free in paths if not free.exists())
 
 
 def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
@@ -91,8 +91,8 @@ def locked_folder(path: Path) -> Generator[Path]:
         raise InputError(
             f"{path}: another run is writing to it; wait until that run ends, or choose another --out"
         ) from None
-    # A run that was killed just after the last file of a subfolder left a lock file that no later write would find. No
-    # run makes deeper folders, and a search of a user's whole tree would take long.
+    # If a run was killed just after it wrote the last file of a subfolder, its lock file is there, and no later write
+    # would find it. No run makes deeper folders, and a search of a user's whole tree would take long.
     for level in ("", "*/", "*/*/", "*/*/*/"):
         _sweep_all(path, f"{level}.*.lock")
     try:
@@ -106,10 +106,10 @@ def locked_folder(path: Path) -> Generator[Path]:
 
 @contextmanager
 def atomic_file(path: Path) -> Generator[BinaryIO]:
-    """Open a file for bytes that gets its final name when the block ends without an error."""
+    """Open a binary file, which gets its final name when the block ends without an error."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
-    if path.exists() and not path.is_file():  # as root, /dev/null could be replaced
+    if path.exists() and not path.is_file():  # the user root could replace /dev/null
         raise InputError(f"{path}: is not a regular file; name another file")
     with _staging(path) as new:
         part = _Part(str(new), "xb")
@@ -129,7 +129,7 @@ def atomic_file(path: Path) -> Generator[BinaryIO]:
 def atomic_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
     """Yield a path for a folder, which gets its final name when the block ends.
 
-    With ``replace``, it may replace a folder that is not empty.
+    With ``replace``, the new folder may replace a folder that is not empty.
     """
     with _staging(path) as hidden:
         new, old = hidden / "new" / path.name, hidden / "old" / path.name
@@ -148,10 +148,10 @@ def atomic_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
 
 
 def earlier_result(folder: Path, kind: str, mark: str = "", *, alone: bool = True) -> frozenset[str] | None:
-    """Return the files of an earlier result of the same kind in a folder; none if the folder is missing or empty.
+    """Return the files of an earlier result of the same kind in a folder; an empty set if there is no earlier result.
 
-    None: the result has the file ``mark`` but no list of files, as in version 0.3.0. If ``alone`` is False, the folder
-    may contain files of the user, for example the program that uses an exported filter.
+    Return None if the result has the file ``mark`` but no list of files, as in version 0.3.0. If ``alone`` is False,
+    the folder may contain files of the user, for example a program that uses an exported filter.
 
     Raises
     ------
@@ -159,7 +159,7 @@ def earlier_result(folder: Path, kind: str, mark: str = "", *, alone: bool = Tru
         The folder contains another result, or files of the user.
     """
     if folder.is_dir():
-        _sweep(folder.resolve())  # a killed run may have left its list in place of the older one
+        _sweep(folder.resolve())  # a killed run may have replaced the list, which this restores
     if not folder.is_dir() or all(_HIDDEN.fullmatch(entry.name) for entry in folder.iterdir()):
         return frozenset()
     if mark and (folder / mark).is_file() and not (folder / RESULT_FILE).exists():
@@ -176,7 +176,7 @@ def earlier_result(folder: Path, kind: str, mark: str = "", *, alone: bool = Tru
 
 
 def add_to_result(folder: Path, name: str) -> None:
-    """If a folder has a list of its result's files, add a file to it, so that the next result replaces the file."""
+    """Add a file to the list of a result's files, if the folder has one, so that the next result replaces the file."""
     if not (record := _result_in(folder)):
         return
     if (folder / name).exists() and name not in record["files"]:
@@ -198,12 +198,12 @@ def _result_in(folder: Path) -> dict[str, Any]:
 def staged_files(
     folder: Path, kind: str = "", mark: str = "", *, built: Sequence[str] = ()
 ) -> Generator[Path]:
-    """Yield a hidden folder for files; when the block ends, all or none of them are moved into ``folder``.
+    """Yield a hidden folder for files; when the block ends, all or none of the files are moved into ``folder``.
 
     If this run is killed between two replacements, the next run that writes into the folder restores the old files.
     With ``kind``, the files are a whole result, which replaces an earlier result (see `earlier_result`): surplus files
-    of the earlier result are removed, and no other file is replaced. ``built``: files that users' commands make from an
-    earlier result; they are also removed if one of its files is replaced.
+    of the earlier result are removed, and no other file is replaced. ``built``: files that users build from a result,
+    such as programs; they are removed when the result is replaced.
     """
     before = earlier_result(folder, kind, mark, alone=False) if kind else None
     make_folder(folder)
@@ -218,7 +218,7 @@ def staged_files(
         names = {file.relative_to(new).as_posix() for file in new.rglob("*") if file.is_file()}
         if before is not None:
             for name in sorted(names - before):
-                if (folder / name).exists() and not _is_code_of_ours(folder / name):
+                if (folder / name).exists() and not _is_exported_code(folder / name):
                     raise InputError(
                         f"{folder / name}: is not part of an earlier {kind}; move it, or choose another --out"
                     )
@@ -231,8 +231,8 @@ def staged_files(
         _exchange(hidden, folder, stale)
 
 
-def _is_code_of_ours(file: Path) -> bool:
-    """Return True for exported code of an earlier version, whose exports have no list of files."""
+def _is_exported_code(file: Path) -> bool:
+    """Return True for code that an earlier version exported, since its exports have no list of files."""
     if file.suffix not in (".c", ".h", ".py", ".yaml"):
         return False
     with file.open("rb") as opened:
@@ -240,7 +240,7 @@ def _is_code_of_ours(file: Path) -> bool:
 
 
 def _exchange(hidden: Path, folder: Path, stale: Set[str]) -> None:
-    """Move new files to their places, and old and stale files aside; undo this if one can't be moved."""
+    """Move new files to their places, and replaced and stale files aside; undo all moves if one fails."""
     new, old = hidden / "new", hidden / "old"
     files = sorted(file.relative_to(new) for file in new.rglob("*") if file.is_file())
     for name in files:
@@ -275,7 +275,7 @@ def _restore(hidden: Path, folder: Path) -> None:
 
 
 def _unwritable(path: Path, error: OSError) -> InputError:
-    rust = re.search(r"\(os error (\d+)\)", str(error))  # polars gives the number in words
+    rust = re.search(r"\(os error (\d+)\)", str(error))  # polars states the number only in the message
     number = int(rust[1]) if rust else error.errno
     if number in (EEXIST, ENOTEMPTY):
         return InputError(f"{path}: already exists; delete it, or choose another name")
@@ -303,9 +303,9 @@ class _Part(io.FileIO):
 
 @contextmanager
 def _staging(path: Path, named: Path | None = None) -> Generator[Path]:
-    """Yield a free, hidden path next to ``path`` with a locked lock file; remove its remains at the end.
+    """Yield a free, hidden path next to ``path``, with a locked lock file; remove both at the end.
 
-    An `OSError` that names the hidden path, or no path, is raised again as one that names ``named``.
+    An `OSError` that names the hidden path, or no path, is replaced by an `InputError` that names ``named``.
     """
     _sweep(path.parent.resolve())
     stem = path.name.encode()[:200].decode(errors="ignore")  # names end at 255 bytes
@@ -335,13 +335,13 @@ def _remove(hidden: Path) -> None:
 
 
 def _lock(file: Path, *, wait: bool = True) -> "BaseFileLock | None":
-    """Lock a file until its release or the end of the process; return None where files can't be locked.
+    """Lock a file until the lock is released or the process ends; return None if files can't be locked here.
 
-    If ``wait`` is False, raise `TimeoutError` if another run has the lock.
+    If another run has the lock, wait; with ``wait`` = False, raise `TimeoutError`.
     """
     from filelock import FileLock, Timeout  # not needed by commands that only read
 
-    if not file.parent.is_dir():  # which filelock would make
+    if not file.parent.is_dir():  # filelock would create the folder
         return None
     lock = FileLock(file, timeout=-1 if wait else 0, thread_local=False, fallback_to_soft=False)
     try:
@@ -360,7 +360,7 @@ def _flush(folder: Path) -> None:
                 os.fsync(opened.fileno())
 
 
-@cache  # once per folder and process: each process removes its own
+@cache  # once per folder and process, since each process removes its own files
 def _sweep(folder: Path) -> None:
     """Remove the files of killed runs: hidden names of this user with a lock file that is not locked."""
     _sweep_all(folder, ".*.lock")
@@ -381,11 +381,11 @@ def _sweep_one(file: Path) -> None:
     if lock is None:
         return
     stem = file.with_suffix("")
-    for kept in (stem / "old").glob("*"):  # killed between two renames: back to its place
+    for kept in (stem / "old").glob("*"):  # the run was killed between two renames: move the old files back
         if not (stem.parent / kept.name).exists():
             kept.rename(stem.parent / kept.name)
     if stem.name.startswith(".results.") and any(f.is_file() for f in (stem / "new").rglob("*")):
-        _restore(stem, stem.parent)  # killed within an exchange of files
+        _restore(stem, stem.parent)  # the run was killed within an exchange of files
     _remove(stem)
     lock.release()
     file.unlink(missing_ok=True)

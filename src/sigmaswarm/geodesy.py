@@ -21,12 +21,12 @@ def wrap_angle(angle: ArrayLike) -> float | Array:
     return float(wrapped) if wrapped.ndim == 0 else wrapped
 
 
-@np.errstate(all="ignore")  # impossible places become NaN
+@np.errstate(all="ignore")  # invalid coordinates become NaN
 def geodetic_to_enu(latitude: ArrayLike, longitude: ArrayLike, altitude: ArrayLike, origin: Origin) -> Array:
     """Convert latitudes (deg), longitudes (deg) and altitudes (m) to m east, north and up, shape (..., 3)."""
-    import pymap3d  # not needed for drives in m
+    import pymap3d  # imported late, since drives in m do not need it
 
-    lat, lon, alt = (np.asarray(each, np.float64) for each in (latitude, longitude, altitude))
+    lat, lon, alt = (np.asarray(values, np.float64) for values in (latitude, longitude, altitude))
     return np.stack(np.broadcast_arrays(*pymap3d.geodetic2enu(lat, lon, alt, *origin)), axis=-1)
 
 

@@ -29,8 +29,8 @@ _PACKED = {
     b"\x78\x9c": "zlib",
     b"\x78\xda": "zlib",
 }
-"""First bytes of compressed files, which polars unpacks to any size, regardless of the file's name."""
-# A long dotted key of TOML; the time of tomllib grows with the square of the number of parts.
+"""First bytes of compressed files. polars unpacks such files to any size, regardless of their names."""
+# A dotted key of TOML with more than 64 parts; the time of tomllib grows with the square of the number of parts.
 _LONG_KEY = re.compile(rb"""(?<![\w"'.-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){64}""")
 
 
@@ -39,7 +39,7 @@ def require_regular(path: Path) -> None:
     try:
         mode = path.stat().st_mode
     except OSError:
-        return  # the error of reading it gives the reason
+        return  # reading the file raises an error with the reason
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
         raise InputError(f"{path}: is not a regular file; copy its content into a file, and name this file")
 
@@ -47,8 +47,8 @@ def require_regular(path: Path) -> None:
 def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
     """Reject compressed text and lines over `MAX_LINE_BYTES` bytes; return the first line and the number of lines.
 
-    Messages name the file ``shown_as``, if it was unpacked to another place. The number includes empty lines, of which
-    polars also makes rows.
+    Messages name the file ``shown_as`` if the file was unpacked to another place. The number of lines includes empty
+    lines, since polars also reads them as rows.
     """
     require_regular(path)
     with path.open("rb") as file:
@@ -64,12 +64,12 @@ def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
 
 
 def _require_lines(path: Path, file: BinaryIO) -> int:
-    begun, lines = 0, 0  # bytes since the last line's end
+    begun, lines = 0, 0  # number of bytes since the end of the last line, number of lines
     while block := file.read(MAX_LINE_BYTES):
         first, last = block.find(b"\n"), block.rfind(b"\n")
         if begun + (len(block) if first < 0 else first) > MAX_LINE_BYTES:
             raise InputError(
-                f"{path}, row {lines + 1}: is longer than {MAX_LINE_BYTES} bytes; the file is damaged; copy it again"
+                f"{path}, row {lines + 1}: is longer than {MAX_LINE_BYTES} bytes, so the file is damaged; copy it again"
             )
         begun = begun + len(block) if last < 0 else len(block) - last - 1
         lines += block.count(b"\n")
@@ -82,13 +82,13 @@ def read_bounded(path: Path, most: int) -> bytes:
         content = file.read(most + 1)
     if len(content) > most:
         raise InputError(
-            f"{path}: is larger than {most / 1e6:.0f} MB; not a file of sigmaswarm, or a damaged one"
+            f"{path}: is larger than {most / 1e6:.0f} MB; sigmaswarm did not write this file, or it is damaged"
         )
     return content
 
 
 def read_toml_text(path: Path) -> str:
-    """Return the text of a TOML file without the byte-order mark; refuse a file that takes long to parse."""
+    """Return the text of a TOML file without the byte-order mark; reject a file that takes long to parse."""
     content = read_bounded(path, MAX_TOML_BYTES)
     if match := _LONG_KEY.search(content):
         row = content.count(b"\n", 0, match.start()) + 1
@@ -101,5 +101,5 @@ def require_members(path: Path, members: "list[zipfile.ZipInfo]") -> None:
     if len(members) > MAX_MEMBERS or unpacked > MAX_UNPACKED_BYTES:
         raise InputError(
             f"{path}: contains {len(members)} arrays of {unpacked / 1e6:.0f} MB, more than {MAX_MEMBERS} or "
-            f"{MAX_UNPACKED_BYTES / 1e6:.0f} MB; not a file of sigmaswarm, or a damaged one"
+            f"{MAX_UNPACKED_BYTES / 1e6:.0f} MB; sigmaswarm did not write this file, or it is damaged"
         )

@@ -17,20 +17,20 @@ if TYPE_CHECKING:
     import pandas as pd
 
 WIDTH, HEIGHT, MARGIN = 360.0, 240.0, 10.0  # px
-MAX_POINTS = 400  # largest number on a line, since a notebook stores its pictures
+MAX_POINTS = 400  # largest number of points of a path, since a notebook stores its pictures
 COLORS = {"truth": "#000000", "fixes": "#009e73", "estimate": "#0072b2"}
-"""Colors that are also distinguishable with color blindness."""
+"""Colors that color-blind readers can also distinguish."""
 
 
 def number(value: float | None) -> str:
-    """Format a number with three significant digits, thousands in full; return a dash if it is unknown."""
+    """Format a number with three significant digits, or as an integer from 1000 to 1e7; a dash if it is unknown."""
     if value is None or not math.isfinite(value):
         return "-"
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.3g}"
 
 
 def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Write a table with names in the first column, and with caption and scopes for screen readers."""
+    """Write a table with a caption and names in the first column, and with scopes for screen readers."""
 
     def cell(value: object) -> str:
         text = number(value) if isinstance(value, float) else str(value)

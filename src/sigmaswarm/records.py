@@ -33,10 +33,10 @@ Vector = Annotated[NDArray[Any], BeforeValidator(_vector)]  # numbers (n,) in an
 def load_record(
     kind: type[R], path: Path, remedy: str = DAMAGED, *, missing: str = MISSING, infinite: bool = False
 ) -> R:
-    """Read a record, a pydantic model or a dataclass: JSON or npz by its suffix, else TOML.
+    """Read a record, a pydantic model or a dataclass, from a file: JSON or npz by its suffix, else TOML.
 
-    ``remedy`` and ``missing`` end the messages about a damaged and a missing file. NaN and inf of a JSON file become
-    None unless ``infinite``.
+    ``remedy`` and ``missing`` are the remedies in messages about a damaged and a missing file. NaN and inf in a JSON
+    file become None unless ``infinite``.
     """
     content = read_content(path, remedy, missing=missing, infinite=infinite)
     try:
@@ -47,7 +47,7 @@ def load_record(
 
 
 def content_if_readable(path: Path) -> dict[str, Any]:
-    """Read the keys of a file as `read_content` does; return no keys if it is missing or damaged."""
+    """Read a file like `read_content`; return an empty dictionary if the file is missing or damaged."""
     try:
         return read_content(path)
     except InputError:
@@ -57,13 +57,13 @@ def content_if_readable(path: Path) -> dict[str, Any]:
 def read_content(
     path: Path, remedy: str = DAMAGED, *, missing: str = MISSING, infinite: bool = False
 ) -> dict[str, Any]:
-    """Read the keys of a TOML, JSON or npz file, as `load_record` does."""
+    """Read a TOML, JSON or npz file as a dictionary; for the arguments see `load_record`."""
     try:
         if path.suffix == ".npz":
             return {**read_arrays(path)}
         if path.suffix == ".json":
             content = json.loads(read_bounded(path, MAX_JSON_BYTES))
-            numbers = nan_to_none(content)  # which also refuses content nested too deeply
+            numbers = nan_to_none(content)  # this also fails for content that is nested too deeply
             content = content if infinite else numbers
         else:
             content = tomllib.loads(read_toml_text(path))
@@ -71,7 +71,7 @@ def read_content(
         raise InputError(f"{path}: no such file; {missing}") from None
     except InputError:
         raise
-    # A damaged archive can raise any error, a nested text RecursionError, a long number ValueError.
+    # A damaged archive can raise any error. Deeply nested text raises RecursionError, a long number ValueError.
     except Exception as error:
         reason = printable(" ".join(str(error).split()) or type(error).__name__, 160)
         raise InputError(f"{path}: not readable ({reason}); {remedy}") from None

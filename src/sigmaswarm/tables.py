@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Range = tuple[float | None, float | None]  # such as an interval; sorted by its lower end
 Cell = str | float | Range | None  # None: unknown
 UNKNOWN = "-"
-MAX_NAME_WIDTH = 20  # characters of a name that a column of a terminal shows without a break
+MAX_NAME_WIDTH = 20  # characters; longer names may be broken in a terminal
 MAX_REPR_ROWS = 10  # rows in `repr`
 
 
@@ -26,9 +26,9 @@ MAX_REPR_ROWS = 10  # rows in `repr`
 class Column:
     """A column of a table.
 
-    ``number`` formats a number and both ends of a range; the default has four digits, three for the ends of a range.
-    ``printed`` replaces ``number`` in Markdown, LaTeX and CSV. In these formats, a ``joined`` column is added to the
-    previous cell: ``1.28 [1.26, 1.30]``.
+    ``number`` formats a number and both ends of a range, by default with four digits, or three for the ends of a range.
+    ``printed`` replaces ``number`` in Markdown, LaTeX and CSV. In these formats, the cell of a ``joined`` column is
+    added to the previous cell: ``1.28 [1.26, 1.30]``.
     """
 
     title: str
@@ -44,7 +44,7 @@ class Column:
 
 @dataclass(frozen=True, repr=False)
 class Table:
-    """A table, which a notebook shows as HTML; rows with indices in ``strong`` are emphasized."""
+    """A table, which notebooks display; rows with indices in ``strong`` are emphasized."""
 
     caption: str
     columns: tuple[Column, ...]
@@ -97,7 +97,7 @@ class Table:
     def to_rich(self, *, grouped: bool = False) -> "RichTable":
         """Return the table for a terminal of 80 columns, with emphasized rows in bold.
 
-        ``grouped``: neighboring rows with the same first cell form a group under that name.
+        ``grouped``: neighboring rows with the same first cell form a group, with this cell as its heading.
         """
         from rich import box
         from rich.table import Table as RichTable
@@ -162,7 +162,7 @@ def cell_numbers(cell: Cell) -> list[float] | None:
 
 
 def _short(digits: int, value: float) -> str:
-    """Format with a number of significant digits; integers in full."""
+    """Format a value with ``digits`` significant digits; write integers in full."""
     whole = value == int(value) or abs(value) >= 10**digits
     return f"{value:.0f}" if whole and abs(value) < 1e9 else f"{value:.{digits}g}"
 

@@ -1,7 +1,7 @@
 """The version of the library, and the versions of software that affect results."""
 
 __version__ = "0.4.0"
-SAME_RESULTS = {"0.3.0", "0.4.0"}  # identical results: one version can continue another's work
+SAME_RESULTS = {"0.3.0", "0.4.0"}  # versions with identical results: each can resume a run of another
 
 
 def versions() -> dict[str, str]:
@@ -21,7 +21,7 @@ def versions() -> dict[str, str]:
 
 
 def same_results(one: dict[str, str], other: dict[str, str]) -> bool:
-    """Check that the software of two results computes identical numbers."""
+    """Return True if the software versions of two results compute identical numbers."""
     known = {one.get("sigmaswarm"), other.get("sigmaswarm")}
     drop = {"sigmaswarm"} if known <= SAME_RESULTS else set[str]()
     return {k: v for k, v in one.items() if k not in drop} == {

@@ -1,4 +1,4 @@
-"""Show names and cells of files in messages: on one line, without control characters, and shortened."""
+"""Parts of messages: counts, lists of names, and values of files on one line, shortened, without control characters."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
@@ -75,7 +75,7 @@ def first_mistake(error: "ValidationError") -> Mistake:
 
 
 def list_names(names: Iterable[object], mark: str = "") -> str:
-    """Show the first names of a list, each between two ``mark``, and the number of others."""
-    every = [f"{mark}{printable(name)}{mark}" for name in names]
-    others = f" and {len(every) - MAX_NAMES} more" if len(every) > MAX_NAMES else ""
-    return ", ".join(every[:MAX_NAMES]) + others
+    """Show the first names of a list, each in quotation marks ``mark``, and the number of other names."""
+    shown = [f"{mark}{printable(name)}{mark}" for name in names]
+    others = f" and {len(shown) - MAX_NAMES} more" if len(shown) > MAX_NAMES else ""
+    return ", ".join(shown[:MAX_NAMES]) + others
