@@ -132,7 +132,6 @@ class Driver:
         return self._pedals(self._acceleration + 3.0 * lag + self._missing, speed, angle)
 
     def _pedals(self, acceleration: float, speed: float, angle: float) -> Control:
-        """Choose the pedals for an acceleration, m/s2."""
         coast = -1.58 * min(speed / 10.0, 1.0)
         if acceleration >= coast:
             return Control(min((acceleration - coast) / (_THROTTLE - coast), 1.0), 0.0, angle)

@@ -176,7 +176,6 @@ def describe(
 
 
 def _passed(row: Row, plan: Plan) -> bool:
-    """Return True if the car has reached the beginning of its maneuver."""
     path = plan.path
     i = min(round(plan.start / SPACING), len(path.x) - 1)
     dx, dy = row.place[0] - path.x[i], row.place[1] - path.y[i]

@@ -123,7 +123,11 @@ def parser() -> argparse.ArgumentParser:
     for option in fields(Options):
         several = isinstance(option.default, tuple)
         flag = "--" + (option.name[:-1] if several else option.name).replace("_", "-")
-        stated = isinstance(option.default, (int, float, str)) and option.default not in (False, "")
+        stated = (
+            isinstance(option.default, (int, float, str))
+            and option.default is not False
+            and option.default != ""
+        )
         text = f"{option.metadata['help']} Default: {option.default}." if stated else option.metadata["help"]
         about: dict[str, Any] = {"dest": option.name, "help": text}
         if option.name == "out":

@@ -134,7 +134,6 @@ def _wait_for(options: Options) -> bool:
 
 
 def _restore_settings(options: Options, before: dict[str, Any]) -> None:
-    """Restore the settings of the server if it answers."""
     if reachable(options.host, options.port, 1.0):
         with suppress(RecorderError), Session(options, before):
             pass

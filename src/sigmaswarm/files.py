@@ -91,8 +91,7 @@ def locked_folder(path: Path) -> Generator[Path]:
         raise InputError(
             f"{path}: another run is writing to it; wait until that run ends, or choose another --out"
         ) from None
-    # If a run was killed just after it wrote the last file of a subfolder, its lock file is there, and no later write
-    # would find it. No run makes deeper folders, and a search of a user's whole tree would take long.
+    # Remove lock files of killed runs also in subfolders, to which no later run may write. No run makes deeper folders.
     for level in ("", "*/", "*/*/", "*/*/*/"):
         _sweep_all(path, f"{level}.*.lock")
     try:

@@ -84,7 +84,7 @@ def test_cuts(tmp_path: Path, serve: Any, tab: Any):
     page.get_by_label("from, s").fill("20")
     page.get_by_label("to, s").fill("25")
     page.get_by_role("button", name="Remove this part").click()
-    page.get_by_text("wrote drives/monday-before and monday-after").wait_for()
+    page.get_by_text("wrote drives/monday-before and drives/monday-after").wait_for()
     first, last = (sigmaswarm.read_drive(f"{original}-{part}").imu.time for part in ("before", "after"))
     assert first[-1] < 20.0
     assert last[0] >= 25.0

@@ -153,7 +153,7 @@ def _unforeseen(error: Exception) -> int:
 
 
 def _missing_out(error: Exception) -> str | None:
-    """Return the message for a missing --out, else None. cyclopts itself reports an --out without a value."""
+    """Return the message for a missing --out, else None."""
     if not isinstance(error, MissingArgumentError) or error.keyword or "Did you mean" in str(error):
         return None
     if error.argument is None or error.argument.name != "--out" or error.argument.tokens:

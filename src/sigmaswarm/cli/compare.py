@@ -32,7 +32,7 @@ class CompareOptions:
     validation
         Held-out drives: the search does not use them, and the tuned filters are also evaluated on them.
     workers
-        Number of threads or, with --cluster, of simultaneous tuning runs; one per core by default.
+        Number of threads, by default one per core; with --cluster, number of simultaneous tuning runs.
     resume
         Continue an interrupted comparison. Except for the times, the result is the same as without the interruption.
     """

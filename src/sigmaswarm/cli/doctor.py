@@ -150,7 +150,6 @@ def _refuse_parts(drives: "list[Drive]", given: list[Path]) -> None:
 
 
 def _check_names(drives: "list[Drive]") -> None:
-    """Raise `InputError` if two drives have the same name, since their copies would replace each other."""
     names = [drive.name for drive in drives]
     for name in names:
         if names.count(name) > 1:

@@ -185,7 +185,6 @@ def _evaluated(
     learned: "LearnedNetwork | None",
     remedies: list[Remedy],
 ) -> "Evaluation":
-    """Evaluate the filter, and add the remedies of serious faults of the drives to ``remedies``."""
     from sigmaswarm.learned.folder import training_landmarks
     from sigmaswarm.scoring.evaluation import evaluate as evaluate_drives
 
@@ -210,7 +209,6 @@ def _evaluated(
 
 
 def _warn_of_training_drives(evaluation: "Evaluation") -> None:
-    """Warn about drives that the tuning used, since the errors on them are too small."""
     from sigmaswarm.scoring.remarks import describe_training_drives
 
     for result in evaluation.drives.values():

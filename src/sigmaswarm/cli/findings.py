@@ -170,7 +170,6 @@ def exchanging(diagnosis: "Diagnosis", folder: "Location") -> Remedy | None:
 
 
 def _free(diagnosis: "Diagnosis") -> Path:
-    """Return a path for a copy of the drive that does not exist."""
     return free_path("mended", diagnosis.drive)
 
 

@@ -328,7 +328,6 @@ def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
 
 
 def _command(inspection: "Inspection", options: ImportOptions) -> str:
-    """Return the user's command with --out instead of --show, and with the proposed options."""
     typed = [word for word in sys.argv[1:] if word != "--show"]
     out = [] if options.out else ["--out", "drive"]
     # The check of a proposal assumes the drive's axes.

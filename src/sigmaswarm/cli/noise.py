@@ -26,7 +26,7 @@ class NoiseOptions:
     tuned
         Show the process noise Q of this tuning instead of the noise of a log.
     to
-        Packages in whose formats and units the noise is printed or, with --out, written to files.
+        Formats and units in which the noise is printed or, with --out, written to files.
     out
         Folder for noise.png, noise.svg, noise.json and the files for packages; an earlier result is replaced.
     recipe

@@ -38,7 +38,6 @@ def name_files(remark: str, folders: Sequence[Path]) -> str:
 
 
 def local_folders(places: "Sequence[Location]") -> list[Path]:
-    """Return the folders of all drives, or an empty list if a drive has a URL."""
     from sigmaswarm.drives.reader import drive_folders
     from sigmaswarm.drives.urls import is_url
 

@@ -94,7 +94,6 @@ def run(
 
 
 def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[str, Any], int]":
-    """Write the estimates; return the drive, a summary and the number of written fixes."""
     from sigmaswarm.api import tuned_filter
     from sigmaswarm.exports.trajectory import (
         BAG,
@@ -147,7 +146,6 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
 
 
 def _check_options(tuning: Path, drive: Path, options: RunOptions) -> None:
-    """Raise `InputError` if files of the drive would be replaced, or options can't be combined."""
     from sigmaswarm.drives.writer import FILES
 
     for file in filter(None, (options.out, options.before, options.truth)):
@@ -202,12 +200,10 @@ def _lines(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixe
 
 
 def _bank_files(out: Path) -> tuple[Path, Path]:
-    """Return the files for the log of a filter bank and for the filter that the bank converged to."""
     return out.with_name(f"{out.stem}.swarm.csv"), out.with_name(f"{out.stem}.swarm.toml")
 
 
 def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
-    """Raise `InputError` if a file of the bank is a folder or the file of another option."""
     for file in _bank_files(out):
         if file.is_dir() or file.resolve() in [other.resolve() for other in (out, *others) if other]:
             what = "is a folder" if file.is_dir() else "is also the file of another option"
@@ -217,7 +213,6 @@ def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
 
 
 def _save_bank(run: Any, out: Path) -> dict[str, Any]:
-    """Write a bank's log and the filter that it converged to; return the paths and warnings about the filter."""
     from sigmaswarm.files import write_atomically
 
     log, spread = run.log, run.bank.spread

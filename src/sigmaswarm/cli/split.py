@@ -76,7 +76,6 @@ def _options(train_fraction: float | None, at: list[float] | None) -> list[str]:
 
 
 def _require_enough(whole: "sigmaswarm.Drive", parts: "Sequence[sigmaswarm.Drive]") -> None:
-    """Raise `InputError` for a part that is too short for a drive."""
     from sigmaswarm.drives.checks import MIN_SAMPLES, MIN_SHARED_FIXES, shortage_of
 
     imu, gps = whole.imu.time, whole.gps.time
@@ -98,7 +97,6 @@ def _require_enough(whole: "sigmaswarm.Drive", parts: "Sequence[sigmaswarm.Drive
 
 
 def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path, *, own: bool) -> list[str]:
-    """Return the next commands; ``own``: True if each part is repaired alone."""
     from sigmaswarm.drives.alignment import StartFailure, find_start
 
     train, test = (shlex.quote(str(out / part.name)) for part in parts)

@@ -29,7 +29,8 @@ class StudyOptions:
     quick
         Run a small study: 50 drives and 3 trials, in about two minutes.
     workers
-        Number of processes (Linux) or threads, one per core by default; with --cluster, of simultaneous tuning runs.
+        Number of processes (Linux) or threads, by default one per core; with --cluster, number of simultaneous
+        tuning runs.
     resume
         Continue an interrupted study. The result is the same as without the interruption.
     """
@@ -131,7 +132,7 @@ def _print(done: "Study", out: Path, page: Path) -> None:
 
 
 def _next_steps(*, own_drives: bool, best: Path) -> list[str]:
-    """Suggest the next commands; a filter for simulated sensors is wrong for drives with other sensors."""
+    """Suggest the next commands; filters for simulated sensors do not suit other sensors."""
     if own_drives:
         return [f"next:    sigmaswarm evaluate {quote(str(best))} DRIVE..."]
     return [

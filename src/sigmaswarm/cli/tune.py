@@ -215,7 +215,6 @@ def _costs(tuning: "Tuning[Any]") -> "Iterable[str | RichTable]":
 
 
 def _remedy(tuning: "Tuning[Any]") -> str:
-    """Return a remedy for a filter that drifts more than another method."""
     usual, config = TuneConfig.model_fields, tuning.config
     if config.particles * config.generations < usual["particles"].default * usual["generations"].default:
         return "tune with the default --particles and --generations"

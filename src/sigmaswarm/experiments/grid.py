@@ -106,7 +106,7 @@ def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) ->
 
 
 def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
-    """Prepare a forked process. It ends at once if its parent or the grid ends, which leaves no incomplete file."""
+    """Prepare a forked process, which ends at once if its parent or the grid ends."""
     global _run
     _run = run
     # A resumed run removes unfinished files, so no process of the earlier run may still write.

@@ -87,7 +87,6 @@ def _legend_above(axes: Axes) -> None:
 
 
 def _draw_fixes(axes: Axes, drive: Drive, gaps: Gaps) -> None:
-    """Draw the errors of the fixes; if the truth is unknown, draw the time from fix to fix."""
     gps, truth = drive.gps, drive.truth
     if truth is None:
         axes.plot(gps.time[1:], np.diff(gps.time), ".", color=VERMILION, ms=3)

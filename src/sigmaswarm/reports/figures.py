@@ -90,7 +90,6 @@ def as_map(ax: Axes, x: tuple[float, float], y: tuple[float, float]) -> None:
 
 
 def short_number(value: float) -> str:
-    """Format a number with three digits and without powers of ten."""
     return f"{value:.3g}" if value < 1000 else f"{value:.0f}"
 
 

@@ -224,13 +224,11 @@ def runtime_table(results: Results, live: Times) -> Table:
 
 
 def comparison(results: Results, protocol: str, measure: str, against: str) -> PairedComparison | None:
-    """Return the comparison of a protocol's PSO-UKF with the method ``against``; None if there is none."""
     wanted = (protocol, measure, against)
     return next((c for c in results.comparisons if (c.protocol, c.measure, c.against) == wanted), None)
 
 
 def objectives_compared(results: Results) -> str:
-    """Explain with the study's results why the paper's objective is misleading."""
     wanted = (("paper", "gps_rmse_m"), ("paper", POSITION), (BASELINE, POSITION), ("honest", POSITION))
     comparisons = [
         results.summary(p, "raw-gps" if p == BASELINE else MAIN_METHOD, measure) for p, measure in wanted
@@ -304,7 +302,6 @@ def _trials(results: Results) -> dict[tuple[str, str, str], list[TrialTuning]]:
 
 
 def _by_group(caption: str, columns: Sequence[Column], rows: Sequence[Row], results: Results) -> Table:
-    """Make a table without the second column (group of drives) if there is only one group."""
     if all(row[1] in (ALL, "") for row in rows):
         columns, rows = [columns[0], *columns[2:]], [(row[0], *row[2:]) for row in rows]
     return _table(caption, columns, rows, results)

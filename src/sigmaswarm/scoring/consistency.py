@@ -130,16 +130,12 @@ Kind = Literal[
 ]
 """Kind of a verdict on the innovations.
 
-- ``optimistic``: The innovations are larger than their covariances predict (the filter is overconfident).
-- ``pessimistic``: The innovations are smaller than their covariances predict.
-- ``alike``: The innovations are smaller, and consecutive innovations are nearly equal, so without truth the position
-  error is unknown.
-- ``lasting``: The innovations are smaller, since the predictions contain the errors of the fixes. The errors against
-  truth agree with the covariances.
-- ``correlated``: The innovations have the expected size, but are correlated; used only without truth.
-- ``consistent``: The innovations agree with their covariances.
-- ``optimistic_position``: The innovations do not show that the errors against truth exceed the covariances.
-- ``unknown``: The filter failed, or there were too few fixes.
+- ``optimistic``: larger than their covariances predict (overconfident).
+- ``pessimistic``: smaller than their covariances predict.
+- ``alike``: smaller, and consecutive innovations are nearly equal; without truth, the position error is unknown.
+- ``lasting``: smaller, since predictions contain the errors of the fixes; errors against truth agree with covariances.
+- ``correlated``: of the expected size, but correlated; used only without truth.
+- ``optimistic_position``: not larger, but errors against truth exceed the covariances.
 """
 EQUAL_CORRELATION = 0.5  # lag-1 correlation above which consecutive innovations are nearly equal
 MAX_CORRELATION = 0.2  # lag-1 correlation above which a mean NIS of 2 does not prove consistency

@@ -71,7 +71,7 @@ class OutageDrifts:
     def _run_placed(
         self, seed: Seed, filters: Mapping[str, FilterParameters], also: RunFactories, *, monitored: bool
     ) -> None:
-        """Run one set of outages, in a separate function so that its memory is free before the next set."""
+        """Run one set of outages; as a separate function, it frees its memory before the next set."""
         outages = outage_pass(self._ready, length=self._length, seed=seed)
         ends = self._ends[self.seeds.index(seed)]
         if monitored:

@@ -432,7 +432,6 @@ def _evaluated(
 def _radius(
     drive: Drive, parameters: FilterParameters, stated: tuple[Array, Array, Array | None]
 ) -> RadiusRecord | None:
-    """Summarize the position radius of the tuned filter; ``stated``: times (s), variances (m2) and errors (m)."""
     time, variance, error = stated
     lasting = lasting_variance(drive, parameters, time, variance)
     return radius_record(variance, lasting, None if drive.truth is None else error)
@@ -446,7 +445,7 @@ def _tracked(
 ) -> tuple[DriveResult, RunFactories]:
     """Run every method over all fixes; return the results, and a function for each method that is not a single filter.
 
-    This is a separate function so that its memory is free before the next pass.
+    As a separate function, it frees its memory before the next pass.
     """
     replay = tracking_pass(ready)
     further = options.optional_runs(filters["tuned"])

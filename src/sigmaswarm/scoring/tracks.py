@@ -70,7 +70,6 @@ class Picture:
 
 
 def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameters]:
-    """Return the baseline and the tuned filter by name."""
     return {BASELINE: baseline(drive, like=tuned), "tuned": tuned}
 
 
@@ -148,7 +147,6 @@ class Tracker:
         self._keep(series, [self._columns(estimate)], len(estimate.time))
 
     def _columns(self, estimate: Estimate | EstimateChunk) -> Columns:
-        """Return the columns of a series; see `Tracks`."""
         time, mean, truth = estimate.time, estimate.mean, self._ready.drive.truth
         columns = {"time": time, "x": mean[:, 0], "y": mean[:, 1]}
         if truth is not None:

@@ -234,7 +234,6 @@ class Tuning(Generic[P]):
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        """Return HTML for a notebook: the range of each parameter, and the remarks."""
         heads = ("parameter", "value", "within 1% of the cost: from", "to")
         rows = [
             (

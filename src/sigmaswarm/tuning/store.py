@@ -143,7 +143,6 @@ def _short(key: str, value: Any) -> str:
 
 
 def _require_same(file: Path, config: dict[str, Any]) -> None:
-    """Raise `InputError` if a run with another configuration or other software versions wrote ``file``."""
     record = load_record(ConfigRecord, file, "not written by a tuning; choose another --out", infinite=True)
     saved, wanted = _with_current_names(record.model_extra), json.loads(json.dumps(config))
     if not same_results(record.versions, wanted.pop("versions", {})):

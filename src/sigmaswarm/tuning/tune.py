@@ -148,7 +148,6 @@ def tune(
 
 
 def _search_options(options: dict[str, Any], *, paper: bool) -> dict[str, Any]:
-    """Return the options under their current names, with the paper's settings if ``paper``."""
     kind = ModelTuneConfig if isinstance(options.get("model"), Model) else TuneConfig
     options = current_options(kind, options, ARGUMENTS)
     if paper and kind is ModelTuneConfig:

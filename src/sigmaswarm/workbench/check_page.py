@@ -75,7 +75,6 @@ class CheckPage(Page):
         self._do("repairing and checking" if "repair" in step else "cutting", [*self.steps, step])
 
     def leave_out(self, start: float, end: float) -> None:
-        """Make two drives without the part between two times, s."""
         self.start("cutting", self._parted, self.stages[-1], (start, end), then=self._was_parted)
         self.refresh()
 
@@ -192,7 +191,6 @@ class CheckPage(Page):
                 apply.props(f'aria-label="{label}: {finding.code}"').set_enabled(not self.waiting)
 
     def _cut(self) -> None:
-        """Let the user select a time span with the mouse or by numbers, and keep only this span or remove it."""
         drive = self.stages[-1]
         time = drive.imu.time
         low, high = float(time[0]), float(time[-1])

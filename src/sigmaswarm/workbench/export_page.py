@@ -99,7 +99,6 @@ class ExportPage(Page):
         self.refresh()
 
     def _write(self, target: Any) -> tuple[str, str]:
-        """Write an export or a trajectory; return a message and the command that uses the files."""
         tuning = self.bench.path("tunings", self.chosen["tuning"])
         name, folder = self.chosen["drive"], make_folder(self._folder(target))
         drive = self.bench.read(name) if name else None

@@ -104,5 +104,4 @@ def _read(log: Path, choices: dict[str, Any]) -> Reading:
 
 
 def _mounting(log: Path, choices: dict[str, Any]) -> tuple[str, str]:
-    """Return the mounting that a log shows, and a note on its accuracy."""
     return find_mount(sigmaswarm.import_log(log, **columns.settings_of(choices)))[1:]

@@ -63,11 +63,7 @@ def lines(
     dashed: Collection[str] = (),
     pale: Mapping[str, Series] | None = None,
 ) -> Lines:
-    """Create the lines of a plot.
-
-    ``points``: names of series that are drawn as markers. ``dashed``: names of dashed lines. ``pale``: values of the
-    series before a change, which are drawn pale in the same colors.
-    """
+    """Create the lines of a plot; ``points``: series drawn as markers; ``pale``: the series before a change."""
     made: Lines = []
     for color, (label, (x, y)) in zip(COLORS * 4, series.items(), strict=False):
         drawn: dict[str, Any] = {"mode": "lines", "line": {"color": color, "width": 1.4}}
@@ -84,7 +80,6 @@ def lines(
 
 
 def show_plot(title: str, x: str, y: str, drawn: Lines, height: int = 260, **layout: Any) -> ui.plotly:
-    """Show a plot with a title for screen readers."""
     across: dict[str, Any] = AXIS | {"title": {"text": x}}
     up: dict[str, Any] = AXIS | {"title": {"text": y}} | ({"scaleanchor": "x"} if x == EAST else {})
     whole = LAYOUT | {"xaxis": across, "yaxis": up, "height": height, "uirevision": title} | layout
@@ -146,7 +141,6 @@ def time_plot(
 def agreement_plot(
     found: Agreement, span: tuple[float, float] | None = None, after: Agreement | None = None
 ) -> None:
-    """Plot measured and expected values; ``after`` are the values after a repair."""
     changed = after is not None and any(
         not _same(found.measured.get(k), s) for k, s in after.measured.items()
     )

@@ -69,7 +69,6 @@ class Frame:
         app.get("/download/{kind}/{name}")(self._download)
 
     def _first(self) -> str:
-        """Return the step to show first: log if a log is open, else tune if there are tunings, else check."""
         if self.bench.log or not self.bench.drives:
             return "log"
         return "tune" if self.bench.finished or self.bench.unfinished else "check"
@@ -101,7 +100,6 @@ class Frame:
         return PlainTextResponse(wrong, 404) if page is None else HTMLResponse(page)
 
     def _page_of(self, kind: str, name: str) -> str:
-        """Return the page of a result, in the format of `sigmaswarm report`; write the page if it is missing."""
         folder = self.bench.path(kind, name)
         file = folder / "page.html"
         if file.is_file() and not file.is_symlink():

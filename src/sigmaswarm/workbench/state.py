@@ -39,7 +39,6 @@ class Workbench:
             self.choices["log"] = str(self.named[0])
 
     def save(self) -> None:
-        """Write the choices to a file, which the next call of the workbench reads."""
         write_json(self._file, self.choices)
 
     def path(self, kind: str, name: str) -> Path:
@@ -76,7 +75,6 @@ class Workbench:
         return self._cached(path, path.stat().st_mtime_ns)
 
     def write(self, drive: Drive) -> str:
-        """Write a drive, which replaces a drive of the same name; return the name."""
         sigmaswarm.write_drive(drive, self.path("drives", drive.name), overwrite=True)
         return drive.name
 
@@ -100,7 +98,6 @@ class Workbench:
 
     @property
     def unfinished(self) -> list[str]:
-        """Tuning runs that were stopped or killed."""
         return [
             n for n in self.names("tunings", "config.json") if not (self.path("tunings", n) / TUNING).exists()
         ]

@@ -285,7 +285,6 @@ def _row(tuning: Tuning[Any]) -> list[str]:
 
 
 def _parameters(parameters: Any) -> None:
-    """Show the parameters of the filter, except for a custom model."""
     if isinstance(parameters, FilterParameters):
         rows: list[list[str]] = []
         for name, value in parameters.to_dict().items():

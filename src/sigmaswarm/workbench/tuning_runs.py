@@ -91,7 +91,6 @@ class TuningRuns:
         self._threads[-1].start()
 
     def resume(self, name: str) -> None:
-        """Resume a tuning run of the workbench or the command line that was stopped or killed."""
         options, data = saved_options(self.bench.path("tunings", name))
         known = self.bench.choices.get("tunings", {}).get(name, {})
         drives = [self.bench.read(one) for one in known.get("drives", [one["name"] for one in data])]

@@ -114,7 +114,6 @@ def summarize(values: Array, strata: Sequence[str], test_per_train: float, draws
 
 
 def _comparisons(scores: ScoreTable, draws: Draws) -> Iterator[PairedComparison]:
-    """Compare PSO-UKF with the methods without tuning and with those tuned under the same protocol."""
     for protocol in PROTOCOLS:
         others = [v for v in scores.values if v[0] in (BASELINE, protocol) and v[1] != MAIN_METHOD]
         for measure in _compared(scores):

@@ -76,7 +76,6 @@ def rival_times(out: Path, design: Design, parameters: Filters, networks: Networ
 
 
 def _sample_us(own: TrainedNetwork | FilterParameters, ready: PreparedDrive) -> float:
-    """Measure the processor time per IMU sample, us, in the second of two runs."""
     took = 0.0
     for _ in range(2):
         replay = tracking_pass(ready)
