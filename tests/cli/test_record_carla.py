@@ -70,7 +70,7 @@ def test_interrupted_it_puts_the_server_in_order(tmp_path: Path):
 @pytest.mark.parametrize(
     ("client", "code", "said"),
     [
-        ("raise ImportError('none')", 2, r"can't be imported \(none\); pip install carla==VERSION"),
+        ("raise ImportError('none')", 2, r"can't be imported \(none\); run pip install carla==VERSION"),
         ("import os; os.abort()", 2, "the CARLA client was killed by signal 6; complete drives are in"),
     ],
     ids=["missing", "crashing"],

@@ -191,5 +191,5 @@ def _require_made_with(file: Path, options: Mapping[str, Any]) -> None:
     for key, value in made.items():
         if value != wanted[key]:
             raise InputError(
-                f"{file}: was made with {key} {value}, not {wanted[key]}; choose another folder, or the same options"
+                f"{file}: was made with {key} {value}, not {wanted[key]}; use the same options, or another folder"
             )

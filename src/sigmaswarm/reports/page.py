@@ -35,7 +35,7 @@ TERMS = {
     "whiteness p": "probability that uncorrelated innovations seem at least as correlated as these (Ljung-Box test "
     "over ten fixes)",
     "correlation": "correlation of consecutive innovations; 0 if the filter is consistent",
-    "consistent": "range of mean NIS of a consistent filter (95%)",
+    "consistent": "95% range of the mean NIS of a consistent filter",
     "95% gate": "share of the fixes with a NIS below 5.99; 95% if the filter is consistent",
     "outage drift": "RMS position error at the ends of intervals without fixes",
     "position 50%": "median of the position error",

@@ -116,8 +116,8 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
     if nis is not None and nis.mean is not None and not NIS_LIMITS[0] < nis.mean < NIS_LIMITS[1]:
         wrong = "overconfident" if nis.mean > NIS_LIMITS[1] else "underconfident"
         yield (
-            f"{protocol}: {main} is {wrong}, since its mean NIS is {nis.mean:.3g}, "
-            "but 2 for a consistent filter; do not rely on its covariances"
+            f"{protocol}: {main} is {wrong}, since its mean NIS is {nis.mean:.3g} instead of 2; "
+            "do not rely on its covariances"
         )
     unsure = [
         results.label(c.against)
@@ -212,7 +212,7 @@ def _comparisons(results: Results) -> Section:
 
 def _rivals(record: StudyRecord) -> tuple[Section, ...]:
     shown = tuple(tables.rivals_tables(record.results, record.rival_times).values())
-    text = "Each trial trains the networks on its training drives, for the filter that it tuned."
+    text = "Each trial trains the networks on its training drives, for its own filter."
     notes = dict.fromkeys(table.note for table in shown)
     return (Section("Rivals", (text, *notes), shown, curve_charts(record.results)),) if shown else ()
 

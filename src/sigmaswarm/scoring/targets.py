@@ -70,7 +70,7 @@ def forecast_windows(drive: Drive, initial: InitialState, *, seed: int) -> Array
 def placements(drive: Drive, initial: InitialState, *, length: float, seed: int) -> list[Seed]:
     """Return seeds for several random sets of outages of ``length`` s, since the drift depends on their times.
 
-    There are 2 to `MAX_PLACEMENTS` seeds, or none if no outage fits. The first one is ``seed`` itself.
+    There are 2 to `MAX_PLACEMENTS` seeds, or none if the drive is too short. The first one is ``seed`` itself.
     """
     fitting = len(outage_windows(drive, initial, length=length, seed=seed))
     wanted = min(max(-(-TARGET_OUTAGES // fitting), 2), MAX_PLACEMENTS) if fitting else 0

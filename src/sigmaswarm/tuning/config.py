@@ -64,7 +64,7 @@ class SearchConfig(BaseModel):
     """Share of the drives, those with the highest costs, over which the cost is averaged; 1 means all drives."""
     # At the same budget, de-qpso is at least as good as de and better than the paper's pso (docs/optimizers.md).
     optimizer: OptimizerName | OwnOptimizer | OwnOptimizerName = "de-qpso"
-    """Search algorithm; bo needs scikit-learn. In Python also a custom class. See docs/optimizers.md."""
+    """Search algorithm; bo needs scikit-learn. In Python, a custom class is also possible. See docs/optimizers.md."""
     polish: int = Field(default=0, ge=0)
     """Evaluations of the budget reserved for a final Nelder-Mead search from the best point."""
     racing: bool = False

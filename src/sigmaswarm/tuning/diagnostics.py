@@ -29,7 +29,7 @@ from sigmaswarm.tables import Column, Table
 from sigmaswarm.tuning.objectives import Objective
 from sigmaswarm.wording import to_do
 
-MAX_NAMED_DRIVES = 3  # drives named in one message, and checked for drift
+MAX_NAMED_DRIVES = 3  # drives that a message names, and that are checked for drift
 MONITORED_TIME = 3600.0  # s of a drive that are checked for divergence; a longer check needs more memory
 MAX_DRIFT_RATIO = 1.5  # ratio to the baseline's drift above which a warning is given
 FIRST_SETS = 2  # sets of outages that are checked first

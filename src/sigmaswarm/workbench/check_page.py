@@ -16,7 +16,7 @@ MIN_PART_LENGTH = 30.0  # s, shortest part that a button keeps
 Step = dict[str, Any]  # ``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s
 Agreements = dict[str, Agreement]
 Repaired = dict[str, tuple[Agreements, str]]
-"""By code of a finding: agreements after the repair, and the reason if the repair is rejected, else ""."""
+"""Agreements after a repair, and the reason if the repair is rejected, else ""; by code of the finding."""
 CheckState = tuple[list[Drive], list[Step], Diagnosis, Agreements]
 """The drive before and after each step, the steps, and the diagnosis and agreements after the last step."""
 

@@ -28,7 +28,7 @@ DIRECTIONS = (("forward", "backward"), ("left", "right"), ("up", "down"))
 
 
 class MountingPanel:
-    """Choice of the mounting. A change updates the sketch at once, and the plots after a pause."""
+    """Panel for the choice of the mounting. A change updates the sketch at once, and the plots after a pause."""
 
     def __init__(self, page: OpenLog) -> None:
         self.page = page

@@ -162,8 +162,7 @@ class StudyConfig(BaseModel):
     per_condition: bool = False
     """Tune one filter for each condition instead of one filter for all."""
     racing: bool | None = None
-    """Evaluate worse candidates on few drives only, in a fifth of the time. --no-racing: on all drives, as in the
-    paper."""
+    """Evaluate worse candidates on few drives, in a fifth of the time. --no-racing: on all drives, as in the paper."""
     rivals: bool = False
     """Also compare a fuzzy filter, Bayesian optimization and networks, and test with other sensors and another car."""
     learn_minutes: float = Field(default=20.0, ge=2)
