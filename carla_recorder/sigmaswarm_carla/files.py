@@ -227,7 +227,6 @@ def _length(rows: Sequence[Row]) -> float:
 
 
 def _time_to(fast: float, speeds: Sequence[float]) -> float:
-    """Return the shortest time, s, from standstill to the speed `fast`, m/s; inf if this speed is not reached."""
     best, stood = math.inf, None
     for i, speed in enumerate(speeds):
         if speed <= 0.1:

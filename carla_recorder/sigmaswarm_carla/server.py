@@ -181,7 +181,6 @@ class Session:
                 )
 
     def _remove_leftovers(self) -> None:
-        """Remove the actors of a crashed call, sensors first."""
         left = [a for a in self.world.get_actors() if a.attributes.get("role_name") == ROLE]
         for actor in sorted(left, key=lambda a: not a.type_id.startswith("sensor")):
             actor.destroy()

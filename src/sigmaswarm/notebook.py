@@ -84,7 +84,6 @@ def track(title: str, paths: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> str:
 
 
 def _thinned(x: ArrayLike, y: ArrayLike) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Thin the finite points, shape (m, 2), except the first and the last."""
     points = np.stack([np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)], axis=1)
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) <= MAX_POINTS:

@@ -223,7 +223,6 @@ def _save_bank(run: Any, out: Path) -> dict[str, Any]:
 
 
 def _place(text: str) -> tuple[float, float, float]:
-    """Parse latitude and longitude (deg), and altitude (m, 0 by default)."""
     try:
         latitude, longitude, *altitude = (float(part) for part in text.split(","))
         if abs(latitude) <= 90 and abs(longitude) <= 180 and len(altitude) < 2:

@@ -289,7 +289,6 @@ def tune_command(
 
 
 def _usual(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the defaults of `tune` for the model and the objective of a configuration."""
     usual = TUNE_DEFAULTS | dict.fromkeys(GUARD_OPTIONS, 0.0)
     with suppress(ValidationError, KeyError):  # a model of another version
         usual["kind"] = TuneConfig.model_validate({"model": config["model"]}).kind

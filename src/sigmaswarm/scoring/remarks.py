@@ -86,7 +86,6 @@ def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tu
 
 
 def is_worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> bool:
-    """Return True if the baseline or the fixes alone have a smaller position RMSE, or are better in most measures."""
     return any(_is_worse(*_worse_measures(scores, shown, method)) for method in (BASELINE, FIXES))
 
 

@@ -124,7 +124,6 @@ def truth_at(truth: Truth, time: Array) -> tuple[Array, Array]:
 
 
 def distance_from(truth: Truth, time: Array, x: Array, y: Array) -> Array:
-    """Return distances from the truth, m; NaN at times without truth."""
     true_x, true_y = truth_at(truth, time)
     return np.hypot(x - true_x, y - true_y)
 

@@ -183,7 +183,6 @@ def _placed(forward: float, left: float) -> tuple[str, str]:
 
 
 def _stated_std(drive: Drive) -> tuple[float, float]:
-    """Return the prior standard deviations, forward and left, m."""
     known = STATED_STD if "gps_lever_arm_m" in drive.metadata and drive.lever_arm.any() else UNKNOWN_STD
     stated = drive.metadata.get("gps_lever_arm_std_m", (known, known))
     return float(stated[0]), float(stated[1])

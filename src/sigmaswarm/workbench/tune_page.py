@@ -75,7 +75,6 @@ class TunePage(Page):
 
     @property
     def plan(self) -> dict[str, str]:
-        """Use of each drive by name; by default the last drive is held back, and a single drive is split."""
         names = [n for n in self.bench.drives if not n.endswith(("-train", "-test"))] or self.bench.drives
         chosen = self.bench.choices.get("plan", {})
         used = [name for name in names if chosen.get(name) != LEFT_OUT]

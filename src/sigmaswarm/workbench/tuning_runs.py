@@ -98,7 +98,6 @@ class TuningRuns:
         self.begin(name, drives, held_back, {**options, "resume": True})
 
     def stop_all(self) -> None:
-        """Stop all tuning runs after the current generation and wait for their end."""
         for run in self.runs.values():
             run.stop()
         for thread in self._threads:

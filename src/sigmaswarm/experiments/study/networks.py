@@ -181,7 +181,6 @@ def score_networks(
 def _score(
     trained: TrainedNetwork, ready: PreparedDrive, long: Mapping[str, float], seed: int
 ) -> dict[str, float]:
-    """Score a network on one drive, without resets of the filter."""
     replay, truth = tracking_pass(ready), ready.drive.truth
     assert truth is not None
     run = trained.run(replay)

@@ -158,7 +158,6 @@ def _score_sets(
 
 
 def _manual_jobs(method: str, design: Design) -> list[tuple[list[int], list[FilterParameters]]]:
-    """Return the distinct parameter sets of a method without tuning, each with its drives."""
     drives: dict[FilterParameters, list[int]] = {}
     for i, parameters in enumerate(design.map_prepared(partial(manual, method=method))):
         drives.setdefault(parameters, []).append(i)
