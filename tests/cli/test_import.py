@@ -181,11 +181,11 @@ def test_options_reach_the_drive(sigmaswarm: Command, here: Path, bagged: bytes)
         ({}, "log: is an empty folder; name a log file or the folder of a log"),
         (
             {"notes.txt": "hello\n"},
-            "log: contains no log that is recognized (looked at notes.txt); name a log",
+            "log: contains no log of a known format (it contains notes.txt); name a log",
         ),
         (
             {"a.csv": "", "b.doc": "."},
-            "log: contains no log that is recognized (looked at a.csv, b.doc); name",
+            "log: contains no log of a known format (it contains a.csv, b.doc); name",
         ),
     ],
 )

@@ -387,7 +387,7 @@ def test_few_wrong_times_are_no_recording(tmp_path: Path, case: str, count: int)
     table.with_columns(t=time).write_csv(tmp_path / "gps.csv")
     require_right(tmp_path, N // EVERY - count)
     assert any(
-        n.endswith("left out, since the time is far from those of the rows around")
+        n.endswith("left out, since the time is far from that of the rows around it")
         and f" {count} row{'s' * (count > 1)} " in n
         for n in imported(tmp_path).notes
     )
@@ -658,7 +658,7 @@ def test_the_proposed_origin_of_a_far_truth_fits_to_the_centimeter(tmp_path: Pat
     drive = imported(tmp_path, recipe=Recipe(origin=tuple(map(float, origin.split(","))))).drive
     np.testing.assert_allclose(drive.gps.x, drive.truth.x, atol=0.02)
     pl.DataFrame({"t": T, "x": PATH["x"] + 691e3, "y": PATH["y"] + 5325e3}).write_csv(tmp_path / "truth.csv")
-    assert any("probably those of a map (UTM)" in note for note in imported(tmp_path).notes)
+    assert any("probably has coordinates of a map (UTM)" in note for note in imported(tmp_path).notes)
 
 
 def records(table: Columns) -> list[dict[str, object]]:
@@ -812,5 +812,5 @@ def test_rows_of_several_kinds_below_a_header_name_the_command(tmp_path: Path):
         "$DATA",
     ]
     (tmp_path / "log.csv").write_text("\n".join([*head, *rows]))
-    with pytest.raises(InputError, match=r"rows of several kinds, \$IMU, \$TIME; .* grep '"):
+    with pytest.raises(InputError, match=r"rows of several kinds \(\$IMU, \$TIME\); .* grep '"):
         imported(tmp_path / "log.csv")

@@ -384,14 +384,14 @@ def test_kitti_that_is_no_text(tmp_path: Path, place: str):
 def test_kitti_with_a_text_of_no_number(tmp_path: Path, name: str):
     log = write_kitti(tmp_path, make_drive(duration=12.0, imu_rate=10.0))
     (log / "oxts" / "data" / "0000000005.txt").rename(log / "oxts" / "data" / f"{name}.txt")
-    refused("none for this file", lambda: imported(log))
+    refused("no line for this file", lambda: imported(log))
 
 
 def test_kitti_beyond_what_ns_can_count(tmp_path: Path):
     log = write_kitti(tmp_path, make_drive(duration=12.0, imu_rate=10.0))
     times = log / "oxts" / "timestamps.txt"
     times.write_text(times.read_text().replace("2023-", "1500-"))
-    refused("outside the range of ns timestamps", lambda: imported(log))
+    refused("outside the years 1678 to 2262", lambda: imported(log))
 
 
 def test_kitti_with_a_time_zone(tmp_path: Path):

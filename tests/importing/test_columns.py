@@ -371,12 +371,12 @@ def test_a_map_without_a_table_is_told_which_table_has_its_columns(tmp_path: Pat
     )
     pl.DataFrame({"t": gps.time, "x": gps.x, "y": gps.y}).write_csv(tmp_path / "gps.csv")
     with pytest.raises(
-        InputError, match=r"gps.csv, my imu.csv was chosen for gz; add --imu-topic 'my imu.csv',"
+        InputError, match=r"gps.csv, my imu.csv\); choose one for gz with --imu-topic 'my imu.csv',"
     ):
         imported(tmp_path, maps=["gz=odd"])
     got = imported(tmp_path, maps=["gz=odd"], choice=TableChoice({"imu": "my imu.csv"})).drive
     assert_close(got.imu, imu, "time ax ay gz")
-    with pytest.raises(InputError, match=r"was chosen for gz; add --imu-topic TABLE,"):
+    with pytest.raises(InputError, match=r"choose one for gz with --imu-topic TABLE,"):
         imported(tmp_path, maps=["gz=none"])
 
 
@@ -886,7 +886,7 @@ def test_rows_of_several_kinds_are_refused_with_the_way(tmp_path: Path, end: str
     ]
     (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
     with pytest.raises(
-        InputError, match=r"rows of several kinds, GPS, IMU; .*grep '\^ \*\[\$\]\*GPS\[.*' log.csv"
+        InputError, match=r"rows of several kinds \(GPS, IMU\); .*grep '\^ \*\[\$\]\*GPS\[.*' log.csv"
     ):
         imported(tmp_path / "log.csv")
 
@@ -895,7 +895,7 @@ def test_of_folders_with_whole_logs_the_folder_is_named(tmp_path: Path):
     for day in ("monday", "tuesday"):
         (tmp_path / day).mkdir()
         write_two(tmp_path / day, AXES, FIXES)
-    with pytest.raises(InputError, match=r"\(monday, tuesday\); import each log, as ") as caught:
+    with pytest.raises(InputError, match=r"\(monday, tuesday\); import each log, for example ") as caught:
         imported(tmp_path)
     assert_close(imported(Path(str(caught.value).rpartition(" as ")[2])).drive.gps, DRIVE.gps, "lat", 1e-12)
 

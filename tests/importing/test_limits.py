@@ -90,7 +90,7 @@ def test_a_chunk_that_becomes_gigabytes(tmp_path: Path, compression: str):
     assert log.stat().st_size < 100_000
     limits = Limits(unpacked_mb=3)
     with pytest.raises(
-        InputError, match=r"would unpack at least 4 MB at once, more than 3; .* --max-unpacked-mb"
+        InputError, match=r"would unpack at least 4 MB at once, more than 3 MB; .* --max-unpacked-mb"
     ):
         inspect_request(Request(log, limits=limits))
     data = log.read_bytes()
@@ -176,6 +176,6 @@ def test_a_zip_whose_tables_become_gigabytes(tmp_path: Path):
         for name in ("Accelerometer", "Gyroscope", "Location"):
             archive.writestr(f"{name}.csv", "a,b\n" + "0,0\n" * 500_000)
     with pytest.raises(
-        InputError, match="would unpack at least 6 MB at once, more than 5; unpack it yourself"
+        InputError, match="would unpack at least 6 MB at once, more than 5 MB; unpack it yourself"
     ):
         imported(tmp_path / "bomb.zip", limits=Limits(unpacked_mb=5))

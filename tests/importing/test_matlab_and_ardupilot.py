@@ -63,7 +63,7 @@ def test_what_is_not_read_of_matlab_is_named(tmp_path: Path, content: bytes, sai
     with pytest.raises(InputError, match=said):
         imported(tmp_path / "log.mat")
     savemat(tmp_path / "log.mat", {"name": "nothing", "one": 1.0})
-    with pytest.raises(InputError, match="neither vectors nor a struct of vectors"):
+    with pytest.raises(InputError, match="contains no vectors of equal length"):
         imported(tmp_path / "log.mat")
 
 

@@ -158,7 +158,7 @@ def test_nmea_damaged(tmp_path: Path):
     [
         ("log.ubx", b"", "is empty"),
         ("log.ubx", b"no ubx here", "no UBX messages"),
-        ("log.ubx", ubx(0)[:50], "contains no whole message"),
+        ("log.ubx", ubx(0)[:50], "complete messages: none"),
         ("log.ubx", b"".join(ubx(i, fixType=0) for i in range(20)), "no usable row"),
         ("log.nmea", b"", "is empty"),
         ("log.nmea", b"\xff\x00\n" * 9, "no complete NMEA sentence"),
@@ -250,8 +250,8 @@ def test_ubx_without_fixes_names_what_it_holds_and_the_way(tmp_path: Path):
     clock = pyubx2.UBXMessage("NAV", "NAV-CLOCK", pyubx2.GET, iTOW=0, clkB=1).serialize()
     raw = pyubx2.UBXMessage("RXM", "RXM-RAWX", pyubx2.GET, numMeas=0).serialize()
     for stream, said in (
-        (clock, "contains NAV-CLOCK, .* send NAV-PVT"),
-        (raw, "contains RXM-RAWX, .* RTKLIB"),
+        (clock, "messages: NAV-CLOCK.* send NAV-PVT"),
+        (raw, "messages: RXM-RAWX.* RTKLIB"),
     ):
         (tmp_path / "log.ubx").write_bytes(stream)
         with pytest.raises(InputError, match=said):

@@ -682,7 +682,7 @@ def test_a_truth_with_other_axes_is_refused_and_the_remedy_helps(
     z = FRAMES[frame] * (TRUTH.x + 1j * TRUTH.y)
     rows = [f"{t!r},{a!r},{b!r}" for t, a, b in np.column_stack([TRUTH.time, z.real, z.imag]).tolist()]
     (tmp_path / "truth.csv").write_text(table(["t,y,x" if mirrored else "t,x,y", *rows]))
-    with pytest.raises(InputError, match="the truth's x and y are not m east and north") as caught:
+    with pytest.raises(InputError, match="the truth's x and y, as m east and north, do not fit") as caught:
         imported(tmp_path)
     maps = re.findall(r'"(truth\.[^"]+)"', str(caught.value))
     drive = imported(tmp_path, maps=maps).drive
@@ -690,7 +690,7 @@ def test_a_truth_with_other_axes_is_refused_and_the_remedy_helps(
     np.testing.assert_allclose(moved[::2], moved[1::2], rtol=0.03)
     length = [float(np.sum(np.hypot(np.diff(each.x), np.diff(each.y)))) for each in (drive.truth, TRUTH)]
     assert length[0] == pytest.approx(length[1], rel=0.02 if "no known" in frame else 1e-4)
-    assert ("they seem to be in ft" in str(caught.value)) == ("feet" in frame)
+    assert ("unit seems to be ft" in str(caught.value)) == ("feet" in frame)
     known = [np.interp(GPS.time, drive.truth.time, getattr(drive.truth, n)) - getattr(GPS, n) for n in "xy"]
     assert np.std(known, axis=1).max() < 1.5
 
@@ -742,7 +742,7 @@ def test_truth_in_metres_beside_fixes_in_degrees(tmp_path: Path, shift: tuple[fl
     columns = [TRUTH.time, TRUTH.x + shift[0], TRUTH.y + shift[1], TRUTH.theta]
     rows = [",".join(repr(float(v)) for v in row) for row in zip(*columns, strict=True)]
     (tmp_path / "truth.csv").write_text(table(["t,x,y,theta", *rows]))
-    (said,) = [note for note in imported(tmp_path).notes if "its origin is taken to be the first fix" in note]
+    (said,) = [note for note in imported(tmp_path).notes if "assumed to be the first fix" in note]
     origin = tuple(map(float, re.search(r"--origin ([-\d.,]+\d)", said)[1].split(",")[:3]))
     request = Request(tmp_path)
     drive = import_drive(replace(request, recipe=replace(request.recipe, origin=origin)), "again").drive

@@ -284,7 +284,7 @@ def test_other_clocks_apart_get_the_remedy_of_an_offset(tmp_path: Path, begin: f
     """Seconds that are no digits, and digits that would not overlap with the others either."""
     write(tmp_path, "t", lambda t: repr(t + 7000), gps_cells=lambda t: repr(t + begin))
     with pytest.raises(
-        InputError, match=r"convert both to one clock: .*--gps-offset \S+ if both began together"
+        InputError, match=r"convert both to one clock: .*--gps-offset \S+ if both logs began at the same time"
     ):
         imported(tmp_path)
 
@@ -322,7 +322,7 @@ def test_units_that_fit_are_not_refused(tmp_path: Path, case: str):
 def test_two_clocks_that_began_apart_get_the_remedy_of_an_offset(tmp_path: Path):
     write(tmp_path, "t", lambda t: f"{t * 1e3 + 5e7:.3f}", gps_cells=lambda t: repr(t))
     with pytest.raises(
-        InputError, match=r"convert both to one clock: .*--gps-offset \S+ if both began together"
+        InputError, match=r"convert both to one clock: .*--gps-offset \S+ if both logs began at the same time"
     ):
         imported(tmp_path)
 
@@ -403,8 +403,12 @@ def test_times_in_two_formats_are_refused(tmp_path: Path, cells: Cells, first: s
     [
         (lambda t: str(round(t * 2e4)), "steps of 200 have no likely unit", None),
         (lambda t: repr(t / 60), "steps of 0.00017 are too short for seconds", "t*60"),
-        (lambda t: f"{t:.2f} beats", "'0.00 beats' is not a known date", None),
-        (lambda t: at(t, "%d=%m=%Y %H:%M:%S.%f"), "is not a known date", "utc(t, '%d=%m=%Y %H:%M:%S%.f')"),
+        (lambda t: f"{t:.2f} beats", "'0.00 beats' is not a date of a known format", None),
+        (
+            lambda t: at(t, "%d=%m=%Y %H:%M:%S.%f"),
+            "is not a date of a known format",
+            "utc(t, '%d=%m=%Y %H:%M:%S%.f')",
+        ),
     ],
 )
 def test_a_time_that_may_be_anything_is_refused_and_the_remedy_helps(tmp_path: Path, cells, said: str, time):

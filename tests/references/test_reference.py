@@ -107,7 +107,7 @@ def wrong(cheap: Drive, rtk: Gps, tmp_path: Path) -> dict[str, tuple[Drive, obje
     return {
         "no overlap": (cheap, replace(rtk, time=rtk.time + 900), {}, "0 common fixes; convert both to one clock with"),
         "no file": (cheap, tmp_path / "none.pos", {}, "does not exist"),
-        "no log": (cheap, tmp_path / "poem.txt", {}, "poem.txt: is one column"),
+        "no log": (cheap, tmp_path / "poem.txt", {}, "poem.txt: has only one column"),
         "no accuracy": (cheap, replace(rtk, std_x=None, std_y=None), {}, "contains no standard deviations of its"),
         "no place": (replace(cheap, origin=None), pos, {}, "has no origin; write origin"),
         "no clock": (replace(cheap, metadata={}), pos, {}, "on the drive's clock"),

@@ -2,14 +2,15 @@
 
 A table of a `Log` becomes part of a drive in these steps:
 
-1. `readers/` decode a format to tables; ``readers/dialect.py`` finds separator, header and units of a text table.
-2. ``names.py`` reads the names of columns, ``units.py`` their units; ``quantities.py`` makes expressions in SI units.
+1. `readers/` decode a format to tables; ``readers/dialect.py`` finds the separator, header and units of a text table.
+2. ``names.py`` interprets column names and ``units.py`` their units; ``quantities.py`` makes expressions in SI units.
 3. ``guess.py`` assigns columns to IMU, fixes, truth and odometer, and ``times.py`` finds the time of each table.
 4. ``gather.py`` evaluates the expressions in batches (``expressions.py``, ``dates.py``).
 5. ``timeline.py`` unwraps, spreads and sorts times and chooses a recording; ``joining.py`` joins the tables of a role.
-6. ``places.py`` checks positions, ``mounting.py`` rotates the IMU, and ``assemble.py`` makes the drive; ``rates.py``
-   compares turns of the IMU and the fixes, ``shared_frame.py`` the tracks of the truth and the fixes.
+6. ``positions.py`` and ``velocities.py`` check the columns of fixes, ``mounting.py`` rotates the IMU, and
+   ``assemble.py`` makes the drive. ``rates.py`` compares turns of the IMU and the fixes, ``shared_frame.py`` the tracks
+   of the truth and the fixes.
 
-A `Recipe` contains the expressions, and the user can change it with ``--map``. ``convert.py`` runs all steps;
+A `Recipe` contains the expressions; ``--map`` changes them. ``convert.py`` runs all steps;
 ``inspection.py`` describes a log without importing it.
 """

@@ -32,7 +32,7 @@ from sigmaswarm.importing.timeline import STEPS
 from sigmaswarm.importing.times import FASTEST_IMU, MAX_STEP, MIN_FIX_INTERVAL, SLOWEST_IMU
 from sigmaswarm.importing.velocities import without_wrong_velocity
 
-# Seed of the noise, and largest number, of fixes that are made from the truth
+# Of fixes made from the truth: the seed of their noise, and their largest number
 SEED, MAX_FIXES = 0, 10_000_000
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 WITHOUT_POSITION = "gps: no column contains a position; map lat and lon (deg), or x and y (m east, north)"
@@ -58,8 +58,8 @@ def assemble(
     for role in times:
         steps = np.diff(times[role])
         if back and not gathered[role][0].set_back and back > STEPS * np.median(steps):
-            message = "the clock does not restart with that of the IMU. If the pause before this recording was short,"
-            say(f"{role}: {message} add --{role}-offset {-back / SECOND:.3f}")
+            message = "the clock does not restart when the IMU's clock restarts. If the pause before this recording was"
+            say(f"{role}: {message} short, add --{role}-offset {-back / SECOND:.3f}")
     seconds, zero = _seconds(_in_one_turn(times, gathered, say), recipe)
     imu = _imu(seconds["imu"], values["imu"], recipe)
     origin = recipe.origin
@@ -77,7 +77,9 @@ def assemble(
         truth, origin = _truth(seconds, values["truth"], origin, gps, gathered["truth"], recipe, say)
     if recipe.gps_from_truth:
         if truth is None:
-            raise InputError(f"{name}: fixes can't be made from the truth, since the log has no truth")
+            raise InputError(
+                f"{name}: --gps-from-truth needs a truth, which the log lacks; name it with --truth"
+            )
         seconds["gps"], gps = _made_fixes(truth, *recipe.gps_from_truth)
     wheels = Odometer(seconds["odometer"], values["odometer"]["speed"]) if "odometer" in values else None
     drive = Drive(
@@ -95,7 +97,7 @@ def assemble(
             offset = drive.imu.time[0] - drive.gps.time[0]
             remedy = _as_digits(seconds, gathered) or ("" if zero else _one_clock(seconds, gathered))
             moves = "".join(f"--gps-offset {move:.10g} if {why}, or " for move, why in _moves(seconds, zero))
-            shortage += remedy or f": {moves}--gps-offset {offset:.3f} if both began together"
+            shortage += remedy or f": {moves}--gps-offset {offset:.3f} if both logs began at the same time"
         raise InputError(f"{name}: {shortage}")
     return drive
 
@@ -135,9 +137,9 @@ def missing_columns(recipe: Recipe) -> Iterator[str]:
 
 
 def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[PartColumns]]) -> str:
-    """Return a remedy if the times of one table are digits hhmmss that were read as numbers; else "".
+    """Return a remedy if the times of one table are digits hhmmss that were read as seconds; else "".
 
-    The tables' times overlap only after conversion of the digits. Within one minute, hhmmss counts like seconds.
+    The tables then overlap in time only after conversion of the digits. Within one minute, digits count like seconds.
     """
     pairs: tuple[tuple[Role, Role], ...] = (("gps", "imu"), ("imu", "gps"))
     for role, other in pairs:
@@ -155,9 +157,9 @@ def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[P
 def _in_one_turn(
     times: Mapping[Role, Nanoseconds], gathered: Mapping[Role, Sequence[PartColumns]], say: Say
 ) -> dict[Role, Nanoseconds]:
-    """Shift tables by whole periods of a clock that wraps, so that they overlap the IMU; one may begin after a wrap.
+    """Shift tables by whole periods of a wrapping clock, so that they overlap the IMU.
 
-    If several shifts are possible, use the one with which both tables end together.
+    Of several possible shifts, use the one with which the table ends nearest to the end of the IMU.
     """
     moved, imu = dict(times), times["imu"]
     clocks = {role: (parts[0].part.columns["t"], parts[0].period) for role, parts in gathered.items()}
@@ -182,7 +184,7 @@ def _in_one_turn(
 
 
 def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, str]]:
-    """Yield offsets of the fixes, s, with which the clocks overlap, and their reasons."""
+    """Yield offsets of the fixes, s, with which they overlap the IMU in time, and the reasons for the offsets."""
     imu, gps = seconds["imu"] + zero, seconds["gps"] + zero
     leap = float(max(imu[0], gps[0]) - gps_to_unix(np.array([max(imu[0], gps[0])]))[0])
     short, dated = min(imu[0], gps[0]), max(imu[0], gps[0]) * SECOND > MIN_DATE
@@ -203,14 +205,14 @@ def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, st
 
 
 def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[PartColumns]]) -> str:
-    """Return a remedy if the times of IMU and fixes have one unit, but were read in two; else "".
+    """Return a remedy if the times of IMU and fixes have the same unit but were read in different units; else "".
 
     For example, in hundredths of a second, an IMU has steps of 1, like ms, and fixes have steps of 10, like seconds.
     """
     both: tuple[Role, ...] = ("imu", "gps")
     texts = {role: gathered[role][0].part.columns["t"] for role in both if gathered.get(role)}
     read = {role: re.fullmatch(r"(\w+|`[^`]+`)(?:\*(1e-\d))?", text) for role, text in texts.items()}
-    columns = {role: (one[1], float(one[2] or 1)) for role, one in read.items() if one}
+    columns = {role: (match[1], float(match[2] or 1)) for role, match in read.items() if match}
     if len(columns) < 2 or columns["imu"][1] == columns["gps"][1]:
         return ""
     imu, gps = (seconds[role] / columns[role][1] for role in both)
@@ -301,11 +303,11 @@ def _require_meters(time: Array, gps: Values, parts: Sequence[PartColumns]) -> N
         return
     far = np.hypot(*(gps[n][apart:] - gps[n][:-apart] for n in ("x", "y")))
     if (speed := float(np.median(far / (time[apart:] - time[:-apart])))) > MAX_SPEED:
-        texts = {n: text for one in parts for n, text in one.part.columns.items() if n in ("x", "y")}
+        texts = {n: text for p in parts for n, text in p.part.columns.items() if n in ("x", "y")}
         maps = (" ".join(f'"gps.{n}=({text})*1e-{k}"' for n, text in texts.items()) for k in (3, 2))
         raise InputError(
-            f"the fixes move at {speed:.4g} m/s (median): x and y are not in m, or the times not in s; write "
-            "--map {} if x and y are in mm, --map {} if in cm".format(*maps)
+            f"the fixes move at {speed:.4g} m/s (median), so x and y are not in m, or the times are not in s; write "
+            "--map {} if x and y are in mm, --map {} if they are in cm".format(*maps)
         )
 
 
@@ -315,7 +317,7 @@ def _first_place(values: Values) -> Origin:
 
 
 def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[Values, Origin | None]:
-    """Return the truth with x and y, m, and the origin: the truth's first position if the fixes have none.
+    """Return the truth with x and y, m, and the origin; without a given origin, it is the truth's first position.
 
     If the fixes have no altitude, the truth also gets the origin's altitude, since a difference of 1000 m would stretch
     one track by 16 cm per kilometer.
@@ -381,7 +383,7 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
 
 
 def _held_course(vx: Array, vy: Array) -> Array:
-    """Return the course (n,), rad; at low speed, that of the last (at the start, the first) row in motion."""
+    """Return the course (n,), rad; rows at low speed repeat the last course in motion, or the first at the start."""
     moving = np.hypot(vx, vy) > MIN_SPEED
     if not moving.any():
         return np.zeros(len(vx))

@@ -12,7 +12,7 @@ from sigmaswarm.importing.recipe import COLUMNS
 from sigmaswarm.importing.source import ROLES
 from sigmaswarm.importing.times import quoted_column
 
-# By quantity: expressions that convert each unit to that of a drive
+# By quantity and unit: expressions that convert a column to the unit of a drive
 UNITS: dict[str, dict[str, str]] = {
     "time": {"s": "{}", "ms": "{}*1e-3", "µs": "{}*1e-6", "ns": "{}*1e-9", "date, UTC": "utc({})"},
     "acceleration": {"m/s²": "{}", "g": "{}*9.80665", "mg": "{}*0.00980665", "-m/s²": "-{}", "-g": "-{}*9.80665"},
@@ -81,7 +81,7 @@ def units_of(target: str) -> dict[str, str]:
 
 
 def unit_in(target: str, column: str, expression: str) -> str:
-    """Return the unit that an expression converts from; `CUSTOM` for a unit outside of `units_of`."""
+    """Return the unit that an expression converts from; `CUSTOM` if it is not one of `units_of`."""
     plain = expression.replace(" ", "")
     for unit, text in units_of(target).items():
         if plain in (text.format(quoted_column(column)).replace(" ", ""), text.format(column)):
@@ -90,13 +90,13 @@ def unit_in(target: str, column: str, expression: str) -> str:
 
 
 def expression_of(target: str, column: str, unit: str = "") -> str:
-    """Return the expression that converts a column from a unit to a target; "" is the target's first unit."""
+    """Return the expression that converts a column to a drive's unit; by default it is in the first of `units_of`."""
     units = units_of(target)
     return (units[unit] if unit else next(iter(units.values()))).format(quoted_column(column))
 
 
 def assign(choices: dict[str, Any], inspection: Inspection, table: str, column: str, target: str) -> None:
-    """Assign a column to a target, in the target's first unit, and remove it from its previous target."""
+    """Move a column to a target, such as "imu.ax", in the target's first unit."""
     maps: dict[str, str] = choices.setdefault("maps", {})
     for old, _ in uses_of(inspection).get((table, column), []):
         if old != target and not old.endswith(".t"):
@@ -117,7 +117,7 @@ def settings_of(choices: Mapping[str, Any]) -> dict[str, Any]:
             forward, left, up = (float(v) for v in arm.split(","))
         except ValueError:
             raise InputError(
-                f"{arm!r} is not a lever arm; write m forward,left,up, for example 1.2,0,0.5"
+                f"{arm!r} is not a lever arm; write forward,left,up in m, for example 1.2,0,0.5"
             ) from None
         settings["gps_lever_arm_m"] = forward, left, up
     return settings

@@ -29,16 +29,16 @@ from sigmaswarm.wording import list_names
 
 @dataclass(frozen=True)
 class Request:
-    """The logs to import and the options of the user."""
+    """The logs to import, and the user's options."""
 
     source: Path  # the log with the IMU
-    gps: Path | None = None  # further log, with fixes
-    truth: Path | None = None  # further log, with truth
-    odometer: Path | None = None  # further log, with wheel speed
+    gps: Path | None = None  # another log, with fixes
+    truth: Path | None = None  # another log, with truth
+    odometer: Path | None = None  # another log, with wheel speed
     form: str | None = None  # the source's format
     recipe: Recipe = field(default_factory=Recipe)  # settings, and parts that replace guessed ones
     maps: Sequence[str] = ()  # ``column=expression``
-    time: str | None = None  # expression of the time, in every table of the source
+    time: str | None = None  # expression of the time, for each table of the source
     choice: TableChoice = field(default_factory=TableChoice)
     limits: Limits = field(default_factory=Limits)
     part: int | None = None  # number of the recording, from 1, if a clock restarts within a table
@@ -54,7 +54,7 @@ class ImportResult:
     drive: Drive
     recipe: Recipe
     notes: tuple[str, ...]
-    assumed: tuple[str, ...] = ()  # notes on the mounting, if the user gives none
+    assumed: tuple[str, ...] = ()  # notes on an assumed mounting
 
 
 Guesses = Mapping[Path, Guess]
@@ -68,7 +68,7 @@ MAX_FAULTS = 3  # in one message
 
 
 def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
-    """Make a request from keywords, fields of `Request` and `Recipe`; ``recipe`` may be a file."""
+    """Make a request from keywords that are fields of `Request` and `Recipe`; ``recipe`` may be a file."""
     settings = dict(settings)
     recipe = settings.pop("recipe", None)
     recipe = recipe if isinstance(recipe, Recipe) else Recipe.load(Path(recipe)) if recipe else Recipe()
@@ -163,7 +163,7 @@ def opened(request: Request) -> Generator[tuple[dict[Path, Log], dict[Path, Gues
 
 
 def _guess(log: Log, request: Request) -> Guess:
-    """Return the reader's guess; the only table of a log that the user gave for a role has this role."""
+    """Return the reader's guess; the only table of a log named with --truth or --odometer has this role."""
     tables = dict(request.choice.tables)
     for role, path in (("truth", request.truth), ("odometer", request.odometer)):
         if log.path == path and len(log.tables) == 1:
@@ -203,7 +203,7 @@ def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
 
 
 def faults_left(request: Request, recipe: Recipe, guesses: Guesses) -> list[str]:
-    """Return reasons not to read columns as guessed, except for columns that the user mapped or omitted."""
+    """Return the faults of guessed columns, except of columns that the user mapped or omitted."""
     stated = {entry.partition("=")[0].strip() for entry in request.maps}
     left: list[str] = []
     for path, guess in guesses.items():
@@ -220,7 +220,7 @@ def faults_left(request: Request, recipe: Recipe, guesses: Guesses) -> list[str]
 def _with_unit_of_rates(
     faults: list[str], request: Request, logs: Mapping[Path, Log], recipe: Recipe, unitless: Mapping[str, str]
 ) -> list[str]:
-    """Replace the remedy of rates with an unknown unit by the unit that the turns of the fixes show."""
+    """In the faults of rates with an unknown unit, propose the unit that the turns of the fixes show."""
     if not any('"imu.g' in fault for fault in faults):
         return faults
     known = {name for part in recipe.roles["imu"] for name in part.columns}
@@ -246,7 +246,7 @@ def notes_of(logs: Mapping[Path, Log], guesses: Guesses, recipe: Recipe) -> list
 
 
 def assumed_mounting(guesses: Guesses, recipe: Recipe) -> tuple[str, ...]:
-    """Return the readers' sentences on the mounting; none if a mounting is given."""
+    """Return the readers' sentences on the mounting; empty if the user states a mounting."""
     found = () if recipe.mount else guesses.values()
     return tuple(dict.fromkeys(note for guess in found for note in (guess.flat, guess.downward) if note))
 
@@ -260,8 +260,8 @@ def missing_sensor(
 ) -> str:
     """Describe a missing sensor, with the remedy; return "" if IMU and fixes have tables."""
     wanted: tuple[tuple[Role, str, str], ...] = (
-        ("imu", "IMU samples", "name the log that contains them as SOURCE"),
-        ("gps", "position fixes", "name a log that contains them with --gps"),
+        ("imu", "IMU samples", "name a log with IMU samples as SOURCE"),
+        ("gps", "position fixes", "add a log with fixes: --gps LOG"),
     )
     for role, what, remedy in wanted:
         if role not in roles or recipe.roles.get(role) or (role == "gps" and recipe.gps_from_truth):
@@ -273,7 +273,7 @@ def missing_sensor(
         texts = (*logs[path].remarks, *guesses[path].notes)
         reasons = "has no header", "can't be decoded", "is empty", "cells contain"
         if why := [s for s in texts if any(reason in s for reason in reasons)]:
-            there = there or "what can be decoded"
+            there = there or "the part that can be decoded"
             return f"{path}: no {what} found in {there}; {why[0]}; or {remedy}"
         columns = [name.meaning for table in logs[path].tables.values() for name in read_names(table.columns)]
         if role == "imu" and "ax" in columns and not {"gx", "gy", "gz"} & {*columns}:
@@ -312,7 +312,7 @@ def complete_all(
     recipe: Recipe,
     first: Mapping[Path, Mapping[str, pl.DataFrame]] | None = None,
 ) -> tuple[dict[Path, list[tuple[Role, Part]]], list[str]]:
-    """Complete the parts of each log; return them and the first fault of each table.
+    """Complete the parts of each log with `complete_parts`; return them and the first fault of each table.
 
     ``first``: first rows of the tables of each log, if they have been read.
     """
@@ -328,8 +328,7 @@ def complete_all(
         rows = None if first is None else first[path]
         for role, part in mine:
             try:
-                for one in complete_parts(part, log, role, rows):
-                    completed[path].append((role, one))
+                completed[path] += [(role, whole) for whole in complete_parts(part, log, role, rows)]
             except InputError as error:
                 faults.setdefault((path, part.table), str(error))
     return completed, [*faults.values()]

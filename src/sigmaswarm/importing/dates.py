@@ -10,7 +10,7 @@ from sigmaswarm.importing.units import BASES
 
 Nanoseconds = NDArray[np.int64]
 SECOND = 1_000_000_000
-# Larger times (above 12 days) count from 1970 or from the start of a phone; the drive's times then begin at 0
+# ns; larger times (above 12 days) count from 1970 or from the start of a phone. The drive's times then begin at 0.
 MIN_DATE = 1_000_000 * SECOND
 GPS_EPOCH = 315_964_800  # 1980-01-06 (IS-GPS-200), s since 1970-01-01
 WEEK = 604_800
@@ -27,7 +27,7 @@ _HOURS = {
     **{0: "Z UTC GMT WET", 1: "CET BST WEST", 2: "CEST EET", 3: "EEST", 9: "JST", 10: "AEST", 11: "AEDT"},
     **{-4: "EDT", -5: "EST CDT", -6: "MDT", -7: "MST PDT", -8: "PST"},
 }
-# Hours ahead of UTC by the name of a zone
+# By name of a time zone: hours ahead of UTC
 ZONES = {name: float(hours) for hours, names in _HOURS.items() for name in names.split()}
 _STEPS = LEAP_SECONDS + np.arange(1, len(LEAP_SECONDS) + 1)  # GPS time after each leap second, s since 1970
 
@@ -68,12 +68,14 @@ def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
     ahead = zone.struct[1].cast(pl.Float64) + zone.struct[2].cast(pl.Float64).fill_null(0.0) / 60
     ahead = 3600 * pl.coalesce(named, pl.when(zone.struct[0] == "-").then(-ahead).otherwise(ahead), 0.0)
     plain = plain.str.replace(r"(\d\d:.*?) ?[+-]\d\d(?::?\d\d)?$", "${1}")
-    if form.startswith("%M"):  # as spreadsheets show times; without a fraction it may be hours and minutes
+    if form.startswith(
+        "%M"
+    ):  # minutes and seconds of a spreadsheet; without a fraction, perhaps hours and minutes
         plain, form = pl.when(plain.str.contains(r"\.")).then("0:" + plain), f"%H:{form}"
     if form and "%d" not in form and "%j" not in form:
         return plain.str.to_time(form, strict=False).cast(pl.Int64) / 1e9
     date = plain.str.to_datetime(form or None, time_unit="us", strict=False)
-    date = pl.when(date.dt.year() > 999).then(date)  # the code %Y also reads a year of two digits
+    date = pl.when(date.dt.year() > 999).then(date)  # the code %Y also accepts a year of two digits
     return date.dt.timestamp("us") / 1e6 - ahead
 
 

@@ -1,10 +1,10 @@
-"""Expressions over a table's columns, as polars expressions. Text is parsed and checked, never executed.
+"""Compile expressions over a table's columns to polars expressions. The text is parsed and checked, never executed.
 
 Names are columns, as in ``-acc_y * 9.80665``, ``radians(gyro_z)``, ``linear_acceleration.x`` and
 ``accelerometer_m_s2[0]``. Backticks enclose other names: ```Acceleration x (m/s^2)` ``.
 
-Values are numbers. The result of an empty cell is null. A comparison is 1 or 0 in arithmetic. For ``not``, ``and``,
-``or``, ``where`` and ``keep``, a number other than 0 is true. Times can also be computed as integer nanoseconds.
+Values are numbers. An empty cell results in null. A comparison is 1 or 0 in arithmetic. For ``not``, ``and``, ``or``,
+``where`` and ``keep``, a number other than 0 is true. Times can also be computed as integer nanoseconds.
 """
 
 import ast
@@ -23,7 +23,7 @@ from sigmaswarm.importing.dates import SECOND, as_text, gps_time, parse_dates, p
 from sigmaswarm.wording import list_names, printable, quoted
 
 MAX_LENGTH = 1000  # characters; this also limits the nesting
-# Largest number of times that polars computes a column; nested functions use their arguments repeatedly
+# Largest number of times that polars evaluates a column; nested functions use their arguments repeatedly
 MAX_USES = 1000
 
 
@@ -32,7 +32,7 @@ def _number(a: pl.Expr) -> pl.Expr:
 
 
 def _truth(a: pl.Expr) -> pl.Expr:
-    """Return True if not 0, null for NaN; unlike ``fill_nan``, this uses the column once, so nesting stays cheap."""
+    """Return True if not 0, and null for NaN. Unlike ``fill_nan``, this evaluates the column once."""
     return _number(a).sign().cast(pl.Int8, strict=False) != 0
 
 
@@ -55,7 +55,7 @@ def _dms(text: pl.Expr) -> pl.Expr:
     """Convert degrees, minutes and seconds in a text (48°07'02.3"S) to degrees, negative for S and W.
 
     A single number of four digits or more is degrees and minutes (4807.038 N). The result is null for letters other
-    than N, S, E, W, and for three digits, which may be degrees or degrees and minutes (012.5 N).
+    than N, S, E, W, and for a latitude of three digits (012.5 N), which may be degrees, or degrees and minutes.
     """
     plain = text.str.strip_chars().str.replace_all(",", ".").str.replace(rf"(?i)(m *{_PART} *)s", "${1}")
     numbers = plain.str.extract_all(_PART)
@@ -105,7 +105,7 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Gt: operator.gt,
     ast.GtE: operator.ge,
 }
-# By function: how often it uses each argument, and its implementation
+# By function: how often it evaluates each argument, and its implementation
 _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., pl.Expr]]] = {
     **{name: ((1,), getattr(pl.Expr, name)) for name in ("abs", "sqrt", "exp", "log", "sin", "cos", "tan")},
     **{name: ((1,), getattr(pl.Expr, name)) for name in ("radians", "degrees")},
@@ -129,7 +129,7 @@ class Expression:
 
     @property
     def truth(self) -> pl.Expr:
-        """The value as a condition; null for an empty value."""
+        """The expression as a condition; null for an empty value."""
         return _truth(self.polars)
 
 
@@ -152,7 +152,7 @@ def is_valid_expression(text: str, columns: Collection[str]) -> bool:
 
 
 def _parse(text: str) -> ast.expr:
-    """Parse an expression after replacing names in backticks by ``col("...")``."""
+    """Parse an expression; names in backticks become ``col("...")``."""
     if len(text) > MAX_LENGTH:
         raise InputError(
             f"the expression {text[:40]!r}... is longer than {MAX_LENGTH} characters; shorten it"
@@ -268,7 +268,7 @@ class _Compiler:
         return _OPERATORS[type(op)](_number(self.build(a)), _number(self.build(b)))
 
     def _utc(self, args: list[ast.expr]) -> pl.Expr:
-        """Compile ``utc(...)`` of dates in one column, or of day and time of day, with an optional format."""
+        """Compile ``utc(...)`` of one column of dates, or of columns with day and time of day; a format may follow."""
         form = ""
         if isinstance(args[-1], ast.Constant) and isinstance(args[-1].value, str):
             form, args = args[-1].value, args[:-1]
@@ -321,7 +321,7 @@ def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
 
 
 def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | None:
-    """Return column and factor of an expression ``column`` or ``column * number``; else None.
+    """Return column and factor of an expression ``column`` or ``column * number``, also with ``/``; else None.
 
     Such times are scaled as integers, since nanoseconds since 1970 have more digits than a float.
     """

@@ -45,7 +45,7 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
 
 
 def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.bool_]]:
-    """Return times, columns, and a mask of rows with fixed integer ambiguities."""
+    """Return times (n,), ns, columns (n,), and a mask (n,) of fixes with integer ambiguities."""
     request = Request(source=path)
     with opened(request) as (logs, guesses):
         log, guess = logs[path], guesses[path]
@@ -56,7 +56,7 @@ def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.boo
                 f"{path}: no position fixes found in {there}; name the receiver's own log, or convert it to a "
                 "drive with sigmaswarm import and name the drive"
             )
-        parts = [one for part in parts for one in complete_parts(part, log, "gps")]
+        parts = [whole for part in parts for whole in complete_parts(part, log, "gps")]
         fixed = [replace(parts[0], columns={**parts[0].columns, "keep": guess.fixed})] if guess.fixed else []
         read = gather(log, [*parts, *fixed], lambda done: None, request.limits)
         for note in (*guess.notes, *log.remarks):
@@ -67,7 +67,7 @@ def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.boo
 
 
 def _of_drive(other: Drive, drive: Drive, offset: float) -> ReceiverLog:
-    clocks = [one.metadata.get(CLOCK) for one in (other, drive)]
+    clocks = [d.metadata.get(CLOCK) for d in (other, drive)]
     apart = clocks[0] - clocks[1] if clocks[0] is not None and clocks[1] is not None else 0.0
     gps = replace(other.gps, time=other.gps.time + apart + offset)
     if other.origin != drive.origin:

@@ -13,9 +13,9 @@ from sigmaswarm.importing.source import Limits, Log, first_bytes, is_empty, no_l
 from sigmaswarm.limits import require_regular, require_text
 from sigmaswarm.wording import list_names
 
-# By the name for --format: the module in ``readers/``, and a description. The most general format is last. Each module
-# has two functions. ``recognizes(path)`` returns True if the name or the first bytes of a file or folder show the
-# format; it needs no library. ``open_log(path, limits, stack)`` returns a `Log`, whose files the stack closes.
+# By name of a format (--format): the module in ``readers/``, and a description. The most general format is last. Each
+# module has two functions. ``recognizes(path)`` returns True if the name or the first bytes of a file or folder show
+# the format; it needs no library. ``open_log(path, limits, stack)`` returns a `Log`; the stack closes its files.
 READERS: dict[str, tuple[str, str]] = {
     "mcap": ("mcap", "an MCAP file: ROS 1, ROS 2 or JSON messages"),
     "ros": ("ros", "a ROS 1 bag, or a ROS 2 bag's folder or file"),
@@ -38,7 +38,7 @@ READERS: dict[str, tuple[str, str]] = {
 _SINGLE = ("mcap", "rtklib", "ubx", "nmea", "px4", "ardupilot", "matlab", "gnss-logger", "json")
 _MIXED = ("nmea", "gnss-logger")
 _TEXTS = (*_MIXED, "rtklib", "csv")
-# Most lines per row of a table, in a text of several kinds of lines; most lines above the rows
+# Largest number of lines per row of a table in a text with several kinds of lines; of lines above the rows
 _LINES_OF_ROW, _TITLES = 10, 1000
 # Suffixes of formats that are not supported, and how to convert them
 NOT_READ = {
@@ -102,7 +102,7 @@ def open_log(
 
 
 def _texts(path: Path, form: str) -> list[Path]:
-    """List the text files whose line count and size must be limited here; none if the format's reader does this."""
+    """List the text files whose size and line count must be checked here; empty if the format's reader checks them."""
     if path.is_file():
         return [path] if form in _TEXTS and first_bytes(path, 4) not in (b"PAR1", b"PK\3\4") else []
     inside = (
@@ -116,7 +116,7 @@ def _texts(path: Path, form: str) -> list[Path]:
 def format_of(path: Path) -> str:
     for name in READERS:
         if name == "csv" and (what := unsupported_format(path)):
-            raise InputError(f"{path}: is not read, since it is {what}")
+            raise InputError(f"{path}: can't be imported, since it is {what}")
         if _reader(name).recognizes(path):
             return name
     below = [*path.glob("*/[!.]*.csv"), *path.glob("*/*/[!.]*.csv")] if path.is_dir() else []
@@ -127,11 +127,11 @@ def format_of(path: Path) -> str:
         remedy = (
             f"import one file, such as {min(below)}, and name the others with --gps, --truth and --odometer"
         )
-        remedy = f"import each log, as {quote(str(several[0]))}" if several else remedy
+        remedy = f"import each log, for example {quote(str(several[0]))}" if several else remedy
         raise InputError(f"{path}: contains no log, but folders with tables ({there}); {remedy}")
     if path.is_dir():
         raise no_log_error(path)
-    raise InputError(f"{path}: has an unknown format; specify the format with --format: {', '.join(READERS)}")
+    raise InputError(f"{path}: has an unknown format; choose one with --format: {', '.join(READERS)}")
 
 
 def unsupported_format(path: Path) -> str:

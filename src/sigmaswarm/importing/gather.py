@@ -23,12 +23,12 @@ from sigmaswarm.importing.times import rising_column, time_of, wrong_unit
 from sigmaswarm.wording import list_names, printable, quoted
 
 ROW = "row"  # column of row numbers, from 0, in tables without a column of this name
-MAX_TIMELESS_ROWS = 10  # most lines of a table without values that can be a header or a footer
+MAX_TIMELESS_ROWS = 10  # largest number of rows without a time that may be lines of a header or a footer
 MIN_PLACEHOLDER_DISTANCE = 10  # of a placeholder from the other values, in units of their range
 
 
 def with_row_numbers(frame: pl.DataFrame, first: int = 0) -> pl.DataFrame:
-    """Add the column `ROW`, unless the table has a column of this name; ``first``: number of the first row."""
+    """Add the column `ROW`, unless the table has it; ``first``: number of the first row."""
     if ROW in frame.columns:
         return frame
     return frame.with_columns(pl.int_range(first, first + len(frame)).alias(ROW))
@@ -36,18 +36,18 @@ def with_row_numbers(frame: pl.DataFrame, first: int = 0) -> pl.DataFrame:
 
 @dataclass
 class PartColumns:
-    """Columns of a part: ``t`` in ns, and other columns, null where the log has no value."""
+    """Columns of a part: ``t``, ns, and others; null where the log has no value."""
 
     part: Part
     expressions: dict[str, Expression]
     rows: list[pl.DataFrame] = field(default_factory=list[pl.DataFrame])
     seen: int = 0  # number of rows
-    unkept: int = 0  # number of rows with a false ``keep``
+    unkept: int = 0  # number of rows for which ``keep`` is false
     timeless: int = 0  # number of rows without a time
-    # By column of the table: the marker of missing values, and its count
+    # By column of the table: the placeholder of missing values, and its count
     placeholders: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
-    period: int = 0  # ns, after which the clock wraps, once the times are unwrapped; 0 if it does not
-    set_back: int = 0  # ns by which the clock was set back before the chosen recording; 0 if it was not
+    period: int = 0  # ns, period of a clock that wraps; 0 for other clocks, and before `unwrap`
+    set_back: int = 0  # ns, sum of the steps back of the clock before the chosen recording
 
     def add(self, frame: pl.DataFrame, log: Log) -> None:
         frame = frame.with_columns(pl.col(pl.String).str.strip_chars())
@@ -66,9 +66,10 @@ class PartColumns:
             time = time_expression(self.part.columns["t"], frame)
             rows = frame.lazy().select(t=time, **values).collect()
         except pl.exceptions.PolarsError as error:  # a list instead of a number, a text that is not a date
-            said = printable(" ".join(str(error).split("\n")[0].split()), 160)
+            reason = printable(" ".join(str(error).split("\n")[0].split()), 160)
             raise InputError(
-                f"{log.path}, {self.part.table}: the columns can't be converted to numbers ({said}); map other columns"
+                f"{log.path}, {self.part.table}: the columns can't be converted to numbers ({reason}); map other "
+                "columns"
             ) from None
         usable = rows.filter(pl.col("t").is_not_null())
         self.timeless += len(rows) - len(usable)
@@ -88,20 +89,20 @@ class PartColumns:
         texts = {c for e in self.expressions.values() for c in e.numbers if frame.schema[c] == pl.String}
         timeless = self._few_timeless(frame) if texts else None
         for name in sorted(texts, key=log.tables[self.part.table].columns.index):
-            said = frame[name]
-            empty = said.str.to_lowercase().is_in(NO_VALUE) | said.str.contains(NO_NUMBER)
-            wrong = said.cast(pl.Float64, strict=False).is_null() & ~empty
+            cells = frame[name]
+            empty = cells.str.to_lowercase().is_in(NO_VALUE) | cells.str.contains(NO_NUMBER)
+            wrong = cells.cast(pl.Float64, strict=False).is_null() & ~empty
             wrong = wrong & ~timeless if timeless is not None else wrong
             if wrong.fill_null(False).any():
                 i = int(wrong.fill_null(False).arg_max() or 0)
                 raise InputError(
                     f"{log.path}, {printable(self.part.table)}, row {self.seen + i + 1} of the data, "
-                    f"column {printable(name)}: {quoted(said[i])} is not a number; correct or delete "
-                    "the row, or use utc(...) where the column holds dates, dms(...) for degrees and minutes"
+                    f"column {printable(name)}: {quoted(cells[i])} is not a number; correct or delete "
+                    "the row, or map the column with utc(...) for dates, or dms(...) for degrees and minutes"
                 )
 
     def _few_timeless(self, frame: pl.DataFrame) -> pl.Series | None:
-        """Mark rows without a time, if they are few: a header in the middle, or lines below the table."""
+        """Mark rows without a time, such as a repeated header or lines below the table; None if they are many."""
         try:
             times = frame.select(time_expression(self.part.columns["t"], frame)).to_series()
         except pl.exceptions.PolarsError:
@@ -113,7 +114,7 @@ class PartColumns:
         )
 
     def _without_placeholders(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Set placeholders to null: -999 or 1e10, if far from all other values or in both coordinates."""
+        """Set placeholders such as -999 to null, if they are far from the other values or in both coordinates."""
         used = {n: e.numbers for n, e in self.expressions.items() if n not in ("t", "keep")}
         names = [c for c in sorted(set().union(*used.values())) if not frame.schema[c].is_nested()]
         numbers = frame.select(pl.col(names).cast(pl.Float64, strict=False))
@@ -133,7 +134,7 @@ class PartColumns:
 
 
 def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
-    """Mark values that are far from the unmarked values, compared with the range of the unmarked values."""
+    """Mark values whose distance from the unmarked values is large compared with the range of the unmarked values."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
         return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)
@@ -144,15 +145,15 @@ def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
 def complete_parts(
     part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame] | None = None
 ) -> list[Part]:
-    """Complete a part; a part without a table becomes one part for each table with its columns.
+    """Complete a part; a part without a table becomes one part for each table that contains its columns.
 
     ``first``: first rows of the tables, if they have been read.
     """
-    return [_complete(one, log, role, first) for one in _with_tables(part, log, role)]
+    return [_complete(fitted, log, role, first) for fitted in _with_tables(part, log, role)]
 
 
 def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame] | None) -> Part:
-    """Add the time to a part, by default the column that is likely a time, and check its columns."""
+    """Add the likely time to a part without a time, and check the part's expressions."""
     columns = log.tables[part.table].columns
     batches = log.batches({part.table: columns}) if first is None else [("", first[part.table], 0.0)]
     rows = next((rows.head(SAMPLE_ROWS) for _, rows, _ in batches if len(rows)), None)
@@ -179,7 +180,7 @@ def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame
 
 
 def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
-    """Find the tables of a part; a log's only table also fits a part with a file's name, or without a name."""
+    """Find the tables of a part; the only table of a log fits any part without a table, or with another file's name."""
     if part.table in log.tables:
         return [part]
     if len(log.tables) == 1:
@@ -202,8 +203,8 @@ def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
         ]
     chosen = quote(fitting[0]) if len(fitting) == 1 else "TABLE"
     raise InputError(
-        f"{log.path}: none of its tables {list_names(log.tables)} was chosen for {', '.join(part.columns)}; "
-        f"add --{role}-topic {chosen}, or write a recipe with table = ..."
+        f"{log.path}: has several tables ({list_names(log.tables)}); choose one for {', '.join(part.columns)} with "
+        f"--{role}-topic {chosen}, or write a recipe with table = ..."
     )
 
 

@@ -20,9 +20,9 @@ MAX_DEVIATION = 0.3  # relative deviation of the median specific force from grav
 
 
 def tilted_mount(recipe: Recipe, rows: Mapping[str, pl.DataFrame], *, downward: bool) -> tuple[str, str]:
-    """Return "auto" and a note if gravity in the first rows is clearly not on +z; otherwise two empty texts.
+    """Return "auto" and a note if gravity in the first rows is clearly not along +z; otherwise two empty texts.
 
-    ``downward``: gravity on -z has its own note, and needs none here.
+    ``downward``: True if another note reports gravity along -z.
     """
     force = _median_force(recipe, rows)
     size = math.hypot(*force)

@@ -23,10 +23,12 @@ from sigmaswarm.importing.times import TimeExpression, column_numbers, find_time
 from sigmaswarm.wording import list_names
 
 Z_DOWN = "x=x,y=-y"  # mounting of an IMU with x forward, y right and z down
-SAMPLE_ROWS = 2000  # first rows from which units are guessed, if a format's rows are decoded one by one
-# Number and length of blocks of rows from which units are guessed. The blocks are spread over the table, since a log
-# may begin without fixes and at standstill. Rows of a block are consecutive, so most time steps are those of the log,
-# even if only 1 of 200 rows has a fix.
+SAMPLE_ROWS = (
+    2000  # number of first rows from which units are guessed, in formats whose rows are decoded one by one
+)
+# Number and length of the blocks of rows from which units are guessed. The blocks are spread over the table, since a
+# log may begin without fixes and at standstill. Rows of a block are consecutive, so most time steps are those of the
+# log. A block contains fixes even if only 1 of 200 rows has one.
 BLOCKS, BLOCK = 16, 500
 _WHEELS = re.compile(r"odo|wheel|(?:^|[^a-z])can(?:[^a-z]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
@@ -43,30 +45,30 @@ _ESTIMATE = re.compile(
 )
 # Names of columns that state whether a row has a fix: 0 means no fix, or -1 if 0 means a fix, as in ROS
 _FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok|status)?|(?:(?:gps|gnss)_?)?valid|(?:gps|gnss)_?quality"
-# Names of numbers of satellites, which are 0 if there is no fix
+# Names of columns with the number of satellites; 0 means no fix
 _SATELLITES = "(?:gps_|gnss_)?(?:(?:num|n|no|number_of)_?)?(?:sats?|sv|satellites)(?:_used)?"
 # Names of columns that state in words whether a row has a fix
 _STATUS = (
     rf"{_FIXED}|(?:(?:gps|gnss|nav|pos|position|sol|solution)_?)?(?:status|state|mode|type|solution|quality)"
 )
-# Names of `_STATUS` that an autopilot may also use. Its words resemble those of a receiver: AUTO, FOLLOW_GPS, ACTIVE.
+# Names of `_STATUS` that may also be those of an autopilot, whose words resemble a receiver's: AUTO, FOLLOW_GPS, ACTIVE
 _PILOT = "state|mode|type"
-# Words in lower case, joined by "_", for no fix
+# Words that mean no fix, in lower case and joined by "_"
 _NO_FIX = (
     r"(?:no|not|un|in)_?(?:\w+_)?(?:valid|fix|fixed|solution|gps|gnss|signal|available)|no|none|false|void|bad|lost|"
     r"searching|acquiring|insufficient.*|cold_start"
 )
-# Words for a fix
+# Words that mean a fix
 _FIX = (
     r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|gps|gnss|valid|active|ok|good|true|yes|int|computed|auto|alone|"
     r"available|psr).*"
 )
-# Words for a fix that only a receiver uses
+# Words that mean a fix, and that only a receiver uses
 _SURE_FIX = r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|psr|valid).*"
-MAX_WORDS = 20  # different words in a column of flags
+MAX_WORDS = 20  # largest number of different words in a column of flags
 # Names of columns in which 3 means a fix in three dimensions, and 1 means no fix
 _DIMENSIONS = ".*(?:type|mode)"
-# Largest share of the likely fixes that a flag may exclude if the positions do not jump there; smallest ratio of a jump
+# Largest share of the likely fixes that a flag may exclude, unless the positions jump there; smallest ratio of a jump
 # to the 90% quantile of the other steps
 MAX_DROPPED, MIN_JUMP_RATIO = 0.2, 5.0
 _WANTED: dict[Role, tuple[str, ...]] = {
@@ -87,7 +89,7 @@ _HINTS: dict[str, str] = {
 
 
 def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) -> Guess:
-    """Find the tables of each role by their columns; choose among several by their names.
+    """Find the tables of each role by their columns, and choose among several tables by their names.
 
     ``samples``: first rows of each table; ``chosen``: table by role, as chosen by the user.
     """
@@ -119,13 +121,13 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         rates = [t for t, c in found.items() if "gz" in c and not c.has("ax", "ay")][:1]
         for table in [best, *rates] if role == "imu" and "gz" not in found[best] else [best]:
             expressions: dict[str, str] = {}
-            # Receiver values in rows of the IMU have the IMU's times, whose interval determines the unit.
+            # In a table with an IMU, the rate of the IMU determines the unit of the times, also for other roles.
             shared = "imu" in roles and table == roles["imu"][0].table
-            for what, one in _expressions(found[table], role, "imu" if shared else role):
-                notes += [one.note] if one.note else []
-                fault = one.fault.replace('"imu.t=', f'"{role}.t=')
+            for what, found_as in _expressions(found[table], role, "imu" if shared else role):
+                notes += [found_as.note] if found_as.note else []
+                fault = found_as.fault.replace('"imu.t=', f'"{role}.t=')
                 faults += [Fault(role, what, table, fault)] if fault else []
-                expressions |= {what: one.expression} if one.expression else {}
+                expressions |= {what: found_as.expression} if found_as.expression else {}
             roles[role] = (*roles.get(role, ()), Part(table, expressions))
     downward = _downward(found[roles["imu"][0].table]) if "imu" in roles else ""
     tables = [found[part.table] for part in roles.get("imu", ())]
@@ -147,7 +149,7 @@ def spread_rows(rows: pl.LazyFrame) -> pl.DataFrame:
 
 
 def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
-    """Assign the first fitting column to each quantity; in a table of an IMU, x, y, z are axes of the IMU."""
+    """Assign to each quantity the first column with its name; in a table of an IMU, x, y, z are axes of the IMU."""
     columns = Columns(frame)
     for name in read_names(frame.columns):
         if (what := name.meaning) is not None and what != "t":
@@ -188,7 +190,7 @@ def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
 
 
 def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[str, TimeExpression]]:
-    """Yield the columns of a role in a drive's units, as expressions; ``rows_of``: role that determines the times."""
+    """Yield the columns of a role as expressions; ``rows_of``: role whose usual rate determines the unit of times."""
     if (time := find_time(columns.frame, rows_of)) is not None:
         yield "t", time
     located = columns.has("lat", "lon")
@@ -203,7 +205,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
     if role == "gps" and (keep := _with_fix(columns)):
         yield "keep", keep
     skipped = {"lat", "lon"} | ({"x", "y"} if located else set())
-    # "heading" is the course of a receiver with one antenna, unless the table has another course or a deviation
+    # "heading" is the course of a receiver with one antenna, unless the table also has a course or a std_heading
     heads = role == "gps" and "bearing" in columns and columns.names["bearing"].is_one("heading")
     heads = heads and ("course" in columns or "std_heading" in columns)
     course = "theta" if role == "truth" else "course"
@@ -223,7 +225,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
 
 
 def _with_fix(columns: Columns) -> TimeExpression | None:
-    """Select rows with a fix by a column of flags, unless the flags exclude many rows that look like fixes.
+    """Return the condition of rows with a fix from a column of flags, or a note if it excludes many likely fixes.
 
     In some codes 0 is a fix without fixed ambiguities, and flags and positions may be in different rows.
     """
@@ -234,8 +236,8 @@ def _with_fix(columns: Columns) -> TimeExpression | None:
         return None
     rows = columns.frame.with_columns(pl.selectors.float().fill_nan(None)).drop_nulls(names)
     unset = [pl.col(n).cast(pl.Float64, strict=False).is_in([0.0, *PLACEHOLDERS]) for n in names]
-    held = [pl.col(n) == pl.col(n).shift() for n in names]
-    fixes = rows.filter(~(pl.all_horizontal(unset) | pl.all_horizontal(held)).fill_null(value=False))
+    repeated = [pl.col(n) == pl.col(n).shift() for n in names]
+    fixes = rows.filter(~(pl.all_horizontal(unset) | pl.all_horizontal(repeated)).fill_null(value=False))
     kept = fixes.select(compile_expression(text, fixes.columns).truth.fill_null(value=False)).to_series()
     if not kept.any():
         return None
@@ -248,7 +250,7 @@ def _with_fix(columns: Columns) -> TimeExpression | None:
 
 
 def _jump(places: pl.DataFrame, kept: pl.Series) -> bool:
-    """Return True if positions jump to or between the rows that a flag excludes."""
+    """Return True if positions jump to the rows that a flag excludes, or between these rows."""
 
     def squares(rows: pl.DataFrame) -> pl.Series:
         east, north = (column.cast(pl.Float64, strict=False).diff().pow(2) for column in rows)
@@ -260,7 +262,7 @@ def _jump(places: pl.DataFrame, kept: pl.Series) -> bool:
 
 
 def _fix_stated(frame: pl.DataFrame) -> str:
-    """Return the condition that a row has a fix, by a column of flags in words or numbers; else ""."""
+    """Return the condition that a row has a fix, from a column of flags in words or numbers; else ""."""
     names = read_names(frame.columns)
     for name in names:
         cells, column = frame[name.column], quoted_column(name.column)

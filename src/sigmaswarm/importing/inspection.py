@@ -1,4 +1,4 @@
-"""The inspection of a log: its tables, rates and ranges of columns, and the recipe of a drive."""
+"""Inspect a log: list its tables with their rates and ranges of columns, and the recipe of a drive."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,8 +26,8 @@ from sigmaswarm.importing.source import ROLES, Fault, Log, Role
 from sigmaswarm.importing.times import column_numbers, time_of
 from sigmaswarm.importing.unnamed import columns_by_values
 
-PREVIEW_ROWS = 5000  # rows of a table from which ranges are computed
-# Rows that are read if the rows of tables alternate; a table without rows among these has no values
+PREVIEW_ROWS = 5000  # number of first rows of a table from which ranges are computed
+# Largest number of rows that are read if the rows of tables alternate; tables without rows among these show no values
 MAX_SCANNED_ROWS = 25_000
 
 
@@ -58,10 +58,10 @@ class Inspection:
     """Content of the logs of a request, the recipe that an import would use, and its assumptions.
 
     ``proposal``: options of `sigmaswarm import` for unrecognized columns; ``settings``: the same options for
-    `import_log`; ``evidence``: reasons for these options. ``works``: True if the import with these options succeeds. If
-    there is no proposal, it is True if no note states a fault of tables or columns. ``unread``: columns, by table, that
-    neither recipe nor proposal reads. ``faults``: reasons not to read a column unchanged. ``rows``: first rows of each
-    table. ``mount``: mounting that a note recommends.
+    `import_log`; ``evidence``: reasons for these options. ``works``: True if the import with these options succeeds, or
+    if there is no proposal and no note states a fault of tables or columns. ``unread``: columns, by table, that neither
+    recipe nor proposal reads. ``faults``: reasons not to use a column unchanged. ``rows``: first rows of each table.
+    ``mount``: mounting that a note recommends.
     """
 
     tables: tuple[TablePreview, ...]
@@ -86,7 +86,7 @@ Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]
 
 
 def inspect_request(request: Request) -> Inspection:
-    """Read the beginning of each log. Nothing is written; a guess that fails becomes a note."""
+    """Read the beginning of each log and write nothing; faults become notes."""
     with opened(request) as (logs, guesses):
         try:
             recipe = complete_recipe(request, guesses)
@@ -131,7 +131,7 @@ def inspect_request(request: Request) -> Inspection:
 def _obstacles(
     request: Request, recipe: Recipe, logs: Mapping[Path, Log], guesses: convert.Guesses, first: Beginnings
 ) -> list[str]:
-    """Return the faults of columns and tables with which an import would stop."""
+    """Return the faults of columns and tables that would stop an import."""
     if missing := convert.missing_sensor(recipe, request, logs, guesses, ROLES):
         return [missing]
     _, faults = convert.complete_all(request, logs, recipe, first)
@@ -163,8 +163,8 @@ def _unread(
 
 def _imported(request: Request, proposal: Proposal) -> Drive:
     choice = replace(request.choice, tables={**proposal.tables, **request.choice.tables})
-    asked = replace(request, maps=[*proposal.maps, *request.maps], choice=choice)
-    return convert.import_drive(asked, "proposal").drive
+    changed = replace(request, maps=[*proposal.maps, *request.maps], choice=choice)
+    return convert.import_drive(changed, "proposal").drive
 
 
 def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal | None:
@@ -177,12 +177,12 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
         chosen = [part.table for part in parts if part.table in there] or list(there)
         names = {table: there[table].columns for table in chosen}
         unnamed = ((table, columns_by_values(there[table], role)) for table in chosen)
-        one = propose_columns(names, role, known) or next(
-            (one for one in unnamed if one[1] and not known), None
+        proposed = propose_columns(names, role, known) or next(
+            (u for u in unnamed if u[1] and not known), None
         )
-        if one is None:
+        if proposed is None:
             continue
-        table, columns = one
+        table, columns = proposed
         time = time_of(there[table]) if "t" not in known and len(there[table]) else None
         rest = _elsewhere(names, table, {**known, **columns}) if role == "imu" and not parts else {}
         found[role] = ({"t": time} if time else {}) | in_units(there[table], role, columns) | rest
@@ -192,16 +192,13 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
 
 
 def _elsewhere(names: Mapping[str, Sequence[str]], table: str, known: Mapping[str, str]) -> dict[str, str]:
-    """Find missing IMU columns in another table, unless another table has columns of the same names."""
+    """Find missing IMU columns in another table; return {} if several tables have columns of these names."""
     others = {other: columns for other, columns in names.items() if other != table}
-    if {"ax", "ay", "gz"} <= known.keys() or (one := propose_columns(others, "imu", known)) is None:
+    if {"ax", "ay", "gz"} <= known.keys() or (proposed := propose_columns(others, "imu", known)) is None:
         return {}
-    own = [columns for other, columns in names.items() if other != one[0]]
-    return (
-        {}
-        if any(is_valid_expression(text, columns) for text in one[1].values() for columns in own)
-        else one[1]
-    )
+    chosen, texts = proposed
+    rest = [columns for other, columns in names.items() if other != chosen]
+    return {} if any(is_valid_expression(t, columns) for t in texts.values() for columns in rest) else texts
 
 
 def beginnings(log: Log) -> dict[str, pl.DataFrame]:

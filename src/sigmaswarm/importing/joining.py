@@ -17,10 +17,10 @@ from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.timeline import from_digits, recordings, require_likely, sorted_times, unwrap
 from sigmaswarm.wording import count_of, printable, rows_left_out
 
-MIN_STD = 1e-6  # m; a standard deviation of at most this value counts as not stated
-# A full turn of each angle column, rad or deg
+MIN_STD = 1e-6  # m or rad; a standard deviation of at most this value counts as not stated
+# Period of each angle column, rad or deg
 PERIODS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
-# Largest share of empty cells in an optional column for which the rows are left out; otherwise the column is left out
+# Largest share of empty cells in an optional column. With a larger share the column is left out, otherwise the rows.
 MAX_EMPTY_SHARE = 0.1
 POSITIONS = ("lat", "lon", "x", "y")
 COLUMN_PAIRS = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
@@ -54,20 +54,20 @@ def join(
 
 
 def _with_known_headings(values: Values) -> Values:
-    """Set the standard deviation of missing headings to `NO_HEADING`, so that their fixes are kept."""
+    """Set the standard deviation of missing headings to `NO_HEADING`; their fixes remain."""
     heading = values.get("heading", np.zeros(0))
     std, known = values.get("std_heading", np.full(len(heading), np.nan)), np.isfinite(heading)
     if not known.any() or (known.all() and not np.isfinite(std).any()):
         return {name: column for name, column in values.items() if name != "std_heading"}
-    stated = np.where(std > MIN_STD, std, MIN_STD)  # not stated: the filter uses its own variance
+    stated = np.where(std > MIN_STD, std, MIN_STD)  # at MIN_STD, the filter uses its own variance
     deviation = np.where(known, stated, NO_HEADING)
     return {**values, "heading": np.where(known, heading, 0.0), "std_heading": deviation}
 
 
 def _between(time: Array, known: Array, values: Array, turn: float | None) -> Array:
-    """Interpolate values (m,), known at times (m,), s, linearly at times (n,), s; angles over the shorter arc.
+    """Interpolate values (m,), known at times (m,), s, linearly at times (n,), s; angles along the shorter arc.
 
-    Angles beyond half a turn (unwrapped, or not angles) are not wrapped, so a wrong unit remains visible.
+    Values beyond half a turn, which are unwrapped or in a wrong unit, are not wrapped, so a wrong unit remains visible.
     """
     if turn is None:
         return np.interp(time, known, values)
@@ -108,12 +108,12 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
     if (copies := _copies(time, values)) is not None:
         say(f"{where}: {rows_left_out(int(copies.sum()))}, since other rows have the same content")
         filled &= ~copies
-    if role == "gps":  # a row that repeats the time and the place of the row before
+    if role == "gps":  # leave out rows that repeat the time and position of the previous row
         same = [np.diff(column) == 0 for column in (time, *(values[n] for n in POSITIONS if n in values))]
         filled &= ~np.append(False, np.all(same, axis=0))
     if filled.any():
         time, values = time[filled], _rows(values, filled)
-    if not note:  # rows without values may have other times
+    if not note:  # rows without values, now left out, may have had other times
         time, digits = from_digits(time)
         time, part.period, note = unwrap(time)
         note = "; ".join(filter(None, (digits, note)))
@@ -131,7 +131,7 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
 
 
 def _copies(time: Nanoseconds, values: Values) -> NDArray[np.bool_] | None:
-    """Mark rows that repeat an earlier row; None if two rows of one time have different values."""
+    """Mark rows that repeat an earlier row; None if there are none, or if rows with equal times have other values."""
     times = np.unique(time)
     if len(times) == len(time):
         return None
@@ -192,6 +192,6 @@ def _complete_rows(
     changed = np.append(True, np.any([np.diff(p) != 0 for p in position], axis=0))
     if np.mean(changed) > 0.5:
         return time, values
-    # a fix that is repeated up to the next fix (a table at the IMU's rate) counts once
+    # in a table at the IMU's rate, each fix is repeated up to the next fix
     say(f"gps: {rows_left_out(int(np.count_nonzero(~changed)))}, since the previous position is repeated")
     return time[changed], _rows(values, changed)

@@ -1,4 +1,4 @@
-"""Tables whose rows are of several kinds, named in a column: the command that writes a table for an import."""
+"""Propose a command that converts a long table, in which a column names the kind of each row."""
 
 import re
 
@@ -12,7 +12,7 @@ MAX_KINDS = 20
 
 
 def describe_kinds(log: Log) -> str:
-    """Describe a table with a measured value, or the values of a sensor, in each row; "" if there is none."""
+    """Describe a long table, with one value or one sensor per row, and a command that converts it; else ""."""
     for table, about in log.tables.items():
         _, frame, _ = next(iter(log.batches({table: about.columns})), ("", pl.DataFrame(), 0.0))
         kinds = [name for name in frame.columns if _is_kind(frame[name])]
@@ -45,7 +45,7 @@ def describe_kinds(log: Log) -> str:
 
 
 def _is_harmless(name: str) -> bool:
-    """Return True if a shell runs nothing of a name within double quotes."""
+    """Return True if a shell takes a name in double quotes literally."""
     return re.fullmatch(r"[^\\\"'`$!\n\r]*", name) is not None
 
 

@@ -1,4 +1,4 @@
-"""Heading of a magnetometer at the times of the fixes, calibrated by the course of the same drive."""
+"""Compute a magnetometer's heading at the times of the fixes, calibrated with the course of the same drive."""
 
 import re
 from collections.abc import Sequence
@@ -24,18 +24,17 @@ from sigmaswarm.importing.source import Part
 from sigmaswarm.importing.times import quoted_column
 
 MIN_HEADING_RANGE = 180  # deg, smallest range of headings that determines the hard iron
-BIN = 10
-MIN_SAMPLES = 5
+BIN, MIN_SAMPLES = 10, 5  # deg, width of a bin of headings; samples in a covered bin
 DRIFT_TIME = 10.0  # s, time constant with which the course corrects the gyro's heading
 MAX_ROWS = 20_000  # rows for the calibration, evenly spread over the drive
 # Largest deviation of the field's magnitude (relative) or direction (rad) without steel nearby: in robust standard
-# deviations, and its lower limit
+# deviations; smallest value of this limit
 MAX_FIELD_DEVIATION = 4.0, 0.03
-MARGIN = 1.0  # s before and after a deviation above `MAX_FIELD_DEVIATION` in which fixes have no heading
+MARGIN = 1.0  # s; fixes within this time of a larger deviation have no heading
 # rad, largest standard deviation of the heading; a larger one shows a magnetometer that is not fixed to the vehicle
 MAX_HEADING_STD = np.radians(20)
 MIN_STD = np.radians(0.5)  # rad, smallest stated standard deviation
-MAX_GAP = 1.0  # s, largest interval of samples that is interpolated
+MAX_GAP = 1.0  # s, longest interval between samples that is interpolated
 _UNLIKE = (
     "mag: the field does not rotate like the vehicle (course and gyro); map other columns, or omit the "
     "magnetometer"
@@ -50,7 +49,7 @@ _AXES = (
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The field in the axes of the sensor, ``center + shape @ (cos, sin)`` of the heading."""
+    """Model of the field in the axes of the sensor: ``center + shape @ (cos(heading), sin(heading))``."""
 
     center: Array  # (2,), the hard iron, in the log's unit
     shape: Array  # (2, 2), with soft iron and mounting; determinant < 0 for x forward, y left, z up
@@ -75,7 +74,7 @@ class Calibration:
 
 
 def part_of(table: str, columns: Sequence[str]) -> Part:
-    """Find the axes in a table that the user chose, by the names of columns; the part may be empty."""
+    """Find the axes in a table that the user chose by column names; the part may be empty."""
     for pattern in _AXES:
         found = {m[1]: column for column in reversed(columns) if (m := re.fullmatch(pattern, column.lower()))}
         if {"x", "y"} <= found.keys():
@@ -99,8 +98,7 @@ def with_magnetometer(
     turned = _turned(reference[moving])
     if turned < MIN_HEADING_RANGE:
         raise InputError(
-            f"mag: the headings of the drive cover {turned} of 360 deg while the vehicle moves, too little to "
-            "determine the hard iron "
+            f"mag: the headings in motion cover {turned} of 360 deg, too little to determine the hard iron "
             f"({MIN_HEADING_RANGE} are needed); import a drive with more turns, or omit the magnetometer"
         )
     calibration = calibrate(reference[moving], field[moving])
@@ -114,9 +112,7 @@ def with_magnetometer(
     turn = _turn(calibration, recipe.declination_deg)
     heading, known = _at(drive.gps.time - late, time, vector, near_steel)
     say(_in_words(calibration, recipe.declination_deg))
-    when = (
-        f" They are those of {late:.2f} s before the fixes, since the fixes have this delay." if late else ""
-    )
+    when = f" They apply {late:.2f} s before the times of the fixes, which have this delay." if late else ""
     none = f"{np.count_nonzero(~known)} of {len(known)} fixes have no heading (steel nearby, or no sample)"
     say(f"mag: the headings have a standard deviation of {np.degrees(std):.1f} deg.{when} {none}")
     heading = np.where(known, wrap_angle(heading + turn), 0.0)
@@ -126,7 +122,7 @@ def with_magnetometer(
 
 
 def _in_vehicle(values: Values, mount: str) -> Array:
-    """Return the field (n, 2) forward and left; the calibration corrects a constant tilt."""
+    """Return the field (n, 2), forward and left; the calibration later corrects a constant tilt."""
     rotation = parse_mount(mount) if mount else np.eye(3)
     if "mz" not in values and np.any(rotation[:2, 2]):
         raise InputError("mag: the mounting needs mz; map mz, as in --map mag.mz=mag_z")
@@ -135,7 +131,7 @@ def _in_vehicle(values: Values, mount: str) -> Array:
 
 
 def _reference(evidence: Evidence, time: Array, late: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the gyro's heading, rad, corrected by the course, and a mask of motion, both (n,), at times (n,), s."""
+    """Return the gyro's heading, rad, corrected by the course, and a mask of motion, at times (n,), s."""
     course, yaw, imu = evidence.course, evidence.yaw, evidence.drive.imu
     if course is None or not course.moving.any() or not yaw.known:
         raise InputError("mag: the calibration needs a moving vehicle, and a gyro that follows its course")
@@ -177,7 +173,7 @@ def calibrate(heading: Array, field: Array) -> Calibration:
 
 
 def _near_steel(time: Array, size: Array, off: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark samples (n,) within `MARGIN` of a field of another magnitude, or a turn that the vehicle does not make."""
+    """Mark samples (n,) near a field with an unusual magnitude, or an unusual direction relative to the heading."""
     odd = _odd(size / float(np.median(size[moving])), moving) | (moving & _odd(off, moving))
     wrong = time[odd]
     return np.searchsorted(wrong, time - MARGIN) < np.searchsorted(wrong, time + MARGIN, side="right")
@@ -201,7 +197,7 @@ def _at(
 
 
 def _turn(calibration: Calibration, stated: float | None) -> float:
-    """Return the correction (rad) that adapts headings calibrated by the course to a stated declination (deg)."""
+    """Return the correction, rad, of headings calibrated with the course, for a stated declination, deg."""
     if stated is None:
         return 0.0
     if not abs(stated) <= 180:
@@ -224,6 +220,6 @@ def _in_words(calibration: Calibration, stated: float | None) -> str:
             f"{fitted}. The course shows that mx and my rotate in the wrong direction for x forward and y left; the "
             "import corrects the heading"
         )
-    total = f"the sum of declination and the sensor's rotation about z: {np.degrees(calibration.declination):+.1f} deg"
+    shown = f"shows {np.degrees(calibration.declination):+.1f} deg for the sum of declination and"
     stating = "" if stated is None else f"; the stated declination is {stated:+.1f} deg"
-    return f"{fitted}{stating}. The course of the fixes shows {total}"
+    return f"{fitted}{stating}. The course of the fixes {shown} the sensor's rotation about z"

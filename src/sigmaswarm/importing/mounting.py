@@ -1,4 +1,4 @@
-"""Mounting of an IMU: from the axes of the sensor to x forward, y left, z up."""
+"""Rotate an IMU from the axes of the sensor to those of the vehicle: x forward, y left, z up."""
 
 import math
 import re
@@ -18,7 +18,7 @@ _AXES = "xyz"
 
 
 def find_mount(drive: Drive) -> tuple[Drive, str, str]:
-    """Rotate the IMU by the mounting that the log shows; return the drive, the mounting as text, and a note."""
+    """Estimate the mounting from the log and rotate the IMU; return the drive, the mounting as text, and a note."""
     evidence = gather(drive)
     mounting = evidence.mounting
     if evidence.mirrored:
@@ -68,7 +68,7 @@ def parse_mount(text: str) -> Array:
 
 
 def _from_axes(text: str, parts: list[str]) -> Array:
-    """Make the matrix from one to three axes; one axis leaves z (or x) unchanged; the last is a cross product."""
+    """Make the rotation from one to three axes; one axis leaves z (or x) unchanged, and two determine the third."""
     unit = dict(zip(_AXES, np.eye(3), strict=True))
     rows: dict[str, Array] = {}
     for part in parts:

@@ -1,4 +1,4 @@
-"""Names of columns: the name without its unit, the unit, and the drive's column of that name."""
+"""Interpret names of columns: separate name and unit, and find the column of a drive that the name means."""
 
 import re
 import unicodedata
@@ -35,7 +35,7 @@ _RATE = (
     "g|w|gyr|gyro|gyroscope|gyro_rotation|gyroscope_gyro_?uncalibrated|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate|"
     "w_?b|w_rs_s|angular|(?:velocidade?|velocita|vitesse)_ang[uo]lai?re?"
 )
-_STD = "(?:std|stdev|std_?dev|sigma|sd)"  # in survey-grade receivers these are in m, also for degrees
+_STD = "(?:std|stdev|std_?dev|sigma|sd)"  # survey-grade receivers log these in m, also for latitude and longitude
 TURNS = {"roll": "gx", "pitch": "gy", "yaw": "gz"}
 NAMES: tuple[tuple[str, str], ...] = (
     ("t", TIME),
@@ -67,10 +67,10 @@ NAMES: tuple[tuple[str, str], ...] = (
 )
 _AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 _PLACES = ("lat", "lon", "alt", "ns", "ew")
-_TOTAL = {"gfx", "gfy", "gfz"}  # accelerations in g of Physics Toolbox
+_TOTAL = {"gfx", "gfy", "gfz"}  # specific force in g, in logs of Physics Toolbox
 # Names in common Arduino sketches for an MPU-6050
 _MPU = {f"{s}{i}": f"{name}_{i}" for s, name in (("ac", "acc"), ("gy", "gyro")) for i in "xyz"}
-# Names that have a meaning only with a unit of this dimension: "x_acc" may also be an accuracy
+# Dimension, column and names. A name has this meaning only with a unit of the dimension: "x_acc" may be an accuracy
 _STATED: tuple[tuple[UnitDimension, str, str], ...] = (
     ("time", "t", "temps"),
     *(("acceleration", f"a{i}", f"{i}_?acc(?:el(?:eration)?)?|accsmooth_{i}") for i in "xyz"),
@@ -87,7 +87,7 @@ _PREFIXES = re.compile(
     rf"(?:field|data|msg|unit|imu\d?|gps\d?|gnss\d?|fix|location|pos_lla|pos)_(?=...)|{_SHORT}|{_CHIPS}"
 )
 _FIXES = r"gps\d?|gnss\d?|fix|position|location"
-# Words of a common prefix that keep the meaning of a name; others may mark an estimate or another quantity
+# Words of a shared prefix that do not change the meaning of a name; others may mark an estimate or another quantity
 _CONTAINERS = rf"car|vehicle|imu\d?|data|fields?|msg|sensors?|log|logger|\d{{1,3}}|{_FIXES}"
 # Fields of MAVLink with their units in the protocol; RAW_IMU contains counts
 _MAVLINK = {
@@ -126,7 +126,7 @@ class Name:
 
     @property
     def meaning(self) -> str | None:
-        """The drive's column of this name, or None; roll, pitch and yaw per second are rates."""
+        """The column of a drive that the name means, or None; roll, pitch and yaw per second are rates."""
         if self.unit is not None and self.unit.dimension == "rate" and self.plain in TURNS:
             return TURNS[self.plain]
         return _stated(self.plain, self.unit) or meaning_of_plain(self.plain)
@@ -142,7 +142,7 @@ class Name:
 def plain_words(text: str) -> list[str]:
     """Split a name into words in lower case, translated to English."""
     marked = unicodedata.normalize("NFD", text[:LONGEST_NAME].lower())
-    # a single letter with a mark is a derivative or an estimate
+    # an accent on a single letter marks a derivative or an estimate
     marked = re.sub(r"(?<![a-z\u0300-\u036f])([a-z])[\u0300-\u036f]+(?![a-z\u0300-\u036f])", r"\1dot", marked)
     bare = re.sub("[\u0300-\u036f]", "", marked)
     words: list[str] = re.findall(r"[a-z0-9]+", bare)
@@ -155,7 +155,7 @@ def _stated(plain: str, unit: Unit | None) -> str | None:
 
 
 def meaning_of_plain(plain: str) -> str | None:
-    """Find the drive's column of a name, also with the prefix of a logger or the ".data" of a message."""
+    """Find the column of a drive that a name means, also with the prefix of a logger or the ".data" of a message."""
     bare = re.sub(r"_(?:data|value)$", "", plain)
     for name in dict.fromkeys((plain, bare, _PREFIXES.sub("", bare, count=1))):
         for what, pattern in NAMES:
@@ -167,11 +167,10 @@ def meaning_of_plain(plain: str) -> str | None:
 
 
 def read_names(columns: Sequence[str]) -> list[Name]:
-    """Read the names of a table's columns, without a prefix that all share: "Car.ax", "vehicle/imu/ax".
+    """Interpret the names of a table's columns, without a shared prefix as in "Car.ax" and "vehicle/imu/ax".
 
-    If the prefix names a receiver, only positions and speeds are read; if it names another device, only accelerations
-    and rates. If it names a vehicle or a logger, positions in degrees are also read next to an IMU, since a table of
-    estimates would have no accelerations. Positions in meters and speeds are not read in this table.
+    After a receiver's prefix, only positions and speeds lose the prefix; after another prefix, only accelerations and
+    rates. Next to an IMU, positions in degrees also lose it, since a table of estimates would have no accelerations.
     """
     pairs = zip(min(columns, default=""), max(columns, default=""), strict=False)
     shared = "".join(a for a, _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
@@ -194,7 +193,7 @@ def read_names(columns: Sequence[str]) -> list[Name]:
 
 
 def _one_sensor(names: list[Name]) -> list[Name]:
-    """Keep the axes of one family of names for each vector; some names have a meaning only together."""
+    """Keep one family of names for the specific force and one for the rates; interpret names that occur together."""
     plains = {n.plain for n in names}
     forces = {n.plain for n in names if n.meaning in _AXES[:3] and not _family(n)}
     if plains >= _TOTAL and forces <= {*_AXES[:3]}:  # ax, ay, az are then without gravity
@@ -205,7 +204,7 @@ def _one_sensor(names: list[Name]) -> list[Name]:
         names = [n if n.plain not in _MPU else replace(n, plain=_MPU[n.plain]) for n in names]
     turns = {
         n.meaning for n in names if not n.is_one("(?:roll|pitch)_?rate")
-    }  # a rate of attitude may be another rate
+    }  # roll_rate and pitch_rate may be derivatives of the attitude, so a gyro's names take precedence
     names = [
         replace(n, plain="") if n.is_one("(?:roll|pitch)_?rate") and n.meaning in turns else n for n in names
     ]
@@ -219,7 +218,7 @@ def _one_sensor(names: list[Name]) -> list[Name]:
 
 
 def _family(name: Name) -> str:
-    """Return the name without its axis if other names take precedence, else ""."""
+    """Return the name without its axis if another family takes precedence, else ""."""
     stated = not name.plain.endswith("rate") and _stated(name.plain, name.unit)
     weak = re.match(_SHORT, name.plain) or stated or name.plain.startswith("lin")  # may be without gravity
     return re.sub("^[xyz]|[xyz]$", "", name.plain) if weak else ""
@@ -228,14 +227,14 @@ def _family(name: Name) -> str:
 def read_name(column: str) -> Name:
     """Separate the name of a column from its unit: "Acceleration x (m/s^2)", "gyro_z_dps", "time since start in ms".
 
-    A name that is not recognized is read again with its words split at capitals: "gyroRotationX(rad/s)".
+    An unrecognized name is interpreted again with its words split at capitals: "gyroRotationX(rad/s)".
     """
     name, split = _read(column, column.strip()), re.sub(r"(?<=[a-z])(?=[A-Z])", "_", column.strip())
     if name.meaning is not None or split == column.strip():
         return name
     again = _read(column, split)
     timed = re.fullmatch(CLOCK, again.plain) is not None
-    # the end of a word is not a unit: LatG, LatD
+    # a last letter after a split is not a unit: LatG, LatD
     stated = timed or again.unit is None or split[-1] in ")]" or len(again.unit.text) > 3
     return again if (timed or again.meaning is not None) and stated else name
 
@@ -274,7 +273,7 @@ def _read(column: str, text: str) -> Name:
 
 
 def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
-    """Return a name whose unit is in the last words, or the last words before an axis; else a name without a unit."""
+    """Return a name whose unit is in the last words, before the axis if there is one; else a name without a unit."""
     for count in (3, 2, 1):
         unit = unit_of(words[-count:]) if len(words) > count else None
         rest = "_".join([*words[:-count], *axis])

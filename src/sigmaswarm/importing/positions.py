@@ -13,7 +13,7 @@ from sigmaswarm.wording import rows_left_out
 Say = Callable[[str], None]
 Values = dict[str, Array]
 
-# m, largest distance of a fix from the median position, plus `MAX_SPEED` times the duration
+# m; largest distance of a fix from the median position is this value plus `MAX_SPEED` times the duration
 MAX_DISTANCE = 100_000.0
 MAX_SPEED = 150.0  # m/s
 MAX_MISFIT = 0.35  # rad, largest median difference between a heading and the course in the same convention
@@ -21,7 +21,7 @@ MIN_SPEED = 1.0  # m/s, lowest speed at which the course equals the heading
 
 
 def valid_positions(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:
-    """Mark rows (n,) with a position: not a placeholder, within the range of degrees, and not far from others."""
+    """Mark rows (n,) with a usable position: no placeholder, within the range of degrees, and not far from others."""
     if "lat" not in values or "lon" not in values:
         return np.ones(len(time), bool)
     lat, lon = values["lat"], values["lon"]
@@ -59,7 +59,7 @@ def with_longitudes(values: Values, role: str, say: Say) -> Values:
 
 
 def chord_course(time: Array, x: Array, y: Array, chord: float = 6.0) -> tuple[Array, NDArray[np.int64]]:
-    """Return the course (m,), rad, between positions about ``chord`` meters apart, and the rows (m,) between them."""
+    """Return the course (m,), rad, between positions about ``chord`` meters apart, and the middle rows (m,)."""
     if len(time) < 10:
         return np.zeros(0), np.zeros(0, np.int64)
     step = float(np.median(np.hypot(np.diff(x), np.diff(y))))
@@ -83,7 +83,7 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
         ("radians clockwise from north", np.pi / 2 - angle),
         ("degrees counter-clockwise from east", np.radians(angle)),
         ("degrees clockwise from north", np.pi / 2 - np.radians(angle)),
-        ("radians that grow beyond a turn", np.degrees(angle)),
+        ("unwrapped radians", np.degrees(angle)),  # large values were read as degrees
     )
     errors = [float(np.median(np.abs(wrap_angle(a[rows] - course)))) for _, a in conventions]
     best = int(np.argmin(errors))
@@ -92,14 +92,16 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
             apart = np.degrees(errors[0])
             say(f"{what} differs from the course by a median of {apart:.0f} deg; check or map the column")
         return angle
-    say(f"{what} is converted from {conventions[best][0]}, since these agree with the motion of the fixes")
+    say(
+        f"{what} is converted from {conventions[best][0]}, since this convention agrees with the motion of the fixes"
+    )
     return np.asarray(wrap_angle(conventions[best][1]))
 
 
 def add_local_position(
     values: Values, altitude: Array | float, origin: tuple[float, float, float], role: str
 ) -> Values:
-    """Add x and y (m) of latitude and longitude (deg), relative to an origin."""
+    """Add the x and y, m, of latitude and longitude, deg, relative to an origin."""
     for name, most in (("lat", 90.0), ("lon", 180.0)):
         wrong = values[name][np.abs(values[name]) > most]
         if len(wrong):

@@ -1,4 +1,4 @@
-"""Mappings for unrecognized columns: interpreted by name, and checked by the doctor.
+"""Propose mappings for unrecognized columns by their names, and check them with the doctor.
 
 Names are unreliable about signs and units, so a proposal is shown but never applied. The doctor's findings on the
 resulting drive correct signs, axes and units of the expressions.
@@ -44,16 +44,16 @@ RATE = {
     *("yawrate", "yaw", "turn"),
 }
 ACCURACY = {"hacc", "accuracy", "eph", "sigma", "std", "stdev"}
-# Words in the names of accuracies of other quantities than the position
+# Words in the names of accuracies that are not those of the position
 NO_PLACE = {
     *RATE,
     *(FORCE - {"a", "acc"}),
     *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
     *("heading", "bearing", "course", "roll", "pitch"),
 }
-# Repairs that change expressions; other repairs change the drive
+# Actions of repairs that can be written as expressions, in the order of application
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
-# Largest distance of the elements of a rotation from integers, for an exchange of axes or a change of signs
+# Largest distance of a rotation's elements from integers if it exchanges axes or changes signs
 EXCHANGE_TOLERANCE = 0.2
 # Warnings of contradictory signs, axes or units
 CONTRADICTIONS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}
@@ -69,7 +69,7 @@ class Meaning:
 
 
 def meaning_of(name: str) -> Meaning | None:
-    """Interpret the name of a column word by word; None if no column of a drive has this meaning."""
+    """Interpret the name of a column word by word; None if it means no column of a drive."""
     bracketed = re.fullmatch(r"(.+?)\s*[\[(][^\[\]()]*[\])]\s*", name)  # a name and its unit
     unit = read_name(name).unit if bracketed else None
     unit = unit if unit and unit.known else None
@@ -79,13 +79,13 @@ def meaning_of(name: str) -> Meaning | None:
     sign = math.prod(CLOCKWISE[w] for w in words if w in CLOCKWISE)
     turns = not CLOCKWISE.keys().isdisjoint(words)
     words = [w for w in words if w not in CLOCKWISE]
-    said = quoted_column(name)
+    column_text = quoted_column(name)
     for count in () if unit else (3, 2, 1):
         if len(words) > count and words[-1] != "turn" and (found := unit_of(words[-count:])) and found.known:
             words, unit = words[:-count], found
             break
     if unit and unit.dimension in ("rate", "acceleration", "length", "angle"):
-        said = in_si(unit, said)
+        column_text = in_si(unit, column_text)
     rest = set(words)
     if not rest & FORCE and (unit is None or unit.dimension == "angle"):
         if rest & {"lat", "latitude", "breite"}:
@@ -95,7 +95,7 @@ def meaning_of(name: str) -> Meaning | None:
     horizontal = rest & {"h", "horizontal", "pos", "position"} and rest & {"acc", "accuracy"}
     length = unit is None or unit.dimension == "length"
     if (rest & ACCURACY or horizontal) and length and not rest & NO_PLACE:
-        return Meaning("gps", "std_x", f"{said}/sqrt(2)")
+        return Meaning("gps", "std_x", f"{column_text}/sqrt(2)")
     if rest & ACCURACY or not rest & (RATE | FORCE) or "gps" in rest:
         return None
     if unit and unit.dimension not in (("acceleration",) if rest & FORCE else ("rate", "angle")):
@@ -103,10 +103,10 @@ def meaning_of(name: str) -> Meaning | None:
     for column, directions in MOVING if rest & FORCE else TURNING:
         if signs := [directions[w] for w in words if w in directions]:
             sign = math.prod(signs) * (1 if rest & FORCE else sign)
-            return Meaning("imu", column, said if sign > 0 else f"-{said}")
+            return Meaning("imu", column, column_text if sign > 0 else f"-{column_text}")
     if rest & FORCE or not turns:
         return None
-    return Meaning("imu", "gz", said if sign > 0 else f"-{said}")
+    return Meaning("imu", "gz", column_text if sign > 0 else f"-{column_text}")
 
 
 @dataclass(frozen=True)
@@ -125,12 +125,14 @@ class Proposal:
     @property
     def settings(self) -> dict[str, Mapping[str, str]]:
         """The proposal as settings of `import_log`, with the role of each column."""
-        maps = {f"{role}.{name}": text for role, its in self.columns.items() for name, text in its.items()}
+        maps = {
+            f"{role}.{name}": text for role, texts in self.columns.items() for name, text in texts.items()
+        }
         return {"maps": maps, "tables": {**self.tables}}
 
     @property
     def options(self) -> str:
-        """The proposal as options, quoted since a shell must not run text in backticks or from a log's header."""
+        """The proposal as options, quoted so that a shell does not run text from a log's header."""
         tables = [f"--{role}-table {shlex.quote(table)}" for role, table in self.tables.items()]
         return " ".join([*tables, "--map", *map(shlex.quote, self.maps)])
 
@@ -138,7 +140,7 @@ class Proposal:
 def propose_columns(
     tables: Mapping[str, Sequence[str]], wanted: Role, known: Mapping[str, str]
 ) -> tuple[str, dict[str, str]] | None:
-    """Return the table with the most columns of a role, and those of its columns that are not ``known``.
+    """Return the table with the most columns of a role that are not ``known``, and these columns as expressions.
 
     ``tables``: names of columns by table.
     """
@@ -154,7 +156,10 @@ def propose_columns(
 
 
 def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str, bool]:
-    """Correct a proposal by the doctor; return the proposal, the evidence, and True if ``make`` can make a drive."""
+    """Correct a proposal by the doctor's findings; return it, the evidence, and True if it can be imported.
+
+    ``make`` makes the drive. A proposal with unknown units counts as one that cannot be imported.
+    """
     try:
         drive = _plausible(make(proposal))
         if (scaled := _with_shown_unit(proposal, drive)) != proposal:
@@ -171,22 +176,22 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
     if corrected != proposal and _faults(last) >= _faults(first):
         corrected, last = proposal, first
     changed = "corrected by" if corrected != proposal else "checked with"
-    said = (
+    basis = (
         f"the mapping follows from the columns' names and values, and was {changed} the motion of the fixes"
     )
     serious = [f.code for f in last.findings if f.severity == "serious"]
     warned = [f.code for f in last.findings if f.severity == "warning" and not f.code.startswith("unseen-")]
     if serious or CONTRADICTIONS & {*warned}:
         left = [*serious, *warned]
-        return corrected, f"{said}; the doctor still finds {', '.join(left)}", UNKNOWN_UNITS.isdisjoint(left)
+        return corrected, f"{basis}; the doctor still finds {', '.join(left)}", UNKNOWN_UNITS.isdisjoint(left)
     unseen = sorted(code for code in last.codes if code.startswith("unseen-") and code != "unseen-clock")
     blind = f", but this log does not show all of them ({', '.join(unseen)})" if unseen else ""
     also = f"; the doctor also warns of {', '.join(warned)}" if warned else ""
-    return corrected, f"{said}: signs, axes and units agree{blind}{also}", True
+    return corrected, f"{basis}: signs, axes and units agree{blind}{also}", True
 
 
 def _with_shown_unit(proposal: Proposal, drive: Drive) -> Proposal:
-    """Convert rates from the unit that the turns of the fixes show."""
+    """Convert rates by the unit that the turns of the fixes show."""
     imu = proposal.columns.get("imu", {})
     rates = {name: imu[name] for name in IMU[3:] if name in imu}
     shown = unit_of_rates(drive, {"imu": [Part("", rates)]}, rates).expressions
@@ -209,10 +214,10 @@ def _faults(diagnosis: Diagnosis) -> tuple[int, int]:
 
 
 def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Proposal:
-    """Apply the doctor's repairs to the expressions: signs, exchanged axes, factors.
+    """Apply the doctor's repairs of signs, exchanged axes and factors to the expressions.
 
-    The repairs are applied to unit vectors as the columns of an IMU. The result shows which multiple of which
-    expression replaces each column.
+    The repairs are applied to an IMU whose columns are unit vectors. The result shows by which multiple of which
+    expression each column is replaced.
     """
     units = dict(zip(IMU, np.eye(len(IMU)), strict=True))
     probe = replace(drive, imu=Imu(np.arange(len(IMU), dtype=np.float64), **units))

@@ -13,7 +13,7 @@ from sigmaswarm.importing.units import COUNTS, UnitDimension, in_si
 from sigmaswarm.wording import quoted
 
 FRACTIONS = {"3600": " for arcseconds", "3.6e6": " for milliarcseconds"}
-# Texts for a missing number: ---.---, or as a C library or a spreadsheet writes it
+# Texts for a missing number: without letters and digits (---.---), or written by a C library or a spreadsheet
 NO_NUMBER = r"^[^0-9A-Za-z]*$|#(?:IND|QNAN|SNAN|INF|N/A|NUM!|VALUE!|DIV/0!)"
 PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10)
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-", "invalid", *("*" * n for n in range(1, 20)))
@@ -26,11 +26,11 @@ DIMENSIONS: dict[str, UnitDimension] = {
 }
 # Columns that need a known unit; other columns without a unit are left out
 REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta", "wheel_speed")
-# Largest share of rows, presumably damaged, that may contradict the form of the others
+# Largest share of rows that may contradict the form of the others; they are presumably damaged
 MAX_DAMAGED_SHARE = 0.02
-# Largest ratio of the third to the first quartile of the magnitude of accelerations that contain gravity
+# Largest ratio of the third to the first quartile of the magnitude of accelerations with gravity
 MAX_QUARTILE_RATIO = 1.5
-MAX_ACCELERATION = 100.0  # m/s2, largest acceleration of a car without bumps
+MAX_ACCELERATION = 100.0  # m/s2, largest acceleration of a car on a smooth road
 MAX_RATE = 250.0  # deg/s, largest angular rate of a car
 MAX_ALTITUDE = 9000.0  # m, largest altitude; another unit would stretch the track by 0.15% or more
 RADIUS, EDGE = 6_378_137.0, 2.01e7  # m, radius of Web Mercator's sphere; edge of its map
@@ -110,7 +110,7 @@ def quantity(columns: Columns, what: str, role: Role) -> TimeExpression:
 
 
 def _web_mercator(columns: Columns, role: Role) -> str:
-    """Describe x and y that may be Web Mercator, with the remedy; "" if they are not coordinates of a map."""
+    """Describe x and y that may be Web Mercator, with the remedy; "" if their magnitude or a name contradicts it."""
     size = (
         median_of(columns.numbers("y").abs()),
         median_of(columns.numbers("x").abs()) if "x" in columns else 0.0,
@@ -126,7 +126,7 @@ def _web_mercator(columns: Columns, role: Role) -> str:
 def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
     """Read accelerations as g or mg if their magnitude then equals gravity, and rates above 5 as deg/s.
 
-    Other values are in SI units or, if too large for a car, are raw counts.
+    Other values are in SI units, or raw counts if they are too large for a car or rates are whole numbers.
     """
     text, letter = columns.text(what), what[0]
     axes = [a for a in (f"{letter}{i}" for i in "xyz") if a in columns and columns.names[a].unit is None]
@@ -186,7 +186,7 @@ def _maps(columns: Columns, role: Role, whats: Sequence[str], form: str) -> str:
 
 
 def in_units(frame: pl.DataFrame, role: Role, texts: Mapping[str, str]) -> dict[str, str]:
-    """Convert columns that are mapped unchanged by the rules for known names, or as the remedy for them proposes."""
+    """Convert mapped columns to a drive's units, by the rules for recognized names or the remedies of their faults."""
     columns, signs = Columns(frame), {what: "-" * text.startswith("-") for what, text in texts.items()}
     quoted_names = {quoted_column(column): column for column in frame.columns}
     for what, text in texts.items():
@@ -195,9 +195,9 @@ def in_units(frame: pl.DataFrame, role: Role, texts: Mapping[str, str]) -> dict[
     placed = geographic_position(columns, role) if columns.has("lat", "lon") else {}
     found = {what: placed.get(what) or quantity(columns, what, role) for what in columns.names}
     # the scale of raw rates in a remedy is only an example
-    stated = {w: one.fault for w, one in found.items() if DIMENSIONS[w] != "rate"}
-    remedies = {w: re.search(rf'"{role}\.{w}=([^"]*)"', stated.get(w, "")) for w in found}
-    converted = {w: one.expression or (fit[1] if (fit := remedies[w]) else "") for w, one in found.items()}
+    faults = {w: read.fault for w, read in found.items() if DIMENSIONS[w] != "rate"}
+    remedies = {w: re.search(rf'"{role}\.{w}=([^"]*)"', faults.get(w, "")) for w in found}
+    converted = {w: read.expression or (fit[1] if (fit := remedies[w]) else "") for w, read in found.items()}
     return {
         what: f"{signs[what]}{converted[what]}" if converted.get(what) else text
         for what, text in texts.items()
@@ -205,7 +205,7 @@ def in_units(frame: pl.DataFrame, role: Role, texts: Mapping[str, str]) -> dict[
 
 
 def geographic_position(columns: Columns, role: Role) -> dict[str, TimeExpression]:
-    """Convert latitude and longitude to degrees: from radians, 1e-7 degrees, or degrees and minutes; N, S, E, W."""
+    """Convert latitude and longitude to degrees, by their unit, form or magnitude, and by the letters N, S, E, W."""
     both = ("lat", "lon")
     dms = _are_dms(*(columns.frame[columns.names[what].column] for what in both))
     forms = dict.fromkeys(both, "dms({})") if dms else dict[str, str]()
@@ -237,7 +237,7 @@ def geographic_position(columns: Columns, role: Role) -> dict[str, TimeExpressio
 def _are_dms(lat: pl.Series, lon: pl.Series) -> bool:
     """Return True for texts with degree marks or hemisphere letters: 48°07'02.3"N, 11 31.5 E, N48.12.
 
-    Degrees and minutes must be one number in both latitude and longitude, or in neither.
+    Degrees and minutes must be joined to one number (4807.038) in both latitude and longitude, or in neither.
     """
     if lat.dtype != pl.String or lon.dtype != pl.String:
         return False
@@ -251,10 +251,10 @@ def _are_dms(lat: pl.Series, lon: pl.Series) -> bool:
 
 
 def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
-    """Return the conditions for the southern and western hemispheres, and faults in their letters.
+    """Return the conditions of rows in the southern and western hemispheres, and faults in the hemispheres' letters.
 
-    The letters are in columns named ns and ew, or in the columns that follow the coordinates. The latter
-    columns must contain only these letters, and their coordinates must have no signs.
+    The letters are in columns with names such as N/S, or in the columns that follow the coordinates. In the second case
+    the columns must contain only these letters, and the coordinates must have no signs.
     """
     frame, found, sure = columns.frame, dict[str, tuple[str, str]](), list[bool]()
     for what, name, words in (("lat", "ns", "north|south"), ("lon", "ew", "east|west")):
@@ -286,11 +286,11 @@ def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
         if named or texts:
             found[what] = " or ".join(f"{quoted_column(column)} == '{text}'" for text in negative), fault
     names = {"lat": "ns", "lon": "ew"}
-    return {what: one for what, one in found.items() if names[what] in columns or sure == [True, True]}
+    return {what: pair for what, pair in found.items() if names[what] in columns or sure == [True, True]}
 
 
 def degrees_as_meters(columns: Columns, role: Role) -> str:
-    """Describe x and y that are likely degrees, since they change by less than 1 mm per row; else return ""."""
+    """Describe x and y that are likely degrees, since they change by less than 0.001 per row; else return ""."""
     values = [columns.numbers(what) for what in ("x", "y")]
     changes = [v.diff().abs().replace(0.0, None).drop_nulls() for v in values]
     steps = [median_of(v) for v in changes]
@@ -310,7 +310,7 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
 
 
 def from_ecef(columns: Columns) -> dict[str, TimeExpression]:
-    """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees, by Bowring's formula; {} for others.
+    """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees with Bowring's formula; {} for others.
 
     UTM coordinates near 57 degrees have the norm of ECEF coordinates, but their z is an altitude.
     """
@@ -334,7 +334,7 @@ def from_ecef(columns: Columns) -> dict[str, TimeExpression]:
 
 
 def _place_form(columns: Columns, role: Role) -> TimeExpression:
-    """Guess the unit of latitude and longitude from their magnitude; {} in the expression is the column."""
+    """Guess the unit of latitude and longitude from their magnitude; {} in the expression stands for the column."""
     both = ("lat", "lon")
     cells = [columns.frame[columns.names[what].column] for what in both]
     if cells[0].dtype == cells[1].dtype and not cells[0].dtype.is_nested():
@@ -347,7 +347,7 @@ def _place_form(columns: Columns, role: Role) -> TimeExpression:
     if low < 1.571 and high < 3.1416:
         radians, degrees = (_maps(columns, role, both, form) for form in ("degrees({})", "{}"))
         options = f"{radians} for radians, {degrees} for degrees"
-        fault = f"latitude and longitude are within 1.6 and 3.2 and may be radians; write {options}"
+        fault = f"latitude and longitude are below 1.6 and 3.2 and may be radians; write {options}"
         return TimeExpression("", fault=fault)
     if low <= 90 and high <= 360:
         return TimeExpression("{}")
@@ -365,7 +365,7 @@ def _place_form(columns: Columns, role: Role) -> TimeExpression:
         other = f"; if they are milliarcseconds, write {_maps(columns, role, both, '{}/3.6e6')}"
         note = "latitude and longitude are read as 1e-7 degrees"
         return TimeExpression("{}*1e-7", note + (other if low <= 90 * 3.6e6 and high <= 180 * 3.6e6 else ""))
-    # among the units with possible degrees, the unit with the largest degrees
+    # the largest units with which the angles are possible
     fitting = [
         k for k in ("3600", "1e5", "1e6", "3.6e6", "1e7") if low <= 90 * float(k) and high <= 360 * float(k)
     ]

@@ -1,4 +1,4 @@
-"""The unit of angular rates without a stated unit, from the turns of the fixes."""
+"""Find the unit of angular rates without a stated unit from the turns of the fixes."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,10 +14,10 @@ from sigmaswarm.importing.source import Part, Role
 from sigmaswarm.importing.units import in_si, parse_unit
 
 _DEGREE = math.pi / 180
-# Expressions of rates without a unit, with the assumed factor to rad/s; {} is the column
+# Expressions of rates without a unit, with the assumed factor to rad/s; {} stands for the column
 ASSUMED_UNITS = {"{}": 1.0, "radians({})": _DEGREE}
 _NAMED = map(parse_unit, ("rad/s", "deg/s", "mrad/s", "mdps", "cdps", "rpm", "rev/s", "deg/h", "deg/min"))
-# Scales of common 16-bit sensors, in whole numbers: factors to rad/s, and expressions
+# Scales of common 16-bit sensors, for columns of whole numbers: factors to rad/s, and expressions
 COUNTS = {
     f"counts, {per:g} per deg/s": (_DEGREE / per, f"radians({{}}/{per:g})")
     for per in (131, 65.5, 32.8, 16.4, 114.3, 28.6, 14.3)
@@ -29,7 +29,7 @@ UNITS = {
 }
 # Largest relative difference from the factor of a unit; smallest ratio that contradicts the assumed unit
 FACTOR_TOLERANCE, MIN_FACTOR_RATIO = 0.08, 1.4
-# s, times over which changes of course are compared; largest ratio of an actual time to these times
+# s, intervals over which changes of course are compared; largest ratio of an actual interval to these
 TURN_INTERVALS, MAX_INTERVAL_RATIO = (1.5, 6.0, 24.0), 1.4
 # s, tried delays of the fixes
 DELAYS = (-1.0, -0.5, -0.25, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
@@ -37,8 +37,10 @@ DELAYS = (-1.0, -0.5, -0.25, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0
 MIN_EXPLAINED, MIN_CONFIRMED = 0.9, 0.5
 # rad, smallest standard deviation of the changes of course; their smallest number
 MIN_TURN_STD, MIN_TURNS = 0.1, 20
-OUTLIER_SIGMAS = 3.0  # standard deviations of an outlying change of course, as when a robot spins on the spot
-# Directions in the space of the axes with less than this share of the largest turn are not used
+OUTLIER_SIGMAS = (
+    3.0  # standard deviations; larger residuals, for example of a robot that spins in place, are left out
+)
+# Cutoff of the least-squares fit: smallest singular value of the measured turns, relative to the largest
 MIN_AXIS_SHARE = 0.2
 
 
@@ -53,11 +55,10 @@ class RateUnit(NamedTuple):
 def unit_of_rates(
     drive: Drive, roles: Mapping[Role, Sequence[Part]], unitless: Mapping[str, str]
 ) -> RateUnit:
-    """Find the unit of rates whose turns contradict those of the fixes.
+    """Compare the turns of rates without a stated unit with those of the fixes, and find the unit if they differ.
 
     Only rates with an expression of `ASSUMED_UNITS` are checked. ``unitless``: columns without a unit, as text in
-    expressions, by column of the drive. The note states that rates are assumed to be in rad/s, but the log does not
-    show their turns.
+    expressions, by column of the drive. If the fixes do not turn, a note states that rad/s is assumed.
     """
     rates = unitless.keys() & {"gx", "gy", "gz"}
     times = {role: parts[0].columns.get("t", "") for role, parts in roles.items() if parts}
@@ -107,7 +108,7 @@ def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
 
 
 def _ratio(drive: Drive) -> tuple[float, float]:
-    """Return the share of the fixes' turns that the IMU's turns about one axis explain, and their ratio."""
+    """Return the share of the fixes' turns that the IMU's turns explain, and the ratio of the fixes' to the IMU's."""
     time, x, y, imu = drive.gps.time, drive.gps.x, drive.gps.y, drive.imu
     axes = np.array([v for v in (imu.gx, imu.gy, imu.gz) if v is not None])
     steps = 0.5 * (axes[:, 1:] + axes[:, :-1]) * np.diff(imu.time)
@@ -128,7 +129,7 @@ def _ratio(drive: Drive) -> tuple[float, float]:
 
 
 def _fitted(measured: Array, turns: Array) -> tuple[float, float]:
-    """Fit measured angles (n, axes) to the turns (n,); return explained share and factor, or zeros for few turns."""
+    """Fit measured angles (n, axes) to turns (n,), rad; return explained share and factor, or zeros for few turns."""
     share, ratio = 0.0, 0.0
     for _ in range(4):
         if len(turns) < MIN_TURNS or np.std(turns) < MIN_TURN_STD:

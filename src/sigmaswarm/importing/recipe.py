@@ -1,4 +1,4 @@
-"""A recipe: the settings with which a log becomes a drive, as a TOML file."""
+"""The recipe: columns and settings with which a log becomes a drive, also as a TOML file."""
 
 import os
 import tomllib
@@ -50,7 +50,9 @@ class Recipe:
     gps_offset_s: float = 0.0  # added to the times
     truth_offset_s: float = 0.0  # added to the times
     odometer_offset_s: float = 0.0  # added to the times
-    declination_deg: float | None = None  # from true to magnetic north, east positive; None: from the course
+    declination_deg: float | None = (
+        None  # from true to magnetic north, east positive; None: the course determines it
+    )
     origin: tuple[float, float, float] | None = None  # deg, deg, m, of the local frame
     gps_lever_arm_m: tuple[float, float, float] | None = None  # forward, left, up from IMU to antenna
     # Rate, Hz, and white noise per axis, m, of fixes made from the truth, for a log without a receiver
@@ -163,7 +165,7 @@ def with_maps(
 
 
 def mapped_roles(maps: Sequence[str]) -> frozenset[str]:
-    """Return the roles with mapped columns other than the time; invalid entries are refused later."""
+    """Return the roles with mapped columns other than the time; invalid entries are skipped, and refused later."""
     roles: set[str] = set()
     for text in maps:
         with suppress(InputError):
@@ -186,6 +188,4 @@ def _entry(text: str) -> tuple[Role, str, str]:
         if column in COLUMNS[role]:
             return role, column, expression.strip()
     there = dict.fromkeys(c for role in roles for c in COLUMNS[role])
-    raise InputError(
-        f"--map {text!r}: there is no column {column!r} to map to; choose from {', '.join(there)}"
-    )
+    raise InputError(f"--map {text!r}: a drive has no column {column!r}; choose from {', '.join(there)}")

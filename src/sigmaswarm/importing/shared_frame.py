@@ -11,11 +11,11 @@ from sigmaswarm.geodesy import Origin, enu_to_geodetic, geodetic_to_enu
 from sigmaswarm.importing.positions import MAX_DISTANCE, Values
 from sigmaswarm.importing.source import Part, Role
 
-# Smallest share of the fixes' variance that a turned truth must explain; smallest angle, rad, and relative difference
-# of scale that are reported
+# Smallest share of the fixes' variance that a rotated truth must explain; smallest angle, rad, and smallest relative
+# difference of scale that are reported
 MIN_EXPLAINED, MIN_ROTATION, MIN_STRETCH = 0.9, np.radians(5), 0.05
-# s, tried delays of the truth, since on a circle a delay looks like a turn; smallest ratio of the residual variance
-# with the unchanged truth, at the best delay, to that with the turned truth
+# s, tried delays of the truth, since on a circle a delay looks like a rotation; smallest ratio of the residual variance
+# of the unchanged truth at the best delay to that of the rotated truth
 LAGS, MIN_VARIANCE_RATIO = np.arange(-20.0, 20.1, 0.5), 4.0
 ANGLE_TOLERANCE = 0.02  # rad, angle within which axes count as exactly exchanged or reversed
 STEP = 0.01  # s, resolution of a reported delay
@@ -37,7 +37,7 @@ MIN_FIXES = 10  # smallest number of fixes that are compared with the truth
 def require_same_axes(
     seconds: Mapping[Role, Array], truth: Values, gps: Values, parts: Sequence[Part]
 ) -> str:
-    """Refuse a truth in meters whose axes are not east and north: exchanged, turned, or in another unit.
+    """Refuse a truth whose x and y are not m east and north: exchanged, rotated, or in another unit.
 
     If z are the fixes and w is the truth, as complex numbers minus their means, wrong axes give z = a w or
     z = a conj(w). Return a sentence if the clocks differ instead of the axes, else "".
@@ -47,7 +47,7 @@ def require_same_axes(
         return ""
     fixes = np.column_stack([gps[n] for n in ("x", "y")])
     if "lat" in gps and np.linalg.norm(fixes[inside].mean(axis=0)) > MAX_DISTANCE:
-        return ""  # so far from the origin, east and north are other directions
+        return ""  # so far from the origin, east and north have other directions
     z, w = (_centered(xy) for xy in (fixes[inside], true))
     power, unexplained = float(np.mean(np.abs(z) ** 2)), float(np.mean(np.abs(z - w) ** 2))
     dots = np.mean(z * w.conj()), np.mean(z * w)
@@ -86,14 +86,14 @@ def require_same_axes(
     x, y = ({n: t for part in parts for n, t in part.columns.items()}[n] for n in ("x", "y"))
     rows = (a.real, x, -side * a.imag, y), (a.imag, x, side * a.real, y)
     maps = " ".join(f'"truth.{n}={_combined(size, *row)}"' for n, row in zip("xy", rows, strict=True))
-    seem = f" (they seem to be in {unit})" if stretched and known else ""
+    seem = f" (their unit seems to be {unit})" if stretched and known else ""
     raise InputError(
-        f"the truth's x and y are not m east and north of the same track as the fixes{seem}; write --map {maps}"
+        f"the truth's x and y, as m east and north, do not fit the track of the fixes{seem}; write --map {maps}"
     )
 
 
 def _apart(fixes: Array, seconds: Mapping[Role, Array], truth: Values, lag: float) -> float:
-    """Return the mean square of the distances, m2, of fixes (n, 2) to the truth ``lag`` s later, about their means."""
+    """Return the mean squared distance, m2, of fixes (n, 2) from the truth ``lag`` s later, both minus their means."""
     inside, true = _true(seconds, truth, lag)
     if np.count_nonzero(inside) < max(MIN_FIXES, len(fixes) // 2):
         return np.inf
@@ -111,14 +111,14 @@ def _combined(size: float, one: float, x: str, other: float, y: str) -> str:
 
 
 def _true(seconds: Mapping[Role, Array], truth: Values, lag: float = 0.0) -> tuple[NDArray[np.bool_], Array]:
-    """Return a mask of the fixes with a truth ``lag`` s later, and this truth (n, 2)."""
+    """Return a mask of the fixes that have a truth ``lag`` s later, and this truth (m, 2)."""
     time = seconds["gps"] + lag
     inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])
     return inside, np.column_stack([np.interp(time[inside], seconds["truth"], truth[n]) for n in ("x", "y")])
 
 
 def assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, origin: Origin) -> str:
-    message = "truth is in meters: its origin is taken to be the first fix"
+    message = "truth: the origin of x and y is assumed to be the first fix"
     inside, true = _true(seconds, truth)
     if len(true) < 3:
         return f"{message}; specify the origin with --origin lat,lon,alt"
@@ -131,16 +131,16 @@ def assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, or
     (east, north), spread = np.mean(off, axis=0), np.std(off, axis=0) / np.sqrt(len(true))
     if np.hypot(east, north) > MAX_DISTANCE:
         return (
-            f"{message}, but the truth is then {np.hypot(east, north) / 1e3:.0f} km from the fixes, so its "
-            "coordinates are probably those of a map (UTM); convert them to degrees, for "
-            "example with pyproj, and map truth.lat and truth.lon"
+            f"{message}, but then the truth is {np.hypot(east, north) / 1e3:.0f} km from the fixes, so it probably has "
+            "coordinates of a map (UTM); convert them to degrees, for example with pyproj, and map truth.lat and "
+            "truth.lon"
         )
     best = origin
-    for _ in range(3):  # north turns with the place
+    for _ in range(3):  # the direction of north depends on the place
         move = np.append(np.mean(apart(best), axis=0), 0.0)[None]
         lat, lon, _ = enu_to_geodetic(move, best)[0]
         best = float(lat), float(lon), origin[2]
-    state = f"specify the origin; --origin {best[0]:.8f},{best[1]:.8f},{best[2]:.3f} fits the fixes best"
+    state = f"specify it: --origin {best[0]:.8f},{best[1]:.8f},{best[2]:.3f} fits the fixes best"
     if np.all(np.abs([east, north]) < 5 * spread):
         return f"{message}; {state}"
-    return f"{message}; but the fixes lie {east:.2f} m east and {north:.2f} m north of the truth on average: {state}"
+    return f"{message}, but then the fixes lie {east:.2f} m east and {north:.2f} m north of the truth (mean); {state}"

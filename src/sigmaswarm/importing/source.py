@@ -1,4 +1,4 @@
-"""A log as named tables that are read in batches, and the parts of its tables that make a drive."""
+"""A log as named tables that are read in batches, and the parts of these tables that become a drive."""
 
 import re
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
@@ -19,9 +19,7 @@ Role = Literal["imu", "gps", "truth", "odometer", "mag"]
 ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer", "mag")
 CHUNK = 5000
 FILES = "columns"
-ImportProgress = Callable[
-    [float], None
-]  # function that receives the share of the log that has been read, 0 to 1
+ImportProgress = Callable[[float], None]  # receives the share of the log that has been read, 0 to 1
 Wanted = Mapping[str, Collection[str]]
 # A table, rows with its wanted columns, and the share of the log that has been read, 0 to 1
 Batch = tuple[str, pl.DataFrame, float]
@@ -31,7 +29,7 @@ Batch = tuple[str, pl.DataFrame, float]
 class Limits:
     rows: int = 10_000_000  # of a table; 10 million are 28 hours at 100 Hz
     columns: int = 100_000  # of all tables of a log
-    unpacked_mb: int = 500  # MB, of a chunk or of the required files of a zip
+    unpacked_mb: int = 500  # MB, unpacked size of a chunk, or of the required files of a zip
 
     def check_rows(self, count: int, path: Path, table: str) -> None:
         if count > self.rows:
@@ -43,8 +41,8 @@ class Limits:
     def check_unpacked(self, count: int, path: Path) -> None:
         if count > self.unpacked_mb * 1_000_000:
             raise InputError(
-                f"{path}: would unpack at least {count / 1e6:.0f} MB at once, more than {self.unpacked_mb}; unpack it "
-                "yourself, or raise --max-unpacked-mb"
+                f"{path}: would unpack at least {count / 1e6:.0f} MB at once, more than {self.unpacked_mb} MB; unpack "
+                "it yourself, or raise --max-unpacked-mb"
             )
 
     def first_columns(self, names: Iterator[str], path: Path) -> tuple[str, ...]:
@@ -63,7 +61,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a log: columns, type in terms of the format, and number of rows if known."""
+    """A table of a log: its columns, its type in terms of the format, and its number of rows if known."""
 
     columns: tuple[str, ...]
     kind: str = ""
@@ -110,7 +108,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class Guess:
-    """Recipe of a reader for a log, and its assumptions."""
+    """A reader's recipe for a log, and its assumptions."""
 
     roles: Mapping[Role, tuple[Part, ...]]  # times are those of the first part; others are interpolated
     notes: tuple[str, ...] = ()  # sentences for the user
@@ -118,7 +116,7 @@ class Guess:
     metadata: Mapping[str, Any] = field(default_factory=dict[str, Any])  # keys for drive.toml
     flat: str = ""  # assumption on a phone's mounting, for an import without a mounting
     downward: str = ""  # sentence if the IMU's vertical axis points down, for an import without a mounting
-    fixed: str = ""  # expression over the fixes' first table, true where carrier phases are fixed
+    fixed: str = ""  # expression over the fixes' first table, true for integer ambiguities
     faults: tuple[Fault, ...] = ()  # reasons not to use columns unchanged, unless the user maps them
     placed: Placement | None = None  # mounting and lever arm that the log states
     # The IMU's columns without a known unit, as text in expressions, by column of the drive
@@ -141,10 +139,10 @@ class Log:
     batches: Callable[[Wanted], Iterator[Batch]]  # reads the wanted columns, in the order of the log
     guess: Callable[[TableChoice], Guess]  # makes a recipe
     remarks: list[str] = field(default_factory=list[str])  # on the log; some are added while batches are read
-    mixed: bool = False  # True if rows of the tables alternate, so all occur near the beginning
+    mixed: bool = False  # True if rows of the tables alternate, so that all tables occur near the beginning
 
     def guessed(self, guess: Guess) -> "Log":
-        return Log(self.path, self.tables, self.batches, lambda _: guess, self.remarks, self.mixed)
+        return replace(self, guess=lambda _: guess)
 
 
 def log_of_frames(
@@ -186,7 +184,7 @@ def log_of_rows(
 def roles_of(
     parts: Iterable[tuple[Role, str, Mapping[str, str | tuple[str, ...]]]], tables: Wanted
 ) -> dict[Role, tuple[Part, ...]]:
-    """Return the parts of existing tables; of several expressions, the first with existing columns is used."""
+    """Return the parts of existing tables; of several expressions, use the first whose columns exist."""
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, table, columns in parts:
         if table in tables:
@@ -249,13 +247,13 @@ def no_log_error(folder: Path) -> InputError:
     if not (files := sorted(entry.name for entry in folder.iterdir())):
         return InputError(f"{folder}: is an empty folder; {remedy}")
     return InputError(
-        f"{folder}: contains no log that is recognized (looked at {list_names(files)}); {remedy}"
+        f"{folder}: contains no log of a known format (it contains {list_names(files)}); {remedy}"
     )
 
 
 @contextmanager
 def errors_as_damage(path: Path, what: str = "", remedy: str = "record or copy it again") -> Generator[None]:
-    """Convert any exception of a library on damaged bytes to a one-line error."""
+    """Convert any exception that a library raises on damaged bytes to a one-line error."""
     try:
         yield
     except InputError:

@@ -1,4 +1,4 @@
-"""Make a time line from the times of a table: unwrap counters, choose a recording, spread repeated stamps, sort."""
+"""Make the times of a table strictly increasing: unwrap counters, choose a recording, spread repeated stamps, sort."""
 
 from itertools import pairwise
 
@@ -31,11 +31,11 @@ WRAPS: tuple[tuple[int, str], ...] = (
 )
 # Smallest number of rows of a separate recording; shorter runs of rows out of order are sorted
 MIN_ROWS = 20
-# s, least distance of a wrong time from the times of the rows around it; most checked clock jumps
+# s, smallest distance of a wrong time from the times of the rows around it; largest number of checked clock jumps
 MIN_TIME_ERROR, MAX_JUMPS = 10.0, 100
-MAX_SECONDS = 5  # recordings of a second each
+MAX_SECONDS = 5  # more recordings, each a second long, show wrong fractions of seconds
 MIN_STEP_BACK, STEPS = 0.2, 2  # smallest step back of a clock between recordings: s, and median steps
-MAX_REPEATED_SHARE = 0.02  # share of rows that repeat the previous time, above which rows share stamps
+MAX_REPEATED_SHARE = 0.02  # with a larger share of rows that repeat the previous time, rows share stamps
 MAX_UNEVEN_SHARE = 0.1  # largest share of stamps whose number of rows differs from the usual number
 
 
@@ -66,8 +66,8 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, int, str]:
     fitting: list[tuple[float, int, str]] = []
     for period, name in WRAPS:
         wraps = steps < -0.5 * period
-        # Two exchanged rows of a short log are not a wrap; after a wrap, the times continue by about a usual step.
-        lost = 5 if period >= 3600 * SECOND else 2.5  # the end of a recording may be near a short period
+        # After a wrap, the times continue by about a usual step, unlike after two exchanged rows of a short log.
+        lost = 5 if period >= 3600 * SECOND else 2.5  # a recording may end by chance near a short period
         near = np.abs(steps + period) <= min(max(50 * usual, 2 * SECOND), lost * usual + 1e-3 * period)
         low = -period // 2 if int(time.min()) < 0 else 0  # a number with a sign
         inside = low <= int(time.min()) and int(time.max()) <= low + 1.001 * period
@@ -99,7 +99,9 @@ def recordings(time: Nanoseconds) -> list[slice]:
     parts = [slice(*ends) for ends in pairwise([*ends, len(time)])]
     spans = sorted((int(time[p].min()), int(time[p].max())) for p in parts)
     gaps = [begin - end for (_, end), (begin, _) in pairwise(spans)]
-    return whole if all(-least < gap < least for gap in gaps) else parts  # one recording, in another order
+    return (
+        whole if all(-least < gap < least for gap in gaps) else parts
+    )  # without gaps: one recording, reordered
 
 
 def _rate_by_rows(time: Nanoseconds, parts: list[slice]) -> float:
@@ -114,7 +116,7 @@ def _rate_by_rows(time: Nanoseconds, parts: list[slice]) -> float:
 
 
 def _stray(time: Nanoseconds) -> NDArray[np.bool_]:
-    """Mark rows with wrong times: a few, far from those of the rows around them."""
+    """Mark rows with wrong times: a few rows whose times are far from those of the rows around them."""
     stray = np.zeros(len(time), bool)
     steps = np.diff(time)
     jumps = np.flatnonzero((steps < 0) | (steps > MIN_DATE)) + 1  # forward: the clock was set
@@ -133,8 +135,8 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
         return parts[0], f"{where}: the clock does not restart; all rows are used" if part else ""
     if part is None and len(parts) > MAX_SECONDS and (rate := _rate_by_rows(time, parts)):
         raise InputError(
-            f"{where}: the clock goes back {len(parts) - 1} times, about once per second; if fractions of seconds are "
-            f'written without zeros or whole seconds, count rows: --map "{role}.t=row/{rate:.4g}"'
+            f"{where}: the clock goes back {len(parts) - 1} times, about once per second; if the times lack zeros of "
+            f'fractions, or whole seconds, count rows: --map "{role}.t=row/{rate:.4g}"'
         )
     lengths = [f"{(int(time[p].max()) - int(time[p].min())) / SECOND:.1f} s" for p in parts]
     many = f"{len(parts)} recordings ({list_names(lengths)})"
@@ -192,7 +194,7 @@ def sorted_times(
     rows = np.flatnonzero(~_stray(time))
     if len(rows) < len(time):
         say(
-            f"{where}: {rows_left_out(len(time) - len(rows))}, since the time is far from those of the rows around"
+            f"{where}: {rows_left_out(len(time) - len(rows))}, since the time is far from that of the rows around it"
         )
     taken, chosen = choose_part(time[rows], part, role, where)
     rows = rows[taken]
@@ -202,7 +204,9 @@ def sorted_times(
     if backwards := int(np.count_nonzero(np.diff(time) < 0)):
         order = np.argsort(time, kind="stable")
         moved = int(np.count_nonzero(order != np.arange(len(order))))
-        say(f"{where}: {moved} rows were out of order (the time decreases {backwards} times); sorted by time")
+        say(
+            f"{where}: {moved} rows were out of order (the time decreases {backwards} times) and are sorted by time"
+        )
         time, rows = time[order], rows[order]
     time, note = spread_stamps(time, role, where)
     if note:
@@ -216,14 +220,14 @@ def sorted_times(
 
 
 def require_likely(time: Nanoseconds, role: Role, where: str, text: str) -> None:
-    """Refuse times whose steps are impossible for a car's sensor: their unit cannot be seconds."""
+    """Refuse times whose steps are impossible for a car's sensor, so that their unit cannot be seconds."""
     step = float(np.median(np.diff(time))) / SECOND if len(time) > 2 else MIN_STEP * 2
     if MIN_STEP / 2 < step < 4 * MAX_STEP[role]:
         return
     remedy = "map its time"
     for unit, factor in reversed(UNITS.items()):
         if MIN_STEP < step * factor < MAX_STEP[role]:
-            remedy = f'if they are in {unit}, write --map "{role}.t=({text})*{factor:g}"'
+            remedy = f'if the times are in {unit}, write --map "{role}.t=({text})*{factor:g}"'
     raise InputError(
         f"{where}: with {text} in seconds, rows of the {role} would be {step:.4g} s apart; {remedy}"
     )

@@ -35,9 +35,9 @@ MAX_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer
 MIN_STEP, MIN_FIX_INTERVAL = 1e-4, 0.04
 # s, intervals of an IMU outside which the unit of its time is not guessed
 FASTEST_IMU, SLOWEST_IMU = 4e-4, 0.15
-# Share of decreasing steps above which rows are in no order; of a counter that wraps, fewer steps decrease
+# Share of decreasing steps above which rows are unordered; a counter that wraps has fewer decreasing steps
 MAX_DECREASING_SHARE = 0.4
-# Smallest step of whole numbers that count as ms; smaller steps may be row numbers, or 0.01 s
+# Smallest step of whole numbers that are read as ms; smaller steps may be row numbers, or 0.01 s
 MIN_COUNT_STEP = 4
 _DAYS_FIRST = (
     *("%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%Y/%m/%d", "%d.%m.%Y", "%d.%m.%y"),
@@ -53,10 +53,10 @@ DATE_FORMATS = (
     *("%Y-%m-%d_%H-%M-%S%.f", "%Y-%m-%d %H-%M-%S%.f", "%Y%m%d %H%M%S%.f", "%Y%m%d %H:%M:%S%.f"),
     *("%H:%M:%S%.f", "%H:%M:%S:%3f", "%I:%M:%S%.f %p", "%M:%S%.f"),
 )
-MIN_FITTING_SHARE = 0.99  # smallest share of dates that fit their format; other dates are damaged
+MIN_FITTING_SHARE = 0.99  # smallest share of dates that fit a format; the others are presumably damaged
 COUNTER_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 CALENDAR = ("year", "month", "day", "hour", "minute", "second")
-# Last words of the names of a date's six columns
+# Last words of the names of the six columns of a date
 _CALENDAR = {
     **{word: word for word in CALENDAR},
     **{"mon": "month", "hr": "hour", "min": "minute", "sec": "second"},
@@ -81,7 +81,7 @@ _DATES_S = (3e8, 4e9)  # range of dates, s since 1970: 1979 to 2096
 
 @dataclass(frozen=True)
 class TimeExpression:
-    """Expression of a drive's column."""
+    """Expression of a time, or of another column of a drive."""
 
     expression: str
     note: str = ""  # an assumption
@@ -153,7 +153,7 @@ def _scaled(text: str, unit: str) -> str:
 
 
 def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpression | None:
-    """Find the stamp in a message's header, which takes precedence over the receive time."""
+    """Find the stamp in a message's header; it takes precedence over the receive time."""
     stamp = next((n for n in names if n.is_one(STAMP)), None)
     if stamp is None or not (column_numbers(frame[stamp.column]) > 0).any():
         return None
@@ -195,7 +195,7 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> TimeExpress
     for first, rest, scale in sorted(pairs, key=lambda p: "stamp" not in p[0].words):
         whole, part = column_numbers(frame[first.column]), column_numbers(frame[rest.column])
         fits = (whole == whole.round()).all() and part.is_between(0, 1 / scale - 0.5).all()
-        falls = rest.words[-1] != "ms" or (part.diff() < 0).any()  # else ms may count from the start
+        falls = rest.words[-1] != "ms" or (part.diff() < 0).any()  # otherwise ms may count from the start
         if len(whole) and len(part) and fits and falls:
             text = f"{quoted_column(first.column)} + {quoted_column(rest.column)}*{scale:.0e}".replace(
                 "e-0", "e-"
@@ -212,7 +212,7 @@ def _words(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpres
             continue
         values = [frame[n.column].cast(pl.Float64, strict=False) for n in (high, low)]
         first, second = (quoted_column(n.column) for n in (high, low))
-        if (values[1] < 0).any():  # as signed numbers
+        if (values[1] < 0).any():  # signed numbers
             second = f"where({second} < 0, {second} + {WORD}, {second})"
         both = values[0] * WORD + values[1].set(values[1] < 0, None).fill_null(values[1] + WORD)
         found = _of_numbers(both, f"({first}*{WORD} + {second})", role)
@@ -242,7 +242,7 @@ def _week(names: Sequence[Name], frame: pl.DataFrame) -> TimeExpression | None:
 
 
 def _dates_and_times(names: Sequence[Name], frame: pl.DataFrame) -> list[tuple[Name, bool, TimeExpression]]:
-    """Read a day in one column of text and the time of day in another.
+    """Combine a column of days with a text column of times of day (a clock).
 
     For each pair, return the clock, True if the names are the usual ones, and the time. Clocks with at most half as
     many distinct times as the finest clock come last.
@@ -263,7 +263,7 @@ def _dates_and_times(names: Sequence[Name], frame: pl.DataFrame) -> list[tuple[N
 
 
 def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
-    """Return the names that end in one of the words, and the part before it: utc_date, rtcDate."""
+    """Return the names that end in one of the words, such as utc_date or rtcDate, and the part before the word."""
     found: list[tuple[Name, str]] = []
     for name in names:
         split = "_".join(plain_words(re.sub("(?<=[a-z])(?=[A-Z])", "_", name.column)))
@@ -273,7 +273,7 @@ def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
 
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpression | None:
-    """Find a column with the name of a time, preferably one that changes and is not always 0; else a running clock."""
+    """Find a column with the name of a time that is not always 0, preferably one that changes; else a running clock."""
     times = [name for name in names if name.meaning == "t"]
     for name in sorted(times, key=lambda name: frame[name.column].n_unique() < 2):
         numbers = column_numbers(frame[name.column])
@@ -290,7 +290,7 @@ def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpre
 
 
 def _is_index(name: Name, frame: pl.DataFrame) -> bool:
-    """Return True for a first column without a name that contains dates or times, as pandas writes an index."""
+    """Return True for an unnamed first column with dates or increasing times, such as an index written by pandas."""
     if name.column != "c1" or frame.columns[1:2] == ["c2"]:
         return False
     numbers = column_numbers(frame[name.column])
@@ -306,7 +306,7 @@ def _of_words(values: pl.Series) -> bool:
 
 
 def column_time(name: Name, frame: pl.DataFrame, role: Role) -> TimeExpression:
-    """Read the time in one column: dates in text, or numbers, by the unit in the name, their size or their steps."""
+    """Read the time in one column: dates in text, or numbers, by the unit in the name or by their size and steps."""
     values, text = frame[name.column], quoted_column(name.column)
     if _of_words(values):
         return _of_text([name.column], frame)
@@ -350,7 +350,7 @@ def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> TimeExpression:
         if durations >= MIN_FITTING_SHARE * len(texts):
             return TimeExpression(f"duration({called})", "times are read as durations")
     if not fitting:
-        message = f"{quoted(texts[0])} is not a known date" if len(texts) else "has no dates"
+        message = f"{quoted(texts[0])} is not a date of a known format" if len(texts) else "contains no dates"
         option = (
             f"--time \"utc({called}, '%d.%m.%Y %H:%M:%S%.f')\" with its format, or write the times as numbers"
         )
@@ -373,7 +373,7 @@ def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> TimeExpression:
         return TimeExpression(
             "", fault=f"column {quoted(columns[0])}: {message}; write {' or '.join(options)}"
         )
-    note = "" if not form or "%d" in form else "times of day without a date"
+    note = "" if not form or "%d" in form else f"{called}: the times of day have no date"
     return TimeExpression(f"utc({called}, '{form}')" if form else f"utc({called})", note)
 
 
@@ -384,7 +384,7 @@ def _read_by(texts: pl.Series, form: str) -> pl.Series:
 
 
 def _of_numbers(values: pl.Series, text: str, role: Role) -> TimeExpression:
-    """Read numbers without a unit: by their size if they count from 1970, otherwise by plausible steps."""
+    """Read numbers without a unit: by their size if they count from a known epoch, otherwise by plausible steps."""
     numbers = column_numbers(values)
     size, step = median_of(numbers.abs()), step_of(values)
     column = text.strip("`")
@@ -423,13 +423,14 @@ def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Ro
         return TimeExpression(f"{text}*86400", f"{column} is read as days (fractions of a day)")
     message = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes, *1 for seconds'
     seen = f"column {quoted(column)}: steps of {step:.2g} are too short for seconds"
-    return TimeExpression("", fault=f"{seen}; state the unit; write {message}")
+    return TimeExpression("", fault=f"{seen}; state the unit: {message}")
 
 
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
-    """Describe a wrong unit of a time, ``column`` or ``column*number``, with the remedy; else return "".
+    """Describe the wrong unit of a time ``column`` or ``column*number``, with the remedy; else return "".
 
-    The unit is wrong if no sensor has such steps and another unit makes them plausible, preferably with recent dates.
+    The unit is wrong if no sensor has such steps and another unit makes them plausible. A unit with which the times are
+    dates is proposed first.
     """
     plain = re.fullmatch(r"\s*(`[^`]+`|[A-Za-z_]\w*)\s*(?:\*\s*([\d.eE+-]+)|/\s*([\d.eE+-]+))?\s*", text)
     name = plain[1].strip("`") if plain else ""

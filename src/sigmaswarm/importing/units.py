@@ -1,4 +1,4 @@
-"""Units in the names of columns: their dimensions, and their factors to SI.
+"""Units in the names of columns: their dimensions, and their factors to SI units.
 
 A unit is a product of powers of base units, such as m/s^2, deg/sec, rad s^-1 or mm/s/s, or a word such as knots.
 """
@@ -94,7 +94,7 @@ _TOKEN = re.compile(r"(/|per\b)|([a-z]+)\s*((?:\^|\*\*)?\s*-?\s*\d)?|([*.\s])")
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit as written, its dimension, and its factor to SI; None and 0 for an unknown unit."""
+    """A unit as written, its dimension, and its factor to SI units; None and 0 for an unknown unit."""
 
     text: str
     dimension: UnitDimension | None
@@ -106,7 +106,7 @@ class Unit:
 
 
 def parse_unit(text: str) -> Unit | None:
-    """Parse a unit; None if the text states none, a `Unit` without dimension if it is not recognized."""
+    """Parse a unit; return None if the text is no unit, and a `Unit` without dimension if it is not recognized."""
     plain = text.strip().lower().translate(_PLAIN)
     if plain in NOT_UNITS:
         return None

@@ -1,4 +1,4 @@
-"""Columns without names, recognized by their values: time, specific force, angular rates, latitude and longitude."""
+"""Recognize columns without names by their values: time, specific force, angular rates, latitude and longitude."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -16,7 +16,7 @@ from sigmaswarm.importing.units import G
 
 UNNAMED = re.compile(r"(?:c|.*_)\d+|.*\[\d+\]")
 TIMES = ("received", "stamp")  # of a message
-# Magnitudes of gravity in the order of trial; 1 comes last, since it is also that of a quaternion
+# Magnitudes of gravity in the order of trial; 1 comes last, since a quaternion has the same magnitude
 GRAVITY = (G, *PER_G, 1.0)
 TOLERANCE = 0.05  # relative deviation of the median specific force from gravity
 MIN_SPREAD = 1e-3  # smallest relative spread of the specific force; a quaternion's magnitude is constant
@@ -24,7 +24,7 @@ MAX_DEGREES = 2.0  # largest range of latitude and longitude in a log
 
 
 def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
-    """Return the expressions of a role's columns in a table whose columns have numbers as names; {} if unclear."""
+    """Return the expressions of a role's columns in a table whose column names are numbers; {} if they are unclear."""
     names = [name for name in frame.columns if UNNAMED.fullmatch(name)]
     if len(frame) < 2 or any(name not in (*names, *TIMES) and "." not in name for name in frame.columns):
         return {}
@@ -37,7 +37,7 @@ def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
 
 
 def _times(frame: pl.DataFrame) -> Iterator[str]:
-    """Yield the times of columns that increase, those of row numbers last."""
+    """Yield time expressions of increasing columns and of texts; row numbers come last."""
     found: list[tuple[bool, str]] = []
     for name in frame.columns:
         time = column_time(read_name(name), frame, "imu")
@@ -45,7 +45,7 @@ def _times(frame: pl.DataFrame) -> Iterator[str]:
         rises = len(steps) > 0 and (steps >= 0).all() and median_of(steps) > 0
         if time.expression and (rises or frame.schema[name] == pl.String):
             found.append((bool(rises and (steps == 1).all()), time.expression))
-    yield from (text for _, text in sorted(found, key=lambda one: one[0]))
+    yield from (text for _, text in sorted(found, key=lambda pair: pair[0]))
 
 
 def _axes(values: dict[str, Array]) -> dict[str, str]:
@@ -62,15 +62,15 @@ def _axes(values: dict[str, Array]) -> dict[str, str]:
                 or not MIN_SPREAD < high / low - 1 < MAX_QUARTILE_RATIO - 1
             ):
                 continue
-            beside = [names[i : i + 3] for i in (k - 3, k + 3) if i >= 0]
-            rates = min((b for b in beside if len(b) == 3), key=lambda b: _mean_ratio(values, b), default=[])
+            near = [names[i : i + 3] for i in (k - 3, k + 3) if i >= 0]
+            rates = min((b for b in near if len(b) == 3), key=lambda b: _mean_ratio(values, b), default=[])
             found = zip(("ax", "ay", "az", "gx", "gy", "gz"), [*names[k : k + 3], *rates], strict=False)
             return dict(found) if rates else {}
     return {}
 
 
 def _mean_ratio(values: dict[str, Array], names: Sequence[str]) -> float:
-    """Return the largest ratio of a column's median to its spread, which is small for rates."""
+    """Return the largest ratio of a column's median to its standard deviation; it is small for rates."""
     spread = [float(np.nanstd(values[n])) for n in names]
     return max(
         abs(float(np.nanmedian(values[n]))) / max(s, 1e-12) for n, s in zip(names, spread, strict=True)

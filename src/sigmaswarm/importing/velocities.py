@@ -14,21 +14,21 @@ from sigmaswarm.importing.source import Part
 # Units of speed: the name, the number per m/s, and the conversion in an expression
 UNITS = (("mm/s", 1e3, "*1e-3"), ("cm/s", 100.0, "*1e-2"), ("km/h", 3.6, "/3.6"), ("ft/s", 3.28084, "*0.3048"),
          ("mph", 2.23694, "*0.44704"), ("knots", 1.94384, "*0.514444444444"))  # fmt: skip
-# Ratio of the stated speed to that of the positions above which the speed is wrong; largest ratio of the 90% quantile
-# of this ratio to its 10% quantile, since a wrong unit changes the speed by a constant factor
+# Ratio of the stated speed to that of the positions above which the speed is wrong; largest ratio of this ratio's 90%
+# quantile to its 10% quantile, since a wrong unit changes the speed by a constant factor
 MAX_SPEED_RATIO, MAX_RATIO_SPREAD = 1.5, 2.0
 # m/s, lowest speed at which positions are compared with a stated speed: robots are slow
 MIN_COMPARED_SPEED = 0.2
 MIN_MOVING_SHARE = 0.3  # smallest share of the rows in motion that the compared stretches must contain
-# rad, median difference from the course of the positions at which a stated course contradicts them. A course that lags
-# in turns, or that is computed from noisy positions, differs by less.
+# rad, largest median difference of a stated course from the course of the positions. A course that lags in turns, or
+# that is computed from noisy positions, differs by less.
 MAX_COURSE_ERROR = np.radians(40)
 MIN_STRETCHES = 5  # smallest number of stretches for a contradiction
 _SPEED = ("speed", "course", "vx", "vy")
 
 
 def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterable[Part], say: Say) -> Values:
-    """Return the columns (n,) of positions, without a speed or course that the positions x, y contradict.
+    """Return the columns (n,); leave out speed and course if the positions x, y contradict one of them.
 
     The messages state the expressions of the role's ``parts``.
     """
@@ -40,7 +40,7 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
         speed, course = np.hypot(values["vx"], values["vy"]), np.arctan2(values["vy"], values["vx"])
     if speed is not None and course is not None:
         course = np.where(speed < 0, course + np.pi, course)  # a vehicle in reverse
-    if speed is not None:  # slow wander of the positions is not motion: the speed must show motion as well
+    if speed is not None:  # the speed must show motion too, since positions at rest wander
         moves = np.concatenate([[0], np.cumsum(np.abs(speed) > MIN_COMPARED_SPEED)])
         both = moves[end + 1] - moves[begin] > 0.5 * (end + 1 - begin)
         enough = np.sum((end - begin)[both]) >= MIN_MOVING_SHARE * moves[-1]
@@ -76,7 +76,7 @@ def _ratio(
 
 
 def _remedy(ratio: float, texts: dict[str, str], role: str) -> str:
-    """Propose the unit with the nearest factor to a ratio, if it is within 10%."""
+    """Propose the unit whose factor is nearest to a ratio, if they differ by less than 10%."""
     unit = min(UNITS, key=lambda u: abs(np.log(ratio / u[1])))
     speeds = {name: text for name, text in texts.items() if name != "course"}
     if abs(np.log(ratio / unit[1])) > 0.1 or not speeds:
@@ -89,10 +89,10 @@ def _remedy(ratio: float, texts: dict[str, str], role: str) -> str:
 def _stretches(
     time: Array, x: Array, y: Array, slowest: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first and the last rows of stretches in which the position certainly and steadily moves.
+    """Return the first and the last rows of stretches in which the position moves clearly and steadily.
 
-    A stretch is longer than ten times the noise between rows and has at least five positions. No single step makes up
-    most of it: a jump of the fixes of a parked vehicle is not motion.
+    A stretch is longer than ten times the noise between rows, and has at least five positions. No single step makes up
+    most of its length, since a jump of a parked vehicle's fixes is not motion.
     """
     rows = np.flatnonzero(
         np.append(True, (np.diff(x) != 0) | (np.diff(y) != 0))

@@ -1,1 +1,1 @@
-"""Readers of logs, one file per format: detection, tables, and the recipe of a drive."""
+"""Readers of logs, one file per format: each detects its format, reads the tables, and guesses a recipe."""

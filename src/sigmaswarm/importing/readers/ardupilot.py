@@ -1,8 +1,9 @@
-"""ArduPilot's dataflash logs, ``.bin``, or the same as text, ``.log``, through pymavlink.
+"""ArduPilot's dataflash logs, binary (``.bin``) or as text (``.log``), read with pymavlink.
 
-Messages (ArduPilot, libraries/AP_Logger/LogStructure.h): times are TimeUS in us since start; before 3.3 they are TimeMS
-in ms, or T in GPS, whose TimeMS is the time of week. IMU is forward, right, down (m/s2, rad/s). GPS is in degrees, m/s
-and degrees from north. GPA contains the stated accuracies, SIM the true position of a simulation.
+Messages (ArduPilot, libraries/AP_Logger/LogStructure.h): times are TimeUS in us since start. Before version 3.3 they
+are TimeMS in ms; in GPS messages they are T, since TimeMS is there the time of week. IMU is forward, right, down (m/s2,
+rad/s). GPS is in degrees, m/s and degrees from north. GPA contains the stated accuracies, SIM the true position of a
+simulation.
 """
 
 from contextlib import ExitStack, redirect_stderr, redirect_stdout, suppress
@@ -49,7 +50,7 @@ _COLUMNS = {
 
 
 class _Skipped(StringIO):
-    """Sink for pymavlink's report of each skipped byte; refuses files with many of them."""
+    """Sink for pymavlink's reports of skipped bytes; raises `ValueError` if a file has too many."""
 
     count = 0
 
@@ -69,10 +70,14 @@ def recognizes(path: Path) -> bool:
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     module = import_library("pymavlink.DFReader", "logs")
     kind = module.DFReader_binary if first_bytes(path, 3) == MAGIC else module.DFReader_text
-    log = kind.__new__(kind)  # so that its files can be closed if __init__ fails
+    log = kind.__new__(kind)  # created first, so that its files can be closed if __init__ fails
     log.init_arrays_fast = log.init_arrays  # the output of the compiled function can't be caught
     try:
-        with errors_as_damage(path), redirect_stderr(_Skipped()), redirect_stdout(StringIO()):  # its reports
+        with (
+            errors_as_damage(path),
+            redirect_stderr(_Skipped()),
+            redirect_stdout(StringIO()),
+        ):  # pymavlink prints
             log.__init__(str(path), zero_time_base=True)
             rows = _rows(log, path, limits)
     finally:

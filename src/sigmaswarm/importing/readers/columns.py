@@ -1,4 +1,4 @@
-"""CSV and Parquet: a file, or a folder of files, each of which is a table. Rows are streamed through polars."""
+"""CSV and Parquet: a file, or a folder of files; each file is a table. Polars streams the rows."""
 
 import math
 import re
@@ -42,7 +42,7 @@ MAX_BREAK = 10.0  # s, longest time between files that are joined
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a table file, by name or first lines, a zip or folder of table files, or an EuRoC folder."""
+    """Return True for a table, by suffix or first lines, for a zip or folder of tables, and for an EuRoC folder."""
     return bool(_files(path) or _packed(path)) or (path.is_file() and is_table(path))
 
 
@@ -72,8 +72,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         outer = [folder for folder in folders if len(folder.parts) == min(len(f.parts) for f in folders)]
         if len(outer) > 1:
             raise InputError(
-                f"{path}: contains tables in several folders ({list_names(map(str, outer))}); unpack it, then import "
-                "one folder, or one file, and name other files with --gps, --truth and --odometer"
+                f"{path}: contains tables in several folders ({list_names(map(str, outer))}); unpack it, import one "
+                "folder or file, and name other files with --gps, --truth and --odometer"
             )
         names = [*dict.fromkeys(file.name for file in packed)]
         return log_of_names(path, names, limits, stack, None)
@@ -92,9 +92,9 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, pl.LazyFrame]:
-    """Join files that continue each other: the same columns, times in sequence, and names that differ in numbers.
+    """Join files that continue each other: with the same columns, times in sequence, and names that differ in numbers.
 
-    Files without a header may have other names, if one file has a header of as many columns.
+    Files without a header may have any name; they are compared with the only file whose header has as many columns.
     """
     if len(scans) < 2:
         return {**scans}
@@ -102,8 +102,8 @@ def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, 
     titled = {name: head for name, head in heads.items() if head[0] != "c1"}
     renamed, groups = dict(scans), dict[tuple[str, ...], list[str]]()
     for name, head in heads.items():
-        like = [other for other in titled if len(titled[other]) == len(head) and name not in titled]
-        first = like[0] if len(like) == 1 else name
+        alike = [other for other in titled if len(titled[other]) == len(head) and name not in titled]
+        first = alike[0] if len(alike) == 1 else name
         renamed[name] = scans[name].rename(dict(zip(head, heads[first], strict=True)))
         plain = re.sub(r"[\W_]*\d+[\W_]*", "", PurePosixPath(first).stem)
         groups.setdefault((plain, *heads[first]), []).append(name)
@@ -116,7 +116,7 @@ def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, 
             continue
         names = [name for _, name in spans]
         whole[names[0]] = pl.concat([renamed[name] for name in names], how="vertical_relaxed")
-        reason = f"{list_names(names)} are joined, since the times of each continue those of the one before"
+        reason = f"{list_names(names)} are joined, since the times of each file continue those of the previous file"
         remarks[:] = [r for r in remarks if not any(r.startswith(f"{n}: has no header") for n in names)] + [
             reason
         ]
@@ -161,7 +161,7 @@ def log_of_files(
     guessed: Guess | None = None,
     remarks: Sequence[str] = (),
 ) -> Log:
-    """Make a log of tables in files, which are scanned on use; column names give the roles if ``guessed`` is None."""
+    """Make a log of scanned tables; if ``guessed`` is None, roles are guessed from columns."""
     tables = {name: Table(tuple(rows.collect_schema().names()), kind) for name, rows in scans.items()}
 
     def batches(wanted: Wanted) -> Iterator[Batch]:
@@ -191,7 +191,7 @@ def log_of_files(
 def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.LazyFrame:
     """Scan a table file; the types of a CSV's columns are determined from all rows.
 
-    ``shown_as``: name of an unpacked file in messages. ``remarks``: receives sentences on repeated names.
+    ``shown_as``: name of the file in messages. ``remarks``: receives sentences for the user.
     """
     require_filled(file, shown_as)
     if first_bytes(file, 4) == b"PAR1":
@@ -210,7 +210,9 @@ def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.L
         remarks += dialect.remarks
         _check_names(names, shown_as, limits)
         frame = _text(file, dialect, shown_as)
-    frame = frame.with_columns(pl.col(pl.Categorical, pl.Enum).cast(pl.String))  # their codes have no meaning
+    frame = frame.with_columns(
+        pl.col(pl.Categorical, pl.Enum).cast(pl.String)
+    )  # codes of categories have no meaning
     old = frame.collect_schema().names()
     return frame.rename(dict(zip(old, _plain(names, shown_as, remarks), strict=True)))
 
@@ -224,9 +226,9 @@ sys.exit(count <= int(sys.argv[2]) and count != sum(map(len, rows.collect_batche
 
 
 def _require_decodable(file: Path, shown_as: Path, limits: Limits) -> None:
-    """Decode a Parquet file in another process first.
+    """Decode a Parquet file in another process, since polars may abort on damaged bytes.
 
-    On damaged bytes, polars may abort, or print a trace and omit rows without an error.
+    Polars may also print a trace and omit rows without an error.
     """
     words = [sys.executable, "-c", _DECODE, str(file), str(limits.rows)]
     ended = subprocess.run(words, capture_output=True, check=False)
@@ -237,7 +239,8 @@ def _require_decodable(file: Path, shown_as: Path, limits: Limits) -> None:
 def _check_names(names: Sequence[str], shown_as: Path, limits: Limits) -> None:
     if len(names) < 2:
         raise InputError(
-            f"{shown_as}: is one column, {quoted(''.join(names))}; specify the format, or separate cells by commas"
+            f"{shown_as}: has only one column, {quoted(''.join(names))}; specify the format with --format, or separate "
+            "cells by commas"
         )
     limits.first_columns(iter(names), shown_as)
 
@@ -269,7 +272,7 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
                 f"{shown_as}, row {row}: has {cells} cells, but the header has {len(dialect.names)}; delete the row, "
                 "or write a header with a name for each column"
             ) from None
-        try:  # empty cells may follow in some rows
+        try:  # some rows may end with surplus empty cells
             frame = _separated(file, dialect, None, truncate_ragged_lines=True)
             frame = frame.rename(dict(zip(frame.collect_schema(), columns, strict=False)))
             there = frame.collect_schema()
@@ -287,7 +290,7 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
 
 
 def _grouped(frame: pl.LazyFrame, columns: Sequence[str], shown_as: Path) -> dict[str, str]:
-    """Return the separator of thousands of each column with numbers that cannot be read otherwise: 1.234,5."""
+    """Return the thousands separator of each column in which a number, such as 1.234,5, certainly contains one."""
     forms = {
         **{
             group: rf"^[+-]?\d{{1,3}}(?:\{group}\d{{3}})+\{mark}\d+$"
@@ -321,7 +324,7 @@ def _separated(file: Path, dialect: Dialect, columns: Sequence[str] | None, **op
 
 
 def text_lines(file: Path, skip: int, encoding: str = "utf8-lossy", **options: Any) -> pl.LazyFrame:
-    """Scan the lines of a text after the first ``skip`` as a column ``line``; empty lines are null."""
+    """Scan the lines of a text, without the first ``skip``, as a column ``line``; empty lines are null."""
     return pl.scan_csv(
         **one_file(file),
         separator="\x1f",
@@ -374,7 +377,7 @@ def collect(
     table: str,
     read: Callable[[pl.LazyFrame], pl.DataFrame] = pl.LazyFrame.collect,
 ) -> pl.DataFrame:
-    """Return the rows that ``read`` selects, by default all; errors of polars become one-line errors."""
+    """Return the rows that ``read`` selects, by default all; convert errors of polars to one-line errors."""
     try:
         return read(rows)
     except POLARS_ERRORS as error:

@@ -1,4 +1,4 @@
-"""comma2k19: a segment's folder, with processed_log and global_pose.
+"""comma2k19: the folder of a segment, with processed_log and global_pose.
 
 H. Schafer et al., "A Commute in Data: The comma2k19 Dataset", 2018, and the README of the data set: NumPy arrays of
 times (s since the start of the device) and values; IMU forward, right, down; poses of the camera in ECEF, with
@@ -66,7 +66,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 def _load(path: Path, width: int, rows: int | None = None) -> Array:
     """Load an array (rows, width) of numbers; for a width of 1, the shape may be (rows,)."""
     with errors_as_damage(path, "can't be read as a NumPy array", "unpack the segment again"):
-        # mapped, so that a header with a shape larger than the file is refused before memory is allocated
+        # memory-mapped, so that NumPy refuses a shape larger than the file before it allocates memory
         array = np.load(path, allow_pickle=False, mmap_mode="r")
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub":
             raise ValueError("no array of numbers")

@@ -1,4 +1,4 @@
-"""The dialect of a text table, from its first lines: separator, header, units, decimal commas."""
+"""Find the dialect of a text table from its first lines: separator, header, units, decimal commas."""
 
 import csv
 import math
@@ -18,10 +18,10 @@ from sigmaswarm.importing.source import first_bytes
 from sigmaswarm.importing.units import COUNTS, parse_unit
 from sigmaswarm.wording import list_names
 
-HEADER_BYTES = 4_000_000  # bytes in which a header is searched
-SAMPLE, MAX_LINES = 200_000, 300  # most characters and most lines that are examined below the header
+HEADER_BYTES = 4_000_000  # number of first bytes that are read
+SAMPLE, MAX_LINES = 200_000, 300  # largest numbers of characters and of lines that are examined
 SEPARATORS = (";", "\t", "|", ",")  # in order of preference if two fit equally well; commas may be decimal
-BLANKS = " "  # a separator of any number of blanks
+BLANKS = " "  # separator that stands for any number of blanks
 COMMENTS = "#%!"
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’ \u00a0\u202f])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
@@ -30,7 +30,7 @@ Rows = Sequence[Sequence[str]]
 _HEADER, _COVARIANCE = ("sec", "nanosec", "frame_id"), [f"_covariance[{k}]" for k in range(9)]
 _VECTORS = (("orientation", "xyzw"), ("angular_velocity", "xyz"), ("linear_acceleration", "xyz"))
 _FIX = ("status", "service", "latitude", "longitude", "altitude")
-# Fields of sensor_msgs/Imu and NavSatFix, by number of fields
+# By number of values: the fields of sensor_msgs/Imu and NavSatFix
 _MESSAGES = {
     40: [
         *_HEADER,
@@ -43,12 +43,12 @@ _MESSAGES = {
 @dataclass(frozen=True)
 class Dialect:
     separator: str
-    names: tuple[str, ...]  # with the unit of a units row in brackets
+    names: tuple[str, ...]  # names of columns; a unit from a row of units follows in brackets
     skip: int  # number of lines above the first row of values
     encoding: str = "utf8"
     numeric: tuple[int, ...] = ()  # indices of the columns with numbers or dates
     comma_columns: tuple[int, ...] = ()  # indices of the columns with decimal commas
-    surplus: int = 0  # number of empty cells at the end of each row, for which the header has no names
+    surplus: int = 0  # number of empty last cells in each row for which the header has no names
     remarks: tuple[str, ...] = ()  # sentences for the user
 
 
@@ -119,16 +119,16 @@ def _of_message(row: Sequence[str]) -> list[str]:
 
 
 def _require_one_kind(rows: Rows, shown_as: Path) -> None:
-    """Refuse rows that begin with the name of their kind if the kinds differ in the number of cells."""
+    """Refuse rows that begin with a name of their kind, if rows of different kinds have different numbers of cells."""
     last = [max(k for k, cell in enumerate(row) if k == 0 or cell.strip()) for row in rows]
-    # A row of only a name and a time, as of an invalid fix, is not a separate kind.
+    # A row with only a name and a time, such as that of an invalid fix, is not a separate kind.
     kinds = {(row[0].strip(), end) for row, end in zip(rows, last, strict=True) if end > 1}
     names = sorted({name for name, _ in kinds})
     named = all(re.fullmatch(r"\$?[A-Za-z]\w*", name) for name in names)
     if named and 1 < len(names) <= 20 and len({width for _, width in kinds}) > 1:
         bare = names[0].strip("$")
         raise InputError(
-            f"{shown_as}: has rows of several kinds, {list_names(names)}; write each kind to a separate file, "
+            f"{shown_as}: has rows of several kinds ({list_names(names)}); write each kind to a separate file, "
             f"for example with: grep '^ *[$]*{bare}[^A-Za-z0-9_]' {quote(shown_as.name)} > {bare.lower()}.csv, "
             "and add a header line to each file"
         )
@@ -149,7 +149,7 @@ def _is_empty(cell: str) -> bool:
 
 
 def _has_decimal_commas(cells: Sequence[str]) -> bool:
-    """Return True for numbers with commas, unless many other texts (such as dates) have commas."""
+    """Return True for numbers with decimal commas, unless the column also has many other texts, such as dates."""
     filled = [cell.strip() for cell in cells if not _is_empty(cell)][:100]
     numbers = sum(any(form.fullmatch(cell) for form in (_NUMBER, _GROUPED)) for cell in filled)
     commas = [cell for cell in cells if "," in cell]
@@ -166,7 +166,7 @@ def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
         )
     if b"\r" in head and b"\n" not in head:
         raise InputError(
-            f"{shown_as}: the lines end in a carriage return alone; convert the file, for example with: "
+            f"{shown_as}: lines end with a carriage return alone; convert the file, for example with: "
             f"tr '\\r' '\\n' < {quote(shown_as.name)} > new.csv"
         )
     cut = head if len(head) < HEADER_BYTES else head[: head.rfind(b"\n") + 1]
@@ -207,7 +207,7 @@ def is_value(cell: str) -> bool:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """Return the separator with the most rows of equal length; else the separator of the first line."""
+    """Return the separator with which rows of equal length have the most values; else that of the first line."""
     best, most = "", 0.0
     for separator in (*SEPARATORS, BLANKS):
         if separator == BLANKS and best:
@@ -241,7 +241,7 @@ def _is_data(cells: Sequence[str], numeric: Sequence[int]) -> bool:
 
 
 def _header(above: Sequence[str], separator: str, width: int, most: int, empty: int) -> list[str]:
-    """Read the names from the lines above the rows: of the last lines, the one with the most known names.
+    """Read the names from one of the last four lines above the rows: the line with the most recognized names.
 
     ``width`` and ``most``: usual and largest number of cells of a row; ``empty``: number of last cells that are always
     empty.
@@ -265,13 +265,15 @@ def _header(above: Sequence[str], separator: str, width: int, most: int, empty: 
     while empty and len(titles) == width and not titles[-1].strip():
         titles, width, empty = titles[:-1], width - 1, empty - 1
     counted = titles[1:] if not titles[0] else titles
-    if counted == [str(k) for k in range(len(counted))]:  # an index, as written by pandas
+    if counted == [
+        str(k) for k in range(len(counted))
+    ]:  # pandas writes such numbers for columns without names
         titles = [f"c{k}" for k in range(1, len(titles) + 1)]
     return titles
 
 
 def _fitting(line: str, separator: str, width: int, most: int, empty: int) -> list[str]:
-    """Split a line by the rows' separator or another into one cell for each column; else return []."""
+    """Split a line into one cell for each column, by the rows' separator or another one; else return []."""
     for other in (separator, *(s for s in (*SEPARATORS, BLANKS) if s != separator)):
         cells = _titles(line, other)
         if len(cells) == width + 1 and not cells[-1].strip():
@@ -283,7 +285,7 @@ def _fitting(line: str, separator: str, width: int, most: int, empty: int) -> li
 
 
 def _titles(line: str, separator: str) -> list[str]:
-    """Split a header into cells; cells "name"|"unit"|... become names with units."""
+    """Split a header into names; cells such as "name"|"unit"|... become names with units."""
     line = line.strip("\r")
     if line.lstrip(" ")[:1] in (*COMMENTS, "/"):  # a leading tab is a separator
         line = line.lstrip(" " + COMMENTS + "/")
@@ -295,7 +297,7 @@ def _titles(line: str, separator: str) -> list[str]:
 
 
 def _are_units(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
-    """Return True if the cells of a line are units, with no more known names than the line above."""
+    """Return True if cells of a line are units, and the line has no more recognized names than the line above."""
     units = [parse_unit(c.strip("[]() ")) for c in cells if c.strip()]
     known = any(u is not None and (u.known or u.text.lower() in COUNTS) for u in units)
     return known and _meanings(cells) <= _meanings(above)

@@ -1,4 +1,4 @@
-"""Numbers of messages by their paths, such as ``linear_acceleration.x`` or ``covariance[0]``, and header stamps.
+"""Read numbers of messages by their paths, such as ``linear_acceleration.x`` or ``covariance[0]``, and header stamps.
 
 `columns_of` lists the paths of a message definition in rosbags' type store; `getter` reads a number.
 """
@@ -12,11 +12,11 @@ from typing import Any
 from sigmaswarm.importing.source import Limits
 
 MAX_DEPTH = 6
-MAX_ELEMENTS = 36  # elements of a fixed array or a JSON list that become columns, as of a 6 x 6 covariance
+MAX_ELEMENTS = 36  # largest number of elements of a list that become columns: those of a 6 x 6 covariance
 
 
 def getter(column: str) -> Callable[[Any], Any]:
-    """Return a function that reads the number of a column from a message; None if a JSON message lacks it."""
+    """Return a function that reads the number of a column from a message, or None if a JSON message lacks it."""
     if column == "stamp":
         return stamp_of
     element = re.fullmatch(r"(.*)\[(\d{1,9})\]", column, re.DOTALL)
@@ -46,7 +46,7 @@ def has_header(message: Any) -> bool:
 
 
 def stamp_of(message: Any) -> int | None:
-    """Return the stamp of a message, ns, from its header or its own field; None if a JSON message lacks it."""
+    """Return the stamp of a message, ns, from its header or its own field, or None if a JSON message lacks it."""
     if not isinstance(message, dict):
         if not has_header(message):
             return message.stamp
@@ -66,8 +66,8 @@ def columns_of(
 ) -> tuple[str, ...]:
     """List the columns: ``received``, ``stamp`` if the message has a header, and one for each number.
 
-    The number of columns is limited, since a definition of 2 kB can nest hundreds of millions of fields. The message
-    that ``first`` returns determines the length of lists, as of Float64MultiArray.
+    The number of columns is limited, since a definition of 2 kB can nest hundreds of millions of fields. The first
+    message, which ``first`` returns, determines the length of lists, for example in Float64MultiArray.
     """
     if msgtype not in typestore.fielddefs:
         return ()
@@ -90,7 +90,7 @@ def _is_list(field: Any) -> bool:
 
 
 def _paths(typestore: Any, msgtype: str, before: str, depth: int) -> Iterator[str]:
-    """Yield the paths, depth first; a list of unknown length or a text yields an empty name."""
+    """Yield the paths, depth first, and an empty name for each field, so that the limit also counts other fields."""
     from rosbags.interfaces import Nodetype
 
     if depth > MAX_DEPTH or msgtype not in typestore.fielddefs:

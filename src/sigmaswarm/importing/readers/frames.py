@@ -1,4 +1,4 @@
-"""Poses of the IMU and the antenna in the vehicle, from the static transforms of ROS (/tf_static)."""
+"""Find the poses of the IMU and the antenna in the vehicle from the static transforms of ROS (/tf_static)."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -22,7 +22,7 @@ def static_topic(tables: Mapping[str, Table]) -> str | None:
 
 
 def frame_of(message: Any) -> str:
-    """Return the frame in a message's header; for Odometry, the body's frame, or the vehicle's if it is empty."""
+    """Return the frame in a message's header; for Odometry, the frame of the body, or base_link if it is empty."""
     child = getattr(message, "child_frame_id", None)
     name = child if child is not None else getattr(getattr(message, "header", None), "frame_id", "")
     return name.strip("/") or (BASES[0] if child is not None else "")
@@ -35,9 +35,9 @@ def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | No
     """
     tree: dict[str, tuple[str, Pose]] = {}
     for message in messages:
-        for one in getattr(message, "transforms", ()):
-            if (pose := _pose_of(one.transform)) is not None:
-                tree[one.child_frame_id.strip("/")] = one.header.frame_id.strip("/"), pose
+        for stamped in getattr(message, "transforms", ()):
+            if (pose := _pose_of(stamped.transform)) is not None:
+                tree[stamped.child_frame_id.strip("/")] = stamped.header.frame_id.strip("/"), pose
     known = {*tree, *(parent for parent, _ in tree.values())}
     of_imu, of_antenna = (_ancestors(tree, name) if name in known else {} for name in (imu, antenna))
     shared = [name for name in of_imu if name in of_antenna]

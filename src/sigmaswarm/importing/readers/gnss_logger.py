@@ -1,8 +1,8 @@
-"""Android's GnssLogger: one text file with several kinds of lines, whose columns are named in comments at the top.
+"""Android's GnssLogger: one text file with several kinds of lines; comments at the top name the columns of each kind.
 
-LOGGING.md of the app: Fix (degrees, m/s, AccuracyMeters the radius of a 68% circle, bearing from north), Accel or
-UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). ``elapsedRealtimeNanos`` is one clock for all kinds; in
-older logs Fix lacks it, and UTC in milliseconds replaces it.
+LOGGING.md of the app: Fix (degrees, m/s, bearing from north; AccuracyMeters is the radius of a 68% circle), Accel or
+UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). All kinds share the clock ``elapsedRealtimeNanos``. Older
+logs have no such clock in Fix; then times are UTC in milliseconds.
 """
 
 from contextlib import ExitStack
@@ -35,7 +35,7 @@ _FIX: dict[str, str | tuple[str, ...]] = {
     "course": ("radians(90 - BearingDegrees)",),
     "std_x": (f"AccuracyMeters/{RADIUS_68}",),
     "std_y": (f"AccuracyMeters/{RADIUS_68}",),
-    "keep": "Provider == 'GPS' or Provider == 'gps'",  # no fused fixes, and no fixes of the network
+    "keep": "Provider == 'GPS' or Provider == 'gps'",  # not fused fixes, and not fixes of the network
 }
 
 
@@ -45,7 +45,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read the comments, and find the logged kinds among the named kinds."""
+    """Read the column names from the comments, and find the kinds that occur in the log."""
     columns: dict[str, list[str]] = {}
     with path.open(encoding="utf-8", errors="replace") as file:
         for line in file:
@@ -81,7 +81,7 @@ def _cells(lines: pl.LazyFrame, names: list[str]) -> pl.LazyFrame:
 
 
 def _require_one_clock(columns: Wanted, path: Path) -> None:
-    """Refuse a sensor without the common clock: its header comment is damaged, and UTC is another clock."""
+    """Refuse a sensor without the shared clock, since its header comment is damaged and UTC is another clock."""
     clock = {kind: _CLOCK in names for kind, names in columns.items() if kind != "Fix"}
     if any(clock.values()) and not all(clock.values()):
         kind = next(kind for kind, found in clock.items() if not found)

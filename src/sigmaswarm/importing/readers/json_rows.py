@@ -1,6 +1,6 @@
-"""JSON: a list of objects, an object on each line, or lists of objects by name; each kind of objects is a table.
+"""JSON: a list of objects, an object on each line, or lists of objects by name; each kind of object is a table.
 
-Nested names are joined by dots, and the elements of a short list are columns.
+Nested names are joined by dots. The first elements of a list are columns.
 """
 
 import json
@@ -18,7 +18,7 @@ from sigmaswarm.importing.readers.fields import MAX_DEPTH, MAX_ELEMENTS
 from sigmaswarm.importing.source import Limits, Log, first_bytes
 
 KINDS = ("sensor", "type", "name", "topic", "kind", "_measurement")
-MAX_KINDS = 50  # kinds of objects in a log
+MAX_KINDS = 50  # largest number of kinds of objects
 Row = dict[str, Any]
 
 
@@ -34,7 +34,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     tables: dict[str, list[Row]] = {}
     for name, records in named.items():
         rows = (
-            [dict(_flat(one)) for one in records if isinstance(one, dict)]
+            [dict(_flat(record)) for record in records if isinstance(record, dict)]
             if isinstance(records, list)
             else []
         )
@@ -74,7 +74,7 @@ def _parsed(path: Path) -> Any:
 
 
 def _by_kind(rows: list[Row]) -> dict[str, list[Row]]:
-    """Group objects by the first key of `KINDS` that all have, with few values."""
+    """Group objects by the first key of `KINDS` that all objects have and that has few values."""
     for key in KINDS:
         kinds = {row.get(key) for row in rows}
         if rows and None not in kinds and 1 < len(kinds) <= MAX_KINDS:
@@ -95,7 +95,7 @@ def _flat(record: Mapping[str, Any], before: str = "", depth: int = 0) -> Iterat
 
 
 def _cell(value: Any) -> Any:
-    """Return a text, or a number, also if it is written as a text; integers beyond 64 bits become floats."""
+    """Convert numbers in texts to numbers, and booleans and integers beyond 64 bits to floats."""
     if isinstance(value, str) and re.fullmatch(
         r"[+-]?\d{1,19}(?:\.\d*)?(?:[eE][+-]?\d{1,3})?", value.strip()
     ):

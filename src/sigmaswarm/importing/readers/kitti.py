@@ -32,10 +32,10 @@ GUESS = Guess(
         "truth": (Part(TABLE, _PLACE | {"vx": "ve", "vy": "vn", "theta": "yaw"}),),
     },
     (
-        "KITTI has no separate receiver: fixes and truth are one RTK/INS solution; for a realistic test "
-        "simulate noisy fixes with --gps-from-truth",
-        "the angular rates of the OXTS unit are about 0.06 s late relative to its yaw; docs/importing.md shows how to "
-        "correct their times",
+        "KITTI has no separate receiver: fixes and truth are the same RTK/INS solution; for a realistic test make "
+        "noisy fixes with --gps-from-truth",
+        "the angular rates of the OXTS unit lag its yaw by about 0.06 s; docs/importing.md shows how to correct their "
+        "times",
     ),
     metadata={"licence": "CC BY-NC-SA 3.0", "dataset": "KITTI raw"},
 )
@@ -50,7 +50,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read all texts of a drive; an hour at 100 Hz has 360,000 files, 90 MB in total."""
+    """Read all text files of a drive; an hour at 100 Hz has 360,000 files, 90 MB in total."""
     folder = _oxts(path)
     if not recognizes(path):
         raise InputError(
@@ -70,25 +70,23 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 def _stamps(path: Path) -> np.ndarray:
     """Return the time of each line, ns; the line of a lost sample may be empty."""
-    said = [line.strip() or "NaT" for line in path.read_text("utf-8", "replace").splitlines()]
+    stamps = [line.strip() or "NaT" for line in path.read_text("utf-8", "replace").splitlines()]
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error", UserWarning)  # for a time zone, which NumPy would drop
-            times = np.array(said, dtype="datetime64[ns]")
-            days = np.array([text[:10] for text in said], dtype="datetime64[D]")
+            warnings.simplefilter("error", UserWarning)  # NumPy warns of a time zone, which it drops
+            times = np.array(stamps, dtype="datetime64[ns]")
+            days = np.array([text[:10] for text in stamps], dtype="datetime64[D]")
     except (ValueError, UserWarning) as error:
         raise InputError(f"{path}: {printable(error, 160)}; unpack the drive again") from None
     if not len(times):
         raise InputError(f"{path} is empty; unpack the drive again")
-    if np.any(times.astype("datetime64[D]") != days, where=~np.isnat(days)):  # ns reach from 1678 to 2262
-        raise InputError(
-            f"{path}: contains a date outside the range of ns timestamps; unpack the drive again"
-        )
+    if np.any(times.astype("datetime64[D]") != days, where=~np.isnat(days)):  # 64 bits overflowed
+        raise InputError(f"{path}: contains a date outside the years 1678 to 2262; unpack the drive again")
     return times.astype(np.int64)
 
 
 def _numbers(path: Path, count: int) -> list[float]:
-    """Return the number of a sample, which is the name of its file, and its values."""
+    """Return the number of a sample, from the name of its file, and its values."""
     cells = path.read_text("utf-8", "replace").split()
     try:
         numbers = [float(cell) for cell in cells]
@@ -100,6 +98,6 @@ def _numbers(path: Path, count: int) -> list[float]:
         )
     if not re.fullmatch(r"[0-9]{1,18}", path.stem) or int(path.stem) >= count:
         raise InputError(
-            f"{path}: timestamps.txt has {count} lines and none for this file; unpack the drive again"
+            f"{path}: timestamps.txt has {count} lines, but no line for this file; unpack the drive again"
         )
     return [int(path.stem), *numbers]

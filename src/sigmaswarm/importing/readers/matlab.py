@@ -1,4 +1,4 @@
-"""MATLAB files, ``.mat`` up to version 7, through SciPy.
+"""MATLAB files (``.mat`` up to version 7), read with SciPy.
 
 Each struct is a table. Other vectors of equal length also form tables.
 """
@@ -32,7 +32,7 @@ from sigmaswarm.wording import printable
 ROOT_TABLE = "variables"  # name of the table of vectors outside of structs
 MAX_DEPTH = 5
 MAX_STRUCTS = 100_000
-MAX_MATRIX_COLUMNS = 9  # columns of a matrix that become separate columns
+MAX_MATRIX_COLUMNS = 9  # largest number of columns of a matrix that become columns of a table
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 # Types of elements in files of version 5 to 7 (MathWorks, "MAT-File Format")
 _SHAPE, _FLAGS, _ARRAY, _COMPRESSED = 5, 6, 14, 15
@@ -48,7 +48,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read all variables; timetables and version 7.3 are refused with commands to convert them in MATLAB."""
+    """Read all variables; for timetables and version 7.3, the error states how to convert them in MATLAB."""
     from scipy.io import loadmat, whosmat
 
     if _HDF5 in first_bytes(path, 1024):
@@ -61,7 +61,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         for name, shape, kind in whosmat(path):
             if kind in ("struct", "cell") and math.prod(shape) > MAX_STRUCTS:  # SciPy creates all elements
                 raise InputError(
-                    f"{path}: {printable(name)} has more than {MAX_STRUCTS} structs; save vectors in one struct"
+                    f"{path}: {printable(name)} has more than {MAX_STRUCTS} elements; save the columns as vectors of "
+                    "one struct"
                 )
             limits.check_unpacked(8 * math.prod(shape), path)
         content = cast("dict[str, Any]", loadmat(path, squeeze_me=True, struct_as_record=False))
@@ -74,7 +75,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
                 "write each with writetimetable(NAME, 'NAME.csv') or writetable, and import the folder of these files"
             )
         raise InputError(
-            f"{path}: contains neither vectors nor a struct of vectors; save the log's columns as vectors of one struct"
+            f"{path}: contains no vectors of equal length; save the log's columns as vectors of one struct"
         )
     for name, frame in frames.items():
         limits.check_rows(len(frame), path, name)
@@ -86,7 +87,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _require_known_elements(path: Path, limits: Limits) -> None:
-    """Refuse elements of invalid types or nested too deeply, which end the process in SciPy's compiled code."""
+    """Refuse elements with invalid types or too deep nesting, since they crash SciPy's compiled code."""
     from scipy.io.matlab import matfile_version
 
     if matfile_version(path)[0] != 1:  # formats before version 5 have no elements
@@ -105,7 +106,7 @@ def _require_known_elements(path: Path, limits: Limits) -> None:
 
 
 def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]]:
-    """Yield type and size of each element up to ``end``; the file is then positioned at the element's content."""
+    """Yield the type and size of each element up to ``end``, with the file positioned at the element's content."""
     while (at := file.tell()) + 8 <= end:
         kind, size = struct.unpack(f"{order}II", file.read(8))
         following = at + 8 + size
@@ -151,7 +152,7 @@ def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int
 
 
 def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the tables of a struct: its vectors of equal length, the most common length first, and its structs."""
+    """Yield the tables of a struct: those of its structs, then vectors of equal length, most common length first."""
     vectors: dict[str, Any] = {}
     for field, value in content.items():
         if hasattr(value, "_fieldnames") and depth < MAX_DEPTH:

@@ -1,4 +1,4 @@
-"""MCAP files of any profile: messages of ROS 2 (CDR), ROS 1, JSON and Protobuf."""
+"""MCAP files of any profile, with messages of ROS 2 (CDR), ROS 1, JSON or Protobuf."""
 
 import json
 import struct
@@ -14,7 +14,7 @@ from sigmaswarm.importing.readers.messages import Message, message_log
 from sigmaswarm.importing.source import Limits, Log, Table, errors_as_damage, first_bytes, import_library
 
 Decode = Callable[[bytes], Any]
-SAMPLE_MESSAGES = 20  # messages that determine the columns of a topic without a definition
+SAMPLE_MESSAGES = 20  # number of first messages that determine the columns of JSON and Protobuf topics
 _LZ4_RATIO = 255  # largest expansion ratio of LZ4
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -39,7 +39,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _unpacked(file: BinaryIO, offset: int, limits: Limits) -> int:
-    """Return the unpacked size of a chunk, bytes, as record and data state it; else by unpacking (LZ4)."""
+    """Return the unpacked size of a chunk, bytes, which record and data state; unpack LZ4 if it states no size."""
     file.seek(offset + 9 + 16)  # after the opcode, the record's length, and the first and last time
     size, _, length = struct.unpack("<QII", file.read(16))
     kind = file.read(min(length, 16))
@@ -116,7 +116,7 @@ def _decoder(
 
 
 def _json(data: bytes) -> dict[str, Any]:
-    """Decode a message; return an empty message if the JSON is not an object."""
+    """Decode a JSON message; the result is empty if the JSON is not an object."""
     content = json.loads(data)
     return cast("dict[str, Any]", content) if isinstance(content, dict) else {}
 

@@ -1,4 +1,4 @@
-"""Logs of messages: each topic is a table, and the path of each number in a message is a column.
+"""Logs of messages: each topic is a table, and each number of a message is a column, named by its path.
 
 ``received`` is the receive time and ``stamp`` the time in the header, both in ns.
 """
@@ -34,7 +34,7 @@ from sigmaswarm.importing.source import (
 )
 from sigmaswarm.importing.times import time_of
 
-MIN_DELAY = 0.1  # s, median difference between receive times and header stamps above which it is reported
+MIN_DELAY = 0.1  # s; a larger median difference between receive times and header stamps is reported
 Message = tuple[str, int, Any]  # topic, receive time in ns, and message with its fields as attributes or keys
 # Decoded messages of some topics, in the order of the log
 Stream = Callable[[Collection[str]], Iterator[Message]]
@@ -78,7 +78,7 @@ class _Messages:
             yield from self.stream(topics)
 
     def guess(self, choice: TableChoice) -> Guess:
-        """Guess by the message types and names of topics; for other message types by the names of numbers."""
+        """Guess by the fields of standard messages and the names of topics; for other messages by names of columns."""
         own: dict[str, str] = {}
         for role, chosen in choice.tables.items():
             topic = next((t for t in (chosen, "/" + chosen.lstrip("/")) if t in self.tables), "")
@@ -101,7 +101,7 @@ class _Messages:
         return replace(guess, placed=self._placement(guess))
 
     def _received(self, parts: Iterable[Part]) -> tuple[str, ...]:
-        """Return a sentence on each part whose times are those at which the recorder received the messages."""
+        """Return a sentence on each part that uses receive times, with the reason."""
         topics = [part.table for part in parts if "received" in part.columns.get("t", "")]
         no_stamp = {True: "the header stamps are not set", False: "the messages have no header"}
         why = {topic: no_stamp["stamp" in self.tables[topic].columns] for topic in topics}
@@ -132,8 +132,8 @@ class _Messages:
             return Guess({})
         if role not in choice.mapped:
             raise InputError(
-                f"{self.path}: {topic} ({self.tables[topic].kind}) has no fields named like "
-                f"{' and '.join(sorted(wanted))}; choose another topic, or name the fields with --map"
+                f"{self.path}: {topic} ({self.tables[topic].kind}) has no fields whose names mean "
+                f"{', '.join(sorted(wanted))}; choose another topic, or map the fields with --map"
             )
         time = time_of(self._sample(topic), role)
         return Guess({role: (Part(topic, {"t": time} if time else {}),)})
@@ -160,7 +160,7 @@ class _Collector:
     def add(self, received: int, message: Any) -> None:
         row = [get(message) if get else received for get in self.getters]
         self.rows.append(row)
-        if self.stamp is not None and row[self.stamp] and has_header(message):  # 0 if not set
+        if self.stamp is not None and row[self.stamp] and has_header(message):  # a stamp of 0 is not set
             self.delays.append((received - row[self.stamp]) * 1e-9)
 
     def take(self) -> pl.DataFrame:
@@ -180,7 +180,7 @@ class _Collector:
 
 
 def _numbers(values: Sequence[Any]) -> pl.Series:
-    """Make a column (n,); integers remain integers, since a time has more digits than a float."""
+    """Make a column (n,); integers remain integers, since times in ns have more digits than a float."""
     if {type(v) for v in values} <= {int, type(None)}:
         try:
             return pl.Series(values, dtype=pl.Int64)

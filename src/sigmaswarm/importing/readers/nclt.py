@@ -1,7 +1,7 @@
-"""NCLT: ms25.csv, gps.csv and groundtruth_*.csv of a session.
+"""NCLT: the files ms25.csv, gps.csv and groundtruth_*.csv of a session.
 
 N. Carlevaris-Bianco, A. K. Ushani, R. M. Eustice, "University of Michigan North Campus long-term vision and lidar
-dataset", IJRR 2016: times in us of UTC; body x forward, y right, z down; truth x north, y east of a fixed origin;
+dataset", IJRR 2016: times are UTC in us; body x forward, y right, z down; truth x north, y east of a fixed origin;
 latitude and longitude in rad.
 """
 
@@ -17,7 +17,7 @@ from sigmaswarm.importing.source import Guess, Limits, Log, Part, Role
 
 ORIGIN = (42.293227, -83.709657, 270.0)  # deg, deg, m, of the truth's frame
 _T = {"t": "utime*1e-6"}
-# For each sensor: the file, its columns, and the expressions for the columns of the drive
+# By role: the file, its columns, and the expressions of the columns of a drive
 FILES: dict[Role, tuple[str, str, dict[str, str]]] = {
     "imu": (
         "ms25.csv",
@@ -49,7 +49,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open the files, which have no headers; the truth may be in the same folder."""
+    """Open the files of a folder, which have no headers; gps.csv and the truth may be missing."""
     scans: dict[str, pl.LazyFrame] = {}
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, (pattern, columns, expressions) in FILES.items():

@@ -1,7 +1,8 @@
-"""NMEA 0183 sentences of a receiver, through pynmeagps.
+"""NMEA 0183 sentences of a receiver, read with pynmeagps.
 
-GGA, GNS or GLL contain the position, RMC date and velocity, GST standard deviations, and HDT, THS or PASHR the heading
-of two antennas. Sentences with the same time of day make one fix. The day is from RMC or ZDA, and advances at midnight.
+GGA, GNS, GLL or RMC contain the position, RMC date and velocity, GST standard deviations, and HDT, THS or PASHR the
+heading of two antennas. Sentences with the same time of day make one fix. RMC or ZDA states the day, which advances at
+midnight.
 """
 
 import math
@@ -34,12 +35,10 @@ GUESS = Guess(
             ),
         )
     },
-    (
-        "NMEA: times are UTC; altitudes are heights above the ellipsoid where GGA contains the geoid separation",
-    ),
+    ("NMEA: times are UTC; altitudes are above the ellipsoid where GGA contains the geoid separation",),
     fixed="quality == 4",
 )
-# A sentence, perhaps after the time at which a computer received it
+# A sentence, perhaps after the time at which a computer received the sentence
 _SENTENCE = re.compile(rb"(?:^|[\d\s,;:\"])\$..(?:GGA|RMC|GSA|GSV|GLL|VTG|GNS|TXT|ZDA),")
 _WHOLE = re.compile(rb"\$[^*]*\*[0-9A-Fa-f]{2}")  # further cells of a table may follow
 
@@ -114,19 +113,19 @@ def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[
 
 
 def _day(message: Any) -> date | None:
-    if message.msgID == "RMC" and isinstance(said := getattr(message, "date", ""), date):
-        return said
+    if message.msgID == "RMC" and isinstance(stated := getattr(message, "date", ""), date):
+        return stated
     if message.msgID != "ZDA":
         return None
     try:
-        said = date(*(int(getattr(message, name, "")) for name in ("year", "month", "day")))
+        stated = date(*(int(getattr(message, name, "")) for name in ("year", "month", "day")))
     except (TypeError, ValueError):  # empty, or not a valid date
         return None
-    return said if 1980 <= said.year < 2100 else None
+    return stated if 1980 <= stated.year < 2100 else None
 
 
 def _values(message: Any) -> dict[str, float]:
-    """Return the values of a sentence in a drive's units, but the course in degrees from north."""
+    """Return the values of a sentence in m, m/s and degrees; course and heading are from north."""
 
     def number(name: str) -> float:
         try:
@@ -161,6 +160,6 @@ def _values(message: Any) -> dict[str, float]:
 
 
 def _row(day: date, clock: time, fix: dict[str, float]) -> tuple[float, ...]:
-    """Return the row of a fix; the position is that of RMC or GLL if no other sentence has a position."""
+    """Return the row of a fix; the position is from RMC or GLL only if no other sentence has one."""
     seconds = datetime.combine(day, clock, UTC).timestamp()
     return (seconds, *(fix.get(name, fix.get(f"rmc_{name}", math.nan)) for name in COLUMNS[1:]))

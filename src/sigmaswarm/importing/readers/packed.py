@@ -1,4 +1,4 @@
-"""Files in a folder, or in a zip of a folder."""
+"""Find files in a folder, or in a zip of a folder."""
 
 import shutil
 import tempfile
@@ -20,7 +20,7 @@ def names_in(path: Path) -> set[str]:
 
 
 def paths_in(path: Path) -> list[PurePosixPath]:
-    """Return the paths inside a zip; none for other files."""
+    """Return the paths inside a zip; empty for other files."""
     if path.suffix.lower() == ".zip" and zipfile.is_zipfile(path):
         try:
             with zipfile.ZipFile(path) as archive:
@@ -31,7 +31,7 @@ def paths_in(path: Path) -> list[PurePosixPath]:
 
 
 def unpacked(path: Path, names: Collection[str], limits: Limits, stack: ExitStack) -> Path:
-    """Return the folder of the named text files: a folder itself, or a temporary folder for a zip."""
+    """Return the folder of the named text files: the given folder, or a temporary folder for a zip."""
     if path.is_dir():
         return path
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -50,7 +50,7 @@ def unpacked(path: Path, names: Collection[str], limits: Limits, stack: ExitStac
 def _wanted(
     archive: zipfile.ZipFile, path: Path, names: Collection[str], limits: Limits
 ) -> dict[str, zipfile.ZipInfo]:
-    """Find the named files in the outermost folder that contains at least one of these files."""
+    """Find the named files in the outermost folder that contains at least one of them."""
     found = [(PurePosixPath(m.filename), m) for m in archive.infolist() if not m.is_dir()]
     found = [(inside, m) for inside, m in found if inside.name in names]
     folders = {inside.parent for inside, _ in found}

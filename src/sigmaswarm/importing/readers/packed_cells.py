@@ -1,4 +1,4 @@
-"""Rows whose cells contain a name or several numbers: `ax:0.1, ay:0.2`, `[0.1, 0.2]`, or `"0.1 0.2"`."""
+"""Detect rows whose cells contain a name or several numbers: `ax:0.1, ay:0.2`, `[0.1, 0.2, 0.3]`, `"0.1 0.2 0.3"`."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -10,7 +10,7 @@ from sigmaswarm.errors import InputError
 _VALUE = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan"
 _NAMED = re.compile(rf"([A-Za-z_]\w*) *[:=] *(?:{_VALUE})(?= *[,;\s]|$)")
 _POINT = r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?"
-# Three or more numbers in brackets, or in quotes, where all have a point: "1,234,567" and dates are single values
+# Three or more numbers in brackets or quotes; in quotes all have a point, since "1,234,567" and dates are single values
 _VECTOR = re.compile(
     rf"[\[({{] *((?:{_VALUE})(?: *[,; ] *(?:{_VALUE})){{2,}}) *[\])}}]|\" *({_POINT}(?: *[,; ] *{_POINT}){{2,}}) *\""
 )
@@ -20,14 +20,14 @@ _NO_NAMES, _NO_BRACKETS = r"s/[A-Za-z_][A-Za-z0-9_]* *[:=] *//g", r"s/[]\"(){}[]
 _SEPARATED = "s/ *[,; ] */,/g"
 _PRINTED = re.compile(r"[\d:.]+ -> ")
 PARTS = {2: "xy", 3: "xyz", 4: "xyzw"}
-MIN_NAMES = 3  # names in a row
-MAX_ROWS = 20  # rows on which the command is tried
+MIN_NAMES = 3  # smallest number of names in a row
+MAX_ROWS = 20  # number of last rows on which the command is tried
 
 
 def packed_cells(lines: Sequence[str], shown_as: Path) -> str:
-    """Describe rows with names or several numbers in a cell; the remedy is a command that was tried on these rows.
+    """Describe rows with names or several numbers in a cell, and a command that converts them; else return "".
 
-    Return "" for other rows. Raise `InputError` if the rows can't be split at their separators.
+    The command is first tried on the last rows. Raise `InputError` if the rows can't be split at their separators.
     """
     rows = [_OUTER.sub("", line.strip()) for line in lines if line.strip()]
     if not rows:
@@ -36,7 +36,7 @@ def packed_cells(lines: Sequence[str], shown_as: Path) -> str:
     if all(_PRINTED.match(row) for row in rows[-MAX_ROWS:]):
         command = f"sed -E 's/^[0-9:.]+ -> //' {quote(shown_as.name)} > new.csv"
         raise InputError(
-            f"{shown_as}: rows begin with a serial monitor's times; remove them, for example with: {command}"
+            f"{shown_as}: rows begin with times of a serial monitor; remove these times, for example with: {command}"
         )
     named = [found[1] for found in _NAMED.finditer(last)]
     if len(named) >= max(MIN_NAMES, len(_cells(_NAMED.sub("1", last))) / 2) and len({*named}) == len(named):
@@ -71,7 +71,7 @@ def _cells(text: str) -> list[str]:
 
 
 def _titles(header: str, row: str) -> Iterator[str]:
-    """Yield the names of the columns, one for each number of a vector: acc becomes acc_x, acc_y, acc_z."""
+    """Yield the names of the split columns: a vector's name acc becomes acc_x, acc_y, acc_z."""
     names = [name.strip(' "') for name in re.split(r"[,;\t]", header)]
     counts = [len(_cells(found)) for found in _vectors(row)]
     plain = len(_cells(_VECTOR.sub("", row)))
@@ -79,7 +79,7 @@ def _titles(header: str, row: str) -> Iterator[str]:
         yield from names
         return
     found = re.finditer(rf"{_VECTOR.pattern}|[^,;\s]+", row)
-    sizes = [len(_cells(one[1] or one[2] or "1")) for one in found]
+    sizes = [len(_cells(cell[1] or cell[2] or "1")) for cell in found]
     if len(sizes) != len(names):
         return
     for name, size in zip(names, sizes, strict=True):

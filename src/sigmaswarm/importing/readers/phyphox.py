@@ -1,8 +1,8 @@
-"""phyphox: an experiment exported as CSV, a folder or zip with Accelerometer.csv, Gyroscope.csv and Location.csv.
+"""phyphox: an experiment exported as CSV: a folder or zip with Accelerometer.csv, Gyroscope.csv and Location.csv.
 
-Column names contain their units: "Time (s)" since the start on one clock, "Acceleration x (m/s^2)" with gravity,
-"Gyroscope x (rad/s)", "Latitude (°)", "Velocity (m/s)", "Direction (°)" from north. On Android and iOS the axes are
-Android's. In other languages, tables are identified by units, in the order of the app (phyphox/phyphox-experiments).
+Column names contain units: "Time (s)" since the start, on one clock, "Acceleration x (m/s^2)" with gravity, "Gyroscope
+x (rad/s)", "Latitude (°)", "Velocity (m/s)", "Direction (°)" from north. On Android and iOS the axes are Android's.
+Exports in other languages are identified by the units of columns in the app's order (phyphox/phyphox-experiments).
 """
 
 import re
@@ -12,8 +12,9 @@ from pathlib import Path
 
 import polars as pl
 
+from sigmaswarm.importing.readers.columns import log_of_names
 from sigmaswarm.importing.readers.packed import names_in
-from sigmaswarm.importing.readers.phones import FLAT_NOTE, RADIUS_68, phone_files
+from sigmaswarm.importing.readers.phones import FLAT_NOTE, RADIUS_68
 from sigmaswarm.importing.source import Guess, Limits, Log, Part, Role, first_bytes
 from sigmaswarm.importing.times import median_of
 
@@ -38,8 +39,7 @@ _COLUMNS: tuple[tuple[Role, str, dict[str, str], dict[str, str]], ...] = (
     ),
 )
 _REQUIRED = {"imu": {"t", "x", "y", "z"}, "gps": {"t", "lat", "lon"}}
-
-
+# Columns and units of a table of positions, in the app's order
 _PLACE = {"time": "s", "latitude": "°", "longitude": "°", "height": "m", "velocity": "m/s", "direction": "°"}
 _META = {"time.csv", "device.csv"}
 # m/s2, smallest median of an acceleration with gravity; linear acceleration has the same columns
@@ -66,9 +66,8 @@ def _header(file: Path) -> str:
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     names = names_in(path)
     english = {*FILES[:2]} <= names
-    log = phone_files(
-        path, FILES if english else sorted(n for n in names if n.endswith(".csv")), limits, stack
-    )
+    files = FILES if english else sorted(n for n in names if n.endswith(".csv"))
+    log = log_of_names(path, files, limits, stack, Guess({}))
     if english:
         tables = {
             file: (file, {re.sub(_PLAIN, "", c.strip().lower()).strip(): c for c in log.tables[file].columns})
@@ -106,9 +105,9 @@ def _is_place(columns: Sequence[str]) -> bool:
 
 
 def _by_units(log: Log) -> dict[str, tuple[str, dict[str, str]]]:
-    """Return the tables of an export in another language by `FILES`, with their columns by English names."""
+    """Return by `FILES` the tables of an export in another language, with their columns by English names."""
     found: dict[str, tuple[str, dict[str, str]]] = {}
-    for table, columns in ((name, its.columns) for name, its in log.tables.items()):
+    for table, columns in ((name, about.columns) for name, about in log.tables.items()):
         for file, unit in zip(FILES[:2], ("m/s^2", "rad/s"), strict=True):
             axes = {c.lower().split("(")[0].split()[-1]: c for c in columns if _unit(c) == unit}
             if axes.keys() >= {*"xyz"} and (file == FILES[1] or _has_gravity(log, table, axes)):

@@ -1,4 +1,4 @@
-"""PX4's flight logs, ``.ulg``, through pyulog, and PX4's messages in ROS 2 bags.
+"""PX4's flight logs (``.ulg``), read with pyulog, and PX4's messages in ROS 2 bags.
 
 Messages (PX4-Autopilot, msg/): times in us since start; sensor_combined forward, right, down (m/s2, rad/s); fixes in
 degrees (in older logs 1e-7 degrees and mm), with velocity north and east; in simulations also the true position, north
@@ -64,7 +64,11 @@ def recognizes(path: Path) -> bool:
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     core = import_library("pyulog.core", "logs")
-    with errors_as_damage(path), _Log(io.FileIO(path)) as file, redirect_stdout(io.StringIO()):  # its reports
+    with (
+        errors_as_damage(path),
+        _Log(io.FileIO(path)) as file,
+        redirect_stdout(io.StringIO()),
+    ):  # pyulog prints
         log = core.ULog(file, message_name_filter_list=list(_TOPICS))
     if log.file_corruption or file.stopped < path.stat().st_size:
         raise InputError(f"{path}: is cut short or broken before byte {file.stopped}; copy the log again")
@@ -81,7 +85,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 class _Log(io.BufferedReader):
-    """A file that records where its reader stopped, and refuses to search for a message after a damaged one.
+    """A file that records where pyulog stopped reading, and refuses pyulog's search after a damaged message.
 
     pyulog stops without an error at a message that is too short. After a message of unknown kind and impossible
     size, its search byte by byte takes hours or does not end.

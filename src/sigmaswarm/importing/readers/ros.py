@@ -1,4 +1,4 @@
-"""ROS 1 bags and ROS 2 bags (sqlite3 or MCAP), through rosbags, without ROS."""
+"""ROS 1 bags and ROS 2 bags (sqlite3 or MCAP), read with rosbags, without ROS."""
 
 import bz2
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -24,21 +24,21 @@ _FILES = (".bag", ".db3", ".mcap")
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a bag, by its first bytes, and for a folder that contains metadata.yaml or bags."""
+    """Return True for a bag, by first bytes or suffix, and for a folder that contains metadata.yaml or bags."""
     if path.is_dir():
         return bool(bag_paths(path))
     return first_bytes(path, 9) == b"#ROSBAG V" or path.suffix in (".bag", ".db3")
 
 
 def bag_paths(path: Path) -> list[Path]:
-    """Return the paths for rosbags: a folder with metadata, or the files of a folder without metadata."""
+    """Return the paths for rosbags: a file, a folder with metadata, or the bags of a folder without metadata."""
     if path.is_file() or (path / "metadata.yaml").exists():
         return [path]
     return sorted(f for f in path.iterdir() if f.suffix in _FILES)
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence[Path] = ()) -> Log:
-    """Open a bag; definitions that a ROS 2 bag lacks are from ``definitions``, or by default from the latest ROS."""
+    """Open a bag; message definitions that it lacks come from ``definitions``, by default from the latest ROS 2."""
     anyreader = import_library("rosbags.highlevel", "ros")
     typesys = import_library("rosbags.typesys", "ros")
     paths = bag_paths(path)
@@ -57,7 +57,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence
 
 
 def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
-    """Add the definitions in .msg files to those of a bag; a file's folder is its package."""
+    """Add the definitions in .msg files to those of a bag; the folder that contains ``msg/`` names the package."""
     kinds = {c.msgtype for c in reader.connections}
     for given in definitions:
         files = sorted(given.rglob("*.msg")) if given.is_dir() else [given]
@@ -115,7 +115,7 @@ def _log(path: Path, reader: Any, limits: Limits) -> Log:
     unread: list[str] = []
     try:
         topics = reader.topics
-    except TypeError as error:  # a number of messages in metadata.yaml that is not a number
+    except TypeError as error:  # the count of messages in metadata.yaml is not a number
         raise damage_error(
             path, error, "its metadata.yaml is damaged", "run `ros2 bag reindex` on it"
         ) from None
@@ -133,7 +133,8 @@ def _log(path: Path, reader: Any, limits: Limits) -> Log:
         for connection, received, raw in reader.messages(connections=wanted) if wanted else ():
             if not isinstance(received, int):
                 raise InputError(
-                    f"{path}: a message of {connection.topic} has {received!r} for its time; record the bag again"
+                    f"{path}: a message of {connection.topic} has the receive time {received!r}, not a number; record "
+                    "the bag again"
                 )
             yield connection.topic, received, reader.deserialize(raw, connection.msgtype)
 

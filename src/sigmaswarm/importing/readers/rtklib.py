@@ -1,8 +1,8 @@
-"""RTKLIB's solutions, ``.pos``, as fixes or truth.
+"""RTKLIB's solutions (``.pos``), as fixes or truth.
 
-RTKLIB ver. 2.4.2 Manual, B.1: comments begin with %, and the last one names the columns; times are dates, or GPS week
-and seconds; latitude and longitude in degrees, height above the ellipsoid, standard deviations north, east, up; Q is 1
-for fixed and 2 for float solutions.
+RTKLIB ver. 2.4.2 Manual, B.1: comments begin with %, and the last comment names the columns; times are dates, or GPS
+week and seconds; latitude and longitude in degrees, height above the ellipsoid, standard deviations north, east, up; Q
+is 1 for fixed and 2 for float solutions.
 """
 
 import re
@@ -58,7 +58,7 @@ def _header(path: Path) -> tuple[str, list[str]]:
     columns = [re.sub(_UNIT, r"\1", word) for word in words[1:]]
     if not {"latitude", "longitude"} <= set(columns):
         raise InputError(
-            f"{path}: has {list_names(words[1:4])}; write the solution as latitude, longitude, height"
+            f"{path}: has the columns {list_names(words[1:4])}; write the solution as latitude, longitude, height"
         )
     require_distinct(columns, path)
     return words[0], columns
@@ -80,14 +80,14 @@ def _rows(path: Path, width: int, gps: bool) -> Iterator[tuple[tuple[float, ...]
                 time, values = 0.0, []
             if len(values) != width:
                 raise InputError(
-                    f"{path}, row {number}: {line.strip()[:40]!r}... does not have the header's {width} numbers; "
-                    "the file may be cut short; delete the row"
+                    f"{path}, row {number}: {line.strip()[:40]!r}... does not have {width} numbers as in the header; "
+                    "delete the row"
                 )
             yield (time, *values), min(read / size, 1.0)
 
 
 def _seconds(first: str, second: str) -> float:
-    """Return s since 1970, without leap seconds, from date and time of day, or from GPS week and seconds."""
+    """Return the seconds since 1970, without leap seconds, from date and time of day, or from GPS week and seconds."""
     if "/" not in first:
         return GPS_EPOCH + int(first) * WEEK + float(second)
     day = np.datetime64(first.replace("/", "-"), "s").astype(np.int64)

@@ -2,7 +2,7 @@
 
 Units and axes (UNITS.md and COORDINATES.md in tszheichoi/awesome-sensor-logger): ``time`` in ns since 1970;
 Accelerometer without gravity, and Gravity, both with opposite signs on iOS; TotalAcceleration with gravity on Android;
-bearing in degrees from north. Negative values are invalid.
+bearing in degrees from north. Negative speeds, bearings and accuracies are invalid.
 """
 
 from contextlib import ExitStack
@@ -11,8 +11,9 @@ from pathlib import Path
 import polars as pl
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.readers.columns import log_of_names
 from sigmaswarm.importing.readers.packed import names_in
-from sigmaswarm.importing.readers.phones import FLAT_NOTE, RADIUS_68, phone_files
+from sigmaswarm.importing.readers.phones import FLAT_NOTE, RADIUS_68
 from sigmaswarm.importing.source import Guess, Limits, Log, Role, roles_of
 
 FILES = ("TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv", "Gyroscope.csv", "Location.csv")
@@ -33,7 +34,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    log = phone_files(path, FILES, limits, stack)
+    log = log_of_names(path, FILES, limits, stack, Guess({}))
     notes: list[str] = []
     parts: list[tuple[Role, str, dict[str, str | tuple[str, ...]]]] = [("gps", _PLACES, {**_T, **_FIX})]
     if _RATES in log.tables and (acceleration := _acceleration(log, notes)):
@@ -44,7 +45,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:
-    """Find the specific force: as logged, or the sum of acceleration and gravity (with opposite signs on iOS)."""
+    """Find the specific force: TotalAcceleration, or the sum of Accelerometer and Gravity."""
     if _TOTAL in log.tables:
         return {_TOTAL: {"ax": "y", "ay": "-x", "az": "z"}}
     if not {_MOVED, _GRAVITY} <= log.tables.keys():

@@ -1,4 +1,4 @@
-"""Find the topics for a drive from the content of their messages (sensor_msgs, geometry_msgs, nav_msgs)."""
+"""Find the topics of a drive by the fields of their messages (sensor_msgs, geometry_msgs, nav_msgs)."""
 
 import math
 import re
@@ -21,7 +21,7 @@ _FIX = {"lat": "latitude", "lon": "longitude", "alt": "altitude"}
 _VELOCITY = {"vx": "linear.x", "vy": "linear.y"}
 _POSITION = {"x": "position.x", "y": "position.y"}
 _ORIENTATION = {i: f"orientation.{i}" for i in "wxyz"}
-# Paths of the wheel speed in nav_msgs, geometry_msgs, Autoware's reports, and others
+# Paths of the wheel speed in nav_msgs, geometry_msgs, Autoware's reports, and other messages
 _SPEEDS = ("twist.linear.x", "linear.x", "longitudinal_velocity", "speed")
 _WHEELS = re.compile(r"wheel|vehicle|speedo|odometer|(?:^|[/_])can(?:[/_]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|/)gt(?:/|$)", re.IGNORECASE)
@@ -37,7 +37,7 @@ def _yaw(at: str) -> str:
 
 
 def prefix(table: Table, paths: Mapping[str, str]) -> str | None:
-    """Return the prefix of paths in a topic's columns: "" in the message itself, "imu." in its field imu; or None."""
+    """Return the prefix with which a topic's columns contain all paths, such as "" or "imu."; else None."""
     columns = set(table.columns)
     first = next(iter(paths.values()))
     for column in table.columns:
@@ -54,7 +54,7 @@ class Topics:
     tables: Mapping[str, Table]
     choice: TableChoice
     first: Callable[[str], tuple[str, int, Any] | None]  # first message of a topic
-    notes: list[str] = field(default_factory=list[str])  # the choices
+    notes: list[str] = field(default_factory=list[str])  # sentences on the choices
 
     def guess(self) -> Guess:
         roles: dict[Role, tuple[Part, ...]] = {}
@@ -81,18 +81,20 @@ class Topics:
         truth = self._topic("truth", {t for t in located if _TRUTH.search(t)})
         if truth:
             roles["truth"] = (self._part(truth, self._motion(truth)),)
-        elif poses := sorted(t for t, one in self.tables.items() if "Odometry" in one.kind and t != fixes):
+        elif poses := sorted(
+            t for t, table in self.tables.items() if "Odometry" in table.kind and t != fixes
+        ):
             there = list_names(poses)
             self.notes.append(
-                f"no name indicates truth, so {there} can't be used as truth; choose a topic with --truth-topic"
+                f"no topic's name indicates truth, so {there} is not used as truth; choose a topic with --truth-topic"
             )
         other = re.compile(f"{_TRUTH.pattern}|{_RECEIVER.pattern}|cmd|command", re.IGNORECASE)
         counted = {t for t in self.tables if self._speed(t) and _WHEELS.search(t) and not other.search(t)}
         if wheels := self._topic("odometer", counted - {fixes, truth}):
             if not (speed := self._speed(wheels)):
                 raise InputError(
-                    f"{self.path}: {wheels} ({self.tables[wheels].kind}) has none of {', '.join(_SPEEDS)}; choose "
-                    "another topic, or map odometer.speed"
+                    f"{self.path}: {wheels} ({self.tables[wheels].kind}) has none of the fields {', '.join(_SPEEDS)}; "
+                    "choose another topic, or map odometer.speed"
                 )
             roles["odometer"] = (self._part(wheels, {"speed": speed}),)
             self.notes.append(f"{wheels} is used as the wheel speed, m/s forward")
@@ -126,7 +128,8 @@ class Topics:
         if at is None:
             wanted = ", ".join(paths.values())
             raise InputError(
-                f"{self.path}: {topic} ({self.tables[topic].kind}) has no {wanted}; choose another topic, or map it"
+                f"{self.path}: {topic} ({self.tables[topic].kind}) does not have all of the fields {wanted}; choose "
+                "another topic, or map its fields"
             )
         return {name: at + path for name, path in paths.items()}
 
@@ -138,12 +141,14 @@ class Topics:
         found = self._named(topic, _IMU)
         at = found["ax"].removesuffix(_IMU["ax"])
         covariances = [f"{at}{kind}_covariance[0]" for kind in ("linear_acceleration", "angular_velocity")]
-        if set(covariances) <= set(self.tables[topic].columns):  # -1 if the sensor does not measure it
+        if set(covariances) <= set(
+            self.tables[topic].columns
+        ):  # -1 if the sensor does not measure the vector
             found["keep"] = " and ".join(f"{c} != -1" for c in covariances)
         return found
 
     def _stated_noise(self, topic: str) -> dict[str, Any]:
-        """Return the variances of gz and ax in the first message, if stated, for drive.toml."""
+        """Return the variances of gz and ax that the first message states, for drive.toml; else {}."""
         before = self._named(topic, _IMU)["ax"].removesuffix(_IMU["ax"])
         columns = [f"{before}angular_velocity_covariance[8]", f"{before}linear_acceleration_covariance[0]"]
         message = self.first(topic)
@@ -154,7 +159,7 @@ class Topics:
         return {"imu_stated_noise": [float(value) for value in stated]} if known else {}
 
     def _position(self, topic: str) -> dict[str, str]:
-        """Return the columns of fixes, a NavSatFix or a pose in m east and north, and of stated standard deviations."""
+        """Return the columns of fixes (NavSatFix, or poses in m east and north), with stated standard deviations."""
         columns = set(self.tables[topic].columns)
         if (at := prefix(self.tables[topic], _FIX)) is not None:
             found = self._named(topic, _FIX)
@@ -172,7 +177,7 @@ class Topics:
         return found
 
     def _heading(self, topic: str) -> dict[str, str]:
-        """Return the yaw of an Imu message, except for messages with a first covariance of -1 (no orientation)."""
+        """Return the yaw of an Imu message; messages whose first covariance is -1 have no orientation."""
         at = self._named(topic, _ORIENTATION)["w"].removesuffix("w")
         covariance = at.removesuffix(".") + "_covariance"
         found = {"heading": _yaw(at)}
@@ -181,7 +186,7 @@ class Topics:
         return found
 
     def _motion(self, topic: str) -> dict[str, str]:
-        """Return the columns of the truth: a pose with its heading, in Odometry also velocity; or fixes in degrees."""
+        """Return the columns of the truth: fixes in degrees, or poses with heading, in Odometry also with velocity."""
         if prefix(self.tables[topic], _FIX) is not None:
             return {k: v for k, v in self._position(topic).items() if not k.startswith("std")}
         found = self._named(topic, _POSITION)
@@ -223,6 +228,6 @@ class Topics:
         header = getattr(message[2], "header", None) if message else None
         if name := getattr(header, "frame_id", ""):
             self.notes.append(
-                f"{topic} is in the frame {name!r}, and its axes are assumed to be those of REP-103; specify "
-                "other axes with --mount"
+                f"{topic} is in the frame {name!r}, whose axes are assumed to be x forward, y left, z up (REP-103); "
+                "specify other axes with --mount"
             )

@@ -1,9 +1,9 @@
-"""u-blox receivers' UBX streams, through pyubx2: NAV-PVT, or NAV-POSLLH with NAV-SOL and NAV-VELNED of u-blox 6.
+"""UBX streams of u-blox receivers, read with pyubx2: NAV-PVT, or NAV-POSLLH with NAV-SOL and NAV-VELNED of u-blox 6.
 
-u-blox M8 Receiver description, UBX-13003221, 32.17.15 UBX-NAV-PVT: UTC, degrees, mm, mm/s; hAcc and sAcc are the
-receiver's estimates of standard deviations. u-blox 6 Receiver description, GPS.G6-SW-10018, 35: POSLLH in mm, VELNED in
-cm/s, times as GPS week (SOL, TIMEGPS, or by TIMEUTC) and ms of week. NAV-RELPOSNED (F9 HPG interface description,
-UBX-21019746): heading from one antenna to the other. Other messages in the stream, such as NMEA, are skipped.
+u-blox M8 Receiver description, UBX-13003221, 32.17.15 UBX-NAV-PVT: UTC, degrees, mm, mm/s; hAcc is the receiver's
+estimate of the position's standard deviation. u-blox 6 Receiver description, GPS.G6-SW-10018, 35: POSLLH in mm, VELNED
+in cm/s; times are ms of the GPS week, which SOL or TIMEGPS state, or TIMEUTC determines. NAV-RELPOSNED (F9 HPG
+interface description, UBX-21019746): heading from one antenna to the other. Other messages, such as NMEA, are skipped.
 """
 
 import calendar
@@ -70,7 +70,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     raw = any(kind[:1] == b"\x02" for kind in kinds)
     what = RAW if raw else "configure the receiver to send NAV-PVT, or NAV-POSLLH and NAV-SOL"
     raise InputError(
-        f"{path}: contains {list_names(there) or 'no whole message'}, and neither NAV-PVT nor NAV-POSLLH; {what}"
+        f"{path}: contains neither NAV-PVT nor NAV-POSLLH (complete messages: {list_names(there) or 'none'}); {what}"
     )
 
 
@@ -101,15 +101,15 @@ def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[f
 
 
 def _headings(path: Path, pyubx2: Any) -> dict[int, tuple[float, float]]:
-    """Return heading and accuracy of two antennas, deg, by time of week, where the ambiguities are fixed."""
+    """Return the heading of two antennas and its accuracy, deg, by time of week, where the ambiguities are fixed."""
     found: dict[int, tuple[float, float]] = {}
     for raw, _ in _messages(path):
         if raw is None or raw[2:4] != NAV_RELPOSNED:
             continue
         try:
             message = pyubx2.UBXReader.parse(raw)
-            moving_base = message.isMoving  # the other antenna is not a base station
-            if message.relPosHeadingValid and message.carrSoln == 2 and moving_base:
+            # isMoving: the other antenna is on the vehicle, not a base station
+            if message.relPosHeadingValid and message.carrSoln == 2 and message.isMoving:
                 found[message.iTOW] = message.relPosHeading, message.accHeading
         except Exception:  # a wrong length, or version 0, which has no heading
             continue
@@ -126,7 +126,7 @@ def _time(message: Any) -> float:
 
 
 def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """Yield one row per time of week, from all its messages; the week is that of the last message that states one."""
+    """Yield one row per time of week, from all messages with this time; the week is the one that was last stated."""
     week = broken = 0
     fix: dict[str, float] = {}
     for raw, done in _messages(path):
@@ -153,13 +153,13 @@ def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple
         remarks.append(f"{path.name}: {broken} damaged messages are skipped")
     if not week:
         remarks.append(
-            f"{path.name}: no NAV-SOL or NAV-TIMEUTC message contains the GPS week, so times count from the start of "
-            "the week; --gps-offset adds seconds to them"
+            f"{path.name}: no NAV-SOL, NAV-TIMEGPS or NAV-TIMEUTC message contains the GPS week, so times count from "
+            "the start of the week; --gps-offset adds seconds to them"
         )
 
 
 def _week_of(message: Any, tow: float) -> int:
-    """Return the GPS week that a message states, directly or by its date and time of day, or 0."""
+    """Return the GPS week that a message states, directly or by date and time of day; 0 if it states none."""
     if not getattr(message, "validUTC", 0):
         return int(getattr(message, "week", 0))
     try:
@@ -178,7 +178,7 @@ def _row_6(fix: dict[str, float], week: int) -> tuple[float, ...]:
 
 
 def _messages(path: Path) -> Iterator[tuple[bytes | None, float]]:
-    """Yield messages with a correct checksum, and None for damaged bytes, each with the share that has been read.
+    """Yield messages with a correct checksum, and None for damaged bytes, each with the share of the file read so far.
 
     The length of a damaged message is unreliable, so the search for the next message begins after its first bytes.
     """
