@@ -76,7 +76,7 @@ def test_a_part_is_repaired_only_with_the_whole_drive(sigmaswarm, sick: Path):
     assert read_drive(f"parts/{part}").metadata["cut_from"].keys() == {"drive", "sha256", "start_s", "end_s"}
     said = sigmaswarm("doctor", f"parts/{part}").out
     assert (
-        "if the whole drive urban-clear-00 has this fault, repair that and split again (change"
+        "if the whole drive urban-clear-00 has this fault, repair that drive and split it again (change"
         in " ".join(said.split())
     )
     assert "--fix does this" not in said and f"parts/{part} --fix" not in said

@@ -897,7 +897,9 @@ def test_of_folders_with_whole_logs_the_folder_is_named(tmp_path: Path):
         write_two(tmp_path / day, AXES, FIXES)
     with pytest.raises(InputError, match=r"\(monday, tuesday\); import each log, for example ") as caught:
         imported(tmp_path)
-    assert_close(imported(Path(str(caught.value).rpartition(" as ")[2])).drive.gps, DRIVE.gps, "lat", 1e-12)
+    assert_close(
+        imported(Path(str(caught.value).rpartition(" example ")[2])).drive.gps, DRIVE.gps, "lat", 1e-12
+    )
 
 
 def test_folders_of_days_are_not_mixed(tmp_path: Path):

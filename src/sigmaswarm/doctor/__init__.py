@@ -1,5 +1,6 @@
 """The doctor finds faults of a log before tuning, and repairs some of them.
 
-The doctor compares the motion of the fixes with the IMU. A finding is a disagreement that disappears when a column is
-rotated, scaled or shifted in time. The doctor never uses truth.
+The doctor compares the motion of the fixes with the IMU. Many findings are disagreements that disappear when a column
+is rotated, scaled or shifted in time. Other findings concern sampling, noise, and quantities that the log does not
+show. The doctor never uses truth.
 """

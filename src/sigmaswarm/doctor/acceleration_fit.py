@@ -1,4 +1,4 @@
-"""Regression of the path on the forward and lateral accelerations: mounting, scale, tilt, and delay of the fixes.
+"""Regression of the path on the accelerations: mounting angle, scale, tilt, and delay of the fixes.
 
 In windows of several seconds, the IMU determines the path, integrated from an unknown start:
 
@@ -27,17 +27,19 @@ SMALL_SAMPLE = 8.0
 MIN_NOISE = 0.03  # m, smallest assumed noise of the IMU's path over several seconds
 
 DELAYS = np.arange(-0.8, 0.81, 0.1)  # s, delays of the fixes to try
-DRIFT_SPAN = 6.0
-BIN = 3.0  # s, standard deviation of the Gaussian that aligns gyro and course, and bin length
+DRIFT_SPAN, BIN = (
+    6.0,
+    3.0,
+)  # s: standard deviation of the Gaussian that aligns gyro and course; its bin length
 
 
 @dataclass(frozen=True, eq=False)
 class AccelerationFit:
-    matrix: Array  # (2, 2), M: rotates recorded (ax, ay) to forward and left, m/s2
+    matrix: Array  # (2, 2), M: maps the recorded (ax, ay) to accelerations forward and left, m/s2
     covariance: Array  # (5, 5), of the rows of M, one after the other, and of `delay`
     delay: float  # s, delay of the fixes
-    bias_std: Array  # (2,) m/s2, of the mean bias, whose effect in steady circles resembles that of M
-    bias: Array  # (k, 2) m/s2, forward and left, of each window: residuals of the recorded accelerations
+    bias_std: Array  # (2,) m/s2, of the mean of b; in steady circles b is hardly distinguishable from M
+    bias: Array  # (k, 2) m/s2, forward and left, b of each window
     rows: NDArray[np.intp]  # (k, n), the fixes of each window
     residual: Complex  # (k, n) m, east + i north
     varied: float  # m/s, RMS of the velocity that no other unknown explains; 0 on a circle at constant speed
@@ -51,7 +53,7 @@ def _off_course(time: Array, course: Course, rate: Array, delay: float) -> tuple
 
 
 def gyro_heading(time: Array, course: Course, rate: Array, delay: float) -> Array:
-    """Return the heading (n,), rad, at the IMU's times: the gyro's integral, aligned with the course of nearby seconds.
+    """Return the heading (n,), rad, at the IMU's times: the gyro's integral, aligned with the course near each time.
 
     ``rate`` (n,): yaw rate, rad/s, with correct sign and unit; ``delay``: delay of the fixes, s.
     """
@@ -155,7 +157,7 @@ class _Fit:
         return regress(position, columns, own, np.ones(own[0].shape), rounds)
 
     def solved(self, found: Regression, delay: float) -> tuple[Array, Array]:
-        """Return the solution and its covariance after a Kalman update by the known delay."""
+        """Return the solution and its covariance after a Kalman update with the known delay."""
         solution, covariance = found.solution, found.covariance * (1 + SMALL_SAMPLE / len(self._rows))
         if self._known is None:
             return solution, covariance
@@ -164,6 +166,7 @@ class _Fit:
         return solution, covariance - np.outer(gain, covariance[4])
 
     def learn(self, found: Regression, delay: float) -> None:
+        """Take M, the mean bias, and the bias of each window from a regression."""
         solution, _ = self.solved(found, delay)
         self._matrix = solution[:4].reshape(2, 2)
         self._usual = self._usual + solution[5:]

@@ -1,4 +1,4 @@
-"""Quantities measured by the IMU and their values from the motion of the fixes, for plots."""
+"""Compare measurements with gravity and with the motion of the fixes, for plots."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,7 +15,9 @@ MIN_FIXES = 8  # smallest number of fixes for a course
 MIN_SPEED = 1.0  # m/s, lowest speed at which a course is shown
 AVERAGING_TIME = 2.0  # s; the specific force is averaged, since vibration would hide gravity
 RATE = 10.0  # Hz, rate of the averaged specific force
-MAX_BIAS = np.radians(5.0)  # rad/s; a larger one is a fault of gz, which the plot shows
+MAX_BIAS = np.radians(
+    5.0
+)  # rad/s, largest bias that is removed; the plot shows a larger one as a fault of gz
 # By agreement: beginnings of the codes of findings that its plot shows
 FINDINGS = {
     "timing": (
@@ -111,22 +113,21 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
         ),
     ):
         name, follows = ("ax", "change of speed") if key == "forward" else ("ay", "speed x gz")
-        felt = smoothed(imu.time, values, at, span)
-        yield Agreement(
-            key, title, "m/s²", {name: (at[moving], felt[moving])}, {follows: (at[moving], expected[moving])}
-        )
+        means = smoothed(imu.time, values, at, span)
+        measured, motion = {name: (at[moving], means[moving])}, {follows: (at[moving], expected[moving])}
+        yield Agreement(key, title, "m/s²", measured, motion)
     own = {"receiver": (gps.time, gps.speed)} if gps.speed is not None else {}
     own |= {"odometer": (drive.odometer.time, drive.odometer.speed)} if drive.odometer else {}
     if own:
         yield Agreement("speed", "Speed", "m/s", own, {"fixes": (at, speed)})
     if gps.course is not None:
-        theirs = gps.time, np.degrees(gps.course)
+        stated = gps.time, np.degrees(gps.course)
         track = at[moving], np.degrees(np.angle(course.velocity[moving]))
-        yield Agreement("course", "Course", "deg", {"receiver": theirs}, {"fixes": track})
+        yield Agreement("course", "Course", "deg", {"receiver": stated}, {"fixes": track})
 
 
 def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
-    """Compare the integral of gz minus its bias with the course; each part between two stops is shifted."""
+    """Compare the integral of gz without bias with the course; parts between stops are shifted to agree on average."""
     imu, at = drive.imu, course.time[moving]
     track = np.unwrap(np.angle(course.velocity[moving]))
     turned = np.interp(at, imu.time, integral(imu.time, imu.gz))

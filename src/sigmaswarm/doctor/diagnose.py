@@ -1,4 +1,4 @@
-"""Diagnose one drive by all checks."""
+"""Diagnose one drive with all checks."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -21,7 +21,7 @@ from sigmaswarm.drives.split import name_of_whole
 from sigmaswarm.errors import DriveError
 from sigmaswarm.wording import printable
 
-# In the order of findings of equal severity
+# The order of findings of equal severity
 CHECKS = (
     check_mirrored,
     check_reverse,
@@ -39,7 +39,7 @@ CHECKS = (
     check_observability,
     check_use,
 )
-CACHE_SIZE = 32  # diagnoses in the cache, since commands and pages need them several times
+CACHE_SIZE = 32  # number of cached diagnoses; commands and pages need a diagnosis several times
 _cache: dict[tuple[str, str], Diagnosis] = {}
 
 
@@ -88,7 +88,8 @@ def _diagnosed(drive: Drive) -> Diagnosis:
 def _of_part(found: Sequence[Finding], whole: str) -> Iterator[Finding]:
     """Replace the remedies of repairs, since a part that is repaired alone differs from the other part."""
     for finding in found:
-        remedy = f"if the whole drive {printable(whole)} has this fault, repair that and split again ({finding.remedy})"
+        remedy = f"if the whole drive {printable(whole)} has this fault, repair that drive and split it again"
+        remedy += f" ({finding.remedy})"
         yield replace(finding, remedy=remedy) if whole and finding.repair else finding
 
 

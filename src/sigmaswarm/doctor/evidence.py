@@ -1,4 +1,4 @@
-"""The fits and masks that all checks use."""
+"""Fits and masks that all checks use."""
 
 from dataclasses import dataclass, replace
 
@@ -28,9 +28,11 @@ from sigmaswarm.drives.stale_fixes import stale_fixes
 
 MAX_FIT_OFFSET = 2.3  # s, largest offset that the fit determines; the fit tries delays up to 2.5 s
 MIN_SEARCH_OFFSET = 0.3  # s, smallest offset that the search determines
-# s, largest usual delay of a receiver; a larger one counts if the search finds no other offset
+# s, largest usual delay of a receiver; a larger delay is accepted if the search finds no other offset
 MAX_USUAL_DELAY = 1.0
-AS_RECORDED = Yaw(known=True)  # another column, sign or unit is accepted only if no offset explains the data
+AS_RECORDED = Yaw(
+    known=True
+)  # other columns, signs and units are accepted only if no clock offset explains the data
 # Smallest cosine of the angles between az and gravity, and between ax and forward, at which mirrored fixes can be
 # distinguished from an IMU with other axes.
 MIN_UPRIGHT_COSINE = 0.7
@@ -38,7 +40,7 @@ MAX_SCALE_SIGMAS = 4.0  # smallest scale of ax and ay, in standard deviations, t
 MIN_FIXES = 20  # smallest number of fixes for the checks that need motion
 # Ratio of the stated noise to the scatter about a path of 10 s above which most of the error lasts longer than 10 s
 MAX_SCATTER_RATIO = 2.5
-CACHE_SIZE = 256  # drives whose scatter is cached, since each repetition of a tuning needs it
+CACHE_SIZE = 256  # number of drives whose scatter is cached, since each repetition of a tuning needs it
 _scatters: dict[str, float] = {}
 
 
@@ -58,7 +60,9 @@ class Evidence:
     scatter: float  # m per axis, scatter of the fixes about the path over ten seconds
     mounting: Mounting | None  # mounting of the IMU in the vehicle, for a log with six axes
     moved: float = 0.0  # s, subtracted from the fixes' times if the clocks are far apart
-    mirrored: bool = False  # x and y of the fixes are exchanged; other fields are those after a correction
+    mirrored: bool = (
+        False  # x and y of the fixes are exchanged in the log; the other fields refer to corrected fixes
+    )
 
     @property
     def mounted(self) -> bool:
@@ -79,8 +83,8 @@ class Evidence:
 def gather(drive: Drive) -> Evidence:
     """Fit the gyro to the course and the accelerometers to the path, and interpret the fits.
 
-    If the gyro as recorded does not follow the course within a second, first search for a clock offset up to 40 s. If
-    the IMU as recorded agrees only with a mirror image of the fixes, all evidence refers to the mirror image.
+    If the recorded gyro does not follow the course with a delay below 1 s, first search for a clock offset up to 40 s.
+    If the recorded IMU agrees only with a mirror image of the fixes, all evidence refers to the mirror image.
     """
     evidence = _read(drive)
     evidence = _mirrored(evidence, drive) or evidence
@@ -92,8 +96,8 @@ def gather(drive: Drive) -> Evidence:
 
 def fix_scatter(drive: Drive) -> float:
     """Return `Evidence.scatter` of a drive, m per axis; the result is cached."""
-    kept = _scatters.get(fingerprint(drive))
-    return gather(drive).scatter if kept is None else kept
+    cached = _scatters.get(fingerprint(drive))
+    return gather(drive).scatter if cached is None else cached
 
 
 def _read(drive: Drive) -> Evidence:
@@ -105,7 +109,7 @@ def _read(drive: Drive) -> Evidence:
     if fit.share > SUFFICIENT_SHARE and evidence.yaw == AS_RECORDED and abs(fit.delay) < MAX_USUAL_DELAY:
         return evidence
     delay = search_offset(drive, course)
-    if fits or fit.course_change < MIN_TURN:  # only a large offset contradicts this interpretation
+    if fits or fit.course_change < MIN_TURN:  # only a large offset would contradict this interpretation
         if delay is None or abs(delay) < MAX_FIT_OFFSET:
             return evidence
     elif delay is None:  # no axis can be interpreted without a common clock
@@ -123,10 +127,10 @@ def _read(drive: Drive) -> Evidence:
 
 
 def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
-    """Return the evidence after an exchange of x and y of the fixes; None unless the exchange explains the IMU data.
+    """Return the evidence after an exchange of x and y of the fixes, or None if the exchange does not explain the IMU.
 
-    No rotation reverses gz and ay while az is upright and ax agrees with the motion. For an IMU on its side or upside
-    down, reversed accelerometers look the same.
+    No rotation of the IMU reverses gz and ay while az points up and ax agrees with the motion. An IMU on its side or
+    upside down is excluded, since reversed accelerometers have the same effect there.
     """
     imu, yaw, fit = drive.imu, found.yaw, found.yaw_fit
     if imu.az is None or fit is None or fit.course_change < LEAST_TURNS:
@@ -134,7 +138,7 @@ def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
     force = np.array([np.median(v) for v in (imu.ax, imu.ay, imu.az)])
     if force[2] < max(
         MIN_UPRIGHT_COSINE * float(np.linalg.norm(force)), 0.5
-    ):  # also without gravity, or in other units
+    ):  # 0.5 excludes logs without gravity, in m/s2 and in g
         return None
     turned_over = found.mounting is not None and found.mounting.repair[2, 2] < 0
     if yaw.known and yaw.factor > 0 and not turned_over:
@@ -180,7 +184,7 @@ def _gather(drive: Drive) -> Evidence:
             mount and np.array_equal(mount.matrix, np.eye(2)) and abs(mount.angle) <= MIN_EXCHANGE_ANGLE / 8
         )
         if delay and not as_recorded:
-            # Other axes are reported only if they agree with the delay by the gyro.
+            # Other axes are reported only if they agree with the delay that the gyro shows.
             known = fit_acceleration(drive, course, rate, np.array([delay.delay]), delay.delay_prior)
             mount = known and planar_mounting(known)
     clock = clock_of(yaw_fit, yaw, acceleration, mount)

@@ -1,4 +1,4 @@
-"""Findings of the doctor, with place, confidence, remedy and repair."""
+"""The findings of the doctor, with place, confidence, remedy and repair."""
 
 import math
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class Finding:
     Attributes
     ----------
     code : str
-        A short, stable name for programs, such as "gyro-sign" or "clock-offset" (list in docs/doctor.md).
+        A short, stable name for programs, such as "gyro-sign" or "clock-offset"; docs/doctor.md lists them.
     severity : {"note", "warning", "serious"}
     what : str
         The fault in one sentence, with values.
@@ -40,7 +40,7 @@ class Finding:
     repair : Repair or None
         The repair that ``repair`` applies, if any.
     cut : float or None
-        Time at which to cut the log, s; the part after it is free of the fault.
+        Time at which to cut the log, s; the part after this time does not have the fault.
     """
 
     code: str
@@ -72,7 +72,7 @@ def finding_of(
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All findings about one drive, the serious ones first.
+    """All findings of one drive, the serious ones first.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Diagnosis:
     visible_clock_offset : float or None
         Smallest detectable offset between the clocks of IMU and GPS, s; None if no offset is detectable.
     whole : str
-        Name of the drive with which a part is repaired; "" if the drive is no part.
+        Name of the whole drive, which is repaired instead of this part; "" if the drive is not such a part.
     """
 
     drive: str

@@ -1,4 +1,4 @@
-"""Course and speed from the fixes alone, jumps of the fixes, and fixes with exchanged coordinates."""
+"""Compute course and speed from the fixes alone, mark jumps of the fixes, and exchange their coordinates."""
 
 from dataclasses import dataclass, replace
 
@@ -12,12 +12,12 @@ from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
 
 Mask = NDArray[np.bool_]
 
-NEIGHBORS = 3  # fixes on each side from which the position of a fix is predicted
+NEIGHBORS = 3  # number of fixes on each side that predict the position of a fix
 MAX_ACCELERATION = 8.0  # m/s2, largest acceleration of a car; a larger one is a jump of the fixes
 SPAN_LIMITS = (3.0, 6.0)  # s, shortest and longest time over which one velocity is computed
 SPEED_STD = 0.5  # m/s, intended standard deviation of the velocity
 MIN_SPEED = 3.0  # m/s; at lower speeds the course is noise
-USUAL_SHARE = 0.5  # share of a slow vehicle's usual speed above which accurate fixes determine a course
+USUAL_SHARE = 0.5  # of a slow vehicle's usual speed; at higher speeds accurate fixes determine a course
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ def with_exchanged_axes(drive: Drive) -> Drive | None:
 
 
 def mark_jumps(time: Array, position: Complex) -> Mask:
-    """Mark fixes, (n,), that are farther from the line through their neighbors than a car can drive."""
+    """Mark fixes (n,) whose distance from the line through their neighbors is impossible for a car."""
     kept = np.arange(len(time))
     if len(time) < 10:
         return np.zeros(len(time), bool)

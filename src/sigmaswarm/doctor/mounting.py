@@ -1,8 +1,8 @@
 """Estimate the mounting of the IMU as one rotation, from gravity, turns and the direction of travel.
 
 Roll and pitch follow from gravity and the axis of turning, yaw from the regression of the path on the leveled
-accelerations. The direction of travel refines yaw and pitch. This is repeated with the rotated axes until the remaining
-rotation is zero.
+accelerations. The direction of travel refines yaw and pitch. These steps are repeated with the rotated axes until
+hardly any rotation remains.
 """
 
 import math
@@ -41,10 +41,12 @@ GYRO_WINDOW = 10.0  # s, window over which the axis of turning is fitted
 # Accelerometers are reversed if `_leaning` of their negative values exceeds MIN_LEANING. A mounting rotated by more
 # than 90 degrees is refused if its `_leaning` is below -MIN_LEANING, since an axis is reversed.
 MIN_LEANING = 0.5
-MAX_TILT = math.radians(15.0)  # rad, largest angle of the specific force to the vertical axis that is found
+MAX_TILT = math.radians(
+    15.0
+)  # rad, largest angle between the median specific force and the estimated vertical axis
 MAX_GRAVITY_CHANGE = math.radians(
     8.0
-)  # rad, change of gravity between windows if the mounting is not constant
+)  # rad; a larger change of gravity between windows shows that the mounting is not constant
 # rad, smallest corrected tilt and rotation about z; their smallest ratio to the standard deviation
 MIN_TILT, MIN_YAW, MIN_SIGMAS = math.radians(4.0), math.radians(5.0), 3.5
 SERIOUS = math.radians(7.0)
@@ -63,7 +65,7 @@ class Mounting:
 
     rotation: Array  # (3, 3)
     std: Array  # (3,) rad, of roll, pitch and yaw
-    confidence: Confidence  # with "no" at most roll and pitch are known
+    confidence: Confidence  # "no": at most roll and pitch are known
     reason: str  # why the confidence is not higher
 
     before: Array  # (3, 3), rotation that was already applied to the drive's samples: `Drive.mounting`
@@ -75,10 +77,11 @@ class Mounting:
 
     @property
     def mount(self) -> Array:
-        """The rotation (3, 3) from the raw samples, which does not depend on `before`.
+        """The rotation (3, 3) of the raw samples, without the effect of `before`.
 
-        The result is the estimate, or an exchange of the raw axes if the two do not differ significantly. The tolerance
-        of `needed` is not used, since a rotation near 4 deg would be 0 in some parts of a log and not in others.
+        If the estimate does not differ significantly from an exchange of the raw axes, the result is this exchange. The
+        tolerance of `needed` is not used, since a rotation near 4 deg would be 0 in some parts of a log and not in
+        others.
         """
         found = self.rotation @ self.before
         exchanged = max(AXIS_PERMUTATIONS, key=lambda axes: float(np.trace(found @ axes.T)))
@@ -86,11 +89,11 @@ class Mounting:
 
     @property
     def repair(self) -> Array:
-        """The rotation (3, 3) of the drive's axes that leads to `mount`; the identity if none is needed."""
+        """The rotation (3, 3) that corrects the drive's samples to `mount`; the identity if none is needed."""
         return self.mount @ self.before.T if self.needed else np.eye(3)
 
     def _agrees(self, rest: Array, least_tilt: float = 0.0, least_yaw: float = 0.0) -> bool:
-        """Check that tilt and rotation about the vertical of a rotation (3, 3) are small or not significant."""
+        """Return True if a rotation's tilt and its angle about the vertical are small or not significant."""
         tilt, about = np.arccos(np.clip(rest[2, 2], -1.0, 1.0)), rest @ leveling_rotation(rest[2]).T
         axis = rest[2, 1::-1] / max(float(np.hypot(rest[2, 0], rest[2, 1])), 1e-9)  # of the tilt: roll, pitch
         level = tilt <= max(least_tilt, MIN_SIGMAS * float(np.linalg.norm(axis * self.std[:2])))
@@ -149,8 +152,7 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
     imu, yaw_fit = found
     rotation, seen = _converged(drive, course, imu, yaw_fit)
     if seen and seen.yaw_fit.gain < 0 and _follows(seen.yaw_fit) and seen.mirrored > MIN_LEAD:
-        # The leveled IMU is upside down: its accelerometers report the opposite of specific force, or only some axes
-        # do.
+        # The leveled IMU is upside down: all or some accelerometers report the opposite of specific force.
         opposite = _scaled(imu, "a", -1.0)
         upright = _converged(drive, course, opposite)
         if np.min(_leaning(rotate_imu(opposite, upright[0]))) > MIN_LEANING:
@@ -167,14 +169,14 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
     if far and np.min(_leaning(rotate_imu(imu, rotation))) < -MIN_LEANING:
         confidence, reason = (
             "no",
-            "with the mounting that was found, the body would lean into turns, or pitch forward in acceleration",
+            "with the estimated mounting, the body would lean into turns, or pitch forward when it gains speed",
         )
     before = rotation_of(*(drive.mounting or NO_ROTATION))
     return Mounting(rotation, seen.std, confidence, reason, before)
 
 
 def _leaning(imu: Imu) -> Array:
-    """Return how much the body leans outward in turns, and backward when it gains speed, (2,), from -1 to 1.
+    """Return how much the body leans outward in turns, and backward when it gains speed: two numbers from -1 to 1.
 
     Both are positive for a body on springs. If an axis of the IMU is reversed, one is negative.
     """
@@ -202,7 +204,7 @@ def level_rotation(imu: Imu) -> Array:
 
 
 def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
-    """Convert the IMU to m/s2 and rad/s by gravity and the turns of the course; return also the fit of the yaw rate."""
+    """Convert an IMU to m/s2 and rad/s if gravity and turns show other units; also return the fit of the yaw rate."""
     imu, rows = drive.imu, yaw_windows(course)
     if imu.az is None or imu.gx is None or imu.gy is None or not course.moving.any() or not len(rows):
         return None
@@ -220,7 +222,7 @@ def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
 def _converged(
     drive: Drive, course: Course, imu: Imu, yaw_fit: YawFit | None = None
 ) -> tuple[Array, _Round | None]:
-    """Level the axes, and rotate them in rounds until none is left; return the total rotation, and the last round."""
+    """Level the axes and rotate them in rounds until they converge; return the total rotation and the last round."""
     rotation, seen = level_rotation(imu), None
     for _ in range(MAX_ROUNDS):
         seen = _round(replace(drive, imu=rotate_imu(imu, rotation)), course, seen, None if seen else yaw_fit)
@@ -234,7 +236,7 @@ def _converged(
 
 
 def _round(drive: Drive, course: Course, last: _Round | None, yaw_fit: YawFit | None) -> _Round | None:
-    """Run one round; only the first round searches the offset of the clocks."""
+    """Run one round; only the first round searches for the delay of the fixes."""
     tried = np.array([last.yaw_fit.delay]) if last else YAW_LATENESS
     yaw_fit = yaw_fit or fit_column(drive, course, "gz", yaw_windows(course), tried)
     rate = drive.imu.gz if yaw_fit.gain >= 0 else -drive.imu.gz

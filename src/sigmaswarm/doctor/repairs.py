@@ -45,7 +45,7 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     if {r.action for r in repairs} & AXIS_ACTIONS - {
         "rotate",
         "turn",
-    }:  # no rotation alone: units, or single axes
+    }:  # not only a rotation, but units or single axes
         drive = replace(drive, metadata=without_axes(drive.metadata))
     repaired = [*drive.metadata.get("repaired", []), *dict.fromkeys(code for code, _ in found)]
     return replace(drive, metadata=with_rotation(drive.metadata, rotation) | {"repaired": repaired})
@@ -63,7 +63,7 @@ def _rotation(drive: Drive, repairs: Sequence[Repair]) -> Array | None:
     """Return the total rotation (3, 3) of repairs of the IMU's axes; None if they are not a rotation.
 
     The repairs are applied to unit vectors as samples; factors (units, scales) are ignored. If the IMU lacks one of the
-    six axes, only ax, ay and gz count, which are rotated about z or exchanged.
+    six axes, only ax, ay and gz are used; they can be rotated about z or exchanged.
     """
     names = [n for n in ("ax", "ay", "az", "gx", "gy", "gz") if getattr(drive.imu, n) is not None]
     columns = {name: np.eye(3)["xyz".index(name[1])] for name in names}
@@ -99,7 +99,7 @@ def _drop(sensor: str, drive: Drive, *times: float) -> Drive:
 
 
 def _rotate(drive: Drive, *rotation: float) -> Drive:
-    """Rotate all six axes by a matrix that is given row by row."""
+    """Rotate all six axes by a matrix (3, 3), given row by row."""
     return replace(drive, imu=rotate_imu(drive.imu, np.reshape(rotation, (3, 3))))
 
 
@@ -149,7 +149,7 @@ def _state_noise(drive: Drive, std: float) -> Drive:
 
 
 def _velocity(drive: Drive, factor: float, convention: float) -> Drive:
-    """Multiply the speed by a factor, and convert the course from `CONVENTIONS` by number, from 1; 0 for none."""
+    """Multiply the speed by a factor, and convert the course from one of `CONVENTIONS`: 1, 2, ...; 0 keeps it."""
     speed, course = drive.gps.speed, drive.gps.course
     if speed is None or course is None:
         return drive
@@ -159,7 +159,7 @@ def _velocity(drive: Drive, factor: float, convention: float) -> Drive:
 
 
 def _heading(drive: Drive, convention: float, offset: float) -> Drive:
-    """Convert the heading from one of `HEADINGS`, and subtract a constant, rad."""
+    """Convert the heading from the convention with this index in `HEADINGS`, and subtract a constant, rad."""
     heading, std = drive.gps.heading, drive.gps.std_heading
     name, read = [*HEADINGS.items()][int(convention)]
     if heading is None:

@@ -1,4 +1,4 @@
-"""Split a drive in time; the parts of a drive whose IMU was moved are repaired alone."""
+"""Split a drive in time; parts with different mountings of the IMU are later repaired separately."""
 
 import warnings
 from dataclasses import replace
@@ -38,8 +38,9 @@ def split_time(
     Returns
     -------
     (Drive, Drive)
-        ``cut_from`` in their metadata contains the original drive (name, fingerprint) and the part (s on its clock). If
-        the doctor proposes to split this drive, its parts have different faults, and are repaired alone.
+        ``cut_from`` in their metadata contains name and fingerprint of the original drive, and start and end of the
+        part, s on its clock. If the doctor proposes to split this drive, its parts have different faults and are
+        repaired separately.
     """
     require_fraction(train_fraction)
     if at is None:

@@ -20,15 +20,14 @@ from sigmaswarm.drives.drive import Array, Imu
 
 WINDOW, DEGREE = 20.0, 2  # s, duration of a window; degree of its polynomial in time
 NOISE_RATIO = 4.0  # ratio of the velocity's noise along and across the direction of travel
-ROUNDS = 2  # fits; each uses the IMU's speed from the previous fit
+ROUNDS = 2  # number of further fits; each uses the speed that the previous fit computes with the IMU
 MIN_STRAIGHTNESS = 0.5  # smallest assumed ratio of mean velocity to speed, which sharp turns lower
 
 
 def direction_of_travel(imu: Imu, course: Course, delay: float) -> tuple[Array, Array] | None:
     """Fit the slopes (2,) of the direction of travel to the left and up, and their standard deviations.
 
-    The IMU's axes must nearly agree with the vehicle's; ``delay`` is the delay of the fixes, s. The result is None if
-    no window is usable.
+    The IMU's axes must nearly agree with the vehicle's; ``delay``: delay of the fixes, s. None if no window is usable.
     """
     rows = usable_windows(imu.time, course, WINDOW)
     if not len(rows) or imu.gx is None or imu.gy is None or imu.az is None:
@@ -75,6 +74,6 @@ def direction_of_travel(imu: Imu, course: Course, delay: float) -> tuple[Array, 
 
     found = fit(speed)
     for _ in range(ROUNDS):
-        # Noise in a column would reduce its factor; the speed by the IMU has little noise.
+        # Noise in a column would reduce its coefficient; the speed computed with the IMU has little noise.
         found = fit(speed + found.residual[:, : at.shape[1]].real)
     return found.solution[:2], np.sqrt(np.diag(found.covariance)[:2])

@@ -13,19 +13,20 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array
 
 DEGREE = math.pi / 180
-# a factor within this ratio of 1, -1 or deg/s, in either direction, is taken as that factor
+# A gain that differs from 1, -1 or deg/s by less than this ratio, in either direction, is read as this factor
 FACTOR_TOLERANCE = 1.35
-# Smallest explained share of the course's changes, if the gain is below `MIN_GAIN_SIGMAS`
+# Smallest explained share of the course's changes, if the gain is below `MIN_GAIN_SIGMAS` standard deviations
 MIN_EXPLAINED = 0.2
-# rad, RMS change of the course within 20 s above which the course determines column, sign and unit of the gyro. Below,
-# the course is mostly noise, and other values than the recorded ones must exceed `MIN_GAIN_SIGMAS` or `LARGE_SHARE`.
+# rad, RMS change of the course within 20 s above which the course determines column, sign and unit of the gyro. With a
+# smaller change the course is mostly noise; another column, sign or unit must then exceed `MIN_GAIN_SIGMAS` or
+# `LARGE_SHARE`.
 MIN_TURN = 0.05
 LARGE_SHARE = 0.5
 # Ratio of a gain to its standard deviation above which a column may explain a small share of the course's changes. In a
 # city, most of these changes are errors of the fixes.
 MIN_GAIN_SIGMAS = 12.0
-# Decrease in chi-square for which another interpretation replaces the recorded one; largest chi-square of a log in g.
-# In steady circles, the forces hardly exceed the noise and do not determine the unit. Logs in g have a chi-square of 4.
+# Smallest decrease in chi-square for another interpretation than the recorded one; also the largest chi-square of a log
+# in g. In steady circles, forces hardly exceed the noise and do not determine the unit. Logs in g have about 4.
 MIN_LEAD = 16.0
 # Tolerance of the off-diagonal elements of M, for slip, and for tilt in maneuvers
 OFF_DIAGONAL_TOLERANCE = 0.05
@@ -51,7 +52,7 @@ class Yaw:
 
 
 def yaw_of(fit: YawFit | None) -> Yaw:
-    """Find column, sign and unit of the gyro by the course; the result is gz in rad/s if the course shows none."""
+    """Find column, sign and unit of the gyro from the course; gz in rad/s if the course does not show them."""
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < MIN_EXPLAINED and size < MIN_GAIN_SIGMAS):
         return Yaw()
@@ -68,7 +69,7 @@ def yaw_of(fit: YawFit | None) -> Yaw:
 class PlanarMounting:
     axes: Array  # (2, 2), signed permutation of (ax, ay)
     unit: float  # 1, or m/s2 per g
-    angle: float  # rad: the interpreted axes are rotated about z by -angle relative to the car
+    angle: float  # rad; a rotation about z by this angle turns the interpreted axes into the car's
     angle_std: float  # rad
     margin: float  # lead in chi-square of this interpretation over the log as recorded
     known: tuple[bool, bool]  # (forward, left): True if the drive determines the axis
@@ -90,7 +91,7 @@ def _expected(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
 
 
 def planar_mounting(fit: AccelerationFit) -> PlanarMounting:
-    """Return the interpretation with the least chi-square, with a penalty for other axes and units than recorded."""
+    """Return the interpretation with the least chi-square; axes and units that differ from the log have a penalty."""
     covariance, as_recorded = fit.covariance[:4, :4], np.eye(2)
     spread = np.sqrt(np.diag(covariance)).reshape(2, 2)
 
@@ -98,7 +99,7 @@ def planar_mounting(fit: AccelerationFit) -> PlanarMounting:
         expected, slack = _expected(axes, unit, angles)
         off = fit.matrix.ravel() - expected
         solved = np.linalg.solve(covariance + slack, off[:, :, None])[:, :, 0]
-        return np.array([one @ other for one, other in zip(off, solved, strict=True)])
+        return np.array([row @ solution for row, solution in zip(off, solved, strict=True)])
 
     def deviation(axes: Array, unit: float) -> Array:
         return np.diag(spread / unit @ np.abs(axes.T))

@@ -25,7 +25,7 @@ def integral(time: Array, values: Values) -> Values:
 
 
 def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
-    """Average around times ``at`` over ``span`` s with parabolic weights, like a line fitted to an integral."""
+    """Average around times ``at`` over ``span`` s with the parabolic weights of a line fitted to the integral."""
     points = at[:, None] + _NODES * span / 2
     return np.einsum("nk,k->n", np.interp(points, time, values), _PARABOLA)
 
@@ -59,8 +59,10 @@ class Regression:
     residual: Complex  # (w, n)
     weight: Array  # (w, n), the robust weight of each value, 0 to 1
     cost: float  # the mean magnitude of the residual
-    columns: Array  # (w, k, 2n), weighted, orthogonal to the columns `own`; real, imaginary alternate
-    left: Array  # (w, 2n), the residuals, in the same form
+    columns: (
+        Array  # (w, k, 2n), weighted, orthogonal to the columns `own`; real and imaginary parts alternate
+    )
+    left: Array  # (w, 2n), the weighted residuals; real and imaginary parts alternate
     own: int  # number of unknowns of each window
 
     @cached_property
@@ -81,7 +83,7 @@ def regress(
 ) -> Regression:
     """Solve robust least squares over windows; ``y``, ``weight`` and each of ``columns`` and ``own`` are (w, n).
 
-    Coefficients of ``columns`` are real and common to all windows, those of ``own`` complex, for each window.
+    Coefficients of ``columns`` are real and common to all windows; those of ``own`` are complex and differ by window.
     ``weight`` is the inverse of the known part of the standard deviation, up to a factor. Rounds after the first reduce
     the weight of outliers.
     """
@@ -118,15 +120,15 @@ def _solve(
 
 
 def pinv(gram: Array) -> Array:
-    """Invert a symmetric matrix (k, k); directions that the matrix does not determine give 0."""
+    """Invert a symmetric matrix (k, k); the result is 0 in directions that the matrix does not determine."""
     return np.asarray(np.linalg.pinv(gram, rcond=1e-12, hermitian=True), np.float64)
 
 
 def _covariance(a: Array, left: Array, own: int) -> Array:
     """Return the covariance of the solution, from the columns (w, k, n) and the residuals (w, n).
 
-    The result is the covariance for white residuals, but at least the sandwich estimate of White (1980) with windows as
-    clusters, which is doubled since each fix is in two windows.
+    The result is the larger of the covariance for white residuals and the sandwich estimate of White (1980) with
+    windows as clusters. It is doubled, since each fix is in two windows.
     """
     inverse = pinv(np.sum(a @ a.transpose(0, 2, 1), axis=0))
     white = inverse * float(np.sum(left**2)) / max(left.size - 2 * own * len(left), 1)

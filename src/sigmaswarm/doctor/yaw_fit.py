@@ -11,11 +11,11 @@ from sigmaswarm.doctor.windows import Regression, integral, regress, smoothed, w
 from sigmaswarm.drives.drive import Array, Drive
 
 WINDOW = 20.0  # s: long enough for turns, and so short that the integral of a bias is a straight line
-# Share of the course's changes above which gz is the yaw rate, and no other column is tried
+# Share of the course's changes that gz must explain so that no other column is tried
 SUFFICIENT_SHARE = 0.7
 MIN_LEAD = 0.3  # smallest lead of another column over gz in the explained share
-# m, mean and standard deviation of the antenna's distance ahead of the rear axle, which does not slide sideways. At the
-# antenna, the course turns earlier by this distance.
+# m, mean and standard deviation of the antenna's distance ahead of the rear axle, which does not slide sideways. The
+# antenna's course changes this distance earlier.
 ANTENNA_DISTANCE = (0.8, 0.8)
 MIN_DELAY_STD = 0.1  # s, smallest standard deviation of the delay as a prior
 DELAYS = np.arange(-2.5, 2.51, 0.1)  # s, delays of the fixes to try

@@ -111,7 +111,6 @@ def _truth(
     recipe: Recipe,
     say: Say,
 ) -> tuple[Truth, Origin | None]:
-    """Return the truth in the frame of the fixes, and the origin."""
     placed, origin = _placed_truth(values, origin, gps)
     parts = [g.part for g in gathered]
     message = require_same_axes(seconds, placed, gps, parts) if gps else ""
@@ -139,7 +138,7 @@ def missing_columns(recipe: Recipe) -> Iterator[str]:
 def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[PartColumns]]) -> str:
     """Return a remedy if the times of one table are digits hhmmss that were read as seconds; else "".
 
-    The tables then overlap in time only after conversion of the digits. Within one minute, digits count like seconds.
+    The tables then overlap in time only after conversion of the digits.
     """
     pairs: tuple[tuple[Role, Role], ...] = (("gps", "imu"), ("imu", "gps"))
     for role, other in pairs:

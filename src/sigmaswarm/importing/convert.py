@@ -90,8 +90,7 @@ def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
 def import_drive(request: Request, name: str, progress: ImportProgress = lambda done: None) -> ImportResult:
     """Make a drive from a log; ``progress`` receives the completed share, 0 to 1.
 
-    Raise `InputError` for a damaged or incomplete log, or a column that cannot be computed; the message states the
-    remedy.
+    Raise `InputError` for a damaged or incomplete log, or a column that cannot be computed.
     """
     require_name(name, "the drive")
     recipe, gathered, notes, assumed, metadata, unitless = _read(request, ROLES, progress)

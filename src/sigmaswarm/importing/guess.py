@@ -227,7 +227,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
 def _with_fix(columns: Columns) -> TimeExpression | None:
     """Return the condition of rows with a fix from a column of flags, or a note if it excludes many likely fixes.
 
-    In some codes 0 is a fix without fixed ambiguities, and flags and positions may be in different rows.
+    In some codes, 0 is a fix without fixed ambiguities.
     """
     both = ("lat", "lon") if columns.has("lat", "lon") else ("x", "y")
     text = _fix_stated(columns.frame) if columns.has(*both) else ""
@@ -290,7 +290,6 @@ def _fix_stated(frame: pl.DataFrame) -> str:
 
 
 def _downward(imu: Columns) -> str:
-    """Return a sentence if the vertical axis of an IMU points down; else ""."""
     gravity = median_of(imu.norms(["ax", "ay", "az"])) if imu.has("ax", "ay", "az") else 0.0
     if "az" not in imu or median_of(column_numbers(imu.frame[imu.names["az"].column])) >= -0.5 * gravity:
         return ""  # the sign of an acceleration without gravity has no meaning

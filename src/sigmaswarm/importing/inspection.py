@@ -131,7 +131,6 @@ def inspect_request(request: Request) -> Inspection:
 def _obstacles(
     request: Request, recipe: Recipe, logs: Mapping[Path, Log], guesses: convert.Guesses, first: Beginnings
 ) -> list[str]:
-    """Return the faults of columns and tables that would stop an import."""
     if missing := convert.missing_sensor(recipe, request, logs, guesses, ROLES):
         return [missing]
     _, faults = convert.complete_all(request, logs, recipe, first)
@@ -141,7 +140,6 @@ def _obstacles(
 def _unread(
     tables: Sequence[TablePreview], recipe: Recipe, proposal: Proposal | None
 ) -> dict[str, tuple[str, ...]]:
-    """List columns that neither the recipe nor the proposal reads, by table."""
     parts = [part for role in recipe.roles.values() for part in role]
     unread: dict[str, tuple[str, ...]] = {}
     for preview in tables:

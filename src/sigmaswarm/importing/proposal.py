@@ -191,7 +191,6 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
 
 
 def _with_shown_unit(proposal: Proposal, drive: Drive) -> Proposal:
-    """Convert rates by the unit that the turns of the fixes show."""
     imu = proposal.columns.get("imu", {})
     rates = {name: imu[name] for name in IMU[3:] if name in imu}
     shown = unit_of_rates(drive, {"imu": [Part("", rates)]}, rates).expressions
@@ -216,8 +215,7 @@ def _faults(diagnosis: Diagnosis) -> tuple[int, int]:
 def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Proposal:
     """Apply the doctor's repairs of signs, exchanged axes and factors to the expressions.
 
-    The repairs are applied to an IMU whose columns are unit vectors. The result shows by which multiple of which
-    expression each column is replaced.
+    The repairs are applied to an IMU whose columns are unit vectors, which shows their effect on each column.
     """
     units = dict(zip(IMU, np.eye(len(IMU)), strict=True))
     probe = replace(drive, imu=Imu(np.arange(len(IMU), dtype=np.float64), **units))

@@ -160,7 +160,6 @@ def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
 
 
 def _raw_counts(columns: Columns, what: str, role: Role) -> str:
-    """Describe a sensor's axes as raw counts, and propose their mapping."""
     axes = [a for a in (f"{what[0]}{i}" for i in "xyz") if a in columns]
     if what[0] == "a":
         gravity = median_of(columns.norms(axes))

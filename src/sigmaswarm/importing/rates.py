@@ -57,8 +57,8 @@ def unit_of_rates(
 ) -> RateUnit:
     """Compare the turns of rates without a stated unit with those of the fixes, and find the unit if they differ.
 
-    Only rates with an expression of `ASSUMED_UNITS` are checked. ``unitless``: columns without a unit, as text in
-    expressions, by column of the drive. If the fixes do not turn, a note states that rad/s is assumed.
+    ``unitless``: columns without a unit, as text in expressions, by column of the drive. If the fixes do not turn, a
+    note states that rad/s is assumed.
     """
     rates = unitless.keys() & {"gx", "gy", "gz"}
     times = {role: parts[0].columns.get("t", "") for role, parts in roles.items() if parts}

@@ -429,8 +429,7 @@ def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Ro
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
     """Describe the wrong unit of a time ``column`` or ``column*number``, with the remedy; else return "".
 
-    The unit is wrong if no sensor has such steps and another unit makes them plausible. A unit with which the times are
-    dates is proposed first.
+    The unit is wrong if no sensor has such steps and another unit makes them plausible.
     """
     plain = re.fullmatch(r"\s*(`[^`]+`|[A-Za-z_]\w*)\s*(?:\*\s*([\d.eE+-]+)|/\s*([\d.eE+-]+))?\s*", text)
     name = plain[1].strip("`") if plain else ""

@@ -80,7 +80,7 @@ def _size(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
         degrees, side = (
             math.degrees(angle),
             "left" if angle > 0 else "right",
-        )  # a = R(angle) u: direction of x
+        )  # the x axis points to this side
         what = (
             f"the IMU {'is' if clear else 'may be'} rotated by {abs(degrees):.0f} deg to the {side} about the vertical "
             f"axis (standard deviation {math.degrees(std):.0f} deg)"
@@ -172,7 +172,7 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
         where = "imu.csv, ay, az, gy, gz"
         yield Finding("mounting", "serious", what, where, span, 0.95, remedy, repair)
     elif wrong.code != "accelerometer-unit":
-        free = abs(up) < 0.2 * GRAVITY  # gravity was subtracted, which loses no information
+        free = abs(up) < 0.2 * GRAVITY  # gravity was subtracted from az, which loses no information
         sign = Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, -1.0)) if up < -0.7 * GRAVITY else None
         yield finding_of(wrong, "note" if free else "warning", span, 0.99, sign)
     elif mount is None or not any(mount.known):  # otherwise the motion is better evidence

@@ -1,8 +1,8 @@
 """Check the gyro: column, sign, unit, scale and bias of the yaw rate; signs and columns of the roll and pitch rates.
 
 Within half a second, the direction of the specific force in body axes rotates opposite to the body (g' = -w x g). The
-car's acceleration also rotates it. But a sprung body leans with the force: in a left turn, the force points to the
-left, and the left side rises. So the signs are also visible on flat roads, but the scales are not.
+car's acceleration also rotates this direction, but a body on springs leans with the force: in a left turn, the force
+points to the left, and the left side rises. So the signs are visible on flat roads too, but the scales are not.
 """
 
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ MEAN_WINDOW, LAG = 0.3, 0.5
 # Standard deviations of a significant sign; high, since neighboring changes share samples
 MIN_SIGNIFICANCE = 7.0
 MIN_SIGNIFICANCE_RATIO = 2.0  # smallest ratio of the significance of a column to that of the other column
-OUTLIER_SIGMAS = 3.0  # standard deviations from which a change is an outlier
+OUTLIER_SIGMAS = 3.0  # standard deviations; larger changes are outliers
 
 # Column that a direction follows (0: gx, 1: gy), its sign, and its significance in standard deviations
 RateMatch = tuple[int, float, float]
@@ -95,7 +95,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _whole_gain(evidence: Evidence) -> float:
-    """Return the gain of the course over the gyro by whole windows, in a fit without bias.
+    """Return the ratio of the course's turns to the gyro's turns, fitted to whole windows without a bias.
 
     In steady circles, changes within windows are small, and lever arm and slip have the effect of a scale error.
     """
@@ -146,7 +146,7 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
 
 
 def is_upside_down(evidence: Evidence) -> bool:
-    """Return True if az, gx and gy show that the IMU is upside down, and the course determines no other axis."""
+    """Return True if az, gx and gy show that the IMU is upside down, and the course does not determine the gyro."""
     imu, mount = evidence.drive.imu, evidence.mount
     if imu.az is None or float(np.median(imu.az)) > 0 or evidence.yaw.known:
         return False
@@ -196,7 +196,8 @@ def _follows(time: Array, force: Array, rates: Array) -> list[RateMatch | None]:
 def _deviations(angle: Array, change: Array) -> Array:
     """Return the coefficients of the turns about x and y, in standard deviations, by robust least squares.
 
-    The turn about z is also a regressor, since it changes the direction if the sensor is tilted or the car corners.
+    The turn about z is also a regressor, since this turn changes the direction if the sensor is tilted or the car
+    corners.
     """
     columns = np.column_stack([*angle, np.ones(len(change))])
     scale = np.linalg.norm(columns, axis=0)
@@ -205,7 +206,7 @@ def _deviations(angle: Array, change: Array) -> Array:
     for _ in range(3):
         kept = (
             np.abs(left) <= OUTLIER_SIGMAS * float(np.median(np.abs(left))) / 0.6745 + 1e-9
-        )  # all in the first round
+        )  # the first round keeps all
         factors = np.asarray(np.linalg.lstsq(columns[kept], change[kept], rcond=None)[0], np.float64)
         left = change - columns @ factors
     covariance = np.linalg.pinv(columns[kept].T @ columns[kept]) * (np.var(left[kept]) + 1e-18)

@@ -56,7 +56,7 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _offset(off: Array) -> tuple[float, float]:
-    """Return the constant part of angles, and the median magnitude of the rest, rad."""
+    """Return the constant part of angles and the median magnitude of the residuals, rad."""
     mean = float(np.angle(np.mean(np.exp(1j * off))))
     mean += float(np.median(wrap_angle(off - mean)))
     return wrap_angle(mean), float(np.median(np.abs(wrap_angle(off - mean))))
@@ -93,7 +93,7 @@ def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) ->
 
 
 def _delay(evidence: Evidence, theta: Array, known: Mask, best: int) -> float:
-    """Estimate the heading's delay relative to the positions, s, by the gyro; 0 if the delay is not significant."""
+    """Estimate the heading's delay relative to the positions, s, with the gyro; 0 if the delay is not significant."""
     course, imu, yaw = evidence.course, evidence.drive.imu, evidence.yaw
     assert course is not None
     if not yaw.known:
@@ -110,7 +110,7 @@ def _delay(evidence: Evidence, theta: Array, known: Mask, best: int) -> float:
         return float(np.mean(np.abs(off - np.median(off)))) if len(off) else 0.0
 
     tried = np.arange(-1.5, 1.51, 0.05)
-    each = [misfit(float(delay)) for delay in tried]
+    misfits = [misfit(float(delay)) for delay in tried]
     own = evidence.clock.delay - evidence.moved if evidence.clock.visible else 0.0
-    delay = float(tried[int(np.argmin(each))]) - own
-    return delay if abs(delay) >= MIN_DELAY and min(each) < MAX_MISFIT_RATIO * misfit(own) else 0.0
+    delay = float(tried[int(np.argmin(misfits))]) - own
+    return delay if abs(delay) >= MIN_DELAY and min(misfits) < MAX_MISFIT_RATIO * misfit(own) else 0.0

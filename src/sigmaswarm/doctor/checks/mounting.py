@@ -25,8 +25,8 @@ WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 # An IMU is handled in the first or last ENDS s of a log if its mean rate of tilting over half a second exceeds HANDLED
 # rad/s (fault-free drives: below 0.2) and UNLIKE times the largest rate in the rest of the log.
 ENDS, HANDLED, UNLIKE = 15.0, 0.5, 4.0
-# A vehicle may change between forward and reverse below a speed of STANDS m/s and of OF_USUAL times the 90% quantile of
-# the speed, since robots are slow.
+# A vehicle may change between forward and reverse at speeds below STANDS m/s and below OF_USUAL times the 90% quantile
+# of its speed; the second limit is for slow robots.
 STANDS, OF_USUAL = 1.0, 0.3
 STEP = 2.0  # s, for changes of speed and the integral of ax
 # Smallest slope of speed changes on the integral of ax that determines the direction: in standard deviations, and
@@ -39,18 +39,18 @@ def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
     if not evidence.mirrored:
         return
     drive, places = evidence.drive, "lat and lon" if evidence.drive.frame == "wgs84" else "x and y"
-    one, other = places.split(" and ")
+    first, second = places.split(" and ")
     what = (
         f"{places} of the fixes are exchanged, so the track is a mirror image. Relative to the fixes, gz and ay have "
         "the wrong sign, but ax has the correct sign and az points up"
     )
     remedy = (
         f"if gz and ay have the correct signs, exchange {places}: "
-        f'import with --map "gps.{one}=COLUMN_OF_{other.upper()}" "gps.{other}=COLUMN_OF_{one.upper()}"'
+        f'import with --map "gps.{first}=COLUMN_OF_{second.upper()}" "gps.{second}=COLUMN_OF_{first.upper()}"'
     )
     # A truth may be mirrored too, and degrees have another scale after the exchange.
     repair = Repair("exchange-fixes", ()) if drive.frame == "enu" and drive.truth is None else None
-    where = f"gps.csv, {one}, {other}"
+    where = f"gps.csv, {first}, {second}"
     yield Finding("mirrored-fixes", "serious", what, where, evidence.span, 0.99, remedy, repair)
 
 
@@ -71,7 +71,6 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
-    """Report a needed rotation; otherwise report a smaller difference from the mounting in drive.toml."""
     mount = ",".join(f"{degrees:g}" for degrees in roll_pitch_yaw(mounting.mount, 1))
     total, angle = float(np.linalg.norm(mounting.std)), angle_of(mounting.repair)
     sure = f"(total standard deviation {math.degrees(total):.1f} deg; confidence: {mounting.confidence})"
@@ -138,7 +137,7 @@ def _means(time: Array, columns: Sequence[Array], step: float) -> tuple[Array, A
 
 
 def check_handled(evidence: Evidence) -> Iterator[Finding]:
-    """Find the ends of a log in which someone has the IMU, such as a phone, in the hand; yield one finding per end."""
+    """Find the ends of a log in which the IMU, such as a phone, is handled; yield one finding per end."""
     first, last = evidence.span
     begin, end = find_steady_span(evidence.drive)
     what = "{} t = {:.1f} s, the IMU moves relative to the vehicle, for example in someone's hand"
@@ -169,9 +168,9 @@ def find_steady_span(drive: Drive) -> tuple[float, float]:
 
 
 def check_reverse(evidence: Evidence) -> Iterator[Finding]:
-    """Find a log in which a filter would start in reverse, with the course as heading.
+    """Find a log in which a filter would start in reverse and take the course as heading.
 
-    Reversing before the start is harmless.
+    Reverse driving before the filter's start is harmless.
     """
     course, mount, imu = evidence.course, evidence.mount, evidence.drive.imu
     if course is None or mount is None or not evidence.drives or mount.axes[0, 0] <= 0:

@@ -17,10 +17,10 @@ MIN_STATED_STD = 0.003
 MAX_STATED_RATIO = 6.5
 # m, distance of the first fix from the others; a farther outlier displaces the drive's origin
 MAX_FIRST_DISTANCE = 1000.0
-# Ratio of the noise from fix to fix to the scatter about a path of 10 s above which noise is white (ratio 1).
+# Ratio of the noise from fix to fix to the scatter about a path of 10 s; larger ratios show white noise (ratio 1)
 MIN_WHITE_RATIO = 0.7
-# Noise from fix to fix in two successive windows, relative to the quietest quarter of all windows, above which the
-# receiver was disturbed. White noise at 1 Hz reaches 2.2 in drives of 300 s, noise of a t-distribution (3 dof) 3.4.
+# Largest ratio of the noise from fix to fix in two successive windows to the lower quartile of all windows; a larger
+# one shows a disturbance. White noise at 1 Hz reaches 2.2 in drives of 300 s, noise of a t-distribution (3 dof) 3.4.
 MAX_NOISE_RATIO = 4.0
 MIN_DISTURBANCE = 0.1  # m, smallest noise of a disturbance
 
@@ -84,7 +84,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
     unseen = motion_in_noise(float(np.median(np.diff(gps.time))))
     if stated < MIN_STATED_STD:
         scatter, unseen = noise, 0.0
-    # Errors of a receiver that smooths are correlated, so its stated accuracy may be right despite little scatter.
+    # A receiver that smooths has correlated errors, so its stated accuracy may be right despite little scatter.
     white = noise > MIN_WHITE_RATIO * scatter and scatter > MIN_NOISE
     if noise - unseen > MAX_OBSERVED_RATIO * stated:
         how, confidence = "smaller", confidence_of(3 + noise / stated / MAX_OBSERVED_RATIO)

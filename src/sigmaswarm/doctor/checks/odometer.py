@@ -12,8 +12,8 @@ from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Array, Odometer
 
-# s, bounds of the duration of the compared paths; the duration is a tenth of the drive's duration. Longer paths are
-# less sensitive to noise, and the gyro's bias has little effect within 20 s.
+# s, bounds of the duration of compared paths, which is a tenth of the drive's duration. Longer paths are less sensitive
+# to noise, and the gyro's bias has little effect within 20 s.
 SPAN_LIMITS = (6.0, 20.0)
 MIN_DISTANCE = 15.0  # m, shortest straight distance of a compared path
 MIN_PATHS = 6  # smallest number of compared paths
@@ -21,7 +21,7 @@ MIN_SCALE_ERROR = 0.02  # smallest reported error of the scale; it must also exc
 # Ratio of the speeds, or its inverse, above which the unit is wrong rather than the tire size
 MAX_SCALE_RATIO = 1.25
 
-MIN_DELAY = 0.15  # s, delay for a warning; a filter's latency corrects smaller delays
+MIN_DELAY = 0.15  # s, smallest delay for a warning
 MAX_LAG, STEP, AVERAGING_TIME = (
     3.0,
     0.02,
@@ -32,11 +32,11 @@ MIN_CORRELATION = 0.6  # smallest correlation of the accelerations at a delay
 MIN_STUCK_TIME = 4.0  # s, shortest constant reading that counts as stuck
 MIN_STUCK_ERROR = 2.5  # m/s, smallest median difference of a stuck reading from the fixes
 
-# m/s, change of speed within MAX_JUMP_TIME s without acceleration at which wheels spin or lock. A slope of 10% looks
-# like a change of 1 m/s, a delay of 0.3 s like a change of 2 m/s during full braking.
+# m/s, change of speed within MAX_JUMP_TIME s, without acceleration, that shows spinning or locked wheels. A slope of
+# 10% looks like a change of 1 m/s, a delay of 0.3 s during full braking like 2 m/s.
 MIN_JUMP = 2.5
 MAX_JUMP_TIME, MAX_SLIP_TIME = 1.0, 10.0  # s: longest jump, longest time until the wheels return
-# m/s, largest median difference of speed changes; with a larger one, slip cannot be checked
+# m/s, largest median difference between the speed changes of odometer and IMU with which slip can be checked
 MAX_DIFFERENCE = 0.5
 
 Spans = list[tuple[float, float]]  # start and end, s
@@ -142,11 +142,11 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
         return
     ratio, chord = np.array(found).T
     scale = float(np.median(ratio))
-    each = max(
+    spread = max(
         1.4826 * float(np.median(np.abs(ratio - scale))),
         math.sqrt(2) * evidence.noise / float(np.median(chord)),
     )
-    unsure = 1.2533 * each / math.sqrt(len(ratio))
+    unsure = 1.2533 * spread / math.sqrt(len(ratio))
     size = abs(scale)
     if scale < 0 and unsure < 0.1 * size:
         what, repair = "the wheels turn backwards while the car drives forward", Repair("odometer", (-1.0,))
@@ -173,7 +173,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Return, for each path, the displacement by odometer and gyro over that by fixes, and that by fixes, m."""
+    """Return for each path the ratio of the odometer's displacement to that of the fixes, and the latter, m."""
     imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)
@@ -208,8 +208,8 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
     if len(at) < 500:
         return
     lags = np.arange(-MAX_LAG, MAX_LAG + STEP / 2, STEP)
-    felt = _quick(imu.time, integral(imu.time, imu.ax), at)
-    alike = np.abs([_correlation(felt, _quick(odometer.time, odometer.speed, at + lag)) for lag in lags])
+    by_imu = _quick(imu.time, integral(imu.time, imu.ax), at)
+    alike = np.abs([_correlation(by_imu, _quick(odometer.time, odometer.speed, at + lag)) for lag in lags])
     best = int(np.argmax(alike))
     delay = float(lags[best])
     if abs(delay) >= MIN_DELAY and alike[best] > max(MIN_CORRELATION, float(alike[len(lags) // 2]) + 0.05):
@@ -223,7 +223,7 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
 
 
 def _quick(time: Array, values: Array, at: Array) -> Array:
-    """Return accelerations around times, minus their mean over 10 s to remove the slope of the road from ax."""
+    """Return accelerations at times, minus their mean over 10 s, which removes the slope of the road from ax."""
     slope = _gain(time, values, at, AVERAGING_TIME) / AVERAGING_TIME
     n = max(3, min(len(slope) // 2, round(10.0 / STEP)))
     total = np.append(0.0, np.cumsum(slope))

@@ -15,7 +15,9 @@ from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 SERIOUS_OFFSET = 0.3  # s, clock offset above which errors are meters
 MIN_IMU_RATE = 8.0  # Hz, rate below which turns are lost between samples
 MAX_INTERVAL_RANGE = 0.5  # largest range of the middle 90% of the intervals, as a share of their median
-MAX_REPEATED_SHARE = 0.2  # share of repeated IMU samples above which a slower sensor was logged too often
+MAX_REPEATED_SHARE = (
+    0.2  # a larger share of repeated IMU samples shows that a slower sensor was logged too often
+)
 LONG_GAP = 0.5  # s without IMU samples, above which a filter's step is inaccurate
 MIN_STALE_FIXES = 3
 # Smallest excess of an interval between fixes, in usual intervals, that shows missing fixes
@@ -86,7 +88,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     stale = gps.time[evidence.stale]
     if len(stale) >= MIN_STALE_FIXES:
         what = f"{len(stale)} fixes repeat the previous position to the last digit, although the car moves"
-        remedy = "no action is needed here, since filters ignore these fixes; for other programs, remove them"
+        remedy = "no action is needed, since filters ignore these fixes; for other programs, remove them"
         repair = Repair("drop-fixes", tuple(stale.tolist()))
         yield Finding(
             "gps-repeats", "warning", what, "gps.csv, positions", _ends(stale), 0.99, remedy, repair
@@ -138,8 +140,8 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
             what = "The logger paused, or its clock jumped; the car's speed does not distinguish the two"
         elif passed < fix_usual + 0.5 * fix_missed:
             what = (
-                f"The logger's clock jumped, since the car needs only {passed:.1f} s for the distance between "
-                "these fixes"
+                f"The logger's clock jumped, since the car needs only {passed:.1f} s for the distance between the "
+                "fixes before and after"
             )
             code, severity, remedy = (
                 "clock-jump",
@@ -159,7 +161,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
 def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
     """Estimate the time from fix j to the next, and its standard deviation, s, by the speeds before and after.
 
-    Each speed is that of a line through the fixes of `SPEED_WINDOW` s. If both differ, any speed between them is
+    Each speed is that of a line through the fixes of `SPEED_WINDOW` s. If the speeds differ, any speed between them is
     possible.
     """
     position, time = gps.x + 1j * gps.y, gps.time

@@ -47,7 +47,6 @@ def recognizes(path: Path) -> bool:
 
 
 def _packed(path: Path) -> list[PurePosixPath]:
-    """Return the paths of the text tables in a zip."""
     found = sorted(paths_in(path)) if path.is_file() else []
     return [file for file in found if file.suffix.lower() in (".csv", ".tsv") and file.name[:1] != "."]
 
@@ -226,10 +225,7 @@ sys.exit(count <= int(sys.argv[2]) and count != sum(map(len, rows.collect_batche
 
 
 def _require_decodable(file: Path, shown_as: Path, limits: Limits) -> None:
-    """Decode a Parquet file in another process, since polars may abort on damaged bytes.
-
-    Polars may also print a trace and omit rows without an error.
-    """
+    """Decode a Parquet file in another process, since polars may abort or omit rows without error on damaged bytes."""
     words = [sys.executable, "-c", _DECODE, str(file), str(limits.rows)]
     ended = subprocess.run(words, capture_output=True, check=False)
     if ended.returncode:

@@ -1,7 +1,4 @@
-"""Read numbers of messages by their paths, such as ``linear_acceleration.x`` or ``covariance[0]``, and header stamps.
-
-`columns_of` lists the paths of a message definition in rosbags' type store; `getter` reads a number.
-"""
+"""Read numbers of messages by their paths, such as ``linear_acceleration.x`` or ``covariance[0]``, and stamps."""
 
 import re
 from collections.abc import Callable, Iterator

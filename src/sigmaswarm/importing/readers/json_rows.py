@@ -1,7 +1,4 @@
-"""JSON: a list of objects, an object on each line, or lists of objects by name; each kind of object is a table.
-
-Nested names are joined by dots. The first elements of a list are columns.
-"""
+"""JSON: a list of objects, an object on each line, or lists of objects by name; each kind of object is a table."""
 
 import json
 import re

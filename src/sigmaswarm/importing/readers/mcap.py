@@ -88,7 +88,6 @@ def _log(path: Path, reader: Any, summary: Any, limits: Limits) -> Log:
 def _decoder(
     channel: Any, schema: Any, store: Any, reader: Any, limits: Limits, path: Path
 ) -> tuple[tuple[str, ...], Decode | None]:
-    """Return the columns of a channel's messages, and their decoder, or None."""
     encoding = channel.message_encoding
     if encoding == "json" or (encoding == "protobuf" and schema is not None):
         decode = _json if encoding == "json" else _protobuf(schema)

@@ -27,7 +27,7 @@ MAX_ROWS = 20  # number of last rows on which the command is tried
 def packed_cells(lines: Sequence[str], shown_as: Path) -> str:
     """Describe rows with names or several numbers in a cell, and a command that converts them; else return "".
 
-    The command is first tried on the last rows. Raise `InputError` if the rows can't be split at their separators.
+    Raise `InputError` if the rows can't be split at their separators.
     """
     rows = [_OUTER.sub("", line.strip()) for line in lines if line.strip()]
     if not rows:

@@ -81,7 +81,6 @@ def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
 
 
 def _bound_chunks(reader: Any, limits: Limits, path: Path) -> None:
-    """Limit the unpacked size of a ROS 1 bag's chunks."""
     lz4 = import_library("lz4.frame", "ros")
     streams = {bz2.decompress: bz2.BZ2Decompressor, lz4.decompress: lz4.LZ4FrameDecompressor}
     for bag in reader.readers:
