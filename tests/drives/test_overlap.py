@@ -219,7 +219,7 @@ def test_landmarks_are_kept_in_a_file(tmp_path: Path):
         assert_same(one, again)
     assert load_landmarks(tmp_path / "none.npz") is None
     (tmp_path / "a.npz").write_bytes(b"PK")
-    with pytest.raises(InputError, match=r"a.npz: not readable; delete it"):
+    with pytest.raises(InputError, match=r"a.npz: is not readable; delete it"):
         load_landmarks(tmp_path / "a.npz")
 
 

@@ -385,7 +385,7 @@ def test_keys_without_effect_are_reported(tmp_path: Path):
         drive = read_drive(folder)
     assert "gps_std_m" not in drive.metadata
     assert [str(one.message).removeprefix(f"{folder / 'drive.toml'}: ") for one in found] == [
-        "the key gps_std is unknown and has no effect; if gps_std_m is meant, rename it",
+        "the key gps_std is unknown and has no effect; rename it if gps_std_m is meant",
         "color in the table [cut_from] has no effect; delete it",
         "gps_std_m in the table [cut_from] has no effect; move it to the top of the file",
     ]

@@ -1,4 +1,4 @@
-"""Check whether a drive is plausible: enough data, and plausible units, axes and gaps.
+"""Check the plausibility of a drive: amount of data, times, gaps, units and axes.
 
 The doctor checks most of these faults in more detail, with the same messages.
 """
@@ -14,16 +14,16 @@ from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.wording import count_of
 
-MIN_SAMPLES = 100  # of the IMU
-MIN_SHARED_FIXES = 10  # within the time of the IMU
+MIN_SAMPLES = 100  # smallest number of IMU samples
+MIN_SHARED_FIXES = 10  # smallest number of fixes within the IMU's time span
 IMU_GAP = (10.0, 0.1)  # limits of a gap of the IMU, in usual intervals and in s; a gap exceeds both
 GPS_GAP = (5.0, 2.0)  # limits of a gap of fixes or truth, in usual intervals and in s; a gap exceeds both
 MIN_UNSHARED_TIME = 10.0  # s, shortest reported time without the other sensor at the start or end
+# Smallest share of the IMU's time span without fixes at an end that is reported; many logs begin before the first fix
 MIN_UNSHARED_SHARE = 0.1
-"""Shortest reported time without fixes at an end / the IMU's time span; many logs begin before the first fix."""
 GRAVITY = 9.80665  # m/s2, standard gravity; filters and their exported C have 9.81: see `filters.tilted`
 IMPOSSIBLE_RATE = 3.0  # rad/s; no car makes half a turn in a second
-TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # per second
+TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # number per second
 _MAX_INTERVALS = (2.0, 60.0)  # s between samples and between fixes; longer intervals suggest another unit
 _USUAL_INTERVALS = (0.5, 20.0)  # s between samples and between fixes; a unit with longer intervals is wrong
 _JUMP = 3600.0  # s; a longer interval is due to a corrupt time stamp or to a clock that was set
@@ -67,7 +67,7 @@ def check_tables(
 
 
 def shortage_of(imu: Imu, gps: Gps) -> str | None:
-    """Return a sentence if a drive has too few data to be usable, else None."""
+    """Return a sentence if a drive has too few data, else None."""
     first, last = imu.time[[0, -1]]
     if first > gps.time[-1] or gps.time[0] > last:
         return (
@@ -85,12 +85,12 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
     return None
 
 
-@np.errstate(all="ignore")  # the doctor reports values outside of the number range
+@np.errstate(all="ignore")  # values may overflow, which the doctor reports
 def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
     if spoiled := invalid_times(imu, gps):
         return spoiled
     gravity = gravity_on(imu) or gravity_up(imu)
-    single = [one for one in (unshared_times(imu.time, gps.time), gravity) if one]
+    single = [remark for remark in (unshared_times(imu.time, gps.time), gravity) if remark]
     return [*_gaps(imu, gps, truth), *_angular_rate(imu, gps), *single, *_acceleration(imu, gps)]
 
 
@@ -108,25 +108,25 @@ def invalid_times(imu: Imu, gps: Gps) -> list[Remark]:
 
 
 def _time_unit(imu: Array, gps: Array) -> Remark | None:
-    """Check for times in ms, us or ns: in one sensor by the durations, in both by the rates."""
-    lasts = float(np.ptp(imu)), float(np.ptp(gps))
-    if min(lasts) <= 0:
+    """Check for times in ms, us or ns: of one sensor by the durations, of both by the intervals."""
+    spans = float(np.ptp(imu)), float(np.ptp(gps))
+    if min(spans) <= 0:
         return None
-    come = np.median(np.diff(imu)), np.median(np.diff(gps))
-    powers = float(np.log10(lasts[0] / lasts[1]))
+    usual = np.median(np.diff(imu)), np.median(np.diff(gps))
+    powers = float(np.log10(spans[0] / spans[1]))
     unit = next((u for u, f in TIME_UNITS.items() if abs(abs(powers) - np.log10(f)) <= 0.2), None)
     if unit:
         file = "imu.csv" if powers > 0 else "gps.csv"
-        both = f"the IMU's samples cover {lasts[0]:.4g} s and the fixes {lasts[1]:.4g} s"
+        both = f"the IMU's samples cover {spans[0]:.4g} s and the fixes {spans[1]:.4g} s"
         what = f"{both}, as if t were in {unit}"
-    elif come[0] > _MAX_INTERVALS[0] or come[1] > _MAX_INTERVALS[1]:
+    elif usual[0] > _MAX_INTERVALS[0] or usual[1] > _MAX_INTERVALS[1]:
         fits = (
             u
             for u, f in TIME_UNITS.items()
-            if come[0] <= _USUAL_INTERVALS[0] * f and come[1] <= _USUAL_INTERVALS[1] * f
+            if usual[0] <= _USUAL_INTERVALS[0] * f and usual[1] <= _USUAL_INTERVALS[1] * f
         )
         unit, file = next(fits, None), "imu.csv, gps.csv"
-        every = f"the IMU's samples come every {come[0]:.4g} s and the fixes every {come[1]:.4g} s"
+        every = f"the IMU's samples come every {usual[0]:.4g} s and the fixes every {usual[1]:.4g} s"
         what = f"{every}, as if t were in {unit} in both files"
     else:
         return None
@@ -144,7 +144,7 @@ def gravity_on(imu: Imu) -> Remark | None:
         return None
     what = f"column {axis} has median {median[axis]:.2f} m/s2, which is gravity and must be in az"
     remedy = (
-        "turn the axes to x forward, y left, z up: import with --mount auto (six axes), or exchange columns"
+        "rotate the axes to x forward, y left, z up: import with --mount auto (six axes), or exchange columns"
     )
     return Remark("gravity-axis", "imu.csv", axis, what, remedy)
 
@@ -160,9 +160,9 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
         what, remedy = f"column az has median {az:.2f}, as if in g", f"multiply ax, ay, az by {GRAVITY}"
     elif az < -0.7 * GRAVITY:
         what = f"column az has median {az:.2f} m/s2, but specific force is +9.8 at rest with z up"
-        remedy = "turn the axes, or change the sign of ax, ay, az if the sensor reports the opposite"
+        remedy = "rotate the axes, or change the sign of ax, ay, az if the sensor reports the opposite"
     elif abs(az) < 0.2 * GRAVITY:
-        remedy = "check the unit and the axis, or leave the column out if gravity was already subtracted"
+        remedy = "check its unit and axis, or leave the column out if gravity was already subtracted"
     elif abs(az - GRAVITY) > 0.2 * GRAVITY:
         remedy = "check its unit and axis"
     else:
@@ -171,9 +171,9 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
 
 
 def gaps_in(time: Array, limit: tuple[float, float], imu: Array | None = None) -> GapSummary | None:
-    """Find the gaps of ``time`` (n,), s, by a limit such as `IMU_GAP`; None if there are none.
+    """Find the gaps of ``time`` (n,), s, with a limit such as `IMU_GAP`; None if there are none.
 
-    Gaps that consist mostly of a gap in the times of the IMU ``imu``, s, are not counted: the logger paused.
+    With the IMU's times ``imu``, s, a gap that is mostly also a gap of the IMU is not counted, since the logger paused.
     """
     interval = np.diff(time)
     usual = float(np.median(interval)) if interval.size else 0.0
@@ -216,7 +216,7 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
 
 
 def unshared_times(imu: Array, gps: Array) -> Remark | None:
-    """Describe fixes outside of the IMU's time span, and long parts without fixes at the ends of this span."""
+    """Describe fixes outside of the IMU's time span, and long parts of this span before and after all fixes."""
     early, late = imu[0] - gps[0], gps[-1] - imu[-1]
     alone = ""
     if max(-early, -late) > max(MIN_UNSHARED_TIME, MIN_UNSHARED_SHARE * (imu[-1] - imu[0])):

@@ -33,7 +33,7 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
 CUT = "cut_from"  # table in the drive.toml of a part of a drive
 REPAIR_ALONE = "repair_alone"  # true: the IMU has another mounting than in the rest of the drive
 CUT_KEYS = frozenset({"drive", "sha256", "start_s", "end_s", REPAIR_ALONE})  # keys of the table `CUT`
-# Similarity of an unknown key to a known one, 0 to 1, above which it counts as misspelled
+# Smallest similarity of an unknown key to a known key, 0 to 1, with which it counts as misspelled
 MIN_SIMILARITY = 0.8
 _ANGLES = {
     "heading_deg": "degrees counter-clockwise from east",
@@ -63,7 +63,7 @@ def read_description(path: Path) -> dict[str, Any]:
 
 
 def cut_of(about: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the table `CUT` of drive.toml or of a drive's metadata; empty if the drive is no part."""
+    """Return the table `CUT` of drive.toml or of a drive's metadata; empty if the drive is not a part."""
     cut = about.get(CUT)
     return cast("Mapping[str, Any]", cut if isinstance(cut, Mapping) else {})
 
@@ -77,7 +77,7 @@ def ineffective_keys(about: Mapping[str, Any], path: Path) -> Iterator[str]:
                     remedy = "move it to the top of the file" if inner in _NUMBERS else "delete it"
                     yield f"{path}: {printable(inner)} in the table [{printable(key)}] has no effect; {remedy}"
         elif key not in _NUMBERS and (near := get_close_matches(key, _NUMBERS, 1, MIN_SIMILARITY)):
-            yield f"{path}: the key {printable(key)} is unknown and has no effect; if {near[0]} is meant, rename it"
+            yield f"{path}: the key {printable(key)} is unknown and has no effect; rename it if {near[0]} is meant"
 
 
 def require_name(name: object, where: object) -> None:
@@ -119,7 +119,7 @@ def _origin(value: Any, path: Path) -> Origin:
 
 
 def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
-    """Return the stated frame, which must agree with the columns; if none is stated, the frame of the columns."""
+    """Return the frame of the fixes: the stated frame, which must agree with the columns, else that of the columns."""
     description = gps.parent / "drive.toml"
     if stated not in (None, *POSITIONS):
         raise DriveError(

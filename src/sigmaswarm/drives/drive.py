@@ -77,7 +77,7 @@ class Drive:
         origin : (latitude deg, longitude deg, altitude m), optional
             Position of x = y = 0; by default the first fix that has lat and lon.
         columns : mapping, optional
-            Names of your columns and the names above: ``{"acc_x": "ax"}``.
+            Maps names of your columns to the names above: ``{"acc_x": "ax"}``.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Events at the ends of a filter's steps, which depend on the data alone.
+"""Determine the events at the ends of a filter's steps; they depend on the data alone.
 
 `sample_events` is the rule for an IMU sample. `events_of` applies it to a time line for `run_filter`, `compiled.live`
 to each new sample, and `exports.c_rules` translates it to C.
@@ -21,7 +21,7 @@ FIX = 1  # update with a fix
 IMU = 2  # time of an IMU sample: estimates are recorded and scored
 VELOCITY = 4  # the fix has a velocity
 LATERAL = 8  # the car's lateral velocity is constrained
-STANDSTILL = 16  # the car stands
+STANDSTILL = 16  # the car is constrained to stand
 HIDDEN = 32  # a fix that is hidden from the filter: its prediction is scored
 ODOMETER = 64  # update with the wheels' speed
 COMPARED = 128  # the heading is compared with truth in the interval that ends or begins here
@@ -30,7 +30,7 @@ HEADING = 256  # the fix has a heading
 CORNERING = 4.0  # m/s2, lateral acceleration above which tires slip too much for the lateral constraint
 
 LATERAL_SLOT, STANDSTILL_SLOT, ODOMETER_SLOT, ODOMETER_TIME = range(4)
-"""Indices: slots of the last updates by the constraints and the odometer, and time of the last odometer update."""
+"""Indices of ``done``: slots of the last updates by constraints and odometer, and time of the last odometer update."""
 NO_READINGS = np.empty((0, 2))
 
 
@@ -48,7 +48,7 @@ class Events(NamedTuple):
 def events_of(line: Timeline, used: Set[str]) -> Events:
     """Return the events of a filter that uses the measurements ``used``, see `filters.schedule.measured_by`.
 
-    With "ay" (robot-localization, which has no standstills), the bit STANDSTILL marks samples whose lateral
+    With "ay" (robot-localization, which has no standstill update), the bit STANDSTILL marks samples whose lateral
     acceleration is fused.
     """
     flags = np.zeros(len(line.updates), dtype=np.uint16)

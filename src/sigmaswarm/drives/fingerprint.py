@@ -9,10 +9,10 @@ from pydantic import BaseModel, Field, FiniteFloat
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.mounting import AXES_KEY, KEY, axes_of
 
-# For messages and pages, how `alignment` finds the start.
+# The start that `alignment` finds, for messages and pages
 START_RULE = (
     "the first fix that follows 20 m of forward driving in 4 to 6 s (12 km/h or faster; on a slower drive, 10 m "
-    "or more in up to 90 s), or at an earlier fix with a heading"
+    "or more in up to 90 s), or an earlier fix with a heading"
 )
 
 
@@ -27,9 +27,11 @@ class DriveRecord(BaseModel):
     imu_mounting_deg: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     imu_axes: dict[str, str] = Field(default_factory=dict)
     sha256: str = ""
-    truth_share: float | None = None  # evaluated drive: time with known truth / scored time
-    scored_from_s: float | None = None  # evaluated drive: start of filters and scores, s after first sample
-    seen_s: float | None = None  # evaluated drive: duration of the part that the training drives contain, s
+    # Of an evaluated drive: share of the scored time with known truth; start of filters and scores, s after the first
+    # sample; duration of the part that training drives contain, s
+    truth_share: float | None = None
+    scored_from_s: float | None = None
+    seen_s: float | None = None
     seen_in: list[str] = Field(default_factory=list)  # training drives with parts of an evaluated drive
 
 
@@ -60,6 +62,6 @@ def fingerprint(drive: Drive) -> str:
             for name, column in sorted(columns.items()):
                 digest.update(name.encode())
                 digest.update(np.ascontiguousarray(column).data)
-        else:  # the form of tables that were added later: a drive without them keeps its fingerprint
+        else:  # tables added in later versions; drives without them have the same fingerprint as before
             digest.update(kind.encode() + b"".join(column.tobytes() for column in columns.values()))
     return digest.hexdigest()

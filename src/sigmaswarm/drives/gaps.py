@@ -1,6 +1,6 @@
-"""Gaps in the IMU and in truth.
+"""Find gaps in the IMU and in truth.
 
-The gaps in the IMU are intervals without samples, compared only with earlier intervals, as in a live filter.
+A gap in the IMU is an interval that is long relative to earlier intervals, since a live filter knows only these.
 """
 
 import numpy as np
@@ -11,7 +11,8 @@ from sigmaswarm.drives.tables import Array, Mask, Truth
 MANY = 5.0  # usual intervals; a gap is longer
 SHORTEST = 0.05  # s; a gap is also longer than this time
 OVER = 32.0  # approximate number of averaged intervals
-MOST = 3.0  # usual intervals; limit of an interval in the average, so that a gap does not become usual
+# usual intervals, limit of an interval in the average, so that gaps hardly change the usual interval
+MOST = 3.0
 
 
 def gaps_before(time: Array) -> Array:

@@ -15,8 +15,7 @@ from sigmaswarm.drives.tables import Array
 UP = 2  # axis of the rate about the vertical
 CONTRADICTS = 5.0  # standard deviations; an alignment subtracts a larger bias about the vertical axis
 OUTLIER_PROBABILITY = 1e-5
-"""Prior probability that the gyro is far worse than that used for tuning; a bias of five sigmas confirms that the gyro
-is worse.
+"""Prior probability that the gyro is far worse than in the training drives; a bias of five sigmas confirms this.
 
 With 1e-3, the standard deviation of a good gyro's bias would increase by 0.07 deg/s.
 """
@@ -35,7 +34,7 @@ class GyroBiasEvidence:
     """Evidence about the gyro bias from one alignment, or from several, stacked.
 
     ``bias`` and ``variance`` (3,), about forward, left and up, are in rad/s and (rad/s)^2; an unknown axis has infinite
-    variance. The alignment's mean and covariance are valid for the bias ``taken`` about up; ``turns`` (5,) is the
+    variance. The alignment's mean and covariance assume the bias ``taken``, rad/s, about up; ``turns`` (5,) is the
     change of x, y, vx, vy, theta per rad/s of bias.
     """
 
@@ -58,11 +57,11 @@ class GyroBiasEvidence:
         likelihood of all axes. ``places`` maps each axis, 0 to 2, with an estimated bias to its state.
         """
         std, axes = np.asarray(std)[..., None], [*places]
-        usual, outlier = (self._measured(each, axes) for each in (std, np.array([OUTLIER_STD])))
+        usual, outlier = (self._measured(prior, axes) for prior in (std, np.array([OUTLIER_STD])))
         odds = np.log(OUTLIER_PROBABILITY / (1 - OUTLIER_PROBABILITY)) + outlier[2] - usual[2]
         share = 1.0 / (1.0 + np.exp(np.clip(-odds, -700.0, 700.0)))
         bias = (1 - share) * usual[0] + share * outlier[0]
-        parts = [each[1] + (each[0] - bias) ** 2 for each in (usual, outlier)]
+        parts = [case[1] + (case[0] - bias) ** 2 for case in (usual, outlier)]
         variance = (1 - share) * parts[0] + share * parts[1]
         for k, (axis, place) in enumerate(places.items()):
             mean[..., place], covariance[..., place, place] = bias[..., k], variance[..., k]

@@ -1,4 +1,4 @@
-"""The axes and the mounting of the IMU in drive.toml, from which the vehicle's axes are computed."""
+"""The axes and the mounting of the IMU in drive.toml: how the import computed the vehicle's axes from the sensor's."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, cast
@@ -9,9 +9,10 @@ from sigmaswarm.drives.tables import Array
 from sigmaswarm.geodesy import roll_pitch_yaw, rotation_of
 
 KEY = "imu_mounting_deg"
-AXES_KEY = "imu_axes"  # table of the expressions of the IMU's axes over a log's columns, before the rotation
+# table: each axis of the IMU, before the rotation, as an expression over a log's columns
+AXES_KEY = "imu_axes"
 Angles = tuple[float, float, float]  # roll, pitch and yaw of the IMU, deg, as in ``import --mount``
-MAX_SPREAD = 3.0  # deg, largest angle to the mean mounting of drives with one common mounting
+MAX_SPREAD = 3.0  # deg, largest angle from the mean mounting to that of a drive with the same mounting
 ANGLE_DECIMALS = 9  # decimals of a stated angle, deg; the error of the rotation is below 1e-10
 NO_ROTATION = (0.0, 0.0, 0.0)
 
@@ -19,7 +20,8 @@ NO_ROTATION = (0.0, 0.0, 0.0)
 def with_rotation(metadata: Mapping[str, Any], rotation: Array | None) -> dict[str, Any]:
     """Return a drive's metadata after a further rotation (3, 3) of its IMU.
 
-    None: the axes were changed, but not by a rotation, so no mounting relates the samples to the sensor's axes.
+    ``rotation``: None if the axes were changed other than by a rotation. The mounting is then removed, since no
+    rotation relates the samples to the sensor's axes.
     """
     if rotation is not None and np.allclose(rotation, np.eye(3), rtol=0, atol=1e-12):
         return {**metadata}
@@ -42,20 +44,20 @@ def axes_of(metadata: Mapping[str, Any]) -> dict[str, str]:
 
 
 def common_axes(stated: Iterable[Mapping[str, str]]) -> dict[str, str]:
-    """Return the expressions of the IMU's axes that all drives state alike; empty if the drives differ."""
+    """Return the expressions of the IMU's axes if all drives state the same; empty if the drives differ."""
     first, *others = [*stated] or [{}]
     return {**first} if all(other == first for other in others) else {}
 
 
 def common_mounting(stated: Iterable[Angles | None]) -> Angles | None:
-    """Return the mean mounting; None if no drive states one, or a drive's differs by more than `MAX_SPREAD`.
+    """Return the mean mounting; None if no drive states one, or one differs from the mean by more than `MAX_SPREAD`.
 
     A drive without a mounting counts as not rotated.
     """
-    each = [*stated]
-    if not any(each):
+    mountings = [*stated]
+    if not any(mountings):
         return None
-    rotations = np.array([rotation_of(*(angles or NO_ROTATION)) for angles in each])
+    rotations = np.array([rotation_of(*(angles or NO_ROTATION)) for angles in mountings])
     u, _, vt = np.linalg.svd(rotations.sum(axis=0))
     mean = u @ vt
     cosines = (np.einsum("kij,ij->k", rotations, mean) - 1) / 2

@@ -1,6 +1,6 @@
-"""Odometer measurements of a filter: readings averaged over at least a tenth of a second.
+"""Odometer measurements of a filter: means of the readings of up to a tenth of a second.
 
-Errors of readings are correlated (scale, quantization, tires). An average therefore contains as much information as
+Errors of readings are correlated (scale, quantization, tires). A mean therefore contains as much information as single
 readings at 83 Hz, with less quantization error. At low speed, pulses are rare, and the odometer may read zero while the
 car moves.
 """

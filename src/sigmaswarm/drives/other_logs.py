@@ -1,11 +1,11 @@
-"""Logs of other formats in place of a drive: the command that imports them."""
+"""Propose the command that imports a log of another format, for errors that expect a drive."""
 
 import re
 from pathlib import Path
 from shlex import quote
 
 TEXTS = (".csv", ".tsv", ".txt")
-# Words in the name and the first line of a table that show its content
+# Words that show the content of a table, in its name or first line
 _AXES = re.compile(r"(?<![a-z])[ag]_?[xyz](?![a-z])", re.IGNORECASE)
 _MOTION = re.compile(r"acc(?!urac)|gyro|angular|imu", re.IGNORECASE)
 _PLACE = re.compile(r"lat|lon|gps|gnss|east|north|utm|posi", re.IGNORECASE)
@@ -13,14 +13,14 @@ _XY = re.compile(r"(?<![a-z])[xy](?![a-z])", re.IGNORECASE)
 
 
 def import_remedy(log: Path) -> str:
-    """Return the remedy for a log of another format: the command that makes a drive of it, or of its folder."""
+    """Return the remedy for a log of another format: the command that imports the log, or its folder."""
     log = _whole_log(log)
     out = Path("drives") / log.resolve().name.removesuffix(log.suffix)
     return f"to make one from a log: sigmaswarm import {quote(str(log))} --out {quote(str(out))}"
 
 
 def _whole_log(file: Path) -> Path:
-    """Return the folder of a table without IMU or positions, if the tables of this folder have both; else the file."""
+    """Return the folder of a table with only IMU or positions, if the folder's tables have both; else the file."""
     if file.suffix.lower() not in TEXTS or not file.is_file():
         return file
     tables = [table for table in sorted(file.parent.iterdir()) if table.suffix.lower() in TEXTS]
@@ -30,7 +30,7 @@ def _whole_log(file: Path) -> Path:
 
 
 def _content(table: Path) -> set[str]:
-    """Return "imu" or "gps", or both, for what the name and the first line of a table show."""
+    """Return the sensors, "imu" and "gps", that the name and the first line of a table show."""
     with table.open(encoding="utf-8", errors="replace") as lines:
         title = lines.readline(4096)
     text = f"{table.stem},{title}"

@@ -1,4 +1,4 @@
-"""Artificial GPS outages: time windows (k, 2), start and end, s, in which fixes are hidden from a filter."""
+"""Artificial GPS outages: time windows (k, 2), start and end, s, whose fixes are hidden from a filter."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> Mask:
     """
     t = np.asarray(time, dtype=np.float64)
     starts, ends = np.sort(_checked(windows), axis=0).T
-    # more windows have begun than ended; comparing each fix with each window would need a gigabyte
+    # True if more windows have begun than ended; a comparison of each fix with each window would need a gigabyte
     return np.searchsorted(starts, t, side="right") > np.searchsorted(ends, t, side="left")
 
 
@@ -44,7 +44,7 @@ def random_windows(
     available = end - start - first_after
     wanted = max(round(available / SECONDS_PER_OUTAGE), 1) if count is None else count
     lengths = rng.uniform(shortest, longest, max(wanted, 0))
-    # ends of the windows after the earliest start, packed as tightly as allowed
+    # ends of the windows, s after the earliest start, if they are as close together as allowed
     ends = np.cumsum(lengths) + apart * np.arange(len(lengths))
     fitting = int(np.count_nonzero(ends <= available))
     ends, lengths = ends[:fitting], lengths[:fitting]
@@ -63,7 +63,7 @@ def balanced_windows(
     apart: float = 5.0,
     every: float = 12.0,
 ) -> Array:
-    """Draw one outage in each ``every`` seconds between two times, s, (k, 2).
+    """Draw outages (k, 2) between two times, s: one in each interval of about ``every`` s.
 
     Each outage begins at least ``apart`` s after the start or the previous outage, and has a random length in the range
     ``length``, s.

@@ -36,14 +36,14 @@ LOG_RATIO = math.log(180 / math.pi)  # ln of the ratio of rad/s to deg/s; landma
 LANDMARK_WIDTH = 0.4
 # Largest number of yaw-rate landmarks; a long drive uses a smaller part of `LOG_RATIO`
 MAX_LANDMARKS = 20_000
-MAX_OCCURRENCES = 100  # occurrences in a drive; a more frequent yaw rate, as of a coarse gyro, is ignored
+MAX_OCCURRENCES = 100  # in a drive; more frequent yaw rates, for example of a coarse gyro, are ignored
 MIN_MATCHES = 8  # smallest number of landmarks with different values that must agree
 MIN_MATCH_SHARE = 0.5  # smallest share of the landmarks in the common time that must agree
 
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """The landmarks of a drive, a thousandth of its size.
+    """The landmarks of a drive; their size is a thousandth of the drive's.
 
     ``sha256``: `fingerprint` of the drive. ``span``: start and end of the IMU samples, s. ``fixes`` (n, 3): time (us)
     and position, latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm). ``rates`` (k, 2): time (s) and
@@ -133,7 +133,6 @@ def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:
 
 
 def _by_fixes(one: Landmarks, other: Landmarks) -> float | None:
-    """Return the clock offset, s, from equal fixes; None if there are too few."""
     if one.geographic != other.geographic:
         return None
     return _offset(one.fixes.astype(np.float64), other.fixes.astype(np.float64), POSITION_TOLERANCE)
@@ -190,11 +189,11 @@ def _equal(a: Array, b: Array, tolerance: float) -> tuple[Integers, Integers]:
 def save_landmarks(
     seen: Iterable[Landmarks], path: Path, names: Sequence[tuple[str, str]] | None = None
 ) -> None:
-    """Save landmarks of drives; if ``names`` (name, fingerprint) are given, landmarks can be computed one by one."""
+    """Save landmarks of drives; with ``names`` (name, fingerprint), a generator can compute them one by one."""
     if names is None:
         seen = list(seen)
         names = [(marks.name, marks.sha256) for marks in seen]
-    # the format of `np.savez_compressed`, which needs all arrays at once
+    # `np.savez_compressed` writes the same format, but needs all arrays at once
     with atomic_file(path) as file, ZipFile(file, "w", ZIP_DEFLATED) as archive:
 
         def put(name: str, array: NDArray[np.generic]) -> None:
@@ -226,14 +225,14 @@ class SavedLandmarks(Sequence[Landmarks]):
 
 
 def load_landmarks(path: Path) -> list[Landmarks] | None:
-    """Load a file of `save_landmarks`; None if it is missing, as in tunings of early versions."""
+    """Load a file of `save_landmarks`; None if the file is missing, as in tunings of early versions."""
     if not path.exists():
         return None
     try:
         file = read_arrays(path)
         return [_loaded(names, k, file) for k, names in enumerate(file["names"].tolist())]
     except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
-        raise InputError(f"{path}: not readable; delete it, or repeat `sigmaswarm tune`") from None
+        raise InputError(f"{path}: is not readable; delete it, or repeat `sigmaswarm tune`") from None
 
 
 def _loaded(names: Sequence[str], k: int, file: Any) -> Landmarks:

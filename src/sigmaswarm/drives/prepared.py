@@ -10,14 +10,14 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.stale_fixes import STALE, classify_fixes
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 
-MAX_CACHED_STEPS = 500_000  # steps of a time line that is kept in memory: more than an hour, 40 MB
+MAX_CACHED_STEPS = 500_000  # largest number of steps of a time line that `forget` keeps: over an hour, 40 MB
 
 
 class PreparedDrive:
-    """A drive with the start and the time lines of all filters that run over it.
+    """A drive with the start and the time lines that filters need.
 
-    ``initial`` is by default the start of the alignment. With ``as_recorded``, for diagnosis and the paper's protocol,
-    stale fixes are used, and IMU gaps are ordinary steps.
+    ``initial`` is by default the start that the alignment finds. With ``as_recorded``, for diagnosis and the paper's
+    protocol, stale fixes are used, and IMU gaps are ordinary steps.
     """
 
     def __init__(

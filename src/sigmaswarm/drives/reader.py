@@ -33,7 +33,7 @@ def all_drive_locations(locations: Iterable[Location]) -> list[Location]:
 
 
 def drive_folders(path: Path) -> list[Path]:
-    """Return the drive folder itself, or all drive folders in it, sorted by name."""
+    """Return the folder if it is a drive, otherwise all drive folders in it, sorted by name."""
     if not path.is_dir() or has_table(path, "imu") or has_table(path, "gps"):
         return [path]  # read_drive reports its faults
     inside = sorted(folder for folder in path.iterdir() if has_table(folder, "imu"))
@@ -64,7 +64,7 @@ def read_drive(path: str | Path) -> Drive:
     ----------
     path : str or Path
         The folder, or a URL that fsspec reads: s3, gs, abfs, sftp, https ... Without a ``name`` in drive.toml, the name
-        is that of the folder; without a ``frame``, it follows from the columns of gps.csv.
+        is that of the folder; without a ``frame``, the frame follows from the columns of gps.csv.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def read_drive(path: str | Path) -> Drive:
 
 
 def read_with_warnings(location: Location) -> tuple[Drive, list[SigmaswarmWarning]]:
-    """Read a drive and return its warnings; `warnings.catch_warnings` would act on all threads."""
+    """Read a drive and return its warnings, since `warnings.catch_warnings` would act on all threads."""
     if not is_url(location):
         folder, about = Path(location), Path(location) / "drive.toml"
         if folder.is_dir() and not (about.exists() or _drives_in(folder)) and any(folder.iterdir()):

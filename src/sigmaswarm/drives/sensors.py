@@ -1,4 +1,4 @@
-"""The sensors of a log, and the filter that suits them: the default of `tune`."""
+"""Choose the default filter of `tune` by the sensors of the logs."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
 
-# 95% / 5% quantile of stated standard deviations; with a larger ratio they are informative
+# Ratio of the 95% to the 5% quantile of stated standard deviations above which the standard deviations are informative
 MIN_STD_RATIO = 1.5
-MIN_START_DISTANCE = 20.0  # m from the first fix, beyond which the car has moved
+MIN_START_DISTANCE = 20.0  # m; a car that is farther from the first fix has moved
 GRAVITY_TOLERANCE = 0.3  # largest deviation of the median of az from gravity, relative to gravity
 
 MIN_WHITE_SHARE = 0.4
@@ -37,7 +37,7 @@ On eight simulated M8 logs of 142 s at 1 Hz, these states increased the drift ov
 
 @dataclass(frozen=True)
 class SuggestedFilter:
-    """A filter: model, measurements other than positions, and the reason in the sensors of the logs."""
+    """A filter: its model, its measurements other than positions, and the reason for the choice."""
 
     model: str
     use: tuple[str, ...]
@@ -122,11 +122,11 @@ def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
     at worst; one good model for all drives was 4 to 12% worse (docs/results.md, "Default filter").
     """
     logs = [log_properties(drive) for drive in drives]
-    six = bool(logs) and all(one.attitude for one in logs)
-    wheels = bool(logs) and all(one.odometer for one in logs)
-    spreads = [one.spread for one in logs if one.spread]
+    six = bool(logs) and all(log.attitude for log in logs)
+    wheels = bool(logs) and all(log.odometer for log in logs)
+    spreads = [log.spread for log in logs if log.spread]
     stated = bool(logs) and len(spreads) == len(logs)
-    look_wrong = all(len(one.axes) == 6 for one in logs)
+    look_wrong = all(len(log.axes) == 6 for log in logs)
     reasons = [
         "az does not show gravity, or gx or gy is constant" if look_wrong else "an IMU lacks az, gx or gy"
     ]
@@ -137,7 +137,7 @@ def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
     if stated:
         low, high = min(low for low, _ in spreads), max(high for _, high in spreads)
         reasons.append(f"the stated standard deviations range from {low:.2g} to {high:.2g} m")
-    if logs and all(one.heading for one in logs):
+    if logs and all(log.heading for log in logs):
         reasons.append("there is a heading, which you can add to --use")
     use = ("lateral", "standstill", *["odometer"] * wheels, *["accuracy"] * stated, "robust")
     return SuggestedFilter("tilted12" if six else "planar8", use, ", and ".join(reasons))
@@ -163,7 +163,7 @@ def stated_spread(drive: Drive) -> tuple[float, float] | None:
 def stated_std(drive: Drive) -> tuple[float, float] | None:
     """Return the standard deviation, m east and north, that the receiver states; None if it states none.
 
-    The result is the median over the fixes; if no fix states one, ``gps_std_m`` of drive.toml.
+    The result is the median over the fixes, or ``gps_std_m`` of drive.toml if the fixes have no standard deviations.
     """
     if (std := drive.gps.std) is not None:
         return float(np.median(std[0])), float(np.median(std[1]))
@@ -174,7 +174,8 @@ def stated_std(drive: Drive) -> tuple[float, float] | None:
 def receiver_std(drive: Drive) -> tuple[float, float]:
     """Return the standard deviation of the fixes of a drive's receiver, m east and north.
 
-    If the log states none, the result is the white noise of the fixes; if that is small, the value of a u-blox M8.
+    If the log states none, the result is the white noise of the fixes, or the value of a u-blox M8 if the noise is
+    small.
     """
     if stated := stated_std(drive):
         return stated
@@ -196,7 +197,7 @@ def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
 
 
 def has_white_errors(drive: Drive) -> bool:
-    """Return True if most of the error of the fixes is white, as far as the log shows.
+    """Return True if the log shows that the errors of the fixes have a large share of white noise.
 
     Successive fixes differ by far less than their error if errors are correlated or the receiver smooths the fixes.
     """

@@ -1,4 +1,4 @@
-"""Splitting into training and test drives, and parts of drives."""
+"""Split drives into training and test drives, and cut parts of drives."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,7 +29,7 @@ def split_drives(
     require_fraction(train_fraction)
     if len(drives) < 2:
         raise InputError(
-            f"{len(drives)} drive can't be split; pass at least 2 drives, or split one drive in time"
+            f"a split needs at least 2 drives, but got {len(drives)}; pass more drives, or split one drive in time"
         )
     count = min(max(round(train_fraction * len(drives)), 1), len(drives) - 1)
     chosen = set(rng.permutation(len(drives))[:count].tolist())
@@ -44,7 +44,7 @@ def part_of(drive: Drive) -> str:
 
 
 def name_of_whole(drive: Drive) -> str:
-    """Return the name of the drive from which a part was split and with which it is repaired; "" if there is none."""
+    """Return the name of the drive that is repaired instead of this part; "" if there is no such drive."""
     cut = cut_of(drive.metadata)
     name = cut.get("drive")
     return name if isinstance(name, str) and not is_repaired_alone(drive) else ""
@@ -57,7 +57,6 @@ def is_repaired_alone(part: Drive) -> bool:
 
 def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | None = None) -> Drive:
     """Return the part of a drive with start <= t < end, s; raise DriveError if it has fewer than two IMU samples."""
-
     inside = {k: v.select((v.time >= start) & (v.time < end)) for k, v in drive.tables.items()}
     if len(inside["imu"]) < 2:
         span = f"t = {drive.imu.time[0]:.12g} to {drive.imu.time[-1]:.12g} s"

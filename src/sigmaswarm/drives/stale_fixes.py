@@ -18,7 +18,7 @@ NEW, HELD, STALE, STALE_MOVING = range(4)
 STALE: speed below `NO_REST`; STALE_MOVING: speed above `NO_REST`, so that the repeat is not evidence of a standstill.
 """
 
-BEFORE = 3.0  # s; an equal fix is searched over this time; the previous fix is always compared
+BEFORE = 3.0  # s, time over which an equal fix is searched; the previous fix is always compared
 SPEED_WINDOW = 2.5  # s, window of fixes (at least two) for the speed; three fixes at 1 Hz show braking
 REST = 0.8  # m/s, largest speed at rest; also the limit at a standstill
 NO_REST = 2.0  # m/s; above this speed, the first repeat is not evidence of a standstill
@@ -73,8 +73,8 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
 def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
     """Estimate the car's speed (m/s) at a time from the new fixes of the seconds before.
 
-    The result is the smaller speed of a line and a parabola, since a car that brakes to a halt was fast a second
-    before. In a log that begins with repeated fixes, the result is 0.
+    The result is the smaller of the speeds of a fitted line and a fitted parabola, since a car that brakes to a halt
+    was fast a second before. In a log that begins with repeated fixes, the result is 0.
     """
     origin, n = fixes[last, 0], 0.0
     t1, t2, t3, t4 = 0.0, 0.0, 0.0, 0.0

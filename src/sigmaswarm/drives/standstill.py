@@ -25,7 +25,7 @@ BLOCK = 0.05  # s
 SECOND = 20  # number of complete blocks in the second that must be calm
 MOST_OF_IT = 16.0  # blocks; smallest age of the oldest block for a complete second
 QUARTER = 5  # number of complete blocks in the quarter of a second that shows a departure
-CALM = 2.5  # largest standard deviations in a calm second / usual standard deviations at rest
+CALM = 2.5  # largest ratio of the standard deviations in a calm second to the usual ones at rest
 SETTLES = 0.5  # s, time constant with which the estimated noise at rest falls
 RISES = 0.1
 """Growth of the estimated noise at rest while the car is nearly calm, 1/s; one second is too short to estimate it."""
@@ -38,7 +38,7 @@ FIX_SPEED = 0.8  # m/s, largest speed of the line through constant fixes
 CLOSE = 1e-5  # s before a fix leaves the window, at which the line is fitted again
 TURNING = math.radians(1.5)  # rad/s, largest yaw rate at a standstill, due to the gyro's bias
 
-# Rows of a detector's memory, shape (N_MEMORY, 8). The stacks come first; rows from PLACE on are the older stack.
+# Rows of a detector's memory, shape (N_MEMORY, 8). The first rows are the two stacks; the older begins at row PLACE.
 NOW = SECOND  # row: the current block
 FRESH = SECOND + 1  # row: the newer stack, merged
 WHOLE = SECOND + 2  # row: the complete blocks of the last second, merged
@@ -50,7 +50,7 @@ COUNT = 0  # column of a block: number of samples
 MEAN = 1  # first of three columns of a block: means of ax, ay, gz
 SQUARES = 4  # first of three columns of a block: sums of squares about the means
 FIRST = 7  # column of a block: row of the first of the blocks that were merged into it
-PLACE = 3  # column of LEVEL: row of the stacks that comes next
+PLACE = 3  # column of LEVEL: row of the stacks that is filled next
 AGE = 4  # column of LEVEL: age of the oldest block of WHOLE, in blocks
 NUMBER = 5  # column of LEVEL: number of the current block
 LAST = 6  # column of LEVEL: time of the last sample
@@ -231,8 +231,8 @@ def fixes_are_still(fixes: Array, kinds: Array, n: int, now: float, until: Array
 
     Rows of ``fixes`` begin with t, x, y. Of the first ``n`` rows, those up to ``now`` are read, except stale fixes of a
     driving car (``kinds``, see `stale_fixes`). The result is valid until ``until[0]`` if no fix is added. After an
-    outage, the window must first be full. Half a window has three times the noise, with which a departing car would
-    appear to stand.
+    outage, the window must first be full. Half a window has three times the noise, so a departing car would appear to
+    stand.
     """
     count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     first, last, k = 0, 0, n - 1

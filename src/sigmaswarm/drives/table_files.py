@@ -17,7 +17,7 @@ from sigmaswarm.errors import DriveError
 from sigmaswarm.limits import MAX_CELLS, MAX_COLUMNS, require_regular, require_text
 from sigmaswarm.wording import list_names, printable, quoted
 
-MAX_VALUE = 1e7  # largest accepted value, above a car sensor's in SI units, mm, mg or mdeg/s (repairable)
+MAX_VALUE = 1e7  # largest accepted value; values of a car's sensors are smaller, even in mm, mg or mdeg/s
 _METERS, _NO_STD = (
     "convert it to meters from a nearby origin",
     "leave the column out if no standard deviation is stated",
@@ -40,7 +40,8 @@ RANGES: dict[str, tuple[float, float, str]] = {
     ),
 }
 
-_LONGEST_LEAP = 1e12  # usual intervals, longest allowed: 300 years at 100 Hz; a clock that is set jumps less
+# usual intervals, longest allowed interval: 300 years at 100 Hz; a clock that is set jumps less
+_LONGEST_LEAP = 1e12
 
 CSV, PARQUET = FORMS = ".csv", ".parquet"
 TABLES = tuple(f"{name}{form}" for name in RECORDS for form in FORMS)
@@ -100,7 +101,7 @@ class TableFile:
                 f"{path}, row 1: column {quoted(twice)} appears twice; delete or rename one of them"
             )
         cells.columns = names
-        # without a copy, which takes a gigabyte for a day
+        # a copy would take a gigabyte for a day of data
         rows = cells if len(filled) == len(cells) else cells[filled]
         return cls(path, rows, filled.to_numpy() + 2)  # the header is line 1
 
@@ -212,9 +213,8 @@ def _parquet(path: Path) -> pl.DataFrame:
         scan = pl.scan_parquet(**one_file(path), hive_partitioning=False)
         schema = scan.collect_schema()
         _require_size(path, 0, len(schema))
-        _require_size(
-            path, int(scan.select(pl.len()).collect().item()), len(schema)
-        )  # according to the footer
+        # according to the footer
+        _require_size(path, int(scan.select(pl.len()).collect().item()), len(schema))
         kept = [pl.col(n) if kind.is_numeric() else pl.lit(None, kind).alias(n) for n, kind in schema.items()]
         cells = scan.select(kept).collect()
     except (*POLARS_ERRORS, OSError):
@@ -240,7 +240,7 @@ def _plain_numbers(path: Path) -> pl.DataFrame | None:
 
 
 def _has_lone_quote(path: Path) -> bool:
-    """Return True if a cell is a single quotation mark, on which polars prints a trace."""
+    """Return True if a cell is a single quotation mark, for which polars prints a trace."""
     if path.stat().st_size == 0:
         return False
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
@@ -261,7 +261,7 @@ def _shape_fault(path: Path, otherwise: DriveError | None = None) -> DriveError:
                 if row and len(row) != width:
                     return DriveError(
                         f"{path}, row {rows.line_num}: {quoted(','.join(row))} has {len(row)} cells, "
-                        f"the header {width}; complete or delete the row, and write decimals with a dot"
+                        f"but the header has {width}; complete or delete the row, and write decimals with a dot"
                     )
         except csv.Error:  # a quote that is not closed
             return DriveError(f'{path}, row {rows.line_num}: a quote (") is not closed; close or delete it')

@@ -83,12 +83,12 @@ class Gps(Table):
 
     Attributes
     ----------
-    time : s, increasing; strictly in files; fixes of equal times, from two receivers, are used in their order
+    time : s, increasing, in files strictly; fixes with equal times, from two receivers, are used in their order
     x, y : m east and north of the drive's origin
-    lat, lon, alt : deg, deg, m: the recorded fixes, if the log has them in WGS-84
+    lat, lon, alt : deg, deg, m: the recorded fixes, if they are in WGS-84
     std_x, std_y : m, the receiver's stated standard deviation
     speed, course : m/s; rad, counter-clockwise from east
-    heading : rad, counter-clockwise from east, of two antennas or a compass; filters then start without travel
+    heading : rad, counter-clockwise from east, of two antennas or a compass; with it filters can start at rest
     std_heading : rad, stated standard deviation of the heading; `NO_HEADING` or more if the fix has no heading
     """
 

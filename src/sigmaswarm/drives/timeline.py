@@ -121,13 +121,13 @@ class Timeline:
         return Alignments(self.drive, usable=self.kinds < STALE)
 
     def hiding(self, hidden: Mask) -> "Timeline":
-        """Return the same steps with some of the drive's fixes, (g,), hidden; other arrays are shared."""
+        """Return the same steps with the fixes in the mask ``hidden`` (g,) hidden; other arrays are shared."""
         hides = np.zeros(len(self.end), dtype=np.bool_)
         hides[self.updates] = hidden[_usable(self.drive, self.start, self.kinds)]
         return replace(self, updates=self.updates & ~hides, hides=hides, **self._seen(hidden))
 
     def without(self, hidden: Mask) -> "Timeline":
-        """Return the steps of the drive without some fixes, (g,), bit-identical to those of `build_timeline`."""
+        """Return the steps without the fixes ``hidden`` (g,), bit-identical to `build_timeline` of the other fixes."""
         updates = self.updates.copy()
         updates[self.updates] = ~hidden[_usable(self.drive, self.start, self.kinds)]
         moment = np.cumsum(np.diff(self.end, prepend=self.start) > 0.0)  # several fixes may share a time
@@ -160,8 +160,8 @@ def build_timeline(
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
-    ``as_recorded``: use stale fixes, and treat IMU gaps as ordinary steps. ``kinds`` (g,): kinds of the fixes, if they
-    were determined together with other fixes.
+    ``as_recorded``: use stale fixes, and treat IMU gaps as ordinary steps. ``kinds`` (g,): kinds of the fixes, if
+    already known.
     """
     imu = drive.imu
     if kinds is None:

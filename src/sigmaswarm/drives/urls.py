@@ -1,4 +1,4 @@
-"""URLs of drives that fsspec reads (s3, gs, abfs, sftp, https ...), through a temporary copy."""
+"""Read drives from URLs with fsspec (s3, gs, abfs, sftp, https ...), through a temporary copy."""
 
 import re
 import shutil
@@ -25,7 +25,7 @@ def without_secrets(url: str) -> str:
 
 
 def drive_urls(url: str) -> list[str]:
-    """Return the URL if it names a drive, otherwise the URLs of all drives in this folder, sorted by name."""
+    """Return the URL if it names a drive, otherwise the URLs of all drives below it, sorted by name."""
     url = url.rstrip("/")
     with _errors_in_one_line(url):
         system, path = _opened(url)

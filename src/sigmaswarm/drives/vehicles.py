@@ -1,4 +1,4 @@
-"""Find out whether drives are from one vehicle with the same sensors."""
+"""Compare the vehicles and the sensors of drives."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.mounting import NO_ROTATION, Angles, axes_of
 from sigmaswarm.geodesy import rotation_of
 
-MAX_RATE_RATIO = 1.5  # ratio of two drives' sampling rates above which the sensors differ
-MAX_ANGLE = 10.0  # deg between two drives' mountings above which the mountings differ
+MAX_RATE_RATIO = 1.5  # largest ratio of the sampling rates of two drives with the same sensors
+MAX_ANGLE = 10.0  # deg, largest angle between the mountings of two drives with the same mounting
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class SensorSetup:
 
 
 def sensor_setup(drive: Drive) -> SensorSetup:
-    # The import states axes, but no zero rotation
+    # An imported drive states its axes, but not a rotation of zero.
     imported = NO_ROTATION if axes_of(drive.metadata) else None
     imu_rate, fix_rate = (1.0 / float(np.median(np.diff(table.time))) for table in (drive.imu, drive.gps))
     return SensorSetup(drive.name, imu_rate, fix_rate, drive.mounting or imported)
@@ -41,10 +41,10 @@ def describe_vehicles(setups: Sequence[SensorSetup]) -> str:
 
 
 def differences(setups: Sequence[SensorSetup]) -> Iterator[str]:
-    """Yield a clause for each property by which drives are clearly from different vehicles or sensors."""
+    """Yield a clause for each property that clearly differs between the drives."""
     rates: dict[str, Callable[[SensorSetup], float]] = {
-        "IMU": lambda one: one.imu_rate,
-        "receiver": lambda one: one.fix_rate,
+        "IMU": lambda setup: setup.imu_rate,
+        "receiver": lambda setup: setup.fix_rate,
     }
     for sensor, rate in rates.items():
         slow, fast = min(setups, key=rate), max(setups, key=rate)
@@ -53,7 +53,7 @@ def differences(setups: Sequence[SensorSetup]) -> Iterator[str]:
                 f"the {sensor} of {fast.name} has {rate(fast):.3g} Hz, and the {sensor} of {slow.name} "
                 f"{rate(slow):.3g} Hz"
             )
-    pairs = [*combinations((one for one in setups if one.mounting), 2)]
+    pairs = [*combinations((setup for setup in setups if setup.mounting), 2)]
     for one, other in sorted(pairs, key=lambda pair: -_angle(*pair))[:1]:
         if (angle := _angle(one, other)) > MAX_ANGLE:
             yield f"the mountings of the IMU in {one.name} and {other.name} differ by {angle:.0f} deg"
@@ -61,5 +61,5 @@ def differences(setups: Sequence[SensorSetup]) -> Iterator[str]:
 
 def _angle(one: SensorSetup, other: SensorSetup) -> float:
     """Return the angle between two mountings, deg."""
-    first, second = (rotation_of(*(each.mounting or NO_ROTATION)) for each in (one, other))
+    first, second = (rotation_of(*(setup.mounting or NO_ROTATION)) for setup in (one, other))
     return float(np.degrees(np.arccos(np.clip((np.trace(first.T @ second) - 1) / 2, -1.0, 1.0))))

@@ -21,8 +21,8 @@ FILES = frozenset({"drive.toml", *TABLES})
 def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form: Form = "csv") -> Path:
     """Write a drive as a folder from which ``read_drive`` reads identical data.
 
-    The same drive gives identical files. The folder is written under another name, read back and then renamed, so that
-    a partial or unreadable drive never appears.
+    The same drive always gives identical files. The folder is written under another name, read back and then renamed,
+    so that a partial or unreadable drive never appears.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:
     if drive.origin is None:
         del about["origin"]  # TOML has no null
     if drive.name == folder.name:
-        del about["name"]  # reading takes the name of the folder, so a renamed copy has its new name
+        del about["name"]  # the reader uses the name of the folder, so a renamed copy has the new name
     try:
         contents = {"drive.toml": tomli_w.dumps(about).encode()}
     except TypeError as error:
@@ -106,7 +106,7 @@ def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:
     for name, table in drive.tables.items():
         unwritten = {"x", "y"} if wgs84 and name == "gps" else set[str]()
         columns = {k: v for k, v in vars(table).items() if v is not None and k not in unwritten}
-        columns = {k: columns[k] for k in sorted(columns, key="gz".__eq__)}  # the format has gz last
+        columns = {k: columns[k] for k in sorted(columns, key="gz".__eq__)}  # in files, gz is the last column
         frame = pl.DataFrame(columns).rename({"time": "t"})
         contents[f"{name}.{form}"] = frame.write_csv().encode() if form == "csv" else _parquet(frame)
     return contents
