@@ -193,7 +193,7 @@ def test_all_drives_that_cannot_be_read_are_named_first(client, folders, tmp_pat
         tune([folders[0], broken, tmp_path / "missing"], out=tmp_path / "out", cluster=client, **SMALL)
     said = str(caught.value)
     assert said.startswith("2 drives can't be used: (1) ")
-    assert f"{broken}/gps.csv, row 2: '1,2' has 2 cells, the header 3" in said
+    assert f"{broken}/gps.csv, row 2: '1,2' has 2 cells, but the header has 3" in said
     assert f"{tmp_path}/missing does not exist" in said
     assert "\n" not in said
     assert not (tmp_path / "out").exists()
@@ -251,7 +251,7 @@ def test_a_worker_with_another_version_is_refused(processes, folders):
         ("tcp://127.0.0.1:1", "no scheduler answers at this address"),
         ("tcp://127.0.0.1", "write it as tcp://host:8786"),
         ("tls://127.0.0.1:8786", "create a Client in Python"),
-        ("nowhere.json", "is neither an address like tcp://host:8786 nor an existing scheduler file"),
+        ("nowhere.json", "is not an existing scheduler file; name one, or write an address like"),
         ("local:none", "specify the number of processes, for example local:4"),
     ],
 )

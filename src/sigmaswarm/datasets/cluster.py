@@ -33,7 +33,7 @@ class Cluster:
 
     def __post_init__(self) -> None:
         if self.client.asynchronous:
-            raise InputError("cluster: is an asynchronous client; make one with asynchronous=False")
+            raise InputError("cluster is an asynchronous client; make a client with asynchronous=False")
 
     @property
     def address(self) -> str:
@@ -63,15 +63,15 @@ class Cluster:
         except OSError:
             raise self.lost_scheduler() from None
         own, errors = versions(), dict[str, ClusterError]()
-        for address, theirs in sorted(answers.items()):
-            if not isinstance(theirs, Mapping):
-                reason = f"sigmaswarm can't be imported ({type(theirs).__name__}: {theirs}); install it on this worker"
+        for address, found in sorted(answers.items()):
+            if not isinstance(found, Mapping):
+                reason = f"sigmaswarm can't be imported ({type(found).__name__}: {found}); install it on this worker"
                 errors[address] = ClusterError(f"worker {address}: {reason}")
                 continue
             for name in ("sigmaswarm", "numpy", "numba", "scipy"):
-                if theirs.get(name) != own[name] and address not in errors:
+                if found.get(name) != own[name] and address not in errors:
                     errors[address] = ClusterError(
-                        f"worker {address}: has {name} {theirs.get(name)}, but this machine has {own[name]}; "
+                        f"worker {address}: has {name} {found.get(name)}, but this machine has {own[name]}; "
                         "results would differ, so install the same version on both"
                     )
         return errors
@@ -125,23 +125,23 @@ def connected(address: str) -> Generator["Client"]:
         finally:
             try:
                 client.close(timeout=5)
-            except Exception:  # the cluster is gone, which was reported
+            except Exception:  # the cluster is gone; its error was already reported
                 logging.getLogger(__name__).debug("the client did not close", exc_info=True)
 
 
 def _scheduler(address: str) -> str:
-    """Return a scheduler's address, read from a scheduler file if one is given."""
+    """Return the address of a scheduler, which may be in a scheduler file."""
     if "://" in address:
         if not re.fullmatch(r"(?!tls)\w+://.+:\d+", address):
             raise InputError(
-                f"--cluster {address}: write it as tcp://host:8786; for a cluster with certificates create a Client in "
-                "Python, and pass it as cluster="
+                f"--cluster {address}: is not an address like tcp://host:8786; write it in this form, or for a cluster "
+                "with certificates create a Client in Python and pass it as cluster="
             )
         return address
     if not Path(address).is_file():
         raise InputError(
-            f"--cluster {address}: is neither an address like tcp://host:8786 nor an existing scheduler file nor "
-            "local:N"
+            f"--cluster {address}: is not an existing scheduler file; name one, or write an address like "
+            "tcp://host:8786, or local:N for N processes"
         )
     try:
         return str(json.loads(read_bounded(Path(address), MAX_TOML_BYTES))["address"])

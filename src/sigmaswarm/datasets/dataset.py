@@ -1,4 +1,4 @@
-"""A dataset: drives in this process or on the workers of a cluster, and functions that are applied to these drives."""
+"""A dataset: drives in this process or on the workers of a cluster, to which functions are applied."""
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -26,7 +26,7 @@ class Dataset(Protocol):
     def map(self, function: Callable[[Drive], T]) -> list[T]: ...
 
     def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
-        """Apply a function to one drive after another, for large or slow results."""
+        """Apply a function to one drive after another, for results that are large or slow to compute."""
         ...
 
 
@@ -60,7 +60,7 @@ def make_datasets(
     *groups
         Each group is a Drive, a sequence of Drives, or a dataset; with a cluster also paths and URLs.
     takes : str
-        The accepted input of the calling function, for messages.
+        The input that the calling function accepts, for messages.
 
     Raises
     ------
@@ -71,8 +71,8 @@ def make_datasets(
         raise InputError(
             "executor and cluster can't be combined, since a cluster distributes the work itself; leave one out"
         )
-    each = [_listed(group, cluster, takes) for group in groups]
-    lists = [group for group in each if isinstance(group, list)]
+    given = [_listed(group, cluster, takes) for group in groups]
+    lists = [group for group in given if isinstance(group, list)]
     made: list[Dataset] = [LocalDataset(group) for group in lists] if cluster is None else []
     if cluster is not None:
         from sigmaswarm.datasets.cluster import Cluster
@@ -82,7 +82,7 @@ def make_datasets(
         made = [*remote]
         for warning in warned:
             warnings.warn(warning, stacklevel=3)
-    return [made.pop(0) if isinstance(group, list) else group for group in each]
+    return [made.pop(0) if isinstance(group, list) else group for group in given]
 
 
 def _listed(given: Any, cluster: "Client | None", takes: str) -> "list[Any] | Dataset":

@@ -27,7 +27,7 @@ from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
 T = TypeVar("T")
 ReadProgress = Callable[[int, int], None]  # called with the numbers of drives read and of all drives
 
-POLL_INTERVAL = 2.0  # s, between requests to the scheduler for its workers
+POLL_INTERVAL = 2.0  # s, time between requests to the scheduler for its workers
 MAX_RETRIES = 3  # rounds without an answer, after which the drives are the likely cause of lost workers
 MAX_NAMED_DRIVES = 10  # largest number of drives named in a message
 
@@ -75,7 +75,7 @@ class Assignment:
             self.owners = assign_drives(self.sizes, self.workers, self.owners)
 
     def _usable_workers(self) -> dict[str, int]:
-        """Return the current workers with the client's versions; at the start, raise an error for others."""
+        """Return the workers with the client's software versions; at the start, raise an error for other workers."""
         present = self.cluster.workers()
         new = [address for address in present if address not in {*self.workers, *self._refused}]
         for address, error in self.cluster.version_errors(new).items():
@@ -86,13 +86,14 @@ class Assignment:
         return {address: threads for address, threads in present.items() if address not in self._refused}
 
     def submit(self, worker: str, call: bytes, drives: Sequence[int], *, with_sources: bool = False) -> Any:
-        """Submit a task to a worker; sources are sent only if the worker has asked for them."""
+        """Submit a task to a worker; sources are sent only after the worker has asked for them."""
         from dask import config
         from distributed.protocol.pickle import dumps
 
         sources = dumps({self._keys[i]: self.sources[i] if with_sources else None for i in drives})
         where: dict[str, Any] = {"workers": [worker], "allow_other_workers": False, "pure": False}
-        with config.set({"distributed.admin.large-graph-warning-threshold": "1TB"}):  # drives of the client
+        # sources may contain drives
+        with config.set({"distributed.admin.large-graph-warning-threshold": "1TB"}):
             return self.cluster.client.submit(run_task, call, sources, worker, **where)
 
     def result(self, worker: str, call: bytes, drives: Sequence[int], task: Any) -> Any:
@@ -117,7 +118,7 @@ class Assignment:
 
 
 def assign_drives(sizes: Sequence[float], threads: Mapping[str, int], before: Sequence[str]) -> list[str]:
-    """Assign drives to workers in proportion to their threads, within 5%; move few away from the workers ``before``."""
+    """Assign drives to workers in proportion to their threads, within 5%; most stay with their worker ``before``."""
     share = sum(sizes) / sum(threads.values())
     load, assigned = dict.fromkeys(threads, 0.0), [""] * len(sizes)
     largest_first = sorted(range(len(sizes)), key=lambda i: (-sizes[i], i))
@@ -135,7 +136,7 @@ def assign_drives(sizes: Sequence[float], threads: Mapping[str, int], before: Se
 
 @dataclass(frozen=True, eq=False)
 class RemoteDataset:
-    """Drives on the workers of a cluster; `remote_datasets` makes it."""
+    """Drives on the workers of a cluster; `remote_datasets` makes such datasets."""
 
     assignment: Assignment
     indices: tuple[int, ...]
@@ -200,7 +201,7 @@ def _with_drive(function: Callable[[Drive], T], cached: CachedDrive) -> T:
 def remote_datasets(
     cluster: Cluster, groups: Sequence[Iterable[Any]], *, progress: ReadProgress | None = None
 ) -> tuple[list[RemoteDataset], list[SigmaswarmWarning]]:
-    """Let the workers read groups of drives, paths, URLs or sources; return a dataset of each group, and the warnings.
+    """Let the workers read groups of drives, paths, URLs or sources; return a dataset for each group, and warnings.
 
     Raises
     ------
@@ -244,7 +245,7 @@ def _size_and_warnings(
 
 
 def source_of(drive: Drive | Location | Source) -> Source:
-    """Make the source of a drive, a path or a URL. Paths become absolute: workers may run in other folders."""
+    """Make the source of a drive, a path or a URL. Paths become absolute, since workers may run in other folders."""
     if isinstance(drive, Drive):
         return partial(_with_no_warnings, drive)
     if isinstance(drive, str | Path):

@@ -1,4 +1,4 @@
-"""Code of a worker of a cluster: one task function, and a cache of drives for each worker process."""
+"""Code for the workers of a cluster: one task function, and a cache of drives for each worker."""
 
 import pickle
 import threading
@@ -16,14 +16,14 @@ T = TypeVar("T")
 Source = Callable[[], tuple[Drive, list[SigmaswarmWarning]]]
 """Picklable function that returns a drive and the warnings about it."""
 
-USABLE_MEMORY = 0.8  # share of a worker's memory, above which Dask pauses the worker
+USABLE_MEMORY = 0.8  # share of a worker's memory; above it, Dask pauses the worker
 BASE_MEMORY = 350e6  # bytes without drives: interpreter, Numba, polars
 BYTES_PER_COLUMN_BYTE = 3.3  # memory of a prepared drive / size of its columns, by `benchmarks/fleet.py`
 
 
 @dataclass(frozen=True)
 class Failure:
-    """An exception that is returned, not raised: Dask would log it as a failed task."""
+    """An exception that is returned instead of raised, since Dask would log a failed task."""
 
     error: Exception
 
@@ -49,7 +49,7 @@ class CachedDrive:
 
 
 class DriveCache:
-    """The drives of a worker; the least recently used drives are dropped if ``memory``, bytes, is short."""
+    """The drives of a worker; the least recently used drives are dropped if they exceed ``memory``, bytes."""
 
     def __init__(self, worker: str, threads: int, memory: float) -> None:
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
@@ -115,7 +115,7 @@ def run_task(call: bytes, sources: bytes, address: str) -> Any:
     cache = _caches[address]
     try:
         (function, arguments), wanted = pickle.loads(call), pickle.loads(sources)
-    except Exception as error:  # a module that is missing here
+    except Exception as error:  # a module may be missing on this worker
         message = f"worker {address}: can't run the task ({type(error).__name__}: {error})"
         return Failure(ClusterError(message))
     try:

@@ -1,4 +1,4 @@
-"""Simulate all conditions and runs in threads, since compiled code releases the interpreter's lock."""
+"""Simulate conditions and runs in threads, since compiled code releases the interpreter's lock."""
 
 import os
 from collections import deque
@@ -90,7 +90,7 @@ def simulate_many(
 def _check_conditions(
     maneuvers: Sequence[str], environments: Sequence[str], runs: int, duration: float | None
 ) -> None:
-    """Check the names for later drives; the first drive checks all other options."""
+    """Check all names before the first drive; `simulate` checks the other options."""
     for maneuver in maneuvers:
         lookup(maneuver, MANEUVERS, "maneuver")
     for environment in environments:

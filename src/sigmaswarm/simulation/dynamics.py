@@ -1,4 +1,4 @@
-"""Compiled simulation of a car, a two-track model, and its driver.
+"""Compiled simulation of a car (a two-track model) and its driver.
 
 - Tires have a relaxation length, and their forces stay inside the friction circle (combined slip).
 - Motor, brake, rolling resistance and tire act on each wheel. Anti-lock and traction control reduce the torque of a

@@ -34,7 +34,6 @@ class GpsGrade:
         Standard deviation of the velocity per axis, m/s; None if the receiver reports neither speed nor course.
     latency : float
         Age of a fix at its time stamp, s. It is 0 in all grades, since loggers stamp fixes with their time of validity.
-        Receivers report fixes 0.05 to 0.2 s later.
     lever_arm : tuple of float
         Vector from the IMU to the antenna, m forward, left, up.
     stated_factor : float

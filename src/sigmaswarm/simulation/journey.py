@@ -1,4 +1,4 @@
-"""Drive a maneuver, and compute the achieved values."""
+"""Simulate a maneuver, and compute the achieved values."""
 
 from dataclasses import dataclass
 
@@ -77,7 +77,7 @@ def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
 
 
 def achieved_figures(name: str, journey: Journey, fixes: Array) -> dict[str, float]:
-    """Return the achieved values under the names of the targets; ``fixes`` (m,) are times, s."""
+    """Return the achieved values under the names of the targets; ``fixes`` (m,): times of the fixes, s."""
     record, start = journey.record, journey.start
     speed = np.hypot(record[:, VX], record[:, VY])
     top, first = float(speed.max()) / KMH, int(start / STEP)

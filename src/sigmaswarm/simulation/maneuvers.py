@@ -1,7 +1,7 @@
 """Routes of the paper's maneuvers, and `urban`, minutes of mixed driving.
 
-If friction does not allow the paper's target, the driver drives at the friction limit. The drive contains the target
-and the achieved value.
+If friction does not allow the paper's target, the driver drives at the friction limit. The drive's metadata contain the
+target and the achieved value.
 """
 
 import math
@@ -37,7 +37,7 @@ class AccelerationLimits:
 @dataclass(frozen=True)
 class Maneuver:
     legs: list[Leg]
-    target: dict[str, float]  # values of the paper, with units in the names
+    target: dict[str, float]  # the paper's values, with units in the names
     # (start, end), s after the start of the maneuver itself, without fixes
     outages: list[tuple[float, float]]
     first: int = 0  # index of the first leg after the warm-up, on which a filter starts

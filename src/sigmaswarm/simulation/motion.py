@@ -1,4 +1,4 @@
-"""Motion of a point of the car's body, from the recorded states of the car, and vibration.
+"""Compute the motion of a point of the car's body from the recorded states of the car, and add vibration.
 
 The body pitches and rolls about its center of gravity. Attitude: yaw, then pitch (positive nose down), then roll
 (positive left side up), each about the new body axis. A left turn rolls the body to the right, so gravity increases the
@@ -43,7 +43,8 @@ LeverArm = tuple[float, float, float]
 # are not modeled. Roll and pitch rates have no part below the frequency of the springs: white noise would rotate the
 # body by degrees in a minute, and gravity would appear as acceleration.
 FORCE_DENSITY = (0.06, 0.025, 0.04)  # m/s2/sqrt(Hz) forward, left, up, density at `FULL_SPEED` and above
-RATE_DENSITY = (0.002, 0.003, 0.0005)  # rad/s/sqrt(Hz), same axes; the only left recording has 0.010
+# rad/s/sqrt(Hz), same axes; the only recording of the pitch rate has 0.010
+RATE_DENSITY = (0.002, 0.003, 0.0005)
 FULL_SPEED = 5.0  # m/s; vibration is proportional to speed below this speed
 BODY_FREQUENCY = 1.0  # Hz, natural frequency of the body on its springs; an assumption
 
@@ -56,7 +57,7 @@ class Motion:
     velocity: Array  # (n, 3) m/s
     rotation: Array  # (n, 3, 3), from body to local axes
     yaw: Array  # (n,) rad, not wrapped
-    specific_force: Array  # (n, 3) m/s2, in the body frame, as of an ideal IMU
+    specific_force: Array  # (n, 3) m/s2, in the body frame; an ideal IMU measures it
     angular_rate: Array  # (n, 3) rad/s, in the body frame
 
 
@@ -137,7 +138,7 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm | Array) -> Mot
 
 
 def vibrate(motion: Motion, rate: float, strength: float, rng: np.random.Generator) -> Motion:
-    """Add vibration to specific force and angular rate sampled at ``rate`` Hz; real cars have a strength of 1."""
+    """Add vibration to specific force and angular rate, sampled at ``rate`` Hz; the strength of real cars is 1."""
     speed = np.linalg.norm(motion.velocity, axis=1, keepdims=True)
     level = strength * np.sqrt(rate) * np.minimum(speed / FULL_SPEED, 1.0)
     shaking = rng.standard_normal((2, *motion.specific_force.shape)) * level

@@ -15,8 +15,8 @@ from sigmaswarm.drives.drive import Array
 SPACING = 0.1  # m, between points of a path
 DRIVER_STEP = 0.01  # s, between steps of the driver
 RUN_OUT = 60.0  # m, straight road after the last leg, for the driver's preview and for longer stops
-SWAY_OFFSET = 0.10  # m from the ideal line, amplitude of the driver's sway
-SWAY_SPEED = 0.006  # relative to the speed, amplitude of the driver's sway
+SWAY_OFFSET = 0.10  # m, amplitude of the driver's sway about the ideal line
+SWAY_SPEED = 0.006  # amplitude of the driver's sway about the ideal speed, relative to this speed
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,14 @@ class Leg:
     curvature_end: float = 0.0  # 1/m
     lateral: float = 3.0  # m/s2, limit of the plan in a bend
     wait: float = 0.0  # s, standstill at the end; 0 for none
-    ease: float = 1.0  # s, in which accelerations build up and fade
+    ease: float = 1.0  # s, time in which accelerations build up and fade
     # s/m, relative decrease of the acceleration per m/s, since drivers accelerate less at high speed
     fading: float = 0.02
 
 
 @dataclass(frozen=True)
 class Sway:
-    """Deviation of a human driver from ideal line and speed: sums of three sine waves along the path."""
+    """Deviations of a human driver from the ideal line and speed: sums of three sine waves along the path."""
 
     phases: Array  # (2, 3) rad
     wavelengths: Array  # (3,) m
@@ -94,12 +94,12 @@ def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
     distance = np.arange(0.0, ends[-1] + SPACING / 2, SPACING)
     leg_of = np.minimum(np.searchsorted(ends, distance, side="right") - 1, len(legs) - 1)
 
-    def each(name: str) -> Array:
+    def of_legs(name: str) -> Array:
         return np.array([getattr(leg, name) for leg in legs])[leg_of]
 
-    part = (distance - ends[leg_of]) / each("length")
-    curvature = each("curvature") + (each("curvature_end") - each("curvature")) * part
-    limit = np.minimum(each("speed"), np.sqrt(each("lateral") / np.maximum(np.abs(curvature), 1e-6)))
+    part = (distance - ends[leg_of]) / of_legs("length")
+    curvature = of_legs("curvature") + (of_legs("curvature_end") - of_legs("curvature")) * part
+    limit = np.minimum(of_legs("speed"), np.sqrt(of_legs("lateral") / np.maximum(np.abs(curvature), 1e-6)))
     squared = (limit * (1 + SWAY_SPEED * sway.waves(distance, 1).sum(axis=0))) ** 2
     waits = np.zeros(len(distance))
     for leg, end in zip(legs, ends[1:], strict=True):
@@ -108,8 +108,10 @@ def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
             squared[stop], waits[stop] = 0.0, leg.wait
     if stand is not None:
         squared[0], waits[0] = 0.0, stand
-    _reachable(squared, 2 * SPACING * each("acceleration"), each("fading"), 2 * SPACING * each("braking"))
-    return _in_time(distance, np.sqrt(squared), waits, each("ease"))
+    _reachable(
+        squared, 2 * SPACING * of_legs("acceleration"), of_legs("fading"), 2 * SPACING * of_legs("braking")
+    )
+    return _in_time(distance, np.sqrt(squared), waits, of_legs("ease"))
 
 
 def _in_time(distance: Array, speed: Array, waits: Array, ease: Array) -> Array:
@@ -119,8 +121,7 @@ def _in_time(distance: Array, speed: Array, waits: Array, ease: Array) -> Array:
     times = np.column_stack([arrival, arrival + waits]).ravel()
     looks = np.arange(0.0, times[-1], DRIVER_STEP)
     planned = np.interp(looks, times, np.repeat(speed, 2))
-    # The legs set the width of the average; the small width of a hard leg also applies to 1 s before and after this
-    # leg.
+    # The legs set the width of the average. The small width of a hard leg also applies 1 s before and after the leg.
     width = minimum_filter1d(np.interp(looks, times, np.repeat(ease, 2)), round(2.0 / DRIVER_STEP))
     half = uniform_filter1d(width, round(0.5 / DRIVER_STEP), mode="nearest") / 2
     far = np.concatenate([[looks[0] - 2], looks, [looks[-1] + 2]])

@@ -109,7 +109,7 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
         Level of the vibration of road and engine, 0 by default as in CARLA. 1 is the level in two recordings of real
         cars, which have much more noise than data sheets state.
     gnss_degradation : bool
-        Multiply the errors of the receiver by the factor of the environment: **an assumption, not a measurement**.
+        Multiply the errors of the receiver by the environment's factor, which is **an assumption, not a measurement**.
     terrain : str or Terrain
         "flat" (the default), "rolling" or "hilly". Slopes of the road change attitude and IMU data. The truth in the
         plane is the same within millimeters.
@@ -159,9 +159,9 @@ def _drive(s: Scenario) -> Drive:
     stamps = _times(end, s.gps_rate, s.jitter, stream("gps clock"))
     stamps = stamps[stamps >= gps.latency]
     true, measured = motion(nominal, place), motion(stamps - gps.latency, place + gps.lever_arm)
-    felt = true if ticks is nominal else motion(ticks, place)
+    at_imu = true if ticks is nominal else motion(ticks, place)
     if s.vibration > 0:
-        felt = vibrate(felt, s.imu_rate, s.vibration, stream("vibration"))
+        at_imu = vibrate(at_imu, s.imu_rate, s.vibration, stream("vibration"))
     fixes = measure_gps(stamps, measured, gps, stream("gps"), journey.outages)
     odometer, about = None, dict[str, Any]()
     if s.heading:
@@ -174,7 +174,7 @@ def _drive(s: Scenario) -> Drive:
     x, y, vx, vy = np.hstack([true.position[:, :2], true.velocity[:, :2]]).T
     return Drive(
         name=drive_name(s.maneuver, where.name, s.run),
-        imu=measure_imu(ticks, felt, imu, stream("imu")),
+        imu=measure_imu(ticks, at_imu, imu, stream("imu")),
         gps=fixes,
         truth=Truth(nominal, x, y, vx, vy, true.yaw),
         metadata={

@@ -1,7 +1,8 @@
-"""Simulate hills: grade and bank of the road, for a car that drives as on a flat road.
+"""Simulate hills: grade and bank of the road, for a car with the path and speed of a flat road.
 
 The path in the plane is the path on a flat road, since the driver compensates for the slope. Slopes change the height
-of the car, and its attitude directly and, due to gravity, through the suspension. The slopes depend on the distance s:
+of the car, and its attitude: directly and, since gravity acts on the suspension, indirectly. The slopes depend on the
+distance s:
 
     grade pitch p(s), bank roll f(s);  slope of the road ahead  -tan p,  to the left  tan f / cos p
     height' = slope ahead x vx + slope to the left x vy
@@ -84,7 +85,7 @@ class Terrain:
     source: str = ""
 
 
-# From the easiest for a planar filter; `banked_radius` is [R].
+# In the order of difficulty for a planar filter; `banked_radius` is [R].
 TERRAINS = by_name(
     Terrain("flat", source="a plane"),
     Terrain(
@@ -190,7 +191,7 @@ def _integral(values: Array) -> Array:
 
 
 def _swing(target: Array, frequency: float, damping: float) -> Array:
-    """Return second-order response, rate and acceleration (n, 3), from rest at the first target.
+    """Return the second-order response to a target, its rate and acceleration (n, 3), from rest at the first target.
 
     The discretization is exact for a target that is linear between samples.
     """
