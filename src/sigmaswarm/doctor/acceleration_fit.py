@@ -27,10 +27,8 @@ SMALL_SAMPLE = 8.0
 MIN_NOISE = 0.03  # m, smallest assumed noise of the IMU's path over several seconds
 
 DELAYS = np.arange(-0.8, 0.81, 0.1)  # s, delays of the fixes to try
-DRIFT_SPAN, BIN = (
-    6.0,
-    3.0,
-)  # s: standard deviation of the Gaussian that aligns gyro and course; its bin length
+# s: standard deviation of the Gaussian that aligns gyro and course; its bin length
+DRIFT_SPAN, BIN = 6.0, 3.0
 
 
 @dataclass(frozen=True, eq=False)

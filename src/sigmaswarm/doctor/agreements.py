@@ -15,9 +15,8 @@ MIN_FIXES = 8  # smallest number of fixes for a course
 MIN_SPEED = 1.0  # m/s, lowest speed at which a course is shown
 AVERAGING_TIME = 2.0  # s; the specific force is averaged, since vibration would hide gravity
 RATE = 10.0  # Hz, rate of the averaged specific force
-MAX_BIAS = np.radians(
-    5.0
-)  # rad/s, largest bias that is removed; the plot shows a larger one as a fault of gz
+# rad/s, largest bias that is removed; the plot shows a larger one as a fault of gz
+MAX_BIAS = np.radians(5.0)
 # By agreement: beginnings of the codes of findings that its plot shows
 FINDINGS = {
     "timing": (

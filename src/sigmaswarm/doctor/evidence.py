@@ -30,9 +30,8 @@ MAX_FIT_OFFSET = 2.3  # s, largest offset that the fit determines; the fit tries
 MIN_SEARCH_OFFSET = 0.3  # s, smallest offset that the search determines
 # s, largest usual delay of a receiver; a larger delay is accepted if the search finds no other offset
 MAX_USUAL_DELAY = 1.0
-AS_RECORDED = Yaw(
-    known=True
-)  # other columns, signs and units are accepted only if no clock offset explains the data
+# other columns, signs and units are accepted only if no clock offset explains the data
+AS_RECORDED = Yaw(known=True)
 # Smallest cosine of the angles between az and gravity, and between ax and forward, at which mirrored fixes can be
 # distinguished from an IMU with other axes.
 MIN_UPRIGHT_COSINE = 0.7
@@ -60,9 +59,8 @@ class Evidence:
     scatter: float  # m per axis, scatter of the fixes about the path over ten seconds
     mounting: Mounting | None  # mounting of the IMU in the vehicle, for a log with six axes
     moved: float = 0.0  # s, subtracted from the fixes' times if the clocks are far apart
-    mirrored: bool = (
-        False  # x and y of the fixes are exchanged in the log; the other fields refer to corrected fixes
-    )
+    # x and y of the fixes are exchanged in the log; the other fields refer to corrected fixes
+    mirrored: bool = False
 
     @property
     def mounted(self) -> bool:
@@ -136,9 +134,8 @@ def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
     if imu.az is None or fit is None or fit.course_change < LEAST_TURNS:
         return None
     force = np.array([np.median(v) for v in (imu.ax, imu.ay, imu.az)])
-    if force[2] < max(
-        MIN_UPRIGHT_COSINE * float(np.linalg.norm(force)), 0.5
-    ):  # 0.5 excludes logs without gravity, in m/s2 and in g
+    # 0.5 excludes logs without gravity, in m/s2 and in g
+    if force[2] < max(MIN_UPRIGHT_COSINE * float(np.linalg.norm(force)), 0.5):
         return None
     turned_over = found.mounting is not None and found.mounting.repair[2, 2] < 0
     if yaw.known and yaw.factor > 0 and not turned_over:
@@ -206,9 +203,8 @@ def _spread(v: Complex) -> float:
 def _far_off(acceleration: AccelerationFit) -> np.ndarray:
     """Return the indices, among the used fixes, of fixes far from the IMU's path in every window."""
     size, count = np.abs(acceleration.residual), int(acceleration.rows.max()) + 1
-    off = size > 0.2 + 4 * float(
-        np.quantile(size, 0.9)
-    )  # m; for Gaussian noise this is 8.6 standard deviations
+    # m; for Gaussian noise this is 8.6 standard deviations
+    off = size > 0.2 + 4 * float(np.quantile(size, 0.9))
     times, far = (
         np.bincount(rows.ravel(), minlength=count) for rows in (acceleration.rows, acceleration.rows[off])
     )

@@ -49,9 +49,8 @@ def mark_jumps(time: Array, position: Complex) -> Mask:
     kept = np.arange(len(time))
     if len(time) < 10:
         return np.zeros(len(time), bool)
-    for _ in range(
-        20
-    ):  # one jump at a time, the largest among its neighbors, since a jump distorts the lines of its neighbors
+    # one jump at a time, the largest among its neighbors, since a jump distorts the lines of its neighbors
+    for _ in range(20):
         off = np.abs(_off_line(time[kept], position[kept]))
         limit = (
             12 * float(np.median(off)) + 0.5 * MAX_ACCELERATION * (NEIGHBORS * np.gradient(time[kept])) ** 2

@@ -25,10 +25,8 @@ from sigmaswarm.drives.mounting import NO_ROTATION
 from sigmaswarm.geodesy import rotation_of
 
 MAX_ROUNDS = 16  # a round leaves up to 0.7 of the error; after six, up to a degree remains in a few logs
-SURE_STD, LIKELY_STD = (
-    math.radians(3.0),
-    math.radians(8.0),
-)  # rad, largest total standard deviation of this confidence
+# rad, largest total standard deviation of this confidence
+SURE_STD, LIKELY_STD = math.radians(3.0), math.radians(8.0)
 MIN_EXPLAINED = 0.5  # smallest share of the course's changes that the leveled gyro explains
 MIN_RIVAL_LEAD = 25.0  # smallest lead in chi-square over any mounting that is rotated by 90 degrees or more
 # rad, smallest standard deviations of the axis of turning (springs) and of gravity (roads, biases)
@@ -41,12 +39,10 @@ GYRO_WINDOW = 10.0  # s, window over which the axis of turning is fitted
 # Accelerometers are reversed if `_leaning` of their negative values exceeds MIN_LEANING. A mounting rotated by more
 # than 90 degrees is refused if its `_leaning` is below -MIN_LEANING, since an axis is reversed.
 MIN_LEANING = 0.5
-MAX_TILT = math.radians(
-    15.0
-)  # rad, largest angle between the median specific force and the estimated vertical axis
-MAX_GRAVITY_CHANGE = math.radians(
-    8.0
-)  # rad; a larger change of gravity between windows shows that the mounting is not constant
+# rad, largest angle between the median specific force and the estimated vertical axis
+MAX_TILT = math.radians(15.0)
+# rad; a larger change of gravity between windows shows that the mounting is not constant
+MAX_GRAVITY_CHANGE = math.radians(8.0)
 # rad, smallest corrected tilt and rotation about z; their smallest ratio to the standard deviation
 MIN_TILT, MIN_YAW, MIN_SIGMAS = math.radians(4.0), math.radians(5.0), 3.5
 SERIOUS = math.radians(7.0)

@@ -42,10 +42,8 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     repairs = [r for _, r in found]
     rotation = _rotation(drive, [r for r in repairs if r.action in AXIS_ACTIONS])
     drive = _applied(drive, repairs)
-    if {r.action for r in repairs} & AXIS_ACTIONS - {
-        "rotate",
-        "turn",
-    }:  # not only a rotation, but units or single axes
+    # not only a rotation, but units or single axes
+    if {r.action for r in repairs} & AXIS_ACTIONS - {"rotate", "turn"}:
         drive = replace(drive, metadata=without_axes(drive.metadata))
     repaired = [*drive.metadata.get("repaired", []), *dict.fromkeys(code for code, _ in found)]
     return replace(drive, metadata=with_rotation(drive.metadata, rotation) | {"repaired": repaired})
@@ -190,13 +188,8 @@ def _cut_ends(drive: Drive, begin: float, end: float) -> Drive:
     return clip(drive, begin, math.nextafter(end, math.inf))
 
 
-AXIS_ACTIONS = {
-    "rotate",
-    "gyro",
-    "tilt-rates",
-    "accelerometer",
-    "turn",
-}  # actions that change the axes of the IMU
+# actions that change the axes of the IMU
+AXIS_ACTIONS = {"rotate", "gyro", "tilt-rates", "accelerometer", "turn"}
 # In the order of application. Actions refer to rows by recorded times, and to fixes by corrected times.
 ACTIONS: dict[str, Callable[..., Drive]] = {
     "exchange-fixes": _exchange_fixes,

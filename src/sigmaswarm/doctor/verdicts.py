@@ -73,9 +73,8 @@ class PlanarMounting:
     angle_std: float  # rad
     margin: float  # lead in chi-square of this interpretation over the log as recorded
     known: tuple[bool, bool]  # (forward, left): True if the drive determines the axis
-    scale: tuple[
-        tuple[float, float], tuple[float, float]
-    ]  # (forward, left): remaining factor, and its standard deviation
+    # (forward, left): remaining factor, and its standard deviation
+    scale: tuple[tuple[float, float], tuple[float, float]]
 
     @property
     def matrix(self) -> Array:

@@ -59,9 +59,8 @@ class Regression:
     residual: Complex  # (w, n)
     weight: Array  # (w, n), the robust weight of each value, 0 to 1
     cost: float  # the mean magnitude of the residual
-    columns: (
-        Array  # (w, k, 2n), weighted, orthogonal to the columns `own`; real and imaginary parts alternate
-    )
+    # (w, k, 2n), weighted, orthogonal to the columns `own`; real and imaginary parts alternate
+    columns: Array
     left: Array  # (w, 2n), the weighted residuals; real and imaginary parts alternate
     own: int  # number of unknowns of each window
 

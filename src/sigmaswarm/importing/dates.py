@@ -68,9 +68,8 @@ def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
     ahead = zone.struct[1].cast(pl.Float64) + zone.struct[2].cast(pl.Float64).fill_null(0.0) / 60
     ahead = 3600 * pl.coalesce(named, pl.when(zone.struct[0] == "-").then(-ahead).otherwise(ahead), 0.0)
     plain = plain.str.replace(r"(\d\d:.*?) ?[+-]\d\d(?::?\d\d)?$", "${1}")
-    if form.startswith(
-        "%M"
-    ):  # minutes and seconds of a spreadsheet; without a fraction, perhaps hours and minutes
+    # minutes and seconds of a spreadsheet; without a fraction, perhaps hours and minutes
+    if form.startswith("%M"):
         plain, form = pl.when(plain.str.contains(r"\.")).then("0:" + plain), f"%H:{form}"
     if form and "%d" not in form and "%j" not in form:
         return plain.str.to_time(form, strict=False).cast(pl.Int64) / 1e9

@@ -23,9 +23,8 @@ from sigmaswarm.importing.times import TimeExpression, column_numbers, find_time
 from sigmaswarm.wording import list_names
 
 Z_DOWN = "x=x,y=-y"  # mounting of an IMU with x forward, y right and z down
-SAMPLE_ROWS = (
-    2000  # number of first rows from which units are guessed, in formats whose rows are decoded one by one
-)
+# number of first rows from which units are guessed, in formats whose rows are decoded one by one
+SAMPLE_ROWS = 2000
 # Number and length of the blocks of rows from which units are guessed. The blocks are spread over the table, since a
 # log may begin without fixes and at standstill. Rows of a block are consecutive, so most time steps are those of the
 # log. A block contains fixes even if only 1 of 200 rows has one.

@@ -202,9 +202,8 @@ def _one_sensor(names: list[Name]) -> list[Name]:
         names = [Name(n.column, f"acc_{n.plain[-1]}", n.unit or g) if n.plain in _TOTAL else n for n in kept]
     if plains >= _MPU.keys() and not any(n.meaning in _AXES for n in names):
         names = [n if n.plain not in _MPU else replace(n, plain=_MPU[n.plain]) for n in names]
-    turns = {
-        n.meaning for n in names if not n.is_one("(?:roll|pitch)_?rate")
-    }  # roll_rate and pitch_rate may be derivatives of the attitude, so a gyro's names take precedence
+    # roll_rate and pitch_rate may be derivatives of the attitude, so a gyro's names take precedence
+    turns = {n.meaning for n in names if not n.is_one("(?:roll|pitch)_?rate")}
     names = [
         replace(n, plain="") if n.is_one("(?:roll|pitch)_?rate") and n.meaning in turns else n for n in names
     ]

@@ -136,9 +136,8 @@ def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
         size, low, high = median_of(sizes), *(float(sizes.quantile(q) or 0.0) for q in (0.25, 0.75))
         values = {a: columns.numbers(a).abs() for a in {*axes, "az"} if a in columns}
         usual = {a: median_of(v.filter(v > 0)) for a, v in values.items()}
-        steady = (
-            high <= MAX_QUARTILE_RATIO * low
-        )  # like gravity; accelerations without gravity are small at rest
+        # like gravity; accelerations without gravity are small at rest
+        steady = high <= MAX_QUARTILE_RATIO * low
         if steady and (0.8 < usual.get("az", 0.0) < 1.2 or 0.9 < size < 1.12):
             return TimeExpression(
                 f"{text}*9.80665", "accelerations are read as g, since gravity has a value of about 1"

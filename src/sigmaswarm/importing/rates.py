@@ -37,9 +37,8 @@ DELAYS = (-1.0, -0.5, -0.25, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0
 MIN_EXPLAINED, MIN_CONFIRMED = 0.9, 0.5
 # rad, smallest standard deviation of the changes of course; their smallest number
 MIN_TURN_STD, MIN_TURNS = 0.1, 20
-OUTLIER_SIGMAS = (
-    3.0  # standard deviations; larger residuals, for example of a robot that spins in place, are left out
-)
+# standard deviations; larger residuals, for example of a robot that spins in place, are left out
+OUTLIER_SIGMAS = 3.0
 # Cutoff of the least-squares fit: smallest singular value of the measured turns, relative to the largest
 MIN_AXIS_SHARE = 0.2
 

@@ -99,9 +99,8 @@ def recordings(time: Nanoseconds) -> list[slice]:
     parts = [slice(*ends) for ends in pairwise([*ends, len(time)])]
     spans = sorted((int(time[p].min()), int(time[p].max())) for p in parts)
     gaps = [begin - end for (_, end), (begin, _) in pairwise(spans)]
-    return (
-        whole if all(-least < gap < least for gap in gaps) else parts
-    )  # without gaps: one recording, reordered
+    # without gaps: one recording, reordered
+    return whole if all(-least < gap < least for gap in gaps) else parts
 
 
 def _rate_by_rows(time: Nanoseconds, parts: list[slice]) -> float:

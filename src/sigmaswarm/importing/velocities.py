@@ -94,17 +94,15 @@ def _stretches(
     A stretch is longer than ten times the noise between rows, and has at least five positions. No single step makes up
     most of its length, since a jump of a parked vehicle's fixes is not motion.
     """
-    rows = np.flatnonzero(
-        np.append(True, (np.diff(x) != 0) | (np.diff(y) != 0))
-    )  # repeated positions count once
+    # repeated positions count once
+    rows = np.flatnonzero(np.append(True, (np.diff(x) != 0) | (np.diff(y) != 0)))
     none = np.zeros(0, np.int64)
     if len(rows) < 4 * MIN_STRETCHES:
         return none, none
     x, y, time = x[rows], y[rows], time[rows]
     step = np.hypot(np.diff(x), np.diff(y))
-    noise = (
-        float(np.median(np.hypot(np.diff(x, 2), np.diff(y, 2)))) / 2.9
-    )  # Rayleigh, of x[i] - 2 x[i+1] + x[i+2]
+    # Rayleigh, of x[i] - 2 x[i+1] + x[i+2]
+    noise = float(np.median(np.hypot(np.diff(x, 2), np.diff(y, 2)))) / 2.9
     least = max(3.0, 10 * noise)
     apart = int(
         np.clip(

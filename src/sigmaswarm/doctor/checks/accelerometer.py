@@ -21,10 +21,8 @@ RESIDUAL_LIMITS = (0.5, 1.2)
 # m/s2, errors of the median specific force above which there is a note or a warning. Errors of cheap sensors reach 0.8
 # m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
 MAGNITUDE_LIMITS = (0.3, 1.0)
-REPORT_RATIO, REPAIR_RATIO = (
-    2.5,
-    3.5,
-)  # ratio of a rotation to its standard deviation, to report or to repair it
+# ratio of a rotation to its standard deviation, to report or to repair it
+REPORT_RATIO, REPAIR_RATIO = 2.5, 3.5
 WRONG_SCALE = 0.4
 MIN_ACCELERATION_SPREAD = 0.4  # m/s2, smallest spread of the acceleration that determines its scale
 WHERE = "imu.csv, ax, ay"
@@ -77,10 +75,8 @@ def _size(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
         six = evidence.mounting is not None and np.array_equal(mount.axes, np.eye(2))
         clear = abs(angle) >= REPAIR_RATIO * std and not six
         severity = ("serious" if abs(angle) > MOUNTING_LIMITS[1] else "warning") if clear else "note"
-        degrees, side = (
-            math.degrees(angle),
-            "left" if angle > 0 else "right",
-        )  # the x axis points to this side
+        # the x axis points to this side
+        degrees, side = math.degrees(angle), "left" if angle > 0 else "right"
         what = (
             f"the IMU {'is' if clear else 'may be'} rotated by {abs(degrees):.0f} deg to the {side} about the vertical "
             f"axis (standard deviation {math.degrees(std):.0f} deg)"

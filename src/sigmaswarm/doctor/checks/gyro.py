@@ -204,9 +204,8 @@ def _deviations(angle: Array, change: Array) -> Array:
     columns = columns / np.where(scale > 0, scale, 1.0)
     factors, left, kept = np.zeros(4), np.zeros(len(change)), np.ones(len(change), dtype=np.bool_)
     for _ in range(3):
-        kept = (
-            np.abs(left) <= OUTLIER_SIGMAS * float(np.median(np.abs(left))) / 0.6745 + 1e-9
-        )  # the first round keeps all
+        # the first round keeps all
+        kept = np.abs(left) <= OUTLIER_SIGMAS * float(np.median(np.abs(left))) / 0.6745 + 1e-9
         factors = np.asarray(np.linalg.lstsq(columns[kept], change[kept], rcond=None)[0], np.float64)
         left = change - columns @ factors
     covariance = np.linalg.pinv(columns[kept].T @ columns[kept]) * (np.var(left[kept]) + 1e-18)

@@ -22,14 +22,10 @@ HEADINGS: dict[str, Callable[[Array], Array]] = {
     "deg clockwise from east": lambda angle: -np.radians(angle),
 }
 MAX_DEVIATION = math.radians(15)  # rad, largest median difference from the course, apart from a constant
-ROTATION_LIMITS = (
-    math.radians(2),
-    math.radians(10),
-)  # rad from the course, for a warning and for a serious finding
-MIN_DELAY, MAX_MISFIT_RATIO = (
-    0.15,
-    0.8,
-)  # s, delay for a warning; largest ratio of the misfits with and without this delay
+# rad from the course, for a warning and for a serious finding
+ROTATION_LIMITS = (math.radians(2), math.radians(10))
+# s, delay for a warning; largest ratio of the misfits with and without this delay
+MIN_DELAY, MAX_MISFIT_RATIO = 0.15, 0.8
 WINDOW = 5.0  # s, over which turns of the heading and of the gyro are compared
 MIN_FIXES = 30
 WHERE = "gps.csv, heading"

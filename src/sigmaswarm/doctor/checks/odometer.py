@@ -22,11 +22,8 @@ MIN_SCALE_ERROR = 0.02  # smallest reported error of the scale; it must also exc
 MAX_SCALE_RATIO = 1.25
 
 MIN_DELAY = 0.15  # s, smallest delay for a warning
-MAX_LAG, STEP, AVERAGING_TIME = (
-    3.0,
-    0.02,
-    0.4,
-)  # s: largest delay, its step, averaging time of both accelerations
+# s: largest delay, its step, averaging time of both accelerations
+MAX_LAG, STEP, AVERAGING_TIME = 3.0, 0.02, 0.4
 MIN_CORRELATION = 0.6  # smallest correlation of the accelerations at a delay
 
 MIN_STUCK_TIME = 4.0  # s, shortest constant reading that counts as stuck

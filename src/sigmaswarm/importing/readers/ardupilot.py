@@ -73,11 +73,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     log = kind.__new__(kind)  # created first, so that its files can be closed if __init__ fails
     log.init_arrays_fast = log.init_arrays  # the output of the compiled function can't be caught
     try:
-        with (
-            errors_as_damage(path),
-            redirect_stderr(_Skipped()),
-            redirect_stdout(StringIO()),
-        ):  # pymavlink prints
+        # pymavlink prints to both streams
+        with errors_as_damage(path), redirect_stderr(_Skipped()), redirect_stdout(StringIO()):
             log.__init__(str(path), zero_time_base=True)
             rows = _rows(log, path, limits)
     finally:

@@ -209,9 +209,8 @@ def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.L
         remarks += dialect.remarks
         _check_names(names, shown_as, limits)
         frame = _text(file, dialect, shown_as)
-    frame = frame.with_columns(
-        pl.col(pl.Categorical, pl.Enum).cast(pl.String)
-    )  # codes of categories have no meaning
+    # codes of categories have no meaning
+    frame = frame.with_columns(pl.col(pl.Categorical, pl.Enum).cast(pl.String))
     old = frame.collect_schema().names()
     return frame.rename(dict(zip(old, _plain(names, shown_as, remarks), strict=True)))
 

@@ -265,9 +265,8 @@ def _header(above: Sequence[str], separator: str, width: int, most: int, empty: 
     while empty and len(titles) == width and not titles[-1].strip():
         titles, width, empty = titles[:-1], width - 1, empty - 1
     counted = titles[1:] if not titles[0] else titles
-    if counted == [
-        str(k) for k in range(len(counted))
-    ]:  # pandas writes such numbers for columns without names
+    # pandas writes such numbers for columns without names
+    if counted == [str(k) for k in range(len(counted))]:
         titles = [f"c{k}" for k in range(1, len(titles) + 1)]
     return titles
 

@@ -64,11 +64,8 @@ def recognizes(path: Path) -> bool:
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     core = import_library("pyulog.core", "logs")
-    with (
-        errors_as_damage(path),
-        _Log(io.FileIO(path)) as file,
-        redirect_stdout(io.StringIO()),
-    ):  # pyulog prints
+    # pyulog prints
+    with errors_as_damage(path), _Log(io.FileIO(path)) as file, redirect_stdout(io.StringIO()):
         log = core.ULog(file, message_name_filter_list=list(_TOPICS))
     if log.file_corruption or file.stopped < path.stat().st_size:
         raise InputError(f"{path}: is cut short or broken before byte {file.stopped}; copy the log again")

@@ -141,9 +141,8 @@ class Topics:
         found = self._named(topic, _IMU)
         at = found["ax"].removesuffix(_IMU["ax"])
         covariances = [f"{at}{kind}_covariance[0]" for kind in ("linear_acceleration", "angular_velocity")]
-        if set(covariances) <= set(
-            self.tables[topic].columns
-        ):  # -1 if the sensor does not measure the vector
+        # -1 if the sensor does not measure the vector
+        if set(covariances) <= set(self.tables[topic].columns):
             found["keep"] = " and ".join(f"{c} != -1" for c in covariances)
         return found
 
