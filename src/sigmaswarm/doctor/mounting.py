@@ -73,7 +73,7 @@ class Mounting:
 
     @property
     def mount(self) -> Array:
-        """The rotation (3, 3) of the raw samples, without the effect of `before`.
+        """The rotation (3, 3) from the axes of the raw samples to the vehicle's axes.
 
         If the estimate does not differ significantly from an exchange of the raw axes, the result is this exchange. The
         tolerance of `needed` is not used, since a rotation near 4 deg would be 0 in some parts of a log and not in

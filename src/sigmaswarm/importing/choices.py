@@ -90,7 +90,7 @@ def unit_in(target: str, column: str, expression: str) -> str:
 
 
 def expression_of(target: str, column: str, unit: str = "") -> str:
-    """Return the expression that converts a column to a drive's unit; by default it is in the first of `units_of`."""
+    """Return the expression that converts a column from a unit, by default the first of `units_of`, to a drive's."""
     units = units_of(target)
     return (units[unit] if unit else next(iter(units.values()))).format(quoted_column(column))
 

@@ -86,7 +86,7 @@ Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]
 
 
 def inspect_request(request: Request) -> Inspection:
-    """Read the beginning of each log and write nothing; faults become notes."""
+    """Read the beginning of each log; faults become notes, and nothing is written."""
     with opened(request) as (logs, guesses):
         try:
             recipe = complete_recipe(request, guesses)

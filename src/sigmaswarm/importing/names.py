@@ -193,7 +193,7 @@ def read_names(columns: Sequence[str]) -> list[Name]:
 
 
 def _one_sensor(names: list[Name]) -> list[Name]:
-    """Keep one family of names for the specific force and one for the rates; interpret names that occur together."""
+    """Keep one family of names for the specific force and one for the rates; interpret `_TOTAL` and `_MPU` names."""
     plains = {n.plain for n in names}
     forces = {n.plain for n in names if n.meaning in _AXES[:3] and not _family(n)}
     if plains >= _TOTAL and forces <= {*_AXES[:3]}:  # ax, ay, az are then without gravity

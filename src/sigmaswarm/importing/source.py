@@ -142,7 +142,7 @@ class Log:
     mixed: bool = False  # True if rows of the tables alternate, so that all tables occur near the beginning
 
     def guessed(self, guess: Guess) -> "Log":
-        return replace(self, guess=lambda _: guess)
+        return Log(self.path, self.tables, self.batches, lambda _: guess, self.remarks, self.mixed)
 
 
 def log_of_frames(
