@@ -327,7 +327,8 @@ def complete_all(
         rows = None if first is None else first[path]
         for role, part in mine:
             try:
-                completed[path] += [(role, whole) for whole in complete_parts(part, log, role, rows)]
+                for whole in complete_parts(part, log, role, rows):
+                    completed[path].append((role, whole))
             except InputError as error:
                 faults.setdefault((path, part.table), str(error))
     return completed, [*faults.values()]
