@@ -117,11 +117,12 @@ def test_a_model_with_roll_and_pitch_has_a_longer_reference_duration(model: str,
         space=space,
         data=[{"duration_s": 300.0}],
         config=TuneConfig(model=model, objective="innovation-t"),
-        costs=lambda points, executor=None: np.max(points - space.low, axis=1),
+        costs=lambda points, executor=None: 7.0 + np.max(points - space.low, axis=1),  # with a prior of 7
+        costs_without_prior=lambda points, executor=None: np.max(points - space.low, axis=1),
         relative_increase=lambda costs, cost: costs - cost,
         starts=lambda: (),
     )
-    assert inflate(problem, space.low, 0.0, 0.96, None)[2] == pytest.approx(10**decades)
+    assert inflate(problem, space.low, 0.96, None)[2] == pytest.approx(10**decades)
 
 
 def test_a_linear_search_has_no_factor():
@@ -159,13 +160,15 @@ def test_a_tilted_model_has_lower_limits(
         def costs(self, points, executor=None):
             return cost_per_decade * np.sum(points - space.low, axis=1)
 
+        costs_without_prior = costs
+
         def relative_increase(self, costs, cost):
             return costs - cost
 
         def starts(self):
             return ()
 
-    point, cost, factor = inflate(Lowest(), space.low, 0.0, 0.02, None)
+    point, cost, factor = inflate(Lowest(), space.low, 0.02, None)
     assert cost == Lowest().costs(point[np.newaxis])[0]
     assert (factor == 1.0) == (cost_per_decade > 0)
     found = dict(zip(space.names, space.values(point), strict=True))
@@ -204,9 +207,10 @@ def test_biases_that_starts_show_are_the_least_deviation_of_the_gyros_bias(start
         data=[{"duration_s": 100.0}] * 3,
         config=TuneConfig(model="tilted12", objective="truth-pose"),
         costs=lambda points, executor=None: np.zeros(len(points)),
+        costs_without_prior=lambda points, executor=None: np.zeros(len(points)),
         relative_increase=lambda costs, cost: costs - cost,
         starts=lambda: starts,
     )
-    point = inflate(problem, space.low, 0.0, 0.02, None)[0]
+    point = inflate(problem, space.low, 0.02, None)[0]
     (found,) = space.decode(point[np.newaxis])
     assert found.bias_std[1] == pytest.approx(min(max(shown, 1e-5), 0.1), rel=1e-2)

@@ -1,4 +1,7 @@
-"""The prior on R: by hand, where it acts, and what it is for: receivers that smooth their fixes."""
+"""The priors: by hand, where they act, and their purpose.
+
+The prior on R is for receivers that smooth their fixes, that on the other parameters for logs that do not show them.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -14,7 +17,9 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.defaults import with_default_guards
+from sigmaswarm.tuning.problem import car_problem
 from sigmaswarm.tuning.receiver import prior_costs
+from sigmaswarm.tuning.space import search_space
 
 SEARCH = {"particles": 12, "generations": 8, "model": "planar8", "kind": "ekf"}
 
@@ -112,6 +117,60 @@ def test_what_it_adds_is_the_costs_difference():
         in tuning.to_dict()["result"]["objective_meaning"]
     )
     assert tuning.cost == plain + prior_costs([tuning.parameters], np.array([receiver_std(town())]))[0, 0]
+
+
+TYPICAL = {  # in units per second, at 50 Hz, and decades
+    **{"q_xy": (1e-7 / 50, 3), "q_vxy": (1e-4 / 50, 2), "q_theta": (1e-8 / 50, 2), "q_tilt": (1e-8 / 50, 2)},
+    **{"q_accel_bias": (1e-8 / 50, 2), "q_gyro_bias_xy": (1e-11 / 50, 2), "q_gyro_bias_z": (1e-11 / 50, 2)},
+    **{"accel_bias_std": (0.05, 1), "gyro_bias_std": (5e-4, 1), "robust_dof": (4.0, 0.5)},
+    **{"lateral_noise": (0.2**2, 2), "standstill_noise": (0.05**2, 2)},
+}
+
+
+@pytest.mark.parametrize(("duration", "weight"), [(60.0, 1 / 250), (150.0, 1 / 250), (300.0, 1 / 500)])
+def test_typical_values_by_hand(duration: float, weight: float):
+    use = ("lateral", "standstill", "robust")
+    config = TuneConfig(model="tilted12", use=use, objective="innovation-t", prior=1.0)
+    problem = replace(car_problem([town()], config), data=[{"duration_s": duration}])
+    space = problem.space
+    assert {*space.names} == {*TYPICAL, "rear_axle", "r_xy"}
+    points = np.random.default_rng(3).uniform(
+        0.4 * space.low + 0.6 * space.high, space.high, (4, len(space.names))
+    )
+    by_hand = np.zeros(len(points))
+    for name, values in zip(space.names, space.values(points).T, strict=True):
+        if name in TYPICAL:
+            by_hand += 0.5 * (np.log10(values / TYPICAL[name][0]) / TYPICAL[name][1]) ** 2
+        elif name == "rear_axle":
+            by_hand += 0.5 * (values - 1.3) ** 2
+    priors = weight * by_hand + prior_costs(space.decode(points), np.array([receiver_std(town())]))[:, 0]
+    added = problem.costs(points, None) - problem.costs_without_prior(points, None)
+    np.testing.assert_allclose(added, priors, rtol=1e-9, atol=1e-9)
+
+
+def test_a_parameter_that_a_log_does_not_show_stays_near_its_typical_value():
+    drive = town()
+    free, near = (
+        tune(drive, objective="innovation-t", prior=prior, inflation=0.0, model="tilted12", generations=25)
+        for prior in (0.0, 1.0)
+    )
+    problem = car_problem([drive], near.config)
+    distances = [
+        problem.space.distance(problem.space.point_of(t.parameters)[np.newaxis])[0] for t in (free, near)
+    ]
+    assert distances[1] < 0.6 * distances[0]
+    own = [
+        problem.costs_without_prior(problem.space.point_of(t.parameters)[np.newaxis], None)[0]
+        for t in (free, near)
+    ]
+    assert own[1] < own[0] + 0.05
+
+
+@pytest.mark.parametrize(("model", "scale"), [("planar8", "log10"), ("tilted12", "linear")])
+def test_other_models_and_a_linear_search_of_noises_have_no_typical_values(model: str, scale: str):
+    space = search_space(model, scale, 0.01, kind="ekf")
+    points = np.random.default_rng(0).uniform(space.low, space.high, (3, len(space.names)))
+    assert np.all(space.distance(points) == 0.0)
 
 
 @pytest.mark.parametrize(

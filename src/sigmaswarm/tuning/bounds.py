@@ -52,6 +52,7 @@ class Dimension:
     - ``spread``: True if the range spans powers of ten.
     - ``inflation``: decades by which the parameter grows per decade of the inflation factor (`tuning.inflation`).
     - ``least``: lower limit after inflation.
+    - ``typical``: typical value and its standard deviation (decades if ``spread``) of the prior; None: no prior.
     """
 
     name: str
@@ -62,6 +63,7 @@ class Dimension:
     spread: bool = True
     inflation: float = 0.0
     least: float = -math.inf
+    typical: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +87,12 @@ class Bounds:
         return np.array([d.highest for d in self.dimensions], dtype=np.float64)
 
     @cached_property
+    def _spread(self) -> Mask:
+        return np.array([d.spread for d in self.dimensions])
+
+    @cached_property
     def logarithmic(self) -> Mask:
-        return np.array([d.spread and self.scale == "log10" for d in self.dimensions])
+        return self._spread & (self.scale == "log10")
 
     @cached_property
     def low(self) -> Array:
@@ -109,6 +115,19 @@ class Bounds:
     def least(self) -> Array:
         """Lower limits after inflation, in search coordinates."""
         return self._encode(np.maximum([d.least for d in self.dimensions], self.lowest))
+
+    def distance(self, points: Array) -> Array:
+        """Return half the squared distance of points, shape (n, d), from the typical values, shape (n,).
+
+        Each coordinate is divided by its standard deviation. A linear scale has no prior on parameters that span powers
+        of ten.
+        """
+        known = np.array([d.typical is not None for d in self.dimensions]) & (
+            self.logarithmic | ~self._spread
+        )
+        typical, std = np.array([d.typical or (1.0, np.inf) for d in self.dimensions]).T
+        off = (points - self._encode(typical)) / std
+        return 0.5 * np.sum(np.where(known, off, 0.0) ** 2, axis=1)
 
     def values(self, points: Array) -> Array:
         """Convert points in search coordinates to parameters, shape (..., d)."""

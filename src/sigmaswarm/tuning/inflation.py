@@ -60,25 +60,23 @@ STEP = 0.1  # decades between two factors
 
 
 def inflate(
-    problem: Problem[Any], point: Array, cost: float, allowed: float, executor: Executor | None
+    problem: Problem[Any], point: Array, allowed: float, executor: Executor | None
 ) -> tuple[Array, float, float]:
     """Inflate the process noise of a point, shape (d,), within the bounds, until its cost has increased by ``allowed``.
 
-    ``allowed`` is a relative increase. The inflated point is also raised to the minima. Return this point, its cost and
-    the inflation factor.
+    ``allowed`` is a relative increase of the cost without a prior. The inflated point is also raised to the minima.
+    Return this point, its cost and the inflation factor.
     """
     space = problem.space
     decades = np.arange(0.0, MAX_DECADES + STEP / 2, STEP)
     points = np.minimum(point + decades[:, None] * space.inflation, np.maximum(space.high, point))
-    costs = problem.costs(points, executor)
+    costs = problem.costs_without_prior(points, executor)
     tilted = isinstance(problem.config, TuneConfig) and MODELS[problem.config.model].tilts
     reference = TILTED_DURATION if tilted else REFERENCE_DURATION
     share = allowed * min(1.0, reference / sum(entry["duration_s"] for entry in problem.data))
-    within = np.logical_and.accumulate(problem.relative_increase(costs, cost) <= share)
+    within = np.logical_and.accumulate(problem.relative_increase(costs, costs[0]) <= share)
     last = int(within.sum()) - 1 if within.any() else 0
     chosen = np.maximum(points[last], _limits(problem))
-    if np.array_equal(chosen, points[last]):
-        return chosen, float(costs[last]), float(10 ** decades[last])
     return chosen, float(problem.costs(chosen[np.newaxis], executor)[0]), float(10 ** decades[last])
 
 

@@ -45,7 +45,7 @@ from sigmaswarm.tuning.receiver import (
     prior_costs,
     prior_warnings,
 )
-from sigmaswarm.tuning.space import SearchSpace, search_space
+from sigmaswarm.tuning.space import TYPICAL_DURATION, TYPICAL_WEIGHT, SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
 
@@ -95,9 +95,9 @@ class Problem(ABC, Generic[P]):
         """Return the costs, shape (n,), of points, shape (n, d); ``inf`` where a filter failed."""
         return self.mean(self.each(points, range(len(self.steps)), executor))
 
-    def cost_without_prior(self, point: Array, executor: Executor | None) -> float:
-        """Return the cost of a point, shape (d,), without a prior."""
-        return float(self.costs(point[np.newaxis], executor)[0])
+    def costs_without_prior(self, points: Array, executor: Executor | None) -> Array:
+        """Return the costs, shape (n,), of points, shape (n, d), without a prior."""
+        return self.costs(points, executor)
 
     def warnings(self, point: Array) -> list[str]:
         """List faults of the filter that the objective does not show."""
@@ -137,6 +137,10 @@ class CarProblem(Problem[FilterParameters]):
         return np.array([one.receiver_std for one in self.sensors])
 
     @cached_property
+    def _weight_of_typical(self) -> float:
+        return TYPICAL_WEIGHT * min(1.0, TYPICAL_DURATION / sum(entry["duration_s"] for entry in self.data))
+
+    @cached_property
     def _landmarks(self) -> list[Landmarks]:
         return self.scorer.dataset.map(landmarks)
 
@@ -163,11 +167,12 @@ class CarProblem(Problem[FilterParameters]):
         costs = scorer.measured(partial(costs_of_each, self.config.objective), parameter_sets, executor)
         if self.config.prior:
             costs += self.config.prior * prior_costs(parameter_sets, self._receiver_std[list(drives)])
+            costs += self.config.prior * self._weight_of_typical * self.space.distance(points)[:, np.newaxis]
         return costs
 
-    def cost_without_prior(self, point: Array, executor: Executor | None) -> float:
+    def costs_without_prior(self, points: Array, executor: Executor | None) -> Array:
         plain = replace(self, config=self.config.model_copy(update={"prior": 0.0}))
-        return float(plain.costs(point[np.newaxis], executor)[0])
+        return plain.costs(points, executor)
 
     def relative_increase(self, costs: Array | float, best: float) -> Array:
         return self.objective.relative_increase(costs, best)

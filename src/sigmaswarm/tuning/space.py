@@ -17,6 +17,7 @@ from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.filters.parameter_table import ParameterTable
 from sigmaswarm.filters.parameters import SEARCHED, FilterParameters, incompatibility
+from sigmaswarm.filters.presets import HALF_A_WHEELBASE, TYPICAL_VALUES
 from sigmaswarm.tuning.bounds import Bounds, Dimension
 from sigmaswarm.tuning.options import Option, Scale
 
@@ -56,6 +57,27 @@ INFLATION_MINIMA = {
     "gyro_bias_std": 2e-4,
 }
 """Lower limits that `tuning.inflation` applies, in rad2/s, (rad/s)2/s, m/s2 and rad/s."""
+TYPICAL_NOISES = {
+    "q_xy": (1e-7, 3.0),
+    "q_vxy": (1e-4, 2.0),
+    **dict.fromkeys(("q_theta", "q_tilt", "q_accel_bias"), (1e-8, 2.0)),
+    **dict.fromkeys(("q_gyro_bias_xy", "q_gyro_bias_z"), (1e-11, 2.0)),
+    "accel_bias_std": (0.05, 1.0),
+    "gyro_bias_std": (5e-4, 1.0),
+    **{name: (TYPICAL_VALUES[name], 2.0) for name in ("lateral_noise", "standstill_noise")},
+    "robust_dof": (TYPICAL_VALUES["robust_dof"], 0.5),
+    "rear_axle": (HALF_A_WHEELBASE, 1.0),
+}
+"""Prior of a filter with roll and pitch: typical values, and their standard deviations in decades (rear_axle: m).
+
+The process noise is per second. The densities are those of an automotive MEMS IMU: 0.01 m/s2/sqrt(Hz), 1e-4
+rad/s/sqrt(Hz), and random walks of 1e-4 m/s2/sqrt(s) and 3e-6 rad/s/sqrt(s) for the biases.
+"""
+TYPICAL_WEIGHT, TYPICAL_DURATION = 1 / 250, 150.0
+"""Weight of this prior, nats per fix, for drives of up to this duration, s; twice the time halves the weight.
+
+A likelihood of n independent fixes divides its prior by n. A log of 150 s counts as 250 fixes.
+"""
 DEFAULT_INTERVAL = 0.01  # IMU interval, s, if no drive is known yet
 IMU_DIMENSIONS = (
     Dimension("r_gyro", "imu_noise", 1, 1e-9, 1.0),
@@ -172,10 +194,21 @@ def search_space(
     searched: list[Option] = [option for option in use if option != "slip" or has_truth]
     if len(searched) < len(use):
         fixed["tire_slip"] = TYPICAL_SLIP
-    dimensions = tuple(_dimensions(model, kind, searched, nominal_interval or DEFAULT_INTERVAL))
+    interval = nominal_interval or DEFAULT_INTERVAL
+    dimensions = tuple(_dimensions(model, kind, searched, interval))
+    if MODELS[model].tilts:
+        dimensions = tuple(_with_prior(dimensions, interval))
     if "fix-error" in use and not (has_truth and MODELS[model].tilts):
         dimensions = tuple(_with_fixed_time(dimensions, fix_std, "accuracy" in use))
     return SearchSpace(dimensions, scale, fixed)
+
+
+def _with_prior(dimensions: Sequence[Dimension], interval: float) -> Iterator[Dimension]:
+    for dimension in dimensions:
+        if typical := TYPICAL_NOISES.get(dimension.name):
+            scale = interval if dimension.field == "process_noise" else 1.0
+            dimension = replace(dimension, typical=(scale * typical[0], typical[1]))
+        yield dimension
 
 
 def _with_fixed_time(dimensions: Sequence[Dimension], fix_std: float, weighs: bool) -> Iterator[Dimension]:

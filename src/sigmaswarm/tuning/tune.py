@@ -259,10 +259,11 @@ def tune_problem(
             + (problem.failure_reason(point) or "check the drives for NaN and for values in wrong units")
         )
     if isinstance(config, TuneConfig) and config.inflation:
-        point, cost, factor = inflate(problem, point, cost, config.inflation, executor)
+        point, cost, factor = inflate(problem, point, config.inflation, executor)
     validation = None
     if held_back:
-        own, other = (one.cost_without_prior(point, executor) for one in (problem, held_back))
+        both = (problem, held_back)
+        own, other = (float(one.costs_without_prior(point[np.newaxis], executor)[0]) for one in both)
         names = tuple(entry["name"] for entry in held_back.data)
         validation = Validation(other, float(problem.relative_increase(other, own)), names)
     evaluations = sum(trial.evaluations for trial in trials)
