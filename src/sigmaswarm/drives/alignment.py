@@ -12,12 +12,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.alignment_fit import AlignmentFit, InitialState, integral_at
+from sigmaswarm.drives.alignment_fit import AlignmentFit, InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.gyro_bias import CONTRADICTS, MAX_BIAS, GyroBiasEvidence
 from sigmaswarm.drives.stale_fixes import stale_fixes
-from sigmaswarm.drives.tables import headings_of
-from sigmaswarm.drives.tilt_evidence import Motion
+from sigmaswarm.drives.tables import Indices, headings_of
 from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
 
@@ -211,18 +210,13 @@ class Alignments:
         )
 
     def _fitted(self, k: int) -> InitialState | None:
-        window = slice(self._first[k], k + 1)
-        seen = self._drive, *self._integrals, self.time[window], self._position[window]
-        try:
-            fit = AlignmentFit.of(*seen)
-            if CONTRADICTS * fit.yaw_std < abs(fit.yaw_bias) < MAX_BIAS:
-                for _ in range(REFITS):
-                    fit = AlignmentFit.of(*seen, fit.yaw_bias)
-        except np.linalg.LinAlgError:  # a value was not finite
-            return None
+        fit = self._fit(np.arange(self._first[k], k + 1))
+        if CONTRADICTS * fit.yaw_std < abs(fit.yaw_bias) < MAX_BIAS:
+            for _ in range(REFITS):
+                fit.subtract(fit.yaw_bias)
         smooth = fit.misfit <= MAX_MISFIT * fit.travel
         usable = fit.travel >= MIN_TRAVEL and fit.heading_std <= MAX_HEADING_STD and smooth
-        return fit.state(self._motion(k, fit.taken)) if usable else None
+        return fit.state() if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
         """Fit the gyro's bias, too; do not use the accelerometer, whose bias accumulates over the longer time."""
@@ -231,41 +225,28 @@ class Alignments:
         rows = np.arange(k, first - 1, -max(1, round(SLOW_INTERVAL / interval)))[::-1]
         if len(rows) < SLOW_FIXES:
             return None
-        turned, sped = self._integrals
-        seen = self._drive, turned, np.zeros_like(sped), self.time[rows], self._position[rows]
-        try:
-            fit, share = AlignmentFit.of(*seen), 0.0
-            for _ in range(REFITS):
-                share = float(1.0 / (1.0 + (fit.bias_std / SLOW_BIAS_STD) ** 2))
-                fit = AlignmentFit.of(*seen, share * fit.yaw_bias)
-        except np.linalg.LinAlgError:
-            return None
-        fit = fit.with_bias_variance(share * fit.bias_std**2)
+        fit, share = self._fit(rows), 0.0
+        for _ in range(REFITS):
+            share = float(1.0 / (1.0 + (fit.bias_std / SLOW_BIAS_STD) ** 2))
+            fit.subtract(share * fit.yaw_bias)
+        fit.add_bias_variance(share * fit.bias_std**2)
         far = fit.travel >= max(SLOW_TRAVEL, SLOW_SPEED * fit.span) and fit.misfit <= MAX_MISFIT * fit.travel
         usable = far and fit.heading_std <= SLOW_HEADING_STD and abs(fit.yaw_bias) < MAX_BIAS
-        return fit.state(self._motion(k, fit.taken), tilts=False) if usable else None
+        return fit.state(tilts=False) if usable else None
 
-    def _motion(self, k: int, taken: float) -> Motion | None:
-        """Return the integrals at the fixes of the window that ends at fix k; None if the IMU lacks the axes."""
-        imu, time = self._drive.imu, self.time[self._first[k] : k + 1]
-        if imu.gx is None or imu.gy is None:
-            return None
-        integrals, rates = self._integrals + self._lean_integrals, (imu.gz, imu.ax, imu.gx, imu.gy, imu.ay)
-        turned, gained, gx, gy, lateral = (
-            integral_at(imu, integral, rate, time) for integral, rate in zip(integrals, rates, strict=True)
-        )
-        return Motion(time, turned - taken * time, gx + 1j * gy, gained, lateral, taken)
+    def _fit(self, rows: Indices) -> AlignmentFit:
+        """Fit some of the fixes."""
+        axes = self._integrals
+        if self._slowly:
+            axes = axes | {"ax": np.zeros_like(axes["ax"])}
+        return AlignmentFit(self._drive, axes, self.time[rows], self._position[rows])
 
     @cached_property
-    def _lean_integrals(self) -> tuple[Array, ...]:
+    def _integrals(self) -> dict[str, Array]:
+        """Integrals of the IMU's axes since the first sample."""
         imu = self._drive.imu
-        return tuple(_integrated(imu.time, rate) for rate in (imu.gx, imu.gy, imu.ay) if rate is not None)
-
-    @cached_property
-    def _integrals(self) -> tuple[Array, Array]:
-        """Changes of heading (rad) and speed (m/s) since the first IMU sample."""
-        imu = self._drive.imu
-        return _integrated(imu.time, imu.gz), _integrated(imu.time, imu.ax)
+        rates = {axis: getattr(imu, axis) for axis in ("gz", "ax", "gx", "gy", "ay")}
+        return {axis: _integrated(imu.time, rate) for axis, rate in rates.items() if rate is not None}
 
     @cached_property
     @np.errstate(all="ignore")
@@ -275,7 +256,7 @@ class Alignments:
         The heading is the direction of the chord of the last few seconds, corrected for turns. A change of speed in a
         turn causes an error of a few degrees.
         """
-        imu, turned = self._drive.imu, self._integrals[0]
+        imu, turned = self._drive.imu, self._integrals["gz"]
         direction = np.exp(1j * turned)
         direction[1:] = 0.5 * (direction[1:] + direction[:-1]) * np.diff(imu.time)
         direction[0] = 0.0

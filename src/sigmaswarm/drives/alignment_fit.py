@@ -4,30 +4,51 @@
     v(s) = v_i + integral_t_i^s a_x + b (s - t_i)
 
 Positions are complex numbers east + i north, psi is the integrated gyro, a_x the forward specific force, and b the
-contribution of tilt and bias to it. The unknowns are position p_i, heading theta_i, speed v_i and b.
+contribution of tilt and bias to it. The unknowns are position p_i, heading theta_i, speed v_i and b. The compiled
+functions have no complex numbers, since `exports.c_alignment` translates them to C.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.gyro_bias import MAX_BIAS, TILT_CHANGE_STD, TURN_SHARE, UP, YAW_STD, GyroBiasEvidence
 from sigmaswarm.drives.tables import Imu
-from sigmaswarm.drives.tilt_evidence import Motion, TiltEvidence
+from sigmaswarm.drives.tilt_evidence import (
+    CHANGE,
+    NUMBERS,
+    PITCHED,
+    ROLLED,
+    TIME,
+    TiltEvidence,
+    X,
+    Y,
+    mean_forces,
+)
 from sigmaswarm.geodesy import wrap_angle
-
-Complex = NDArray[np.complex128]
-FixPaths = Complex
-"""Path from each fix to the last one by the IMU, (3, f), in the body frame at the last fix.
-
-Rows: per m/s of speed at the last fix (s), per m/s2 of tilt and bias (s2), and by the accelerometer (m).
-"""
 
 SLIP_STD = np.radians(1.0)  # rad, angle between course and heading at the IMU in ordinary driving
 ACCELERATION_BIAS_STD = 0.5  # m/s2, prior of b (tilt and bias)
 MIN_POSITION_STD = 0.05  # m per axis, smallest assumed standard deviation of fixes
+MAX_STEPS = 12  # largest number of Gauss-Newton steps
+CONVERGED = 1e-10  # m, rad, m/s or m/s2, largest last step
+
+BY_SPEED, BY_SLOPE, BY_GAINS, ARM, BY_BIAS, COLUMNS = range(0, 12, 2)
+"""Columns of the path from each fix to the last one, two each: forward and left in the body frame at the last fix.
+
+Path per m/s of speed at the last fix (s), per m/s2 of tilt and bias (s2), and by the accelerometer (m); antenna
+relative to the IMU (m). The fit writes the derivative of the path by the gyro's bias (m s) to the last two columns.
+"""
+EAST, NORTH, HEADING, SPEED, SLOPE, TRAVEL, MISFIT, YAW_BIAS, YAW_VARIANCE, RESULTS = range(10)
+"""Indices of a fit: position (m), heading (rad) and speed (m/s) at the last fix, and b (m/s2), the unknowns.
+
+Then travel (m), 0 if backward, largest residual (m), remaining gyro bias (rad/s) and its variance.
+"""
+RESIDUAL = 5  # column of the two equations of a fix, behind the derivatives by the unknowns
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,182 +76,320 @@ class InitialState:
     tilt: TiltEvidence | None = None
 
 
-@dataclass(frozen=True, eq=False)
 class AlignmentFit:
-    """A fit to the fixes of the last few seconds; unknowns east, north, theta, v, b at ``time``.
+    """A fit to the fixes of a window.
 
-    ``taken`` is the subtracted gyro bias, rad/s. ``yaw_bias`` and ``yaw_std``, rad/s, are the estimated bias and its
-    standard deviation; ``bias_std`` is its standard deviation from the fit alone. ``turns`` is the
-    change of the unknowns per rad/s of bias.
+    Attributes
+    ----------
+    taken : subtracted gyro bias, rad/s
+    yaw_bias, yaw_std, bias_std : gyro bias, its standard deviation, and that from the fit alone, rad/s
+    travel, misfit : m; heading_std : rad; span : s
     """
 
-    time: float
-    solution: Array
-    covariance: Array
-    travel: float
-    misfit: float
-    taken: float
-    yaw_bias: float
-    yaw_std: float
-    turns: Array
-    span: float
-    bias_std: float
-
-    @property
-    def heading_std(self) -> float:
-        return float(np.sqrt(self.covariance[2, 2]))
-
-    @classmethod
-    def of(
-        cls,
-        drive: Drive,
-        turned: Array,
-        sped: Array,
-        time: Array,
-        position: Complex,
-        taken: float = 0.0,
-    ) -> "AlignmentFit":
+    def __init__(
+        self, drive: Drive, integrals: Mapping[str, Array], time: Array, position: NDArray[np.complex128]
+    ) -> None:
+        """Fit without a gyro bias; ``integrals``: of the IMU's axes since its first sample."""
         imu, end = drive.imu, time[-1]
         # the IMU's times from the first to the last fix
         inside = slice(*np.searchsorted(imu.time, [time[0]], side="right"), *np.searchsorted(imu.time, [end]))
-        grid = np.concatenate([[time[0]], imu.time[inside], [end]])
-        psi, gained = integral_at(imu, turned, imu.gz, grid), integral_at(imu, sped, imu.ax, grid)
+        self._grid = grid = np.concatenate([[time[0]], imu.time[inside], [end]])
+        psi, gained = (_integral_at(imu, axis, integrals, grid) for axis in ("gz", "ax"))
         direction = np.exp(1j * (psi - psi[-1]))
 
-        def until_end(integrand: Complex) -> Complex:
+        def until_end(integrand: Array) -> Array:
             pieces = 0.5 * (integrand[1:] + integrand[:-1]) * np.diff(grid)
             since_start = np.concatenate([[0.0], np.cumsum(pieces)])
             return since_start[-1] - np.interp(time, grid, since_start)
 
         integrands = direction, direction * (grid - end), direction * (gained - gained[-1])
-        straight = np.array([until_end(each) for each in integrands])
-        # Relative to the last fix, a bias rotates the path between two fixes by its integral from their middle time.
-        since, middle = time - end, 0.5 * (time[1:] + time[:-1]) - end
         # The fixes are positions of the antenna, which rotates about the IMU with the lever arm.
-        arm = np.interp(time, grid, direction) * complex(*drive.lever_arm) * np.exp(-1j * taken * since)
-        way = _turned(straight, np.exp(-1j * taken * middle)) if taken else straight.copy()
-        way[2] -= arm
-        change = _turned(straight, -1j * middle * np.exp(-1j * taken * middle))
-        change[2] -= -1j * since * arm
-        coasting = float(np.trapezoid(gained - gained[-1], grid))  # m, the contribution of changes of speed
-        fit = cls._solve(end, position, way, change, float(-since[0]), coasting, taken)
+        arm = np.interp(time, grid, direction) * complex(*drive.lever_arm)
+        columns = np.array([*(until_end(each) for each in integrands), arm, np.zeros(len(time))])
+        self._path = np.ascontiguousarray(columns.T).view(np.float64)
+        axes = [_integral_at(imu, axis, integrals, time) for axis in ("gz", "ax", "gx", "gy", "ay")]
+        self._fixes = np.column_stack([time, position.real, position.imag, *axes])
+        self._coasting = float(np.trapezoid(gained - gained[-1], grid))  # m, due to changes of speed
+        self._psi, self._leans = psi, imu.gx is not None and imu.gy is not None
+        self.span, self.taken = float(end - time[0]), 0.0
+        self._solve()
+
+    def subtract(self, bias: float) -> None:
+        """Fit again with a gyro bias, rad/s."""
+        turn_path(self._fixes, len(self._fixes), self._path, bias - self.taken)
+        self.taken = bias
+        self._solve()
+
+    def _solve(self) -> None:
+        self._fit, self._covariance, self._turns = np.zeros(RESULTS), np.zeros((5, 5)), np.zeros(5)
+        fit, fixes = self._fit, self._fixes
+        fit_path(fixes, len(fixes), self._path, self._coasting, fit, self._covariance, self._turns)
+        self.travel, self.misfit, more, variance = fit[TRAVEL:].tolist()
+        self.yaw_bias, self.bias_std = self.taken + more, float(np.sqrt(variance))
         # Part of a turn may look like a bias in any fit. The square of a NumPy float may be inf.
-        turn = np.float64(np.ptp(psi - fit.yaw_bias * grid)) / fit.span
-        std = float(np.sqrt(fit.yaw_std**2 + YAW_STD**2 + (TURN_SHARE * turn) ** 2))
-        return replace(fit, yaw_std=std)
+        turn = np.float64(np.ptp(self._psi - self.yaw_bias * self._grid)) / self.span
+        self.yaw_std = float(np.sqrt(variance + YAW_STD**2 + (TURN_SHARE * turn) ** 2))
 
-    def with_bias_variance(self, variance: float) -> "AlignmentFit":
+    @property
+    def heading_std(self) -> float:
+        return float(np.sqrt(self._covariance[HEADING, HEADING]))
+
+    def add_bias_variance(self, variance: float) -> None:
         """Add the effect of a variance of the gyro's bias, (rad/s)^2, to the covariance of the unknowns."""
-        covariance = self.covariance.copy()
-        covariance[:4, :4] += variance * np.outer(self.turns, self.turns)
-        return replace(self, covariance=covariance)
+        self._covariance[:SLOPE, :SLOPE] += variance * np.outer(self._turns[:SLOPE], self._turns[:SLOPE])
 
-    @classmethod
-    def _solve(
-        cls,
-        end: float,
-        position: Complex,
-        seen: FixPaths,
-        change: FixPaths,
-        span: float,
-        coasting: float,
-        taken: float,
-    ) -> "AlignmentFit":
-        """Solve for east, north, theta, v, b (Gauss-Newton); ``change``: derivative of the path by the gyro's bias."""
-        g, t = seen[0], seen[1]
-        chord = position[-1] - position[0]
-        theta, v, b, p = np.angle(chord / g[0]), abs(chord) / max(abs(g[0]), 1e-9), 0.0, position[-1]
-        prior = 1.0 / ACCELERATION_BIAS_STD
-        jacobian, residual = np.empty((2 * len(g) + 1, 5)), np.empty(2 * len(g) + 1)
-        variance, worst = 1.0, 0.0
-        for _ in range(12):
-            turn = np.exp(1j * theta)
-            way = turn * (v * g + b * t + seen[2])
-            columns = np.ones_like(g), 1j * np.ones_like(g), -1j * way, -turn * g, -turn * t
-            jacobian[:-1] = np.column_stack([_real(column) for column in columns])
-            misfit = position - (p - way)
-            residual[:-1] = _real(misfit)
-            worst = float(np.max(np.abs(misfit)))
-            variance = max(float(residual[:-1] @ residual[:-1]) / (2 * len(g) - 4), MIN_POSITION_STD**2)
-            jacobian[-1] = [0, 0, 0, 0, prior * np.sqrt(variance)]
-            residual[-1] = -b * prior * np.sqrt(variance)
-            step = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
-            p, theta, v, b = p + step[0] + 1j * step[1], theta + step[2], v + step[3], b + step[4]
-            if np.max(np.abs(step)) < 1e-10:
-                break
-        covariance = np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian), np.float64)
-        travel = v * span - b * span**2 / 2 + coasting  # the integral of v(s)
-        forward = float(travel) if v > 0 else 0.0
-        solution = np.array([p.real, p.imag, theta, v, b])
-        bends = np.append(_real(-np.exp(1j * theta) * (v * change[0] + b * change[1] + change[2])), 0.0)
-        more, std, turns = _one_more(jacobian, residual, bends)
-        return cls(end, solution, covariance, forward, worst, taken, taken + more, std, turns[:4], span, std)
+    def state(self, *, tilts: bool = True) -> InitialState:
+        """Return the start, with evidence about tilts if b was fitted."""
+        fixes, mean, numbers = self._fixes, np.zeros(5), np.zeros(NUMBERS)
+        posterior, covariance, turns = (
+            self._covariance[SLOPE, SLOPE],
+            self._covariance.copy(),
+            self._turns.copy(),
+        )
+        variance = convert_to_start(self._fit, mean, covariance, turns, numbers[CHANGE:])
+        mean[4] = wrap_angle(mean[4])
+        tilt = None
+        if self._leans and tilts:
+            mean_forces(fixes, len(fixes), self.taken, self._fit, variance, posterior, numbers)
+            tilt = TiltEvidence(numbers)
+        return InitialState(mean, covariance, float(fixes[-1, TIME]), self._gyro(turns), tilt)
 
-    def state(self, moved: Motion | None, *, tilts: bool = True) -> InitialState:
-        """Return the start, with evidence about tilts if b was fitted; ``moved``: the IMU in the window."""
-        east, north, theta, v, b = self.solution.tolist()
-        c, s = np.cos(theta), np.sin(theta)
-        # from (east, north, theta, v, slip angle) to (x, y, vx, vy, theta)
-        motion = [0, 0, -v * s, c, 0], [0, 0, v * c, s, 0], [0, 0, 1, 0, -1]
-        jacobian = np.array([[1, 0, 0, 0, 0], [0, 1, 0, 0, 0], *motion])
-        inner = np.zeros((5, 5))
-        inner[:4, :4] = self.covariance[:4, :4]
-        inner[[0, 1], [0, 1]] += MIN_POSITION_STD**2
-        inner[4, 4] = SLIP_STD**2
-        covariance = jacobian @ inner @ jacobian.T
-        mean = np.array([east, north, v * c, v * s, wrap_angle(theta)])
-        gyro, tilt = self._gyro(moved, jacobian[:, :4] @ self.turns), None
-        if moved is not None and tilts:
-            posterior = float(self.covariance[4, 4])
-            alone = posterior / max(
-                1.0 - posterior / ACCELERATION_BIAS_STD**2, 1e-9
-            )  # without the prior of b
-            tilt = moved.evidence(
-                v, b, alone, posterior, jacobian[:, :4] @ self.covariance[:4, 4] / posterior
-            )
-        return InitialState(mean, 0.5 * (covariance + covariance.T), self.time, gyro, tilt)
-
-    def _gyro(self, moved: Motion | None, turns: Array) -> GyroBiasEvidence:
+    def _gyro(self, turns: Array) -> GyroBiasEvidence:
         bias, variance = np.append(np.zeros(2), self.yaw_bias), np.append(np.full(2, np.inf), self.yaw_std**2)
-        if moved is not None:
-            rates = (moved.leaned[-1] - moved.leaned[0]) / self.span
-            bias[:UP], variance[:UP] = (rates.real, rates.imag), (TILT_CHANGE_STD / self.span) ** 2
+        if self._leans:
+            leaned = self._fixes[:, ROLLED : PITCHED + 1]
+            bias[:UP], variance[:UP] = (
+                (leaned[-1] - leaned[0]) / self.span,
+                (TILT_CHANGE_STD / self.span) ** 2,
+            )
         if abs(self.yaw_bias) > MAX_BIAS:  # the bias is unknown
             bias[UP], variance[UP] = self.taken, np.inf
         return GyroBiasEvidence(bias, variance, self.taken, turns)
 
 
-def integral_at(imu: Imu, integral: Array, rate: Array, time: Array) -> Array:
-    """Return the integral of a rate at some times, s, up to a fix.
+def _integral_at(imu: Imu, axis: str, integrals: Mapping[str, Array], time: Array) -> Array:
+    """Return the integral of an axis at some times, s, up to a fix; 0 if it is not among the integrals.
 
     A live filter has no sample after the last fix, so the last sample before the fix is repeated.
     """
-    values = np.interp(time, imu.time, integral)
+    if axis not in integrals:
+        return np.zeros(len(time))
+    values = np.interp(time, imu.time, integrals[axis])
     last = int(np.searchsorted(imu.time, time[-1], side="right")) - 1
-    values[-1] = integral[last] + rate[last] * (time[-1] - imu.time[last])
+    values[-1] = integrals[axis][last] + getattr(imu, axis)[last] * (time[-1] - imu.time[last])
     return values
 
 
-def _turned(way: FixPaths, each: Complex) -> FixPaths:
-    """Multiply the paths between successive fixes by complex factors (f - 1,)."""
-    pieces = each * (way[:, :-1] - way[:, 1:])
-    sums = np.cumsum(pieces[:, ::-1], axis=1)[:, ::-1]
-    return np.column_stack([sums, np.zeros(3, np.complex128)])
+@cached(error_model="numpy")
+def turn_path(fixes: Array, n: int, path: Array, bias: float) -> None:
+    """Subtract a gyro bias, rad/s, from the path of n fixes.
 
-
-def _real(column: Complex) -> Array:
-    return np.concatenate([column.real, column.imag])
-
-
-def _one_more(jacobian: Array, residual: Array, column: Array) -> tuple[float, float, Array]:
-    """Add an unknown with the Jacobian ``column`` (m,) to a solved least-squares problem (m, n).
-
-    Return the unknown's value, its standard deviation, and the change of the other unknowns per unit of it, (n,).
+    Relative to the last fix, it rotates the path between two fixes by its integral from their middle time.
     """
-    others = np.linalg.lstsq(jacobian, column, rcond=None)[0]
-    alone = column - jacobian @ others
-    size = max(float(alone @ alone), 1e-30)
-    value = float(alone @ residual) / size
-    left = float(residual @ residual) - size * value**2
-    variance = max(left / max(len(column) - jacobian.shape[1] - 1, 1), MIN_POSITION_STD**2)
-    return value, float(np.sqrt(variance / size)), np.asarray(-others, np.float64)
+    end = fixes[n - 1, TIME]
+    for k in range(n):
+        angle = bias * (end - fixes[k, TIME])
+        c, s = np.cos(angle), np.sin(angle)
+        x, y = path[k, ARM], path[k, ARM + 1]
+        path[k, ARM] = c * x - s * y
+        path[k, ARM + 1] = s * x + c * y
+        if k < n - 1:
+            angle = bias * (end - 0.5 * (fixes[k, TIME] + fixes[k + 1, TIME]))
+            c, s = np.cos(angle), np.sin(angle)
+            for j in range(BY_SPEED, ARM, 2):
+                x, y = path[k, j] - path[k + 1, j], path[k, j + 1] - path[k + 1, j + 1]
+                path[k, j] = c * x - s * y
+                path[k, j + 1] = s * x + c * y
+    for k in range(n - 2, -1, -1):
+        for j in range(ARM):
+            path[k, j] += path[k + 1, j]
+
+
+@cached(error_model="numpy")
+def _invert(matrix: Array) -> None:
+    """Invert a positive definite matrix (5, 5) by Gauss-Jordan elimination."""
+    for p in range(5):
+        pivot = 1.0 / matrix[p, p]
+        matrix[p, p] = 1.0
+        for j in range(5):
+            matrix[p, j] *= pivot
+        for i in range(5):
+            if i != p:
+                factor = matrix[i, p]
+                matrix[i, p] = 0.0
+                for j in range(5):
+                    matrix[i, j] -= factor * matrix[p, j]
+
+
+@cached(error_model="numpy")
+def _multiply(matrix: Array, vector: Array, product: Array) -> None:
+    """Multiply a matrix (5, 5) by a vector (5,)."""
+    for i in range(5):
+        product[i] = 0.0
+        for j in range(5):
+            product[i] += matrix[i, j] * vector[j]
+
+
+@cached(error_model="numpy")
+def _equations_of(fix: Array, way: Array, fit: Array, c: float, s: float, rows: Array) -> None:
+    """Set the equations of a fix, (2, 6), in the frame of the heading, whose cosine and sine are c and s."""
+    v, slope = fit[SPEED], fit[SLOPE]
+    x, y = fix[X] - fit[EAST], fix[Y] - fit[NORTH]
+    forward = v * way[BY_SPEED] + slope * way[BY_SLOPE] + way[BY_GAINS] - way[ARM]
+    left = v * way[BY_SPEED + 1] + slope * way[BY_SLOPE + 1] + way[BY_GAINS + 1] - way[ARM + 1]
+    for i in range(2):
+        rows[i, EAST] = 1.0 - i
+        rows[i, NORTH] = 0.0 + i
+        rows[i, SPEED] = -way[BY_SPEED + i]
+        rows[i, SLOPE] = -way[BY_SLOPE + i]
+    rows[0, HEADING] = left
+    rows[1, HEADING] = -forward
+    rows[0, RESIDUAL] = c * x + s * y + forward
+    rows[1, RESIDUAL] = c * y - s * x + left
+
+
+@cached(error_model="numpy")
+def fit_path(
+    fixes: Array, n: int, path: Array, coasting: float, fit: Array, covariance: Array, turns: Array
+) -> None:
+    """Fit the unknowns to n fixes by Gauss-Newton, and then the gyro bias."""
+    east, north = fixes[n - 1, X] - fixes[0, X], fixes[n - 1, Y] - fixes[0, Y]
+    x, y = path[0, BY_SPEED], path[0, BY_SPEED + 1]
+    fit[EAST], fit[NORTH] = fixes[n - 1, X], fixes[n - 1, Y]
+    fit[HEADING] = np.arctan2(north * x - east * y, east * x + north * y)
+    fit[SPEED] = np.hypot(east, north) / max(np.hypot(x, y), 1e-9)
+    fit[SLOPE] = 0.0
+    variance, worst, squares = 1.0, 0.0, 0.0
+    prior = 1.0 / (ACCELERATION_BIAS_STD * ACCELERATION_BIAS_STD)
+    rows, right, step = np.zeros((2, 6)), np.zeros(5), np.zeros(5)
+    for _ in range(MAX_STEPS):
+        c, s = np.cos(fit[HEADING]), np.sin(fit[HEADING])
+        worst = 0.0
+        squares = 0.0
+        for i in range(5):
+            right[i] = 0.0
+            for j in range(5):
+                covariance[i, j] = 0.0
+        for k in range(n):
+            _equations_of(fixes[k], path[k], fit, c, s, rows)
+            for i in range(5):
+                right[i] += rows[0, i] * rows[0, RESIDUAL] + rows[1, i] * rows[1, RESIDUAL]
+                for j in range(5):
+                    covariance[i, j] += rows[0, i] * rows[0, j] + rows[1, i] * rows[1, j]
+            square = rows[0, RESIDUAL] * rows[0, RESIDUAL] + rows[1, RESIDUAL] * rows[1, RESIDUAL]
+            squares += square
+            worst = max(worst, square)
+        variance = max(squares / (2.0 * n - 4.0), MIN_POSITION_STD * MIN_POSITION_STD)
+        covariance[SLOPE, SLOPE] += prior * variance
+        right[SLOPE] -= prior * variance * fit[SLOPE]
+        _invert(covariance)
+        _multiply(covariance, right, step)
+        fit[EAST] += c * step[EAST] - s * step[NORTH]
+        fit[NORTH] += s * step[EAST] + c * step[NORTH]
+        largest = max(abs(step[EAST]), abs(step[NORTH]))
+        for i in range(HEADING, 5):
+            fit[i] += step[i]
+            largest = max(largest, abs(step[i]))
+        if largest < CONVERGED:
+            break
+    v, slope, span = fit[SPEED], fit[SLOPE], fixes[n - 1, TIME] - fixes[0, TIME]
+    travel = v * span - 0.5 * slope * span * span + coasting  # the integral of v(s)
+    fit[TRAVEL] = travel if v > 0.0 else 0.0
+    fit[MISFIT] = np.sqrt(worst)
+    _fit_bias(fixes, n, path, fit, covariance, prior * variance, turns)
+    for i in range(5):
+        for j in range(5):
+            covariance[i, j] *= variance
+
+
+@cached(error_model="numpy")
+def _fit_bias(
+    fixes: Array, n: int, path: Array, fit: Array, inverse: Array, prior: float, turns: Array
+) -> None:
+    """Fit the remaining gyro bias, from the part of its effect on the path that the other unknowns do not explain.
+
+    ``inverse``: that of the normal matrix; ``prior``: weight of the prior of b in it.
+    """
+    c, s = np.cos(fit[HEADING]), np.sin(fit[HEADING])
+    rows, right = np.zeros((2, 6)), np.zeros(5)
+    x, y, bend_x, bend_y, before = 0.0, 0.0, 0.0, 0.0, fixes[n - 1, TIME]
+    for k in range(n - 1, -1, -1):
+        _equations_of(fixes[k], path[k], fit, c, s, rows)
+        forward, left = path[k, ARM] - rows[1, HEADING], path[k, ARM + 1] + rows[0, HEADING]
+        age = fixes[n - 1, TIME] - fixes[k, TIME]
+        middle = 0.5 * (fixes[k, TIME] + before) - fixes[n - 1, TIME]
+        before = fixes[k, TIME]
+        bend_x -= middle * (left - y)
+        bend_y += middle * (forward - x)
+        x = forward
+        y = left
+        path[k, BY_BIAS] = bend_x - age * path[k, ARM + 1]
+        path[k, BY_BIAS + 1] = bend_y + age * path[k, ARM]
+        for i in range(5):
+            right[i] += rows[0, i] * path[k, BY_BIAS] + rows[1, i] * path[k, BY_BIAS + 1]
+    _multiply(inverse, right, turns)
+    slope = turns[SLOPE]
+    size, value = prior * slope * slope, prior * slope * fit[SLOPE]
+    squares = prior * fit[SLOPE] * fit[SLOPE]
+    for k in range(n):
+        _equations_of(fixes[k], path[k], fit, c, s, rows)
+        for row in range(2):
+            alone = path[k, BY_BIAS + row]
+            for i in range(5):
+                alone -= rows[row, i] * turns[i]
+            size += alone * alone
+            value += alone * rows[row, RESIDUAL]
+            squares += rows[row, RESIDUAL] * rows[row, RESIDUAL]
+    size = max(size, 1e-30)
+    fit[YAW_BIAS] = value / size
+    left_over = squares - value * value / size
+    fit[YAW_VARIANCE] = max(left_over / (2.0 * n - 5.0), MIN_POSITION_STD * MIN_POSITION_STD) / size
+    for i in range(5):
+        turns[i] = -turns[i]
+
+
+@cached(error_model="numpy")
+def _convert_change(c: float, s: float, v: float, e: Array) -> None:
+    """Convert changes of the unknowns (5,) to changes of x, y, vx, vy and theta."""
+    x, y, turn, faster = e[EAST], e[NORTH], e[HEADING], e[SPEED]
+    e[0], e[1] = c * x - s * y, s * x + c * y
+    e[2], e[3] = c * faster - s * v * turn, s * faster + c * v * turn
+    e[4] = turn
+
+
+@cached(error_model="numpy")
+def convert_to_start(fit: Array, mean: Array, covariance: Array, turns: Array, change: Array) -> float:
+    """Convert a fit to the mean x, y, vx, vy, theta of a start; return the variance of b without its prior.
+
+    ``covariance`` and ``turns`` are converted in place. ``change`` becomes that of the mean per m/s2 of force.
+    """
+    c, s, v, posterior = (
+        np.cos(fit[HEADING]),
+        np.sin(fit[HEADING]),
+        fit[SPEED],
+        covariance[SLOPE, SLOPE],
+    )
+    mean[0], mean[1], mean[2], mean[3], mean[4] = (
+        fit[EAST],
+        fit[NORTH],
+        v * c,
+        v * s,
+        fit[HEADING],
+    )
+    _convert_change(c, s, v, turns)
+    for i in range(5):
+        _convert_change(c, s, v, covariance[i])
+    for i in range(5):
+        change[i] = -covariance[SLOPE, i] / posterior
+        for j in range(i):
+            x, y = covariance[i, j], covariance[j, i]
+            covariance[i, j], covariance[j, i] = y, x
+    for i in range(5):
+        _convert_change(c, s, v, covariance[i])
+        for j in range(i):
+            covariance[i, j] = 0.5 * (covariance[i, j] + covariance[j, i])
+            covariance[j, i] = covariance[i, j]
+    covariance[0, 0] += MIN_POSITION_STD * MIN_POSITION_STD
+    covariance[1, 1] += MIN_POSITION_STD * MIN_POSITION_STD
+    covariance[4, 4] += SLIP_STD * SLIP_STD  # the car moves along its heading, except for this slip
+    return posterior / max(1.0 - posterior / (ACCELERATION_BIAS_STD * ACCELERATION_BIAS_STD), 1e-9)

@@ -5,11 +5,13 @@ the fixes, and the integrated roll drifts. Both effects determine the bias to ab
 than that of a cheap gyro's prior. A good gyro has a ``bias_std`` below 1 deg/s and keeps its prior.
 """
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sigmaswarm.compilation import cached
 from sigmaswarm.drives.tables import Array
 
 UP = 2  # axis of the rate about the vertical
@@ -19,19 +21,16 @@ OUTLIER_PROBABILITY = 1e-5
 
 With 1e-3, the standard deviation of a good gyro's bias would increase by 0.07 deg/s.
 """
-# rad/s, standard deviation of a far worse gyro's bias; an uncalibrated MPU-6050 may have 20 deg/s
-OUTLIER_STD = 0.2
-# rad/s, smallest standard deviation of the bias, since cars slip and receivers smooth
-YAW_STD = np.radians(1.0)
+OUTLIER_STD = 0.2  # rad/s, standard deviation of such a gyro's bias; an MPU-6050 may have 20 deg/s
+YAW_STD = np.radians(1.0)  # rad/s, smallest standard deviation, since cars slip and receivers smooth
 TURN_SHARE = 0.3  # share of a turn's mean rate that may look like a bias, since fixes lag and the car slips
-# rad, standard deviation of changes of roll and pitch in a few seconds, as on hills
-TILT_CHANGE_STD = np.radians(8.0)
+TILT_CHANGE_STD = np.radians(8.0)  # rad, of changes of roll and pitch in a few seconds, as on hills
 MAX_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that suggest a larger bias have jumped
 
 
 @dataclass(frozen=True, eq=False)
 class GyroBiasEvidence:
-    """Evidence about the gyro bias from one alignment, or from several, stacked.
+    """Evidence about the gyro bias from one alignment.
 
     ``bias`` and ``variance`` (3,), about forward, left and up, are in rad/s and (rad/s)^2; an unknown axis has infinite
     variance. The alignment's mean and covariance assume the bias ``taken``, rad/s, about up; ``turns`` (5,) is the
@@ -49,31 +48,63 @@ class GyroBiasEvidence:
         bias[UP] += known
         return replace(self, bias=bias, taken=self.taken + known)
 
-    def update(self, mean: Array, covariance: Array, places: Mapping[int, int], std: Array) -> None:
-        """Update ``mean`` (..., n) and ``covariance`` (..., n, n) of the states at the start, in place.
+    def update(self, mean: Array, covariance: Array, places: Sequence[int], std: float) -> None:
+        """Update ``mean`` (n,) and ``covariance`` (n, n) of the states at the start, in place.
 
-        The bias follows from two measurements: 0 with standard deviation ``std`` (...), rad/s, and the observed bias.
-        Alternatively, the gyro is far worse (`OUTLIER_PROBABILITY`, `OUTLIER_STD`). The two cases are weighted by the
-        likelihood of all axes. ``places`` maps each axis, 0 to 2, with an estimated bias to its state.
+        ``std``: prior standard deviation of the biases, rad/s. ``places``: state of each axis' bias, negative without
+        one.
         """
-        std, axes = np.asarray(std)[..., None], [*places]
-        usual, outlier = (self._measured(prior, axes) for prior in (std, np.array([OUTLIER_STD])))
-        odds = np.log(OUTLIER_PROBABILITY / (1 - OUTLIER_PROBABILITY)) + outlier[2] - usual[2]
-        share = 1.0 / (1.0 + np.exp(np.clip(-odds, -700.0, 700.0)))
-        bias = (1 - share) * usual[0] + share * outlier[0]
-        parts = [case[1] + (case[0] - bias) ** 2 for case in (usual, outlier)]
-        variance = (1 - share) * parts[0] + share * parts[1]
-        for k, (axis, place) in enumerate(places.items()):
-            mean[..., place], covariance[..., place, place] = bias[..., k], variance[..., k]
-            if axis == UP:
-                across = variance[..., k, None] * self.turns
-                mean[..., :5] += (bias[..., k, None] - np.asarray(self.taken)[..., None]) * self.turns
-                covariance[..., :5, :5] += across[..., None] * self.turns[..., None, :]
-                covariance[..., :5, place] = covariance[..., place, :5] = across
+        bias, variance, used = np.zeros(3), np.zeros(3), np.array(places, dtype=np.int64)
+        mix_biases(self.bias, self.variance, used, std, bias, variance)
+        update_biases(mean, covariance, used, bias, variance, self.taken, self.turns)
 
-    def _measured(self, std: Array, axes: list[int]) -> tuple[Array, Array, Array]:
-        """Return biases and variances, (..., k), for a prior standard deviation, and the log-likelihood, (..., 1)."""
-        seen, variance = self.bias[..., axes], self.variance[..., axes]
-        left = std**2 / (1.0 + std**2 / variance)
-        surprise = seen**2 / (std**2 + variance) + np.log(1.0 + std**2 / variance)
-        return seen * left / variance, left, -0.5 * surprise.sum(axis=-1, keepdims=True)
+
+@cached(error_model="numpy")
+def mix_biases(
+    observed: Array, unsure: Array, places: NDArray[np.int64], std: float, bias: Array, variance: Array
+) -> None:
+    """Combine the observed biases and their variances with a prior; write mean and variance of each estimated bias.
+
+    The bias follows from two measurements: 0 with standard deviation ``std``, rad/s, and the observed bias.
+    Alternatively, the gyro is far worse (`OUTLIER_PROBABILITY`, `OUTLIER_STD`). The two cases are weighted by the
+    likelihood of all axes.
+    """
+    usual, outlier = std * std, OUTLIER_STD * OUTLIER_STD
+    odds = np.log((1.0 - OUTLIER_PROBABILITY) / OUTLIER_PROBABILITY)
+    for axis in range(3):
+        if places[axis] >= 0:
+            square, noise = observed[axis] * observed[axis], unsure[axis]
+            odds -= 0.5 * (square / (usual + noise) + np.log(1.0 + usual / noise))
+            odds += 0.5 * (square / (outlier + noise) + np.log(1.0 + outlier / noise))
+    share = 1.0 / (1.0 + np.exp(min(max(odds, -700.0), 700.0)))  # probability of a far worse gyro
+    for axis in range(3):
+        left, left_outlier = usual / (1.0 + usual / unsure[axis]), outlier / (1.0 + outlier / unsure[axis])
+        of, of_outlier = observed[axis] * left / unsure[axis], observed[axis] * left_outlier / unsure[axis]
+        mean = (1.0 - share) * of + share * of_outlier
+        bias[axis] = mean
+        variance[axis] = (1.0 - share) * (left + (of - mean) * (of - mean))
+        variance[axis] += share * (left_outlier + (of_outlier - mean) * (of_outlier - mean))
+
+
+@cached(error_model="numpy")
+def update_biases(
+    mean: Array,
+    covariance: Array,
+    places: NDArray[np.int64],
+    bias: Array,
+    variance: Array,
+    taken: float,
+    turns: Array,
+) -> None:
+    """Update the state with the biases; the alignment's part is valid for the bias ``taken`` about up."""
+    for axis in range(3):
+        place = places[axis]
+        if place >= 0:
+            mean[place] = bias[axis]
+            covariance[place, place] = variance[axis]
+            for i in range(5 if axis == UP else 0):
+                mean[i] += (bias[axis] - taken) * turns[i]
+                covariance[i, place] = variance[axis] * turns[i]
+                covariance[place, i] = covariance[i, place]
+                for j in range(5):
+                    covariance[i, j] += variance[axis] * turns[i] * turns[j]

@@ -10,105 +10,88 @@ e = roll + i pitch at the start and the turn psi since an earlier time, the tilt
     exp(-i psi) (e - integral of (rates - biases) exp(i psi))
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sigmaswarm.compilation import cached
 from sigmaswarm.drives.tables import Array
 
-Complex = NDArray[np.complex128]
 GRAVITY = 9.81  # m/s2
 FORWARD_STD = 0.15  # m/s2, mean change of bias and slope in a window, beyond the gyro's
 LEFT_STD = 0.05  # m/s2, other lateral accelerations in the mean of a window
-NUMBERS = 16  # length of `TiltEvidence.numbers`
 SPEED_ERROR = 0.3  # m/s, error of an alignment's speed, which multiplies the turn rate
+FORCE, VARIANCE, TURN, DRIFT, MEAN_SPEED, ASSUMED, ASSUMED_VARIANCE, CHANGE = 0, 2, 4, 6, 8, 9, 10, 11
+"""Indices of `TiltEvidence.numbers`."""
+NUMBERS = 16  # length of `TiltEvidence.numbers`
+TIME, X, Y, TURNED, GAINED, ROLLED, PITCHED, LATERAL = range(8)
+"""Columns of the fixes of a window: time (s), position (m) and the integrals of the IMU's axes at the fix.
+
+The integrals are heading (rad), speed (m/s), rotation about forward and left (rad), and lateral acceleration (m/s).
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class TiltEvidence:
     """Evidence about tilts and accelerometer biases from one alignment.
 
-    ``force`` and ``variance`` (2,), forward and left, are in m/s2 and (m/s2)^2. ``turn`` and ``drift`` (s) are the
-    changes of the mean tilt per unit of the tilt at the start and of the gyro's biases about forward and left.
-    ``speed`` is the mean speed, m/s. The alignment's mean is valid for the forward force ``assumed``, and its
-    covariance includes ``assumed_variance``; ``change`` (5,) is the change of x, y, vx, vy, theta per m/s2.
+    ``numbers`` (16,), in the order of C's InsGpsGyro: FORCE and its VARIANCE, forward and left, in m/s2 and (m/s2)^2;
+    TURN and DRIFT (s), the changes of the mean tilt, real and imaginary part, per unit of the tilt at the start and of
+    the gyro's biases about forward and left; the mean speed, m/s. The alignment's mean is valid for the forward force
+    ASSUMED, and its covariance includes ASSUMED_VARIANCE; CHANGE is the change of x, y, vx, vy, theta per m/s2.
     """
 
-    force: Array
-    variance: Array
-    turn: complex
-    drift: complex
-    speed: float
-    assumed: float
-    assumed_variance: float
-    change: Array
-
-    @property
-    def numbers(self) -> list[float]:
-        """All values, in the order of C's InsGpsGyro."""
-        turns = self.turn.real, self.turn.imag, self.drift.real, self.drift.imag
-        return [
-            *self.force,
-            *self.variance,
-            *turns,
-            self.speed,
-            self.assumed,
-            self.assumed_variance,
-            *self.change,
-        ]
+    numbers: Array
 
     def with_bias(self, known: float) -> "TiltEvidence":
         """Return the evidence for the original gyro, before a known bias about up, rad/s, was subtracted."""
-        return replace(self, force=self.force - [0.0, self.speed * known])
+        numbers = self.numbers.copy()
+        numbers[FORCE + 1] -= numbers[MEAN_SPEED] * known
+        return TiltEvidence(numbers)
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """Integrals of the IMU's axes at the fixes of a window, (f,) each, without the gyro bias ``taken``, rad/s."""
+@cached(error_model="numpy")
+def mean_forces(
+    fixes: Array, n: int, taken: float, fit: Array, variance: float, posterior: float, tilt: Array
+) -> None:
+    """Compute the mean specific forces of a window and their dependence on tilts and biases.
 
-    time: Array  # s
-    turned: Array  # rad
-    leaned: Complex  # rad about forward + i rad about left, in the axes of the IMU
-    gained: Array  # m/s forward
-    lateral: Array  # m/s to the left
-    taken: float
-
-    def evidence(
-        self, speed: float, slope: float, variance: float, posterior: float, change: Array
-    ) -> TiltEvidence:
-        """Return the evidence.
-
-        ``speed``: at the last fix, m/s. ``slope`` and ``posterior``: mean and variance of b in the fit; ``variance``:
-        that without its prior; ``change`` (5,): of the start per unit of b.
-        """
-        dt, span = np.diff(self.time), self.time[-1] - self.time[0]
-        turn: Complex = np.exp(1j * _until_middle(self.turned))
-        leaned, waited = (_since_middle(turn * each) for each in (np.diff(self.leaned), dt + 0j))
-        weight = dt / span / turn
-        speeds = speed + _until_middle(self.gained) + slope * _until_middle(self.time)
-        rate, mean_speed = np.diff(self.turned) / span, float(speeds @ dt / span)
-        left = (self.lateral[-1] - self.lateral[0]) / span - float(speeds @ rate) - mean_speed * self.taken
-        tilt = GRAVITY * np.sum(weight * leaned)
-        forward = -slope * variance / posterior - tilt.imag
-        left_variance = LEFT_STD**2 + (SPEED_ERROR * np.sum(rate)) ** 2
-        return TiltEvidence(
-            np.array([forward, left + tilt.real]),
-            np.array([variance, left_variance]),
-            complex(np.sum(weight)),
-            complex(np.sum(weight * waited)),
-            mean_speed,
-            -slope - tilt.imag,
-            posterior,
-            -change,
-        )
-
-
-def _until_middle(values: Array) -> Array:
-    """Return the values at the middle between two fixes, relative to the last fix."""
-    return 0.5 * (values[1:] + values[:-1]) - values[-1]
-
-
-def _since_middle(pieces: Complex) -> Complex:
-    """Return the sums of the pieces from the middle of each one to the last fix."""
-    return np.cumsum(pieces[::-1])[::-1] - 0.5 * pieces
+    ``taken``: gyro bias subtracted before the ``fit``, rad/s. ``variance`` and ``posterior``: of b without
+    and with its prior. ``tilt``: `TiltEvidence.numbers`, 0 before, except CHANGE.
+    """
+    last, end, speed, slope = n - 1, fixes[n - 1, TIME], fit[3], fit[4]
+    span = end - fixes[0, TIME]
+    # rotation and time from a fix to the last one, in the axes of the car at the last fix
+    x, y, forward, left = 0.0, 0.0, 0.0, 0.0
+    lean_x, lean_y, rate, turned_speed = 0.0, 0.0, 0.0, 0.0
+    for k in range(n - 2, -1, -1):
+        dt = fixes[k + 1, TIME] - fixes[k, TIME]
+        middle = 0.5 * (fixes[k, TIME] + fixes[k + 1, TIME]) - end
+        angle = 0.5 * (fixes[k, TURNED] + fixes[k + 1, TURNED]) - fixes[last, TURNED] - taken * middle
+        c, s, share = np.cos(angle), np.sin(angle), dt / span
+        roll, pitch = fixes[k + 1, ROLLED] - fixes[k, ROLLED], fixes[k + 1, PITCHED] - fixes[k, PITCHED]
+        dx, dy = c * roll - s * pitch, c * pitch + s * roll
+        middle_x, middle_y = x + 0.5 * dx, y + 0.5 * dy
+        ahead, aside = forward + 0.5 * c * dt, left + 0.5 * s * dt
+        tilt[TURN] += share * c
+        tilt[TURN + 1] -= share * s
+        lean_x += share * (c * middle_x + s * middle_y)
+        lean_y += share * (c * middle_y - s * middle_x)
+        tilt[DRIFT] += share * (c * ahead + s * aside)
+        tilt[DRIFT + 1] += share * (c * aside - s * ahead)
+        x += dx
+        y += dy
+        forward += c * dt
+        left += s * dt
+        v = speed + 0.5 * (fixes[k, GAINED] + fixes[k + 1, GAINED]) - fixes[last, GAINED] + slope * middle
+        part = (fixes[k + 1, TURNED] - fixes[k, TURNED] - taken * dt) / span
+        tilt[MEAN_SPEED] += share * v
+        rate += part
+        turned_speed += v * part
+    lateral = (fixes[last, LATERAL] - fixes[0, LATERAL]) / span - turned_speed
+    tilt[FORCE] = -slope * variance / posterior - GRAVITY * lean_y
+    tilt[FORCE + 1] = lateral - tilt[MEAN_SPEED] * taken + GRAVITY * lean_x
+    tilt[VARIANCE] = variance
+    tilt[VARIANCE + 1] = LEFT_STD * LEFT_STD + SPEED_ERROR * rate * SPEED_ERROR * rate
+    tilt[ASSUMED] = -slope - GRAVITY * lean_y
+    tilt[ASSUMED_VARIANCE] = posterior

@@ -13,6 +13,7 @@ from sigmaswarm.drives.mounting import Angles
 from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.drives.tilt_evidence import NUMBERS
 from sigmaswarm.errors import InputError
+from sigmaswarm.exports.c_alignment import alignment_of, with_constants
 from sigmaswarm.exports.c_kernels import kernels_of
 from sigmaswarm.exports.c_names import STATES
 from sigmaswarm.exports.c_rules import rules_of
@@ -27,7 +28,7 @@ from sigmaswarm.exports.features import (
     with_definitions,
 )
 from sigmaswarm.exports.lanes import Lanes
-from sigmaswarm.filters import divergence, schedule
+from sigmaswarm.filters import schedule
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import ModelName
@@ -104,7 +105,10 @@ def c99(
     values["BEFORE_MOUNTING"] = ", before the rotation" if mounting is not None else ""
     values["IMU_AXES"] = "\n".join(axes)
     values |= rules_of(features, events.bits_of(schedule.measured_by(parameters)))
+    values |= alignment_of(biases=features["USE_BIASES"], tilted=features["USE_TILTED"])
+    values["CONSTANTS"] = "@CONSTANTS@"
     texts = {name: fill(f"{name}.in", features, values) for name in FILES}
+    texts["ins_gps_align.c"] = with_constants(texts["ins_gps_align.c"])
     numbers = {name: f"R({value})" for name, value in values.items()} | lanes.numbers(parameters)
     texts["ins_gps.c"] = with_definitions(texts["ins_gps.c"], numbers, "#define {} {} /* {} */")
     return texts
@@ -144,7 +148,7 @@ def replay_events(
     assert gyro is not None  # every alignment estimates the gyro bias
     start += [*gyro.bias, *gyro.variance, gyro.taken, *gyro.turns]  # in the order of InsGpsGyro
     if MODELS[model].tilts is not None:
-        start += tilt.numbers if tilt else [0.0] * NUMBERS
+        start += [*tilt.numbers] if tilt else [0.0] * NUMBERS
     events = [
         (z[0], 0, "fix", z) for z in _fixes(drive.gps, heading)
     ]  # a fix precedes a sample of the same time
@@ -252,8 +256,6 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
     derived: dict[str, float | None] = {
         "PER_ODOMETER_SCALE": None if p.odometer_noise is None else 1.0 / p.odometer_scale,
         "PATIENCE": (OUTLIERS_SPAN - 1e-6) / interval,
-        "DIVERGED_AFTER": divergence.DIVERGED_AFTER,
-        "MIN_CHECKS": divergence.MIN_CHECKS,
         "SLOTS": round(1.0 / odometer.INTERVAL),
         "BLOCKS": round(1.0 / standstill.BLOCK),
         "HISTORY": max(1, math.ceil(1.0 / interval)),  # default of LiveFilter

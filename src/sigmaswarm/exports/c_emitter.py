@@ -21,6 +21,11 @@ _UNKNOWN = (NameError, TypeError, AttributeError, KeyError, SyntaxError, ValueEr
 _MISSING = "no row in C: "
 
 
+def parameter_name(parameter: str) -> str:
+    """Return the name of a C parameter, for example ``rows`` of ``real rows[][6]``."""
+    return parameter.split()[-1].lstrip("*").partition("[")[0]
+
+
 class Elements(NamedTuple):
     """An array that a function unpacks: the C parameter, and the C text of each element."""
 
@@ -55,7 +60,7 @@ class Emitter:
 
     def call(self, function: str) -> str:
         name, signature = self.signatures[function]
-        parameters = dict.fromkeys(p.split()[-1].lstrip("*") for each in signature for p in each)
+        parameters = dict.fromkeys(parameter_name(p) for each in signature for p in each)
         return f"{name}({', '.join(parameters)})"
 
     def text(self) -> str:
@@ -104,7 +109,7 @@ class _Function(ast.NodeTransformer):
         code, signature = "\n".join(self.lines), list[list[str]]()
         for each in self.definition.args.args:
             parameters_in_c = self.parameters_of(each.arg)
-            signature.append([p for p in parameters_in_c if uses(code, p.split()[-1].lstrip("*"))])
+            signature.append([p for p in parameters_in_c if uses(code, parameter_name(p))])
         self.emitter.signatures[self.definition.name] = self.name, signature
         parameters = dict.fromkeys(p for each in signature for p in each)
         parameters = [*parameters, *(f"real *{out}" for out in self.outs)]
@@ -457,7 +462,7 @@ class _Function(ast.NodeTransformer):
         arguments: list[str] = []
         for each, theirs in zip(node.args, signature, strict=True):
             if self.is_kernel and isinstance(each, ast.Name) and each.id in PARAMETERS:
-                names = [parameter.split()[-1].lstrip("*") for parameter in theirs]
+                names = [parameter_name(parameter) for parameter in theirs]
                 arguments += [name for name in names if name not in arguments]
             elif theirs:
                 arguments.append(self.c(each))

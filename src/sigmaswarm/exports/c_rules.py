@@ -14,8 +14,11 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from sigmaswarm.drives import events, gaps, odometer, stale_fixes, standstill
-from sigmaswarm.exports.c_emitter import Emitter, _Function
+from sigmaswarm.exports.c_emitter import Emitter, _Function, parameter_name
+from sigmaswarm.exports.c_text import in_c
 
 ALWAYS = gaps.gap_of, gaps.usual_after, stale_fixes._speed_at, stale_fixes.kind_of
 STANDSTILL = (
@@ -62,44 +65,67 @@ def rules_of(features: Mapping[str, bool], used: int) -> dict[str, str]:
     functions += [events.sample_events] if used else []
     emitter, constants, texts = Emitter({}), dict[str, str](), list[str]()
     for function in functions:
-        rule = _Rule(emitter, function, used)
+        rule = Rule(emitter, function, {"used": used})
         texts.append(rule.text())
         constants |= rule.used
     values = {"RULES": "\n".join(["".join(constants.values()), *texts])}
     if used:
         name, signature = emitter.signatures["sample_events"]
-        arguments = [SAMPLE[p.split()[-1].lstrip("*")] for each in signature for p in each]
+        arguments = [SAMPLE[parameter_name(p)] for each in signature for p in each]
         call = f"{name}({', '.join(arguments)})"
         values["SAMPLE_EVENTS"] = textwrap.fill(call, 100, subsequent_indent=" " * 8)
     return values
 
 
 @cache
-def _described(module: Any) -> dict[str, str]:
-    """Return the description of each constant of a module: the string below it, or the comment in its line."""
-    descriptions = re.findall(
-        r'^(\w+) = .*?(?:  # (.*)|\n"""([^"]*)""")$', inspect.getsource(module), re.MULTILINE
+def constants_of(module: Any) -> dict[str, str]:
+    """Return the description of each constant that a module defines: the string below it, or the comment in its line.
+
+    The names of constants that are defined together are the key.
+    """
+    definitions = re.findall(
+        r'^([A-Z]\w*(?:, [A-Z]\w*)*) = .*?(?:  # (.*)|\n"""([^"]*)""")?$',
+        inspect.getsource(module),
+        re.MULTILINE,
     )
-    return {name: " ".join((comment or text).split()) for name, comment, text in descriptions}
+    return {
+        names: in_c(" ".join((comment or text.split("\n\n")[0]).split()))
+        for names, comment, text in definitions
+    }
 
 
-class _Rule(_Function):
+def definition(name: str, value: float, description: str) -> str:
+    """Return the definition of a constant in C."""
+    text = repr(float(value) if isinstance(value, float) else value)
+    line = f"#define {name} {text}{f' /* {description} */' if description else ''}"
+    return "\n".join(textwrap.wrap(line, 120, subsequent_indent=" " * 4)) + "\n"
+
+
+def _declared(kind: str, name: str) -> str:
+    """Declare a variable in C; the type of a matrix is, for example, ``real [][5]``."""
+    kind, bracket, lengths = kind.partition(" [")
+    return f"{kind} {name}{bracket[1:]}{lengths}".replace("* ", "*")
+
+
+class Rule(_Function):
     """Translation of a rule to C. The first value of a local variable determines its type."""
 
-    def __init__(self, emitter: Emitter, compiled: Any, used: int) -> None:
+    pointers, fields, times, enumerators = POINTERS, FIELDS, TIMES, ENUMERATORS
+
+    def __init__(self, emitter: Emitter, compiled: Any, known: dict[str, Any]) -> None:
         function = getattr(compiled, "py_func", compiled)
-        super().__init__(emitter, function, function.__name__.lstrip("_"), {"used": used})
+        super().__init__(emitter, function, function.__name__.lstrip("_"), known)
         self.types = {name: _TYPES.get(kind, "real *") for name, kind in function.__annotations__.items()}
-        self.types |= {name: kind for name, kind in POINTERS.items() if name in self.types}
-        self.types |= {name: _TIME for name in self.types if name in TIMES}
+        self.types |= {name: kind for name, kind in self.pointers.items() if name in self.types}
+        self.types |= {name: _TIME for name in self.types if name in self.times}
         self.types |= {"slot": "uint32_t", "events": "unsigned"}
         returns = {"kind_of": _KIND, "sample_events": "unsigned"}
         self.returns = returns.get(self.name, self.types["return"])
-        self.described = _described(inspect.getmodule(function) or function)
+        self.described = constants_of(inspect.getmodule(function) or function)
         self.used: dict[str, str] = {}  # definitions of constants
 
     def parameters_of(self, name: str) -> tuple[str, ...]:
-        return () if name == "kinds" else (f"{self.types[name]} {self.local(name)}".replace("* ", "*"),)
+        return () if name == "kinds" else (_declared(self.types[name], self.local(name)),)
 
     # ---- statements ----
 
@@ -113,9 +139,7 @@ class _Rule(_Function):
                     self.nested(f"while ({self.c(test)}) {{", body, depth)
                 case ast.For(ast.Name(name), ast.Call(_, bounds), body):
                     self.types[name] = "int"
-                    first, end = ("0", *map(self.c, bounds))[-2:]
-                    name = self.local(name)
-                    self.nested(f"for (int {name} = {first}; {name} < {end}; {name}++) {{", body, depth)
+                    self.nested(self.counting(self.local(name), bounds), body, depth)
                 case ast.If():
                     self.branch("if", statement, depth)
                 case ast.Assign([ast.Name(name)], ast.Tuple(elts=values)):
@@ -125,8 +149,18 @@ class _Rule(_Function):
                     self.put(f"{self.c(target)} |= {self.c(value)};", depth)
                 case ast.Return(ast.expr() as value):
                     self.put(f"return {self.c(value)};", depth)
+                case ast.Break():
+                    self.put("break;", depth)
                 case _:
                     super().block([statement], depth)
+
+    def counting(self, name: str, bounds: list[ast.expr]) -> str:
+        """Return the head of a loop over `range`."""
+        texts = [self.print(self.fold(bound), 4) for bound in bounds]
+        first, end, step = texts if len(texts) == 3 else [*["0", *texts][-2:], "1"]
+        sign, by = ("-", step[1:]) if step.startswith("-") else ("+", step)
+        change = f"{name}{2 * sign}" if by == "1" else f"{name} {sign}= {by}"
+        return f"for (int {name} = {first}; {name} {'>' if sign == '-' else '<'} {end}; {change}) {{"
 
     def branch(self, head: str, statement: ast.If, depth: int) -> None:
         self.nested(f"{head} ({self.c(statement.test)}) {{", statement.body, depth)
@@ -151,18 +185,27 @@ class _Rule(_Function):
         self.put("}", depth)
 
     def store_all(self, targets: list[ast.expr], values: list[ast.expr], depth: int) -> None:
+        pairs = list[tuple[ast.expr, ast.expr]]()
         for target, value in zip(targets, values, strict=True):
+            if isinstance(value, ast.Call) and ast.unparse(value.func) == "np.zeros":
+                lengths = np.atleast_1d(self.evaluate(value.args[0]))
+                dimensions = "".join(f"[{length}]" for length in lengths)
+                zeros = "{" * len(lengths) + "R(0.0)" + "}" * len(lengths)
+                self.put(f"real {ast.unparse(target)}{dimensions} = {zeros};", depth)
+                continue
             if isinstance(target, ast.Name):
                 self.types.setdefault(target.id, self.type_of(value))
-        super().store_all(targets, values, depth)
+            pairs.append((target, value))
+        super().store_all([target for target, _ in pairs], [value for _, value in pairs], depth)
 
     def store(self, target: ast.expr, place: str, mirror: str, value: ast.expr, depth: int) -> None:
         declared = ""
         if isinstance(target, ast.Name) and place not in self.declared:
             kind = self.types[target.id]
-            declared = ("" if target.id in self.changing or "*" in kind else "const ") + f"{kind} "
+            declared = "" if target.id in self.changing or "*" in kind else "const "
             self.declared.add(place)
-        self.put(f"{declared.replace('* ', '*')}{place} = {self.print(value)};", depth)
+            place = _declared(kind, place)
+        self.put(f"{declared}{place} = {self.print(value)};", depth)
 
     def place(self, node: ast.expr) -> tuple[str | None, str]:
         return self.c(node), ""
@@ -179,6 +222,8 @@ class _Rule(_Function):
                 return "real *"
             case ast.Subscript(ast.Name("kinds")):
                 return _KIND
+            case ast.Subscript(ast.Name(name)) if self.types.get(name) == "const int *":
+                return "int"
             case ast.Call(ast.Name("int")):
                 return "int"
             case ast.BinOp(left, _, right):
@@ -196,17 +241,19 @@ class _Rule(_Function):
             else super().visit_Constant(node)
         )
 
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.expr:
+        return ast.Name(f"{self.value(node)}") if self.type_of(node) == "int" else super().visit_UnaryOp(node)
+
     def visit_Name(self, node: ast.Name) -> ast.expr:
-        if node.id in ENUMERATORS:
-            return ast.Name(ENUMERATORS[node.id])
+        if node.id in self.enumerators:
+            return ast.Name(self.enumerators[node.id])
         if not isinstance(self.names.get(node.id), int | float):
             return super().visit_Name(node)
         name = self.constant(node.id)
         return ast.Name(name if isinstance(self.names[name], int) else f"R({name})")
 
     def constant(self, name: str) -> str:
-        comment = f" /* {self.described[name]} */" if name in self.described else ""
-        self.used[name] = f"#define {name} {self.names[name]!r}{comment}\n"
+        self.used[name] = definition(name, self.names[name], self.described.get(name, ""))
         return name
 
     def visit_Subscript(self, node: ast.Subscript) -> ast.expr:
@@ -214,8 +261,14 @@ class _Rule(_Function):
         name, indices = node.value.id, node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
         if name == "kinds":
             return ast.Name(f"fixes[{self.c(indices[0])}].kind")
-        if name in FIELDS:
-            field = FIELDS[name][self.value(indices[-1])]
+        if name in self.fields:
+            match indices[-1], self.value(indices[-1]):
+                case ast.BinOp(base, _, offset), None:
+                    field = self.fields[name][self.value(base)].replace("[0]", f"[{self.c(offset)}]")
+                case _, None:  # an element of an array of structs
+                    return ast.Name(f"&{name}[{self.c(indices[0])}]")
+                case _, index:
+                    field = self.fields[name][index]
             place = f"{name}->" if len(indices) == 1 else f"{name}[{self.c(indices[0])}]."
             return ast.Name(place + field)
         return ast.Name(name + "".join(f"[{self.c(index)}]" for index in indices))

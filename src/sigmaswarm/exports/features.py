@@ -10,9 +10,9 @@ from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from types import ModuleType
 
-from sigmaswarm.drives import alignment, events, gyro_bias, standstill, tilt_evidence
+from sigmaswarm.drives import events, standstill, tilt_evidence
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters import divergence, fuzzy, schedule, student
+from sigmaswarm.filters import fuzzy, schedule, student
 from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.models import MEASURED, MODELS, NOISE_OF, SENSORS
 from sigmaswarm.filters.parameters import FilterParameters
@@ -112,16 +112,13 @@ def with_definitions(text: str, numbers: Mapping[str, str], form: str) -> str:
 
 
 CONSTANTS: Mapping[ModuleType, str] = {
-    alignment: "REFITS",
-    divergence: "CHECK_INTERVAL LATEST_CHECK MANY_SIGMAS HEADING_OFF POSITION_OFF SPEED_STD",
     fuzzy: "LARGEST_RATIO SLOWER",
-    gyro_bias: "CONTRADICTS OUTLIER_PROBABILITY OUTLIER_STD YAW_STD TURN_SHARE TILT_CHANGE_STD MAX_BIAS",
     live: "LEAP AGREES",
     events: "CORNERING INTERVAL",
     schedule: "STANDSTILL_RATE_NOISE SLIP_GATE MOST_REJECTED",
     standstill: "BLOCK N_MEMORY",
     student: "ITERATIONS OUTLIERS OUTLYING OUTLIERS_SPAN",
-    tilt_evidence: "GRAVITY FORWARD_STD LEFT_STD SPEED_ERROR",
+    tilt_evidence: "GRAVITY",
 }
 
 

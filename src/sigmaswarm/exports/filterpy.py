@@ -8,7 +8,16 @@ import inspect
 from types import ModuleType
 
 from sigmaswarm import geodesy
-from sigmaswarm.drives import alignment, alignment_fit, gaps, gyro_bias, stale_fixes, standstill, tables
+from sigmaswarm.drives import (
+    alignment,
+    alignment_fit,
+    gaps,
+    gyro_bias,
+    stale_fixes,
+    standstill,
+    tables,
+    tilt_evidence,
+)
 from sigmaswarm.drives.mounting import Angles
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.features import features_of, fill, listed, values_of, with_definitions
@@ -70,6 +79,7 @@ def filterpy(
         "ALIGNMENT_SOURCE": "\n\n\n".join(
             [
                 source_of(tables, ["NO_HEADING", "headings_of"]),
+                source_of(tilt_evidence, ["TIME", "FORCE", "NUMBERS"]),
                 *map(source_of, (gyro_bias, alignment_fit, alignment)),
             ]
         ),

@@ -248,9 +248,9 @@ class CarModel:
         return {f"g{state.name[-1]}": i for i, state in names if state.bias_of == "gyro"}
 
     @cached_property
-    def gyro_places(self) -> dict[int, int]:
-        """Indices of the gyro's biases by axis number: 0 forward, 1 left, 2 up."""
-        return {"xyz".index(axis[-1]): place for axis, place in self.gyro_axes.items()}
+    def gyro_places(self) -> tuple[int, ...]:
+        """State of the gyro's bias about forward, left and up; -1 without one."""
+        return tuple(self.gyro_axes.get(f"g{axis}", -1) for axis in "xyz")
 
 
 def _plane(variance: tuple[float, float]) -> tuple[State, ...]:

@@ -1,15 +1,12 @@
 """Initial states, constants of measurements, and checks of required data, for all forms of a filter."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import fields, replace
-from typing import TypeVar
+from dataclasses import fields
 
 import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.gyro_bias import GyroBiasEvidence
-from sigmaswarm.drives.tilt_evidence import TiltEvidence
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters import tilted
@@ -18,7 +15,6 @@ from sigmaswarm.filters.models import MODELS, NOISE_OF, SENSORS, THETA, CarModel
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 
-Evidence = TypeVar("Evidence", GyroBiasEvidence, TiltEvidence)
 STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2  # rad2/s2, variance of the gyro's reading around its bias
 SLIP_GATE = 9.0
 """Largest accepted NIS of a wheel speed: three sigmas. The errors of slipping or locked wheels last for seconds, so
@@ -123,31 +119,16 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
             covariance[..., i, i] = std[:, sensors.index(state.bias_of)] ** 2
         else:
             covariance[..., i, i] = state.start_std**2
-    if model.gyro_places:
-        gyro = std[:, sensors.index("gyro")]
-        for starts, evidence in _stacked([start.gyro for start in initial]):
-            evidence.update(mean[starts], covariance[starts], model.gyro_places, gyro)
-    if model.tilts:
-        for starts, evidence in _stacked([start.tilt for start in initial]):
-            tilted.add_tilt_evidence(mean[starts], covariance[starts], evidence)
+    gyro = std[:, sensors.index("gyro")]
+    for k, j in np.ndindex(shape[:2]):
+        state, start = (mean[k, j], covariance[k, j]), initial[k]
+        if start.gyro is not None and model.gyro_axes:
+            start.gyro.update(*state, model.gyro_places, gyro[j])
+        if start.tilt is not None and model.tilts:
+            tilted.add_tilt_evidence(*state, start.tilt.numbers)
     if model.fix_error and known < n:
         add_start(mean, covariance, std[:, 2] ** 2)
     return mean, covariance
-
-
-def _stacked(evidence: Sequence[Evidence | None]) -> list[tuple[slice, Evidence]]:
-    """Stack the evidence of m starts in arrays (m, 1, ...); also return the indices of these starts.
-
-    If some starts lack evidence, the evidence of each other start is returned separately.
-    """
-    known = [(k, part) for k, part in enumerate(evidence) if part is not None]
-    if known and len(known) == len(evidence):
-        first = known[0][1]
-        fields_of_all = {
-            name: np.array([getattr(part, name) for _, part in known])[:, np.newaxis] for name in vars(first)
-        }
-        return [(slice(None), replace(first, **fields_of_all))]
-    return [(slice(k, k + 1), part) for k, part in known]
 
 
 def process_noise_per_step(p: FilterParameters, nominal_interval: float) -> Array:

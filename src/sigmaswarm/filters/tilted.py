@@ -12,15 +12,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sigmaswarm.drives.tilt_evidence import FORWARD_STD, GRAVITY, TiltEvidence
+from sigmaswarm.compilation import cached
+from sigmaswarm.drives.tilt_evidence import (
+    ASSUMED,
+    ASSUMED_VARIANCE,
+    CHANGE,
+    DRIFT,
+    FORCE,
+    FORWARD_STD,
+    GRAVITY,
+    MEAN_SPEED,
+    TURN,
+    VARIANCE,
+)
 from sigmaswarm.geodesy import Array, wrap_angle
 
-ATTITUDE = (8, 9, 4)  # indices of the error about east, north and up; also of roll, pitch and theta
-ACCEL_BIAS, GYRO_BIAS = (5, 6), (10, 11, 7)  # indices: forward, left; about forward, left, up
+THETA, ACCEL_X, ACCEL_Y, GYRO, ROLL, PITCH, GYRO_X, GYRO_Y, N = range(4, 13)
+ATTITUDE = (
+    ROLL,
+    PITCH,
+    THETA,
+)  # indices of the error about east, north and up; also of roll, pitch and theta
+ACCEL_BIAS, GYRO_BIAS = (ACCEL_X, ACCEL_Y), (GYRO_X, GYRO_Y, GYRO)  # forward, left; about forward, left, up
 STEP_FIRST, MEASURED_FIRST = (7, 10, 11, 4, 8, 9), (4, 8, 9)
-"""States whose columns come first in the square root of P: for the sigma points of a step, and of a measurement. The
-process and the measurements are linear in all other states."""
-N = 12
+"""States whose columns come first in the square root of P, for the sigma points of a step and of a measurement. If
+these states are fixed, process and measurements are linear in all others."""
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
@@ -260,43 +276,42 @@ class States:
         return np.eye(len(state))[[*self.places]]
 
 
-def add_tilt_evidence(mean: Array, covariance: Array, seen: TiltEvidence) -> None:
-    """Update means (..., n) and covariances (..., n, n) of level starts with the evidence of an alignment, in place.
+@cached(error_model="numpy")
+def add_tilt_evidence(mean: Array, covariance: Array, seen: Array) -> None:
+    """Update mean (12,) and covariance (12, 12) of a level start with `TiltEvidence.numbers`, in place.
 
     The evidence is the mean specific force, forward and left, which gives two Kalman updates. The alignment assumed a
     distribution of the forward force, on which its state depends; the distribution after the update replaces it.
     """
-    roll, pitch, theta = ATTITUDE
-    turn, drift = np.asarray(seen.turn) * np.exp(-1j * mean[..., theta]), np.asarray(seen.drift)
-    rows: Array = np.zeros((2, *mean.shape))
-    change: Array = np.zeros((2, *mean.shape))
-    tilts = (roll, turn), (pitch, 1j * turn), (GYRO_BIAS[0], drift), (GYRO_BIAS[1], 1j * drift)
-    for place, tilt in tilts:
-        rows[0, ..., place], rows[1, ..., place] = -GRAVITY * np.imag(tilt), GRAVITY * np.real(tilt)
-    rows[0, ..., ACCEL_BIAS[0]] = rows[1, ..., ACCEL_BIAS[1]] = 1.0
-    rows[1, ..., GYRO_BIAS[2]] = -np.asarray(seen.speed)
-    change[0, ..., :5] = seen.change
+    c, s = np.cos(mean[THETA]), np.sin(mean[THETA])
+    re, im = GRAVITY * (seen[TURN] * c + seen[TURN + 1] * s), GRAVITY * (seen[TURN + 1] * c - seen[TURN] * s)
+    drift_re, drift_im = GRAVITY * seen[DRIFT], GRAVITY * seen[DRIFT + 1]
+    h, gain, change = np.zeros(N), np.zeros(N), np.zeros(N)
     for axis in range(2):
-        h, d = rows[axis, ...], change[axis, ...]
-        gain, force = _times(covariance, h), np.sum(h * mean, axis=-1)
-        s = np.sum(h * gain, axis=-1) + (FORWARD_STD**2 if axis == 0 else 0.0)
-        share = s / (s + seen.variance[..., axis])  # of the measured force
-        after = force + share * (seen.force[..., axis] - force)
-        mean += gain * ((after - force) / s)[..., None] + d * (after - seen.assumed)[..., None]
-        left = gain * (1.0 - share)[..., None]  # covariance with the force after the update
-        spread = s * (1.0 - share) - seen.assumed_variance
-        covariance -= _outer(gain, gain * (share / s)[..., None]) - _outer(left, d) - _outer(d, left)
-        covariance += _outer(d, d * spread[..., None])
-    e = (mean[..., roll] + 1j * mean[..., pitch]) * np.exp(-1j * mean[..., theta])
-    mean[..., roll], mean[..., pitch] = e.real, e.imag
-
-
-def _times(matrix: Array, vector: Array) -> Array:
-    return np.einsum("...ij,...j->...i", matrix, vector)
-
-
-def _outer(a: Array, b: Array) -> Array:
-    return a[..., :, None] * b[..., None, :]
+        ahead = axis == 0
+        h[ROLL], h[PITCH] = -im if ahead else re, -re if ahead else -im
+        h[GYRO_X], h[GYRO_Y] = -drift_im if ahead else drift_re, -drift_re if ahead else -drift_im
+        h[GYRO], h[ACCEL_X], h[ACCEL_Y] = 0.0 if ahead else -seen[MEAN_SPEED], 1.0 - axis, 0.0 + axis
+        for i in range(5):
+            change[i] = seen[CHANGE + i] if ahead else 0.0
+        force, square = 0.0, FORWARD_STD * FORWARD_STD if ahead else 0.0
+        for i in range(N):
+            gain[i] = 0.0
+            for j in range(N):
+                gain[i] += covariance[i, j] * h[j]
+            square += h[i] * gain[i]
+            force += h[i] * mean[i]
+        share = square / (square + seen[VARIANCE + axis])  # of the measured force
+        more = share * (seen[FORCE + axis] - force)
+        spread = square * (1.0 - share) - seen[ASSUMED_VARIANCE]
+        for i in range(N):
+            mean[i] += gain[i] * (more / square) + change[i] * (force + more - seen[ASSUMED])
+            for j in range(N):
+                covariance[i, j] += (1.0 - share) * (gain[i] * change[j] + change[i] * gain[j])
+                covariance[i, j] += spread * change[i] * change[j] - share / square * gain[i] * gain[j]
+    c, s = np.cos(mean[THETA]), np.sin(mean[THETA])
+    re, im = mean[ROLL], mean[PITCH]
+    mean[ROLL], mean[PITCH] = c * re + s * im, c * im - s * re
 
 
 @np.errstate(all="ignore")  # a failed filter has no finite values

@@ -1,0 +1,90 @@
+"""Translate the fit of an alignment from the library's functions to C99, always in double."""
+
+# pyright: reportPrivateUsage=false
+
+import re
+import textwrap
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+from sigmaswarm.drives import alignment, alignment_fit, gyro_bias, tilt_evidence
+from sigmaswarm.exports.c_emitter import Emitter
+from sigmaswarm.exports.c_rules import Rule, constants_of, definition
+from sigmaswarm.filters import divergence
+from sigmaswarm.filters.compiled import live, monitor
+from sigmaswarm.filters.tilted import add_tilt_evidence
+
+FIT = (
+    *(alignment_fit.turn_path, alignment_fit._invert, alignment_fit._multiply, alignment_fit._equations_of),
+    *(alignment_fit._fit_bias, alignment_fit.fit_path, alignment_fit._convert_change),
+    alignment_fit.convert_to_start,
+)
+MODULES = alignment, alignment_fit, gyro_bias, tilt_evidence, divergence, monitor, live
+"""Modules whose constants the C text may use."""
+_FIX = ("motion.time", "x", "y", "motion.turned", "motion.gained", "motion.leaned[0]", "motion.leaned[1]")
+_PAIRS = ("force", "force_variance", "turn", "drift")
+_NUMBERS = (
+    *(f"{name}[{k}]" for name in _PAIRS for k in range(2)),
+    *("speed", "assumed", "assumed_variance", "change[0]"),
+)
+_STATES = ("THETA", "ACCEL_X", "ACCEL_Y", "GYRO", "ROLL", "PITCH", "GYRO_X", "GYRO_Y")
+_OF_HEADER = {
+    **{"THETA": "HEADING", "ACCEL_X": "ACCEL_BIAS_X", "ACCEL_Y": "ACCEL_BIAS_Y"},
+    **{"GYRO": "GYRO_BIAS", "GYRO_X": "GYRO_BIAS_X", "GYRO_Y": "GYRO_BIAS_Y"},
+}
+
+
+class _OfFit(Rule):
+    """Translation of a function on fixes, paths and matrices."""
+
+    times, enumerators = (), dict[str, str]()
+    fields: ClassVar = {
+        **dict.fromkeys(("fix", "fixes"), (*_FIX, "motion.lateral")),
+        **dict.fromkeys(("tilt", "seen"), _NUMBERS),
+    }
+    pointers: ClassVar = {
+        **dict.fromkeys(("fix", "fixes"), "const InsGpsAlignFix *"),
+        **dict.fromkeys(("covariance", "inverse", "matrix"), "real [][5]"),
+        **{"path": f"real [][{alignment_fit.COLUMNS}]", "rows": "real [][6]", "tilt": "InsGpsGyro *"},
+    }
+
+
+class _OfFilter(_OfFit):
+    """Translation of a function on the state of a filter."""
+
+    enumerators: ClassVar = {name: f"INS_GPS_{_OF_HEADER.get(name, name)}" for name in _STATES}
+    pointers: ClassVar = {
+        **dict.fromkeys(("observed", "unsure", "turns"), "const real *"),
+        **{"covariance": "real [][N]", "seen": "const InsGpsGyro *", "places": "const int *"},
+    }
+
+
+def alignment_of(*, biases: bool, tilted: bool) -> dict[str, str]:
+    """Return the C text of the fit, and of the functions that give a filter its evidence."""
+    fit = [*FIT, *([tilt_evidence.mean_forces] if tilted else [])]
+    evidence = [*((gyro_bias.mix_biases, gyro_bias.update_biases) if biases else ())]
+    evidence += [add_tilt_evidence] if tilted else []
+    return {"ALIGNMENT": _in_double(_OfFit, fit), "EVIDENCE": _in_double(_OfFilter, evidence)}
+
+
+def _in_double(translation: type[Rule], functions: Sequence[Any]) -> str:
+    emitter = Emitter({})
+    texts = [translation(emitter, function, {}).text() for function in functions]
+    text = re.sub(r"\bR\(([\w.+-]+)\)", r"\1", "\n".join(texts))
+    text = re.sub(r"\b(SIN|COS|SQRT|HYPOT|ATAN2|FABS|EXP|LOG)\b", lambda name: name[0].lower(), text)
+    return re.sub(r"\breal\b", "double", text).replace("LARGER", "fmax").replace("SMALLER", "fmin")
+
+
+def with_constants(text: str) -> str:
+    """Replace ``@CONSTANTS@`` by definitions of the library's constants that the text uses."""
+    used = set(re.findall(r"\b[A-Z][A-Z_0-9]+\b", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)))
+    used -= set(re.findall(r"#define (\w+)", text))
+    lines: list[str] = []
+    for module in MODULES:
+        for names, description in constants_of(module).items():
+            group = [name for name in names.split(", ") if name in used]
+            if group and "," in names and description:
+                lines += [*textwrap.wrap(f"/* {description} */", 120, subsequent_indent=" * ")]
+            described = "" if "," in names else description
+            lines += [definition(name, vars(module)[name], described).rstrip() for name in group]
+    return text.replace("@CONSTANTS@", "\n".join(lines))
