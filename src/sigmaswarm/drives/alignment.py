@@ -236,9 +236,7 @@ class Alignments:
 
     def _fit(self, rows: Indices) -> AlignmentFit:
         """Fit some of the fixes."""
-        axes = self._integrals
-        if self._slowly:
-            axes = axes | {"ax": np.zeros_like(axes["ax"])}
+        axes = {axis: values for axis, values in self._integrals.items() if axis != "ax" or not self._slowly}
         return AlignmentFit(self._drive, axes, self.time[rows], self._position[rows])
 
     @cached_property
