@@ -43,7 +43,7 @@ BY_SPEED, BY_SLOPE, BY_GAINS, ARM, BY_BIAS, COLUMNS = range(0, 12, 2)
 Path per m/s of speed at the last fix (s), per m/s2 of tilt and bias (s2), and by the accelerometer (m); antenna
 relative to the IMU (m). The fit writes the derivative of the path by the gyro's bias (m s) to the last two columns.
 """
-EAST, NORTH, HEADING, SPEED, SLOPE, TRAVEL, MISFIT, YAW_BIAS, YAW_VARIANCE, RESULTS = range(10)
+EAST, NORTH, YAW, SPEED, SLOPE, TRAVEL, MISFIT, YAW_BIAS, YAW_VARIANCE, RESULTS = range(10)
 """Indices of a fit: position (m), heading (rad) and speed (m/s) at the last fix, and b (m/s2), the unknowns.
 
 Then travel (m), 0 if backward, largest residual (m), remaining gyro bias (rad/s) and its variance.
@@ -132,7 +132,7 @@ class AlignmentFit:
 
     @property
     def heading_std(self) -> float:
-        return float(np.sqrt(self._covariance[HEADING, HEADING]))
+        return float(np.sqrt(self._covariance[YAW, YAW]))
 
     def add_bias_variance(self, variance: float) -> None:
         """Add the effect of a variance of the gyro's bias, (rad/s)^2, to the covariance of the unknowns."""
@@ -242,8 +242,8 @@ def _equations_of(fix: Array, way: Array, fit: Array, c: float, s: float, rows: 
         rows[i, NORTH] = 0.0 + i
         rows[i, SPEED] = -way[BY_SPEED + i]
         rows[i, SLOPE] = -way[BY_SLOPE + i]
-    rows[0, HEADING] = left
-    rows[1, HEADING] = -forward
+    rows[0, YAW] = left
+    rows[1, YAW] = -forward
     rows[0, RESIDUAL] = c * x + s * y + forward
     rows[1, RESIDUAL] = c * y - s * x + left
 
@@ -256,14 +256,14 @@ def fit_path(
     east, north = fixes[n - 1, X] - fixes[0, X], fixes[n - 1, Y] - fixes[0, Y]
     x, y = path[0, BY_SPEED], path[0, BY_SPEED + 1]
     fit[EAST], fit[NORTH] = fixes[n - 1, X], fixes[n - 1, Y]
-    fit[HEADING] = np.arctan2(north * x - east * y, east * x + north * y)
+    fit[YAW] = np.arctan2(north * x - east * y, east * x + north * y)
     fit[SPEED] = np.hypot(east, north) / max(np.hypot(x, y), 1e-9)
     fit[SLOPE] = 0.0
     variance, worst, squares = 1.0, 0.0, 0.0
     prior = 1.0 / (ACCELERATION_BIAS_STD * ACCELERATION_BIAS_STD)
     rows, right, step = np.zeros((2, 6)), np.zeros(5), np.zeros(5)
     for _ in range(MAX_STEPS):
-        c, s = np.cos(fit[HEADING]), np.sin(fit[HEADING])
+        c, s = np.cos(fit[YAW]), np.sin(fit[YAW])
         worst = 0.0
         squares = 0.0
         for i in range(5):
@@ -287,7 +287,7 @@ def fit_path(
         fit[EAST] += c * step[EAST] - s * step[NORTH]
         fit[NORTH] += s * step[EAST] + c * step[NORTH]
         largest = max(abs(step[EAST]), abs(step[NORTH]))
-        for i in range(HEADING, 5):
+        for i in range(YAW, 5):
             fit[i] += step[i]
             largest = max(largest, abs(step[i]))
         if largest < CONVERGED:
@@ -310,12 +310,12 @@ def _fit_bias(
 
     ``inverse``: that of the normal matrix; ``prior``: weight of the prior of b in it.
     """
-    c, s = np.cos(fit[HEADING]), np.sin(fit[HEADING])
+    c, s = np.cos(fit[YAW]), np.sin(fit[YAW])
     rows, right = np.zeros((2, 6)), np.zeros(5)
     x, y, bend_x, bend_y, before = 0.0, 0.0, 0.0, 0.0, fixes[n - 1, TIME]
     for k in range(n - 1, -1, -1):
         _equations_of(fixes[k], path[k], fit, c, s, rows)
-        forward, left = path[k, ARM] - rows[1, HEADING], path[k, ARM + 1] + rows[0, HEADING]
+        forward, left = path[k, ARM] - rows[1, YAW], path[k, ARM + 1] + rows[0, YAW]
         age = fixes[n - 1, TIME] - fixes[k, TIME]
         middle = 0.5 * (fixes[k, TIME] + before) - fixes[n - 1, TIME]
         before = fixes[k, TIME]
@@ -351,7 +351,7 @@ def _fit_bias(
 @cached(error_model="numpy")
 def _convert_change(c: float, s: float, v: float, e: Array) -> None:
     """Convert changes of the unknowns (5,) to changes of x, y, vx, vy and theta."""
-    x, y, turn, faster = e[EAST], e[NORTH], e[HEADING], e[SPEED]
+    x, y, turn, faster = e[EAST], e[NORTH], e[YAW], e[SPEED]
     e[0], e[1] = c * x - s * y, s * x + c * y
     e[2], e[3] = c * faster - s * v * turn, s * faster + c * v * turn
     e[4] = turn
@@ -364,8 +364,8 @@ def convert_to_start(fit: Array, mean: Array, covariance: Array, turns: Array, c
     ``covariance`` and ``turns`` are converted in place. ``change`` becomes that of the mean per m/s2 of force.
     """
     c, s, v, posterior = (
-        np.cos(fit[HEADING]),
-        np.sin(fit[HEADING]),
+        np.cos(fit[YAW]),
+        np.sin(fit[YAW]),
         fit[SPEED],
         covariance[SLOPE, SLOPE],
     )
@@ -374,7 +374,7 @@ def convert_to_start(fit: Array, mean: Array, covariance: Array, turns: Array, c
         fit[NORTH],
         v * c,
         v * s,
-        fit[HEADING],
+        fit[YAW],
     )
     _convert_change(c, s, v, turns)
     for i in range(5):

@@ -9,7 +9,9 @@ from typing import Any, ClassVar
 
 from sigmaswarm.drives import alignment, alignment_fit, gyro_bias, tilt_evidence
 from sigmaswarm.exports.c_emitter import Emitter
-from sigmaswarm.exports.c_rules import Rule, constants_of, definition
+from sigmaswarm.exports.c_names import STATES
+from sigmaswarm.exports.c_rules import Rule, definition
+from sigmaswarm.exports.c_text import constants_of
 from sigmaswarm.filters import divergence
 from sigmaswarm.filters.compiled import live, monitor
 from sigmaswarm.filters.tilted import add_tilt_evidence
@@ -27,11 +29,6 @@ _NUMBERS = (
     *(f"{name}[{k}]" for name in _PAIRS for k in range(2)),
     *("speed", "assumed", "assumed_variance", "change[0]"),
 )
-_STATES = ("THETA", "ACCEL_X", "ACCEL_Y", "GYRO", "ROLL", "PITCH", "GYRO_X", "GYRO_Y")
-_OF_HEADER = {
-    **{"THETA": "HEADING", "ACCEL_X": "ACCEL_BIAS_X", "ACCEL_Y": "ACCEL_BIAS_Y"},
-    **{"GYRO": "GYRO_BIAS", "GYRO_X": "GYRO_BIAS_X", "GYRO_Y": "GYRO_BIAS_Y"},
-}
 
 
 class _OfFit(Rule):
@@ -50,21 +47,34 @@ class _OfFit(Rule):
 
 
 class _OfFilter(_OfFit):
-    """Translation of a function on the state of a filter."""
+    """Translation of a function on the state of a filter; its states have the names of ins_gps.c."""
 
-    enumerators: ClassVar = {name: f"INS_GPS_{_OF_HEADER.get(name, name)}" for name in _STATES}
+    enumerators: ClassVar = {"THETA": "HEADING", **{name: name for name in STATES}}
     pointers: ClassVar = {
         **dict.fromkeys(("observed", "unsure", "turns"), "const real *"),
         **{"covariance": "real [][N]", "seen": "const InsGpsGyro *", "places": "const int *"},
     }
 
 
+class _OfMonitor(_OfFit):
+    """Translation of a rule of the divergence monitor."""
+
+    fields: ClassVar = {"contradiction": ("checks", "since", "last")}
+    pointers: ClassVar = {
+        **dict.fromkeys(("fix", "variance", "lever"), "const real *"),
+        **{"mean": "const ins_gps_real *", "covariance": "ins_gps_real [][INS_GPS_STATES]"},
+        "contradiction": "InsGpsContradiction *",
+    }
+
+
 def alignment_of(*, biases: bool, tilted: bool) -> dict[str, str]:
-    """Return the C text of the fit, and of the functions that give a filter its evidence."""
+    """Return the C text of the fit, of its evidence for a filter, and of the rules of the divergence monitor."""
     fit = [*FIT, *([tilt_evidence.mean_forces] if tilted else [])]
     evidence = [*((gyro_bias.mix_biases, gyro_bias.update_biases) if biases else ())]
     evidence += [add_tilt_evidence] if tilted else []
-    return {"ALIGNMENT": _in_double(_OfFit, fit), "EVIDENCE": _in_double(_OfFilter, evidence)}
+    checks = (divergence.record_check, divergence.persists, divergence.position_contradicts)
+    parts = ("ALIGNMENT", _OfFit, fit), ("EVIDENCE", _OfFilter, evidence), ("MONITOR", _OfMonitor, checks)
+    return {name: _in_double(translation, functions) for name, translation, functions in parts}
 
 
 def _in_double(translation: type[Rule], functions: Sequence[Any]) -> str:

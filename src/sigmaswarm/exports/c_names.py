@@ -37,10 +37,10 @@ INPUTS = {
     "lever": {k: f"lever[{k}]" for k in range(3)},
 }
 """C text of the elements of a step, a fix, an odometer reading and the lever arm."""
+_FUNCTIONS = ("SIN", "COS", "SQRT", "HYPOT", "EXP", "LOG", "FLOOR")
 CALLS = {
-    **{"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS", "angle_of": "ATAN2"},
-    **{f"np.{name.lower()}": name for name in ("SIN", "COS", "SQRT", "HYPOT", "EXP", "LOG")},
-    "np.arctan2": "ATAN2",
+    **{f"{module}.{name.lower()}": name for module in ("np", "math") for name in _FUNCTIONS},
+    **{"abs": "FABS", "angle_of": "ATAN2", "np.arctan2": "ATAN2"},
 }
 RENAMED = {"_": "again", "b": "b0", "since": "b->steps_since_fix", "near": "is_near", "far": "is_far"}
 """C names of Python names that are reserved or stored elsewhere in C."""

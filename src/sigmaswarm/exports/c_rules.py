@@ -7,18 +7,16 @@ difference of two times; ``SECONDS`` converts seconds that are added to a time.
 # pyright: reportPrivateUsage=false
 
 import ast
-import inspect
-import re
+import sys
 import textwrap
 from collections.abc import Mapping
-from functools import cache
 from typing import Any
 
 import numpy as np
 
 from sigmaswarm.drives import events, gaps, odometer, stale_fixes, standstill
 from sigmaswarm.exports.c_emitter import Emitter, _Function, parameter_name
-from sigmaswarm.exports.c_text import in_c
+from sigmaswarm.exports.c_text import constants_of
 
 ALWAYS = gaps.gap_of, gaps.usual_after, stale_fixes._speed_at, stale_fixes.kind_of
 STANDSTILL = (
@@ -53,7 +51,7 @@ SAMPLE = {
 """C arguments of `drives.events.sample_events`."""
 _TIME, _KIND = "ins_gps_time", "InsGpsFixKind"
 _TYPES = {float: "real", int: "int", bool: "bool", None: "void"}
-_CALLS = {"min": "SMALLER", "max": "LARGER", "math.hypot": "HYPOT"}
+_CALLS = {"min": "SMALLER", "max": "LARGER"}
 _CASTS = {"int": "(int)", "float": "(real)"}
 
 
@@ -75,23 +73,6 @@ def rules_of(features: Mapping[str, bool], used: int) -> dict[str, str]:
         call = f"{name}({', '.join(arguments)})"
         values["SAMPLE_EVENTS"] = textwrap.fill(call, 100, subsequent_indent=" " * 8)
     return values
-
-
-@cache
-def constants_of(module: Any) -> dict[str, str]:
-    """Return the description of each constant that a module defines: the string below it, or the comment in its line.
-
-    The names of constants that are defined together are the key.
-    """
-    definitions = re.findall(
-        r'^([A-Z]\w*(?:, [A-Z]\w*)*) = .*?(?:  # (.*)|\n"""([^"]*)""")?$',
-        inspect.getsource(module),
-        re.MULTILINE,
-    )
-    return {
-        names: in_c(" ".join((comment or text.split("\n\n")[0]).split()))
-        for names, comment, text in definitions
-    }
 
 
 def definition(name: str, value: float, description: str) -> str:
@@ -121,7 +102,7 @@ class Rule(_Function):
         self.types |= {"slot": "uint32_t", "events": "unsigned"}
         returns = {"kind_of": _KIND, "sample_events": "unsigned"}
         self.returns = returns.get(self.name, self.types["return"])
-        self.described = constants_of(inspect.getmodule(function) or function)
+        self.described = constants_of(sys.modules[function.__module__])
         self.used: dict[str, str] = {}  # definitions of constants
 
     def parameters_of(self, name: str) -> tuple[str, ...]:

@@ -70,6 +70,23 @@ def in_c(comment: str) -> str:
     return re.sub(r"\b(True|False)\b", lambda match: match[0].lower(), comment.replace("`", ""))
 
 
+@cache
+def constants_of(module: Any) -> dict[str, str]:
+    """Return the description of each constant that a module defines: the string below it, or the comment in its line.
+
+    The names of constants that are defined together are the key.
+    """
+    definitions = re.findall(
+        r'^([A-Z]\w*(?:, [A-Z]\w*)*) = .*?(?:  # (.*)|\n"""([^"]*)""")?$',
+        inspect.getsource(module),
+        re.MULTILINE,
+    )
+    return {
+        names: in_c(" ".join((comment or re.split(r"[.]\s", text)[0]).split()))
+        for names, comment, text in definitions
+    }
+
+
 def _comments(source: str) -> dict[int, list[str]]:
     comments: dict[int, list[str]] = {}
     waiting: list[str] = []

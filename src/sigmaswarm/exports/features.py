@@ -10,10 +10,11 @@ from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from types import ModuleType
 
-from sigmaswarm.drives import events, standstill, tilt_evidence
+from sigmaswarm.drives import events, odometer, standstill, tilt_evidence
 from sigmaswarm.errors import InputError
+from sigmaswarm.exports.c_text import constants_of
 from sigmaswarm.filters import fuzzy, schedule, student
-from sigmaswarm.filters.compiled import live
+from sigmaswarm.filters.compiled import live, swarm
 from sigmaswarm.filters.models import MEASURED, MODELS, NOISE_OF, SENSORS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.versions import __version__
@@ -59,6 +60,16 @@ PARAMETERS = (
     *("latency", "alpha", "beta", "kappa", "forgetting", "gate", "accuracy_scale", "robust_dof", "fix_error"),
     *(*NOISE_OF.values(), "rear_axle", "tire_slip", "odometer_scale", "odometer_latency"),
 )
+_DESCRIBED: Mapping[ModuleType, str] = {
+    fuzzy: "LARGEST_RATIO SLOWER",
+    events: "CORNERING",
+    odometer: "INTERVAL",
+    schedule: "STANDSTILL_RATE_NOISE SLIP_GATE MOST_REJECTED",
+    student: "ITERATIONS OUTLIERS OUTLYING OUTLIERS_SPAN",
+    swarm: "EVIDENCE_LASTS EVIDENCE_COUNTS LARGEST_NIS",
+    tilt_evidence: "GRAVITY",
+}
+CONSTANTS = {**_DESCRIBED, live: "LEAP AGREES", standstill: "BLOCK N_MEMORY"}
 NUMBERS = {
     "LATENCY": "s: delay of a fix: its time stamp minus the time at which the position was true",
     "QUARTER_GAMMA": "gamma / 4, with gamma^2 = alpha^2 (n + kappa)",
@@ -69,37 +80,24 @@ NUMBERS = {
         for sensor, of in SENSORS.items()
     },
     "TILT_STD": "rad: initial standard deviation of roll and pitch",
-    "GRAVITY": "m/s2",
     "FORGETTING": "forgetting factor per fix",
     "WIDTH_RATIO": 'ratio at which "large" has membership 1',
     "WIDTH_TREND": 'trend at which "rises" has membership 1',
     "GAIN_R": "largest factor of R",
     "GAIN_Q": "largest factor of Q",
-    "LARGEST_RATIO": "limit of NIS / 2 in the fuzzy rules",
-    "SLOWER": "ratio of the time constants of the two averages of NIS / 2",
     "GATE": "largest normalized innovation squared (NIS) of a fix that is used",
-    "MOST_REJECTED": "number of consecutive rejected fixes after which a fix is used, so that a filter can recover",
     "ACCURACY_SCALE": "the stated variance of a fix, times this factor, is added to R",
     "FIX_ERROR": "g: variance of the correlated fix error, relative to the stated variance",
     "FIX_ERROR_RATE": "nominal interval / time constant of the correlated fix error",
     "FIX_VAR": "m2: variance of a fix that has no stated standard deviation",
     "ROBUST_DOF": "degrees of freedom of Student's t, the distribution of the errors of fixes",
-    "ITERATIONS": "number of iterations that determine the weight of a fix",
-    "OUTLYING": "weight below which a fix is an outlier",
-    "OUTLIERS": "number of consecutive outliers that show that the filter is wrong, if they span enough time",
     "PATIENCE": "smallest number of nominal steps from the first to the last of the OUTLIERS consecutive outliers",
-    "OUTLIERS_SPAN": "s: shortest time from the first to the last of the OUTLIERS consecutive outliers",
     **{noise.upper(): MEASURED[name] for name, noise in NOISE_OF.items()},
     "REAR_AXLE": "m: distance from the rear axle forward to the IMU",
     "TIRE_SLIP": "s2/m: slip angle of the rear tires (rad) per lateral acceleration (m/s2)",
-    "CORNERING": "m/s2: lateral acceleration above which the tires slip too much for the lateral constraint",
-    "INTERVAL": "s: length of the time slots; each constraint is used at most once in a slot",
-    "STANDSTILL_RATE_NOISE": "rad2/s2: variance of the gyro about its bias",
     "PER_ODOMETER_SCALE": "true speed / reading",
     "ODOMETER_LATENCY": "s: delay of a reading: its time stamp minus the time at which its value was true",
-    "EVIDENCE_LASTS": "s: time constant with which the evidence of the weights decays",
-    "EVIDENCE_COUNTS": "weight of a fix in the evidence, less than 1 since the errors of fixes are correlated",
-    "LARGEST_NIS": "upper limit of the NIS of a fix in the evidence of the weights",
+    **{name: constants_of(module)[name] for module, names in _DESCRIBED.items() for name in names.split()},
 }
 """Numbers that a template may use, and the comments in their definitions."""
 
@@ -109,17 +107,6 @@ def with_definitions(text: str, numbers: Mapping[str, str], form: str) -> str:
     names = set(re.findall(r"\w+", text)) - set(re.findall(r"#define (\w+)", text))
     used = [name for name in NUMBERS if name in names and name in numbers]
     return text.replace("@NUMBERS@", "\n".join(form.format(n, numbers[n], NUMBERS[n]) for n in used))
-
-
-CONSTANTS: Mapping[ModuleType, str] = {
-    fuzzy: "LARGEST_RATIO SLOWER",
-    live: "LEAP AGREES",
-    events: "CORNERING INTERVAL",
-    schedule: "STANDSTILL_RATE_NOISE SLIP_GATE MOST_REJECTED",
-    standstill: "BLOCK N_MEMORY",
-    student: "ITERATIONS OUTLIERS OUTLYING OUTLIERS_SPAN",
-    tilt_evidence: "GRAVITY",
-}
 
 
 def values_of(p: FilterParameters, interval: float) -> dict[str, str]:

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.features import NUMBERS, exact_texts, listed
+from sigmaswarm.exports.features import NUMBERS, listed
 from sigmaswarm.filters.bank.spread import OffsetPrior
-from sigmaswarm.filters.compiled import swarm
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.models import MODELS, NOISE_OF, SENSORS
 from sigmaswarm.filters.parameters import FilterParameters
@@ -41,10 +40,8 @@ class Lanes:
             return {"Q": "process_noise", "R": "measurement_noise", "LANES": "1", **biases}
         spread = OffsetPrior(tuning)
         penalties = spread.penalty(self._offsets(spread)).tolist()
-        constants = ("EVIDENCE_LASTS", "EVIDENCE_COUNTS", "LARGEST_NIS")
         return {
             **biases,
-            **exact_texts({name: getattr(swarm, name) for name in constants}),
             "LANE_FIELDS": "\n".join(
                 f"    real {name}; /* {NUMBERS[name.upper()]} */" for name in _numbers(tuning)
             ),

@@ -32,6 +32,8 @@ HEADING_OFF = np.radians(20.0)  # rad, smallest difference of the heading from t
 POSITION_OFF = 20.0  # m, smallest difference of a fix from its prediction
 SUSPECT_HEADING = np.radians(10.0)  # rad, from the rough heading; beyond it, an alignment is computed
 SPEED_STD = 10.0  # m/s per axis, after a reset to the last fix
+CHECKS, SINCE, LAST = range(3)
+"""Indices of a contradiction: number of checks, time of the first and of the last one (s). C has a struct."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,21 +79,9 @@ class StateCheck:
     @property
     def position_contradicts(self) -> bool:
         """True if the last fix is far from the filter's prediction."""
-        x, y, vx, vy, theta = self.mean[:5].tolist()
         back = self.latency + self.time - self.fix_time
-        east, north = self.fix.tolist()  # Python numbers are faster here
-        c, s = math.cos(theta), math.sin(theta)
-        forward, left = self.lever[:2].tolist()
-        east -= x - back * vx + c * forward - s * left
-        north -= y - back * vy + s * forward + c * left
-        if math.hypot(east, north) <= POSITION_OFF:
-            return False
-        off = np.array([east, north])
-        covariance = self.covariance[:2, :2] + np.diag(self.fix_variance)
-        try:
-            return bool(off @ np.linalg.solve(covariance, off) > MANY_SIGMAS**2)
-        except np.linalg.LinAlgError:  # both variances are 0
-            return True
+        fix, variance, lever = self.fix, self.fix_variance, self.lever
+        return bool(position_contradicts(self.mean, self.covariance, fix, variance, lever, back))
 
     @property
     def heading_contradicts(self) -> bool | None:
@@ -178,6 +168,36 @@ class DivergenceMonitor:
         return far if turned is None else turned
 
 
+def record_check(contradiction: Array, time: float, contradicts: bool) -> None:
+    """Record the result of a check."""
+    if contradicts:
+        if contradiction[CHECKS] == 0:
+            contradiction[SINCE] = time
+        contradiction[LAST] = time
+        contradiction[CHECKS] += 1
+    else:
+        contradiction[CHECKS] = 0
+
+
+def persists(contradiction: Array) -> bool:
+    """Return True if a contradiction has lasted long enough for a reset."""
+    lasted = contradiction[LAST] - contradiction[SINCE]
+    return contradiction[CHECKS] >= MIN_CHECKS and lasted >= DIVERGED_AFTER
+
+
+def position_contradicts(
+    mean: Array, covariance: Array, fix: Array, variance: Array, lever: Array, back: float
+) -> bool:
+    """Return True if a fix is far from the filter's prediction at its time, ``back`` s ago."""
+    c, s = math.cos(mean[4]), math.sin(mean[4])
+    x = fix[0] - mean[0] + back * mean[2] - (c * lever[0] - s * lever[1])
+    y = fix[1] - mean[1] + back * mean[3] - (s * lever[0] + c * lever[1])
+    # S and its determinant; the position is also far if S is 0
+    xx, xy, yy = covariance[0, 0] + variance[0], covariance[0, 1], covariance[1, 1] + variance[1]
+    most = MANY_SIGMAS * MANY_SIGMAS * (xx * yy - xy * xy)
+    return x * x + y * y > POSITION_OFF * POSITION_OFF and yy * x * x - 2.0 * xy * x * y + xx * y * y >= most
+
+
 def describe_restarts(drive: str, times: Sequence[float]) -> str:
     """Return the predicate of a sentence about the resets of a filter on a drive."""
     at = ", ".join(f"{t:.1f}" for t in times[:5]) + (" ..." if len(times) > 5 else "")
@@ -189,7 +209,7 @@ class _Contradiction:
     """Duration of an uninterrupted contradiction."""
 
     def __init__(self) -> None:
-        self._since, self._now, self._checks = 0.0, 0.0, 0
+        self._record = np.zeros(3)
 
     def first_lasting(self, times: Sequence[float], contradicts: Callable[[int], bool | None]) -> int | None:
         """Find the first check at which the contradiction has lasted `DIVERGED_AFTER`; else return None.
@@ -205,28 +225,19 @@ class _Contradiction:
                 if results[-1][1] is False:
                     break
             for k, result in reversed(results):
-                self._note(times[k], result)
-                if self._checks >= MIN_CHECKS and self._now - self._since >= DIVERGED_AFTER:
+                if result is not None:  # None does not end a contradiction
+                    record_check(self._record, times[k], result)
+                if persists(self._record):
                     return k
             begin = end + 1
         return None
 
     def _soonest(self, times: Sequence[float]) -> int:
         """Return the first check that could complete a contradiction of `DIVERGED_AFTER`; if none, the last check."""
-        since = self._since if self._checks else times[0]
-        lasting = (
-            t - since >= DIVERGED_AFTER and self._checks + k + 1 >= MIN_CHECKS for k, t in enumerate(times)
-        )
+        checks = self._record[CHECKS]
+        since = self._record[SINCE] if checks else times[0]
+        lasting = (t - since >= DIVERGED_AFTER and checks + k + 1 >= MIN_CHECKS for k, t in enumerate(times))
         return next((k for k, lasts in enumerate(lasting) if lasts), len(times) - 1)
-
-    def _note(self, time: float, contradicts: bool | None) -> None:
-        """Record the result of a check; None does not end a contradiction."""
-        if contradicts is False:
-            self._checks = 0
-        elif contradicts:
-            self._since = time if self._checks == 0 else self._since
-            self._now = time
-            self._checks += 1
 
 
 def steps_since(samples: Array, time: float) -> Array:
