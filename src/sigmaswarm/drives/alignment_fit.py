@@ -232,14 +232,15 @@ def _multiply(matrix: Array, vector: Array, product: Array) -> None:
 
 @cached(error_model="numpy")
 def _equations_of(fix: Array, way: Array, fit: Array, c: float, s: float, rows: Array) -> None:
-    """Set the equations of a fix, (2, 6), in the frame of the heading, whose cosine and sine are c and s."""
+    """Set the equations of a fix, (2, 6), in the frame of the heading, whose cosine and sine are c and s.
+
+    The first equation also contains the position forward, the second one that to the left, with the factor 1.
+    """
     v, slope = fit[SPEED], fit[SLOPE]
     x, y = fix[X] - fit[EAST], fix[Y] - fit[NORTH]
     forward = v * way[BY_SPEED] + slope * way[BY_SLOPE] + way[BY_GAINS] - way[ARM]
     left = v * way[BY_SPEED + 1] + slope * way[BY_SLOPE + 1] + way[BY_GAINS + 1] - way[ARM + 1]
     for i in range(2):
-        rows[i, EAST] = 1.0 - i
-        rows[i, NORTH] = 0.0 + i
         rows[i, SPEED] = -way[BY_SPEED + i]
         rows[i, SLOPE] = -way[BY_SLOPE + i]
     rows[0, YAW] = left
@@ -254,10 +255,10 @@ def fit_path(
 ) -> None:
     """Fit the unknowns to n fixes by Gauss-Newton, and then the gyro bias."""
     east, north = fixes[n - 1, X] - fixes[0, X], fixes[n - 1, Y] - fixes[0, Y]
-    x, y = path[0, BY_SPEED], path[0, BY_SPEED + 1]
+    forward, left = path[0, BY_SPEED], path[0, BY_SPEED + 1]
     fit[EAST], fit[NORTH] = fixes[n - 1, X], fixes[n - 1, Y]
-    fit[YAW] = np.arctan2(north * x - east * y, east * x + north * y)
-    fit[SPEED] = np.hypot(east, north) / max(np.hypot(x, y), 1e-9)
+    fit[YAW] = np.arctan2(north * forward - east * left, east * forward + north * left)
+    fit[SPEED] = np.hypot(east, north) / max(np.hypot(forward, left), 1e-9)
     fit[SLOPE] = 0.0
     variance, worst, squares = 1.0, 0.0, 0.0
     prior = 1.0 / (ACCELERATION_BIAS_STD * ACCELERATION_BIAS_STD)
@@ -272,13 +273,21 @@ def fit_path(
                 covariance[i, j] = 0.0
         for k in range(n):
             _equations_of(fixes[k], path[k], fit, c, s, rows)
-            for i in range(5):
-                right[i] += rows[0, i] * rows[0, RESIDUAL] + rows[1, i] * rows[1, RESIDUAL]
-                for j in range(5):
+            x, y = rows[0, RESIDUAL], rows[1, RESIDUAL]
+            right[EAST] += x
+            right[NORTH] += y
+            for i in range(YAW, 5):
+                covariance[i, EAST] += rows[0, i]
+                covariance[i, NORTH] += rows[1, i]
+                right[i] += rows[0, i] * x + rows[1, i] * y
+                for j in range(YAW, i + 1):
                     covariance[i, j] += rows[0, i] * rows[0, j] + rows[1, i] * rows[1, j]
-            square = rows[0, RESIDUAL] * rows[0, RESIDUAL] + rows[1, RESIDUAL] * rows[1, RESIDUAL]
-            squares += square
-            worst = max(worst, square)
+            squares += x * x + y * y
+            worst = max(worst, x * x + y * y)
+        covariance[EAST, EAST], covariance[NORTH, NORTH] = 1.0 * n, 1.0 * n
+        for i in range(5):
+            for j in range(i):
+                covariance[j, i] = covariance[i, j]
         variance = max(squares / (2.0 * n - 4.0), MIN_POSITION_STD * MIN_POSITION_STD)
         covariance[SLOPE, SLOPE] += prior * variance
         right[SLOPE] -= prior * variance * fit[SLOPE]
@@ -325,7 +334,9 @@ def _fit_bias(
         y = left
         path[k, BY_BIAS] = bend_x - age * path[k, ARM + 1]
         path[k, BY_BIAS + 1] = bend_y + age * path[k, ARM]
-        for i in range(5):
+        right[EAST] += path[k, BY_BIAS]
+        right[NORTH] += path[k, BY_BIAS + 1]
+        for i in range(YAW, 5):
             right[i] += rows[0, i] * path[k, BY_BIAS] + rows[1, i] * path[k, BY_BIAS + 1]
     _multiply(inverse, right, turns)
     slope = turns[SLOPE]
@@ -334,8 +345,8 @@ def _fit_bias(
     for k in range(n):
         _equations_of(fixes[k], path[k], fit, c, s, rows)
         for row in range(2):
-            alone = path[k, BY_BIAS + row]
-            for i in range(5):
+            alone = path[k, BY_BIAS + row] - turns[row]
+            for i in range(YAW, 5):
                 alone -= rows[row, i] * turns[i]
             size += alone * alone
             value += alone * rows[row, RESIDUAL]
