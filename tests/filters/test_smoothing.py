@@ -67,7 +67,8 @@ def test_compiled_is_the_textbooks(model: str, kind: str, option: str):
     p = parameters(model, kind=kind, **(OPTIONS | WEIGHED)[option])
     drive = sparse({"plain": two_receivers, "all": rough, "robust": straying}[option](), 6)
     ours = smooth(drive, p, initial=began(), recover=False)
-    assert apart(ours, smooth_textbook(drive, p, initial=began())) < 1e-9
+    # Student's t magnifies the last bits: see below
+    assert apart(ours, smooth_textbook(drive, p, initial=began())) < (1e-8 if option == "robust" else 1e-9)
 
 
 @pytest.mark.parametrize(
