@@ -262,7 +262,7 @@ def test_weights_of_another_shape_are_named(name: str, how: str, tmp_path: Path)
     np.savez(tmp_path / "weights.npz", **arrays)
     with pytest.raises(
         InputError,
-        match=r"weights\.npz: (does not match learned\.toml|not readable); repeat the command that made the folder",
+        match=r"weights\.npz: (does not match learned\.toml|is not readable); repeat the command that made the folder",
     ):
         load_learned(tmp_path)
 
