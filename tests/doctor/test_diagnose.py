@@ -223,8 +223,35 @@ def test_a_swaying_car_hardly_contradicts_the_gyro_s_sign(
 ):
     """A minute of a real motorway showed -1.3 +- 0.19 times the yaw rate, with the sign as recorded."""
     fit = YawFit("gz", -1.3, std, share, delay=0.0, delay_std=0.1, course_change=course_change)
-    assert yaw_of(fit).known == known
-    assert yaw_of(replace(fit, gain=1.3)).known
+    imu = simulated("icm-20602").imu
+    assert yaw_of(fit, imu).known == known
+    assert yaw_of(replace(fit, gain=1.3), imu).known
+
+
+@pytest.mark.parametrize("scale", [0.25, 0.5, 0.6, 2.0, -2.0, 0.8, 1.25])
+def test_a_wrong_scale_of_the_gyro_is_named_with_its_factor_and_repaired(scale: float):
+    drive = simulated("icm-20602", 90.0)
+    rates = {n: v for n in ("gx", "gy", "gz") if (v := getattr(drive.imu, n)) is not None}
+    scaled = replace(drive, imu=replace(drive.imu, **{n: scale * v for n, v in rates.items()}))
+    found = sigmaswarm.diagnose(scaled)
+    (one,) = (f for f in found.findings if f.code == "gyro-scale")
+    far = bool(abs(np.log2(abs(scale))) > 0.5)
+    assert serious(found) == ["gyro-scale"] * far + ["gyro-sign"] * (scale < 0)
+    factor = float(one.remedy.rpartition(" ")[2])
+    assert factor == pytest.approx(1 / abs(scale), rel=0.05)
+    assert f"the car turns {factor:.3g} times as far as the gyro measures" in one.what
+    fixed = sigmaswarm.repair(scaled, found)
+    assert "withheld" not in fixed.metadata
+    np.testing.assert_allclose(fixed.imu.gz, drive.imu.gz, rtol=0.05)
+    assert not {"gyro-scale", "gyro-sign", "unseen-yaw"} & sigmaswarm.diagnose(fixed).codes
+
+
+def test_the_rate_about_a_tilted_axis_has_no_wrong_scale():
+    """An IMU on its edge measures half of the yaw rate."""
+    drive = simulated("icm-20602", 90.0)
+    assert drive.imu.az is not None
+    imu = replace(drive.imu, ax=drive.imu.ax + 8.5, az=drive.imu.az / 2, gz=drive.imu.gz / 2)
+    assert "gyro-scale" not in sigmaswarm.diagnose(replace(drive, imu=imu)).codes
 
 
 def test_a_gyro_that_does_not_follow_the_course_is_no_straight_road():

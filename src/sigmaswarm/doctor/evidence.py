@@ -171,7 +171,7 @@ def _gather(drive: Drive) -> Evidence:
         imu = rotate_imu(imu, mounting.repair)
         drive = replace(drive, imu=imu)
     yaw_fit = course and fit_yaw(drive, course)
-    yaw, acceleration, mount = yaw_of(yaw_fit), None, None
+    yaw, acceleration, mount = yaw_of(yaw_fit, imu), None, None
     if course and course.moving.any():
         delay = yaw_fit if yaw_fit and yaw.known and yaw_fit.share > 0.5 else None
         rate, tried = yaw.factor * getattr(imu, yaw.column), (delay.delay if delay else 0.0) + DELAYS

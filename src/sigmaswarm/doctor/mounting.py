@@ -15,7 +15,7 @@ import numpy as np
 from sigmaswarm.doctor.acceleration_fit import DELAYS, AccelerationFit, fit_acceleration
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.travel_direction import direction_of_travel
-from sigmaswarm.doctor.verdicts import DEGREE, DIAGONAL_TOLERANCE, FACTOR_TOLERANCE, MIN_LEAD, MIN_TURN
+from sigmaswarm.doctor.verdicts import DIAGONAL_TOLERANCE, FACTOR_TOLERANCE, MIN_LEAD, MIN_TURN, yaw_of
 from sigmaswarm.doctor.windows import integral, smoothed, windows_of
 from sigmaswarm.doctor.yaw_fit import DELAYS as YAW_LATENESS
 from sigmaswarm.doctor.yaw_fit import YawFit, fit_column, yaw_windows
@@ -209,10 +209,10 @@ def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
     if not 0.8 < unit * size / GRAVITY < 1.2:
         return None
     imu = _scaled(imu, "a", unit)
-    fit = fit_column(replace(drive, imu=rotate_imu(imu, level_rotation(imu))), course, "gz", rows)
-    if DEGREE / FACTOR_TOLERANCE < abs(fit.gain) < DEGREE * FACTOR_TOLERANCE and abs(fit.gain) > 6 * fit.std:
-        return _scaled(imu, "g", DEGREE), replace(fit, gain=fit.gain / DEGREE, std=fit.std / DEGREE)
-    return imu, fit
+    level = rotate_imu(imu, level_rotation(imu))
+    fit = fit_column(replace(drive, imu=level), course, "gz", rows)
+    factor = abs(yaw_of(fit, level).factor)
+    return _scaled(imu, "g", factor), replace(fit, gain=fit.gain / factor, std=fit.std / factor)
 
 
 def _converged(

@@ -8,25 +8,28 @@ import numpy as np
 
 from sigmaswarm.doctor import acceleration_fit
 from sigmaswarm.doctor.acceleration_fit import AccelerationFit
-from sigmaswarm.doctor.yaw_fit import DELAYS, YawFit
+from sigmaswarm.doctor.yaw_fit import DELAYS, SUFFICIENT_SHARE, YawFit
 from sigmaswarm.drives.checks import GRAVITY
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.drive import Array, Imu
 
 DEGREE = math.pi / 180
 # A gain that differs from 1, -1 or deg/s by less than this ratio, in either direction, is read as this factor
 FACTOR_TOLERANCE = 1.35
 # Smallest explained share of the course's changes, if the gain is below `MIN_GAIN_SIGMAS` standard deviations
 MIN_EXPLAINED = 0.2
-# rad, RMS change of the course within 20 s above which the course determines column, sign and unit of the gyro. With a
-# smaller change the course is mostly noise; another column, sign or unit must then exceed `MIN_GAIN_SIGMAS` or
-# `LARGE_SHARE`.
+MIN_GAIN_ERROR = 0.1  # smallest reported relative difference of a gain from a factor
+# rad, RMS change of the course within 20 s above which the course determines column, sign and unit of the gyro. Below,
+# the course is mostly noise, and other values than the recorded ones must exceed `MIN_GAIN_SIGMAS` or `LARGE_SHARE`.
 MIN_TURN = 0.05
 LARGE_SHARE = 0.5
 # Ratio of a gain to its standard deviation above which a column may explain a small share of the course's changes. In a
 # city, most of these changes are errors of the fixes.
 MIN_GAIN_SIGMAS = 12.0
-# Smallest decrease in chi-square for another interpretation than the recorded one; also the largest chi-square of a log
-# in g. In steady circles, forces hardly exceed the noise and do not determine the unit. Logs in g have about 4.
+# Multiple of this ratio at which a column that explains a small share follows the course. In windows of 60 s, wrong
+# gains reached 1.2 times the ratio; in a drive of 40 min with many wrong fixes, the right gain reaches 4.8 times.
+MIN_FOLLOWING_RATIO = 3.0
+# Decrease in chi-square for which another interpretation replaces the recorded one; largest chi-square of a log in g.
+# In steady circles, the forces hardly exceed the noise and do not determine the unit. Logs in g have a chi-square of 4.
 MIN_LEAD = 16.0
 # Tolerance of the off-diagonal elements of M, for slip, and for tilt in maneuvers
 OFF_DIAGONAL_TOLERANCE = 0.05
@@ -51,18 +54,32 @@ class Yaw:
     known: bool = False  # True if the drive determines column and factor
 
 
-def yaw_of(fit: YawFit | None) -> Yaw:
-    """Find column, sign and unit of the gyro from the course; gz in rad/s if the course does not show them."""
+def yaw_of(fit: YawFit | None, imu: Imu) -> Yaw:
+    """Find column, sign and unit of the gyro by the course; the result is gz in rad/s if the course shows none.
+
+    A factor of no unit needs a column that clearly follows the course, and level axes, since a tilt reduces the rate.
+    """
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < MIN_EXPLAINED and size < MIN_GAIN_SIGMAS):
         return Yaw()
     fitting = [
         f for f in (1.0, -1.0, DEGREE, -DEGREE) if 1 / FACTOR_TOLERANCE < fit.gain / f < FACTOR_TOLERANCE
     ]
+    follows = size > (1 if fit.share > SUFFICIENT_SHARE else MIN_FOLLOWING_RATIO) * MIN_GAIN_SIGMAS
+    if not fitting and follows and fit.course_change > MIN_TURN and _is_level(imu):
+        power = math.copysign(
+            2.0 ** round(math.log2(abs(fit.gain))), fit.gain
+        )  # as by another range of the sensor
+        fitting = [power if abs(fit.gain / power - 1) < MIN_GAIN_ERROR else fit.gain]
     clear = size > MIN_GAIN_SIGMAS or fit.share > LARGE_SHARE or fit.course_change > MIN_TURN
     if not fitting or not (clear or (fit.column, fitting[0]) == ("gz", 1.0)):
         return Yaw()
     return Yaw(fit.column, fitting[0], known=True)
+
+
+def _is_level(imu: Imu) -> bool:
+    up = GRAVITY if imu.az is None else float(np.median(imu.az))
+    return math.hypot(np.median(imu.ax), np.median(imu.ay)) < abs(up)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,13 @@ import numpy as np
 from sigmaswarm.doctor.acceleration_fit import gyro_drift
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
-from sigmaswarm.doctor.verdicts import DEGREE
+from sigmaswarm.doctor.verdicts import DEGREE, MIN_GAIN_ERROR
 from sigmaswarm.doctor.windows import integral, moving_mean, smoothed
 from sigmaswarm.doctor.yaw_fit import yaw_windows
 from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.sensors import suggest_filter
 
-MIN_GAIN_ERROR = 0.1  # smallest reported difference of a gain from 1
 MIN_TURN = np.radians(1.0)  # rad; smaller changes of course within a few seconds are due to swaying
 BIAS_LIMITS = (np.radians(0.1), np.radians(1.0))  # rad/s, for a note and for a warning
 
@@ -50,7 +49,9 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
         return
     where, confidence = f"imu.csv, {yaw.column}", confidence_of(fit.gain / fit.std / 6 * 3)
     seen = f"course = {fit.gain:.3g} x integral of {yaw.column}, standard deviation {fit.std:.2g}"
-    column = float("xyz".index(yaw.column[1]))
+    column, unit = float("xyz".index(yaw.column[1])), abs(yaw.factor)
+    turns = "the car turns {:.3g} times as far as the gyro measures".format
+    scaling = "multiply gx, gy, gz by {:.3g}".format
     for wrong, code, what, remedy, repair in (
         (
             yaw.column != "gz",
@@ -60,12 +61,13 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
             (column, 1.0),
         ),
         (
-            abs(yaw.factor) != 1,
+            unit == DEGREE,
             "gyro-unit",
             "the angular rates are in deg/s",
             "multiply gx, gy, gz by pi/180",
             (2.0, DEGREE),
         ),
+        (unit not in (1, DEGREE), "gyro-scale", turns(unit), scaling(unit), (2.0, unit)),
         (
             yaw.factor < 0,
             "gyro-sign",
@@ -80,11 +82,10 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     off = fit.gain / yaw.factor - 1
     clear = fit.course_change > MIN_TURN and abs(off) > max(MIN_GAIN_ERROR, 4 * fit.std / abs(yaw.factor))
     if clear and abs(_whole_gain(evidence) - 1) > MIN_GAIN_ERROR / 2:
-        what, remedy = (
-            f"the car turns {1 + off:.2f} times as far as the gyro measures",
-            "check the gyro's range setting",
+        repair = Repair("gyro", (2.0, 1 + off))
+        yield Finding(
+            "gyro-scale", "warning", turns(1 + off), where, span, confidence_of(4), scaling(1 + off), repair
         )
-        yield Finding("gyro-scale", "warning", what, where, span, confidence_of(4), remedy)
     bias = -gyro_drift(imu.time, course, yaw.factor * getattr(imu, yaw.column), evidence.clock.delay)
     if abs(bias) > BIAS_LIMITS[0]:
         severity = "warning" if abs(bias) > BIAS_LIMITS[1] else "note"
