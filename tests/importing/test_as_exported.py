@@ -17,6 +17,8 @@ import pytest
 from importing.logs import imported
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
+from sigmaswarm.importing.convert import Request
+from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.recipe import Recipe
 from support import some
 
@@ -550,9 +552,19 @@ def test_the_turns_of_the_fixes_show_the_unit_of_rates(tmp_path: Path, unit: str
     with pytest.raises(InputError, match=r"the turns of the path show that the unit of .* is ") as caught:
         imported(tmp_path)
     assert unit in str(caught.value)
+    shown = inspect_request(Request(tmp_path))
+    remedy = str(caught.value).partition("the turns of the path")[2]
+    assert not shown.faults or any(remedy in note for note in shown.notes)  # the same as of --show
     right = 0.6 * IMU["gz"] if form == "tilted" else IMU["gz"]
     found = [imported(tmp_path, maps=maps).drive.imu.gz for maps in options_in(str(caught.value))]
     assert any(np.allclose(gz, right, atol=0.6 * RATES[unit] if "counts" in unit else 1e-6) for gz in found)
+
+
+def test_raw_rates_without_fixes_keep_the_example(tmp_path: Path):
+    write(tmp_path, IMU | {"gz": np.round(IMU["gz"] * 180 / np.pi * 131)})
+    (tmp_path / "gps.csv").unlink()
+    with pytest.raises(InputError, match=r"raw counts.* for example --map .*131"):
+        imported(tmp_path / "imu.csv")
 
 
 SLOW = 0.06 * np.sin(T / 6)

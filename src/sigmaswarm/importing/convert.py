@@ -137,8 +137,7 @@ def _read(
         wanted = {role: parts for role, parts in recipe.roles.items() if role in roles}
         recipe = replace(recipe, roles=wanted)
         unitless = guesses[request.source].unitless
-        if faults := faults_left(request, recipe, guesses):
-            faults = _with_unit_of_rates(faults, request, logs, recipe, unitless)
+        if faults := faults_left(request, recipe, logs, guesses):
             raise InputError("; and ".join(faults[:MAX_FAULTS]))
         if fault := missing_sensor(recipe, request, logs, guesses, roles):
             raise InputError(f"{fault}{SHOW_HINT}")
@@ -201,8 +200,11 @@ def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
     return replace(recipe, mount=recipe.mount or placed.mount, gps_lever_arm_m=lever)
 
 
-def faults_left(request: Request, recipe: Recipe, guesses: Guesses) -> list[str]:
-    """Return the faults of guessed columns, except of columns that the user mapped or omitted."""
+def faults_left(request: Request, recipe: Recipe, logs: Mapping[Path, Log], guesses: Guesses) -> list[str]:
+    """Return reasons not to read columns as guessed, except for columns that the user mapped or omitted.
+
+    The remedy for rates with an unknown unit is the unit that the turns of the fixes show.
+    """
     stated = {entry.partition("=")[0].strip() for entry in request.maps}
     left: list[str] = []
     for path, guess in guesses.items():
@@ -213,14 +215,16 @@ def faults_left(request: Request, recipe: Recipe, guesses: Guesses) -> list[str]
             if used and parts and not mapped and not any(fault.column in part.columns for part in parts):
                 where = path if path.name == fault.table else path / fault.table
                 left.append(f"{where}, {fault.sentence}")
-    return list(dict.fromkeys(left))
+    return _with_unit_of_rates(
+        list(dict.fromkeys(left)), request, logs, recipe, guesses[request.source].unitless
+    )
 
 
 def _with_unit_of_rates(
     faults: list[str], request: Request, logs: Mapping[Path, Log], recipe: Recipe, unitless: Mapping[str, str]
 ) -> list[str]:
-    """In the faults of rates with an unknown unit, propose the unit that the turns of the fixes show."""
-    if not any('"imu.g' in fault for fault in faults):
+    """Replace the remedy of rates with an unknown unit by the unit that the turns of the fixes show."""
+    if "gps" not in recipe.roles or not any('"imu.g' in fault for fault in faults):
         return faults
     known = {name for part in recipe.roles["imu"] for name in part.columns}
     maps = [f"imu.{name}={text}" for name, text in unitless.items() if name not in known]

@@ -90,7 +90,7 @@ def inspect_request(request: Request) -> Inspection:
     with opened(request) as (logs, guesses):
         try:
             recipe = complete_recipe(request, guesses)
-            notes = convert.faults_left(request, recipe, guesses)
+            notes = convert.faults_left(request, recipe, logs, guesses)
         except InputError as error:
             recipe, notes = request.recipe, [str(error)]
         times = {
