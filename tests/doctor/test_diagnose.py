@@ -436,9 +436,10 @@ def test_the_options_follow_from_the_log():
         "tune uses --model tilted12 --use lateral standstill accuracy robust, since the stated standard deviations"
     )
     velocity = simulated("icm-20602")  # its receiver gives speed and course, and its errors are correlated
-    few = ". If the training drives have 250 fixes or more, tune also uses fix-error"
+    few = ". With 250 or more training fixes, tune also uses fix-error"
     lasting = f"{few}, since consecutive fixes differ by less than the receiver's error"
-    may = ". You can add to --use: velocity (speed and course of the receiver)"
+    may = ". To add velocity (speed and course of the receiver), write --use "
+    may += "lateral standstill robust fix-error velocity"
     assert found_of(velocity, "use") == six + tilts + lasting + may
     level = replace(velocity, imu=replace(velocity.imu, az=None, gx=None, gy=None))
     assert "fix-error" not in found_of(level, "use"), "with truth, only tilted12 uses it"
@@ -462,7 +463,7 @@ def test_the_options_follow_from_the_log():
 def test_tune_adds_fix_error_with_the_stated_number_of_fixes_on_a_part_too(n: int):
     whole = replace(simulated("icm-20602"), truth=None)
     part = clip(whole, end=float(whole.gps.time[n]))
-    stated = [re.search(r"drives have (\d+) fixes or more", found_of(d, "use")) for d in (whole, part)]
+    stated = [re.search(r"With (\d+) or more training fixes", found_of(d, "use")) for d in (whole, part)]
     assert all(
         s and (n >= int(s[1])) == ("fix-error" in default_filter_options({}, [part])[0]["use"])
         for s in stated

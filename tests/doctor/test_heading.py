@@ -1,5 +1,6 @@
 """Faults of a heading that the doctor finds, and repairs."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -54,7 +55,9 @@ def with_column(heading: Array, std: Array | None = None) -> Drive:
 def test_a_good_heading_has_no_finding_and_is_recommended():
     found = {f.code: f.what for f in diagnose(good()).findings}
     assert not any(code.startswith("heading") for code in found)
-    assert found["use"].endswith("You can add to --use: heading (of the fixes)")
+    assert re.search(
+        r"To add heading \(of the fixes\), write --use lateral .*robust.* heading$", found["use"]
+    )
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.run import run_filter, run_imu_only
 from sigmaswarm.scoring.batch import BatchScorer
 from sigmaswarm.scoring.evaluation import DriveResult, Evaluation, evaluate
+from sigmaswarm.scoring.methods import method_names
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import outage_windows, placements
 from support import make_drive
@@ -270,6 +271,14 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
     assert headline.endswith(
         " It is NOT better than the filter of the fixes alone in the 5 s outage drift (2 instead of 2"
         " m). It is NOT better than the baseline in the 30 s outage drift (7 instead of 6.9 m)."
+    )
+    other = {"against": replace(good, outage_drift=3.0, long_outage_drift=1.5)}
+    whole = Evaluation(
+        {"town": DriveResult(others | {"tuned": good} | other)}, names=method_names(also=["against"])
+    )
+    assert (
+        " It is NOT better than the other filter in the 30 s outage drift (7 instead of 1.5 m)."
+        in whole.view.result()
     )
     farther = replace(sheet, position_rmse=0.4)
     (here,) = Evaluation(

@@ -63,6 +63,13 @@ def test_the_rule_is_what_the_log_has():
     assert chosen(replace(PLAIN, gps=replace(PLAIN.gps, speed=speed, course=0 * speed))) == ("planar8", CAR)
 
 
+def test_the_list_of_use_that_adds_the_heading_contains_the_others():
+    headed = replace(PLAIN, gps=replace(PLAIN.gps, heading=np.zeros(FIXES)))
+    options, said = default_filter_options({}, [headed])
+    assert said.endswith(f". To use the heading, write --use {' '.join(options['use'])} heading")
+    assert "heading" not in default_filter_options({}, [headed, PLAIN])[1]
+
+
 @pytest.mark.parametrize(
     ("up", "turning"), [(0.0, 0.01), (1.0, 0.01), (-9.8, 0.01), (9.8, 0.0)], ids=["none", "g", "down", "dead"]
 )

@@ -137,8 +137,6 @@ def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
     if stated:
         low, high = min(low for low, _ in spreads), max(high for _, high in spreads)
         reasons.append(f"the stated standard deviations range from {low:.2g} to {high:.2g} m")
-    if logs and all(log.heading for log in logs):
-        reasons.append("there is a heading, which you can add to --use")
     use = ("lateral", "standstill", *["odometer"] * wheels, *["accuracy"] * stated, "robust")
     return SuggestedFilter("tilted12" if six else "planar8", use, ", and ".join(reasons))
 

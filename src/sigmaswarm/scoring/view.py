@@ -188,11 +188,11 @@ class EvaluationView:
             return f"On {drives}, no outage of {self.setup.outage_length_s:g} s fits; use a longer part of a drive."
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
-    def _not_better(self) -> str:
-        """Return sentences on fixes alone and baseline, with the drifts in which the tuned filter is not better."""
+    def _not_beaten(self) -> str:
+        """Return sentences on the rivals, with the drifts in which the tuned filter is not better."""
         mean_of = self.scores.mean_of
         sentences = ""
-        for method in (FIXES, BASELINE):
+        for method in (m for m in (AGAINST, FIXES, BASELINE) if m in self.names):
             name = in_sentence(method, self.names[method])
             lost = [
                 f"{self.measures[m].title} ({tuned:.3g} instead of {other:.3g} m)"

@@ -64,6 +64,8 @@ def default_filter_options(
         if model == suggestion.model and _needs_fix_error(model, options, drives):
             use.append("fix-error")
             because += ", and consecutive fixes differ by less than the receiver's error"
+        if drives and all(log_properties(drive).heading for drive in drives):
+            because += f". To use the heading, write --use {' '.join((*use, 'heading'))}"
     described = _described(model, use) + (", as given" if "model" in options else "")
     return {**options, "model": model, "use": tuple(use)}, f"{described}{because}"
 

@@ -90,15 +90,19 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
     if chosen.model == "tilted12":
         reasons["model"] = "the IMU has az, gx and gy, which distinguish slopes from acceleration"
     because = ", and ".join(filter(None, reasons.values()))
-    may = ["velocity (speed and course of the receiver)"] if velocity_agrees(evidence) else []
+    may = {"velocity": "speed and course of the receiver"} if velocity_agrees(evidence) else {}
     if drive.gps.heading is not None and not any(check_heading(evidence)):
-        may.append("heading (of the fixes)")
+        may["heading"] = "of the fixes"
+    use = chosen.use
     what = f"tune uses {chosen.options}{f', since {because}' if because else ''}"
     # A tuning may use several drives, or a part of this one, so the number of fixes is stated, not compared.
     if (drive.truth is None or chosen.model == "tilted12") and has_lasting_errors(drive):
-        what += f". If the training drives have {FIXES_FOR_FIX_ERROR} fixes or more, tune also uses fix-error"
+        what += f". With {FIXES_FOR_FIX_ERROR} or more training fixes, tune also uses fix-error"
         enough = len(drive.gps) >= FIXES_FOR_FIX_ERROR
         what += ", since consecutive fixes differ by less than the receiver's error" if enough else ""
-    what += f". You can add to --use: {' and '.join(may)}" if may else ""
+        use += ("fix-error",) * enough
+    if may:
+        added = " and ".join(f"{name} ({meaning})" for name, meaning in may.items())
+        what += f". To add {added}, write --use {' '.join((*use, *may))}"
     remedy = "see the options of `sigmaswarm tune`"
     yield Finding("use", "note", what, "imu.csv, gps.csv", evidence.span, 0.9, remedy)
