@@ -7,6 +7,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
+from contextlib import chdir
 from pathlib import Path
 from typing import Any
 
@@ -565,6 +566,22 @@ def test_raw_rates_without_fixes_keep_the_example(tmp_path: Path):
     (tmp_path / "gps.csv").unlink()
     with pytest.raises(InputError, match=r"raw counts.* for example --map .*131"):
         imported(tmp_path / "imu.csv")
+
+
+def test_a_time_without_a_known_name_is_proposed_in_seconds(tmp_path: Path):
+    """The current folder has a name in messages, too."""
+    write(tmp_path, head="unix_ms", clock=lambda t: np.round((1.7e9 + t) * 1e3).astype(np.int64))
+    require_right(tmp_path)
+    write(tmp_path, head="zaehler", clock=lambda t: np.round((1.7e9 + t) * 1e3).astype(np.int64))
+    with pytest.raises(InputError, match=r'specify it with --map "imu.t=zaehler\*1e-3"'):
+        imported(tmp_path)
+    times = ["imu.t=zaehler*1e-3", "gps.t=row/5"]
+    with (
+        chdir(tmp_path),
+        pytest.raises(InputError, match=rf"^{tmp_path.name}: .*17000000\d\d\.\d to") as caught,
+    ):
+        imported(Path(), maps=times)
+    assert "e+09" not in str(caught.value)
 
 
 SLOW = 0.06 * np.sin(T / 6)

@@ -71,8 +71,8 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
     first, last = imu.time[[0, -1]]
     if first > gps.time[-1] or gps.time[0] > last:
         return (
-            f"imu.csv: column t covers {first:g} to {last:g} s, but gps.csv covers {gps.time[0]:g} to "
-            f"{gps.time[-1]:g} s, so they do not overlap; convert both to one clock"
+            f"imu.csv: column t covers {first:.1f} to {last:.1f} s, but gps.csv covers {gps.time[0]:.1f} to "
+            f"{gps.time[-1]:.1f} s, so they do not overlap; convert both to one clock"
         )
     if len(imu) < MIN_SAMPLES:
         return f"imu.csv: {len(imu)} samples are too few; record at least {MIN_SAMPLES}"

@@ -45,6 +45,11 @@ class Request:
     # Files or folders with .msg definitions of ROS messages, for bags without definitions
     definitions: Sequence[Path] = ()
 
+    @property
+    def log(self) -> str:
+        """The name of the source, also of the current folder."""
+        return self.source.name or self.source.resolve().name
+
     def home(self, role: Role) -> Path:
         return (None if role in ("imu", "mag") else getattr(self, role)) or self.source
 
@@ -112,8 +117,8 @@ def import_drive(request: Request, name: str, progress: ImportProgress = lambda 
         elif recipe.declination_deg is not None:
             raise InputError("--declination needs a magnetometer; choose its table with --mag-topic")
     except InputError as error:
-        raise InputError(f"{request.source.name}: {error}") from None
-    source = os.fsencode(request.source.name).decode("utf-8", "replace")  # a name may not be valid UTF-8
+        raise InputError(f"{request.log}: {error}") from None
+    source = os.fsencode(request.log).decode("utf-8", "replace")  # a name may not be valid UTF-8
     drive = replace(drive, metadata={**metadata, **drive.metadata, "source": source})
     return ImportResult(drive, recipe, tuple(dict.fromkeys(notes)), assumed)
 
@@ -124,7 +129,7 @@ def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
     try:
         imu = assemble_imu(gathered["imu"], recipe, notes.append, request.part)
     except InputError as error:
-        raise InputError(f"{request.source.name}: {error}") from None
+        raise InputError(f"{request.log}: {error}") from None
     return imu, tuple(dict.fromkeys(notes))
 
 

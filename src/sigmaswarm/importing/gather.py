@@ -19,7 +19,7 @@ from sigmaswarm.importing.expressions import (
 from sigmaswarm.importing.guess import SAMPLE_ROWS
 from sigmaswarm.importing.quantities import MAX_DAMAGED_SHARE, NO_NUMBER, NO_VALUE, PLACEHOLDERS
 from sigmaswarm.importing.source import FILES, ImportProgress, Limits, Log, Part, Role
-from sigmaswarm.importing.times import rising_column, time_of, wrong_unit
+from sigmaswarm.importing.times import rising_time, time_of, wrong_unit
 from sigmaswarm.wording import list_names, printable, quoted
 
 ROW = "row"  # column of row numbers, from 0, in tables without a column of this name
@@ -165,7 +165,7 @@ def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame
     if "t" not in part.columns and (rows is not None or first is None):
         where = log.path if log.path.name == part.table else f"{log.path}, {printable(part.table)}"
         time = "--time {}" if role == "imu" and len(log.tables) == 1 else f'--map "{role}.t={{}}"'
-        column, rate = "COLUMN" if rows is None else rising_column(rows), 100 if role == "imu" else 1
+        column, rate = "COLUMN" if rows is None else rising_time(rows, role), 100 if role == "imu" else 1
         raise InputError(
             f"{where}: no column is recognized as the time of the {role}; specify it with {time.format(column)}, or, "
             f"if the rate is known, compute it from the row number, for example {time.format(f'row/{rate}')} for "

@@ -134,7 +134,7 @@ def _obstacles(
     if missing := convert.missing_sensor(recipe, request, logs, guesses, ROLES):
         return [missing]
     _, faults = convert.complete_all(request, logs, recipe, first)
-    return faults or [f"{request.source.name}: {message}" for message in missing_columns(recipe)]
+    return faults or [f"{request.log}: {message}" for message in missing_columns(recipe)]
 
 
 def _unread(

@@ -11,7 +11,7 @@ from sigmaswarm.importing.units import COUNTS, PARTS_OF_SECONDS, Unit, UnitDimen
 LONGEST_NAME = 200
 
 TIME = (
-    "t|ts|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|unix_?time|utc|"
+    "t|ts|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|(?:unix|posix)(?:_?time)?|utc|"
     "millis(?:econds)?|micros(?:econds)?|nanos(?:econds)?|ms|us|ns|interval|"
     "(?:time|secs?|seconds|millis(?:econds)?|micros(?:econds)?)_since_\\w{1,20}|since_start|loggingtime|logging_time"
 )

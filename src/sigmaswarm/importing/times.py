@@ -111,12 +111,12 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
     return found.expression or None if found else None
 
 
-def rising_column(frame: pl.DataFrame) -> str:
-    """Return the first column without a known name that increases from row to row, else "COLUMN"."""
+def rising_time(frame: pl.DataFrame, role: Role) -> str:
+    """Return the first column without a known name that increases from row to row, in s; else "COLUMN"."""
     for name in read_names(frame.columns):
         steps = column_numbers(frame[name.column]).diff().drop_nulls()
         if name.meaning is None and len(steps) and (steps > 0).all():
-            return quoted_column(name.column)
+            return column_time(name, frame, role).expression or quoted_column(name.column)
     return "COLUMN"
 
 
