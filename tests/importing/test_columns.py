@@ -482,7 +482,7 @@ def test_columns_of_other_quantities_stay_unused(tmp_path: Path):
     assert_close(got.imu, DRIVE.imu, "ax ay az gx gy gz", 1e-9)
     assert_close(got.gps, DRIVE.gps, "lat lon", 1e-12)
     pl.DataFrame({"t": DRIVE.imu.time, **others, "ax": zero, "ay": zero}).write_csv(tmp_path / "log.csv")
-    with pytest.raises(InputError, match="no IMU samples found"):
+    with pytest.raises(InputError, match="no column of the IMU contains gz"):
         imported(tmp_path / "log.csv")
 
 
@@ -520,7 +520,7 @@ def test_other_prefixes_are_no_sensor(tmp_path: Path, prefix: str, time: str):
     table = pl.DataFrame(slow_and_fast())
     names = {name: time if name == "t" else prefix + name for name in table.columns}
     table.rename(names).write_csv(tmp_path / "log.csv")
-    with pytest.raises(InputError, match="no IMU samples found"):
+    with pytest.raises(InputError, match=r"no IMU samples found|no column of the IMU contains"):
         imported(tmp_path / "log.csv")
 
 
@@ -549,7 +549,9 @@ def test_places_behind_a_shared_prefix_need_the_imu_and_degrees(
         table.pop("gz")
     columns = {(n if n == outside else prefix + n): v for n, v in (table | places).items()}
     pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
-    with pytest.raises(InputError, match=r"no (position fixes|IMU samples) found"):
+    with pytest.raises(
+        InputError, match=r"no (position fixes|IMU samples) found|no column of the IMU contains"
+    ):
         imported(tmp_path / "log.csv")
 
 
@@ -634,7 +636,7 @@ def test_names_of_counts_and_of_accuracies_need_a_unit(tmp_path: Path, force: st
 
     columns = {form(f, k): AXES[s + "xyz"[k]] for f, s in ((force, "a"), (rate, "g")) for k in range(3)}
     write_two(tmp_path, {"t": AXES["t"], **columns}, FIXES)
-    with pytest.raises(InputError, match="no IMU samples found"):
+    with pytest.raises(InputError, match=r"no IMU samples found|no column of the IMU contains"):
         imported(tmp_path)
 
 
@@ -931,10 +933,7 @@ def test_a_row_without_a_fix_is_no_kind_of_its_own(tmp_path: Path):
 def test_a_log_without_a_gyro_is_named(tmp_path: Path):
     imu = DRIVE.imu
     pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "az": imu.az}).write_csv(tmp_path / "log.csv")
-    with pytest.raises(
-        InputError,
-        match=r"the log has accelerations, but no column is recognized as an angular rate\); .*--map",
-    ):
+    with pytest.raises(InputError, match=r"no column of the IMU contains gz \(the yaw rate\); .*--map"):
         imported(tmp_path / "log.csv")
 
 

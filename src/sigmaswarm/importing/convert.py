@@ -14,7 +14,7 @@ import polars as pl
 from sigmaswarm.drives.description import require_name
 from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.assemble import assemble, assemble_imu
+from sigmaswarm.importing.assemble import REQUIRED, assemble, assemble_imu
 from sigmaswarm.importing.formats import open_log, unsupported_format
 from sigmaswarm.importing.gather import PartColumns, complete_parts, gather
 from sigmaswarm.importing.long_tables import describe_kinds
@@ -68,6 +68,12 @@ SHOW_HINT = " (--show lists the columns, and proposes a mapping if their names o
 COLUMN_ORDERS: dict[Role, tuple[str, ...]] = {
     "imu": ("t", "ax", "ay", "az", "gx", "gy", "gz"),
     "gps": ("t", "lat", "lon"),
+}
+# Columns of the IMU, with the meaning of the required ones
+IMU = dict.fromkeys(("az", "gx", "gy"), "") | {
+    "ax": "ax (the forward acceleration)",
+    "ay": "ay (the acceleration to the left)",
+    "gz": "gz (the yaw rate)",
 }
 MAX_FAULTS = 3  # in one message
 
@@ -284,8 +290,10 @@ def missing_sensor(
             there = there or "the part that can be decoded"
             return f"{path}: no {what} found in {there}; {why[0]}; or {remedy}"
         columns = [name.meaning for table in logs[path].tables.values() for name in read_names(table.columns)]
-        if role == "imu" and "ax" in columns and not {"gx", "gy", "gz"} & {*columns}:
-            there += " (the log has accelerations, but no column is recognized as an angular rate)"
+        lacking = [IMU[n] for n in REQUIRED["imu"] if n not in columns]
+        if role == "imu" and lacking and {*columns} & {*IMU}:
+            there = f"no column of the IMU contains {list_names(lacking)}"
+            return f"{path}: {there}; {remedy}, or name the columns with --map"
         around = path.iterdir() if role == "gps" and path.is_dir() else ()
         more = next(
             (
