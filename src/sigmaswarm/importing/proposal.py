@@ -34,14 +34,14 @@ UP = {**dict.fromkeys(("up", "upward", "vertical", "vert", "z"), 1), "down": -1,
 CLOCKWISE = {"ccw": 1, "anticlockwise": 1, "counterclockwise": 1, "cw": -1, "clockwise": -1}
 TURNING = (
     ("gz", {**UP, "yaw": 1, "yawrate": 1, "turn": 1}),
-    ("gx", {**FORWARD, "roll": 1}),
-    ("gy", {**LEFT, "pitch": 1}),
+    ("gx", {**FORWARD, "roll": 1, "rollrate": 1}),
+    ("gy", {**LEFT, "pitch": 1, "pitchrate": 1}),
 )
 MOVING = (("ax", FORWARD), ("ay", LEFT), ("az", UP))
 FORCE = {"a", "acc", "accl", "accel", "acceleration", "accelerometer", "force"}
 RATE = {
     *("gyro", "gyr", "gyroscope", "omega", "w", "rate", "angular", "rot", "rotation", "angvel"),
-    *("yawrate", "yaw", "turn"),
+    *("yawrate", "rollrate", "pitchrate", "yaw", "turn"),
 }
 ACCURACY = {"hacc", "accuracy", "eph", "sigma", "std", "stdev"}
 # Words in the names of accuracies that are not those of the position
@@ -95,8 +95,9 @@ def meaning_of(name: str) -> Meaning | None:
     horizontal = rest & {"h", "horizontal", "pos", "position"} and rest & {"acc", "accuracy"}
     length = unit is None or unit.dimension == "length"
     if (rest & ACCURACY or horizontal) and length and not rest & NO_PLACE:
-        return Meaning("gps", "std_x", f"{column_text}/sqrt(2)")
-    if rest & ACCURACY or not rest & (RATE | FORCE) or "gps" in rest:
+        return Meaning("gps", "std_x", f"{said}/sqrt(2)")
+    rates = RATE | ({"roll", "pitch"} if unit and unit.dimension == "rate" else set())
+    if rest & ACCURACY or not rest & (rates | FORCE) or "gps" in rest:
         return None
     if unit and unit.dimension not in (("acceleration",) if rest & FORCE else ("rate", "angle")):
         return None
