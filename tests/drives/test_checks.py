@@ -106,6 +106,8 @@ def test_exchanged_axes(level: str, sign: int, has_az: bool):
         in messages[0]
     )
     assert "to x forward, y left, z up: import with --mount auto" in messages[0]
+    messages = warnings_of(imu_with(drive, **{level: sign * 10 * drive.imu.az}))
+    assert "m/s2, which exceeds gravity; check the unit of ax, ay, az" in messages[0]
 
 
 @pytest.mark.parametrize(

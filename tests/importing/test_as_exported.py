@@ -18,6 +18,7 @@ import pytest
 from importing.logs import imported
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
+from sigmaswarm.importing.choices import assign
 from sigmaswarm.importing.convert import Request
 from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.recipe import Recipe
@@ -566,6 +567,30 @@ def test_raw_rates_without_fixes_keep_the_example(tmp_path: Path):
     (tmp_path / "gps.csv").unlink()
     with pytest.raises(InputError, match=r"raw counts.* for example --map .*131"):
         imported(tmp_path / "imu.csv")
+
+
+@pytest.mark.parametrize("per", [8192, 16384])
+def test_raw_counts_that_are_mapped_unchanged_are_refused_with_their_scale(tmp_path: Path, per: int):
+    """Names that are not recognized state no unit, and nor does a choice in the workbench."""
+    counts = {n: np.round(IMU[n] / 9.80665 * per) for n in ("ax", "ay", "az")}
+    counts |= {n: np.round(np.degrees(IMU[n]) * 65.5) for n in ("gx", "gy", "gz")}
+    write(tmp_path, {f"{n}_s": counts[n] for n in counts})
+    maps = [f"imu.{n}={n}_s" for n in counts]
+    with pytest.raises(
+        InputError, match=r"the turns of the path show .* is counts, 65.5 per deg/s"
+    ) as caught:
+        imported(tmp_path, maps=maps)
+    forces, rates = options_in(str(caught.value))
+    got = imported(tmp_path, maps=[*forces, *rates]).drive.imu
+    np.testing.assert_allclose(got.az, IMU["az"], atol=1e-2)
+    np.testing.assert_allclose(got.gz, IMU["gz"], atol=1e-3)
+
+
+def test_a_choice_for_a_column_of_counts_has_the_unit_of_the_note(tmp_path: Path):
+    write(tmp_path, {n: np.round(v / 9.80665 * 8192) if n[0] == "a" else v for n, v in IMU.items()})
+    seen, chosen = inspect_request(Request(tmp_path)), dict[str, Any]()
+    assign(chosen, seen, "imu.csv", "ay", "imu.ay")
+    assert chosen["maps"] == {"imu.ay": "ay*9.80665/8192"}
 
 
 def test_a_time_without_a_known_name_is_proposed_in_seconds(tmp_path: Path):

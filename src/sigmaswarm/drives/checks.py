@@ -142,7 +142,11 @@ def gravity_on(imu: Imu) -> Remark | None:
     axis = max(median, key=lambda name: abs(median[name]))
     if abs(median[axis]) <= 0.7 * GRAVITY:
         return None
-    what = f"column {axis} has median {median[axis]:.2f} m/s2, which is gravity and must be in az"
+    what = f"column {axis} has median {median[axis]:.2f} m/s2"
+    if abs(median[axis]) > 2 * GRAVITY:
+        what += ", which exceeds gravity"
+        return Remark("gravity-axis", "imu.csv", axis, what, "check the unit of ax, ay, az")
+    what += ", which is gravity and must be in az"
     remedy = (
         "rotate the axes to x forward, y left, z up: import with --mount auto (six axes), or exchange columns"
     )

@@ -96,7 +96,10 @@ def expression_of(target: str, column: str, unit: str = "") -> str:
 
 
 def assign(choices: dict[str, Any], inspection: Inspection, table: str, column: str, target: str) -> None:
-    """Move a column to a target, such as "imu.ax", in the target's first unit."""
+    """Assign a column to a target, and remove it from its previous target.
+
+    The unit is that of a note on this column; without a note, the target's first unit.
+    """
     maps: dict[str, str] = choices.setdefault("maps", {})
     for old, _ in uses_of(inspection).get((table, column), []):
         if old != target and not old.endswith(".t"):
@@ -104,7 +107,10 @@ def assign(choices: dict[str, Any], inspection: Inspection, table: str, column: 
     if not target:
         return
     role = target.partition(".")[0]
-    maps[target] = expression_of(target, column)
+    noted = (
+        text for note in inspection.notes for text in re.findall(rf'"{re.escape(target)}=([^"]*)"', note)
+    )
+    maps[target] = next((text for text in noted if mentions(text, column)), expression_of(target, column))
     tables = {part.table for name, parts in inspection.recipe.roles.items() if name == role for part in parts}
     if len(inspection.tables) > 1 and table not in tables:
         choices.setdefault("tables", {})[role] = table

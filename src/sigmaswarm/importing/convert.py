@@ -17,6 +17,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import REQUIRED, assemble, assemble_imu
 from sigmaswarm.importing.formats import open_log, unsupported_format
 from sigmaswarm.importing.gather import PartColumns, complete_parts, gather
+from sigmaswarm.importing.gravity import impossible_rates, wrong_scale
 from sigmaswarm.importing.long_tables import describe_kinds
 from sigmaswarm.importing.magnetometer import part_of, with_magnetometer
 from sigmaswarm.importing.mounting import AUTO, find_mount
@@ -98,8 +99,10 @@ def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
     return Request(source=Path(log), recipe=replace(recipe, **changed), **given)
 
 
-def import_drive(request: Request, name: str, progress: ImportProgress = lambda done: None) -> ImportResult:
-    """Make a drive from a log; ``progress`` receives the completed share, 0 to 1.
+def import_drive(
+    request: Request, name: str, progress: ImportProgress = lambda done: None, *, raw: bool = False
+) -> ImportResult:
+    """Make a drive from a log; ``progress`` receives the completed share, 0 to 1; ``raw`` permits raw counts.
 
     Raise `InputError` for a damaged or incomplete log, or a column that cannot be computed.
     """
@@ -110,9 +113,13 @@ def import_drive(request: Request, name: str, progress: ImportProgress = lambda 
         plain = replace(recipe, mount="") if recipe.mount == AUTO else recipe
         field = gathered.pop("mag", ())
         drive = assemble(name, gathered, plain, notes.append, request.part)
-        unit = unit_of_rates(drive, recipe.roles, unitless)
-        if unit.fault:
-            raise InputError(unit.fault)
+        parts = recipe.roles["imu"]
+        unit = unit_of_rates(
+            drive, recipe.roles, unitless if raw else unitless | impossible_rates(drive.imu, parts)
+        )
+        scales = [] if raw else wrong_scale(drive.imu, parts, rates=not unit.fault)
+        if faults := list(filter(None, (*scales, unit.fault))):
+            raise InputError("; and ".join(faults))
         notes += [unit.note] if unit.note else []
         if recipe.mount == AUTO:
             drive, mount, note = find_mount(drive)

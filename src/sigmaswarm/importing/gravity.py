@@ -1,22 +1,56 @@
-"""Find the direction of gravity in the first rows of an IMU log, to detect axes that are not those of the vehicle."""
+"""Find size and direction of gravity in an IMU log, to detect wrong units, and axes that differ from the vehicle's."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import polars as pl
 
 from sigmaswarm.drives.checks import GRAVITY
+from sigmaswarm.drives.drive import Imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.expressions import compile_expression
 from sigmaswarm.importing.gather import with_row_numbers
 from sigmaswarm.importing.mounting import AUTO
+from sigmaswarm.importing.quantities import PER_G
 from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.source import Part
 from sigmaswarm.importing.times import column_numbers, median_of
 
 FORCES, RATES = ("ax", "ay", "az"), ("gx", "gy", "gz")
 MIN_TILT = math.radians(20.0)  # larger than the slopes of roads
 MAX_DEVIATION = 0.3  # relative deviation of the median specific force from gravity
+# m/s2, largest median of the specific force of a vehicle; rad/s, largest range of common gyros
+MAX_FORCE, MAX_RATE = 3 * GRAVITY, math.radians(2000.0)
+
+
+def impossible_rates(imu: Imu, parts: Sequence[Part]) -> dict[str, str]:
+    """Return the expressions of the angular rates if no gyro measures such rates, else {}."""
+    texts = {n: text for part in parts for n, text in part.columns.items() if n in RATES}
+    return texts if _largest_rate(imu) > MAX_RATE else {}
+
+
+def _largest_rate(imu: Imu) -> float:
+    return max(float(np.quantile(np.abs(v), 0.99)) for n in RATES if (v := getattr(imu, n)) is not None)
+
+
+def wrong_scale(imu: Imu, parts: Sequence[Part], *, rates: bool) -> list[str]:
+    """Describe accelerations, and with ``rates`` angular rates, that are too large for a vehicle, with the remedy."""
+    force, faults = [v for v in (imu.ax, imu.ay, imu.az) if v is not None], list[str]()
+
+    def add(texts: Mapping[str, str], what: str, form: str) -> None:
+        maps = " ".join(f'"imu.{name}={form.format(text)}"' for name, text in texts.items())
+        scale = f"so their scale is wrong; specify it, for example --map {maps}"
+        faults.append(f"{', '.join(texts.values())} {what}, {scale}")
+
+    if (size := float(np.median(np.linalg.norm(force, axis=0)))) > MAX_FORCE:
+        per = min(PER_G, key=lambda known: abs(size / known - 1)) if len(force) == len(FORCES) else PER_G[0]
+        texts = {n: text for part in parts for n, text in part.columns.items() if n in FORCES}
+        add(texts, f"have a median magnitude of {size:.4g} m/s2", f"({{}})*9.80665/{per:g}")
+    if rates and (texts := impossible_rates(imu, parts)):
+        degrees = _largest_rate(imu) < math.degrees(MAX_RATE)
+        add(texts, f"exceed {MAX_RATE:.3g} rad/s", "radians({})" if degrees else "radians(({})/131)")
+    return faults
 
 
 def tilted_mount(recipe: Recipe, rows: Mapping[str, pl.DataFrame], *, downward: bool) -> tuple[str, str]:

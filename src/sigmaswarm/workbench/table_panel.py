@@ -125,7 +125,7 @@ class ColumnRow:
         field.on("change", lambda: page.express(target, field.value or ""))
 
     def _faults(self, target: str) -> list[str]:
-        """Return faults of the guessed use of the column, and an error message that names the column."""
+        """Return the parts of the error that name the column, else the reasons not to use the column as guessed."""
         page, column = self.panel.page, self.about.column
         mapped = page.bench.log_choices.get("maps", {})
         faults = [
@@ -135,5 +135,9 @@ class ColumnRow:
             and f"{fault.role}.{fault.column}" not in mapped
             and columns.mentions(fault.sentence, column)
         ]
-        own = page.wrong and (columns.mentions(page.wrong, column) or (target and f"{target}=" in page.wrong))
-        return list(dict.fromkeys([*faults, *([page.wrong] if own else [])]))
+        own = [
+            part
+            for part in page.wrong.split("; and ")
+            if columns.mentions(part, column) or (target and f"{target}=" in part)
+        ]
+        return own or list(dict.fromkeys(faults))
