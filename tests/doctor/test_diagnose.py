@@ -397,6 +397,15 @@ def found_of(drive: Drive, code: str) -> str:
     return next((f.what for f in sigmaswarm.diagnose(drive).findings if f.code == code), "")
 
 
+def test_a_statement_of_the_user_is_not_reduced_to_the_scatter():
+    """A receiver that smooths scatters less than it errs; a remedy of `tune` asks for the statement."""
+    drive = simulated("mpu-6050")
+    silent = replace(drive, gps=replace(drive.gps, std_x=None, std_y=None))
+    own = replace(silent, metadata={**drive.metadata, "gps_std_m": 9.0})
+    assert not found_of(own, "gps-noise")
+    assert "9 m is stated" in found_of(own, "gps-correlated")
+
+
 @pytest.mark.long
 def test_errors_that_last_are_told_from_what_is_stated_against_the_scatter():
     drive = simulated("mpu-6050")  # 1 m of white noise
@@ -404,7 +413,7 @@ def test_errors_that_last_are_told_from_what_is_stated_against_the_scatter():
     assert not found_of(drive, "gps-correlated")
     assert not found_of(states(drive, np.full(n, 2.0)), "gps-correlated")
     said = found_of(states(drive, np.full(n, 3.0)), "gps-correlated")
-    assert "the receiver states 3 m: their errors are correlated" in said
+    assert "3 m is stated. Averaging hardly reduces correlated errors" in said
     assert found_of(
         states(drive, np.full(n, 9.0)), "gps-noise"
     )  # white noise so far below it: it is stated wrong

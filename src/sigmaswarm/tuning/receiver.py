@@ -136,7 +136,7 @@ def prior_warnings(
         if np.isfinite(one.stated):
             lasting = f". The fixes scatter by {one.scatter:.2g} m, so their errors are correlated. {UNKNOWN}"
             addition = lasting if std > MAX_SCATTER_RATIO * one.scatter else ""
-            return [f"{name}: {compromise} the {std:.2g} m that the receiver states{addition}"]
+            return [f"{name}: {compromise} the stated {std:.2g} m{addition}"]
         if std == UNSTATED_GPS_STD:
             why = (
                 f"{name} does not state the accuracy of its fixes. {compromise} the {std:.2g} m of a typical receiver. "

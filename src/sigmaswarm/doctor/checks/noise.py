@@ -88,7 +88,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
     white = noise > MIN_WHITE_RATIO * scatter and scatter > MIN_NOISE
     if noise - unseen > MAX_OBSERVED_RATIO * stated:
         how, confidence = "smaller", confidence_of(3 + noise / stated / MAX_OBSERVED_RATIO)
-    elif white and stated > MAX_STATED_RATIO * scatter:
+    elif white and stated > MAX_STATED_RATIO * scatter and gps.std_x is not None:
         how, confidence = "larger", confidence_of(2 * stated / MAX_STATED_RATIO / scatter)
     else:
         if stated > MAX_SCATTER_RATIO * max(scatter, MIN_NOISE) or (
@@ -96,9 +96,9 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         ):
             what = (
                 "the errors of the fixes are correlated. The standard deviation of the fixes per axis is "
-                f"{noise:.2g} m from fix to fix and {scatter:.2g} m about a smooth path of ten seconds; the receiver "
-                f"states {stated:.2g} m. Averaging hardly reduces correlated errors. If there is no truth, neither the "
-                "stated standard deviation nor a filter's error can be checked"
+                f"{noise:.2g} m from fix to fix and {scatter:.2g} m about a smooth path of ten seconds; "
+                f"{stated:.2g} m is stated. Averaging hardly reduces correlated errors. If there is no truth, neither "
+                "the stated standard deviation nor a filter's error can be checked"
             )
             remedy = (
                 "expect errors larger than the filter's standard deviations, which represent only the scatter"
