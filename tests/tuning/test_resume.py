@@ -19,6 +19,7 @@ from sigmaswarm.files import write_atomically
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.scoring.batch import Scores
 from sigmaswarm.tuning.objectives import OBJECTIVES, Objective
+from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint, saved_history, saved_options
 from sigmaswarm.tuning.tune import tune
@@ -226,13 +227,14 @@ def started(tmp_path: Path) -> Path:
 
 
 def test_a_folder_with_results_needs_resume(started: Path):
-    assert "already contains a tuning; add --resume" in refusal(DRIVES, started, **OPTIONS)
+    assert "already contains an unfinished tuning; add --resume" in refusal(DRIVES, started, **OPTIONS)
+    with pytest.raises(InputError, match=r"out: has no finished tuning; repeat .* with --resume"):
+        Tuning.load(started)
     (started.parent / "out-2").mkdir()
     for drives, options in ((DRIVES, {**OPTIONS, "seed": 4}), (DRIVES[:1], OPTIONS)):
         said = refusal(drives, started, **options)
-        assert said.endswith(
-            f"already contains a tuning; choose another folder, for example --out {started}-3"
-        )
+        assert "already contains an unfinished tuning; its drives or options differ; choose another" in said
+        assert said.endswith(f"folder, for example --out {started}-3")
 
 
 @pytest.mark.parametrize(

@@ -115,7 +115,14 @@ class TuningRecord(BaseModel):
 
 
 def tuning_file(path: Path) -> Path:
-    return path / FILE if path.is_dir() else path
+    """Return the tuning.toml of a folder; raise `InputError` for an interrupted tuning, which has none yet."""
+    if not path.is_dir():
+        return path
+    if (path / "config.json").exists() and not (path / FILE).exists():
+        raise InputError(
+            f"{path}: has no finished tuning; repeat the command that made this folder with --resume"
+        )
+    return path / FILE
 
 
 def training_data_of(path: Path) -> list[Landmarks]:

@@ -175,11 +175,12 @@ class ResultFolder:
         if resume:
             _require_same(file, config)
             return
-        remedy = f"choose another folder, for example --out {free_path(path)}"
+        remedy = f"its drives or options differ; choose another folder, for example --out {free_path(path)}"
         with suppress(InputError):
             _require_same(file, config)
             remedy = "add --resume to continue it, or choose another --out"
-        raise InputError(f"{path}: already contains a tuning; {remedy}")
+        kind = "a" if (path / "tuning.toml").exists() else "an unfinished"
+        raise InputError(f"{path}: already contains {kind} tuning; {remedy}")
 
     def checkpoint(self, trial: int) -> Path:
         return self.path / f"checkpoint-{trial:03d}.npz"
