@@ -40,7 +40,7 @@ def check_noise(evidence: Evidence) -> Iterator[Finding]:
     if off[0] and jump > MAX_FIRST_DISTANCE:
         severity, what = "serious", f"{what}. The first fix lies {jump / 1e3:.3g} km from the others"
     span, repair = (float(time[0]), float(time[-1])), Repair("drop-fixes", tuple(time.tolist()))
-    remedy = "leave these fixes out, or use a filter that reduces their weight: --use robust"
+    remedy = "leave these fixes out; the default filter of tune also reduces their weight (robust)"
     yield Finding("gps-outliers", severity, what, "gps.csv, positions", span, 0.99, remedy, repair)
 
 
@@ -70,7 +70,10 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
         "Multipath at buildings or trees has this effect"
     )
     span = float(course.time[fixes[0]]), float(course.time[fixes[-1]])
-    remedy = "use a filter that reduces the weight of such fixes (--use robust), or leave this stretch out"
+    remedy = (
+        "none for the default filter of tune, which reduces the weight of such fixes (robust). To leave this stretch "
+        f"out: sigmaswarm split DRIVE --at {span[0]:.0f} {span[1]:.0f} --out parts"
+    )
     yield Finding("gps-disturbed", "warning", what, "gps.csv, positions", span, 0.99, remedy)
 
 
