@@ -197,6 +197,7 @@ def test_03_a_full_disk_leaves_the_old_evaluation(base: Path, here: Path):
             base,
             "--out",
             "e",
+            "--overwrite",
             largest_file=largest,
         )
         if ended.returncode == 0:

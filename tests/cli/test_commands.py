@@ -326,7 +326,7 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     }
     assert all(is_picture(p) for p in Path("e").glob("*.png"))
     with no_pictures():
-        whole = sigmaswarm("evaluate", tuned, drives, "--out", "e", "--outage-length", 4, "--verbose").out
+        whole = sigmaswarm("evaluate", tuned, drives, "--out", "e2", "--outage-length", 4, "--verbose").out
     assert all(name in whole for name in [*names, "urban-clear-01 ", "whiteness"])
     assert [record.getMessage() for record in caplog.records] == []  # matplotlib has nothing to complain of
 

@@ -94,7 +94,7 @@ def test_the_warning_not_to_use_a_filter_is_repeated_in_the_last_line(
             joined.setattr(sys, "stderr", sys.stdout)
             last = sigmaswarm("export", "bad.toml", "--to", "filterpy", "--out", "py").out.splitlines()[-1]
         assert ("DO NOT USE" in last, last.startswith("next: ")) == (repeated, not repeated)
-        evaluated = sigmaswarm("evaluate", "bad.toml", drive, "--out", "e").out
+        evaluated = sigmaswarm("evaluate", "bad.toml", drive, "--out", "e", "--overwrite").out
         assert ("sigmaswarm export" not in evaluated) is repeated
 
 
@@ -293,8 +293,10 @@ def test_an_evaluation_replaces_the_page_of_the_last_and_not_its_own_tuning(
     assert sigmaswarm("report", "e").code == 0 and (here / "e/page.html").exists()
     ended = sigmaswarm("evaluate", "e", drive, "--out", "e")
     assert ended.code == 2 and "e: contains e, which this command reads; choose another --out" in ended.err
-    assert (here / "e/page.html").exists()
-    assert sigmaswarm("evaluate", tuned, drive, "--out", "e").code == 0
+    ended = sigmaswarm("evaluate", tuned, drive, "--out", "e")
+    assert ended.code == 2 and "e: already contains an evaluation; choose another folder" in ended.err
+    assert "--out e-2, or add --overwrite" in ended.err and (here / "e/page.html").exists()
+    assert sigmaswarm("evaluate", tuned, drive, "--out", "e", "--overwrite").code == 0
     assert not (here / "e/page.html").exists()
     (here / "e/page.html").write_text("mine")
     ended = sigmaswarm("report", "e")

@@ -37,7 +37,7 @@ os.fsync = dying
 COMMANDS: dict[str, tuple[str, ...]] = {
     "run": ("run", "{tuned}", "{drive}", "--out", "out/e.csv"),
     "run-bag": ("run", "{tuned}", "{drive}", "--out", "out/e.ros2"),
-    "evaluate": ("evaluate", "{tuned}", "{drive}", "--out", "out"),
+    "evaluate": ("evaluate", "{tuned}", "{drive}", "--out", "out", "--overwrite"),
     "export": ("export", "{tuned}", "--to", "c99", "--out", "out"),
     "report": ("report", "evaluated", "--out", "out/page.html"),
     "simulate": ("simulate", "--out", "out", "--maneuver", "brake", "--environment", "clear", "--runs", "2",

@@ -64,7 +64,7 @@ COMMANDS = {
         ("import", "imu.csv", "--gps", "gps.csv", "--out", "out/d", "--overwrite"), old="drive"
     ),
     "run": Command(("run", "tuned", "drives/b", "--out", "out/e.csv")),
-    "evaluate": Command(("evaluate", "tuned", "drives/b", "--out", "out/e")),
+    "evaluate": Command(("evaluate", "tuned", "drives/b", "--out", "out/e", "--overwrite")),
     "export": Command(("export", "tuned", "--to", "c99", "--out", "out/x")),
     "report": Command(
         ("report", "evaluated", "--out", "out/page.html"),

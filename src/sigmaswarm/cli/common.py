@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from sigmaswarm.files import nan_to_none
@@ -57,15 +58,22 @@ def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *
         require_replaceable(folder.resolve(), overwrite, "add --overwrite, or name another folder")
 
 
-def require_result_folder(out: Path, sources: "Iterable[Location | None]", kind: str, mark: str = "") -> None:
-    """Raise `InputError` if a folder contains a source, or files other than an earlier result of this kind."""
+def require_result_folder(
+    out: Path, sources: "Iterable[Location | None]", kind: str, mark: str = "", *, overwrite: bool = True
+) -> None:
+    """Raise `InputError` if a folder contains a source, or files other than an earlier result of this kind.
+
+    Without ``overwrite`` an earlier result is also refused.
+    """
     from sigmaswarm.errors import InputError
-    from sigmaswarm.files import earlier_result
+    from sigmaswarm.files import earlier_result, free_path
 
     for source in filter(None, sources):
         if out.resolve() in (Path(source).resolve(), Path(source).resolve().parent):
             raise InputError(f"{out}: contains {source}, which this command reads; choose another --out")
-    earlier_result(out, kind, mark)
+    if earlier_result(out, kind, mark) != frozenset() and not overwrite:
+        free = f"choose another folder, for example --out {quote(str(free_path(out)))}"
+        raise InputError(f"{out}: already contains an {kind}; {free}, or add --overwrite")
 
 
 def require_tuning(tuning: Path, remedy: str) -> None:

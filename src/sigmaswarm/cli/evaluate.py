@@ -47,7 +47,9 @@ class EvaluateOptions:
         Another filter to compare with: a tuning, a TOML file with a table [filter], or an ekf.yaml of
         robot_localization.
     out
-        Folder for scores.csv, scores.json, figures and the data of the page; an earlier evaluation is replaced.
+        Folder for scores.csv, scores.json, figures and the data of the page.
+    overwrite
+        Replace an earlier evaluation in this folder.
     outage_length
         Length of the outages, s. The drift is the error at the end of an outage.
     outage_seed
@@ -62,6 +64,7 @@ class EvaluateOptions:
 
     against: Path | None = None
     out: Path | None = None
+    overwrite: bool = False
     outage_length: float = 5.0
     outage_seed: Seed = 0
     as_recorded: AsRecorded = False
@@ -143,7 +146,8 @@ def _check_input(tuning: Path, options: EvaluateOptions) -> None:
         )
     require_tuning(tuning, f"pass the tuning first, as in sigmaswarm evaluate TUNING {quote(str(tuning))}")
     if options.out:
-        require_result_folder(options.out, [tuning, options.against], EVALUATION, EVALUATION_FILE)
+        sources, overwrite = [tuning, options.against], options.overwrite
+        require_result_folder(options.out, sources, EVALUATION, EVALUATION_FILE, overwrite=overwrite)
 
 
 def _next_steps(out: Path | None, remedies: Sequence[Remedy], export: Iterable[str]) -> Iterator[str]:
@@ -154,7 +158,7 @@ def _next_steps(out: Path | None, remedies: Sequence[Remedy], export: Iterable[s
         yield f"next: sigmaswarm report {quote(str(out))}"
         yield from export
     else:
-        yield "next: repeat this command with --out evaluation to get figures and a page"
+        yield f"next: repeat this command with --out {free_path('evaluation')} to get figures and a page"
 
 
 def _export(tuning: Path, tuned: "TunedFilter", drives: Sequence[str]) -> Iterator[str]:

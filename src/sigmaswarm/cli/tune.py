@@ -234,10 +234,10 @@ def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
         except InputError:
             continue
         if [one.sha256 for one in data] == [*tuned_on]:
-            sibling = out.parent / file.parent.name  # wrong if OUT is "." or a link
-            same = sibling.exists() and sibling.samefile(file.parent)
-            other = quote(str(sibling if same else relpath(file.parent)))
-            return [f"compare:  {evaluate} --out comparison --against {other}"]
+            sibling = out.parent / file.parent.name  # as the user writes it, unless OUT is "." or a link
+            there = sibling.exists() and sibling.samefile(file.parent)
+            other = quote(str(sibling if there else relpath(file.parent)))
+            return [f"compare:  {evaluate} --out {free_path('comparison')} --against {other}"]
     return []
 
 
