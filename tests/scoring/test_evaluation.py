@@ -287,6 +287,16 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
     assert "is WORSE than" in here
 
 
+@pytest.mark.parametrize("failed", [True, False])
+def test_a_failed_filter_is_not_said_to_have_too_few_fixes(failed: bool):
+    result = DriveResult({**dict.fromkeys(METHODS, Score()), "tuned": Score(failed=failed)})
+    view = Evaluation({"town": result}).view
+    assert (
+        "The filter had too few fixes to determine its consistency." in view.verdicts().values()
+    ) is not failed
+    assert ("The tuned filter failed on town." in view.warnings()) is failed
+
+
 def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evaluation):
     said = evaluation.to_dict()
     for method in METHODS[:2]:

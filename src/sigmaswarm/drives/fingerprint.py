@@ -11,8 +11,8 @@ from sigmaswarm.drives.mounting import AXES_KEY, KEY, axes_of
 
 # The start that `alignment` finds, for messages and pages
 START_RULE = (
-    "the first fix that follows 20 m of forward driving in 4 to 6 s (12 km/h or faster; on a slower drive, 10 m "
-    "or more in up to 90 s), or an earlier fix with a heading"
+    "the first fix that has a heading, or follows 20 m of forward driving in 4 to 6 s. On a slower drive, 10 m in up "
+    "to 90 s are enough"
 )
 
 

@@ -162,7 +162,7 @@ VERDICTS: dict[Kind, str] = {
         "is overconfident about its position: the standard deviations are {nees_size}. NIS does not show this, since "
         "the fixes and the predictions have these errors in common"
     ),
-    "unknown": "failed, or had too few fixes to determine its consistency",
+    "unknown": "had too few fixes to determine its consistency",
 }
 
 

@@ -250,7 +250,9 @@ class EvaluationView:
         return tuple(sentences)
 
     def verdicts(self) -> dict[str, str]:
-        kinds = verdicts([*self.scores.consistency.values()])
+        """Return a sentence for each kind of verdict; a warning names the drives on which the filter failed."""
+        failed = {drive for drive, methods in self.scores.failed.items() if "tuned" in methods}
+        kinds = verdicts([one for drive, one in self.scores.consistency.items() if drive not in failed])
         return {kind: _sentence(message) for kind, message in kinds.items()}
 
     def warnings(self) -> tuple[str, ...]:
@@ -355,8 +357,8 @@ def explained_radius() -> str:
     return (
         "The position error should lie within this radius with a probability of 95% or 99.9% (median over the drive). "
         "The variance per axis is the sum of the filter's variance and the variance of correlated fix errors, which "
-        "the log does not show. The variance of these errors is s^2 minus the variance of the fixes' white noise; s is "
-        "the standard deviation that the receiver states, or 2.1 m if it states none. The radii are "
+        "the log does not show. This second variance is that which the receiver states, (2.1 m)^2 if it states none, "
+        "minus the variance of the fixes' white noise. The radii are "
         f"{factors[0]:.2f} and {factors[1]:.2f} standard deviations, from Student's t with {DOF:g} degrees of freedom, "
         "since a training drive determines a covariance from few independent errors. The covariances in estimates and "
         "exports are the filter's own, without this addition."

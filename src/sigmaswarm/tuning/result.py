@@ -33,8 +33,7 @@ from sigmaswarm.wording import count_of, sort_remarks, to_do
 P = TypeVar("P", default=FilterParameters)
 SHOWN_REMARKS = 5  # number of remarks in the printed text
 INFLATION_REMARK = (
-    "process-noise inflation multiplied {}, so that the filter also works on other roads and with other IMUs; "
-    "--inflation 0 turns it off"
+    "process-noise inflation, for other roads and IMUs, multiplied {}; --inflation 0 turns it off"
 )
 SENSORS_REMARK = (
     "a filter tuned with truth is valid only for the receiver and the IMU of these drives. With other sensors it may "
