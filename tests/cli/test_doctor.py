@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,6 +37,9 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
     assert ended.out.startswith("urban-clear-00: no serious fault")
     assert "2000 IMU samples at 50 Hz" in ended.out
     assert "\nnext: sigmaswarm plot fine\nthen: sigmaswarm split fine --out parts\n" in ended.out
+    Path("one").mkdir()
+    shutil.copytree("fine", "one/fine")  # the folder of a drive's folder
+    assert "\nnext: sigmaswarm plot one/fine\n" in sigmaswarm("doctor", "one").out
     assert "evaluation, do not split; instead: sigmaswarm tune fine --out tuned)\n" in ended.out
     for used in ("parts", "tuned", "tuned-2"):
         Path(used).mkdir()

@@ -12,6 +12,7 @@ import pytest
 from importing.logs import EPOCH, a_drive, assert_close, imported
 from sigmaswarm import read_drive
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.names import read_names
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Limits, TableChoice
 from support import DRIVES, needs_shared, quickly
@@ -928,6 +929,11 @@ def test_a_row_without_a_fix_is_no_kind_of_its_own(tmp_path: Path):
     maps = ["gps.t=c2", "gps.lat=c3", "gps.lon=c4"]
     got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=maps)
     assert_close(got.drive.gps, DRIVE.gps, "lat lon", 1e-8)
+
+
+def test_a_short_name_of_the_speed_is_read():
+    (name,) = read_names(["spd_kn"])
+    assert name.meaning == "speed" and name.unit is not None and name.unit.text == "kn"
 
 
 def test_a_log_without_a_gyro_is_named(tmp_path: Path):

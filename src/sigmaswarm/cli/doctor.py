@@ -59,6 +59,7 @@ def doctor(
         sigmaswarm doctor drives/friday --lever-arm-within 0.15 --fix mended
         sigmaswarm doctor drives/friday --json
     """
+    from sigmaswarm.drives.reader import drive_folders
     from sigmaswarm.drives.split import part_of
 
     read, fix = _read(drives), options.fix
@@ -79,7 +80,7 @@ def doctor(
             diagnosis, content["copy"] = _repair(drive, diagnosis, fix / drive.name, arm, options, explained)
         result.append(content)
         serious |= diagnosis.serious
-        folder = fix / drive.name if fix else drives[0]
+        folder = fix / drive.name if fix else drive_folders(drives[0])[0]
         if len(read) == 1 and (folder / "drive.toml").exists():
             following = [*next_steps(diagnosis, folder, part_of(drive))]
     content = {"drives": result, "serious": serious, **({"lever_arm": arm.to_dict()} if arm else {})}

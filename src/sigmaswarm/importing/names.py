@@ -60,7 +60,7 @@ NAMES: tuple[tuple[str, str], ...] = (
         "wheel_speed",
         "(?:wheels?|vehicle|car|can|odo(?:meter)?)_?(?:speed|velocity)|speed_?(?:can|wheels?)|odometer",
     ),
-    ("speed", "speed|(?:ground_?)?speed|velocity|vel|v"),
+    ("speed", "(?:ground_?)?speed|spd|velocity|vel|v"),
     ("course", "course"),
     ("bearing", "bearing|track|heading|cog"),
     ("theta", "theta|yaw"),

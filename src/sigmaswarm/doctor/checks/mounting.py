@@ -77,12 +77,14 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
     # The mounting is constant in a drive, and a part determines it less accurately than the whole drive.
     whole = name_of_whole(evidence.drive)
     if mounting.needed and (angle > SERIOUS or not whole):
+        given = ",".join(f"{degrees:g}" for degrees in evidence.drive.mounting or ())
+        instead = f" instead of {given} (both rotations together)" if given else ""
         roll, pitch, yaw = roll_pitch_yaw(mounting.repair, 1)
         yield Finding(
             "mounting", "serious" if angle > SERIOUS else "warning",
             f"the IMU is rotated relative to the vehicle: roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg {sure}",
             WHERE, evidence.span, confidence_of(angle / total),
-            f"rotate all six axes: import with --mount {mount}",
+            f"rotate all six axes: import with --mount {mount}{instead}",
             Repair("rotate", tuple(mounting.repair.ravel().tolist())),
         )  # fmt: skip
     elif evidence.drive.mounting and (apart := angle_of(mounting.mount @ mounting.before.T)) > MIN_DIFFERENCE:
