@@ -179,7 +179,7 @@ def test_its_own_alignment_sees_the_tilts(tmp_path: Path, flags: tuple[str, ...]
     assert ours.time[k] == theirs[0]
     assert k == 0
     std = np.sqrt(np.diag(ours.covariance[k]))
-    assert abs(ours.mean[k, 8]) > 3.0 * std[8]  # the road is steep
+    assert abs(ours.mean[k, 8]) > 3.0 * std[8]  # the road is tilted
     assert np.all(
         np.abs(theirs[1:13] - ours.mean[k]) < 2e-3 * std
     )  # the same fit of another sum over the samples

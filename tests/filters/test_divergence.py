@@ -1,5 +1,7 @@
 """Lost and found: what is planted is noticed, named and mended; a sound filter is left alone."""
 
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -483,6 +485,22 @@ def test_looking_back_finds_what_looking_at_each_moment_finds(
         assert (back.lost, back.restarts) == (one_by_one.lost, one_by_one.restarts)
         assert [one is not None for one in found] == [False] * (end - at - 1) + [start is not None]
         at = end
+
+
+READY = """
+from sigmaswarm.drives import alignment_fit, gyro_bias, tilt_evidence
+from sigmaswarm.filters import divergence, tilted
+
+functions = [alignment_fit.fit_path, gyro_bias.mix_biases, gyro_bias.update_biases]
+functions += [tilt_evidence.mean_forces, tilted.add_tilt_evidence]
+assert not any(function.signatures for function in functions)
+divergence.DivergenceMonitor()
+assert all(function.signatures for function in functions)
+"""
+
+
+def test_a_reset_during_a_drive_compiles_nothing():
+    subprocess.run([sys.executable, "-c", READY], check=True)
 
 
 def test_hardly_any_look_at_a_sound_filter_is_taken():

@@ -114,7 +114,7 @@ def test_a_model_with_roll_and_pitch_has_a_longer_reference_duration(model: str,
         space=space,
         data=[{"duration_s": 300.0}],
         config=TuneConfig(model=model, objective="innovation-t"),
-        costs=lambda points, executor=None: 7.0 + np.max(points - space.low, axis=1),  # with a prior of 7
+        costs=lambda points, executor=None: 5.0 * np.max(points - space.low, axis=1),  # with a prior
         costs_without_prior=lambda points, executor=None: np.max(points - space.low, axis=1),
         relative_increase=lambda costs, cost: costs - cost,
         starts=lambda: (),

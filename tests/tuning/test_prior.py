@@ -131,7 +131,7 @@ TYPICAL = {  # in units per second, at 50 Hz, and decades
 def test_typical_values_by_hand(duration: float, weight: float):
     use = ("lateral", "standstill", "robust")
     config = TuneConfig(model="tilted12", use=use, objective="innovation-t", prior=1.0)
-    problem = replace(car_problem([town()], config), data=[{"duration_s": duration}])
+    problem = replace(car_problem([town()], config), data=[{"duration_s": duration / 2}] * 2)
     space = problem.space
     assert {*space.names} == {*TYPICAL, "rear_axle", "r_xy"}
     points = np.random.default_rng(3).uniform(

@@ -130,7 +130,9 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
     sigmaswarm.tune(drive, out=tmp_path / "bench" / "tunings" / "monday", **SMALL)
     served = serve(tmp_path / "bench", log, logs={str(log): {"mount": "0,0,0.5"}})
     page = tab(served.url + "log")
-    page.get_by_text("truth: the heading is converted from unwrapped radians").wait_for()  # a note of the import
+    page.get_by_text(
+        "truth: the heading is converted from unwrapped radians"
+    ).wait_for()  # a note of the import
     page.get_by_role("button", name="Make the drive").wait_for()
     assert contrast_of(page) == []
     tab_to(page, "yaw, degrees")

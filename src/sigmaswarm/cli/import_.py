@@ -310,9 +310,10 @@ def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
     print_lines(recipe or "nothing was recognized; map the columns with --map")
     print_lines(*(f"note: {printable(note, 1000)}" for note in inspection.notes))
     if inspection.proposal:
-        title = "To read the other columns, add to the command"
-        lacking = "" if inspection.works else " (not enough yet; the reason follows)"
-        console.print(f"\n{title}{lacking}:", style="bold")
+        lacking = "" if inspection.works else " (not sufficient; the reason follows)"
+        console.print(
+            f"\nTo read the other columns, add these options to the command{lacking}:", style="bold"
+        )
         of_rows = re.search(r"\b(imu|gps)\.t=", inspection.proposal)
         times = "; imu.t and gps.t are the times of the rows of IMU and fixes" if of_rows else ""
         evidence = f"({printable(inspection.evidence, 1000)}{times}; import uses the proposal only with these options)"

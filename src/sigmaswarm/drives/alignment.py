@@ -3,7 +3,7 @@
 A car's heading is not observable at standstill; after several meters of driving, the course over ground shows it. The
 fit to the fixes of the last few seconds (`alignment_fit`) uses the gyro to correct the course for turns, and the
 accelerometer to correct it for changes of speed. The gyro's bias is subtracted, and the fit repeated, only if the fixes
-contradict a gyro without bias (`gyro_seen`).
+contradict a gyro without bias.
 """
 
 from dataclasses import dataclass

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sigmaswarm.compilation import call_once
 from sigmaswarm.drives.alignment import Alignments, InitialState
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.events import slot_of
@@ -22,7 +23,8 @@ from sigmaswarm.drives.tables import Array, Gps, Imu, Indices
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.live import LEAP
 from sigmaswarm.filters.compiled.monitor import CHECK_INTERVAL, LATEST_CHECK
-from sigmaswarm.filters.models import GYRO_BIAS, THETA, planar5
+from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA, planar5
+from sigmaswarm.filters.schedule import starts_of
 from sigmaswarm.geodesy import wrap_angle
 
 DIVERGED_AFTER = 10.0  # s of contradiction; errors in a city and the recovery of robust filters are shorter
@@ -30,7 +32,9 @@ MIN_CHECKS = 5  # smallest number of checks in this time
 MANY_SIGMAS = 5.0  # smallest difference, in combined standard deviations of filter and fixes
 HEADING_OFF = np.radians(20.0)  # rad, smallest difference of the heading from the alignment
 POSITION_OFF = 20.0  # m, smallest difference of a fix from its prediction
-SUSPECT_HEADING = np.radians(10.0)  # rad, from the rough heading; beyond it, an alignment is computed
+SUSPECT_HEADING = np.radians(
+    10.0
+)  # rad, difference from the rough heading above which an alignment is computed
 SPEED_STD = 10.0  # m/s per axis, after a reset to the last fix
 CHECKS, SINCE, LAST = range(3)
 """Indices of a contradiction: number of checks, time of the first and of the last one (s). C has a struct."""
@@ -133,6 +137,7 @@ class DivergenceMonitor:
     """
 
     def __init__(self) -> None:
+        compile_resets()
         self.restarts: list[float] = []
         self.lost = False
         self._position, self._heading = _Contradiction(), _Contradiction()
@@ -266,12 +271,22 @@ def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -
     try:
         alignments = Alignments(drive)
         alignment = alignments.at(len(alignments.time) - 1) if len(alignments.time) else None
-    except (ArithmeticError, np.linalg.LinAlgError):  # for extreme samples or times
+    except ArithmeticError:  # for extreme samples or times
         return None
     if alignment is None or alignment.gyro is None or not gyro_bias:
         return alignment
     tilt = alignment.tilt and alignment.tilt.with_bias(gyro_bias)
     return replace(alignment, gyro=alignment.gyro.with_bias(gyro_bias), tilt=tilt)
+
+
+@call_once
+def compile_resets() -> None:
+    """Compile or load the functions of a reset, which otherwise delay the estimates of a live filter by seconds."""
+    time = 0.1 * np.arange(100)
+    samples = np.column_stack([time, np.zeros((len(time), 5))])
+    start = align_stream(samples, np.column_stack([time, 10.0 * time, 0.0 * time]), np.zeros(2), 0.0)
+    assert start is not None and start.gyro is not None and start.tilt is not None
+    starts_of([start], MODELS["tilted12"], np.ones((1, 3)))
 
 
 def state_at_fix(time: float, fix: Array, variance: Array, theta: float, lever: Array) -> InitialState:

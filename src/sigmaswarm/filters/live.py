@@ -87,7 +87,8 @@ class LiveFilter:
     (`divergence`). If fixes are delayed, the reset is later than in `run_filter`. Fixes from before a reset count as
     too late.
 
-    The memory has a fixed size. The first filter of a process loads or compiles the code (`compiled.live`).
+    The memory has a fixed size. The first filter of a process loads or compiles the code (`compiled.live`,
+    `divergence.compile_resets`).
 
     Parameters
     ----------

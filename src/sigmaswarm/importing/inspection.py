@@ -161,8 +161,8 @@ def _unread(
 
 def _imported(request: Request, proposal: Proposal) -> Drive:
     choice = replace(request.choice, tables={**proposal.tables, **request.choice.tables})
-    asked = replace(request, maps=[*proposal.maps, *request.maps], choice=choice)
-    return convert.import_drive(asked, "proposal", raw=True).drive
+    changed = replace(request, maps=[*proposal.maps, *request.maps], choice=choice)
+    return convert.import_drive(changed, "proposal", raw=True).drive
 
 
 def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal | None:

@@ -95,7 +95,7 @@ def meaning_of(name: str) -> Meaning | None:
     horizontal = rest & {"h", "horizontal", "pos", "position"} and rest & {"acc", "accuracy"}
     length = unit is None or unit.dimension == "length"
     if (rest & ACCURACY or horizontal) and length and not rest & NO_PLACE:
-        return Meaning("gps", "std_x", f"{said}/sqrt(2)")
+        return Meaning("gps", "std_x", f"{column_text}/sqrt(2)")
     rates = RATE | ({"roll", "pitch"} if unit and unit.dimension == "rate" else set())
     if rest & ACCURACY or not rest & (rates | FORCE) or "gps" in rest:
         return None

@@ -188,7 +188,7 @@ class EvaluationView:
             return f"On {drives}, no outage of {self.setup.outage_length_s:g} s fits; use a longer part of a drive."
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
-    def _not_beaten(self) -> str:
+    def _not_better(self) -> str:
         """Return sentences on the rivals, with the drifts in which the tuned filter is not better."""
         mean_of = self.scores.mean_of
         sentences = ""
@@ -357,8 +357,8 @@ def explained_radius() -> str:
     return (
         "The position error should lie within this radius with a probability of 95% or 99.9% (median over the drive). "
         "The variance per axis is the sum of the filter's variance and the variance of correlated fix errors, which "
-        "the log does not show. This second variance is that which the receiver states, (2.1 m)^2 if it states none, "
-        "minus the variance of the fixes' white noise. The radii are "
+        "the log does not show. This variance is the square of the stated standard deviation of the fixes (2.1 m if "
+        "none is stated), minus the variance of the fixes' white noise. The radii are "
         f"{factors[0]:.2f} and {factors[1]:.2f} standard deviations, from Student's t with {DOF:g} degrees of freedom, "
         "since a training drive determines a covariance from few independent errors. The covariances in estimates and "
         "exports are the filter's own, without this addition."

@@ -132,7 +132,7 @@ def _allows_forecasts(cars: Sequence[LogProperties]) -> bool:
 
 
 def complete_config(config: C, data: Sequence[LogProperties | Log]) -> C:
-    """Set the objective, the prior on R and the process-noise inflation that the user did not set."""
+    """Set the objective, the weight of the priors and the process-noise inflation that the user did not set."""
     car = isinstance(config, TuneConfig)
     model, use = (config.model, config.use) if car else (PAPER_MODEL, ())
     objective = objective_for(data, config.objective, model, use)
@@ -154,7 +154,7 @@ def explain_tuning(drives: Sequence[Drive | LogProperties], **options: Any) -> l
 
 
 def with_default_guards(config: C) -> C:
-    """Set the prior on R and the process-noise inflation, which by default apply to likelihoods without truth.
+    """Set the weight of the priors and the process-noise inflation; by default both apply to likelihoods without truth.
 
     With truth, only the process noise of models with roll and pitch is inflated.
     """

@@ -19,7 +19,7 @@ the same car, the minima change the error by -5 to +2%. Three or more drives wit
 deviations of the initial biases, so these have no minimum: a minimum would increase the heading error by 10%.
 
 The standard deviation of the gyro's initial bias has another minimum if the starts of the training drives show biases.
-At its start, a filter subtracts a bias of many standard deviations (`gyro_seen` in `drives.alignment`), so the cost
+At its start, a filter subtracts a bias of many standard deviations (`GyroBiasEvidence.update`), so the cost
 hardly depends on this parameter. For a gyro with biases of 0.2 rad/s, the tuned standard deviation was 5e-5 rad/s, and
 the filter diverged on drives with a smaller bias.
 """

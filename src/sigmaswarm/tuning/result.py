@@ -199,7 +199,7 @@ class Tuning(Generic[P]):
         lasting = isinstance(p := self.parameters, FilterParameters) and p.fix_error is not None
         penalized = "different from" if lasting else "below"
         added = f"; a prior with weight {prior:g} penalizes an R {penalized} the receiver's variance"
-        if MODELS[self.config.model].tilts:
+        if MODELS[self.config.model].tilts and self.config.scale == "log10":
             added += ", and parameters far from typical values"
         return f"{meaning}{added}" if prior else meaning
 
