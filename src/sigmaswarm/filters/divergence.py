@@ -282,9 +282,10 @@ def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -
 @call_once
 def compile_resets() -> None:
     """Compile or load the functions of a reset, which otherwise delay the estimates of a live filter by seconds."""
-    time = 0.1 * np.arange(100)
-    samples = np.column_stack([time, np.zeros((len(time), 5))])
-    start = align_stream(samples, np.column_stack([time, 10.0 * time, 0.0 * time]), np.zeros(2), 0.0)
+    samples, fixes = np.zeros((100, 6)), np.zeros((100, 3))
+    samples[:, 0] = fixes[:, 0] = 0.1 * np.arange(100)
+    fixes[:, 1] = 10.0 * fixes[:, 0]  # 10 m/s to the east
+    start = align_stream(samples, fixes, np.zeros(2), 0.0)
     assert start is not None and start.gyro is not None and start.tilt is not None
     starts_of([start], MODELS["tilted12"], np.ones((1, 3)))
 
