@@ -227,7 +227,7 @@ def test_what_is_there_is_not_overwritten_nor_mixed(tmp_path: Path):
     (out / "brake-clear-00" / "imu.csv").write_text("t\n")
     done = record(1, out, *BRAKE)
     assert done.returncode == 2
-    check_one_line(done.stderr, "contains brake-clear-00 already.*--resume")
+    check_one_line(done.stderr, "already contains brake-clear-00.*--resume")
     (out / "recording.json").write_text('{"options": {"seed": 3}}')
     done = record(1, out, *BRAKE, "--resume")
     check_one_line(done.stderr, "recorded with seed 3, not 0")

@@ -14,7 +14,7 @@ from .routes import SPACING
 
 _THROTTLE = 6.5  # m/s2, acceleration at full throttle; measured in CARLA: 6.3 to 7.0
 _FULL_BRAKE = ((0.0, 4.4), (4.5, 4.4), (10.0, 6.1), (14.0, 7.4))
-"""Speed, m/s, and deceleration of the stock brakes, m/s2, measured in CARLA."""
+"""Speed (m/s) and deceleration of the stock brakes (m/s2) measured in CARLA."""
 
 
 class Control(NamedTuple):
@@ -93,7 +93,7 @@ class Driver:
         self.way, self.off = i * SPACING + dx * cos + dy * sin, dy * cos - dx * sin
 
     def _steer(self, heading: float, speed: float) -> float:
-        """Return the angle of the wheels, rad, with which an offset from the path decays like a second-order system."""
+        """Return the angle of the wheels (rad) with which an offset from the path decays like a second-order system."""
         path, v = self.plan.path, max(speed, 1.0)
         i = self._nearest
         course = wrap(heading - path.heading[i] - (self.way - i * SPACING) * path.curvature[i])

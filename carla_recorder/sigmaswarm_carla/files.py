@@ -27,7 +27,7 @@ class Journal:
         existing = sorted(path.parent.name for path in options.out.glob("*/imu.csv"))
         if existing and not options.resume:
             raise RecorderError(
-                f"{options.out}: contains {existing[0]} already; choose another folder, or continue with --resume"
+                f"{options.out}: already contains {existing[0]}; choose another folder, or continue with --resume"
             )
         if self._file.exists():
             self._read(options, existing)

@@ -32,7 +32,7 @@ def heading_of(rotation: Any) -> float:
 
 
 def wrap(angle: float) -> float:
-    """Wrap an angle, rad, to (-pi, pi]."""
+    """Wrap an angle (rad) to (-pi, pi]."""
     return math.pi - (math.pi - angle) % (2 * math.pi)
 
 
@@ -53,7 +53,7 @@ class Geodesy:
     """
 
     def __init__(self, locate: Callable[[float, float], tuple[float, float]]) -> None:
-        """Use ``locate``, which converts CARLA's x and y, m, to latitude and longitude, deg."""
+        """Use ``locate``, which converts CARLA's x and y (m) to latitude and longitude, deg."""
         self._locate = locate
         self.origin = locate(0.0, 0.0)
         self.east = locate(100.0, 0.0)
@@ -79,7 +79,7 @@ class Geodesy:
         return cls(locate)
 
     def place(self, lat: float, lon: float) -> tuple[float, float]:
-        """Convert a latitude and longitude, deg, to m east and north."""
+        """Convert a latitude and longitude (deg) to m east and north."""
         (a, b), (c, d) = self._rows
         determinant = a * d - b * c
         x = y = 0.0
@@ -92,12 +92,12 @@ class Geodesy:
         return x, -y
 
     def degrees(self, meters: float) -> tuple[float, float]:
-        """Convert a standard deviation, m, to the standard deviations of latitude and longitude, deg."""
+        """Convert a standard deviation (m) to the standard deviations of latitude and longitude, deg."""
         (a, b), (c, d) = self._rows
         return meters * math.hypot(a, b), meters * math.hypot(c, d)
 
     def report(self) -> dict[str, Any]:
-        """Return latitude and longitude, deg, of three points of the map, for recording.json."""
+        """Return latitude and longitude (deg) of three points of the map, for recording.json."""
         return {
             "at_0_0": self.origin,
             "at_100_0": self.east,

@@ -113,7 +113,7 @@ def _plan_bends(name: str, hard: float, easy: float, friction: float, town: Any,
 
 
 def allowed_speed(plan: Plan, sway: Callable[[float], float]) -> list[list[float]]:
-    """Return the allowed speed, m/s, at each point of each leg, from which the car can slow down in time."""
+    """Return the allowed speed (m/s) at each point of each leg, from which the car can slow down in time."""
     profiles: list[list[float]] = []
     end, after = plan.length, math.inf
     for leg in reversed(plan.legs):

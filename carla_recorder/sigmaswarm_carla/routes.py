@@ -77,7 +77,7 @@ class Need(NamedTuple):
 
 
 def straight(length: float) -> Need:
-    """Require a straight path of a length, m, plus `RUN_OUT`."""
+    """Require a straight path of a length (m) plus `RUN_OUT`."""
 
     def fits(path: Path2D) -> bool:
         return path.bend < MAX_BEND
@@ -135,7 +135,7 @@ def _walk(start: Any, need: Need, rng: random.Random) -> Path2D:
 
 
 def _turning(way: Any) -> float:
-    """Return the change of heading, rad, over the first 15 m of a branch."""
+    """Return the change of heading (rad) over the first 15 m of a branch."""
     there = way
     for _ in range(15):
         there = (there.next(1.0) or [there])[0]

@@ -159,7 +159,7 @@ def run(
     Raises
     ------
     AlignmentError
-        If the drive never moves far enough to start a filter.
+        If the vehicle never moves far enough to start a filter.
     InputError
         If ``smooth`` and ``bank`` are both given.
     """
@@ -206,7 +206,7 @@ def evaluate(
     InputError
         If there are no drives, or ``parameters`` is not a filter.
     AlignmentError
-        If a drive never moves far enough to start a filter.
+        If a vehicle never moves far enough to start a filter.
     """
     from sigmaswarm.scoring import evaluation
 

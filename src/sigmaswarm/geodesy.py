@@ -15,7 +15,7 @@ def wrap_angle(angle: float) -> float: ...
 @overload
 def wrap_angle(angle: Array) -> Array: ...
 def wrap_angle(angle: ArrayLike) -> float | Array:
-    """Wrap angles, rad, to (-pi, pi]."""
+    """Wrap angles (rad) to (-pi, pi]."""
     a = np.asarray(angle, dtype=np.float64)
     wrapped = np.pi - np.mod(np.pi - a, 2 * np.pi)
     return float(wrapped) if wrapped.ndim == 0 else wrapped
@@ -40,12 +40,12 @@ def enu_to_geodetic(enu: ArrayLike, origin: Origin) -> Array:
 
 
 def rotation_of(roll: float, pitch: float, yaw: float) -> Array:
-    """Return the rotation (3, 3) by angles, deg, about fixed axes: x, then y, then z, as in ``import --mount``."""
+    """Return the rotation (3, 3) by angles (deg) about fixed axes: x, then y, then z, as in ``import --mount``."""
     return _turn(2, math.radians(yaw)) @ _turn(1, math.radians(pitch)) @ _turn(0, math.radians(roll))
 
 
 def _turn(axis: int, angle: float) -> Array:
-    """Return the rotation (3, 3) by an angle, rad, about an axis; exact for quarter turns."""
+    """Return the rotation (3, 3) by an angle (rad) about an axis; exact for quarter turns."""
     quarter = angle / (math.pi / 2)
     c, s = math.cos(angle), math.sin(angle)
     if abs(quarter - round(quarter)) < 1e-12:
@@ -58,7 +58,7 @@ def _turn(axis: int, angle: float) -> Array:
 
 
 def roll_pitch_yaw(rotation: Array, digits: int = 0) -> tuple[float, float, float]:
-    """Return the angles of `rotation_of`, deg, rounded; the roll is 0 if the pitch is 90 or -90 deg."""
+    """Return the angles of `rotation_of` (deg), rounded; the roll is 0 if the pitch is 90 or -90 deg."""
     level = math.hypot(rotation[0, 0], rotation[1, 0])
     roll, yaw = math.atan2(rotation[2, 1], rotation[2, 2]), math.atan2(rotation[1, 0], rotation[0, 0])
     if level < 1e-9:  # x is vertical: only yaw - roll, or yaw + roll, is determined

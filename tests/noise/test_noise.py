@@ -198,7 +198,7 @@ def test_each_fault_of_a_log_gets_a_remark():
         "ay left out, constant at 0",
         "az left out, saturated: ",
         "gx left out, quantized in steps of 0.05",
-        "the Allan deviation is not that of the model (gy ",
+        "the model does not fit the Allan deviation (gy ",
     ):
         assert [remark for remark in noise.remarks if remark.startswith(expected)], (expected, noise.remarks)
     assert not [remark for remark in noise.remarks if "gz" in remark]
@@ -216,7 +216,9 @@ def test_a_gyro_in_degrees_gets_a_remark():
     assert not [r for r in imu_noise(log).remarks if "unit" in r]
     degrees = replace(log, gz=np.degrees(log.gz - np.mean(log.gz)))
     assert [
-        r for r in imu_noise(degrees).remarks if r.startswith("the noise of gz is that of a gyro in deg/s")
+        r
+        for r in imu_noise(degrees).remarks
+        if r.startswith("the noise of gz is as large as that of a gyro in deg/s")
     ]
 
 

@@ -126,7 +126,7 @@ def test_each_axis_counts_by_itself(urban: Drive):
     assert str(found) == (
         "antenna 0.60 m right (+-0.06 m) of the IMU; drive.toml states 0.70 m ahead and 0.20 m left; the turns "
         "of this log do not determine 1.50 m ahead (+-0.12 m) to 0.15 m; this accuracy needs 2.5 times as many turns; "
-        "drive.toml keeps its value"
+        "the value in drive.toml is kept"
     )
     copy = found.applied(replace(urban, metadata={**urban.metadata, "gps_lever_arm_m": [0.7, 0.2, 1.1]}))
     assert copy.metadata["gps_lever_arm_m"] == [0.7, -0.6, 1.1]

@@ -101,7 +101,7 @@ def read_datasets(
 ) -> "list[Dataset]":
     """Read groups of drives in this process or on the workers of a cluster.
 
-    With ``remedies`` the doctor checks the drives and adds the remedies of serious faults to the list. With ``gaps``,
+    With ``remedies`` the doctor checks the drives and adds the remedies for serious faults to the list. With ``gaps``,
     warnings about gaps and unused samples are printed.
     """
     from sigmaswarm.cli.findings import warn_of_serious

@@ -57,7 +57,8 @@ class EvaluateOptions:
     smooth
         Also evaluate the smoothed estimates of the tuned filter.
     bank
-        Also evaluate a filter bank: sixteen variants of the tuned filter and their mixture. --swarm is deprecated.
+        Also evaluate a filter bank: sixteen filter variants and their mixture. --swarm is the deprecated name of this
+        option.
     verbose
         Also print the scores of each drive, the consistency, all remarks and the names of written files.
     """

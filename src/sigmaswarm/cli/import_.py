@@ -166,7 +166,7 @@ def import_(
     """
     request, heading = _request(source, options), options.heading_from_north
     if heading is not None and not abs(heading) <= 360:
-        raise InputError(f"--heading-from-north {heading:g} is not an angle; specify degrees, 0 to 360")
+        raise InputError(f"--heading-from-north {heading:g} is out of range; specify -360 to 360 degrees")
     if options.show:
         _show(request, options)
     elif options.out is None:

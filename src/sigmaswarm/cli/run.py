@@ -38,7 +38,7 @@ class RunOptions:
     smooth
         Write smoothed estimates, which also use later fixes.
     bank
-        Use a filter bank: sixteen filters with different parameters. --swarm is the deprecated name.
+        Use a filter bank: sixteen filters with different parameters. --swarm is the deprecated name of this option.
     json
         Print a summary as JSON.
     """

@@ -159,7 +159,7 @@ def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str,
     drives = sorted(existing | {path.parent.name for path in out.glob("*/imu.*")})
     if drives and not resume:
         raise InputError(
-            f"{out}: contains {drives[0]} already; choose another folder, or keep the existing drives with --resume"
+            f"{out}: already contains {drives[0]}; choose another folder, or keep the existing drives with --resume"
         )
     for name in sorted(existing):
         _require_made_with(out / name / "drive.toml", made_with)

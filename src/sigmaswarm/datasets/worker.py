@@ -16,7 +16,7 @@ T = TypeVar("T")
 Source = Callable[[], tuple[Drive, list[SigmaswarmWarning]]]
 """Picklable function that returns a drive and the warnings about it."""
 
-USABLE_MEMORY = 0.8  # share of a worker's memory; above it, Dask pauses the worker
+USABLE_MEMORY = 0.8  # share of a worker's memory above which Dask pauses the worker
 BASE_MEMORY = 350e6  # bytes without drives: interpreter, Numba, polars
 BYTES_PER_COLUMN_BYTE = 3.3  # memory of a prepared drive / size of its columns, by `benchmarks/fleet.py`
 

@@ -22,7 +22,7 @@ from sigmaswarm.drives.sensors import white_noise
 
 WINDOW = 10.0  # s: long enough to contain accelerations, short enough for constant tilt and slope
 BIAS_SPREAD = (0.1, 0.5)  # m/s2, bounds of the spread of b (tilt, slope, bias) between windows
-# Number of windows at which the covariance is doubled; the factor is 1 + SMALL_SAMPLE / number
+# The covariance is multiplied by 1 + SMALL_SAMPLE / k, where k is the number of windows
 SMALL_SAMPLE = 8.0
 MIN_NOISE = 0.03  # m, smallest assumed noise of the IMU's path over several seconds
 

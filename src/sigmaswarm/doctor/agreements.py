@@ -17,7 +17,7 @@ AVERAGING_TIME = 2.0  # s; the specific force is averaged, since vibration would
 RATE = 10.0  # Hz, rate of the averaged specific force
 # rad/s, largest bias that is removed; the plot shows a larger one as a fault of gz
 MAX_BIAS = np.radians(5.0)
-# By agreement: beginnings of the codes of findings that its plot shows
+# Beginnings of the codes of findings that the plot of each agreement shows
 FINDINGS = {
     "timing": (
         *("imu-gap", "imu-rate", "imu-repeats", "imu-outside", "gps-gap", "gps-rate", "gps-outside"),

@@ -53,7 +53,7 @@ def split_time(
     end, start = float(times[0]), float(times[-1])
     if start < end:
         raise InputError(
-            f"at = {end:.12g}, {start:.12g} s: the first time is after the second; exchange them"
+            f"at = {end:.12g}, {start:.12g} s: the first time is after the second; swap the times"
         )
     names = ("before", "after") if len(times) == 2 else ("train", "test")
     parts = (

@@ -62,7 +62,7 @@ class InitialState:
     covariance : ndarray, shape (5, 5)
         Covariance of ``mean``, positive definite.
     time : float
-        Time of the last fix of the alignment, s, at which filters and scores start.
+        Time of the last fix of the alignment (s) at which filters and scores start.
     gyro : GyroBiasEvidence or None
         Evidence about the gyro's bias, for filters that estimate it; with None, they start with a bias of 0.
     tilt : TiltEvidence or None
@@ -182,7 +182,7 @@ def _integral_at(imu: Imu, axis: str, integrals: Mapping[str, Array], time: Arra
 
 @cached(error_model="numpy")
 def turn_path(fixes: Array, n: int, path: Array, bias: float) -> None:
-    """Subtract a gyro bias, rad/s, from the path of n fixes.
+    """Subtract a gyro bias (rad/s) from the path of n fixes.
 
     Relative to the last fix, it rotates the path between two fixes by its integral from their middle time.
     """

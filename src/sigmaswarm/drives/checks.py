@@ -177,7 +177,7 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
 def gaps_in(time: Array, limit: tuple[float, float], imu: Array | None = None) -> GapSummary | None:
     """Find the gaps of ``time`` (n,), s, with a limit such as `IMU_GAP`; None if there are none.
 
-    With the IMU's times ``imu``, s, a gap that is mostly also a gap of the IMU is not counted, since the logger paused.
+    With the IMU's times ``imu`` (s), a gap that is mostly also a gap of the IMU is not counted: the logger paused.
     """
     interval = np.diff(time)
     usual = float(np.median(interval)) if interval.size else 0.0

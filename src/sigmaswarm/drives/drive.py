@@ -119,7 +119,7 @@ class Drive:
 
     @property
     def nominal_interval(self) -> float:
-        """Median time between IMU samples, s, to which the process noise refers."""
+        """Median time between IMU samples (s) to which the process noise refers."""
         return float(np.median(np.diff(self.imu.time)))
 
     @property

@@ -73,7 +73,7 @@ def _values(column: Any) -> NDArray[Any]:
 
 
 def _to_seconds(tables: dict[str, dict[str, NDArray[Any]]]) -> float | None:
-    """Replace dates by seconds since the first IMU sample; return the Unix time of this sample, s, or None.
+    """Replace dates by seconds since the first IMU sample; return the Unix time of this sample (s) or None.
 
     Unix time as float64 has a resolution of 0.2 us; seconds since the first sample are exact.
     """

@@ -39,7 +39,7 @@ def gap_of(interval: float, usual: float) -> float:
 
 @cached
 def usual_after(interval: float, usual: float) -> float:
-    """Update the usual interval, s, an exponentially weighted mean, with the next interval, s."""
+    """Update the usual interval (s), an exponentially weighted mean, with the next interval, s."""
     return usual + (min(interval, MOST * usual) - usual) / OVER if usual > 0.0 else interval
 
 
@@ -56,7 +56,7 @@ def is_known(truth: Truth, time: Array) -> Mask:
 
 
 def share_known(truth: Truth | None, start: float, end: float) -> float:
-    """Return the share of the time from ``start`` to ``end``, s, at which truth is known."""
+    """Return the share of the time from ``start`` to ``end`` (s) at which truth is known."""
     if truth is None or len(truth) < 2 or end <= start:
         return 0.0
     edges = np.clip(truth.time, start, end)

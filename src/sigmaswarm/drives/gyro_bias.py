@@ -33,8 +33,8 @@ class GyroBiasEvidence:
     """Evidence about the gyro bias from one alignment.
 
     ``bias`` and ``variance`` (3,), about forward, left and up, are in rad/s and (rad/s)^2; an unknown axis has infinite
-    variance. The alignment's mean and covariance assume the bias ``taken``, rad/s, about up; ``turns`` (5,) is the
-    change of x, y, vx, vy, theta per rad/s of bias.
+    variance. The alignment's mean and covariance assume the bias ``taken`` (vertical axis, rad/s). ``turns`` (5,) is
+    the change of x, y, vx, vy, theta per rad/s of bias.
     """
 
     bias: Array
@@ -43,7 +43,7 @@ class GyroBiasEvidence:
     turns: Array
 
     def with_bias(self, known: float) -> "GyroBiasEvidence":
-        """Return the evidence for the original gyro, before a known bias about up, rad/s, was subtracted."""
+        """Return the evidence for the gyro before a known bias (vertical axis, rad/s) was subtracted."""
         bias = self.bias.copy()
         bias[UP] += known
         return replace(self, bias=bias, taken=self.taken + known)
@@ -65,7 +65,7 @@ def mix_biases(
 ) -> None:
     """Combine the observed biases and their variances with a prior; write mean and variance of each estimated bias.
 
-    The bias follows from two measurements: 0 with standard deviation ``std``, rad/s, and the observed bias.
+    The bias follows from two measurements: 0 with standard deviation ``std`` (rad/s) and the observed bias.
     Alternatively, the gyro is far worse (`OUTLIER_PROBABILITY`, `OUTLIER_STD`). The two cases are weighted by the
     likelihood of all axes.
     """
@@ -96,7 +96,7 @@ def update_biases(
     taken: float,
     turns: Array,
 ) -> None:
-    """Update the state with the biases; the alignment's part is valid for the bias ``taken`` about up."""
+    """Update the state with the biases; the alignment's part is valid for the bias ``taken`` of the vertical axis."""
     for axis in range(3):
         place = places[axis]
         if place >= 0:

@@ -1,4 +1,4 @@
-"""Artificial GPS outages: time windows (k, 2), start and end, s, whose fixes are hidden from a filter."""
+"""Artificial GPS outages: time windows (k, 2), start and end (s) whose fixes are hidden from a filter."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,9 +30,9 @@ def random_windows(
     apart: float = 5.0,
     count: int | None = None,
 ) -> Array:
-    """Draw outages (k, 2) between two times, s, uniformly among all placements with the required distances.
+    """Draw outages (k, 2) between two times (s), uniformly among all placements with the required distances.
 
-    ``length``, s, is fixed or a range. The first outage begins at least ``first_after`` s after the start; outages are
+    ``length`` (s) is fixed or a range. The first outage begins at least ``first_after`` s after the start; outages are
     at least ``apart`` s apart. ``count`` limits their number; the default is one per 15 s, and at least one.
     """
     shortest, longest = length if isinstance(length, tuple) else (length, length)

@@ -105,7 +105,7 @@ def whole_drive(name: str, sha256: str, duration: float) -> Landmarks:
 
 
 def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
-    """Return the duration, s, of the parts that other drives contain, and the names of these drives."""
+    """Return the duration (s) of the parts that other drives contain, and the names of these drives."""
     overlaps = [(other.name, part) for other in others if (part := _common(drive, other)) is not None]
     covered, until = 0.0, -math.inf
     for start, end in sorted(part for _, part in overlaps):
@@ -150,7 +150,7 @@ def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
 
 
 def _offset(a: Array, b: Array, tolerance: float) -> float | None:
-    """Return the offset, s, between the clocks of landmarks (time in us, values ...) with the most equal pairs.
+    """Return the offset (s) between the clocks of landmarks (time in us, values ...) with the most equal pairs.
 
     Some pairs agree by chance. At least half of the landmarks in the common time must therefore agree, for the drive
     with fewer landmarks, since a copy may be decimated. Values must differ, since a standing car repeats one value.

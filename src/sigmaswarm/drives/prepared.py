@@ -30,7 +30,7 @@ class PreparedDrive:
 
     @cached_property
     def initial(self) -> InitialState:
-        """Start of filters; raises AlignmentError if the drive never moves far enough."""
+        """Start of filters; raises AlignmentError if the vehicle never moves far enough."""
         return self._given or initial_state(self.drive, as_recorded=self.as_recorded)
 
     @cached_property

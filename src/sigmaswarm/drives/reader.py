@@ -64,7 +64,7 @@ def read_drive(path: str | Path) -> Drive:
     ----------
     path : str or Path
         The folder, or a URL that fsspec reads: s3, gs, abfs, sftp, https ... Without a ``name`` in drive.toml, the name
-        is that of the folder; without a ``frame``, the frame follows from the columns of gps.csv.
+        is the folder's name; without a ``frame``, the frame follows from the columns of gps.csv.
 
     Returns
     -------

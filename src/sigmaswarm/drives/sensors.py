@@ -186,7 +186,7 @@ def receiver_std(drive: Drive) -> tuple[float, float]:
 def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
     """Estimate the standard deviation of white noise in the fixes, m per axis; 0 for fewer than four fixes.
 
-    The fixes (n,), east + i north, m, must be evenly spaced. The estimate is robust, and uses third differences, which
+    The fixes (n,), east + i north (m), must be evenly spaced. The estimate is robust, and uses third differences, which
     remove the motion and correlated errors.
     """
     third = np.diff(position, n=3)
@@ -223,5 +223,5 @@ def enough_for_fix_error(drives: Iterable[LogProperties]) -> bool:
 
 
 def motion_in_noise(interval: float) -> float:
-    """Return the contribution of city driving to `white_noise`, m, for fixes ``interval`` s apart."""
+    """Return the contribution of city driving to `white_noise` (m) for fixes ``interval`` s apart."""
     return 0.02 + 0.15 * interval**2

@@ -2,7 +2,7 @@
 
 The mean specific force, minus the acceleration that the fixes and the gyro show, is
 
-    forward:  accelerometer bias - g pitch        left:  accelerometer bias + g roll - v gyro bias about up
+    forward:  accelerometer bias - g pitch        left:  accelerometer bias + g roll - v (vertical gyro bias)
 
 Only these sums are observable at the start. The gyro shows the changes of roll and pitch since then: with the tilt
 e = roll + i pitch at the start and the turn psi since an earlier time, the tilt at this time is
@@ -44,7 +44,7 @@ class TiltEvidence:
     numbers: Array
 
     def with_bias(self, known: float) -> "TiltEvidence":
-        """Return the evidence for the original gyro, before a known bias about up, rad/s, was subtracted."""
+        """Return the evidence for the gyro before a known bias (vertical axis, rad/s) was subtracted."""
         numbers = self.numbers.copy()
         numbers[FORCE + 1] -= numbers[MEAN_SPEED] * known
         return TiltEvidence(numbers)

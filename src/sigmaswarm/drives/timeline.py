@@ -39,7 +39,7 @@ class Timeline:
     ----------
     start : s
     end : (k,) s, end of each step
-    steps : (k, 3) dt, s; q_scale, dt / nominal interval; gap, s, length of the IMU gap around the step, or 0
+    steps : (k, 3) dt, s; q_scale, dt / nominal interval; gap (s) length of the IMU gap around the step, or 0
     sample : (k,) int, index of the IMU sample that drives each step
     driving : (n, 3) or (n, 6) inputs of the steps up to each IMU sample, in ``axes``, m/s2 and rad/s; all time lines of
         a drive share this array
@@ -47,7 +47,7 @@ class Timeline:
     hides : (k,) bool, True if a fix at the step's end is hidden from the filter, which predicts it
     sampled : (k,) bool, True if the step ends at the time of an IMU sample
     fixes : (f, 8) position, m east, north; velocity, m/s east, north (0 if unknown); stated variance, m2 east, north (0
-        if not stated); heading, rad, and its stated variance, rad2 (0 if not stated, infinite if the fix has no
+        if not stated); heading (rad) and its stated variance, rad2 (0 if not stated, infinite if the fix has no
         heading); in the order of the steps, including hidden fixes
     fix_time : (f,) s
     has_velocity : bool

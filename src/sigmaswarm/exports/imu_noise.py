@@ -51,7 +51,7 @@ def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:
     sign = "%" if target == "matlab" else "#"
     lines = [f"Noise of the IMU of {noise.name}, {noise.rate:.6g} Hz, by sigmaswarm", *noise.remarks]
     lines += [
-        f"{axis} was not measured; its value is that of the other axes"
+        f"{axis} was not measured; it has the value of the other axes"
         for axes, _ in SENSORS.values()
         for axis in axes.split()
         if axis not in known
@@ -128,7 +128,7 @@ def _kalibr(noise: Noise) -> list[str]:
         f"update_rate: {_number(noise.rate)}  # Hz",
         "rostopic: /imu/data  # set your topic",
         "# VINS-Mono and VINS-Fusion: the same densities under other names. These programs use them as the standard",
-        f"# deviation of a sample, which is {noise.rate**0.5:.4g} times larger (square root of the rate).",
+        f"# deviation of a sample; for the measured noise multiply by {noise.rate**0.5:.4g} (square root of the rate).",
         f"acc_n: {white['accel']}",
         f"acc_w: {walk['accel']}",
         f"gyr_n: {white['gyro']}",

@@ -227,7 +227,7 @@ def _messages(
 
 
 def _of_innovations(innovations: Innovations | None, factory: MessageFactory) -> Iterator[Message]:
-    """Yield the innovations of the fixes, m east and north, with standard deviations, m, and NIS."""
+    """Yield the innovations of the fixes, m east and north, with standard deviations (m) and NIS."""
     if innovations is None:
         return
     sound = definite(innovations.covariance)  # False after a failure of the filter

@@ -47,7 +47,7 @@ def export_texts(
     as_recorded : bool
         filterpy, c99: use stale fixes, and treat IMU gaps as ordinary steps.
     mounting : (float, float, float), optional
-        c99, robot_localization: roll, pitch and yaw of the IMU in the vehicle, deg, for raw samples.
+        c99, robot_localization: roll, pitch and yaw of the IMU in the vehicle (deg) for raw samples.
     imu_axes : dict of str to str, optional
         c99: expressions from which the import computed the IMU's axes, for the README.
     lanes : int

@@ -91,7 +91,7 @@ def _degrees(east: Array, north: Array, origin: Origin) -> Array:
 def write_fixes(
     drive: Drive, until: float, path: str | Path, *, origin: Origin | None = None, time_origin: float = 0.0
 ) -> int:
-    """Write the fixes before ``until``, s, for example the start of a filter; return the number of written fixes.
+    """Write the fixes before ``until`` (s), for example the start of a filter; return the number of written fixes.
 
     Formats: ``.csv`` (t, x, y in s and m), and the maps ``.geojson``, ``.gpx`` and ``.kml``. Other formats raise
     `InputError`.
@@ -117,7 +117,7 @@ def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
 
 
 def time_origin_of(drive: Drive) -> float:
-    """Return the time on the log's clock, s, at which the times of a drive are 0; 0 if the import stored none."""
+    """Return the time on the log's clock (s) at which the times of a drive are 0; 0 if the import stored none."""
     stated = drive.metadata.get("time_origin_s", 0.0)
     usable = isinstance(stated, int | float) and abs(stated) < _LATEST_ORIGIN  # not NaN
     return float(stated) if usable else 0.0

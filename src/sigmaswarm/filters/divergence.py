@@ -77,7 +77,7 @@ class StateCheck:
     lever: Array  # (2,), m forward and left from the IMU to the antenna
     latency: float  # s
     since: Callable[[], Array]  # steps from the fix to the check, (k, 4): dt (s), ax, ay (m/s2), gz (rad/s)
-    heading: Callable[[], float]  # rough heading at the check, computed without a filter, rad, or NaN
+    heading: Callable[[], float]  # rough heading at the check, computed without a filter (rad) or NaN
     align: Callable[[], InitialState | None]  # alignment that ends at the fix, or None; slow
 
     @property
@@ -143,7 +143,7 @@ class DivergenceMonitor:
         self._position, self._heading = _Contradiction(), _Contradiction()
 
     def take(self, check: StateCheck) -> InitialState | None:
-        """Make a check; return the state for a reset, or None if the filter continues or becomes ``lost``."""
+        """Evaluate a check; return the state for a reset, or None if the filter continues or becomes ``lost``."""
         if not np.isfinite(check.mean).all():  # a failure, which is reported elsewhere
             return None
         return self.take_all([check.time], lambda _: check)[1]
@@ -151,9 +151,9 @@ class DivergenceMonitor:
     def take_all(
         self, times: Sequence[float], check_at: Callable[[int], StateCheck]
     ) -> tuple[int | None, InitialState | None]:
-        """Make checks at some times, s; return the index of the first divergence, and the state for a reset.
+        """Evaluate checks at several times (s); return the index of the first divergence, and the state for a reset.
 
-        ``check_at`` returns the check at the k-th time. If the filter is ``lost``, only the first check is made.
+        ``check_at`` returns the check at the k-th time. If the filter is ``lost``, only the first check is evaluated.
         """
         with np.errstate(all="ignore"):  # non-finite values are not a contradiction
             first = 0 if self.lost else self._first_diverged(times, check_at)

@@ -60,7 +60,7 @@ def _filter(
 
 
 def _variances(line: Timeline) -> Array:
-    """Return the stated variances of the fixes, m2, or a typical variance if they are not stated."""
+    """Return the stated variances of the fixes (m2) or a typical variance if they are not stated."""
     stated = line.fixes[:, FIX_VAR_X : FIX_VAR_X + 2].mean(axis=1)
     return (
         stated if line.states_accuracy and np.all(stated > 0) else np.full(len(stated), UNSTATED_GPS_STD**2)

@@ -56,7 +56,7 @@ class LiveState:
     mean : ndarray, shape (n,); heading wrapped to (-pi, pi]
     covariance : ndarray, shape (n, n)
     failed : bool: the covariance is no longer positive semidefinite, or a number became NaN
-    lost : bool: the filter has diverged and cannot be reset yet; the position is that of the last fix
+    lost : bool: the filter has diverged and cannot be reset yet; the position is the last fix
     """
 
     time: float
@@ -426,7 +426,7 @@ def _check_spans(interval: float, history: float, lag: float | None) -> None:
 
 
 def _known_heading(theta: float, std: float) -> tuple[float, float]:
-    """Return heading, rad, and stated variance, rad2 (infinite if there is no heading), as in `Timeline.fixes`."""
+    """Return heading (rad) and stated variance, rad2 (infinite if there is no heading), as in `Timeline.fixes`."""
     known = math.isfinite(theta) and 0 <= std < NO_HEADING
     return (theta, std**2) if known else (0.0, math.inf)
 

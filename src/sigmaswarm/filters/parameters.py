@@ -128,7 +128,7 @@ class FilterParameters:
     fix_error_time : float
         Time constant of the correlated fix error, s.
     fix_std : float
-        Standard deviation of fixes per axis, m, which ``fix_error`` uses if the receiver states none.
+        Standard deviation of fixes per axis (m), which ``fix_error`` uses if the receiver states none.
     robust_dof : float or None
         Degrees of freedom of Student's t for the errors of fixes, so that outliers have little weight (R. Piche, S.
         Sarkka and J. Hartikainen, MLSP 2012). Start with 4; use fewer if there are more outliers. None: Gaussian

@@ -6,7 +6,7 @@ The paper mentions "default parameters" but does not state their values.
     A common first choice: Q = I, R = I, alpha 0.1, beta 2, kappa 0.
 ``datasheet``
     Values from data sheets: R from the receiver's stated accuracy, Q from the IMU's noise density. If the drive does
-    not state these, R = 2.1^2 m2 (u-blox M8, 2.5 m CEP), and Q is that of an MPU-6050.
+    not state these, R = 2.1^2 m2 (u-blox M8, 2.5 m CEP), and Q is for an MPU-6050.
 ``paper``
     The paper's published optimum: alpha 0.03, beta 2.5, kappa 0.48, Q = 2 I, R = 0.1 I.
 """

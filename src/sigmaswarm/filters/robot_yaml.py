@@ -82,7 +82,7 @@ def _loaded(path: Path) -> Any:
         raise InputError(f"{path}: can't be read ({error.strerror}); name an ekf.yaml") from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
-        raise InputError(f"{path}: is not valid YAML ({printable(reason, 160)}); correct it") from None
+        raise InputError(f"{path}: is not valid YAML ({printable(reason, 160)}); correct this file") from None
 
 
 def _chosen(content: Any, path: Path) -> Block:
@@ -110,7 +110,7 @@ def _blocks(content: Any, visited: set[int]) -> Iterator[Block]:
 def _entries(value: Any, path: Path, key: str) -> list[bool]:
     if isinstance(value, list) and [type(v) for v in cast("list[Any]", value)] == [bool] * 15:
         return value
-    raise InputError(f"{path}: {key} must be 15 booleans; correct it")
+    raise InputError(f"{path}: {key} must be 15 booleans; list true or false for each state")
 
 
 def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
@@ -124,11 +124,11 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
     except (TypeError, ValueError):
         values = []
     if len(values) not in (15, 225):
-        raise InputError(f"{path}: {key} must be 225 numbers, or the 15 of its diagonal; correct it")
+        raise InputError(f"{path}: {key} must be 225 numbers, or 15 for the diagonal; change the list")
     diagonal = values if len(values) == 15 else values[::16]
     noise = tuple(diagonal[place] for place in STATE_INDICES)
     if not all(0 <= variance < math.inf for variance in noise):
-        raise InputError(f"{path}: {key} has a variance that is negative or not finite; correct it")
+        raise InputError(f"{path}: {key} has a variance that is negative or not finite; change this variance")
     return noise
 
 
@@ -142,7 +142,7 @@ def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float |
     except (TypeError, ValueError):
         limit = math.nan
     if not limit > 0:
-        raise InputError(f"{path}: {keys[0]} must be a positive number; correct it")
+        raise InputError(f"{path}: {keys[0]} must be a positive number; change this value")
     return limit**2 if limit < 1e100 else None  # the default is the largest number
 
 

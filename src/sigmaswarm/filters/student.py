@@ -6,7 +6,7 @@ gamma distribution; an outlier's weight is small.
 
 ITERATIONS = 3  # number of alternating estimates of the state and the weight of a fix
 OUTLYING = 0.25  # a fix with a smaller weight is an outlier
-OUTLIERS = 3  # so many consecutive outliers over OUTLIERS_SPAN show that the filter is wrong
+OUTLIERS = 3  # number of consecutive outliers, over at least OUTLIERS_SPAN, that show a wrong filter
 OUTLIERS_SPAN = 5.0  # s
 
 # The scale of an objective is c = 2 x, where x e^x E1(x) = v / (v + 2) and E1 is the exponential integral. With this c,

@@ -262,7 +262,7 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
     for role in ROLES:
         offset = getattr(recipe, f"{role}_offset_s", 0.0)
         if not abs(offset) < 4e9:  # 126 years: times in ns would exceed 64 bits
-            raise InputError(f"--{role}-offset {offset:g}: must be a number of seconds")
+            raise InputError(f"--{role}-offset {offset:g}: must be above -4e9 and below 4e9 s")
         if role in times:
             moved[role] = times[role] + round(offset * SECOND)
     # A time stamp years before the others is wrong; with this stamp as the origin, the others would lose their last
@@ -343,7 +343,7 @@ def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]
     given = f"--gps-from-truth {rate:g},{noise:g}"
     if not (0 < rate <= 1000 and 0 <= noise < np.inf):
         raise InputError(
-            f"{given} can't be used; specify a rate in Hz and a standard deviation in m, for example 5,1"
+            f"{given} can't be used; specify a rate of at most 1000 Hz and a standard deviation in m, for example 5,1"
         )
     if not (truth.time[-1] - truth.time[0]) * rate <= MAX_FIXES:
         raise InputError(f"{given} would make more than {MAX_FIXES} fixes; check the truth's times")

@@ -12,7 +12,7 @@ from sigmaswarm.importing.recipe import COLUMNS
 from sigmaswarm.importing.source import ROLES
 from sigmaswarm.importing.times import quoted_column
 
-# By quantity and unit: expressions that convert a column to the unit of a drive
+# Expressions that convert a column to the unit of a drive, by quantity and unit of the column
 UNITS: dict[str, dict[str, str]] = {
     "time": {"s": "{}", "ms": "{}*1e-3", "µs": "{}*1e-6", "ns": "{}*1e-9", "date, UTC": "utc({})"},
     "acceleration": {"m/s²": "{}", "g": "{}*9.80665", "mg": "{}*0.00980665", "-m/s²": "-{}", "-g": "-{}*9.80665"},

@@ -27,7 +27,7 @@ _HOURS = {
     **{0: "Z UTC GMT WET", 1: "CET BST WEST", 2: "CEST EET", 3: "EEST", 9: "JST", 10: "AEST", 11: "AEDT"},
     **{-4: "EDT", -5: "EST CDT", -6: "MDT", -7: "MST PDT", -8: "PST"},
 }
-# By name of a time zone: hours ahead of UTC
+# Hours ahead of UTC, by name of the time zone
 ZONES = {name: float(hours) for hours, names in _HOURS.items() for name in names.split()}
 _STEPS = LEAP_SECONDS + np.arange(1, len(LEAP_SECONDS) + 1)  # GPS time after each leap second, s since 1970
 

@@ -105,7 +105,7 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Gt: operator.gt,
     ast.GtE: operator.ge,
 }
-# By function: how often it evaluates each argument, and its implementation
+# For each function: how often it evaluates each argument, and its implementation
 _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., pl.Expr]]] = {
     **{name: ((1,), getattr(pl.Expr, name)) for name in ("abs", "sqrt", "exp", "log", "sin", "cos", "tan")},
     **{name: ((1,), getattr(pl.Expr, name)) for name in ("radians", "degrees")},

@@ -13,7 +13,7 @@ from sigmaswarm.importing.source import Limits, Log, first_bytes, is_empty, no_l
 from sigmaswarm.limits import require_regular, require_text
 from sigmaswarm.wording import list_names
 
-# By name of a format (--format): the module in ``readers/``, and a description. The most general format is last. Each
+# For each format (--format): the module in ``readers/``, and a description. The most general format is last. Each
 # module has two functions. ``recognizes(path)`` returns True if the name or the first bytes of a file or folder show
 # the format; it needs no library. ``open_log(path, limits, stack)`` returns a `Log`; the stack closes its files.
 READERS: dict[str, tuple[str, str]] = {

@@ -44,7 +44,7 @@ class PartColumns:
     seen: int = 0  # number of rows
     unkept: int = 0  # number of rows for which ``keep`` is false
     timeless: int = 0  # number of rows without a time
-    # By column of the table: the placeholder of missing values, and its count
+    # For each column of the table: the placeholder of missing values, and its count
     placeholders: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
     period: int = 0  # ns, period of a clock that wraps; 0 for other clocks, and before `unwrap`
     set_back: int = 0  # ns, sum of the steps back of the clock before the chosen recording

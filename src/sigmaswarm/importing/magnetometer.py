@@ -202,7 +202,7 @@ def _turn(calibration: Calibration, stated: float | None) -> float:
         return 0.0
     if not abs(stated) <= 180:
         raise InputError(
-            f"--declination {stated:g} is not an angle; specify degrees, east positive, for example 3.5"
+            f"--declination {stated:g} is out of range; specify -180 to 180 degrees, east positive"
         )
     if calibration.mirrored:
         raise InputError(

@@ -184,7 +184,7 @@ def _maps(columns: Columns, role: Role, whats: Sequence[str], form: str) -> str:
 
 
 def in_units(frame: pl.DataFrame, role: Role, texts: Mapping[str, str]) -> dict[str, str]:
-    """Convert mapped columns to a drive's units, by the rules for recognized names or the remedies of their faults."""
+    """Convert mapped columns to a drive's units, by the rules for recognized names or the remedies for their faults."""
     columns, signs = Columns(frame), {what: "-" * text.startswith("-") for what, text in texts.items()}
     quoted_names = {quoted_column(column): column for column in frame.columns}
     for what, text in texts.items():

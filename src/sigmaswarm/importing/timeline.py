@@ -213,7 +213,7 @@ def sorted_times(
     new = np.diff(time, prepend=time[0] - 1) > 0
     if not new.all():
         say(
-            f"{where}: {rows_left_out(int(np.count_nonzero(~new)))}, since the time is that of the previous row"
+            f"{where}: {rows_left_out(int(np.count_nonzero(~new)))}, since they repeat the time of the previous row"
         )
     return time[new], rows[new]
 

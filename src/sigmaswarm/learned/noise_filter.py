@@ -118,7 +118,7 @@ def _weight(dof: float, observed: Any, noise: Any, nu: Any) -> Any:
 def _take_fix(settings: FilterConstants, state: tuple[Any, ...], u: Any, scale: Any) -> tuple[Any, ...]:
     """Update mean, covariance and number of rejected fixes with a fix; ``scale``: logarithm of the factor of R.
 
-    Also return nu, m, and xx, xy, yy of S, m2, before the update.
+    Also return nu (m) and xx, xy, yy of S, m2, before the update.
     """
     (m, c, rejected), p = state, settings.parameters
     cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
@@ -161,7 +161,7 @@ def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
 def run(settings: FilterConstants, weights: Any, mean: Any, covariance: Any, columns: Any) -> tuple[Any, Any]:
     """Run the filter with its network over k steps, from a mean (n,) and a covariance (n, n).
 
-    Return an array (k, 6), and the means (k, n). The array contains nu, m, and xx, xy, yy of S, m2, before the update,
+    Return an array (k, 6), and the means (k, n). The array contains nu (m) and xx, xy, yy of S, m2, before the update,
     and 1 if the step has a fix, else 0.
     """
     p, nothing = settings.parameters, jnp.array([0.0, 0.0, 1.0, 0.0, 1.0, -1.0])

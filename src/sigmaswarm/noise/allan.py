@@ -28,7 +28,7 @@ def allan_deviation(parts: Sequence[Array], interval: float) -> tuple[Array, Arr
     Returns
     -------
     tau, deviation : array (m,)
-        Averaging times, s, and the deviation in the unit of the signal.
+        Averaging times (s) and the deviation in the unit of the signal.
     """
     most = max(map(len, parts)) // MIN_STRETCH_RATIO
     decades = math.log10(max(most, 1))

@@ -63,8 +63,8 @@ def on_gyro(axes: Sequence[AxisNoise]) -> list[str]:
     if not rough:
         return []
     return [
-        f"the noise of {', '.join(rough)} is that of a gyro in deg/s: the unit looks wrong; correct it with "
-        '--map "gz=radians(gyro_z)"'
+        f"the noise of {', '.join(rough)} is as large as that of a gyro in deg/s: the unit looks wrong; convert it "
+        'with --map "gz=radians(gyro_z)"'
     ]
 
 
@@ -101,7 +101,7 @@ def on_misfit(axes: Sequence[AxisNoise], duration: float) -> list[str]:
     if not misfits:
         return []
     return [
-        f"the Allan deviation is not that of the model ({', '.join(misfits)}). Vibration, or a filter in the sensor, "
+        f"the model does not fit the Allan deviation ({', '.join(misfits)}). Vibration, or a filter in the sensor, "
         "can be the cause. The model then describes only the slow noise, the part that a navigation filter integrates"
     ]
 

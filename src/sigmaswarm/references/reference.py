@@ -91,7 +91,7 @@ def reference(
     lever_arm : (float, float, float), optional
         Vector from the IMU to the good receiver's antenna, m forward, left and up; by default 0.
     offset : float
-        Time to add to the fixes' times, s, so that both are on one clock; 0 by default.
+        Time to add to the fixes' times (s), so that both are on one clock; 0 by default.
     accuracy : float
         Largest standard deviation of the truth per axis, m; rows with a larger one are omitted. 0.1 by default.
     fix_std : float, optional

@@ -151,8 +151,8 @@ def table_1(results: Results) -> Table:
     columns += _with_intervals(["ours, against truth"])
     columns += [_figures("improvement (eq. 5), %: paper"), *_with_intervals(["ours"])]
     note = (
-        "Mean over trials on held-out drives, with the 95% interval for new drives. The paper's RMSE is that of "
-        "the updated estimates against the GPS. Our improvement (equation 5) is computed from the errors against "
+        "Mean over trials on held-out drives, with the 95% interval for new drives. The paper's RMSE compares "
+        "the updated estimates with the GPS. Our improvement (equation 5) is computed from the errors against "
         f'truth, relative to the method "{results.label(MANUAL_METHOD)}".'
     )
     return _table("Table I. RMSE, m", columns, rows, results, note)

@@ -124,7 +124,7 @@ class EvaluationOptions:
 class DriveResult:
     """Results of all methods on a drive.
 
-    ``restarts``: times of resets, s, by method. ``drifts``: records by measure. ``consistency`` and ``innovations`` are
+    ``restarts``: times of resets (s) by method. ``drifts``: records by measure. ``consistency`` and ``innovations`` are
     those of the tuned filter. ``picture`` has more points than ``tracks``.
     """
 

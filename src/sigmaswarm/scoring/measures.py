@@ -21,7 +21,7 @@ class Measure:
 
 
 def measures(outage_length: float = OUTAGE_LENGTH) -> dict[str, Measure]:
-    """Return the measures in display units; ``outage_length``, s, is that of the medium outages.
+    """Return the measures in display units; ``outage_length`` (s): length of the medium outages.
 
     If the short or the long outages have the same length, their measure is left out, since the drifts are equal.
     """

@@ -53,7 +53,7 @@ def factor_of(level: float) -> float:
 
 
 def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array, variance: Array) -> Array:
-    """Return the variance per axis, m2, of correlated fix errors that the filter's ``variance`` lacks, shape (n,)."""
+    """Return the variance per axis (m2) of correlated fix errors that the filter's ``variance`` lacks, shape (n,)."""
     gps, typical = drive.gps, float(np.mean(np.square(receiver_std(drive))))
     if (std := gps.std) is None:
         stated = np.full(len(time), typical)

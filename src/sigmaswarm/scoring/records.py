@@ -21,7 +21,7 @@ MIN_OUTAGES = 4  # number of outages in a set; with fewer, all sets hide nearly 
 
 
 class DriftRecord(BaseModel):
-    """Number of outages of one length, and RMS drifts, m, of each random set by method; None for a failed filter."""
+    """Number of outages of one length, and RMS drifts (m) of each random set by method; None for a failed filter."""
 
     outages: int
     each: dict[str, list[float | None]]
@@ -40,7 +40,7 @@ class ScoresRecord(BaseModel):
     consistency: dict[str, Consistency | None] = Field(default_factory=dict)
     improvement_percent: dict[str, Measured] = Field(default_factory=dict)
     restarts: dict[str, dict[str, list[float]]] = Field(default_factory=dict)
-    """Times of resets after divergence, s, by drive and method."""
+    """Times of resets after divergence (s) by drive and method."""
     drifts: dict[str, dict[str, DriftRecord]] = Field(default_factory=dict)  # by drive and measure
     failed: dict[str, list[str]] = Field(default_factory=dict)  # methods by drive
     radius: dict[str, dict[str, RadiusRecord]] = Field(default_factory=dict)

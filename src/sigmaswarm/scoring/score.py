@@ -116,7 +116,7 @@ class PieceErrors:
 
 
 def truth_at(truth: Truth, time: Array) -> tuple[Array, Array]:
-    """Return the true x and y, m, linearly interpolated; NaN at times without truth."""
+    """Return the true x and y (m), linearly interpolated; NaN at times without truth."""
     known = is_known(truth, time)
     x = np.where(known, np.interp(time, truth.time, truth.x), np.nan)
     y = np.where(known, np.interp(time, truth.time, truth.y), np.nan)

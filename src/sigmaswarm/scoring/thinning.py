@@ -61,7 +61,7 @@ def _extremes(columns: Columns, ends: NDArray[np.intp]) -> NDArray[np.intp]:
 class CloseUp:
     """All rows of a series near a position, m, shape (2,), with a gap where the series leaves the region.
 
-    The region is twice as wide as ``side``, m, since a plot with equal scales may show more than a square.
+    The region is twice as wide as ``side`` (m), since a plot with equal scales may show more than a square.
     """
 
     def __init__(self, place: NDArray[np.float64], side: float) -> None:

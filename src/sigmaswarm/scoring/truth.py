@@ -89,7 +89,7 @@ def truth_offset(drive: Drive) -> str:
 
 
 def _constant(error: Complex) -> tuple[complex, float]:
-    """Return the mean of the medians of `N_BLOCKS` parts, m, and the ratio of this mean to its standard deviation."""
+    """Return the mean of the medians of `N_BLOCKS` parts (m) and the ratio of this mean to its standard deviation."""
     if len(error) < 2 * N_BLOCKS:
         return 0j, 0.0
     means = np.array(

@@ -110,7 +110,7 @@ def _clip(x: float, low: float, high: float) -> float:
 
 @compiled
 def _wheel_loads(car: Vehicle, ax: float, ay: float) -> tuple[float, float, float, float]:
-    """Return the vertical load of each wheel, N; ``ax`` and ``ay``, m/s2, act through the suspension."""
+    """Return the vertical load of each wheel, N; ``ax`` and ``ay`` (m/s2) act through the suspension."""
     front = car.mass * (GRAVITY * car.rear - car.height * ax) / (car.front + car.rear)
     rear = car.mass * GRAVITY - front
     across = car.mass * car.height * ay / car.track
@@ -134,7 +134,7 @@ def _tire(
     friction: float,
     car: Vehicle,
 ) -> tuple[float, float, float, float]:
-    """Return longitudinal and lateral force, N, and normalized longitudinal and combined slip of a tire.
+    """Return longitudinal and lateral force (N) and normalized longitudinal and combined slip of a tire.
 
     Similarity method [P]: slips are normalized by stiffness over friction and add as vectors. The magic formula of the
     sum gives the force, at most friction x load.
@@ -156,7 +156,7 @@ def _relax(rate: float, deflection: float, sliding: bool) -> float:
 
 @compiled
 def _torques(s: Array, car: Vehicle) -> tuple[float, float]:
-    """Return the total torques, N m, of all motors and all brakes; the car coasts at pedal 0."""
+    """Return the total torques (N m) of all motors and all brakes; the car coasts at pedal 0."""
     speed = max(s[VX], 0.0)
     coast = _lookup(speed, car.pedal_speed, car.coast)
     drive = coast + max(s[PEDAL], 0.0) * (_lookup(speed, car.pedal_speed, car.full_throttle) - coast)
@@ -170,7 +170,7 @@ def _torques(s: Array, car: Vehicle) -> tuple[float, float]:
 def _spin_up(
     spin: float, slip: float, load: float, force: float, drive: float, brake: float, car: Vehicle
 ) -> float:
-    """Return the angular acceleration of a wheel, rad/s2, under torques, N m, and tire force, N.
+    """Return the angular acceleration (rad/s2) of a wheel under torques (N m) and a tire force (N).
 
     Idealized anti-lock and traction control reduce the torques from full at the slip of the peak force (1) to 0 at
     twice this slip.
@@ -186,7 +186,7 @@ def _spin_up(
 def _wheel(
     i: int, s: Array, rate: Array, load: float, shared: Drivetrain, car: Vehicle
 ) -> tuple[float, float, float]:
-    """Return force, N, in body axes and moment, N m, of wheel i; fill the rates of the wheel's states."""
+    """Return the force (N, in body axes) and the moment (N m) of wheel i; fill the rates of the wheel's states."""
     at_front = i < 2
     place = car.front if at_front else -car.rear
     across = 0.5 * car.track if i % 2 == 0 else -0.5 * car.track
@@ -240,7 +240,7 @@ def _derivative(
 ) -> tuple[float, float, float]:
     """Fill `rate` with the derivative of the state under the desired steering (rad) and pedal.
 
-    Return the acceleration of the center of gravity in body axes, m/s2, and total tire force / (friction x weight).
+    Return the acceleration of the center of gravity in body axes (m/s2) and total tire force / (friction x weight).
     """
     vx, vy, yaw_rate = s[VX], s[VY], s[YAW_RATE]
     # The springs and dampers transmit the load transfer.
@@ -335,7 +335,7 @@ def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, ped
 
 @compiled
 def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) -> tuple[float, int, float]:
-    """Return the desired steering angle, rad, the index of the nearest point, and the distance along the path, m.
+    """Return the desired steering angle (rad), the index of the nearest point, and the distance along the path, m.
 
     The angle is the sum of a feedforward from the curvature ahead and a feedback. An offset decays like a second-order
     system with a frequency of up to 1.5 rad/s, proportional to speed.

@@ -51,7 +51,7 @@ class Environment:
 
 _DRY = "Bosch Automotive Handbook: new tires, dry, 50 km/h"
 
-# By name, in the paper's order.
+# In the paper's order
 ENVIRONMENTS = by_name(
     Environment("clear", 0.85, 1.0, _DRY),
     Environment("night", 0.85, 1.0, _DRY),

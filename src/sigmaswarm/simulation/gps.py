@@ -27,7 +27,7 @@ class GpsGrade:
     Attributes
     ----------
     white_std, markov_std : float
-        Standard deviations per axis, m, of the white noise of each fix and of the first-order Gauss-Markov error.
+        Standard deviations per axis (m) of the white noise of each fix and of the first-order Gauss-Markov error.
     markov_time : float
         Correlation time, s.
     velocity_std : float or None
@@ -97,7 +97,7 @@ class HeadingGrade:
     markov_time : float
         Correlation time, s.
     mounting : float
-        Angle of the antennas' baseline, rad, counter-clockwise from forward, unknown to the receiver.
+        Angle of the antennas' baseline (rad), counter-clockwise from forward, unknown to the receiver.
     """
 
     name: str

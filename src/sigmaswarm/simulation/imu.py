@@ -71,7 +71,7 @@ def _gyro(per_sqrt_hour: float, bias_per_hour: float, **more: float) -> Triad:
 
 _MPU = {"scale": 0.03, "misalignment": 0.02}  # [T] sensitivity tolerance, cross-axis sensitivity
 
-# By name, from the worst to the best real sensor, then simulated sensors.
+# From the worst to the best real sensor, then simulated sensors
 IMU_GRADES = by_name(
     ImuGrade("ideal", source="no errors"),
     ImuGrade(

@@ -26,11 +26,11 @@ class AccelerationLimits:
     friction: float
 
     def hard(self, wanted: float) -> float:
-        """Limit an acceleration, m/s2, to the friction of the road."""
+        """Limit an acceleration (m/s2) to the friction of the road."""
         return min(wanted, _LIMIT * self.friction * GRAVITY)
 
     def easy(self, wanted: float) -> float:
-        """Limit an acceleration, m/s2, to half of the friction limit, for everyday driving."""
+        """Limit an acceleration (m/s2) to half of the friction limit, for everyday driving."""
         return min(wanted, 0.5 * self.friction * GRAVITY)
 
 
@@ -170,7 +170,7 @@ def _city_block(road: AccelerationLimits, rng: np.random.Generator) -> list[Leg]
     return [street, *turn(road, sign * angle, radius, kmh, 2.0), *turn(road, -sign * angle, radius, kmh, 2.0)]
 
 
-# By name; the first five are the paper's.
+# The first five are the paper's.
 MANEUVERS: dict[str, Callable[[AccelerationLimits, np.random.Generator], Maneuver]] = {
     "cruise": cruise,
     "turns": turns,

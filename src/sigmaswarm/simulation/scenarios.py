@@ -93,7 +93,7 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
     vehicle : str or Vehicle
         "model3" (pedals of the real car, the default) or "model3-carla".
     imu_rate, gps_rate : float
-        Sampling rates, Hz, at most 1000; 100 and 5 by default.
+        Sampling rates (Hz), at most 1000; 100 and 5 by default.
     jitter : float
         Standard deviation of the random errors of the sample times, s; 0 by default. Each error is limited to 0.4 of
         the interval.

@@ -79,7 +79,7 @@ def run_batch(
         If the objective is unknown, a drive lacks the truth that the objective needs, or an argument has the wrong
         type.
     AlignmentError
-        If a drive never moves far enough to start a filter.
+        If a vehicle never moves far enough to start a filter.
     """
     (dataset,) = make_datasets(drives, takes="run_batch takes Drives")
     sets: list[Any] = as_list(parameter_sets)

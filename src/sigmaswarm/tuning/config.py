@@ -169,7 +169,7 @@ PAPER_OPTIONS: dict[str, Any] = {
     "prior": 0.0,
     "inflation": 0.0,
 }
-"""The paper's settings of one tuning. The paper repeats this tuning 20 times; inertia, seed and bounds are unknown."""
+"""Options of ``paper=True``. The paper repeats such a tuning 20 times, and states neither inertia nor seed."""
 
 
 def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -179,7 +179,7 @@ def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
             papers = "nothing" if PAPER_OPTIONS[name] in ((), None) else PAPER_OPTIONS[name]
             raise InputError(
                 f"{name} = {value!r}: contradicts the paper's setting, which is {papers}; "
-                f"leave out {name} or the paper's setting"
+                f"leave out {name}, or --paper (in Python: paper=True)"
             )
     return {**options, **PAPER_OPTIONS}
 

@@ -153,7 +153,7 @@ def drift_warnings(drifts: Iterable[tuple[float, ...]], most: float = MAX_DRIFT_
 
 
 def restarts_of(ready: PreparedDrive, parameters: FilterParameters) -> tuple[str, list[float]]:
-    """Return a drive's name and the times, s, at which a monitored filter was reset in the drive's first hour."""
+    """Return a drive's name and the times (s) at which a monitored filter was reset in the drive's first hour."""
     return ready.drive.name, FilterRun(_first_part(ready), parameters, recover=True).finished().restarts
 
 
@@ -204,7 +204,7 @@ def drifts_of(
     length: float = LONG_OUTAGE_LENGTH,
     noise: MotionNoise | None = None,
 ) -> tuple[float, ...]:
-    """Return the RMS drifts, m, of a filter, the baseline and, with ``noise``, fixes alone; NaN if no outage fits."""
+    """Return the RMS drifts (m) of a filter, the baseline and, with ``noise``, fixes alone; NaN if no outage fits."""
     middle = float(ready.drive.imu.time[0] + ready.drive.imu.time[-1]) / 2
     part = _part(ready, middle - CHECKED_TIME / 2, middle + CHECKED_TIME / 2)
     try:

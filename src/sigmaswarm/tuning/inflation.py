@@ -41,7 +41,7 @@ INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
 """Default relative cost increases: planar without truth, other models without truth, tilted12 with truth."""
 MIN_DRIVES = 3  # drives with truth that determine the standard deviations of the initial biases
 REFERENCE_DURATION, TILTED_DURATION = 100.0, 150.0
-"""Driving times, s, for which the whole cost increase is allowed: for planar models, and with roll and pitch.
+"""Driving times (s) for which the whole cost increase is allowed: for planar models, and with roll and pitch.
 
 Twice the driving time allows half of the increase. On the 72 pairs of drives of `benchmarks/road_matrix.py`, the
 position RMSE of planar8 is 1 to 2% lower and its 5 s drift 3 to 4% lower with 100 s than with 150 s. With roll and

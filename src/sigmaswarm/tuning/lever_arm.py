@@ -98,7 +98,7 @@ class LeverArmEstimate:
             remarks.append(
                 f"the turns of this log do not determine {' and '.join(unknown)} to {self.within:g} m; "
                 f"this accuracy needs {times:.1f} times as many turns"
-                + ("; drive.toml keeps its value" if any(self.stated) else "")
+                + ("; the value in drive.toml is kept" if any(self.stated) else "")
             )
         return "; ".join(remarks)
 
@@ -148,7 +148,7 @@ def estimate_lever_arm(
     Raises
     ------
     AlignmentError
-        If a drive never moves far enough to start a filter.
+        If a vehicle never moves far enough to start a filter.
     InputError
         If there are no drives, the drives state different lever arms, or ``within`` is not positive and finite.
     """

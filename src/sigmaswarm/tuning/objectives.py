@@ -213,5 +213,7 @@ def _term(part: str, whole: str) -> tuple[float, Objective]:
             f"{whole!r}: {match['weight']!r} is not a weight; write a number, as in 0.2"
         ) from None
     if not 0 < weight < np.inf:
-        raise InputError(f"{whole!r}: the weight of {match['name']} must be positive (is {weight:g})")
+        raise InputError(
+            f"{whole!r}: the weight of {match['name']} must be positive and finite (is {weight:g})"
+        )
     return weight, OBJECTIVES[match["name"]]

@@ -39,8 +39,8 @@ STATE_REMEDY = (
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
     """Return the prior's penalty per fix of n parameter sets on m drives, nats, shape (n, m).
 
-    The penalty is 0.5 (log10(R / std^2) / 0.5)^2 if R is smaller than std^2, else 0, averaged over both axes. ``std``,
-    m, shape (m, 2), is the `receiver_std` of each drive. With stated accuracies, R is that of the median fix. In a
+    The penalty is 0.5 (log10(R / std^2) / 0.5)^2 if R is smaller than std^2, else 0, averaged over both axes. ``std``
+    (m, shape (m, 2)) is the `receiver_std` of each drive. With stated accuracies, R is for the median fix. In a
     filter with fix-error, R includes the variance of the correlated errors, and an R larger than std^2 costs
     0.5 (log10(R / std^2) / 0.25)^2.
     """
@@ -150,7 +150,7 @@ def prior_warnings(
 def accuracy_warnings(
     parameters: FilterParameters, stated: Sequence[float], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn if the stated accuracies, m, have no effect; ``use``: values of ``--use`` in the proposed command."""
+    """Warn if the stated accuracies (m) have no effect; ``use``: values of ``--use`` in the proposed command."""
     std = _median(stated)
     if parameters.accuracy_scale is None or not np.isfinite(std):
         return []

@@ -49,7 +49,7 @@ MIN_WHITE_SHARE = 0.04
 With a smaller R, Student's t treats correlated errors as outliers.
 """
 ACCURACY_FLOOR = (1e-4, 1e3)
-"""Bounds, m2, of the variance added to the stated variance of each fix."""
+"""Bounds (m2) of the variance added to the stated variance of each fix."""
 INFLATION_MINIMA = {
     "tilt": 2e-7,
     "gyro_bias_xy": 1e-10,
@@ -163,7 +163,7 @@ def search_space(
 ) -> SearchSpace:
     """Create the search space of a filter; ``scale`` applies to the variances.
 
-    Bounds per second are converted to ``nominal_interval``, s, by default 10 ms. fix-error needs ``fix_std``, the
+    Bounds per second are converted to ``nominal_interval`` (s), by default 10 ms. fix-error needs ``fix_std``, the
     receiver's standard deviation per axis, m. For fix-error and slip, ``has_truth`` is True if the objective uses
     truth.
     """

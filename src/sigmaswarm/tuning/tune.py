@@ -127,7 +127,7 @@ def tune(
         If an option or the folder is invalid, a drive lacks the truth that the objective needs, or every parameter set
         has an infinite cost.
     AlignmentError
-        If a drive never moves far enough to start a filter.
+        If a vehicle never moves far enough to start a filter.
     TuningStopped
         If ``progress`` returned False.
     ClusterError

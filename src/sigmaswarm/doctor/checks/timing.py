@@ -160,8 +160,8 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
 def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
     """Estimate the time from fix j to the next, and its standard deviation, s, by the speeds before and after.
 
-    Each speed is that of a line through the fixes of `SPEED_WINDOW` s. If the speeds differ, any speed between them is
-    possible.
+    Each speed is the slope of a line through the fixes of `SPEED_WINDOW` s. If the speeds differ, any speed between
+    them is possible.
     """
     position, time = gps.x + 1j * gps.y, gps.time
     noise = max(white_noise(position), motion_in_noise(float(np.median(np.diff(time)))))

@@ -33,7 +33,7 @@ class Protocol(BaseModel):
     scale: Scale
 
 
-# By name; the objective of ``paper`` is the paper's equation 4.
+# The objective of ``paper`` is the paper's equation 4.
 PROTOCOLS: dict[str, Protocol] = {
     "paper": Protocol(objective="gps-rmse", scale="linear"),
     "honest": Protocol(objective="truth-rmse", scale="log10"),
@@ -191,7 +191,7 @@ class StudyConfig(BaseModel):
 
     @property
     def long_outages(self) -> dict[str, float]:
-        """Lengths, s, of the additional outages, by measure."""
+        """Lengths (s) of the additional outages, by measure."""
         return LONG_OUTAGES if self.rivals else {}
 
     @field_validator("rivals")

@@ -211,7 +211,9 @@ def make_design(
         raise InputError(f"a study needs at least 2 drives to split, not {len(drives)}; add drives")
     _require_truth(drives)
     if not config.drives and config.runs < 2 and config.per_condition:
-        raise InputError("runs = 1: a condition of one drive can't be split; choose 2 or more")
+        raise InputError(
+            "runs = 1: per_condition needs 2 drives per condition; choose at least 2, or leave per_condition out"
+        )
     dataset: Dataset = remote or LocalDataset([d for d in drives if isinstance(d, Drive)])
     if config.drives:  # simulated drives never share a part
         _require_apart(dataset.map(landmarks))
@@ -280,8 +282,8 @@ def _require_apart(marks: Sequence[Landmarks]) -> None:
     for i, one in enumerate(marks):
         if overlap := overlap_of(one, marks[:i]):
             raise InputError(
-                f"{one.name}: {overlap.seconds:.0f} s of this drive are also in {', '.join(overlap.of)}; remove one of "
-                "them, since a study trains on some drives and tests on others"
+                f"{one.name}: {overlap.seconds:.0f} s of this drive are also in {', '.join(overlap.of)}; leave this "
+                "drive out, since a study trains on some drives and tests on others"
             )
 
 

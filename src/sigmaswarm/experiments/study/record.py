@@ -151,8 +151,8 @@ class Convergence(_Part):
 class Effort(_Part):
     """Data and free parameters of a tuned or trained method; means over trials.
 
-    - ``labelled_s``: driving time with truth, s, of all training drives of the filter.
-    - ``learned_s``: driving time, s, on which the network is trained without truth.
+    - ``labelled_s``: driving time with truth (s) of all training drives of the filter.
+    - ``learned_s``: driving time (s) on which the network is trained without truth.
     - ``numbers``: number of parameters that tuning and training determine.
     """
 
@@ -284,8 +284,8 @@ class StudyRecord:
     """Content of the folder of a study.
 
     ``spreads`` are from scores.csv, ``versions`` from the tunings. ``live``: times of live filters per IMU sample
-    without and with a fix, ms, and the ranges of these times. ``rival_times``: training time of a trial, s, and time of
-    an IMU sample, us, by variant.
+    without and with a fix (ms) and the ranges of these times. ``rival_times``: training time of a trial (s) and time of
+    an IMU sample (us) by variant.
     """
 
     results: Results

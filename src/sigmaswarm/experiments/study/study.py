@@ -136,7 +136,7 @@ def run_study(
     InputError
         If the configuration, the folder or a drive is invalid.
     AlignmentError
-        If a drive never moves far enough to start a filter.
+        If a vehicle never moves far enough to start a filter.
     """
     if config.rivals:
         with double_precision():  # raises if JAX is missing

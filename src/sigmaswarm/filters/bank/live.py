@@ -57,8 +57,8 @@ class LiveFilterBank(LiveFilter):
     the bank is not more accurate than the single filter. If the mixture diverges, filters 1 to 15 are reset; most of
     them keep the biases of the mixture.
 
-    The interface is that of a `LiveFilter` without the smoothed state. A copy by `pickle` continues with identical
-    results. After a reset, all filters ignore fixes from before the reset.
+    The interface is the same as for a `LiveFilter`, without the smoothed state. A copy by `pickle` continues with
+    identical results. After a reset, all filters ignore fixes from before the reset.
 
     Parameters
     ----------
@@ -337,7 +337,7 @@ class LiveFilterBank(LiveFilter):
         return mean, covariance
 
     def _gyro_bias(self, mean: Array) -> float:
-        """Return the known gyro bias, rad/s, without which an alignment has a wrong heading."""
+        """Return the known gyro bias (rad/s), without which an alignment has a wrong heading."""
         bias = float(mean[GYRO_BIAS]) if len(mean) > GYRO_BIAS else 0.0
         return bias if np.isfinite(bias) else 0.0
 
@@ -441,7 +441,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def lost(self) -> bool:
-        """True while the mixture has diverged and no reset is possible; the position is that of the last fix."""
+        """True while the mixture has diverged and no reset is possible; the position is the last fix."""
         return self._together is not None and self._together.lost
 
     def lanes(self) -> tuple[Array, Array]:

@@ -131,7 +131,7 @@ def adapt(w, since, *, n):
 
     See `textbook.adaptive.SageHusa`. The estimate of R is eps eps^T + H P+ H^T, positive by construction, with the
     residual eps after the update. The estimate of Q is K nu nu^T K^T + P+ - (P- - Q), or 0 if this is negative. A
-    second fix at the same time (since = 0) has no information on Q.
+    second fix at the same time (since = 0) contains no information about Q.
     """
     span = since if since > 0.0 else math.inf
     for l in range(LANES):

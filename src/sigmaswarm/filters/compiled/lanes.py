@@ -131,7 +131,7 @@ def angle_of(y, x):
     """Return the angle of the vector (x, y), in [-pi, pi], without branches or calls.
 
     The ratio of the smaller to the larger coordinate is reduced to [-tan(pi/8), tan(pi/8)]. The rational approximation
-    is that of Cephes (S. Moshier, atan.c), with an error of one or two units in the last place.
+    comes from Cephes (S. Moshier, atan.c), with an error of one or two units in the last place.
     """
     ax, ay = abs(x), abs(y)
     large = ax if ax > ay else ay

@@ -552,7 +552,7 @@ class LiveCalls:
     - ``sample(handle, t, a, b, c, d, e, f)``: process an IMU sample, axes in the filter's order
     - ``fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta)``
     - ``speed(handle, t, speed)``: process an odometer reading
-    - ``heading(handle, gyro_bias)``: rough heading from the log alone, rad, with the gyro bias in rad/s; NaN if unknown
+    - ``heading(handle, gyro_bias)``: rough heading from the log alone (rad) with the gyro bias in rad/s; NaN if unknown
     - ``definite(handle)``: True if the covariance is positive semidefinite
     """
 

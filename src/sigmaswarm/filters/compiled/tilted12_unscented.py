@@ -7,7 +7,7 @@ accelerometer's biases. Only the first columns need points:
 
 - In a step: the gyro's biases and the attitude. The columns of the attitude follow those of the biases and do not
   change the biases. The points of the attitude rotate like the center, so the error of a point does not change, and its
-  acceleration is that of the center, rotated in closed form.
+  acceleration is the center's, rotated in closed form.
 - In a fix: the attitude, which rotates the lever arm, also in closed form.
 - In the lateral constraint and the odometer: the attitude, which rotates the velocity.
 

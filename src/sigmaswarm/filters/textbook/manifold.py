@@ -1,4 +1,4 @@
-"""Filters whose mean is on a manifold; the covariance is that of a small error, which ``plus`` adds to the mean.
+"""Filters whose mean is on a manifold; the covariance describes a small error, which ``plus`` adds to the mean.
 
 Sources: J. Sola, Quaternion kinematics for the error-state Kalman filter, 2017, section 6. M. Brossard, A. Barrau and
 S. Bonnabel, A code for unscented Kalman filtering on manifolds (UKF-M), ICRA 2020.
@@ -45,7 +45,7 @@ class _OnManifold(GaussianFilter):
 
 
 class ErrorStateKalmanFilter(_OnManifold, ExtendedKalmanFilter):
-    """An extended Kalman filter whose covariance is that of a small error.
+    """An extended Kalman filter whose covariance describes a small error.
 
     ``transition(state, dt, u)`` is the Jacobian F of ``f`` for a small error, (n, n); ``h.jacobian(state)`` is the
     Jacobian of ``h``, (m, n). ``mean`` (n,) and ``covariance`` (n, n) are values at the start.

@@ -2,8 +2,8 @@
 
 Messages (ArduPilot, libraries/AP_Logger/LogStructure.h): times are TimeUS in us since start. Before version 3.3 they
 are TimeMS in ms; in GPS messages they are T, since TimeMS is there the time of week. IMU is forward, right, down (m/s2,
-rad/s). GPS is in degrees, m/s and degrees from north. GPA contains the stated accuracies, SIM the true position of a
-simulation.
+rad/s). GPS is in degrees, m/s and degrees clockwise from north. GPA contains the stated accuracies, SIM the true
+position of a simulation.
 """
 
 from contextlib import ExitStack, redirect_stderr, redirect_stdout, suppress

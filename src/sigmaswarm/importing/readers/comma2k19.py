@@ -17,7 +17,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Guess, Limits, Log, Role, errors_as_damage, log_of_frames, roles_of
 
 _TURNED = ("forward", "right", "down")
-# By table: folders that may contain it, and its columns
+# Folders that may contain each table, and its columns
 _SENSORS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "accelerometer": (("IMU/accelerometer", "IMU/acceleration"), _TURNED),
     "gyro": (("IMU/gyro", "IMU/gyro_uncalibrated"), _TURNED),

@@ -30,7 +30,7 @@ Rows = Sequence[Sequence[str]]
 _HEADER, _COVARIANCE = ("sec", "nanosec", "frame_id"), [f"_covariance[{k}]" for k in range(9)]
 _VECTORS = (("orientation", "xyzw"), ("angular_velocity", "xyz"), ("linear_acceleration", "xyz"))
 _FIX = ("status", "service", "latitude", "longitude", "altitude")
-# By number of values: the fields of sensor_msgs/Imu and NavSatFix
+# Fields of sensor_msgs/Imu and NavSatFix, by number of values
 _MESSAGES = {
     40: [
         *_HEADER,

@@ -1,4 +1,4 @@
-"""Logs of messages: each topic is a table, and each number of a message is a column, named by its path.
+"""Logs of messages: each topic is a table, and each number of a message is a column with the field's path as name.
 
 ``received`` is the receive time and ``stamp`` the time in the header, both in ns.
 """

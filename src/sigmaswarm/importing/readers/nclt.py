@@ -17,7 +17,7 @@ from sigmaswarm.importing.source import Guess, Limits, Log, Part, Role
 
 ORIGIN = (42.293227, -83.709657, 270.0)  # deg, deg, m, of the truth's frame
 _T = {"t": "utime*1e-6"}
-# By role: the file, its columns, and the expressions of the columns of a drive
+# File of each role, its columns, and the expressions of the columns of a drive
 FILES: dict[Role, tuple[str, str, dict[str, str]]] = {
     "imu": (
         "ms25.csv",

@@ -125,7 +125,7 @@ def _day(message: Any) -> date | None:
 
 
 def _values(message: Any) -> dict[str, float]:
-    """Return the values of a sentence in m, m/s and degrees; course and heading are from north."""
+    """Return the values of a sentence in m, m/s and degrees; course and heading are clockwise from north."""
 
     def number(name: str) -> float:
         try:

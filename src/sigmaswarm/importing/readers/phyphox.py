@@ -1,7 +1,8 @@
 """phyphox: an experiment exported as CSV: a folder or zip with Accelerometer.csv, Gyroscope.csv and Location.csv.
 
 Column names contain units: "Time (s)" since the start, on one clock, "Acceleration x (m/s^2)" with gravity, "Gyroscope
-x (rad/s)", "Latitude (°)", "Velocity (m/s)", "Direction (°)" from north. On Android and iOS the axes are Android's.
+x (rad/s)", "Latitude (°)", "Velocity (m/s)", "Direction (°)" clockwise from north. The axes are Android's,
+also on iOS.
 Exports in other languages are identified by the units of columns in the app's order (phyphox/phyphox-experiments).
 """
 
