@@ -233,10 +233,8 @@ def test_a_place_that_is_none_is_refused(
 ):
     ended = sigmaswarm("run", tuned, drives / "urban-clear-00", "--out", "e.kml", "--origin", place)
     assert ended.code == 2
-    assert (
-        ended.err
-        == f"sigmaswarm: --origin '{place}' is not a position; write LAT,LON in degrees, for example 49.011,8.416\n"
-    )
+    remedy = "write latitude (-90 to 90) and longitude (-180 to 180), for example 49.011,8.416"
+    assert ended.err == f"sigmaswarm: --origin '{place}' is not a position; {remedy}\n"
     assert list(here.iterdir()) == []
 
 

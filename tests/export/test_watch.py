@@ -83,7 +83,7 @@ def test_it_starts_anew_where_the_library_does(program: Path, plant: str):
     run = run_filter(drive, SET, initial=start)
     rows = watched(program, drive, start)
     restarts = rows[rows[:, 3] == 1, 0]
-    np.testing.assert_allclose(restarts, run.restarts, rtol=0, atol=5.1)  # by another fit
+    np.testing.assert_allclose(restarts, run.restarts, rtol=0, atol=1e-5)
     truth, gps = drive.truth, drive.gps
     assert truth is not None
     for restart in restarts:
@@ -100,7 +100,7 @@ def test_while_nothing_can_be_aligned_it_gives_the_last_fix(program: Path):
     run = run_filter(drive, SET, initial=start)
     rows = watched(program, drive, start)
     assert run.lost is not None
-    np.testing.assert_allclose(rows[rows[:, 3] == 1, 0], run.restarts, rtol=0, atol=2.1)
+    np.testing.assert_allclose(rows[rows[:, 3] == 1, 0], run.restarts, rtol=0, atol=1e-5)
     both = (rows[:, 4] == 1) & run.lost
     assert both.sum() > 0.9 * run.lost.sum()
     np.testing.assert_allclose(rows[both, 1:3], run.mean[both, :2], rtol=0, atol=1e-3)  # in float

@@ -315,10 +315,13 @@ def test_constants_and_start_stand_in_their_rows():
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"velocity_noise": 0.1}, "robot-localization does not have the option velocity_noise; leave it out"),
+        (
+            {"velocity_noise": 0.1},
+            "robot-localization does not have the option velocity_noise; leave this option out",
+        ),
         (
             {"robust_dof": 4.0, "gate": None},
-            "robot-localization does not have the option robust_dof; leave it out",
+            "robot-localization does not have the option robust_dof; leave this option out",
         ),
         ({"latency": 0.1}, "set smooth_lagged_data if fixes are late"),
     ],

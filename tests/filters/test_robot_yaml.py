@@ -104,7 +104,7 @@ def test_our_own_export_is_read_back_as_the_same_filter(tmp_path: Path):
         ("&a {again: *a, '': 1}", "has neither process_noise_covariance"),
         ("frequency: 30.0", "has neither process_noise_covariance nor a setting like imu0_config"),
         ("imu0_config: [true]", "imu0_config must be 15 booleans"),
-        ("process_noise_covariance: [1, 2]", "must be 225 numbers, or the 15 of its diagonal"),
+        ("process_noise_covariance: [1, 2]", "must be 225 numbers, or 15 for the diagonal"),
         (f"process_noise_covariance: {[-1.0] * 15}", "has a variance that is negative or not finite"),
         (yaml.safe_dump(USUAL | {"odom0_pose_rejection_threshold": "far"}), "must be a positive number"),
     ],

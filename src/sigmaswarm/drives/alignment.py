@@ -142,7 +142,7 @@ def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | Sta
 class Alignments:
     """The alignments that end at each fix, computed on first use.
 
-    ``usable`` (number of fixes,) marks the fixes to use, by default all. ``time`` (m,), s, are the times of the used
+    ``usable`` (number of fixes,) marks the fixes to use, by default all. ``time`` (m,) in s are the times of the used
     fixes within the IMU's time span. ``longest``: longest duration, s; above `MAX_DURATION` for slow vehicles.
     """
 

@@ -175,7 +175,7 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
 
 
 def gaps_in(time: Array, limit: tuple[float, float], imu: Array | None = None) -> GapSummary | None:
-    """Find the gaps of ``time`` (n,), s, with a limit such as `IMU_GAP`; None if there are none.
+    """Find the gaps of ``time`` (n,) in s with a limit such as `IMU_GAP`; None if there are none.
 
     With the IMU's times ``imu`` (s), a gap that is mostly also a gap of the IMU is not counted: the logger paused.
     """
@@ -250,8 +250,8 @@ def unshared_times(imu: Array, gps: Array) -> Remark | None:
 def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
     """Return the motion of the fixes over windows, and the integral of an IMU column.
 
-    The arrays are the mean velocity (k,), m/s east + i north, and, (k - 1,), rad, the integral of ``body_rate`` and the
-    change of course between the middles of consecutive windows. Windows without fixes are left out.
+    The arrays are the mean velocity (k,) in m/s east + i north, and, (k - 1,) in rad, the integral of ``body_rate`` and
+    the change of course between the middles of consecutive windows. Windows without fixes are left out.
     """
     start, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
     window = np.unique(np.floor((gps.time[(gps.time >= start) & (gps.time <= end)] - start) / _WINDOW))

@@ -136,7 +136,7 @@ def in_range(value: float, of: str) -> float:
     """Return the number; raise `InputError` with its description ``of`` if it is not finite."""
     if not math.isfinite(value):
         raise InputError(
-            f"the filter can't be exported: {of} is not a finite number; correct it, or tune the filter again"
+            f"the filter can't be exported: {of} is not a finite number; correct this value, or tune the filter again"
         )
     return value
 

@@ -86,7 +86,7 @@ def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def split_at_antimeridian(time: Array, places: Array) -> list[tuple[Array, Array]]:
-    """Cut a track at the antimeridian; return times (k,), s, and places (k, 2), deg, of each part.
+    """Cut a track at the antimeridian; return times (k,) in s and places (k, 2) in deg of each part.
 
     At each cut, a new point on the antimeridian ends one part and starts the next part.
     """

@@ -190,7 +190,9 @@ class FilterParameters:
         known = MODELS[self.model].options
         for option in used:
             if known is not None and option not in known:
-                raise ValueError(f"{self.model} does not have the option {_ACTIVATES[option]}; leave it out")
+                raise ValueError(
+                    f"{self.model} does not have the option {_ACTIVATES[option]}; leave this option out"
+                )
         if self.kernel not in FILTERS:
             raise ValueError(
                 f"fix_error can't be combined with {self.model} as {self.kind}; use ekf, or leave fix_error out"

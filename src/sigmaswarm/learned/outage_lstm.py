@@ -145,7 +145,7 @@ class DisplacementForecast(NamedTuple):
     - ``begin``, ``first``: indices of the IMU sample at the start of the displacement, and of the first IMU sample
       after the last fix.
     - ``age``: time from ``first`` to the end of the displacement, s.
-    - ``moved``, ``variance``: the displacement (2,), m, and its variance, m2.
+    - ``moved``, ``variance``: the displacement (2,) in m and its variance in m2.
     - ``before``: the displacement at ``first`` (2,), m.
     """
 
@@ -162,7 +162,7 @@ class OutageLstm:
     """A trained network; its inputs are ``axes`` of the IMU over ``window`` s.
 
     - ``weights``: weights of `cells`; mean ``center`` and deviation ``spread`` (f,) of the features; mean ``usual`` and
-      deviation ``scale`` (2,) of the displacements, m; ``kept`` (2,) and ``lasts`` (2,), s, of the errors'
+      deviation ``scale`` (2,) of the displacements, m; ``kept`` (2,) and ``lasts`` (2,) in s, of the errors'
       autocorrelation, kept exp(-t / lasts).
     - ``inflation``: factor of the variances; if it is infinite, forecasts are not used.
     - ``unsure``: factor of the velocity's Q in outages.
@@ -191,7 +191,7 @@ class OutageLstm:
         return dict(zip(windows.end.tolist(), map(DisplacementForecast, *numbers, *outputs), strict=True))
 
     def corrected(self, forecast: DisplacementForecast, velocity: Array) -> tuple[Array, Array]:
-        """Return a displacement (2,), m, and its variance (2,), m2, corrected with the velocity at the last fix."""
+        """Return a displacement (2,) in m and its variance (2,) in m2, corrected with the velocity at the last fix."""
         share = self.remains(forecast.age)
         moved = forecast.moved + share * (HORIZON * velocity - forecast.before)
         return moved, self.inflation * (forecast.variance * (1.0 - share**2) + MIN_STD**2)
@@ -215,7 +215,7 @@ def outputs_of(xp: Any, weights: Weights, features: Any) -> Any:
 def new_network(
     rng: np.random.Generator, axes: tuple[str, ...], window: float, units: int, features: Array, moved: Array
 ) -> OutageLstm:
-    """Return a new network; ``features`` (k, WINDOW_STEPS, f) and ``moved`` (k, 2), m, determine its scales."""
+    """Return a new network; ``features`` (k, WINDOW_STEPS, f) and ``moved`` (k, 2) in m determine its scales."""
     flat = features.reshape(-1, features.shape[-1])
     scales = {
         "center": flat.mean(axis=0),

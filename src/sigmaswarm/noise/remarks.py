@@ -54,7 +54,7 @@ def on_gravity(imu: Imu, part: slice) -> list[str]:
         return []
     return [
         f"the accelerometer measures {force:.3g} m/s2 at rest instead of {GRAVITY:.3g}: the unit looks wrong "
-        '(if the value is about 1, the unit is g); correct it with --map "ax=acc_x*9.80665"'
+        '(if the value is about 1, the unit is g); convert it with --map "ax=acc_x*9.80665"'
     ]
 
 

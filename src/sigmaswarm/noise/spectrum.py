@@ -42,7 +42,7 @@ MIN_CORRELATION_TIME = 10.0  # s; noise with a shorter correlation time looks li
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Averaged periodogram: frequencies (n,), Hz, densities, unit^2/Hz, and numbers of independent values."""
+    """Averaged periodogram: frequencies (n,) in Hz, densities in unit^2/Hz, and numbers of independent values."""
 
     frequency: Array
     density: Array

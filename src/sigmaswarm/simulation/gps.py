@@ -121,7 +121,7 @@ HEADING_GRADES = by_name(
 
 
 def with_heading(fixes: Gps, time: Array, yaw: Array, grade: HeadingGrade, rng: np.random.Generator) -> Gps:
-    """Add headings to fixes, from the true ``yaw`` (n,), rad, at ``time`` (n,), s."""
+    """Add headings to fixes, from the true ``yaw`` (n,) in rad at ``time`` (n,) in s."""
     interval = float(np.median(np.diff(time)))
     noise = grade.white_std * rng.standard_normal(len(time))
     noise += grade.markov_std * gauss_markov(rng, len(time), 1, interval / grade.markov_time)[:, 0]
@@ -144,7 +144,7 @@ def measure_gps(
     rng: np.random.Generator,
     outages: list[tuple[float, float]],
 ) -> Gps:
-    """Make fixes with time stamps (n,), s, from the antenna's motion at these times minus the latency of the grade.
+    """Make fixes with time stamps (n,) in s from the antenna's motion at these times minus the latency of the grade.
 
     There are no fixes in the outages, (start, end), s. The number of draws does not depend on the grade.
     """
@@ -174,7 +174,7 @@ def measure_gps(
 
 
 def _through_degrees(place: Array, noise: Array) -> Array:
-    """Add noise (n, 2), m, in degrees like CARLA, on a Mercator plane with origin 0, 0."""
+    """Add noise (n, 2) in m, converted to degrees as in CARLA, on a Mercator plane with origin 0, 0."""
     radius, equator = EARTH_RADIUS, math.log(math.tan(math.radians(90.0) / 2))
     lat = 2 * np.degrees(np.arctan(np.exp((radius * equator + place[:, 1]) / radius))) - 90
     lat += noise[:, 1] / METERS_PER_DEGREE

@@ -82,7 +82,7 @@ def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     config = _with_current_names(record.model_extra)
     if "start" in config:
         raise InputError(
-            f"{path}: was started from another filter; resume it with the command that started it"
+            f"{path}: was started from another filter; repeat the first command, with its --start, and add --resume"
         )
     return config, config.pop("data", [])
 

@@ -427,7 +427,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def innovation(self) -> tuple[Array, Array]:
-        """Innovation nu of the mixture at the last fix, (2,), m, and its covariance S, (2, 2), m2."""
+        """Innovation nu of the mixture at the last fix, (2,) in m, and its covariance S, (2, 2) in m2."""
         n = self._numbers
         xy = n[swarm.S_XY]
         return n[[swarm.NU_X, swarm.NU_Y]], np.array([[n[swarm.S_XX], xy], [xy, n[swarm.S_YY]]])

@@ -66,7 +66,7 @@ def _parsed(path: Path) -> Any:
     except (ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())[:100]
         raise InputError(
-            f"{path}: is not valid JSON ({reason}); correct it, or export the log again"
+            f"{path}: is not valid JSON ({reason}); correct the file, or export the log again"
         ) from None
 
 

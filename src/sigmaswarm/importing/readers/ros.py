@@ -72,7 +72,7 @@ def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
                 except (OSError, UnicodeDecodeError, typesys.TypesysError, RecursionError) as error:
                     reason = " ".join(str(error).split())[:160]
                     raise InputError(
-                        f"--msg {file}: can't be read as a definition ({reason}); correct it"
+                        f"--msg {file}: can't be read as a definition ({reason}); correct this file"
                     ) from None
                 new = {k: v for k, v in types.items() if k not in reader.typestore.fielddefs or k == kind}
                 for name in new:
