@@ -230,5 +230,6 @@ def _place(text: str) -> tuple[float, float, float]:
     except ValueError:
         pass
     raise InputError(
-        f"--origin {text!r} is not a position; write latitude (-90 to 90) and longitude (-180 to 180), for example 49.011,8.416"
+        f"--origin {text!r} is not a position; write latitude (-90 to 90) and longitude (-180 to 180), for example "
+        "49.011,8.416"
     )
