@@ -141,7 +141,7 @@ def test_axes_of_the_wrong_hand_or_turned_ones_change_no_heading(tmp_path: Path)
             {"maps": mirrored, "choice": TABLE, "recipe": Recipe(declination_deg=4.0)},
             "can't be applied; change the sign",
         ),
-        ({"maps": MAPS, "choice": TABLE, "recipe": Recipe(declination_deg=400.0)}, "400 is not an angle"),
+        ({"maps": MAPS, "choice": TABLE, "recipe": Recipe(declination_deg=400.0)}, "400 is out of range"),
         ({"recipe": Recipe(declination_deg=4.0)}, "--declination needs a magnetometer"),
     ):
         with pytest.raises(InputError, match=said):
