@@ -192,7 +192,10 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
         as_wgs84("50", "347"),
         ["gps.csv", "row 5", "column lon", "'347'", "-180 to 180", "subtract 360"],
     ),
-    "no-overlap": (shift_gps(500.0), ["imu.csv", "gps.csv", "0.0 to 20.0 s", "500.", "do not overlap", "clock"]),
+    "no-overlap": (
+        shift_gps(500.0),
+        ["imu.csv", "gps.csv", "0.0 to 20.0 s", "500.", "do not overlap", "clock"],
+    ),
     "few-fixes": (keep_rows("gps.csv", 9), ["gps.csv", "9 fixes", "too few", "at least 10"]),
     "few-fixes-shared": (shift_gps(18.5), ["gps.csv", "7 fixes within the IMU's time span", "at least 10"]),
     "few-samples": (keep_rows("imu.csv", 99), ["imu.csv", "99 samples", "too few", "at least 100"]),
