@@ -118,3 +118,7 @@ def test_every_promise_names_a_test():
     assert len(rows) > 25
     for row in rows:
         assert re.search(r"`tests/[\w/]+\.py|python -m fuzzing", row.split(" | ")[-1]), row
+
+
+def test_the_readme_has_at_most_120_lines():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120
