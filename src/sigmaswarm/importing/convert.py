@@ -114,10 +114,9 @@ def import_drive(
         field = gathered.pop("mag", ())
         drive = assemble(name, gathered, plain, notes.append, request.part)
         parts = recipe.roles["imu"]
-        unit = unit_of_rates(
-            drive, recipe.roles, unitless if raw else unitless | impossible_rates(drive.imu, parts)
-        )
-        scales = [] if raw else wrong_scale(drive.imu, parts, rates=not unit.fault)
+        impossible = {} if raw else impossible_rates(drive.imu, parts)
+        unit = unit_of_rates(drive, recipe.roles, unitless | impossible)
+        scales = [] if raw else wrong_scale(drive.imu, parts, {} if unit.fault else impossible)
         if faults := list(filter(None, (*scales, unit.fault))):
             raise InputError("; and ".join(faults))
         notes += [unit.note] if unit.note else []

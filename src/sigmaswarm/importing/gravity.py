@@ -34,8 +34,8 @@ def _largest_rate(imu: Imu) -> float:
     return max(float(np.quantile(np.abs(v), 0.99)) for n in RATES if (v := getattr(imu, n)) is not None)
 
 
-def wrong_scale(imu: Imu, parts: Sequence[Part], *, rates: bool) -> list[str]:
-    """Describe accelerations, and with ``rates`` angular rates, that are too large for a vehicle, with the remedy."""
+def wrong_scale(imu: Imu, parts: Sequence[Part], rates: Mapping[str, str]) -> list[str]:
+    """Describe accelerations that are too large for a vehicle, and ``rates`` (`impossible_rates`), with the remedy."""
     force, faults = [v for v in (imu.ax, imu.ay, imu.az) if v is not None], list[str]()
 
     def add(texts: Mapping[str, str], what: str, form: str) -> None:
@@ -47,9 +47,9 @@ def wrong_scale(imu: Imu, parts: Sequence[Part], *, rates: bool) -> list[str]:
         per = min(PER_G, key=lambda known: abs(size / known - 1)) if len(force) == len(FORCES) else PER_G[0]
         texts = {n: text for part in parts for n, text in part.columns.items() if n in FORCES}
         add(texts, f"have a median magnitude of {size:.4g} m/s2", f"({{}})*9.80665/{per:g}")
-    if rates and (texts := impossible_rates(imu, parts)):
+    if rates:
         degrees = _largest_rate(imu) < math.degrees(MAX_RATE)
-        add(texts, f"exceed {MAX_RATE:.3g} rad/s", "radians({})" if degrees else "radians(({})/131)")
+        add(rates, f"exceed {MAX_RATE:.3g} rad/s", "radians({})" if degrees else "radians(({})/131)")
     return faults
 
 
