@@ -35,7 +35,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import parse_objective
-from sigmaswarm.tuning.problem import Problem
+from sigmaswarm.tuning.problem import Problem, duration_share
 
 INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
 """Default relative cost increases: planar without truth, other models without truth, tilted12 with truth."""
@@ -73,7 +73,7 @@ def inflate(
     costs = problem.costs_without_prior(points, executor)
     tilted = isinstance(problem.config, TuneConfig) and MODELS[problem.config.model].tilts
     reference = TILTED_DURATION if tilted else REFERENCE_DURATION
-    share = allowed * min(1.0, reference / sum(entry["duration_s"] for entry in problem.data))
+    share = allowed * duration_share(problem.data, reference)
     within = np.logical_and.accumulate(problem.relative_increase(costs, costs[0]) <= share)
     last = int(within.sum()) - 1 if within.any() else 0
     chosen = np.maximum(points[last], _limits(problem))

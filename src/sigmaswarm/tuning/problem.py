@@ -1,7 +1,7 @@
 """The optimization problem of a tuning run."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -138,7 +138,7 @@ class CarProblem(Problem[FilterParameters]):
 
     @cached_property
     def _weight_of_typical(self) -> float:
-        return TYPICAL_WEIGHT * min(1.0, TYPICAL_DURATION / sum(entry["duration_s"] for entry in self.data))
+        return TYPICAL_WEIGHT * duration_share(self.data, TYPICAL_DURATION)
 
     @cached_property
     def _landmarks(self) -> list[Landmarks]:
@@ -206,6 +206,11 @@ class CarProblem(Problem[FilterParameters]):
                 correlations = scorer.map_prepared(partial(correlation_of, parameters=parameters))
                 messages += correlation_warnings(parameters, correlations, self.config.use)
         return messages
+
+
+def duration_share(data: Iterable[Mapping[str, Any]], reference: float) -> float:
+    """Return a reference duration, s, divided by the driving time of all drives; at most 1."""
+    return min(1.0, reference / sum(entry["duration_s"] for entry in data))
 
 
 def costs_of_each(objective: str, scores: Scores) -> Array:
