@@ -613,7 +613,7 @@ def test_readme_states_that_raw_gps_and_the_imu_alone_need_truth(
     )
     for method in ("raw GPS", "IMU only"):
         assert method in with_truth and method not in without
-    assert "If there is truth, raw GPS and" in (Path(__file__).parents[2] / "README.md").read_text()
+    assert "with truth, raw GPS and the IMU alone" in (Path(__file__).parents[2] / "README.md").read_text()
 
 
 @pytest.mark.parametrize(
