@@ -1,4 +1,4 @@
-"""Adaptive parts of an update with a fix: its noise, its weight, and the inflation of P.
+"""Adaptive parts of an update with a fix: adaptation of Q and R, weight of the fix, and inflation of P.
 
 The textbook form is `textbook.adaptive`.
 """
@@ -15,10 +15,10 @@ from sigmaswarm.filters.student import ITERATIONS, OUTLIERS, OUTLYING
 def strong_tracking(w, *, n):
     """Strong tracking: inflate P until the trace of S is at least the recent mean of nu^T nu.
 
-    FADING < 0: off. The method is the single fading factor from traces of D. H. Zhou and P. M. Frank, Int. J. Control
-    65(2), 1996, with two changes. The weights of the averaged innovations are rho and 1 - rho, since the paper's
-    weights, rho / (1 + rho) and 1 / (1 + rho), forget too fast. Only the part of P that the fix observes is inflated, P
-    + (factor - 1) C (H P H^T)^-1 C^T, since the rest would grow without limit.
+    FADING < 0: off. Source: D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996 (single fading factor, computed
+    from traces), with two changes. In the mean, the previous mean has the weight rho = FADING and the new fix 1 - rho.
+    The paper's weights, rho / (1 + rho) and 1 / (1 + rho), forget too fast. Only the part of P that the fix observes is
+    inflated, P + (factor - 1) C (H P H^T)^-1 C^T, since the unobserved part would grow without limit.
     """
     for l in range(LANES):
         rho = w[R.FADING, l]
@@ -30,13 +30,13 @@ def strong_tracking(w, *, n):
             w[R.S11, l] - w[R.GEE, l],
             w[R.S12, l] - w[R.GEN, l],
             w[R.S22, l] - w[R.GNN, l],
-        )  # H P H^T
+        )  # H P H^T without the second-order terms of the sigma points
         wanted = (recent - w[R.R1, l] - w[R.R2, l]) / (s11 + s22)
         inflate_observed(w, l, s11, s12, s22, wanted if used & (wanted > 1.0) else 1.0)
 
 
 def apply_fuzzy_rules(w, *, n):
-    """Scale R and Q by fuzzy rules on a fix's NIS.
+    """Scale R and Q by fuzzy rules on the NIS of a fix.
 
     FUZZY < 0: off. See `filters.fuzzy`.
     """
@@ -70,7 +70,7 @@ def apply_fuzzy_rules(w, *, n):
 
 
 def inflate_observed(w, l, s11, s12, s22, factor, *, n):
-    """Compute P + (factor - 1) C (H P H^T)^-1 C^T, and update S and C; a factor of 1 changes nothing.
+    """Add (factor - 1) C (H P H^T)^-1 C^T to P, and change H P H^T and C accordingly; ``factor`` is at least 1.
 
     ``s11``, ``s12`` and ``s22`` are H P H^T.
     """
@@ -89,11 +89,11 @@ def inflate_observed(w, l, s11, s12, s22, factor, *, n):
 
 
 def student_t_weight(w, since):
-    """Compute the weight w of a fix by Student's t, and divide its R by w.
+    """Compute the weight of a fix by Student's t, and divide R of the fix by this weight.
 
-    DOF = 0: off. See `textbook.adaptive.StudentT`, also for the inflation of P after a long run of outliers. With S = H
-    P H^T + R / w and e = S^-1 nu, the residual after the update is r = (R / w) e. Its covariance is A = R / w - (R / w)
-    S^-1 (R / w). Three iterations from w = 1 compute w = (dof + 2) / (dof + r^T R^-1 r + tr R^-1 A).
+    DOF = 0: off. See `textbook.adaptive.StudentT`, also for the inflation of P after consecutive outliers. Let V = R /
+    weight, S = H P H^T + V and e = S^-1 nu. After the update, the residual is r = V e, and H P+ H^T is A = V - V S^-1
+    V. Three iterations from a weight of 1 compute weight = (dof + 2) / (dof + r^T R^-1 r + tr R^-1 A).
     """
     recovering = 0
     for l in range(LANES):
@@ -127,11 +127,11 @@ def student_t_weight(w, since):
 
 
 def adapt(w, since, *, n):
-    """Adapt Q and R to the innovation of a fix, with weight 1 - FORGETTING (1: off).
+    """Adapt Q and R to the innovation of a fix, with weight 1 - FORGETTING; FORGETTING = 1: off.
 
-    See `textbook.adaptive.SageHusa`. The estimate of R is eps eps^T + H P+ H^T, positive by construction, with the
-    residual eps after the update. The estimate of Q is K nu nu^T K^T + P+ - (P- - Q), or 0 if this is negative. A
-    second fix at the same time (since = 0) contains no information about Q.
+    See `textbook.adaptive.SageHusa`. The estimate of R is the diagonal of eps eps^T + H P+ H^T, positive by
+    construction, with the residual eps after the update. The estimate of Q is that of Q + (K nu nu^T K^T + P+ - P-) /
+    since, or 0 if this is negative. A second fix at the same time (since = 0) contains no information about Q.
     """
     span = since if since > 0.0 else math.inf
     for l in range(LANES):

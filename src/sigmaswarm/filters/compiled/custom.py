@@ -1,7 +1,7 @@
 """Unscented filter of `textbook`, compiled with a user's f and h, for one parameter set over one log.
 
-Numba cannot cache a user's function, so each process compiles its kernel at the first use. The code uses plain loops,
-which compile faster. Arrays are passed separately, since a step takes twice as long with a tuple of arrays.
+Numba cannot cache a user's function, so each process compiles the kernel at the first use. Loops compile faster than
+NumPy expressions. Arrays are passed separately, since a step takes twice as long with a tuple of arrays.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false
@@ -20,9 +20,9 @@ from sigmaswarm.filters.student import OUTLIERS, OUTLIERS_SPAN
 _TWO_PI = 2 * math.pi
 
 _kernel = cached(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""Options of functions that only kernels call, without entry points for Python and C, which take time to compile."""
+"""Decorator of functions that only kernels call: without entry points for Python and C, compilation is faster."""
 _inlined = njit(error_model="numpy", inline="always")
-"""Options of functions that are called once; otherwise LLVM would optimize them twice, alone and inlined."""
+"""Decorator of functions with a single call, which LLVM would otherwise optimize twice, alone and inlined."""
 
 _Weights = namedtuple("_Weights", "gamma center_mean center_covariance other")
 
@@ -35,10 +35,10 @@ def build_kernel(
     diagonal: bool,
     absent: bool,
 ) -> Any:
-    """Build the filter of a user's functions, which is compiled at its first call.
+    """Build a filter from a user's functions; the filter is compiled at its first call.
 
-    ``diagonal``: process_noise returns the diagonal of Q. ``absent``: elements of measurements may be NaN, which takes
-    a tenth more time to compile. An index out of bounds in a user's function raises IndexError.
+    ``diagonal``: process_noise returns the diagonal of Q. ``absent``: elements of measurements may be NaN; compilation
+    then takes a tenth longer. An index out of bounds in a user's function raises IndexError.
     """
     user = njit(error_model="numpy", boundscheck=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
     f, h, process_noise = (user(getattr(g, "py_func", g)) for g in (f, h, process_noise))
@@ -62,7 +62,7 @@ def build_kernel(
     def measure(
         mean, covariance, root, drawn, state, seen, predicted, nu, s, cross, weights, z, noise, p, angles
     ):
-        """Draw sigma points, and apply h: compute nu, S and C; return False if P has no Cholesky factor."""
+        """Compute nu, S and C from new sigma points; return False if P has no Cholesky factor."""
         if not _draw(mean, covariance, weights.gamma, root, drawn):
             return False
         for k in range(drawn.shape[0]):
@@ -85,7 +85,7 @@ def build_kernel(
         dt, source, updates, records, inputs, measurements, mean0, covariance0, angles, measured_angles,
         scaling, noise, limits, runs, p, means, covariances, nis, nll,
     ):  # fmt: skip
-        """Run all steps; write the last four arrays; change ``runs`` in place; return the step of a failure, or -1."""
+        """Run all steps, write ``means`` to ``nll``, and update ``runs``; return the step that failed, or -1."""
         m = measurements.shape[1]
         n, weights = mean0.size, _weights(mean0.size, scaling)
         mean, covariance, root, state = mean0.copy(), covariance0.copy(), np.zeros((n, n)), np.empty(n)
@@ -135,7 +135,10 @@ def _weights(n, scaling):
 
 @_kernel
 def _draw(mean, covariance, gamma, root, sigmas):
-    """Draw the center, and the center plus and minus each column of the root; return False if P has no root."""
+    """Write the sigma points: the mean, and the mean plus and minus gamma times each column of the root.
+
+    Return False if P has no Cholesky factor.
+    """
     n = mean.size
     if not _root(covariance, root):
         return False
@@ -167,10 +170,10 @@ def _root(a, root):
 
 @_kernel
 def _center(images, points, angles, weights, mean):
-    """Write the mean of ``images`` to ``mean``, and subtract the mean from the images.
+    """Write the weighted mean of ``images`` to ``mean``, and subtract the mean from the images.
 
     For an angle, the difference between an image and the first image is wrapped to within half a turn of the difference
-    between their points (0 without points).
+    between their sigma points in ``points``, or of 0 if ``points`` has no columns.
     """
     for i in range(images.shape[1]):
         first, shift = images[0, i], 0.0
@@ -199,8 +202,8 @@ def _add_products(a, b, weights, out):
 def _leave_out(z, nu, s, cross):
     """Make the update ignore elements that are NaN; return the number of the other elements.
 
-    With nu = 0, C = 0, and a row and column of S as in the identity, the result has the same bits as that of a filter
-    without these rows of h and R.
+    For these elements, nu and C become 0, and S becomes the identity. The result then has the same bits as that of a
+    filter without these rows of h and R.
     """
     present = 0
     for i in range(z.size):
@@ -222,7 +225,7 @@ def _leave_in(z, nu, s, cross):
 
 @_kernel
 def _whiten(nu, s, cross, root):
-    """Replace nu by y = L^-1 nu and C by W = C L^-T, with S = L L^T; return NIS and log det S, NaN if S has no root."""
+    """Replace nu by y = L^-1 nu and C by W = C L^-T, with S = L L^T; return NIS and log det S, NaN if there is no L."""
     n, m = cross.shape
     if not _root(s, root):
         return np.nan, np.nan
@@ -255,7 +258,7 @@ def _update(mean, covariance, y, w, share):
 
 @_kernel
 def _limited_share(z, nis, limit, runs):
-    """Return the share of an update: limit / NIS if the NIS is above the limit, else 1; see `Model.robust`.
+    """Return the factor of an update: limit / NIS for an outlier, 1 otherwise and if outliers last: see `Model.robust`.
 
     ``runs``: see `TextbookModel`.
     """
@@ -275,9 +278,9 @@ def _limited_share(z, nis, limit, runs):
 
 @_kernel
 def _limited(nis, limit):
-    """Return the term of a measurement in -2 log likelihood: the NIS, or above the limit a logarithm of it.
+    """Return the NIS, as a term of -2 log likelihood; above the limit, return limit (1 + log(NIS / limit)).
 
-    Above the limit, its derivative by nu is 2 S^-1 nu limit / NIS, which corresponds to the limited update.
+    Above the limit, the derivative of this term by nu is 2 S^-1 nu limit / NIS, as for S NIS / limit instead of S.
     """
     return nis if nis <= limit else limit * (1 + math.log(nis / limit))
 

@@ -1,7 +1,7 @@
 """Closed form of `filters.fix_error`: the correlated fix error b, in the last two states.
 
-The process does not depend on b, so a prediction only multiplies the columns of b in P by the transition A. The model's
-prediction writes the coefficients of A to scratch rows: see transition.py.
+The model's process does not depend on b, so a prediction multiplies the columns of b in P by the model's transition A.
+The coefficients of A are in scratch rows: see transition.py.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -13,9 +13,9 @@ from sigmaswarm.filters.compiled.layout import C1, C2, LANES, MOVE, R, at
 
 
 def carry(w, u, *, n, biases):
-    """Propagate the covariance of the fix error through a step.
+    """Multiply the columns of the fix error in P by the transition A of a planar model.
 
-    The columns of the fix error in P are multiplied by A of a planar model. ``biases``: True for planar8.
+    ``biases``: True for planar8.
     """
     dt = u[DT]
     h = 0.5 * dt
@@ -34,7 +34,7 @@ def carry(w, u, *, n, biases):
 
 
 def age_fix_error(w, z, since):
-    """Compute phi and the gained variance of the fix error from the nominal steps since the last fix."""
+    """Compute phi, and the variance g s^2 (1 - phi^2) that the fix error gains in ``since`` nominal steps."""
     var_x, var_y = z[FIX_VAR_X], z[FIX_VAR_Y]
     for l in range(LANES):
         phi = math.exp(-since * w[R.FIX_ERROR_RATE, l])
@@ -47,7 +47,7 @@ def age_fix_error(w, z, since):
 def move_fix_error(w, *, n, noted):
     """Propagate the fix error from the last fix to the new fix.
 
-    ``noted``: index of phi among the rows MOVE of `step_log`, or 0.
+    ``noted``: index of phi among the rows MOVE of `step_log`; 0: phi is not logged.
     """
     for l in range(LANES):
         phi = w[R.PHI, l]
@@ -64,7 +64,7 @@ def move_fix_error(w, *, n, noted):
 
 
 def observe_fix_error(w, *, n):
-    """Add phi times the fix error, and the gained variance, to nu, H P H^T and C of a fix."""
+    """Include phi times the fix error, and the gained variance, in nu, H P H^T and C of a fix."""
     for l in range(LANES):
         phi = w[R.PHI, l]
         w[R.N1, l] -= phi * w[n - 2, l]

@@ -24,6 +24,6 @@ def _again(sources):
 def again_call():
     """Return `live.replay` as a compiled function.
 
-    For a smoother, ``step`` is a `single_step` whose log begins at N_LOGGED.
+    For a smoother, pass as ``step`` a `single_step` whose log begins at N_LOGGED.
     """
     return cached_by_sources(_again, "live again")

@@ -1,8 +1,8 @@
-"""Common parts of all kernels: lanes, compiler flags, and a sine that vectorizes.
+"""Common parts of all kernels: compiler flags, and trigonometric functions that vectorize.
 
 Arrays are (row, lane), with one parameter set per lane, so each loop over lanes becomes vector instructions. All rows
-of a run are in one local array, so the compiler knows that different rows do not overlap. Failures need no branch: the
-lane's numbers become NaN or its OK flag 0, and the other lanes do not change.
+of a run are in one local array, so the compiler knows that different rows do not overlap. Failures need no branch: in a
+lane that fails, numbers become NaN or row OK becomes 0; the other lanes do not change.
 """
 
 # A type checker for Python does not know Numba's types.
@@ -23,9 +23,9 @@ OPTIONS = {"error_model": "numpy", "nogil": True}
 
 
 def kernel(function, **known):
-    """Bind keyword-only parameters of a function that its callers inline: see `Kernel` and `put_loops`.
+    """Return a function as a `Kernel`, with keyword-only parameters bound to ``known`` and vectorized loops over lanes.
 
-    The first argument is the array of rows ``w``. The function returns nothing and has no early return.
+    The first parameter of the function is the array of rows ``w``. The function must not contain a return.
     """
     return Kernel(function, None if config.DISABLE_JIT else put_loops, known)
 
@@ -35,10 +35,10 @@ _FLUSH_SUBNORMALS = 0x8040  # bits of an x86 control register that replace subno
 
 @intrinsic
 def _exchange_control(typing_context, control):
-    """Set the floating-point control register and return its old value; -1 sets the bits `_FLUSH_SUBNORMALS`.
+    """Set the floating-point control register and return its old value; -1 adds the bits `_FLUSH_SUBNORMALS`.
 
     Precise measurements reduce covariances to subnormal numbers, and an operation with these takes a hundred cycles.
-    This has no effect on processors other than x86.
+    The function has no effect on processors other than x86.
     """
 
     def generate(context, builder, signature, arguments):
@@ -71,7 +71,8 @@ exchange_control = _in_python if config.DISABLE_JIT else _exchange_control
 def _series(z):
     """Return (sin(r) / r - 1) / z and cos(r) for an angle r in [-pi/4, pi/4], with z = r^2.
 
-    The minimax polynomials are those of fdlibm (k_sin.c, k_cos.c); pairs of terms are independent operations.
+    The minimax polynomials are those of fdlibm (k_sin.c, k_cos.c). Their terms are grouped in pairs, which the
+    processor can compute in parallel.
     """
     zz = z * z
     s1 = -1.66666666666666324348e-01 + z * 8.33333333332248946124e-03
@@ -96,7 +97,7 @@ def sinc_cos(z):
 def _near(x, n):
     """Return sine and cosine of x - n pi/2, which is in [-pi/4, pi/4].
 
-    The rounding of pi/2 adds an error of about 3e-16.
+    The rounding of n pi/2 adds an error of at most 2.4e-16 n.
     """
     r = x - n * (math.pi / 2)
     z = r * r

@@ -1,4 +1,4 @@
-"""Layout of the array of a run, (row, lane): a lane is one filter, a row is one of its numbers.
+"""Layout of the array of a run, (row, lane): a lane is one filter, a row is one number of each filter.
 
 Kernels contain ``w[R.XX, l]``; before Numba compiles them, `unroll.unrolled` replaces R.XX by the number of the row.
 """
@@ -21,7 +21,7 @@ BLOCKS = 2  # largest number of blocks of LANES in a run; the second block is in
 
 
 def most_lanes(kernel: str) -> int:
-    """Return the largest number of lanes of a run: many hide latencies, but all must fit in the L1 cache."""
+    """Return the largest number of lanes of a run: more lanes hide latencies, but all must fit in the L1 cache."""
     uncompiled = config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
     return LANES if FILTERS[kernel].tilts or uncompiled else BLOCKS * LANES
 
@@ -44,9 +44,10 @@ _STATES = [LETTERS[name] for name in _LARGEST.names]
 MEAN = tuple(_STATES)
 QUATERNION = ("ATT_W", "ATT_X", "ATT_Y", "ATT_Z")  # of models with tilts: see `tilted12`
 COVARIANCE = tuple(a + b for j, b in enumerate(_STATES) for a in _STATES[: j + 1])
-"""Upper triangle, column by column; the rows of a model are therefore the first rows of a larger model."""
+"""Upper triangle of P, column by column, so a model has the first rows of a larger model."""
 CONSTANTS = (
-    # Sigma points. QUARTER_GAMMA, SHORTENS (-8 / gamma^2) and SECOND are 0 in an extended filter.
+    # Sigma points: gamma / 4, -8 / gamma^2, alpha^2 (n + kappa - 1) + beta, 1. In an extended filter, QUARTER_GAMMA,
+    # SHORTENS and SECOND are 0.
     "QUARTER_GAMMA", "SHORTENS", "SPREAD", "SECOND",
     *(f"Q_{a}" for a in _STATES), "RX", "RY",  # adaptive and fuzzy filters write these rows
     "R_VELOCITY", "R_LATERAL", "R_STANDSTILL", "R_RATE",
@@ -54,12 +55,12 @@ CONSTANTS = (
     "FUZZY", "WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q",  # FUZZY < 0: no fuzzy filter
     "ACCURACY",  # factor of a fix's stated variance in R, 0: not used; a fuzzy filter also writes this row
     "R_HEADING", "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: reciprocal of odometer_scale
-    "DOF", "PATIENCE",  # DOF of Student's t, 0: Gaussian; PATIENCE: duration of outliers before recovery, nominal steps
-    "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal interval / tau; variance of a fix if none is stated
+    "DOF", "PATIENCE",  # DOF of Student's t, 0: Gaussian; PATIENCE: `student.OUTLIERS_SPAN` in nominal steps
+    "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal interval / tau; s^2 if none is stated: see `fix_error`
 )  # fmt: skip
 SUMS = (
-    "SQ_POSITION", "SQ_HEADING",  # sums of squared errors over the targets: position, weighted, m2; heading, rad2
-    "NEES",  # e^T P^-1 e of the position over the targets; P includes the reference's variance
+    "SQ_POSITION", "SQ_HEADING",  # squared errors at the targets, weighted if truth has a variance; m2, rad2
+    "NEES",  # e^T P^-1 e of the position at the targets; P includes the variance of truth, if any
     "SQ_FIX", "SQ_FORECAST",  # m2, squared residuals of fixes after their update; squared innovations of hidden fixes
     "NIS", "LOG_TAIL",  # nu^T S^-1 nu; ln(1 + NIS / c), with c of `innovation-t`; over all fixes, also the hidden ones
     "FORECAST_T",  # ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over the hidden fixes, with v and c of `forecast-t`
@@ -68,24 +69,24 @@ SUMS = (
     "OUTLIERS", "SPAN",  # number of consecutive outliers, and the nominal steps from the first to the last
     "QUICK", "SLOW", "TIMES_R", "TIMES_Q",  # a fuzzy filter's averages, and its current factors
     "HEADING",  # of models with tilts; their mean has no row for the heading
-    # COS and SIN of planar5's heading, valid if SIN_COS_VALID is 1. Kernels that change the heading also set
-    # SIN_COS_VALID_ALL to 0.
+    # COS and SIN of planar5's heading, valid if SIN_COS_VALID is 1. Updates set it and SIN_COS_VALID_ALL to 0.
     "SIN_COS_VALID", "COS", "SIN",
 )  # fmt: skip
-"""Sums and other numbers that a run keeps. The sums up to LOG_DET are in `kernel_array.KernelSums`."""
+"""Sums and other numbers that are kept between steps. `kernel_array.KernelSums` contains the sums up to LOG_DET."""
 SCRATCH = (
     "SIN_COS_VALID_ALL",  # equal in all lanes; 1: SIN_COS_VALID is 1 in all lanes; 0: unknown
-    "BEFORE_X", "BEFORE_Y", "BEFORE_T",  # the last estimate
+    "BEFORE_X", "BEFORE_Y", "BEFORE_T",  # estimate at the previous IMU sample
     *(f"C1_{a}" for a in _STATES), *(f"C2_{a}" for a in _STATES),  # Cov(state, z) for the two components of z
-    "S11", "S12", "S22",  # H P H^T
-    "R1", "R2",  # the diagonal of R of a fix
+    "S11", "S12", "S22",  # H P H^T of a fix; S11: S of a scalar
+    "R1", "R2",  # the diagonal of R of a fix; R1: variance of a velocity
     "V11", "V12", "V22",  # S = H P H^T + R of a fix
     "N1", "N2",  # nu
-    "G11", "G12", "G22", "USE",  # the gain's G
+    "G11", "G12", "G22", "USE",  # G = S^-1, or 0 if the fix is rejected (USE = 0)
     "FACTOR",  # inflation factor of P
     "PHI", "GAINED_X", "GAINED_Y",  # of `fix_error`
     "ARM",  # of the lateral constraint: see `models.lateral_arm`
-    # Of a prediction: the acceleration, its covariance with the state, and its own covariance.
+    # Of a prediction: acceleration times dt, its covariance with the state, and its own covariance. Of a fix: the same
+    # of the lever arm.
     "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
     "NU1", "NU2",  # nu of the last fix, for a run that records innovations
     *(f"D{i}{j}" for i in "123" for j in "123"), "LEVER_UP", *(f"FP{k}" for k in range(7 * 7)),  # of tilted12
@@ -137,4 +138,4 @@ def at(i: int, j: int) -> int:
     return P0 + high * (high + 1) // 2 + low
 
 
-N_KEPT: int = SUM_ROWS.stop  # number of rows of a filter between steps; the other rows are scratch
+N_KEPT: int = SUM_ROWS.stop  # number of rows that are kept between steps; the other rows are scratch

@@ -1,15 +1,15 @@
-"""The memory of a live filter, and compiled functions that process an IMU sample or a fix.
+"""The memory of a live filter, and compiled functions that process an IMU sample, a fix or an odometer reading.
 
 The filter is the first lane of the rows in `layout`. A step (see `single`) is called by its address, so this file is
-compiled once for all models. The memory consists of eight arrays:
+compiled once for all models. The memory consists of eight arrays (`LiveArrays`):
 
-    filter_state (N_ALL,) the state, which a late fix resets to an earlier state; then settings, which are never reset
+    filter_state (N_ALL or more,) the state, which a late fix resets to an earlier state; then settings and scratch
     counts  (N_COUNTS,) lengths of the filled parts of the other arrays, and counts of ignored data
-    memory  (N_MEMORY, 8) memory of the standstill detection, see `drives.standstill`; no rows if unused
+    calm    (N_MEMORY, 8) memory of the standstill detection, see `drives.standstill`; no rows if unused
     fixes   (f, N_FIX) the fixes and their kinds, sorted by time, then by arrival
-    speeds  (r, 2) odometer readings by time, s and m/s; no rows if unused
+    speeds  (r, 2) odometer readings, sorted by time: time (s) and speed (m/s); no rows if unused
     history (h, N_RECORD) ring buffer: the last samples, and the state before each sample
-    checkpoints (m, k) ring buffer: the k numbers behind the state that a step also changes, stored before each
+    checkpoints (m, k) ring buffer: the k numbers from BEHIND on that a step also changes, stored before each
             CHECKPOINT_EVERY-th sample; no rows if k is 0
     lately  (l, N_SAMPLE) ring buffer: the last samples, for the divergence monitor (see `monitor`); no rows if unused
 
@@ -46,7 +46,7 @@ from sigmaswarm.filters.compiled.monitor import (
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.single import take_step
 
-# The state: rows, constants and sums as in `layout`; its time; scale of Q since the last fix; slots of the last events.
+# The state: rows as in `layout`; its time; nominal steps since the last fix; slots of the last events.
 N_FILTER = N_KEPT
 OK = R.OK
 TIME, SINCE = range(N_FILTER, N_FILTER + 2)
@@ -61,13 +61,13 @@ NOMINAL, START, USED, AS_RECORDED, USUAL_INTERVAL, TRUSTS_TIMES = range(N_FILTER
 LATE_BY, SEEN_FIX, LAST_CHECK = range(N_FILTER_STATE + 6, N_FILTER_STATE + 9)
 LEVER = slice(N_FILTER_STATE + 9, N_FILTER_STATE + 12)
 SAMPLE = slice(LEVER.stop, LEVER.stop + N_SAMPLE)  # the last sample
-LAST_SAMPLE = SAMPLE.start  # its time
+LAST_SAMPLE = SAMPLE.start  # time of the last sample
 (
     FIX_TIME, FIX_X, FIX_Y, FIX_VX, FIX_VY, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA, HAS_VELOCITY, KIND,
 ) = range(11)  # fmt: skip
 FIX_ROW = slice(FIX_X, HAS_VELOCITY)  # a row of `Timeline.fixes`
 N_FIX = 11
-# The last sample and the last fix with a time stamp too far ahead; the new sample.
+# The last sample and the last fix whose time stamps are far ahead of the filter; the new sample.
 SAMPLE_AHEAD = slice(SAMPLE.stop, SAMPLE.stop + N_SAMPLE)
 FIX_AHEAD = slice(SAMPLE_AHEAD.stop, SAMPLE_AHEAD.stop + N_FIX)
 NEW_SAMPLE = slice(FIX_AHEAD.stop, FIX_AHEAD.stop + N_SAMPLE)
@@ -86,18 +86,17 @@ N_ALL = FACTOR.stop
 N_COUNTS = 14
 NOTHING, HELD, CONFIRMED = range(3)  # state of FIX_AHEAD: empty, waiting for a second fix, confirmed
 
-BEHIND = 8 * math.ceil(N_ALL / 8)  # index of the numbers behind the state, a multiple of the widest vector
-CHECKPOINT_EVERY = (
-    16  # samples between two checkpoints; the numbers behind the state are many and rarely needed
-)
+BEHIND = 8 * math.ceil(N_ALL / 8)  # index of the additional numbers of a filter bank; a multiple of WIDEST
+CHECKPOINT_EVERY = 16  # samples between two checkpoints, which are large and rarely needed
 
 CHECK_EVERY = CHECKPOINT_EVERY  # samples between two checks of P, which is also checked after each fix
 ROUNDING = 1e-8  # a negative eigenvalue of the correlation matrix up to this size is a rounding error
 
-LEAP = 10.0  # s; a sample or fix further ahead of the filter waits for a second sample or fix
-AGREES = 1.0 + 1e-6  # s, largest difference of time stamps that confirm each other, with rounding
+LEAP = 10.0  # s; a sample or fix further ahead of the filter waits for a second sample or fix that confirms its time
+AGREES = 1.0 + 1e-6  # s, largest difference of time stamps that confirm each other; 1e-6 allows for rounding
 
-# A record: the step (DT ... GY) to the sample's time; 1 if the last second was calm; the means of that second.
+# A record: the state; the sample's time; the step (DT ... GY) to this time; 1 if the last second was calm; the means of
+# that second.
 S_TIME = N_FILTER_STATE
 S_STEP = slice(N_FILTER_STATE + 1, N_FILTER_STATE + 1 + N_STEP)
 S_AXES = slice(S_STEP.start + AX, S_STEP.stop)
@@ -105,7 +104,8 @@ S_CALM = S_STEP.stop
 S_MEANS = slice(S_CALM + 1, S_CALM + 5)
 N_RECORD = S_MEANS.stop
 
-TAKEN, IGNORED, LEFT_OUT = 1, 0, -1  # IGNORED: repeat, before the start, waiting. LEFT_OUT: too late, no room
+TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
+"""IGNORED: repeated, before the start, or waiting. LEFT_OUT: too late, no room, not finite, or a speed far ahead."""
 DUE = 2  # result of a sample: used, and the divergence monitor is due
 
 
@@ -114,7 +114,7 @@ _plain = njit(**OPTIONS)  # operations are not reordered: time slots must equal 
 
 @_plain
 def _step_to(step, v, to, u, events, z, wheels):
-    """Compute the step to a time; ``u`` (N_STEP,) has axes and gap, and this function sets its other numbers."""
+    """Compute the step to a time; ``u`` (N_STEP,) contains axes and gap, and DT and Q_SCALE are set here."""
     dt = to - v[TIME]
     scale = dt / v[NOMINAL]
     v[SINCE] += scale
@@ -173,7 +173,7 @@ def _check(v):
 
 @_plain
 def _process_sample(step, v, counts, fixes, speeds, t, u, calm, means, number):
-    """Process the fixes up to a sample's time, then the odometer and the constraints of a car."""
+    """Process the fixes up to a sample's time, then the sample with the odometer and the constraints of a car."""
     before, nothing = v[TIME], np.zeros(11)
     no_fix, wheels = nothing[:8], nothing[8:]
     end, came = _until(fixes, counts[N_FIXES], t), _until(speeds, counts[N_SPEEDS], t)
@@ -208,7 +208,7 @@ def _until(rows, n, now):
 
 @_plain
 def _is_standstill(v, fixes, end, now, means):
-    """Return True if the fixes before row ``end`` and the stop so far show a standstill after a calm second."""
+    """Return True if, after a calm second, the fixes before row ``end`` and the acceleration show a standstill."""
     if not fixes_are_still(fixes, fixes[:, KIND], end, now, np.empty(1)):
         return False
     passed, v[STOP_TIME] = now - v[STOP_TIME], now
@@ -217,7 +217,7 @@ def _is_standstill(v, fixes, end, now, means):
 
 @_plain
 def _is_far_ahead(v, t):
-    """Return True if a time is so far ahead of the filter that a second time stamp must confirm this time."""
+    """Return True if a time is so far ahead of the filter that a second time stamp must confirm it."""
     return t - v[TIME] > LEAP and v[TRUSTS_TIMES] == 0.0
 
 
@@ -292,7 +292,7 @@ def _store_reading(v, counts, speeds, history, t, speed):
 
 @_plain
 def _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoints, sample):
-    """Process an IMU sample with an accepted time; in a gap, use the mean of the samples before and after it."""
+    """Process an IMU sample with an accepted time; for a gap before it, use the mean of this and the last sample."""
     t, last, gap = sample[0], v[SAMPLE], 0.0
     if last[0] > -math.inf:
         interval = t - last[0]
@@ -337,9 +337,9 @@ def _store_checkpoint(v, checkpoints, number):
 
 @_plain
 def _first_after(counts, history, t):
-    """Return the index of the first stored sample at or after a time, from which the filter can process again.
+    """Return the index of the first stored sample at or after a time, to process the samples again from there.
 
-    The result is -1 if there is none, or if the history does not contain the state before that sample.
+    The result is -1 if there is none, or if the history does not reach back to the time.
     """
     back = counts[N_HISTORY]
     while back > 0 and _record(counts, history, back - 1)[S_TIME] >= t:
@@ -376,7 +376,7 @@ def replay(step, v, counts, fixes, speeds, history, checkpoints, first, corrects
 
 @_plain
 def _replay_from(step, v, counts, fixes, speeds, history, checkpoints, back):
-    """Return to the last checkpoint before a stored sample; process the later samples again."""
+    """Return to the state before the stored sample ``back``, or to an earlier checkpoint; process again from there."""
     if checkpoints.shape[0] > 0:
         number = counts[N_SAMPLES] - counts[N_HISTORY] + back
         back -= number % CHECKPOINT_EVERY
@@ -389,7 +389,7 @@ def _replay_from(step, v, counts, fixes, speeds, history, checkpoints, back):
 
 @_plain
 def _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, z):
-    """Process a fix with an accepted time: store the fix for the next sample, or process the later samples again."""
+    """Process a fix with an accepted time: store it for the next sample; if it is late, process later samples again."""
     t = z[FIX_TIME]
     is_number = math.isfinite(z[FIX_X]) and math.isfinite(z[FIX_Y])
     if t <= v[START]:  # the start includes this fix, but the fix may show a standstill
@@ -426,7 +426,7 @@ def _has_new_fixes(v, counts, fixes, t):
 
 @_plain
 def _is_due(v, counts, fixes, t):
-    """Return True if the monitor is due after a sample: after a new fix, at most once per interval."""
+    """Return True if the monitor is due after a sample: soon after a new fix, at most once per CHECK_INTERVAL."""
     if not _has_new_fixes(v, counts, fixes, t):
         return False
     slot = slot_of(t, v[START], CHECK_INTERVAL)
@@ -552,7 +552,7 @@ class LiveCalls:
     - ``sample(handle, t, a, b, c, d, e, f)``: process an IMU sample, axes in the filter's order
     - ``fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta)``
     - ``speed(handle, t, speed)``: process an odometer reading
-    - ``heading(handle, gyro_bias)``: rough heading from the log alone (rad) with the gyro bias in rad/s; NaN if unknown
+    - ``heading(handle, gyro_bias)``: heading (rad) from samples and fixes, see `rough_heading`; NaN if unknown
     - ``definite(handle)``: True if the covariance is positive semidefinite
     """
 

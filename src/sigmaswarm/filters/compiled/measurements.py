@@ -1,11 +1,9 @@
 """Measurements of the compiled filter: fixes (the others are in `vehicle`).
 
 For each measurement, a kernel computes nu, S and C = Cov(state, z) in every lane. Then `update_pair` or `update_scalar`
-computes x += C S^-1 nu and P -= C S^-1 C^T. In an unscented filter, nu, S and C are the moments of sigma points. If z
-is linear in the state, they equal those of the Kalman filter. If z is rotated by the heading, they have a closed form,
+computes x += C S^-1 nu and P -= C S^-1 C^T. In an unscented filter, nu, S and C are moments of sigma points. If z is
+linear in the state, these moments equal those of the Kalman filter. If the heading rotates z, they have a closed form,
 as in planar5.py and planar8.py.
-
-Loops over states (i, j, row) are unrolled for the model's n by `unroll.unrolled`.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -56,7 +54,7 @@ from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE, INNOVATION_
 def update_fix(w, z, lever, since, *, stores_innovation, gated, adaptive, fix_error, note_prior):
     """Update with a position fix of the antenna.
 
-    ``z`` is a row of `Timeline.fixes`; ``since`` is the time since the last fix, in nominal steps. Parts that no lane
+    ``z`` is a row of `Timeline.fixes`; ``since`` is the time since the last fix, in nominal steps. Options that no lane
     uses are skipped.
     """
     fading, adapting, fuzzy, robust = 0, 0, 0, 0
@@ -117,7 +115,7 @@ def forecast_fix(w, z, lever, since, *, n, fix_error):
 
 
 def add_forecast(w, l):
-    """Add the squared error and the likelihood of the prediction of a hidden fix to the sums."""
+    """Add the squared innovation of a hidden fix, and its likelihoods, to the sums."""
     nis = _add_likelihood(w, l)
     w[R.SQ_FORECAST, l] += w[R.N1, l] * w[R.N1, l] + w[R.N2, l] * w[R.N2, l]
     det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]
@@ -126,7 +124,10 @@ def add_forecast(w, l):
 
 
 def _add_likelihood(w, l):
-    """Add the NIS and the likelihood of a fix to the sums, before the update; return the NIS."""
+    """Add the NIS and the likelihood of a fix to the sums, before the update; return the NIS.
+
+    DET and TAIL are products over some fixes, whose logarithms are sums.
+    """
     s11, s12, s22 = w[R.S11, l] + w[R.R1, l], w[R.S12, l], w[R.S22, l] + w[R.R2, l]
     det = s11 * s22 - s12 * s12
     n1, n2 = w[R.N1, l], w[R.N2, l]
@@ -141,9 +142,9 @@ def _add_likelihood(w, l):
 
 
 def _measure_fix(w, z, lever, *, n):
-    """Compute nu, H P H^T, C and R of z = p + R(theta) lever - latency v.
+    """Compute nu, H P H^T, C and R of z = p + arm - latency v, where arm is the rotated lever arm.
 
-    The sigma points of R(theta) lever have the closed form of planar5.
+    The moments of arm have the closed form of planar5.
     """
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y = lever[0], lever[1]
@@ -175,9 +176,9 @@ def _measure_fix(w, z, lever, *, n):
 
 @kernel
 def _turn_lever(w, lever_x, lever_y):
-    """Compute R(theta) lever, its derivative by theta times k, and e.
+    """Compute the rotated lever arm, k times its derivative by theta, and e.
 
-    k and e are those of planar5, for the mean heading and the variance of the heading.
+    k and e: see planar5.
     """
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
@@ -188,11 +189,11 @@ def _turn_lever(w, lever_x, lever_y):
 
 
 def _keep_digits(w, *, n, tilted, unscented, fix_error):
-    """Recompute the position's variances and covariances from P+ H^T = C S^-1 R, without differences of large numbers.
+    """Recompute the position's variances and covariances from P+ H^T = C S^-1 R, which avoids cancellation.
 
-    P - C S^-1 C^T loses all digits of a variance that a fix reduces by a factor of a billion. H is 1 at the position
-    and at the correlated fix error, -latency at the velocity and k J R(theta) lever at the heading (k, J: see
-    `planar8`). R is S - H P H^T.
+    P - C S^-1 C^T loses nine digits of a variance that a fix reduces by a factor of a billion. H is 1 at the position
+    and at the correlated fix error, -latency at the velocity, and k J arm at the heading (k, J: see `planar5`). R
+    includes the second-order terms of S.
     """
     for l in range(LANES):
         used = w[R.G11, l] != 0.0
@@ -201,7 +202,7 @@ def _keep_digits(w, *, n, tilted, unscented, fix_error):
         else:
             tau, je, jn = w[R.LATENCY, l], w[SLOPE, l], w[SLOPE + 1, l]
         r1, r12, r2 = w[R.GEE, l], w[R.GEN, l], w[R.GNN, l]
-        # The position comes last, since its rows need the other states' covariances.
+        # The position comes last, since its elements depend on its new covariances with the other states.
         for j in (*range(2, n), 0, 1):
             gain_1 = w[C1 + j, l] * w[R.G11, l] + w[C2 + j, l] * w[R.G12, l]
             gain_2 = w[C1 + j, l] * w[R.G12, l] + w[C2 + j, l] * w[R.G22, l]
@@ -231,7 +232,7 @@ UPDATES = (
 
 
 def measurement_kernels(name: str, note_prior=None, noted=0):
-    """Return the functions in `UPDATES` for a kernel, by name.
+    """Return the functions in `UPDATES` as kernels for the filter ``name``: a dict by function name.
 
     ``note_prior``: see `step_log`; ``noted``: see `move_fix_error`.
     """

@@ -1,4 +1,4 @@
-"""Memory of a live filter, passed to compiled code as one number: passing eight arrays takes longer than a step."""
+"""Memory of a live filter, passed to compiled code as one address: passing eight arrays takes longer than a step."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 

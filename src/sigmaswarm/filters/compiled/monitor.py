@@ -14,9 +14,9 @@ from sigmaswarm.drives.alignment import ALIGNMENT_FIXES, MAX_DURATION, MIN_CHORD
 from sigmaswarm.drives.stale_fixes import STALE
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 
-CHECK_INTERVAL = 1.0  # s between two checks of a filter
-LATEST_CHECK = 0.25  # s, longest time from a fix to the IMU sample at which it is compared with the filter
-MONITOR_SPAN = MAX_DURATION + 1.0  # s of samples and fixes that are stored for the monitor
+CHECK_INTERVAL = 1.0  # s, time slots with at most one check of a filter
+LATEST_CHECK = 0.25  # s, longest time from a fix to the check that uses it; a late fix has `LATE_BY` more
+MONITOR_SPAN = MAX_DURATION + 1.0  # s, span of the samples and fixes that are stored for the monitor
 
 _T, _X, _Y, _KIND = 0, 1, 2, 10  # of a row of fixes: see `live`, which imports this module
 
@@ -70,9 +70,9 @@ def rough_heading(samples, newest, n, fixes, end, gyro_bias):
 
 @_plain
 def _way(samples, k, steps, since, until, gyro_bias):
-    """Return the path between two times at 1 m/s and an initial heading of 0, and the turn up to the last sample.
+    """Return the displacement, m east and north, between two times, and the turn from the first to the last sample.
 
-    The path has an east and a north component, m. Row ``k`` is the last sample up to ``since``; ``steps`` samples
+    The speed is 1 m/s and the initial heading is 0. Row ``k`` is the last sample up to ``since``; ``steps`` samples
     follow.
     """
     before, east, north, turned, cos, sin = samples[k, 0], 0.0, 0.0, 0.0, 1.0, 0.0

@@ -1,10 +1,10 @@
 """planar5's prediction in closed form; compare `models.planar5` and `textbook.UnscentedKalmanFilter`.
 
 The process is linear in all states except theta: u' = u + dt g(theta), x' = x + (u + u') dt/2, theta' = theta + dt yaw
-rate, with g the acceleration in the local frame. Sigma points may use any square root of P; here theta is the first
-state of the root. Then only the first column (and its mirror image) changes theta, by d = gamma sigma_theta with
-gamma^2 = n + lambda = alpha^2 (n + kappa). All other sigma points have the center's g0 = g(theta). With J a turn by 90
-degrees,
+rate, with position x, velocity u, and g the acceleration in the local frame. Sigma points may use any square root of P;
+here theta is the first state of the root. Then only the two sigma points of the first column change theta, by +-d with
+d = gamma sigma_theta and gamma^2 = n + lambda = alpha^2 (n + kappa). At all others, the acceleration is that of the
+center, g0 = g(theta). With J a turn by 90 degrees, and s the state,
 
     g(theta +- d) = g0 cos d +- J g0 sin d
     e         = (cos d - 1) / gamma^2 = -(2 / gamma^2) sin^2(d/2)    (second form: without cancellation)
@@ -13,11 +13,11 @@ degrees,
     Cov(s, g) = k P[:, theta] (J g0)^T
     Cov(g)    = k^2 P[theta, theta] J g0 (J g0)^T  +  (alpha^2 (n + kappa - 1) + beta) e^2 g0 g0^T
 
-The rest is the covariance of sums: Cov(., u') = Cov(., u) + dt Cov(., g), and so on; Q is added at the end.
+The other covariances are those of sums: Cov(., u') = Cov(., u) + dt Cov(., g), and so on; Q is added at the end.
 
 The extended Kalman filter has no second-order terms: gamma = 0, so e = 0 and k = 1. In a step, the heading turns by the
-same angle in all lanes, so rows COS and SIN are rotated. After any other change of the heading (by a fix or a start),
-SIN_COS_VALID and SIN_COS_VALID_ALL are 0, and the next step computes COS and SIN from the heading.
+same angle in all lanes, so rows COS and SIN are rotated. After an update, a start or a large turn, SIN_COS_VALID and
+SIN_COS_VALID_ALL are 0, and the next step computes COS and SIN from the heading.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -29,7 +29,7 @@ from sigmaswarm.filters.compiled.layout import LANES, R
 
 @kernel
 def _refresh_sin_cos(w):
-    """Compute cosine and sine of the heading after a fix or a start changed it."""
+    """Compute cosine and sine of the heading in the lanes where they are invalid."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         valid = w[R.SIN_COS_VALID, l] > 0.0
@@ -47,7 +47,10 @@ def _invalidate_sin_cos(w):
 
 @kernel
 def _turn(w, ax, ay, turn):
-    """Rotate the acceleration times dt by the heading, a Gaussian variable; then turn the heading by the gyro."""
+    """Compute the moments of the acceleration times dt for a Gaussian heading; then turn the heading.
+
+    ``ax`` and ``ay`` are multiplied by dt.
+    """
     for l in range(LANES):
         k_turn, cos_turn = sinc_cos(turn * turn)
         sin_turn = turn * k_turn
@@ -65,8 +68,8 @@ def _turn(w, ax, ay, turn):
 def predict_planar5(w, u):
     """Compute a step of the process model; a number at the end of a name counts the changes of an element of P.
 
-    The position moves for half a step with the velocity before the step, and for half a step with the velocity after.
-    There are two loops, since one loop would be too long for out-of-order execution.
+    The position moves for half a step with the velocity before the step, and for half a step with the velocity after
+    it. There are two loops, since one loop would be too long for out-of-order execution.
     """
     dt, ax, ay, gz, q_scale = u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE]
     if w[R.SIN_COS_VALID_ALL, 0] == 0.0:

@@ -1,10 +1,10 @@
 """planar8's prediction in closed form: planar5 with the IMU's biases as random walks.
 
 u' = u + dt R(theta) (a - b), theta' = theta + dt (yaw rate - w), with the accelerometer's biases b and the gyro's bias
-w. The process is bilinear in theta and b. The square root of P again begins with theta: its first column changes theta
-by d, and also b. The other columns leave theta fixed, so the process is linear for them. g0 is the mean specific force
-minus bias in the local frame, and J is a rotation by 90 degrees. gamma, d, e and k are as in planar5, t = R P[b, theta]
-and m = (1 - cos d) / P[theta, theta]. The sums over the sigma points are
+w. Only R(theta) (a - b) is nonlinear. The square root of P again begins with theta: its first column changes theta by
+d, and also b. The other columns leave theta fixed, so the process is linear for them. At the mean, R = R(theta) and g0
+= R (a - b). J, gamma, d, e and k are as in planar5, t = R P[b, theta] and m = (1 - cos d) / P[theta, theta]. The sums
+over the sigma points are
 
     mean of g   = g0 + mu,    mu = e g0 - k J t
     Cov(s, g)   = P[:, theta] (k J g0 + m t)^T - P[:, b] R^T
@@ -26,7 +26,7 @@ def _turn(w, dt, ax, ay):
     """Compute the acceleration times dt and its covariances, from heading and biases."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
-        s, c = dt * sin_t, dt * cos_t  # all below is times dt
+        s, c = dt * sin_t, dt * cos_t  # all vectors below are multiplied by dt
         fx, fy = ax - w[R.A, l], ay - w[R.B, l]
         a, b = c * fx - s * fy, s * fx + c * fy
         second, quarter_gamma, tt = w[R.SECOND, l], w[R.QUARTER_GAMMA, l], w[R.TT, l]

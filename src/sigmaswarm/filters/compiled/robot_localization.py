@@ -1,8 +1,8 @@
 """The extended filter of robot_localization in ``two_d_mode``, for many parameter sets at once.
 
 `models.robot_localization` contains the equations. The eight states are in planar8's rows: x, y, vx, vy (body), yaw,
-ax, ay (body), yaw rate. F is a product of elementary matrices, one for each row that differs from the identity. R is
-diagonal, so sequential updates with single states equal the joint update.
+ax, ay (body), yaw rate. F is a product of elementary matrices, one for each row of F that differs from the identity. R
+is diagonal, so sequential updates with single states equal the joint update.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -35,7 +35,7 @@ USES_VY, USES_AY = LATERAL, STANDSTILL
 """Bits of a step: update with vy = 0 of a twist, and with the IMU's ay."""
 R_GZ, R_AX, R_AY, R_VY = R.R_RATE, R.R_VELOCITY, R.R_STANDSTILL, R.R_LATERAL
 GATE_GZ, GATE_AX = R.REAR_AXLE, R.TIRE_SLIP
-"""Rows of the largest accepted NIS of gz and ax, since this model has neither rear axle nor tire slip."""
+"""Rows of the NIS from which gz and ax are rejected; this model has neither rear axle nor tire slip."""
 _TWO_PI = 2 * math.pi
 
 
@@ -45,7 +45,7 @@ def _wrap(angle):
 
 @kernel
 def _predict(w, d, q):
-    """Compute a step of ``d`` s by the equations of `models.robot_localization`; q Q is added to F P F^T."""
+    """Compute a step of ``d`` s by the equations of `models.robot_localization`; ``q`` Q is added to F P F^T."""
     h = 0.5 * d
     for l in range(LANES):
         s, c = sincos(w[R.T, l])
@@ -108,7 +108,7 @@ def _correct(w, l, off, r, use, *, state):
 
 
 def _update(w, z, *, state, noise, gate, correct):
-    """Update with a measurement of one state. ``gate``: row of the NIS from which it is rejected; 0: never rejected."""
+    """Update with a measurement of one state; ``gate``: row of the NIS from which measurements are rejected, or 0."""
     for l in range(LANES):
         r, use, off = w[noise, l], 1.0, z - w[state, l]
         if state == R.T:
@@ -145,7 +145,7 @@ def _measure_fix(w, x, y, var_x, var_y, forward, left):
 
 @kernel
 def _check_fix(w):
-    """Add the likelihood of a fix to the sums; reject the fix if its NIS exceeds the squared threshold."""
+    """Add the likelihood of a fix to the sums; reject the fix if its NIS is not below GATE, the squared threshold."""
     for l in range(LANES):
         nis = _add_likelihood(w, l)
         det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]
@@ -192,7 +192,7 @@ def _update_heading(w, theta, stated):
 
 @kernel
 def step(w, u, events, z, wheels, lever, since):
-    """Predict to the end of a step; update with the IMU sample, then with the fix."""
+    """Predict to the end of a step; update with the IMU sample, the odometer and the fix."""
     d, gz, ax, ay = u[DT], u[GZ], u[AX], u[AY]
     if d > 0.0:
         _predict(w, d, u[Q_SCALE])

@@ -1,6 +1,6 @@
 """Allocation of the array of a run on the stack, aligned to a cache line.
 
-An array of Numba's `np.empty` starts at any multiple of 32 bytes. With AVX-512 each load and store may then access two
+In Numba, the arrays of `np.empty` start at multiples of 32 bytes. With AVX-512, each load and store may then access two
 cache lines, and a run takes a seventh longer.
 """
 
@@ -31,7 +31,7 @@ def _on_the_stack(typing_context, lanes):
 
     def generate(context, builder, signature, arguments):
         size = ir.IntType(64)
-        with builder.goto_entry_block():  # Numba's own function would also write zeros
+        with builder.goto_entry_block():  # `cgutils.alloca_once` would also write zeros
             data = builder.alloca(ir.ArrayType(ir.DoubleType(), BLOCKS * N_ROWS * LANES))
         data.align = CACHE_LINE
         data = builder.bitcast(data, ir.DoubleType().as_pointer())

@@ -28,7 +28,7 @@ from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.geodesy import Array
 
-# Cursor of a run in pieces: the next step, fix and target, the time since the last fix, the next wheel speed.
+# Cursor of a run in pieces: the next step, fix and target, nominal steps since the last fix, the next wheel speed.
 NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE, NEXT_SPEED = range(5)
 NO_RECORD, NO_INNOVATIONS = np.empty((0, 0, 0)), np.empty((0, 5))
 
@@ -57,7 +57,7 @@ DriveArrays = tuple[
 - wheels (o, 3) as `drives.events.Events.wheels`
 - lever (3,), m forward, left and up from the IMU to the antenna
 - targets, columns (m,) as `Targets.columns`
-- their ends (k,), number of targets before the end of each step (constant where flags lack IMU)
+- target_end (k,), number of targets before the end of each step; it increases only at steps with the flag IMU
 """
 
 
@@ -71,7 +71,7 @@ _DETERMINANTS_PER_LOG = 8  # determinants per logarithm; a double can contain th
 
 @kernel
 def _take_logarithm(w):
-    """Add the logarithms of the products over the last fixes to the sums, and reset the products."""
+    """Add the logarithms of the products DET and TAIL over the last fixes to the sums, and reset the products."""
     for l in range(LANES):
         w[R.LOG_DET, l] += math.log(w[R.DET, l])
         w[R.LOG_TAIL, l] += math.log(w[R.TAIL, l])
@@ -141,10 +141,10 @@ def _run(
     score_there,
     score_by_deviation,
 ):
-    """Run the steps from ``place`` to ``stop``, and change the filters ``w``.
+    """Run the filters ``w`` from step ``place[NEXT_STEP]`` up to ``stop``, and update ``w`` and ``place``.
 
-    ``state``: the recorded rows; ``heading``: the row of the scored heading. Steps and fixes are passed as tuples,
-    since Numba would count references to a row of an array at each step.
+    ``state``: the recorded rows; ``heading``: the row of the scored heading. ``step`` gets a step and a fix as tuples,
+    since slices of arrays would cost Numba's reference counting at each step.
     """
     steps, sample, driving, flags, fixes, speeds, lever, targets, target_end = drive
     z, arm = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), tuple(lever[k] for k in range(3))
@@ -218,7 +218,7 @@ def _load(w, rows):
         below = first // LANES * N_ROWS
         for r in range(N_KEPT):
             for lane in range(first, min(first + LANES, w.shape[1])):
-                w[below + r, lane - first] = rows[r, lane % rows.shape[1]]  # uncompiled, w has LANES
+                w[below + r, lane - first] = rows[r, lane % rows.shape[1]]  # uncompiled, w has more lanes
         for r in range(N_KEPT, N_ROWS):
             for lane in range(first, min(first + LANES, w.shape[1])):
                 w[below + r, lane - first] = 0.0
@@ -260,17 +260,16 @@ def _digest():
 
 
 def named_by_sources(make, name, known=None):
-    """Return the function of ``make(sources)``; its key in Numba's cache contains a hash of all kernels' sources.
+    """Return the recipe of ``make(sources)``; its key in Numba's cache contains a hash of all kernels' sources.
 
-    Numba's own key ignores functions in other files, and is the same for equal lines that call different functions; but
-    it includes the values in a closure. ``known`` returns the values of make's keyword-only parameters, which are
-    needed only for compilation.
+    Numba's own key does not depend on the called functions, which are in other files or bound by `unrolled`. ``known``
+    returns the values of the keyword-only parameters of ``make``, which are needed only for compilation.
     """
     sources = f"{name} {_digest()}"
 
     def named(make):
         function = make(sources)
-        function.__qualname__ += "_" + re.sub(r"\W+", "_", name)  # see `unroll`
+        function.__qualname__ += "_" + re.sub(r"\W+", "_", name)  # see `unroll._hash_of`
         return function
 
     if known is None:
@@ -319,7 +318,7 @@ def run_kernel(model):
 
 @call_once
 def logging_kernel(model):
-    """Return a kernel that records `step_log.logged_rows`, of every step if all flags contain IMU."""
+    """Return a kernel that records `step_log.logged_rows` after each step with the flag IMU."""
     return _kernel_of(model, partial(step_of, model, noted=True), logged_rows(model), f"{model}, logged")
 
 
@@ -328,15 +327,16 @@ def run_lanes(
 ) -> None:
     """Run up to `most_lanes` filters over steps of one time line, from the step at which the last call stopped.
 
-    Pieces of a run do not affect the results if each one, except the last, stops after a step with the flag IMU.
+    A run in pieces has the same results as one call if each piece, except the last, ends after a step with the flag
+    IMU.
 
     Parameters
     ----------
     model : name of the model
     drive : DriveArrays
-    rows : (N_KEPT, a multiple of WIDEST), changed: state, constants, sums and memory of each lane
+    rows : (N_KEPT, a multiple of WIDEST), changed: state, constants and sums of each lane
     place : (5,), changed: see NEXT_STEP ... NEXT_SPEED
-    stop : the step before which the run stops; after k, the number of steps, the sums are complete
+    stop : the step before which the run stops; the sums are complete if this is k, the number of steps
     record : (r, s + 1, m), written from its start: at each IMU sample of these steps, the model's s `state_rows` and
         the OK flag of the first m lanes, at most LANES; r = 0: none
     innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix of these steps, before

@@ -1,7 +1,7 @@
 """One step of one filter as a separate function, which other compiled code calls by its address.
 
-Numba would inline the step into callers and compile these callers for each model, although the rest of a live filter is
-the same for all models.
+Otherwise, Numba would inline the step into its callers, the functions of a live filter, and compile these for each
+model.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -57,8 +57,8 @@ def _one_step(sources, *, step, kept, step_log, logged):
 class SingleStep:
     """A model's step in this process; a copy in another process looks up its own address.
 
-    ``address`` is the argument of `take_step`; without compilation it is a function. ``made_by`` contains the function
-    that creates this object, and the arguments of this function.
+    ``address`` is the first argument of `take_step`; without compilation it is a function. ``made_by`` contains the
+    function that creates this object, and its arguments.
     """
 
     address: Any
@@ -108,8 +108,8 @@ def _called(step, v, u, events, z, wheels, lever, since):
 
 
 take_step = _called if config.DISABLE_JIT else _call
-"""Compute one step of one filter in compiled code, with ``(step, v, u, events, z, wheels, lever, since)``.
+"""For compiled code: ``take_step(step, v, u, events, z, wheels, lever, since)`` computes one step of one filter.
 
-``step`` is the address of the result of `single_step`; ``v`` (N_KEPT or more,) is the filter, which changes in place.
-For the other arguments see `step._step`; ``u``, ``z``, ``wheels`` and ``lever`` are arrays (9,), (8,), (3,) and (3,).
+``step`` is `SingleStep.address`; ``v`` (N_KEPT or more,) is the filter, which changes in place. For the other arguments
+see `step._step`; ``u``, ``z``, ``wheels`` and ``lever`` are arrays (9,), (8,), (3,) and (3,).
 """

@@ -4,9 +4,9 @@
     m^s = m + G (m^s' - m-)
     P^s = P + G (P^s' - P-) G^T
 
-m, P are the filter's state before a step, m-, P- are its prediction, and m^s', P^s' are the smoothed state after the
-step. For sigma points, P A^T is their cross-covariance: see `step_log`. Sources: see `filters.smoothing.smooth`. X =
-G^T solves P- X = A P. In a model with roll and pitch, differences and sums are in the tangent space: see `tilted`.
+A is the transition of a step: see `transition`. m and P are the filtered mean and covariance before the step, m- and P-
+the predicted ones after it; m^s and P^s are smoothed before the step, m^s' and P^s' after it. X = G^T solves P- X = A
+P. In a model with roll and pitch, `tilted` defines differences and sums. Sources: see `filters.smoothing.smooth`.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportIndexIssue=false
@@ -31,7 +31,7 @@ def _plain(function, **known):
 
 
 def _transition_times(move, p, ap, *, n, coefficients, transition):
-    """Compute A P for a model's own n states; ``move`` has the length of the step and the coefficients of A."""
+    """Compute A P for the n states without the fix error; ``move``: length of the step, and coefficients of A."""
     f = tuple(move[1 + k] for k in coefficients)
     for c in range(p.shape[1]):
         moved = transition(f, move[0], tuple(p[k, c] for k in range(n)))
@@ -40,7 +40,7 @@ def _transition_times(move, p, ap, *, n, coefficients, transition):
 
 
 def _spread(state, p, *, n, first):
-    """Unpack the covariance (n, n) from its upper triangle, packed column by column."""
+    """Write the covariance (n, n) to ``p`` from its upper triangle, stored column by column in ``state``."""
     at = first
     for b in range(n):
         for a in range(b + 1):
@@ -77,7 +77,7 @@ def _solve(s, x, *, n):
 
 @_plain
 def _turn_between(q, p, error):
-    """Compute the rotation vector e with q = exp(e) p, for quaternions (4,), in rows 8, 9 and 4 of the error."""
+    """Write the rotation vector e with q = exp(e) p, for quaternions (4,), to elements 8, 9 and 4 of the error."""
     w = q[0] * p[0] + q[1] * p[1] + q[2] * p[2] + q[3] * p[3]
     x = -q[0] * p[1] + q[1] * p[0] - q[2] * p[3] + q[3] * p[2]
     y = -q[0] * p[2] + q[1] * p[3] + q[2] * p[0] - q[3] * p[1]
@@ -204,8 +204,8 @@ def smooth_back(name, step_log, start, ends, started, sampled, behind, out):
     start : (s,) the filter's `state_rows` before the first step
     ends, started : (a,) int, (a, s) the steps after which the filter was reset, and the states after these resets;
         smoothed states before a reset do not depend on later steps
-    sampled : (k,) bool: the steps at whose ends smoothed states are returned
+    sampled : (k,) bool: the steps whose smoothed states are returned
     behind : (s,) changed from the smoothed state after the last step to that before the first step
-    out : (r, s) written: the smoothed states at the chosen ends
+    out : (r, s) written: the smoothed states after the ``sampled`` steps
     """
     _kernel_of(name)(step_log, start, ends, started, sampled, behind, out)

@@ -97,7 +97,7 @@ _PREDICTIONS = {
 
 @cache
 def step_of(name, *, noted=False):
-    """Return the step of a kernel for LANES filters, as a function that callers inline.
+    """Return the step of the kernel ``name`` for LANES filters, as a function that callers inline.
 
     ``noted``: the step also writes the inputs of a smoother to scratch rows; see `step_log`.
     """
@@ -105,7 +105,7 @@ def step_of(name, *, noted=False):
     if model.measures_imu:
         return robot_localization.step
     predict, settle = _PREDICTIONS.get(name) or _PREDICTIONS[base_model_name(name)]
-    carries = model.fix_error and not model.tilts  # a prediction with tilts propagates all columns
+    carries = model.fix_error and not model.tilts  # tilted12's prediction also propagates these columns
     biases = int(model.gyro_bias is not None)
     note_prior = step_log.note_prior(name) if noted else None
     return kernel(

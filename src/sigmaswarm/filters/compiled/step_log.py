@@ -1,7 +1,7 @@
-"""Log of each step of the compiled filter for a smoother: the prediction before any update, and its transition A.
+"""Log of each step of the compiled filter for a smoother: the state, the prediction and the coefficients of A.
 
-The log contains the coefficients of A (see transition.py) and phi of `fix_error`. If a fading factor or a run of
-outliers inflates P, the prediction includes this inflation.
+A is the transition of the step: see transition.py. If a fading factor or a run of outliers inflates P, the prediction
+includes this inflation.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -19,7 +19,7 @@ def _moves_of(name):
 
 
 def logged_rows(name):
-    """Return the logged rows: state after the step, prediction, length of the step, coefficients of A, phi if any."""
+    """Return the logged rows: state after the updates, prediction, length of the step, A, and phi of `fix_error`."""
     state, n_moves = state_rows(name), 1 + len(_moves_of(name)) + FILTERS[name].fix_error
     return np.array([*state, *(PRIOR + state), *range(MOVE, MOVE + n_moves)], dtype=np.intp)
 
@@ -49,5 +49,5 @@ def note_move(name):
 
 
 def note_prior(name):
-    """Return the kernel that logs the prediction before a measurement, and again if P is inflated."""
+    """Return the kernel that logs the prediction: before the updates, and again after a possible inflation of P."""
     return kernel(_note_prior, state=tuple(int(row) for row in state_rows(name)))

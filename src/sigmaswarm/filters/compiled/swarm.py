@@ -3,13 +3,13 @@
 This step replaces the `single_step` of a live filter. The live filter is the first lane of the bank. All lanes are
 stored after the state of the live filter (`live.BEHIND`), so that they also return to an earlier state for a late fix:
 
-    NUMBERS   a few numbers, then for each lane: evidence, log-prior penalty, weight
+    NUMBERS   numbers of the bank; evidence of all lanes, then log-prior penalties, then weights
     ROWS      (N_KEPT, LANES) the lanes, as in `layout`; the checkpoints of a live filter end here
     SCRATCH   (N_ROWS - N_KEPT, LANES)
-    STEP_LOG  ring buffer of the last steps for a search, N_LOG_ROW numbers each
+    STEP_LOG  ring buffer of the last steps, N_LOG_ROW numbers each, for `bank.search`
 
-The evidence of a lane is the log-likelihood of the fixes under a Gaussian; old fixes lose weight with time. The weight
-of a lane is exp(EVIDENCE_COUNTS evidence - penalty), normalized.
+The evidence of a lane is the Gaussian log-likelihood of the fixes, with limited NIS; old fixes lose weight with time.
+The weight of a lane is exp(EVIDENCE_COUNTS evidence - penalty), normalized.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -34,11 +34,11 @@ from sigmaswarm.filters.compiled.step import step_of
 
 EVIDENCE_LASTS = 60.0  # s, time constant of the decay of evidence
 LARGEST_NIS = 200.0
-"""Upper limit of a fix's NIS in the evidence, so that a single fix cannot decide. Student's t instead would give too
+"""Upper limit of a fix's NIS in the evidence, so that no single fix determines the weights. Student's t would give too
 much weight to a lane with a small R, since fixes between high buildings are accurate until they jump."""
-EVIDENCE_COUNTS = 0.1  # weight of a fix: errors of fixes are correlated, so ten fixes count about as one
+EVIDENCE_COUNTS = 0.1  # weight of the evidence: errors of fixes are correlated, so ten fixes count as one
 
-# Counted from BEHIND: number of logged steps, and capacity of the log; time of the last fix, and number of fixes; nu
+# Indices from BEHIND on: number of logged steps, and capacity of the log; time of the last fix, and number of fixes; nu
 # and S of the mixture at the last fix.
 LOGGED, LOG_LENGTH, FIXED_AT, N_FIXED, NU_X, NU_Y, S_XX, S_XY, S_YY = range(9)
 EVIDENCE = slice(16, 16 + LANES)
@@ -46,11 +46,11 @@ PENALTY = slice(EVIDENCE.stop, EVIDENCE.stop + LANES)
 WEIGHT = slice(PENALTY.stop, PENALTY.stop + LANES)
 NUMBERS = WEIGHT.stop
 ROWS = slice(NUMBERS, NUMBERS + N_KEPT * LANES)
-N_CHECKPOINT = ROWS.stop  # values of a checkpoint
+N_CHECKPOINT = ROWS.stop  # number of values in a checkpoint
 STEP_LOG = NUMBERS + N_ROWS * LANES
 
-# A logged step: its numbers DT ... GY, its flags, its rows of `Timeline.fixes` and `Events.wheels`, the time since the
-# last fix in nominal steps, and the end time of the step, s.
+# A logged step: DT ... GY, flags, rows of `Timeline.fixes` and `Events.wheels`, the time since the last fix in nominal
+# steps, and the end time of the step, s.
 T_STEP, T_FLAGS, T_FIX, T_WHEELS, T_SINCE, T_TIME = slice(0, 9), 9, slice(10, 18), slice(18, 21), 21, 22
 N_LOG_ROW = 23
 

@@ -1,11 +1,11 @@
-"""tilted12's extended filter; compare `filters.tilted` and `textbook.ErrorStateKalmanFilter`.
+"""tilted12's extended filter; compare `filters.tilted` and `textbook.manifold.ErrorStateKalmanFilter`.
 
 The attitude of the mean is the quaternion in rows ATT_W ... ATT_Z. Rows I, J and T of the mean are the error about
 east, north and up. This error is 0 except between a measurement and `fold`, which rotates the quaternion by the error.
 All other rows are those of planar8; K and L are the biases of gx and gy.
 
-A changes seven rows (see transition.py), so P' = A P A^T is computed in two parts: first A P, with these seven rows in
-scratch rows, then (A P) A^T. The columns of the biases are computed last.
+A changes seven states (see transition.py). A P A^T is computed in two parts: first the seven rows of A P, mostly in
+scratch rows, then those of (A P) A^T.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -27,11 +27,11 @@ KEPT = (R.A, R.B, R.W, R.K, R.L)
 COLUMNS = (R.X, R.Y, R.U, R.V), (R.T, R.I, R.J, R.A), (R.B, R.W, R.K, R.L)
 """Columns of A P. The columns of KEPT are last, since they overwrite rows that the other columns need. Columns of
 states that A does not change may follow."""
-ROWS = (R.X, R.Y), (R.U, R.V), (R.T, R.I, R.J)  # of (A P) A'
+ROWS = (R.X, R.Y), (R.U, R.V), (R.T, R.I, R.J)  # of (A P) A^T
 
 
 def fp(i, j):
-    """Return the row of (A P)[i, j] for i in MOVED: a scratch row, or that of P[i, j] if A does not change column j."""
+    """Return the row of (A P)[i, j] for i in MOVED: a scratch row; for j not in MOVED that of P[i, j], the result."""
     return at(i, j) if j not in MOVED else FP + len(MOVED) * MOVED.index(i) + MOVED.index(j)
 
 
@@ -103,7 +103,7 @@ def _move(w, u):
 
 
 def propagate(w, u, *, columns, coefficients, transition):
-    """Compute A P A^T. ``columns``: `COLUMNS`, then the columns of states outside of the process."""
+    """Compute A P A^T; ``columns``: `COLUMNS`, then the columns of the fix error, if any."""
     dt = u[DT]
     for group in columns:
         for l in range(LANES):
@@ -138,7 +138,7 @@ def propagate(w, u, *, columns, coefficients, transition):
 
 
 def predict_tilted12(w, u, *, propagate, linearize, add_curvature):
-    """Compute a step of the process model; ``linearize`` and ``add_curvature``: for the unscented filter."""
+    """Compute a step of the process model; the unscented filter has ``linearize`` and ``add_curvature``."""
     _half_turn(w, u)
     _move(w, u)
     if linearize:

@@ -1,28 +1,26 @@
-"""tilted12's unscented filter; compare `filters.tilted` and `textbook.ManifoldUnscentedKalmanFilter`.
+"""tilted12's unscented filter; compare `filters.tilted` and `textbook.manifold.ManifoldUnscentedKalmanFilter`.
 
 Sigma points are errors added to the mean; a rotation vector e is added as exp([e]x) R. Every square root L of P is
 valid. Here the states that do not enter linearly come first: see `tilted.STEP_FIRST` and `MEASURED_FIRST`. The later
-columns change only states that enter linearly while the first states are fixed: position, velocity and the
-accelerometer's biases. Only the first columns need points:
+columns do not change these first states, and all other states enter linearly. Only the first columns need points:
 
 - In a step: the gyro's biases and the attitude. The columns of the attitude follow those of the biases and do not
-  change the biases. The points of the attitude rotate like the center, so the error of a point does not change, and its
-  acceleration is the center's, rotated in closed form.
+  change the biases. The points of the attitude rotate like the center, so their errors do not change. Their
+  acceleration follows from that of the center by a rotation in closed form.
 - In a fix: the attitude, which rotates the lever arm, also in closed form.
-- In the lateral constraint and the odometer: the attitude, which rotates the velocity.
+- In the other measurements: the attitude, which rotates the velocity or the forward axis.
 
-A function of the state is its linear part plus r, which is 0 at the center and at all points that are not drawn. Let r+
-and r- be its values at the two points of column c, and gamma^2 = alpha^2 (n + kappa). The slope is d = (r+ - r-) /
-(2 gamma), the curvature t = (r+ + r-) / (2 gamma^2). Then the sums over the sigma points are
+A function of the state is a linear part plus r, where r is 0 at the center and at the points of the later columns. Let
+r+ and r- be the values of r at the two points of one of the first columns, L_c, and gamma^2 = alpha^2 (n + kappa). The
+slope is h = (r+ - r-) / (2 gamma), the curvature t = (r+ + r-) / (2 gamma^2). Then the sums over the sigma points are
 
     mean of r  = mu = sum of t
-    Cov(s, r)  = sum of L_c d^T = P[:, drawn] H,   with L_drawn^T H = d
-    Cov(r)     = H^T P[drawn, drawn] H + gamma^2 (sum of t t^T) + (beta - alpha^2) mu mu^T
+    Cov(s, r)  = sum of L_c h^T = P[:, first] H,   with L_first^T H = h
+    Cov(r)     = H^T P[first, first] H + gamma^2 (sum of t t^T) + (beta - alpha^2) mu mu^T
 
 The rotated vector is exp(+-gamma [L_c]x) a = a +- k gamma L_c x a + q gamma^2 L_c x (L_c x a), with the angle d = gamma
-|L_c|, k = sin d / d and q = (1 - cos d) / d^2. The linear part plus H replaces the Jacobian, and the last two terms of
-Cov(r) are added to the covariance; all else is as in `tilted12`. H is stored in rows SLOPE, mu in SHIFT, and these two
-terms in EXTRA.
+|L_c|, k = sin d / d and q = (1 - cos d) / d^2. The linear part plus H replaces the Jacobian of `tilted12`, and the last
+two terms of Cov(r) are added to the covariance. H is stored in rows SLOPE, mu in SHIFT, and these two terms in EXTRA.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -65,7 +63,7 @@ def _root(w, *, order, columns):
 
 
 def _linearize(w, *, columns):
-    """Replace the slopes by H; compute mu and EXTRA. ``columns``: number of columns of each output."""
+    """Replace the slopes by H; compute mu and EXTRA. ``columns``: number of columns with points for each output."""
     for l in range(LANES):
         gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
         spread = w[R.SPREAD, l] - gamma2  # beta - alpha^2
@@ -115,7 +113,7 @@ def _less(a, b):
 
 
 def _first_of(w, l, j):
-    """Return the first three rows in column j of the root: a rate in a step, a rotation in a measurement."""
+    """Return the vector in column j of the root: gyro bias in a step, rotation in a measurement."""
     return w[ROOT + WIDTH + j, l], w[ROOT + WIDTH * 2 + j, l], w[ROOT + j, l]
 
 
@@ -123,7 +121,7 @@ def _first_of(w, l, j):
 
 
 def _turn_of(w, l, j):
-    """Return the rotation in column j of the root, with the states of a step."""
+    """Return the rotation vector in column j of the root of a step."""
     return w[ROOT + WIDTH * 4 + j, l], w[ROOT + WIDTH * 5 + j, l], w[ROOT + WIDTH * 3 + j, l]
 
 
@@ -139,7 +137,7 @@ def _product(scalar, vector, w, l):
 
 
 def _turned(a, w, l):
-    """Rotate a vector from the body at the middle of the step into the local frame, and multiply it by dt."""
+    """Rotate a vector from the body frame at the middle of the step into the local frame, and multiply it by dt."""
     x, y, z = a
     return (
         w[R.D11, l] * x + w[R.D12, l] * y + w[R.D13, l] * z,
@@ -149,7 +147,7 @@ def _turned(a, w, l):
 
 
 def _turned_level(x, y, w, l):
-    """Rotate a vector without a vertical part like `_turned`."""
+    """Compute `_turned` of the vector (x, y, 0)."""
     return (
         w[R.D11, l] * x + w[R.D12, l] * y,
         w[R.D21, l] * x + w[R.D22, l] * y,
@@ -179,7 +177,7 @@ def _rotation_vector(scalar, vector, near):
 
 
 def _rotation_vector_far(scalar, vector, near):
-    """Return the rotation vector of a quaternion that is nearest to another rotation vector."""
+    """Of the rotation vectors of a quaternion, return the one nearest to ``near``."""
     (q1, q2, q3), (x, y, z) = vector, near
     length = math.sqrt(_square(vector)) + TINY
     sine = -length if q1 * x + q2 * y + q3 * z < 0.0 else length
@@ -190,7 +188,7 @@ def _rotation_vector_far(scalar, vector, near):
 
 
 def _point(w, l, sign, quarter, per_dt, *, j, sinc_cos, rotation_vector):
-    """Return r at a point of column j: acceleration times dt, east and north; and the error after the step."""
+    """Return r at a point of column j: of the acceleration times dt (east, north) and of the error after the step."""
     step = 4.0 * sign * w[R.QUARTER_GAMMA, l]
     b = _scaled(quarter * step, _first_of(w, l, j))
     # Quaternions of half the turn: v, and v0 of the center. The vector part of v0^-1 v is p + c, of v v0^-1 p - c.
@@ -207,7 +205,7 @@ def _point(w, l, sign, quarter, per_dt, *, j, sinc_cos, rotation_vector):
     q0, q = _product(1.0 - 2.0 * _square(p), q, w, l)
     error = _scaled(step, _turn_of(w, l, j))
     east, north, up = _less(rotation_vector(q0, q, error), error)
-    # (M - 1) a = 2 m x (m x a + m0 a)
+    # With the rotation M of the quaternion (m0, m): (M - 1) a = 2 m x (m x a + m0 a)
     force = _turned_level(step * w[ROOT + WIDTH * 6 + j, l], step * w[ROOT + WIDTH * 7 + j, l], w, l)
     a = _less((w[R.EAST, l], w[R.NORTH, l], w[R.UPWARD, l]), force)
     a0, a1, _ = cross(m, _added(cross(m, a), _scaled(m0, a)))
@@ -220,7 +218,7 @@ def _store_near(w, l, place, a, b, one, two):
 
 
 def _store_far(w, l, place, a, b, one, two):
-    """Store slope and curvature in lanes with a large angle only."""
+    """Store slope and curvature of an output, only in lanes with a large angle."""
     far = w[R.POINT_FAR, l] > 0.0
     w[SLOPE + place, l] = one * (a - b) if far else w[SLOPE + place, l]
     w[BEND + place, l] = two * (a + b) if far else w[BEND + place, l]
@@ -440,7 +438,7 @@ def _measure_along(w, u, wheels, *, lateral, bias, axis):
         e, c = axis(w, l), _up(w, l)
         (e0, e1, e2), (c0, c1, c2) = e, c
         vx, vy, climb = w[R.U, l], w[R.V, l], e2 / c2
-        d0, d1 = e0 - climb * c0, e1 - climb * c1  # factors of the velocity
+        d0, d1 = e0 - climb * c0, e1 - climb * c1  # derivative by the horizontal velocity
         if lateral:
             arm, noise = w[R.ARM, l], w[R.R_LATERAL, l]
             w[R.N1, l] = arm * (shown - w[bias, l]) - (d0 * vx + d1 * vy)

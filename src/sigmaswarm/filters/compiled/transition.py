@@ -1,9 +1,9 @@
-"""The transition A of each model's error in a step, e' = A e, as a prediction (P' = A P A^T + Q) and a smoother use it.
+"""The transition A of a model's state error in a step, e' = A e, for smoothers and for the prediction of tilted12.
 
-A is the Jacobian of an extended filter, or the statistical linearization Cov(s', s) P^-1 of an unscented filter. In
-planar5.py and planar8.py this linearization is the Jacobian with k J g0 + m t in place of J g0; see also
+A is the Jacobian of an extended filter, or the statistical linearization Cov(s', s) P^-1 of an unscented filter. The
+latter is the Jacobian with k J g0 (planar5.py) or k J g0 + m t (planar8.py) in place of J g0; see also
 tilted12_unscented.py. Each function returns A e as a tuple. Its coefficients ``f`` are the values of the rows
-`COEFFICIENTS`; they are proportional to the length ``dt`` of the step.
+`COEFFICIENTS`; they contain the length ``dt`` of the step as a factor.
 """
 
 # pyright: basic
@@ -13,7 +13,7 @@ from sigmaswarm.filters.fix_error import UNSCENTED
 from sigmaswarm.filters.tilted import GRAVITY
 
 OUTPUTS = 5
-"""Numbers per column in SLOPE: of vx and vy, and of the rotation about east, north and up."""
+"""Number of rows SLOPE per column: of vx and vy, and of the rotation about east, north and up."""
 COEFFICIENTS = {
     "planar5": (R.JEAST, R.JNORTH),
     "planar8": (R.JEAST, R.JNORTH, R.COS, R.SIN),
@@ -55,7 +55,7 @@ def tilted12(f, dt, e):
 
 
 def tilted12_unscented(f, dt, e):
-    """Compute A e; ``f`` has slopes H of tilted12_unscented.py: vx and vy by STEP_FIRST, rotation by gyro biases."""
+    """Compute A e; ``f``: slopes H of tilted12_unscented.py, of vx and vy by STEP_FIRST, of rotation by gyro biases."""
     (
         d11, d12, d21, d22,
         vx_wz, vx_wx, vx_wy, vx_up, vx_east, vx_north, vy_wz, vy_wx, vy_wy, vy_up, vy_east, vy_north,

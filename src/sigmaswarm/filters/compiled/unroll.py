@@ -2,8 +2,8 @@
 
 Loops over lanes become vector instructions, so their bodies must not contain branches (see `vectors`). Therefore,
 `unrolled` unrolls the loops over the n states of a model, writes out ``tuple(... for ...)``, and replaces names of rows
-by numbers. It also inlines kernels, since Numba does this slowly. Names in a function must be defined above the
-function in its file.
+by numbers. It also inlines kernels, since Numba does this slowly. The names that a function uses must be defined before
+its code is generated.
 """
 
 import ast
@@ -188,7 +188,7 @@ class _Writer(ast.NodeTransformer):
         return self._spliced(kernel.written, call.args) if isinstance(kernel, Kernel) else node
 
     def _spliced(self, written: ParsedFunction, arguments: list[ast.expr]) -> list[ast.stmt]:
-        """Replace a call of a kernel by its statements, with unique names."""
+        """Return the statements of a kernel, with unique names, in place of a call."""
         self.calls += 1
         definition = _copied(written.definition)
         parameters = [argument.arg for argument in definition.args.args]

@@ -1,4 +1,4 @@
-"""Updates of mean and covariance by nu, S and C of a measurement, which the caller computes in every lane."""
+"""Updates of mean and covariance; the caller has computed nu, S and C of the measurement in every lane."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
@@ -19,7 +19,7 @@ def update_scalar(w, *, n):
 
 
 def update_pair(w, *, n, tilted):
-    """Update with a z of two components: x += C G nu, P -= C G C^T, with G = S^-1 (0: rejected) in G11, G12, G22."""
+    """Update with a z of two components: x += C G nu, P -= C G C^T, with G = S^-1, or 0 for a rejected z."""
     for l in range(LANES):
         g11, g12, g22 = w[R.G11, l], w[R.G12, l], w[R.G22, l]
         w[R.SIN_COS_VALID, l], w[R.SIN_COS_VALID_ALL, l] = 0.0, 0.0

@@ -6,8 +6,9 @@ that all lanes share. The name of this function contains a hash of its text, so 
 results.
 
 The body of a loop over lanes must not contain branches. It may contain assignments to names and to ``w[row, l]`` with a
-known row, arithmetic, comparisons, ``a if test else b``, `math.sqrt`, `math.log`, `math.exp`, `numpy.floor` and `abs`.
-Calls of plain functions with such bodies are inlined. ``n += test`` counts the lanes in which a test is true.
+known row, arithmetic, comparisons, ``&``, ``|``, ``a if test else b``, `math.sqrt`, `math.log`, `math.exp`,
+`numpy.floor` and `abs`. Calls of plain functions with such bodies are inlined. ``n += test`` counts the lanes in which
+a test is true.
 """
 
 # A type checker for Python does not know Numba's types.
@@ -73,7 +74,7 @@ class _Loops(ast.NodeTransformer):
 
 
 class _Loop(NamedTuple):
-    """A loop over lanes: its function, its body, and the values of its names.
+    """A loop over lanes: the name of its function, its body, and the values of the names in it.
 
     ``shared`` are the names of the enclosing function that the loop reads; ``counted`` are the names that it adds to.
     """
@@ -123,7 +124,7 @@ def _hash(body: list[ast.stmt], names: Names) -> str:
 
 
 def _as_intrinsic(loop: _Loop) -> Any:
-    """Return ``called(w, (shared ...))`` for Numba, which calls the loop and, if necessary, adds it to the module."""
+    """Return the function ``called(w, (shared ...))`` for Numba; it calls the loop and, if necessary, generates it."""
 
     def call(typing_context, w, numbers):
         def generate(context, builder, signature, arguments):

@@ -18,7 +18,7 @@ TWO_PI = 2.0 * math.pi
 
 
 def axis_of(bias):
-    """Return the index of a bias's gyro axis in the numbers of a step."""
+    """Return the index in a step of the gyro axis whose bias is in row ``bias``."""
     return {R.W: GZ, R.K: GX, R.L: GY}[bias]
 
 
@@ -50,9 +50,9 @@ def update_standstill(w, u, *, n, gyro_biases, tilted):
 
 
 def take_velocity(w, zu, zv, *, n):
-    """Update with a velocity of variance R1; compute its covariances without differences of large numbers.
+    """Update with a measured velocity of variance R1 per axis.
 
-    See `_keep_digits`.
+    The covariances of the velocity states are computed as C S^-1 R, without cancellation: see `_keep_digits`.
     """
     for l in range(LANES):
         w[R.N1, l], w[R.N2, l] = zu - w[R.U, l], zv - w[R.V, l]
@@ -70,12 +70,12 @@ def take_velocity(w, zu, zv, *, n):
 
 
 def measure_along_planar(w, u, wheels, *, n, bias, lateral):
-    """Compute nu, S and C of the velocity R(theta)^T v to the left or forward.
+    """Compute nu, S and C of a velocity R(theta)^T v in the body frame: lateral constraint or odometer.
 
-    To the left: 0 = left - arm (yaw rate - w), with `models.lateral_arm`. Forward: speed / scale = forward - delay
-    (ax - b), with the wheels' speed. R(theta)^T v has the closed form of planar8.py, rotated back into the body frame,
-    with t = R^T P[v, theta] and mu = (e R^T v - k J t)_along. The forward velocity is computed as the left velocity of
-    a body that is rotated by 90 degrees; ``away`` is the forward velocity of the rotated body.
+    Lateral: 0 = left - arm (yaw rate - w), with arm from `models.lateral_arm`. Odometer: speed / scale = forward -
+    delay (ax - b). R(theta)^T v has the closed form of planar8.py, rotated into the body frame, with t = R^T P[v,
+    theta] and mu = (e R^T v - k J t)_along. The forward velocity is computed as the left velocity of a body that is
+    rotated by 90 degrees; ``away`` is the forward velocity of this body.
     """
     if lateral:
         shown = u[GZ]
@@ -164,7 +164,7 @@ def measure_heading_planar(w, *, n):
 
 
 def update_heading(w, u, z, *, tilted, measure_heading):
-    """Update with a heading that is ``latency`` s old; increase the variance of an outlier.
+    """Update with a heading that is ``latency`` s old; increase S of an outlier.
 
     See `schedule.HEADING_GATE`.
     """
