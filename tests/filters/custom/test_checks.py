@@ -79,7 +79,7 @@ def test_a_log_says_what_is_wrong_with_it(change: dict, expected: str):
         ({"parameters": (Tunable("lambda", 1, 2),)}, "'lambda' in parameters is not a valid name"),
         ({"parameters": (Tunable("_q", 1, 2),)}, "'_q' in parameters is not a valid name"),
         ({"parameters": (Tunable("alpha", 1, 2),)}, "'alpha' in parameters is a parameter of the sigma points"),
-        ({"parameters": (Tunable("q", 2, 1),)}, "the bounds 2, 1 of q are not a range; pass the lower bound first"),
+        ({"parameters": (Tunable("q", 2, 1),)}, "the bounds 2, 1 of q are not a range; pass two finite"),
         ({"parameters": (Tunable("q", 1, math.nan),)}, "the bounds 1, nan of q"),
         ({"parameters": (Tunable("q", 0, 1),)}, "the lower bound 0 of q has no logarithm; pass a positive bound"),
         ({"f": 3}, "f = 3 is not a function"),

@@ -85,7 +85,7 @@ def build_kernel(
         dt, source, updates, records, inputs, measurements, mean0, covariance0, angles, measured_angles,
         scaling, noise, limits, runs, p, means, covariances, nis, nll,
     ):  # fmt: skip
-        """Run all steps, write ``means`` to ``nll``, and update ``runs``; return the step that failed, or -1."""
+        """Run all steps; write means, covariances, nis and nll; update runs; return the step that failed, or -1."""
         m = measurements.shape[1]
         n, weights = mean0.size, _weights(mean0.size, scaling)
         mean, covariance, root, state = mean0.copy(), covariance0.copy(), np.zeros((n, n)), np.empty(n)
@@ -280,7 +280,7 @@ def _limited_share(z, nis, limit, runs):
 def _limited(nis, limit):
     """Return the NIS, as a term of -2 log likelihood; above the limit, return limit (1 + log(NIS / limit)).
 
-    Above the limit, the derivative of this term by nu is 2 S^-1 nu limit / NIS, as for S NIS / limit instead of S.
+    Above the limit, the derivative of this term by nu is 2 S^-1 nu limit / NIS, as if S were multiplied by NIS / limit.
     """
     return nis if nis <= limit else limit * (1 + math.log(nis / limit))
 

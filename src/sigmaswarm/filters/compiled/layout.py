@@ -44,7 +44,7 @@ _STATES = [LETTERS[name] for name in _LARGEST.names]
 MEAN = tuple(_STATES)
 QUATERNION = ("ATT_W", "ATT_X", "ATT_Y", "ATT_Z")  # of models with tilts: see `tilted12`
 COVARIANCE = tuple(a + b for j, b in enumerate(_STATES) for a in _STATES[: j + 1])
-"""Upper triangle of P, column by column, so a model has the first rows of a larger model."""
+"""Upper triangle of P, column by column, so the rows of a model are the first rows of a larger model."""
 CONSTANTS = (
     # Sigma points: gamma / 4, -8 / gamma^2, alpha^2 (n + kappa - 1) + beta, 1. In an extended filter, QUARTER_GAMMA,
     # SHORTENS and SECOND are 0.

@@ -1,7 +1,7 @@
 """The memory of a live filter, and compiled functions that process an IMU sample, a fix or an odometer reading.
 
-The filter is the first lane of the rows in `layout`. A step (see `single`) is called by its address, so this file is
-compiled once for all models. The memory consists of eight arrays (`LiveArrays`):
+The filter is the first lane of the rows in `layout`. Steps are called by address: see `single`. The memory consists of
+eight arrays (`LiveArrays`):
 
     filter_state (N_ALL or more,) the state, which a late fix resets to an earlier state; then settings and scratch
     counts  (N_COUNTS,) lengths of the filled parts of the other arrays, and counts of ignored data
@@ -92,7 +92,7 @@ CHECKPOINT_EVERY = 16  # samples between two checkpoints, which are large and ra
 CHECK_EVERY = CHECKPOINT_EVERY  # samples between two checks of P, which is also checked after each fix
 ROUNDING = 1e-8  # a negative eigenvalue of the correlation matrix up to this size is a rounding error
 
-LEAP = 10.0  # s; a sample or fix further ahead of the filter waits for a second sample or fix that confirms its time
+LEAP = 10.0  # s; a sample or fix further ahead of the filter waits for a second one that confirms its time
 AGREES = 1.0 + 1e-6  # s, largest difference of time stamps that confirm each other; 1e-6 allows for rounding
 
 # A record: the state; the sample's time; the step (DT ... GY) to this time; 1 if the last second was calm; the means of

@@ -2,8 +2,8 @@
 
 For each measurement, a kernel computes nu, S and C = Cov(state, z) in every lane. Then `update_pair` or `update_scalar`
 computes x += C S^-1 nu and P -= C S^-1 C^T. In an unscented filter, nu, S and C are moments of sigma points. If z is
-linear in the state, these moments equal those of the Kalman filter. If the heading rotates z, they have a closed form,
-as in planar5.py and planar8.py.
+linear in the state, these moments equal those of the Kalman filter. If z contains a vector rotated by the heading, they
+have a closed form, as in planar5.py and planar8.py.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -126,7 +126,7 @@ def add_forecast(w, l):
 def _add_likelihood(w, l):
     """Add the NIS and the likelihood of a fix to the sums, before the update; return the NIS.
 
-    DET and TAIL are products over some fixes, whose logarithms are sums.
+    The kernel of `run` adds the logarithms of DET and TAIL to the sums.
     """
     s11, s12, s22 = w[R.S11, l] + w[R.R1, l], w[R.S12, l], w[R.S22, l] + w[R.R2, l]
     det = s11 * s22 - s12 * s12

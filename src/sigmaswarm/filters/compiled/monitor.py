@@ -1,7 +1,6 @@
 """Inputs of a live filter's divergence monitor: the last usable fix, and an approximate heading.
 
-The samples of the last seconds are in a ring buffer: time, ax, ay, gz and the other axes. Rows of fixes are as in
-`live`.
+The samples of the last seconds are in a ring buffer: time, ax, ay, gz and the other axes.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -14,8 +13,8 @@ from sigmaswarm.drives.alignment import ALIGNMENT_FIXES, MAX_DURATION, MIN_CHORD
 from sigmaswarm.drives.stale_fixes import STALE
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 
-CHECK_INTERVAL = 1.0  # s, time slots with at most one check of a filter
-LATEST_CHECK = 0.25  # s, longest time from a fix to the check that uses it; a late fix has `LATE_BY` more
+CHECK_INTERVAL = 1.0  # s, length of a time slot, which has at most one check of a filter
+LATEST_CHECK = 0.25  # s, longest time from a fix to its check; for late fixes, the largest delay is added
 MONITOR_SPAN = MAX_DURATION + 1.0  # s, span of the samples and fixes that are stored for the monitor
 
 _T, _X, _Y, _KIND = 0, 1, 2, 10  # of a row of fixes: see `live`, which imports this module

@@ -1,4 +1,4 @@
-"""The extended filter of robot_localization in ``two_d_mode``, for many parameter sets at once.
+"""The extended filter of robot_localization in ``two_d_mode``.
 
 `models.robot_localization` contains the equations. The eight states are in planar8's rows: x, y, vx, vy (body), yaw,
 ax, ay (body), yaw rate. F is a product of elementary matrices, one for each row of F that differs from the identity. R

@@ -5,8 +5,8 @@ valid. Here the states that do not enter linearly come first: see `tilted.STEP_F
 columns do not change these first states, and all other states enter linearly. Only the first columns need points:
 
 - In a step: the gyro's biases and the attitude. The columns of the attitude follow those of the biases and do not
-  change the biases. The points of the attitude rotate like the center, so their errors do not change. Their
-  acceleration follows from that of the center by a rotation in closed form.
+  change the biases. The points of the attitude rotate like the center, so their errors do not change, and the rotation
+  of their acceleration has a closed form.
 - In a fix: the attitude, which rotates the lever arm, also in closed form.
 - In the other measurements: the attitude, which rotates the velocity or the forward axis.
 
@@ -162,7 +162,7 @@ def _sinc_cos_far(z):
 
 
 def _rotation_vector(scalar, vector, near):
-    """Return the rotation vector of a quaternion with a vector part below 1/2, by fdlibm's arcsine (e_asin.c)."""
+    """Return the rotation vector of a quaternion, by fdlibm's arcsine (e_asin.c), for a vector part below 1/2."""
     z = _square(vector)
     p = z * (1.66666666666666657415e-01 + z * (-3.25565818622400915405e-01 + z * 2.01212532134862925881e-01))
     z3 = z * z * z

@@ -11,7 +11,6 @@ known row, arithmetic, comparisons, ``&``, ``|``, ``a if test else b``, `math.sq
 a test is true.
 """
 
-# A type checker for Python does not know Numba's types.
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 
 import ast

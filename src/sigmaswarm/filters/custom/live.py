@@ -1,4 +1,4 @@
-"""`LiveModel`: the filter of a user's model for one sample at a time."""
+"""`LiveModel`: a Kalman filter for a user's model that processes one sample at a time."""
 
 from bisect import insort
 from collections import deque
@@ -24,19 +24,19 @@ Timed = tuple[float, Array]  # a measurement (m,) and its time, s
 class _Sample:
     """Inputs of a step, the state before the step, and the measurements within the step."""
 
-    before: float  # s
+    before: float  # s, start of the step
     state: State
-    time: float  # s
+    time: float  # s, end of the step
     inputs: Array
     measurements: list[Timed]
 
 
 class LiveModel:
-    """Kalman filter of a user's model that processes one sample at a time.
+    """Kalman filter for a user's model; it processes one sample at a time.
 
     As in a `Log`, the inputs at t_k drive the step from t_(k-1) to t_k, so a measurement waits for the next inputs. If
-    a measurement is at most ``history`` seconds late, the filter returns to its time and processes the later samples
-    again. The state therefore equals the result of `run_model` for the same data in time order.
+    a measurement is at most ``history`` seconds late, the filter returns to the step of the measurement, and processes
+    this and the later steps again. The state equals the result of `run_model` for the same data in time order.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class LiveModel:
     parameters : mapping of str to float
         See `run_model`.
     time : float
-        Start, s.
+        Time of the start, s.
     mean, covariance : array_like, shapes (n,), (n, n)
         State estimate at the start.
     n_inputs : int
@@ -55,12 +55,12 @@ class LiveModel:
     Attributes
     ----------
     too_late : int
-        Number of measurements that were ignored because they came later than ``history`` or precede the start.
+        Number of ignored measurements that were more than ``history`` seconds late or from before the start.
 
     Raises
     ------
     InputError
-        If model, parameters and start do not fit together.
+        If model, parameters and start do not fit together, or ``history`` is negative or not finite.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class LiveModel:
         self._samples = deque[_Sample]()
 
     def predict(self, t: float, inputs: ArrayLike = ()) -> None:
-        """Process the inputs of the step to time t, s; ignore them if t is not after the last time.
+        """Process the inputs of the step to time t, s; ignore them if t is not after the last step.
 
         Raises
         ------
@@ -121,7 +121,7 @@ class LiveModel:
         Returns
         -------
         bool
-            False if the measurement was ignored: too late, before the start, or a repetition.
+            False if the measurement was ignored: too late, before the start, a repetition, or without a value.
 
         Raises
         ------
@@ -190,7 +190,7 @@ def _seconds(t: float) -> float:
 
 
 def _store(stored: list[Timed], t: float, z: Array) -> bool:
-    """Insert a measurement by time, or fill NaN in one of the same time; return False if no element is new."""
+    """Insert a measurement by time, or fill NaN in that of the same time; return False if no element is new."""
     for k, (time, known) in enumerate(stored):
         if time == t:
             both = np.where(np.isnan(known), z, known)

@@ -16,7 +16,7 @@ class Log:
     """One recording: inputs, measurements, the initial state of a filter, and truth if known.
 
     The filter steps to each ``time``; the inputs at t_k drive the step from t_(k-1) to t_k. A measurement between these
-    times splits the step. Measurements outside of ``time`` are ignored.
+    times splits the step. Measurements before the first or after the last ``time`` are ignored.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Log:
     measurement_time : ndarray, shape (f,)
         s, strictly increasing; these times may differ from ``time``.
     measurements : ndarray, shape (f, m)
-        (f,) stands for (f, 1). NaN: no value; the update uses the other elements. See `from_sensors`.
+        (f,) stands for (f, 1). NaN: no value; the update uses the other elements. To merge sensors: `from_sensors`.
     mean, covariance : ndarray, shapes (n,), (n, n)
         State estimate at ``time[0]``, where the filter starts; it must not come from truth.
     inputs : ndarray, shape (k, u), optional
@@ -158,8 +158,8 @@ class Log:
             sound = False
         if not sound:
             raise self.wrong(
-                "covariance is not symmetric and positive definite; pass a diagonal covariance "
-                "with positive elements"
+                "covariance is not symmetric and positive definite; pass for example a diagonal covariance "
+                "with positive variances"
             )
 
 
@@ -188,7 +188,11 @@ def _clock(log: str, name: str, values: ArrayLike | None) -> Array:
     late = np.flatnonzero(np.diff(time) <= 0)
     if len(late):
         i = int(late[0]) + 1
-        raise _wrong(log, f"{name}[{i}] = {time[i]:g} s does not come after {time[i - 1]:g} s; sort the rows")
+        raise _wrong(
+            log,
+            f"{name}[{i}] = {time[i]:g} s does not come after {time[i - 1]:g} s; sort the rows by time and delete "
+            "repeated rows",
+        )
     return time
 
 
@@ -211,16 +215,17 @@ def _check_overlap(log: str, name: str, moments: Array, time: Array) -> None:
         )
     if not np.any((moments >= time[0]) & (moments <= time[-1])):
         raise _wrong(
-            log, f"{name} has no value within time = {time[0]:g} to {time[-1]:g} s; convert both to one clock"
+            log,
+            f"{name} has no value within time = {time[0]:g} to {time[-1]:g} s; convert all times to one clock",
         )
 
 
 @dataclass(frozen=True, eq=False)
 class FilterSteps:
-    """Steps of a filter over a log. The first step has length zero; a measurement at the first time updates it."""
+    """Steps of a filter over a log. The first step has length zero, for a measurement at the first time."""
 
     dt: Array  # (k,), s
-    source: NDArray[np.int64]  # (k,), row of the inputs for each step
+    source: NDArray[np.int64]  # (k,), row of ``inputs`` for each step
     updates: NDArray[np.int64]  # (k,), row of ``measurements`` for the update at the step's end, or -1
     records: NDArray[np.int64]  # (k,), row of the log's ``time`` at which the step ends, or -1
     inputs: Array  # (i, u)

@@ -18,7 +18,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import Array
 
 SCALING_NAMES = ("alpha", "beta", "kappa")
-"""Scaling of the sigma points, which tuning of an unscented filter searches in addition to the model's parameters."""
+"""Scaling of the sigma points; the tuning of an unscented filter also searches these parameters."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Model:
     """A user's process and measurement, and their tuned parameters.
 
     ``p`` contains the values of ``parameters`` by name, such as ``p.length``. Plain functions of numbers and NumPy
-    arrays are compiled with Numba; other functions are about a hundred times slower.
+    arrays are compiled with Numba; with other functions, the filter is about a hundred times slower.
 
     Attributes
     ----------
@@ -69,12 +69,12 @@ class Model:
     measured_angles : tuple of int
         Indices of the elements of a measurement that are angles, rad.
     scored : tuple of str
-        States that truth-rmse compares; empty: all states with truth in the log.
+        States whose errors the objective truth-rmse contains; empty: all states with truth in the log.
     robust : float, optional
         Probability, such as 0.99, that defines outliers: measurements whose NIS is above this quantile of chi-square.
-        Their update multiplies S by NIS / quantile (G. Chang, Journal of Geodesy 88, 2014), and innovation-nll
-        increases only with the logarithm of the NIS. Three or more consecutive outliers over 5 s show that the filter
-        is wrong; from then on they have full weight. None: all measurements have full weight.
+        In their update, S is multiplied by NIS / quantile (G. Chang, Journal of Geodesy 88, 2014), and innovation-nll
+        increases only with the logarithm of the NIS. Three or more consecutive outliers over at least 5 s show that the
+        filter is wrong; from then on, consecutive outliers have full weight. None: all measurements have full weight.
     kind : {"ukf", "ekf"}
         Unscented or extended. The extended filter takes derivatives by complex steps, so f and h must accept complex
         states and are not compiled.
@@ -132,7 +132,8 @@ class Model:
         for i, name in enumerate(names):
             if not name.isidentifier() or keyword.iskeyword(name) or name.startswith("_"):
                 raise self.wrong(
-                    f"{name!r} in {field} is not a valid name; use letters, digits and _, and begin with a letter"
+                    f"{name!r} in {field} is not a valid name; use letters, digits and _, begin with a letter, and "
+                    "avoid Python keywords"
                 )
             if name in names[:i]:
                 raise self.wrong(f"{name!r} occurs twice in {field}; rename one of them")
@@ -146,7 +147,8 @@ class Model:
                 )
             if not (np.isfinite([t.lowest, t.highest]).all() and t.lowest < t.highest):
                 raise self.wrong(
-                    f"the bounds {t.lowest:g}, {t.highest:g} of {t.name} are not a range; pass the lower bound first"
+                    f"the bounds {t.lowest:g}, {t.highest:g} of {t.name} are not a range; pass two finite numbers, "
+                    "the lower bound first"
                 )
             if t.logarithmic and t.lowest <= 0:
                 raise self.wrong(
@@ -176,7 +178,7 @@ class Model:
         return self.record(*(float(parameters[name]) for name in known))
 
     def limits(self, m: int) -> Array:
-        """Return the largest NIS of 1 to m elements that is not an outlier, (m,): see ``robust``."""
+        """Return, for measurements of 1 to m elements, the NIS above which they are outliers, (m,): see ``robust``."""
         outside = 0.0 if self.robust is None else 1.0 - self.robust
         return chdtri(np.arange(1, m + 1), outside)
 
@@ -201,7 +203,7 @@ class Model:
 
 @cache
 def _record(names: tuple[str, ...]) -> Any:
-    """Return the same class for equal names, since Numba would compile a kernel again for another class."""
+    """Return one class for equal names, since Numba would compile a kernel again for another class."""
     return namedtuple("p", names)  # pyright: ignore[reportUntypedNamedTuple]
 
 
@@ -227,7 +229,7 @@ def _add(digest: Any, thing: Any, visited: set[int]) -> None:
     thing = getattr(thing, "py_func", thing)  # the Python function of a Numba dispatcher
     digest.update(type(thing).__name__.encode())
     if isinstance(thing, FunctionType):
-        if id(thing) in visited:  # it calls itself
+        if id(thing) in visited:  # it calls itself, or another function calls it, too
             return
         visited.add(id(thing))
         cells = dict(zip(thing.__code__.co_freevars, thing.__closure__ or (), strict=True))

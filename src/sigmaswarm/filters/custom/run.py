@@ -18,15 +18,15 @@ from sigmaswarm.filters.textbook.ekf import complex_step
 from sigmaswarm.filters.textbook.loop import FAILURES, Trajectory, run_steps, smooth_steps
 from sigmaswarm.geodesy import Array, wrap_angle
 
-# Number of steps in which the compiled filter is compared with the textbook filter before its first use
+# Number of steps in which a compiled filter is compared with the textbook filter before its first use
 VERIFIED_STEPS = 20
-# Largest difference in standard deviations; rounding errors are far smaller, wrong compilation gives larger ones
+# Largest accepted difference, in standard deviations; rounding causes far smaller and wrong code larger differences
 MAX_DIFFERENCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class ModelEstimate:
-    """Estimates of a user's filter at each time of a log, after all measurements up to that time.
+    """Estimates of the filter of a user's model at each time of a log.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
     Returns
     -------
     ModelEstimate
-        ``failure`` is set if the filter failed.
+        Estimates from all measurements up to each time. ``failure`` is set if the filter failed.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
 def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelEstimate:
     """Run the filter of a user's model over a log, and smooth its estimates, so that each uses all measurements.
 
-    Sources: see `smooth`. The smoother runs in NumPy, about a hundred times slower than `run_model`.
+    Sources: see `smooth`. Filter and smoother run in NumPy, about a hundred times slower than `run_model`.
 
     Parameters
     ----------
@@ -91,8 +91,8 @@ def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> Mod
     Returns
     -------
     ModelEstimate
-        ``nis`` and ``nll`` are those of the filter. If the filter failed, ``failure`` is set; only the estimates before
-        the failure are smoothed.
+        ``nis`` and ``nll`` are those of the filter. If the filter failed, ``failure`` is set; the estimates before the
+        failure are smoothed, the others are NaN.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> Mod
     model.values(parameters)
     check(model, log)
     steps = build_steps(log)
-    smoothed, failed = _nothing(steps, covariances=True), 0
+    smoothed, failed = _empty_trajectory(steps, covariances=True), 0
     stepper = _textbook(model, steps, parameters, np.zeros((log.measurements.shape[1], 2)))
     if stepper is not None:
         trajectory = smooth_steps(stepper, len(steps.dt))
@@ -135,14 +135,14 @@ def failure_in(log: Log, steps: FilterSteps, failed: int) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class ModelTrajectory(Trajectory):
-    """Trajectory of a filter at the times of a log; NIS and negative log-likelihood of each measurement, (f,)."""
+    """Trajectory of a filter at the times of a log, with NIS and negative log-likelihood of each measurement, (f,)."""
 
     nis: Array
     nll: Array
 
 
 class Runner:
-    """Logs, prepared once for any number of parameter sets; raises `InputError` if the model does not fit a log."""
+    """A model and logs, prepared for runs with any parameters; raises `InputError` if the model does not fit a log."""
 
     def __init__(self, model: Model, logs: Sequence[Log]) -> None:
         for log in logs:
@@ -165,13 +165,13 @@ def run_kernel(
     covariances: bool,
     runs: Array | None = None,
 ) -> ModelTrajectory:
-    """Run the compiled filter, or without ``kernel`` the textbook filter. ``runs`` changes: see `TextbookModel`."""
+    """Run the compiled filter; if ``kernel`` is None, the textbook filter. ``runs`` is updated: see `TextbookModel`."""
     runs = np.zeros((steps.measurements.shape[1], 2)) if runs is None else runs
     p = model.values(parameters)
     if kernel is None:
         return _run_textbook(model, steps, parameters, runs, covariances=covariances)
     scaling = _scaling(parameters)
-    run = _nothing(steps, covariances=covariances)
+    run = _empty_trajectory(steps, covariances=covariances)
     line = (steps.dt, steps.source, steps.updates, steps.records, steps.inputs, steps.measurements)
     angles = np.isin(range(len(model.states)), model.places(model.angles))
     measured = np.isin(range(steps.measurements.shape[1]), model.measured_angles)
@@ -182,7 +182,7 @@ def run_kernel(
         start = steps.mean, steps.covariance
         failed = kernel(*line, *start, angles, measured, scaling, noise, limits, runs, p, *written)
     except FAILURES:  # from the user's functions, in an unknown step
-        return _nothing(steps, covariances=covariances, failed=0)
+        return _empty_trajectory(steps, covariances=covariances, failed=0)
     return replace(run, failed=int(failed))
 
 
@@ -191,7 +191,7 @@ def _run_textbook(
 ) -> ModelTrajectory:
     stepper = _textbook(model, steps, parameters, runs)
     if stepper is None:
-        return _nothing(steps, covariances=covariances, failed=0)
+        return _empty_trajectory(steps, covariances=covariances, failed=0)
     trajectory = run_steps(stepper, steps.records.tolist(), n_rows=len(steps.inputs), covariances=covariances)
     return ModelTrajectory(**vars(trajectory), nis=stepper.nis, nll=stepper.nll)
 
@@ -211,7 +211,7 @@ def _scaling(parameters: Mapping[str, float]) -> Array:
     return np.array([parameters.get(name, np.nan) for name in SCALING_NAMES])
 
 
-def _nothing(steps: FilterSteps, *, covariances: bool, failed: int = -1) -> ModelTrajectory:
+def _empty_trajectory(steps: FilterSteps, *, covariances: bool, failed: int = -1) -> ModelTrajectory:
     k, n, (nis, nll) = len(steps.inputs), len(steps.mean), np.full((2, len(steps.measurements)), np.nan)
     trajectory = Trajectory.empty(k, n, covariances=covariances, failed=failed)
     return ModelTrajectory(**vars(trajectory), nis=nis, nll=nll)
@@ -219,7 +219,7 @@ def _nothing(steps: FilterSteps, *, covariances: bool, failed: int = -1) -> Mode
 
 _KERNELS: "WeakKeyDictionary[Model, dict[bool, Any]]" = WeakKeyDictionary()
 _BUILT: "WeakValueDictionary[str, Any]" = WeakValueDictionary()
-"""Kernels by the hash of a model's functions; models with other bounds or another R share a kernel."""
+"""Kernels by the hash of a model's functions; models that differ only in bounds or R share a kernel."""
 
 
 def kernel_of(model: Model, steps: FilterSteps, *, absent: bool = False) -> Any:
@@ -234,7 +234,7 @@ def kernel_of(model: Model, steps: FilterSteps, *, absent: bool = False) -> Any:
 
 
 def _compiled(model: Model, steps: FilterSteps, *, absent: bool) -> Any:
-    """Compile the filter and compare it with the textbook filter; warn and return None if it fails or differs."""
+    """Compile the filter; warn and return None if this fails or the textbook filter has other results."""
     few = replace(
         steps,
         **{name: getattr(steps, name)[:VERIFIED_STEPS] for name in ("dt", "source", "updates", "records")},
@@ -255,7 +255,7 @@ def _compiled(model: Model, steps: FilterSteps, *, absent: bool) -> Any:
         if _same(compiled, textbook):
             _BUILT[key] = kernel
             return kernel
-        if _BUILT.pop(key, None):  # a module's value that the functions read has changed
+        if _BUILT.pop(key, None):  # a global value that the functions read has changed
             return _compiled(model, steps, absent=absent)
         why = "the compiled functions return other numbers than in Python"
     warnings.warn(
@@ -279,12 +279,12 @@ def _same(a: ModelTrajectory, b: ModelTrajectory) -> bool:
 
 def _reason(error: Exception) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    telling = [line for line in lines if not line.startswith(("Failed in", "During", "File ", "^"))]
-    return (telling or lines or [type(error).__name__])[0].rstrip(".:")
+    reasons = [line for line in lines if not line.startswith(("Failed in", "During", "File ", "^"))]
+    return (reasons or lines or [type(error).__name__])[0].rstrip(".:")
 
 
 def trial_parameters(model: Model) -> dict[str, float]:
-    """Return parameters in the middle of their bounds."""
+    """Return parameters in the middle of their bounds, on the scale of the search."""
     middle = {
         t.name: float(np.sqrt(t.lowest * t.highest) if t.logarithmic else (t.lowest + t.highest) / 2)
         for t in model.parameters
@@ -293,7 +293,7 @@ def trial_parameters(model: Model) -> dict[str, float]:
 
 
 def check(model: Model, log: Log) -> None:
-    """Call the model's functions with the first data of the log; raise `InputError` if a result is unusable."""
+    """Call the model's functions at the start of the log; raise `InputError` if one fails or does not fit the log."""
     n, m = len(model.states), log.measurements.shape[1]
     if len(log.mean) != n:
         raise log.wrong(f"mean has {len(log.mean)} values, but the model {model.name} has {n} states")

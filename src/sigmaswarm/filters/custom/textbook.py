@@ -19,8 +19,8 @@ class TextbookModel:
 
     ``scaling`` (3,) is alpha, beta, kappa; ``p`` is a `Model.record`. ``nis`` and ``nll`` (f,) are the normalized
     innovation squared and the negative log-likelihood of each measurement before its update; NaN for measurements after
-    the current step. ``runs`` (m, 2) contains, for each element, the number of consecutive outliers (`Model.robust`)
-    and the time since the first, s.
+    the current step. ``runs`` (m, 2) contains, for each element of a measurement, the number of consecutive outliers
+    (`Model.robust`) and the time since the first, s.
     """
 
     def __init__(self, model: Model, steps: FilterSteps, scaling: Array, p: Any, runs: Array) -> None:
@@ -49,7 +49,7 @@ class TextbookModel:
             kalman.correct(innovation)
 
     def _is_outlier(self, present: NDArray[np.int64], above: bool) -> bool:
-        """Return True if the NIS is above the limit, unless all present elements have had outliers for long."""
+        """Update ``runs``; return ``above``, or False if the outliers of all present elements have lasted."""
         count, since = self.runs[present, 0], self.runs[present, 1]
         since[count == 0] = 0.0
         count = count + 1 if above else np.zeros(len(present))
@@ -80,9 +80,9 @@ def textbook_filter(model: Model, steps: FilterSteps, scaling: Array, p: Any) ->
 
 
 def negative_log_likelihood(innovation: Innovation, limit: float = np.inf) -> float:
-    """Return -log N(nu; 0, S), with a slower increase for an NIS above the limit: see `Model.robust`.
+    """Return -log N(nu; 0, S), with a logarithmic increase for an NIS above the limit: see `Model.robust`.
 
-    Raises `numpy.linalg.LinAlgError` if S is not a covariance.
+    Raises `numpy.linalg.LinAlgError` if S is not positive definite.
     """
     root = np.linalg.cholesky(innovation.variance)
     log_det, nis = 2 * np.log(np.diag(root)).sum(), innovation.nis

@@ -14,8 +14,8 @@ class SageHusa:
     """Adapt Q and R to the innovations of the fixes.
 
     A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969. The weight of a fix is 1 -
-    b, the limit of their (1 - b) / (1 - b^(k+1)) for large k. R is computed from the residual after the update, so it
-    is positive by construction. A fix reduces an element of Q at most to b times its value.
+    b, the limit of the paper's weight (1 - b) / (1 - b^(k+1)) for large k. R is computed from the residual after the
+    update, so it is positive by construction. A fix reduces an element of Q at most to b times its value.
     """
 
     process_noise: Array  # (n,), diagonal of Q per nominal step
@@ -39,8 +39,8 @@ class SageHusa:
 class FuzzyNoise:
     """Scale Q and R by fuzzy rules (Takagi and Sugeno 1985) on the innovations of the fixes: see `filters.fuzzy`.
 
-    If NIS / 2 is small, R and Q are divided by their gains. If NIS / 2 is large and rises, R is multiplied by its gain.
-    If NIS / 2 is large and does not rise, both R and Q are multiplied.
+    If the mean of NIS / 2 is small, R and Q are divided by their gains. If it is large and rises, R is multiplied by
+    its gain. If it is large and does not rise, both R and Q are multiplied by their gains.
     """
 
     tuned_process_noise: Array  # (n,), diagonal of Q per nominal step at a ratio of 1
@@ -55,12 +55,10 @@ class FuzzyNoise:
 
     @property
     def process_noise(self) -> Array:
-        """Diagonal of Q per nominal step, (n,)."""
         return self.times_q * self.tuned_process_noise
 
     @property
     def measurement_noise(self) -> Array:
-        """Diagonal of R, (2,)."""
         return self.times_r * self.tuned_measurement_noise
 
     def weigh(self, innovation: Innovation) -> Innovation:
@@ -74,7 +72,7 @@ class FuzzyNoise:
         return replace(innovation, variance=innovation.variance - innovation.noise + noise, noise=noise)
 
     def factors(self) -> tuple[float, float]:
-        """Return the factors of R and Q: the mean of the rules' consequents, weighted by the memberships."""
+        """Return the factors of R and Q: the means of the rules' factors, weighted by the memberships."""
         ratio = (self.quick - 1) / (self.quick + 1) / self.widths[0]
         trend = (self.quick - self.slow) / (self.quick + self.slow) / self.widths[1]
         small, large = np.clip(-ratio, 0, 1), np.clip(ratio, 0, 1)
@@ -86,13 +84,13 @@ class FuzzyNoise:
             (large * rises, gain_r, 1.0),
             (large * (1 - rises), gain_r, gain_q),
         )
-        truth, r, q = np.array(rules).T
-        return float(truth @ r), float(truth @ q)
+        membership, r, q = np.array(rules).T
+        return float(membership @ r), float(membership @ q)
 
 
 @dataclass
 class StrongTracking:
-    """Inflate P before a fix until the trace of S is at least the recent mean of nu^T nu.
+    """Inflate P before the update with a fix until the trace of S is at least the recent mean of nu^T nu.
 
     D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996, changed as in `compiled.adaptive.strong_tracking`.
     ``forgetting`` is rho, ``recent`` the weighted mean of nu^T nu.
@@ -114,12 +112,13 @@ class StudentT:
 
     R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
     the multivariate Student-t distribution, MLSP 2012. A filter with a wrong state would treat all fixes as outliers.
-    Therefore, after a long run of outliers, a fix has weight 1, and P is inflated before it.
+    Therefore, if at least `OUTLIERS` consecutive fixes over at least `OUTLIERS_SPAN` are outliers, the last of them has
+    weight 1, and P is inflated before the update with it.
     """
 
     dof: float  # degrees of freedom
     outliers: int = 0  # current number of consecutive outliers
-    since: float = 0.0  # time of the first of these outliers, s
+    since: float = 0.0  # s, time of the first of these outliers
 
     def weigh(self, filter: GaussianFilter, innovation: Innovation, time: float) -> Innovation:
         weight = self.weight(innovation)
@@ -140,7 +139,7 @@ class StudentT:
         for _ in range(ITERATIONS):
             variance = innovation.variance - r + r / weight
             residual = r / weight @ np.linalg.solve(variance, nu)  # after the update
-            remaining = r / weight - r / weight @ np.linalg.solve(variance, r / weight)  # its covariance
+            remaining = r / weight - r / weight @ np.linalg.solve(variance, r / weight)  # H P+ H^T
             gamma = residual @ np.linalg.solve(r, residual) + np.trace(np.linalg.solve(r, remaining))
             weight = (self.dof + len(nu)) / (self.dof + gamma)
         return float(weight)

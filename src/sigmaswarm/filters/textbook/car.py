@@ -69,7 +69,7 @@ class TextbookCar:
             points=None if p.kind == "ekf" else points,
             redraw_sigma_points=redraw_sigma_points,
         )
-        self._beyond = np.zeros(len(mean) - p.n_states)  # Q of the fix error, which changes only at fixes
+        self._fix_error_noise = np.zeros(len(mean) - p.n_states)  # Q of the fix error between fixes
         q = process_noise_per_step(p, timeline.nominal_interval)
         r = np.array(p.measurement_noise)
         fuzzy = p.kind == "fuzzy-ukf"
@@ -90,13 +90,12 @@ class TextbookCar:
         self._since = 0.0
 
     def step(self, i: int) -> None:
-        """Compute step i of the time line: predict, then update with the measurements at its end."""
         line, p = self.timeline, self.parameters
         imu, model = self._imu[i], self.model
         unseen = gap_covariance(len(self.filter.mean), line.dt[i], line.gap[i])
         for tilt in ATTITUDE[:2] if model.tilts else ():
             unseen[tilt, tilt] += GAP_TILT_STD**2 * line.gap[i] * line.dt[i]
-        q = np.concatenate([self.noise.process_noise, self._beyond])
+        q = np.concatenate([self.noise.process_noise, self._fix_error_noise])
         self.filter.predict(line.dt[i], imu, np.diag(q) * line.q_scale[i] + unseen)
         self._since += line.q_scale[i]
         if self.flags[i] & FIX:
@@ -147,7 +146,7 @@ class TextbookCar:
         self._since = 0.0
 
     def _update_with_heading(self, theta: float, stated: float, yaw_rate: float) -> None:
-        """Update with a heading that is ``latency`` s old; a larger variance limits its NIS to `HEADING_GATE`."""
+        """Update with a heading that is ``latency`` s old; S is increased if the NIS would exceed `HEADING_GATE`."""
         p, near = self.parameters, float(self.filter.mean[THETA])
         z = near + wrap_angle(theta + p.latency * yaw_rate - near)
         noise = np.array([[(p.heading_noise or 0.0) + stated]])
@@ -156,7 +155,7 @@ class TextbookCar:
         self.filter.correct(replace(innovation, variance=np.maximum(innovation.variance, least)))
 
     def _age_fix_error(self, stated: Array) -> None:
-        """Propagate the correlated error to the next fix; ``stated``: variances of the next fix, (2,) m2, or 0."""
+        """Propagate the correlated error to the next fix; ``stated``: stated variances of this fix, (2,) m2, or 0."""
         p, filter = self.parameters, self.filter
         phi = float(np.exp(-self._since * self.timeline.nominal_interval / p.fix_error_time))
         f, q = fix_error.transition(len(filter.mean), phi), np.zeros_like(filter.covariance)
@@ -176,7 +175,7 @@ def _filter(
     points: SigmaPoints | None,
     redraw_sigma_points: bool,
 ) -> GaussianFilter:
-    """Return the filter of a model: unscented with ``points``, else extended; on a manifold if it has ``tilts``."""
+    """Return a filter: unscented with ``points``, else extended; on a manifold if the model has ``tilts``."""
     f, tilts = model.process, model.tilts
     if tilts:
         manifold = Manifold(tilts.plus, tilts.minus, tilts.nearest)

@@ -18,7 +18,7 @@ from sigmaswarm.filters.textbook.gaussian import (
 
 
 class ExtendedKalmanFilter(GaussianFilter):
-    """An extended Kalman filter for any process and measurement that also accept complex numbers.
+    """An extended Kalman filter for any process and measurement that also accept complex states.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class ExtendedKalmanFilter(GaussianFilter):
         self.mean = self.f(self.mean, dt, u)
         cross = self.covariance @ jacobian.T
         self.covariance = jacobian @ self.covariance @ jacobian.T + process_noise
-        self._expect(cross)
+        self._store_prediction(cross)
 
     def measure(
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
@@ -73,7 +73,7 @@ class ExtendedKalmanFilter(GaussianFilter):
 
 
 def complex_step(function: Callable[[Array], Array], x: Array) -> Array:
-    """Return the Jacobian, shape (m, n), up to rounding: d f / d x_i = Im f(x + i h e_i) / h for a tiny h.
+    """Return the Jacobian, shape (m, n), up to rounding: column k is Im f(x + i h e_k) / h for a tiny h.
 
     W. Squire and G. Trapp, Using complex variables to estimate derivatives of real functions, SIAM Review 40, 1998.
     """

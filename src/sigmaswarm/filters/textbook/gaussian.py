@@ -1,4 +1,4 @@
-"""Common part of all Kalman filters: a Gaussian state, and its update with an innovation."""
+"""Common part of the textbook filters: a Gaussian state, and its update with an innovation."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -44,7 +44,7 @@ class Innovation:
         return float(self.nu @ np.linalg.solve(self.variance, self.nu))
 
     def of(self, elements: NDArray[np.int64]) -> "Innovation":
-        """Return the innovation of only some elements of the measurement."""
+        """Return the innovation of the given elements of the measurement."""
         square = np.ix_(elements, elements)
         return Innovation(
             self.nu[elements], self.variance[square], self.cross[:, elements], self.noise[square]
@@ -65,19 +65,19 @@ class Prediction:
 
 
 def wrapped_differences(values: Array, columns: Sequence[int]) -> Array:
-    """Return ``values``, shape (..., m); ``columns``, which are angles (rad), are wrapped to [-pi, pi]."""
+    """Return ``values``, shape (..., m), with the angles (rad) in ``columns`` wrapped to [-pi, pi]."""
     values = values.copy()
     values[..., columns] -= 2 * np.pi * np.round(values[..., columns] / (2 * np.pi))
     return values
 
 
 class GaussianFilter:
-    """A Gaussian state (``mean``, shape (n,); ``covariance``, shape (n, n)) with updates by innovations.
+    """Base class of filters with a Gaussian state: ``mean``, shape (n,), and ``covariance``, shape (n, n).
 
-    ``f(state, dt, u) -> state`` is the process, ``h(state) -> measurement`` is the measurement; arrays (n,), (m,).
+    ``f(state, dt, u) -> state``, shape (n,), is the process; ``h(state)``, shape (m,), predicts a measurement.
     """
 
-    prediction: Prediction  # the last one
+    prediction: Prediction  # the last prediction
 
     def __init__(self, f: Process, h: Measurement, mean: Array, covariance: Array) -> None:
         self.f, self.h = f, h
@@ -87,7 +87,7 @@ class GaussianFilter:
         """Propagate the state by the process over ``dt`` seconds; Q, shape (n, n), is added to the covariance."""
         raise NotImplementedError
 
-    def _expect(self, cross: Array) -> None:
+    def _store_prediction(self, cross: Array) -> None:
         self.prediction = Prediction(self.mean, self.covariance, cross)
 
     def measure(

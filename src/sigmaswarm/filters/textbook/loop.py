@@ -42,7 +42,7 @@ class Trajectory:
 def run_steps(
     stepper: Stepper, records: Sequence[int], *, n_rows: int, covariances: bool = True
 ) -> Trajectory:
-    """Compute all steps; ``records``: for each step, the row of the trajectory (of ``n_rows``) to write, or -1."""
+    """Compute the steps up to a failure; ``records``: row of the trajectory (``n_rows``) after each step, or -1."""
     n, failed = len(stepper.filter.mean), -1
     trajectory = Trajectory.empty(n_rows, n, covariances=covariances)
     for i, row in enumerate(records):
@@ -63,7 +63,7 @@ def run_steps(
 
 @dataclass(frozen=True, eq=False)
 class SmoothedStates:
-    """Smoothed states of a filter at the start and after each of k steps; steps after a failure are omitted."""
+    """Smoothed states of a filter at the start and after each of the k steps before a failure."""
 
     mean: Array  # (k + 1, n)
     covariance: Array  # (k + 1, n, n)
@@ -73,12 +73,12 @@ class SmoothedStates:
 def smooth_steps(
     stepper: Stepper, n_steps: int, *, plus: Retraction = add, minus: Retraction = sub
 ) -> SmoothedStates:
-    """Compute all steps, and smooth. ``plus`` adds an error to a state; ``minus`` is its inverse: see `Manifold`."""
+    """Compute the steps up to a failure, and smooth them; ``plus``, ``minus``: see `Manifold`."""
     filter, failed = stepper.filter, -1
     filtered, predictions = [(filter.mean, filter.covariance)], list[Prediction]()
     for i in range(n_steps):
         mean, covariance = filtered[-1]
-        filter.prediction = Prediction(mean, covariance, covariance)  # a step of length zero has no other
+        filter.prediction = Prediction(mean, covariance, covariance)  # kept by a step of length zero
         try:
             with np.errstate(all="ignore"):  # the result is checked
                 stepper.step(i)
@@ -98,7 +98,7 @@ def rauch_tung_striebel(
     plus: Retraction = add,
     minus: Retraction = sub,
 ) -> tuple[Array, Array]:
-    """Smooth a filter's states and the k predictions between them: means (k + 1, n), covariances (k + 1, n, n)."""
+    """Return smoothed means (k + 1, n) and covariances (k + 1, n, n), from k + 1 filtered states and k predictions."""
     means, covariances = [filtered[-1][0]], [filtered[-1][1]]
     for (mean, covariance), prior in zip(filtered[-2::-1], predictions[::-1], strict=True):
         gain = np.linalg.solve(prior.covariance, prior.cross.T).T  # G = C (P-)^-1

@@ -26,7 +26,7 @@ class Manifold:
     minus : callable
         ``minus(state, other) -> error``, such that plus(other, error) is the state.
     nearest : callable
-        ``nearest(error, near) -> error``: of all errors that lead to the same state, the nearest to ``near``.
+        ``nearest(error, near) -> error``: of all errors equivalent to ``error``, the nearest to ``near``.
     """
 
     plus: Retraction
@@ -38,7 +38,7 @@ class _OnManifold(GaussianFilter):
     manifold: Manifold
 
     def correct(self, innovation: Innovation) -> None:
-        """Update the state: x plus K nu, P - K S K^T."""
+        """Update the state: plus(x, K nu), P - K S K^T."""
         mean = self.mean
         super().correct(innovation)
         self.mean = self.manifold.plus(mean, innovation.gain @ innovation.nu)
@@ -67,8 +67,7 @@ class ErrorStateKalmanFilter(_OnManifold, ExtendedKalmanFilter):
 class ManifoldUnscentedKalmanFilter(_OnManifold, UnscentedKalmanFilter):
     """Unscented Kalman filter (UKF-M): its sigma points are errors, which ``manifold.plus`` adds to the mean.
 
-    ``measured``: scaling of the sigma points for measurements, if it differs from ``points``. For other parameters see
-    `UnscentedKalmanFilter`.
+    ``measured``: sigma points of measurements; by default ``points``. For other parameters see `UnscentedKalmanFilter`.
     """
 
     def __init__(
@@ -86,19 +85,19 @@ class ManifoldUnscentedKalmanFilter(_OnManifold, UnscentedKalmanFilter):
         self.manifold, self.measured = manifold, measured or points
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
-        """Compute x' = f(x) plus the mean error; P' is the covariance of the errors, plus Q."""
+        """Compute x' = plus(f(x), mean error); P' is the covariance of the errors, plus Q."""
         wm, wc = self.points.weights(len(self.mean))
         center = self.f(self.mean, dt, u)
         drawn = self.points.draw(np.zeros(len(self.mean)), self.covariance)
         moved = [self.f(self.manifold.plus(self.mean, error), dt, u) for error in drawn]
-        # An error may exceed half a turn, but its change in one step may not.
+        # An error may exceed half a turn, but not its change in one step.
         pairs = zip(moved, drawn, strict=True)
         errors = np.array([self.manifold.nearest(self.manifold.minus(s, center), e) for s, e in pairs])
         shift = wm @ errors
         spread = errors - shift
         self.mean = self.manifold.plus(center, shift)
         self.covariance = (spread.T * wc) @ spread + process_noise
-        self._expect((drawn.T * wc) @ spread)
+        self._store_prediction((drawn.T * wc) @ spread)
 
     def _measured_points(self) -> tuple[SigmaPoints, Array, Array]:
         drawn = self.measured.draw(np.zeros(len(self.mean)), self.covariance)

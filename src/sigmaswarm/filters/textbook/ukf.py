@@ -1,6 +1,6 @@
 """The unscented Kalman filter in textbook form, in NumPy.
 
-State order, semantics of predict and update, and weights follow FilterPy 2.0.0.
+Sigma points, weights, predict and update are as in FilterPy 2.0.0.
 
 References
 ----------
@@ -37,8 +37,8 @@ class SigmaPoints:
     alpha, beta, kappa : float
         Scaling (dimensionless).
     first : sequence of int
-        States whose columns of the square root of P come first. Every square root of P is valid, and each gives
-        different sigma points. Empty: plain Cholesky in state order, as in FilterPy.
+        States that come first in the Cholesky factorization of P. Every square root of P is valid, and each gives
+        different sigma points. Empty: order of the states, as in FilterPy.
     """
 
     alpha: float
@@ -95,7 +95,7 @@ class UnscentedKalmanFilter(GaussianFilter):
         Draw new sigma points after Q is added (FilterPy 2.0.0). False: apply h to the propagated points (FilterPy
         1.4.5, which the paper probably used).
     angles : sequence of int
-        States that are angles. Of each angle's difference from the center point, the change by f is wrapped. A circular
+        States that are angles. The change of an angle's difference from the center point by f is wrapped. A circular
         mean would be wrong, since the center's weight is a large negative number for a small alpha.
     measured_angles : sequence of int
         Elements of ``h`` that are angles: their differences from the center point and their innovations are wrapped.
@@ -124,7 +124,6 @@ class UnscentedKalmanFilter(GaussianFilter):
         self._propagated: Array | None = None
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
-        """Propagate the state by ``f`` over ``dt`` seconds; Q, shape (n, n), is added to the covariance."""
         wm, wc = self.points.weights(len(self.mean))
         drawn = self.points.draw(self.mean, self.covariance)
         sigmas = np.array([self.f(s, dt, u) for s in drawn])
@@ -138,12 +137,12 @@ class UnscentedKalmanFilter(GaussianFilter):
         self.mean = sigmas[0] + shift
         self.covariance = (spread.T * wc) @ spread + process_noise
         self._propagated = sigmas[0] + offsets
-        self._expect((before.T * wc) @ spread)
+        self._store_prediction((before.T * wc) @ spread)
 
     def measure(
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
     ) -> Innovation:
-        """Compute nu, S and C from the sigma points; ``h`` replaces the filter's own."""
+        """Compute nu, S and C from the sigma points; ``h`` replaces the filter's ``h``."""
         angles = self.measured_angles if h is None else []
         h = h or self.h
         points, sigmas, spread_x = self._measured_points()
@@ -165,6 +164,5 @@ class UnscentedKalmanFilter(GaussianFilter):
         return self.points, sigmas, sigmas - self.mean
 
     def correct(self, innovation: Innovation) -> None:
-        """Update the state: x + K nu, P - K S K^T."""
         super().correct(innovation)
         self._propagated = None
