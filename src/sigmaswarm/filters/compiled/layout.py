@@ -88,7 +88,7 @@ SCRATCH = (
     # Of a prediction: acceleration times dt, its covariance with the state, and its own covariance. Of a fix: the same
     # of the lever arm.
     "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
-    "NU1", "NU2",  # nu of the last fix, for a run that records innovations
+    "NU1", "NU2",  # nu of the last fix
     *(f"D{i}{j}" for i in "123" for j in "123"), "LEVER_UP", *(f"FP{k}" for k in range(7 * 7)),  # of tilted12
     "TURN_W", "TURN_X", "TURN_Y", "TURN_Z", "HALF_X", "HALF_Y", "HALF_Z",
     # Of the unscented filter: square root of P, moments of the images, the center's vertical acceleration, and

@@ -29,7 +29,7 @@ from sigmaswarm.filters.compiled.layout import LANES, R
 
 @kernel
 def _refresh_sin_cos(w):
-    """Compute cosine and sine of the heading in the lanes where they are invalid."""
+    """Compute cosine and sine of the heading if they are invalid."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         valid = w[R.SIN_COS_VALID, l] > 0.0

@@ -45,7 +45,7 @@ class FuzzyNoise:
 
     tuned_process_noise: Array  # (n,), diagonal of Q per nominal step at a ratio of 1
     tuned_measurement_noise: Array  # (2,), diagonal of R at a ratio of 1
-    memory: float  # weight of the previous average at each fix
+    memory: float  # weight of the previous value in the quick average
     widths: tuple[float, float]  # ratio and trend at which a membership reaches 1
     gains: tuple[float, float]  # largest factors of R and Q
     quick: float = 1.0  # quick, slow: moving averages of NIS / 2
