@@ -32,7 +32,7 @@ class Driver:
     ----------
     plan : the plan to follow
     wheelbase : m
-    rng : generator of the random deviations from the plan: 0.1 m to the sides, 0.6% of the speed
+    rng : generator of the random deviations from the plan: RMS 0.07 m to the sides, 0.4% of the speed
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Driver:
         self.way, self.off = i * SPACING + dx * cos + dy * sin, dy * cos - dx * sin
 
     def _steer(self, heading: float, speed: float) -> float:
-        """Return the angle of the wheels (rad) with which an offset from the path decays like a second-order system."""
+        """Return the angle of the wheels (rad) with which an offset from the path decays as a damped oscillation."""
         path, v = self.plan.path, max(speed, 1.0)
         i = self._nearest
         course = wrap(heading - path.heading[i] - (self.way - i * SPACING) * path.curvature[i])
@@ -115,7 +115,9 @@ class Driver:
         allowed = math.sqrt(max(a * a + (b * b - a * a) * part, 0.0))
         stopping = leg.wait > 0 and self._leg_end - self.way < 3.0 and allowed < 3.0
         before = self._speed
-        if stopping:  # the planned speed depends on time: with distance, the last meters would take too long
+        if (
+            stopping
+        ):  # the speed decreases with time: as a function of distance, the last meters would take too long
             self._speed = max(min(before, allowed + 1.0) - leg.braking * TICK, 0.0)
         else:
             self._speed = max(min(before + leg.acceleration * TICK, allowed), 0.0)

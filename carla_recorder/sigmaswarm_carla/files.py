@@ -55,7 +55,7 @@ class Journal:
 
     @property
     def friction(self) -> list[list[float]]:
-        """Pairs of tire_friction and measured friction; empty if --brake-sweep was not used."""
+        """Pairs of tire_friction and the friction measured with it; empty if --brake-sweep was not used."""
         return self._content.get("friction", [])
 
     def tire_friction(self, friction: float) -> float | None:
@@ -132,7 +132,7 @@ def describe(
     sensors: Sensors,
     condition: Condition,
 ) -> dict[str, Any]:
-    """Return the content of drive.toml, with the same names as in simulated drives."""
+    """Return the content of drive.toml, with the names that simulated drives also have."""
     o, where = session.options, ENVIRONMENTS[condition.environment]
     began = next((row.t for row in recording.rows if _passed(row, plan)), 0.0)
     noise = {

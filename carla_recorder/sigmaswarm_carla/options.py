@@ -15,9 +15,9 @@ GPS_EVERY = 20  # ticks from fix to fix (5 Hz), since CARLA's sensor_tick is not
 STANDSTILL_TIME = 1.0  # s of standstill at the beginning of a drive
 GRAVITY = 9.81
 KMH = 1 / 3.6
-DRY = 0.85  # friction of stock tires if --brake-sweep was not used
+DRY = 0.85  # friction of stock tires, assumed if --brake-sweep was not used
 BRAKE_GAIN = 2.0
-"""Factor on CARLA's max_brake_torque: without it, the car stops from 50 km/h in 2.7 s, but in the paper in 2 s."""
+"""Factor on CARLA's max_brake_torque. Without it, the car stops from 50 km/h in 2.7 s instead of the paper's 2 s."""
 
 
 class Environment(NamedTuple):
@@ -54,7 +54,7 @@ class RecorderError(Exception):
 
 
 class LostConnection(RecorderError):
-    """Error that the server no longer answers."""
+    """Error if the server no longer answers."""
 
 
 class FailedRun(RecorderError):
@@ -86,10 +86,10 @@ class Options:
     )
     host: str = _option("127.0.0.1", "Host of the CARLA server.")
     port: int = _option(2000, "Port of the CARLA server.")
-    maneuvers: tuple[str, ...] = _option(MANEUVERS, f"{', '.join(MANEUVERS)}; all by default.")
+    maneuvers: tuple[str, ...] = _option(MANEUVERS, f"Maneuvers: {', '.join(MANEUVERS)}; all by default.")
     environments: tuple[str, ...] = _option(
         tuple(ENVIRONMENTS),
-        f"{', '.join(ENVIRONMENTS)}; all by default. Clear, night and fog have the same physics.",
+        f"Environments: {', '.join(ENVIRONMENTS)}; all by default. Clear, night and fog have the same friction.",
     )
     runs: int = _option(20, "Number of drives of each maneuver in each environment.")
     seed: int = _option(0, "Seed of the routes, the driver and the noise.")

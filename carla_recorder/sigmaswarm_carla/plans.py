@@ -31,7 +31,7 @@ class Plan:
     path: Path2D
     legs: list[Leg]
     target: dict[str, float]  # the paper's values, with units in the names
-    start: float = 0.0  # m along the path; here the maneuver begins
+    start: float = 0.0  # m along the path, where the maneuver begins
     outages: list[tuple[float, float]] = field(default_factory=list)  # (s after the start, length in s)
 
     @property
@@ -43,9 +43,8 @@ class Plan:
 def plan_maneuver(name: str, friction: float, town: Any, rng: random.Random) -> Plan:
     """Draw the random values of one of the paper's maneuvers, and find a path for the maneuver.
 
-    The values are those of `sigmaswarm.simulation.maneuvers`: values of the paper, or the largest values that friction
-    allows. Before each maneuver, the car drives at least 30 m at 5 m/s or more, so that a filter can determine the
-    heading.
+    As in `sigmaswarm.simulation.maneuvers`, the accelerations are the paper's, or the largest that friction allows.
+    Before each maneuver, the car drives at least 30 m at 5 m/s or more, so that a filter can determine the heading.
     """
     hard = 0.9 * friction * GRAVITY
     easy = min(2.5, 0.5 * friction * GRAVITY)
@@ -54,7 +53,7 @@ def plan_maneuver(name: str, friction: float, town: Any, rng: random.Random) -> 
     if name == "cruise":
         kmh = rng.uniform(85, 95) if friction > 0.4 else rng.uniform(60, 70)
         speed = kmh * KMH
-        push = 1.4 * easy  # straight stretches are rarely long
+        push = 1.4 * easy  # for a short approach, since long straight roads are rare
         start = 1.1 * speed**2 / 2 / push + 25.0
         legs = [Leg(start, speed, push, easy), Leg(500.0, speed, push, easy)]
         target = {"distance_m": 500.0, "speed_kmh": round(kmh, 1)}

@@ -99,7 +99,7 @@ class Session:
     """
 
     def __init__(self, options: Options, before: dict[str, Any]) -> None:
-        """Connect to the server; `before` contains its original settings and weather, for several sessions."""
+        """Connect to the server; `before` keeps its original settings and weather if several sessions are needed."""
         self.options, self._before = options, before
         self.actors: list[Any] = []
         self.carla = import_carla()

@@ -56,8 +56,8 @@ def edit_physics(session: Session, car: Any, tire_friction: float | None, share:
 def axles(wheels: Sequence[Any], car: Any) -> tuple[float, float]:
     """Return the wheelbase and the distance from the rear axle to the car's origin, m.
 
-    CARLA states world positions in cm, front wheels first. If these positions are implausible, return the values of the
-    real car.
+    CARLA states the positions of the wheels in the world in cm, front wheels first. If they are implausible, return the
+    values of the real car.
     """
     heading, (x, y, _) = heading_of(car.rotation), polar(car.location)
     places = [polar(wheel.position) for wheel in wheels]

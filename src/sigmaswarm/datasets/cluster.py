@@ -91,8 +91,8 @@ class Cluster:
 def connected(address: str) -> Generator["Client"]:
     """Connect to the cluster at an address until the block ends.
 
-    The address is ``tcp://host:8786`` (or ws ...), the path of a scheduler file, or ``local:4`` for 4 processes of one
-    thread on this machine.
+    The address is ``tcp://host:8786`` (or another protocol without certificates, such as ws), the path of a scheduler
+    file, or ``local:4`` for 4 processes of one thread on this machine.
 
     Raises
     ------

@@ -53,7 +53,7 @@ def make_datasets(
     executor: Executor | None = None,
     takes: str = "Drives are needed",
 ) -> list[Dataset]:
-    """Make a dataset from each group of drives; on a cluster all workers read their drives at the same time.
+    """Make a dataset from each group of drives; the workers of a cluster read the drives in parallel.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """A dataset on the workers of a Dask cluster: each worker reads its drives once and caches them.
 
 A call sends each worker one task: the function, its arguments and the keys of the drives. Results do not depend on the
-distribution of the drives. Tasks are bound to workers: other workers take over the drives of a lost worker, and only
-its tasks run again. New workers receive a share of the drives.
+distribution of the drives. Each task runs on the worker that has its drives. If a worker is lost, other workers take
+over its drives, and only its tasks run again. New workers receive some of the drives.
 """
 
 import threading
@@ -28,7 +28,7 @@ T = TypeVar("T")
 ReadProgress = Callable[[int, int], None]  # called with the numbers of drives read and of all drives
 
 POLL_INTERVAL = 2.0  # s, time between requests to the scheduler for its workers
-MAX_RETRIES = 3  # rounds without an answer, after which the drives are the likely cause of lost workers
+MAX_RETRIES = 3  # rounds in which all workers are lost; after more, the drives are the likely cause
 MAX_NAMED_DRIVES = 10  # largest number of drives named in a message
 
 
@@ -118,7 +118,10 @@ class Assignment:
 
 
 def assign_drives(sizes: Sequence[float], threads: Mapping[str, int], before: Sequence[str]) -> list[str]:
-    """Assign drives to workers in proportion to their threads, within 5%; most stay with their worker ``before``."""
+    """Assign drives of given sizes to workers in proportion to their threads.
+
+    A drive stays with its worker ``before`` unless this worker would then exceed its part by more than 5%.
+    """
     share = sum(sizes) / sum(threads.values())
     load, assigned = dict.fromkeys(threads, 0.0), [""] * len(sizes)
     largest_first = sorted(range(len(sizes)), key=lambda i: (-sizes[i], i))

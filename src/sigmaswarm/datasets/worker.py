@@ -16,9 +16,11 @@ T = TypeVar("T")
 Source = Callable[[], tuple[Drive, list[SigmaswarmWarning]]]
 """Picklable function that returns a drive and the warnings about it."""
 
-USABLE_MEMORY = 0.8  # share of a worker's memory above which Dask pauses the worker
+USABLE_MEMORY = 0.8  # fraction of a worker's memory above which Dask pauses the worker
 BASE_MEMORY = 350e6  # bytes without drives: interpreter, Numba, polars
-BYTES_PER_COLUMN_BYTE = 3.3  # memory of a prepared drive / size of its columns, by `benchmarks/fleet.py`
+BYTES_PER_COLUMN_BYTE = (
+    3.3  # memory of a prepared drive / size of its columns, measured by `benchmarks/fleet.py`
+)
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class CachedDrive:
 
 
 class DriveCache:
-    """The drives of a worker; the least recently used drives are dropped if they exceed ``memory``, bytes."""
+    """The drives of a worker; if all together exceed ``memory`` (bytes), the least recently used are dropped."""
 
     def __init__(self, worker: str, threads: int, memory: float) -> None:
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
@@ -58,7 +60,7 @@ class DriveCache:
         self._lock = threading.Lock()
 
     def get(self, sources: Mapping[str, Source | None]) -> list[CachedDrive] | None:
-        """Return drives by key, and read missing drives; return None if a required source is not on the worker.
+        """Return the drives with the keys of ``sources``; return None if a drive is neither cached nor has a source.
 
         Raises
         ------
@@ -98,12 +100,12 @@ def in_gb(size: float) -> str:
 
 
 _caches: dict[str, DriveCache] = {}
-"""Caches by the address of the worker; only a cluster of threads has several workers in a process."""
+"""Caches by the address of the worker; in a cluster whose workers are threads, a process has several workers."""
 _caches_lock = threading.Lock()
 
 
 def run_task(call: bytes, sources: bytes, address: str) -> Any:
-    """Call a function with drives of this worker; return None if the worker lacks a source."""
+    """Call a function with drives of this worker; return None if it needs sources that were not sent."""
     from distributed import get_worker
     from distributed.system import MEMORY_LIMIT
 

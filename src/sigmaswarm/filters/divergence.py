@@ -1,8 +1,8 @@
 """Detection and reset of diverged filters.
 
 The fixes of the last few seconds determine position, speed and heading without a filter (`drives.alignment`). A filter
-has diverged if, for `DIVERGED_AFTER` seconds, it differs from this alignment by far more than its covariance allows. It
-is then reset to the alignment.
+has diverged if, for `DIVERGED_AFTER` seconds, its heading differs from this alignment, or its position from the fixes,
+by far more than the covariances allow. It is then reset to the alignment.
 
 The thresholds were chosen on nine recordings. For filters that had not diverged, the heading differed by more than 20
 deg from the alignments for at most 8 s. The position differed by more than 20 m and 5 sigma from the fixes for at most
@@ -27,17 +27,19 @@ from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA, planar5
 from sigmaswarm.filters.schedule import starts_of
 from sigmaswarm.geodesy import wrap_angle
 
-DIVERGED_AFTER = 10.0  # s of contradiction; errors in a city and the recovery of robust filters are shorter
-MIN_CHECKS = 5  # smallest number of checks in this time
-MANY_SIGMAS = 5.0  # smallest difference, in combined standard deviations of filter and fixes
+DIVERGED_AFTER = 10.0  # s; contradictions by bad fixes in a city or in a robust filter's recovery are shorter
+MIN_CHECKS = 5  # smallest number of checks with a contradiction in this time
+MANY_SIGMAS = (
+    5.0  # smallest difference, in combined standard deviations of the filter and the fixes or alignment
+)
 HEADING_OFF = np.radians(20.0)  # rad, smallest difference of the heading from the alignment
 POSITION_OFF = 20.0  # m, smallest difference of a fix from its prediction
 SUSPECT_HEADING = np.radians(
     10.0
 )  # rad, difference from the rough heading above which an alignment is computed
-SPEED_STD = 10.0  # m/s per axis, after a reset to the last fix
+SPEED_STD = 10.0  # m/s per axis, standard deviation of the velocity after a reset to the last fix
 CHECKS, SINCE, LAST = range(3)
-"""Indices of a contradiction: number of checks, time of the first and of the last one (s). C has a struct."""
+"""Indices in the record of a contradiction: number of checks, times of the first and the last check (s)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +49,9 @@ class CheckTimes:
 
 
 def check_times(line: Timeline) -> CheckTimes:
-    """Find the first IMU sample after new fixes in each `CHECK_INTERVAL`.
+    """Find the first IMU sample in each `CHECK_INTERVAL` that follows a new fix within `LATEST_CHECK`.
 
-    A sample after a long gap is omitted, since a live filter accepts it only together with the next sample.
+    A sample after a gap of more than `LEAP` is omitted, since a live filter uses it only after the next sample.
     """
     sampled, updating = np.flatnonzero(line.sampled), np.flatnonzero(line.updates)
     before = np.searchsorted(updating, sampled, side="right")  # fixes up to each sample
@@ -66,7 +68,7 @@ def check_times(line: Timeline) -> CheckTimes:
 
 @dataclass(frozen=True, eq=False)
 class StateCheck:
-    """One check: a filter's state after an IMU sample, and the last fixes."""
+    """Data of one check: a filter's state after an IMU sample, and the last fixes."""
 
     time: float  # s
     mean: Array  # (n,)
@@ -75,7 +77,7 @@ class StateCheck:
     fix: Array  # (2,), m
     fix_variance: Array  # (2,), m2
     lever: Array  # (2,), m forward and left from the IMU to the antenna
-    latency: float  # s
+    latency: float  # age of a fix at its time stamp, s
     since: Callable[[], Array]  # steps from the fix to the check, (k, 4): dt (s), ax, ay (m/s2), gz (rad/s)
     heading: Callable[[], float]  # rough heading at the check, computed without a filter (rad) or NaN
     align: Callable[[], InitialState | None]  # alignment that ends at the fix, or None; slow
@@ -89,7 +91,7 @@ class StateCheck:
 
     @property
     def heading_contradicts(self) -> bool | None:
-        """True if the filter's heading is far from that of the alignment; None if there is no alignment."""
+        """True if the filter's heading is far from the alignment's; None if the alignment's heading is unknown."""
         theta, heading = float(self.mean[THETA]), self.heading()
         if not math.isfinite(heading):
             return None
@@ -103,7 +105,7 @@ class StateCheck:
         return bool(off > max(HEADING_OFF, MANY_SIGMAS * std))
 
     def _turned_by_bias(self, aligned: InitialState) -> float:
-        """Return the change of an alignment's heading due to the filter's gyro bias, rad."""
+        """Return the change of an alignment's heading if it used the filter's gyro bias, rad."""
         gyro = aligned.gyro
         if gyro is None or len(self.mean) <= GYRO_BIAS:
             return 0.0
@@ -144,16 +146,17 @@ class DivergenceMonitor:
 
     def take(self, check: StateCheck) -> InitialState | None:
         """Evaluate a check; return the state for a reset, or None if the filter continues or becomes ``lost``."""
-        if not np.isfinite(check.mean).all():  # a failure, which is reported elsewhere
+        if not np.isfinite(check.mean).all():  # the run reports this failure
             return None
         return self.take_all([check.time], lambda _: check)[1]
 
     def take_all(
         self, times: Sequence[float], check_at: Callable[[int], StateCheck]
     ) -> tuple[int | None, InitialState | None]:
-        """Evaluate checks at several times (s); return the index of the first divergence, and the state for a reset.
+        """Evaluate checks at several times (s); return the index of the first divergence and the state for a reset.
 
-        ``check_at`` returns the check at the k-th time. If the filter is ``lost``, only the first check is evaluated.
+        Without a divergence, both are None. ``check_at`` returns the check at the k-th time. If the filter is ``lost``,
+        only the first check is evaluated.
         """
         with np.errstate(all="ignore"):  # non-finite values are not a contradiction
             first = 0 if self.lost else self._first_diverged(times, check_at)
@@ -193,18 +196,18 @@ def persists(contradiction: Array) -> bool:
 def position_contradicts(
     mean: Array, covariance: Array, fix: Array, variance: Array, lever: Array, back: float
 ) -> bool:
-    """Return True if a fix is far from the filter's prediction at its time, ``back`` s ago."""
+    """Return True if a fix is far from its prediction, the antenna's position ``back`` seconds ago."""
     c, s = math.cos(mean[4]), math.sin(mean[4])
     x = fix[0] - mean[0] + back * mean[2] - (c * lever[0] - s * lever[1])
     y = fix[1] - mean[1] + back * mean[3] - (s * lever[0] + c * lever[1])
-    # S and its determinant; the position is also far if S is 0
+    # Innovation covariance S; if S is 0, the position is far by the first condition alone.
     xx, xy, yy = covariance[0, 0] + variance[0], covariance[0, 1], covariance[1, 1] + variance[1]
     most = MANY_SIGMAS * MANY_SIGMAS * (xx * yy - xy * xy)
     return x * x + y * y > POSITION_OFF * POSITION_OFF and yy * x * x - 2.0 * xy * x * y + xx * y * y >= most
 
 
 def describe_restarts(drive: str, times: Sequence[float]) -> str:
-    """Return the predicate of a sentence about the resets of a filter on a drive."""
+    """Describe the resets of a filter on a drive, as a sentence without its subject."""
     at = ", ".join(f"{t:.1f}" for t in times[:5]) + (" ..." if len(times) > 5 else "")
     often = f"{len(times)} times" if len(times) > 1 else "once"
     return f"diverged on {drive} and was reset {often}, at t = {at} s"
@@ -217,10 +220,10 @@ class _Contradiction:
         self._record = np.zeros(3)
 
     def first_lasting(self, times: Sequence[float], contradicts: Callable[[int], bool | None]) -> int | None:
-        """Find the first check at which the contradiction has lasted `DIVERGED_AFTER`; else return None.
+        """Return the index of the first check at which the contradiction has lasted `DIVERGED_AFTER`, or None.
 
-        ``contradicts`` is slow. Therefore, the search runs backwards in time, from the first check that could complete
-        this duration to the last check without a contradiction.
+        ``contradicts(k)`` is slow. Therefore, the search runs backwards in time, from the first check that could
+        complete this duration to the last check without a contradiction.
         """
         begin = 0
         while begin < len(times):
@@ -238,7 +241,7 @@ class _Contradiction:
         return None
 
     def _soonest(self, times: Sequence[float]) -> int:
-        """Return the first check that could complete a contradiction of `DIVERGED_AFTER`; if none, the last check."""
+        """Return the index of the first check that could complete `DIVERGED_AFTER`; if none can, of the last check."""
         checks = self._record[CHECKS]
         since = self._record[SINCE] if checks else times[0]
         lasting = (t - since >= DIVERGED_AFTER and checks + k + 1 >= MIN_CHECKS for k, t in enumerate(times))
@@ -246,17 +249,20 @@ class _Contradiction:
 
 
 def steps_since(samples: Array, time: float) -> Array:
-    """Return the steps from a time to the last sample, (k, 4), as in `StateCheck.since`; samples are (m, 4 or more)."""
+    """Return the steps from a time to the last sample, (k, 4), as in `StateCheck.since`.
+
+    ``samples``, (m, 4 or more), begin with time, ax, ay and gz.
+    """
     steps = samples[samples[:, 0] >= time, :4]
     steps[:, 0] = np.diff(steps[:, 0], prepend=time)
     return steps
 
 
-_MAX_MAGNITUDE = 1e12  # m, m/s2 or rad/s; with larger numbers, a fit fails and LAPACK prints a message
+_MAX_MAGNITUDE = 1e12  # m, m/s2 or rad/s; with larger numbers, least squares fail and LAPACK prints a message
 
 
 def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
-    """Align with the last few seconds of a stream.
+    """Align with the last few seconds of a live filter's data; return None if this is impossible.
 
     ``samples`` (k, 4 or 6): time, ax, ay, gz, gx, gy; ``fixes`` (m, 3): time (s), x, y (m); ``gyro_bias``: known bias
     of gz, rad/s.
@@ -291,7 +297,7 @@ def compile_resets() -> None:
 
 
 def state_at_fix(time: float, fix: Array, variance: Array, theta: float, lever: Array) -> InitialState:
-    """Return the state at a fix (2,) in m with variance (2,) in m2, unknown speed, and an uncertain heading theta."""
+    """Return the state at a fix, (2,) m, with its variance, (2,) m2, an unknown speed, and an uncertain heading."""
     c, s = np.cos(theta), np.sin(theta)
     turned = np.array([c * lever[0] - s * lever[1], s * lever[0] + c * lever[1]])
     mean = np.array([*(fix - turned), 0.0, 0.0, theta])

@@ -31,7 +31,7 @@ class EstimateChunk:
     mean: Array  # (r, n), as in `Estimate`
     covariance: Array  # (r, n, n)
     sound: Mask  # (r,), False after a failure
-    lost: Mask  # (r,), True if diverged and not yet reset; the estimate is then the last fix
+    lost: Mask  # (r,), True if diverged and not yet aligned; the position is then the last fix
 
 
 def join_chunks(pieces: Iterable[EstimateChunk]) -> EstimateChunk:
@@ -75,8 +75,7 @@ class FilterRun:
     """Run of a filter over a replay: an iterator of pieces. Sums and innovations are available after the last piece.
 
     ``samples``: number of IMU samples in a piece; it does not affect the results. ``recover``: reset the filter if it
-    diverges. The sums contain the errors of the diverged filter at the sample of a reset, and while the estimate is the
-    last fix.
+    diverges. At a sample at which the filter is reset, the sums contain the error before the reset.
 
     Attributes
     ----------
@@ -139,8 +138,9 @@ class FilterRun:
     def _run_to(self, stops: Indices, record: Array) -> Mask:
         """Run to the last of ``stops``, (r,), the steps after IMU samples; return `EstimateChunk.lost`, (r,).
 
-        Stopping the filter at every check would take longer than the steps. Therefore, the filter runs to the end, and
-        its recorded estimates are checked afterwards. If it diverged, it is reset at that step and runs on from there.
+        Stopping the filter at every check would take longer than the steps themselves. Therefore, a filter with a
+        constant R runs to the end, and its recorded estimates are checked afterwards. If it diverged, it runs again up
+        to the step of the divergence, is reset there, and continues.
         """
         lost = np.zeros(len(stops), dtype=np.bool_)
         if self._checks is None:
@@ -268,7 +268,7 @@ class FilterRun:
 
 
 class InterruptibleRun(FilterRun):
-    """Run of a filter that calls `_at` after the IMU samples with the sorted indices ``_marks``, (k,)."""
+    """Run of a filter that calls `_at` after some IMU samples; ``_marks``, (k,), contains their sorted indices."""
 
     _marks: Indices
     _done = 0

@@ -1,14 +1,14 @@
 """Correlated fix errors as two Gauss-Markov states b: an option of every model with the IMU as input.
 
-Receivers smooth their fixes, so the errors of successive fixes are correlated. The states b (m, east and north) are
-appended to the model's states; the model's process does not depend on b. A fix measures p + b + v. Between two fixes dt
-apart
+Many receivers smooth their fixes, so the errors of successive fixes are correlated. The states b (m, east and north)
+are appended to the model's states; the model's process does not depend on b. A fix measures p + b + v, where p is the
+position of the antenna and v is white noise. Over the time dt between two fixes
 
     b <- phi b,    P_bb <- phi^2 P_bb + g s^2 (1 - phi^2),    phi = exp(-dt / tau)
 
 where g and tau are the parameters ``fix_error`` and ``fix_error_time``, and s is the stated standard deviation of the
-later fix; if none is stated, s is ``fix_std``. A filter starts at a fix, so its position has the error -b: P_bb = g
-s^2, P_pp += g s^2, P_pb = -g s^2. Returned estimates omit b.
+later fix; if none is stated, s is ``fix_std``. A filter starts at a fix with the estimate 0 of b, so the error of its
+position is b, and that of b is -b: P_bb = g s^2, P_pp += g s^2, P_pb = -g s^2. Returned estimates omit b.
 """
 
 from collections.abc import Callable
@@ -113,14 +113,14 @@ _LENGTHS = {len(model.states) for model in FILTERS.values() if model.fix_error}
 
 
 def known_states(n: int, given: int) -> int:
-    """Return how many of a model's n states a start with ``given`` states determines."""
+    """Return the number of a model's n states that an initial state with ``given`` states determines."""
     if n == given:
         return n
     return min(n - 2 if n in _LENGTHS else n, given - 2 if given in _LENGTHS else given)
 
 
 def transition(n: int, phi: float) -> Array:
-    """Return the transition F, (n, n), of a model's n states between two fixes: only b changes."""
+    """Return the transition F, (n, n), of b between two fixes; the other states do not change."""
     return np.diag([1.0] * (n - 2) + [phi] * 2)
 
 

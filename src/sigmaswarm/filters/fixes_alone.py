@@ -31,7 +31,7 @@ class MotionNoise:
 
     @classmethod
     def typical(cls, noises: Iterable["MotionNoise"]) -> "MotionNoise":
-        """Return the median of the logarithms of several drives' noise parameters, as parameters."""
+        """Return the median noise parameters of several drives, computed from their logarithms."""
         density, fix = np.exp(np.median([(np.log(n.acceleration), np.log(n.fix)) for n in noises], axis=0))
         return cls(float(density), float(fix))
 
@@ -40,7 +40,10 @@ class MotionNoise:
 def _filter(
     dt: Array, fixes: Array, variance: Array, density: float, start: Array, states: Array
 ) -> float:  # pragma: no cover
-    """Filter fixes (k, 2); write x, y, vx, vy, P_xx, P_xv and P_vv after each fix, (k, 7); return -2 log likelihood."""
+    """Filter fixes (k, 2); return minus twice the log-likelihood, without its constant.
+
+    ``states`` (k, 7) receives x, y, vx, vy, P_xx, P_xv and P_vv after each fix.
+    """
     x, y, u, v, pp, pv, vv = start
     cost = 0.0
     for k in range(len(dt)):
@@ -60,7 +63,7 @@ def _filter(
 
 
 def _variances(line: Timeline) -> Array:
-    """Return the stated variances of the fixes (m2) or a typical variance if they are not stated."""
+    """Return the variance of each fix per axis, m2: as stated, or a typical one for all fixes if any is not stated."""
     stated = line.fixes[:, FIX_VAR_X : FIX_VAR_X + 2].mean(axis=1)
     return (
         stated if line.states_accuracy and np.all(stated > 0) else np.full(len(stated), UNSTATED_GPS_STD**2)
@@ -68,7 +71,7 @@ def _variances(line: Timeline) -> Array:
 
 
 def fit_noise(replay: FilterPass) -> MotionNoise:
-    """Estimate the noise parameters by maximum likelihood of the fixes of a drive."""
+    """Estimate the noise parameters of a drive by maximum likelihood of its fixes; with fewer than 3, both are 1."""
     line = replay.timeline
     fixes, variance = np.ascontiguousarray(line.fixes[:, FIX_X : FIX_X + 2]), _variances(line)
     if len(fixes) < 3:
@@ -90,7 +93,7 @@ def fitted_noise(ready: PreparedDrive) -> MotionNoise:
 
 
 class FixesAlone:
-    """Run of the filter over a replay; yields one piece, with estimates at the times of the IMU."""
+    """Run of this filter over a drive; it yields one piece, with estimates at the times of the IMU samples."""
 
     failure: str | None = None
     restarts: Sequence[float] = ()

@@ -3,8 +3,8 @@
 The ratio d of the actual to the theoretical innovation covariance is NIS / 2, on average 1 for a consistent filter. The
 rules use two moving averages of d over the fixes; the time constant of the slow one is `SLOWER` times that of the quick
 one. The averages give two inputs in (-1, 1), ``ratio = (quick - 1) / (quick + 1)`` and ``trend = (quick - slow) /
-(quick + slow)``. Linear functions with tuned widths give the memberships "small", "right", "large" and "rises" between
-0 and 1:
+(quick + slow)``. Linear functions of the widths ``fuzzy_widths`` give the memberships "small", "right", "large" and
+"rises" between 0 and 1:
 
     ratio is small                       R / g_R    Q / g_Q     the covariance is too large
     ratio is right                       R          Q
@@ -14,11 +14,11 @@ one. The averages give two inputs in (-1, 1), ``ratio = (quick - 1) / (quick + 1
 The factors are the mean of the consequents, weighted by the memberships of their rules, which sum to 1. This is the
 inference of T. Takagi and M. Sugeno (Fuzzy identification of systems and its applications to modeling and control, IEEE
 Trans. SMC 15(1), 1985) of order zero, with the product for "and". The ratio follows P. J. Escamilla-Ambrosio and N.
-Mort, Hybrid Kalman filter-fuzzy logic adaptive multisensor data fusion architectures, CDC 2003. The rules, their edges
-and the two averages are our own.
+Mort, Hybrid Kalman filter-fuzzy logic adaptive multisensor data fusion architectures, CDC 2003. The rules, the
+membership functions and the two averages are our own.
 
-The ratio is computed from S before the update. The update uses the new R, the next predictions the new Q. With gains of
-1 the filter equals the unscented filter.
+The ratio is computed from S before the update. The update uses the new R, and the next predictions use the new Q. With
+gains of 1 the filter equals the unscented filter.
 """
 
 LARGEST_RATIO = 10.0  # upper limit of d, against outliers; for good fixes, one d in 20 000 is larger

@@ -39,20 +39,20 @@ from sigmaswarm.filters.student import OUTLIERS_SPAN
 Starts = dict[InitialState, tuple[Array, Array]]
 """Initial state rows (N_STATE, columns) and headings (columns,), rad; a single column if all are equal."""
 
-MAX_STARTS = 20_000  # largest number of starts that are computed in advance; each column of a start has 3 kB
+MAX_STARTS = 20_000  # largest number of columns of starts that are computed in advance; each has 3 kB
 MAX_CACHED_STARTS = 1_000  # largest number of cached starts with one column
 
 
 @dataclass(frozen=True, eq=False)
 class KernelSums:
-    """Sums over replays for each parameter set; ``sums["NIS"]`` has shape (n_replays, n_sets).
+    """Sums over each replay for each parameter set; ``sums["NIS"]`` has shape (n_replays, n_sets).
 
     Attributes
     ----------
     numbers : (n_sums, n_replays, n_sets)
         In the order of `layout.SUMS`; NaN if a set failed.
     failed : bool (n_replays, n_sets)
-        True if P was not positive definite, or a state became NaN.
+        True if P was not positive definite, a state or sum is not finite, or the set is not `KernelArray.plausible`.
     """
 
     numbers: Array
@@ -72,7 +72,7 @@ class KernelSums:
 
 
 class KernelArray:
-    """Parameter sets with the same kernel and measurements, which run together.
+    """Parameter sets with the same kernel and measurements.
 
     Each block has ``width`` columns, at most `most_lanes`; surplus columns contain other sets or copies of the last
     set. ``like`` has the model and measurements of all ``size`` sets. ``reads`` states what the sets require of a
@@ -132,7 +132,7 @@ class KernelArray:
         return (own[_Q].min(axis=0) >= 0) & (r.min(axis=0) > 0)
 
     def constants(self, nominal_interval: float) -> Array:
-        """Return the kernel's constants, (N_CONSTANTS, columns), for a drive with the IMU interval, s."""
+        """Return the kernel's constants, (N_CONSTANTS, columns), for a drive with this nominal IMU interval, s."""
         constants, own = self._constants[:, self._columns].copy(), self._interval[self._columns]
         constants[_Q] *= nominal_interval / np.where(own > 0.0, own, nominal_interval)
         # In nominal steps, minus a margin for the rounding of Unix time.
@@ -171,7 +171,7 @@ class KernelArray:
     def sums(self, rows: Array) -> KernelSums:
         """Return the sums of the sets from the final rows of m replays that began with the rows of `start`."""
         is_sound, sums = sound_columns(rows, self.kernel), rows[:, RESULT_SUMS].swapaxes(0, 1)
-        if self.blocks > 1:  # all columns of a replay side by side
+        if self.blocks > 1:
             is_sound, sums = _side_by_side(is_sound, self.blocks), _side_by_side(sums, self.blocks)
         sound = is_sound[:, : self.size] & self.plausible
         return KernelSums(np.where(sound, sums[..., : self.size], np.nan), ~sound)
@@ -254,6 +254,6 @@ def _values(of: Callable[[str], Any], model: str) -> dict[int, Any]:
         R.ACCURACY: of("accuracy_scale"),
         R.DOF: of("robust_dof"),
         R.FIX_ERROR: of("fix_error"),
-        R.FIX_ERROR_RATE: 1 / np.asarray(of("fix_error_time")),  # times the nominal interval
+        R.FIX_ERROR_RATE: 1 / np.asarray(of("fix_error_time")),  # per second
         R.FIX_VAR: np.square(of("fix_std")),
     }

@@ -53,7 +53,7 @@ class FixedLag:
         first = max(first, 0)
         before = history[order[first], : live.N_FILTER_STATE]
         v = self._filter_state
-        v[: len(filter_state)] = filter_state  # the settings
+        v[: len(filter_state)] = filter_state  # for the settings; the next line replaces the state
         v[: live.N_FILTER_STATE] = before
         v[N_LOGGED] = 0.0
         again_call()(self._step.address, v, counts, fixes, speeds, history, checkpoints, first, False)

@@ -40,10 +40,10 @@ from sigmaswarm.geodesy import wrap_angle
 MAX_RESTARTS = 1000  # largest number of times in `LiveFilter.restarts`
 MAX_READINGS = 2000  # stored odometer readings: ten seconds at 200 Hz
 MAX_RATE_RATIO = 4  # the monitor covers its full span if the IMU is up to this many times as fast as stated
-MAX_HISTORY = 100_000  # IMU intervals in history and lag: 100 s at 1 kHz, 0.2 GB
+MAX_HISTORY = 100_000  # largest history and lag in IMU intervals: 100 s at 1 kHz, 0.2 GB
 MAX_WAITING_FIXES = 1000  # approximate number of fixes that can wait during a gap of the IMU
 _NO_NUMBERS = (TypeError, LookupError, OverflowError)
-"""Errors that invalid input raises: texts, None, too few numbers, integers of 400 digits."""
+"""Exceptions due to invalid input: texts, None, too few numbers, integers of 400 digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +55,8 @@ class LiveState:
     time : time of the last IMU sample, s
     mean : ndarray, shape (n,); heading wrapped to (-pi, pi]
     covariance : ndarray, shape (n, n)
-    failed : bool: the covariance is no longer positive semidefinite, or a number became NaN
-    lost : bool: the filter has diverged and cannot be reset yet; the position is the last fix
+    failed : bool: the covariance is not positive semidefinite, or a number is not finite
+    lost : bool: the filter has diverged and no alignment is available yet; the position is the last fix
     """
 
     time: float
@@ -79,9 +79,9 @@ class LiveFilter:
     message and is ignored. A stale fix is not used: see `drives.stale_fixes`.
 
     Without IMU samples, the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`). A
-    sample whose time stamp is more than 10 s ahead waits for a second sample within a second of this time. If that
-    sample arrives, both are used, as after a gap; otherwise the first one is dropped and counted. The same rule applies
-    to fixes, which IMU samples near their time also confirm.
+    sample whose time stamp is more than 10 s ahead of the filter waits for a second sample within a second of this
+    time. If the next sample is such a sample, both are used, as after a gap; otherwise the first one is dropped and
+    counted in ``time_jumps``. The same rule applies to fixes, which IMU samples near their time also confirm.
 
     The divergence monitor compares the filter once a second with the latest fixes and resets it if it has diverged
     (`divergence`). If fixes are delayed, the reset is later than in `run_filter`. Fixes from before a reset count as
@@ -114,10 +114,11 @@ class LiveFilter:
     restarts : list of float
         Times of the last `MAX_RESTARTS` resets, s.
     too_late : int
-        Number of fixes and odometer readings that were ignored because they came later than ``history``, or in a long
-        IMU gap.
+        Number of fixes and odometer readings that were ignored because they came more than ``history`` s late, because
+        too many were waiting in an IMU gap, or because their time was not finite.
     time_jumps : int
-        Number of dropped samples, fixes and readings, whose time stamps were far ahead and not confirmed.
+        Number of samples and fixes that were dropped because their time stamps were far ahead and not confirmed, and of
+        odometer readings with such time stamps.
     frozen : int
         Number of stale fixes, which are not used.
     """
@@ -172,9 +173,10 @@ class LiveFilter:
         self._lag = None if lag is None else FixedLag(kernel, lag, most_steps=waiting + samples)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
-        """Process an IMU sample; ignore it if its time is not after the last one; defer it if it is over 10 s ahead.
+        """Process an IMU sample; ignore it if its time is not after that of the last one.
 
-        Samples before the start only determine the noise at rest, for the detection of standstills.
+        A sample more than 10 s ahead waits: see `LiveFilter`. Samples before the start only determine the noise at
+        rest, for the detection of standstills.
 
         Parameters
         ----------
@@ -211,9 +213,9 @@ class LiveFilter:
     ) -> bool:
         """Process a fix: x, y (m), and optionally the velocity, m/s east and north.
 
-        ``std``: standard deviation that the receiver states, m east and north. A filter with ``accuracy_scale`` needs
-        it; a filter with ``fix_error`` uses it if given. ``heading``: heading and its stated standard deviation, rad (0
-        if none is stated), for a filter with ``heading_noise``.
+        ``std``: standard deviations that the receiver states, m east and north. A filter with ``accuracy_scale`` needs
+        them; a filter with ``fix_error`` uses them if given. ``heading``: heading and its stated standard deviation,
+        rad (0 if none is stated), for a filter with ``heading_noise``. ``velocity`` is for one with ``velocity_noise``.
 
         Returns
         -------
@@ -250,7 +252,7 @@ class LiveFilter:
         -------
         bool
             False if the reading was ignored: the filter uses no odometer, or the reading is too late, more than 10 s
-            ahead, or a repetition.
+            ahead, or has the time of an earlier reading.
         """
         try:
             return self._calls.speed(self._memory.handle, t, speed) == live.TAKEN

@@ -1,7 +1,8 @@
 """Vehicle models: their description, process f(state, dt, imu) and measurements h(state) in textbook form.
 
-The states of a model begin with those of the models before it, so measurements find states at the same indices. Arrays:
-state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. `tilted` defines the model with roll and pitch.
+The states of planar8 begin with those of planar5, and the states of tilted12 with those of planar8, so a state has the
+same index in each of them. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. `tilted` defines
+the model with roll and pitch.
 """
 
 import re
@@ -67,10 +68,10 @@ def robot_localization(state: Array, dt: float, imu: Array) -> Array:
         x += cos(yaw) A - sin(yaw) B        y += sin(yaw) A + cos(yaw) B        yaw += d yaw rate
         vx += d ax                          vy += d ay                          P = J P J' + d Q
 
-    The velocity does not rotate with the body, so in a turn a fused ay becomes lateral speed. Measurements observe
-    states directly: the IMU gz, ax and ay; a twist vy = 0; the wheels vx; a fix x and y; two antennas yaw. A fix, gz or
-    ax with nu' S^-1 nu >= threshold^2 is rejected. Source: https://github.com/cra-ros-pkg/robot_localization, branch
-    rolling-devel.
+    The velocity does not rotate with the body, so in a turn a fused ay becomes lateral speed. All measurements are of
+    states: the IMU measures the yaw rate, ax and ay; the wheels measure vx; a twist measures vy = 0; a fix measures x
+    and y; two antennas measure yaw. A fix, gz or ax with nu' S^-1 nu >= threshold^2 is rejected. Source:
+    https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
     """
     x, y, vx, vy, theta, ax, ay, yaw_rate = state
     a, b = vx * dt + ax * dt**2 / 2, vy * dt + ay * dt**2 / 2
@@ -157,8 +158,8 @@ VARIANCE = (1e-5, 10.0)  # bounds of all variances in the paper; Q is per nomina
 SMALL_VARIANCE = (1e-12, 10.0)  # bounds of Q for position and velocity
 HEADING_VARIANCE = (1e-10, 1e-1)
 """Bounds of Q per second for the heading; no gyro drifts by a third of a radian in one second. With a larger Q, a
-filter would determine the heading from the fixes alone. A likelihood may prefer such a filter if the receiver smooths
-its fixes.
+filter would determine the heading from the fixes alone. Such a filter may have the highest likelihood if the receiver
+smooths its fixes.
 """
 CITY_VARIANCE = (1e-5, 1e3)  # bounds of R: between high buildings, fixes have errors of tens of meters
 BIAS_WALK = (1e-16, 1e-4)  # bounds of Q for the random walks of the biases
@@ -243,13 +244,13 @@ class CarModel:
 
     @cached_property
     def gyro_axes(self) -> dict[str, int]:
-        """Gyro axes with estimated biases, named as in a time line, and the indices of the biases."""
+        """Gyro axes with estimated biases (gx, gy, gz), and the indices of the biases in the state."""
         names = enumerate(self.states)
         return {f"g{state.name[-1]}": i for i, state in names if state.bias_of == "gyro"}
 
     @cached_property
     def gyro_places(self) -> tuple[int, ...]:
-        """State of the gyro's bias about forward, left and up; -1 without one."""
+        """Indices of the gyro biases about forward, left and up in the state; -1 for an axis without a bias."""
         return tuple(self.gyro_axes.get(f"g{axis}", -1) for axis in "xyz")
 
 
@@ -277,7 +278,9 @@ _X, _Y, _VX, _VY, _THETA = _plane(SMALL_VARIANCE)
 _FORWARD, _LEFT, _YAW = _BIASES
 _HEADING = _per_second(_THETA, HEADING_VARIANCE)
 _TILT = (1e-10, 1e-2)
-_TILT_START = np.radians(3.0)  # slopes of roads; not tuned, since it would fit the training starts
+_TILT_START = np.radians(
+    3.0
+)  # slope of a road; not tuned, since tuning would fit it to a few training starts
 _WALKS = {"accel": (1e-10, 1e-1), "gyro": (1e-14, 1e-4)}
 _TILTED = (
     *(_X, _Y),

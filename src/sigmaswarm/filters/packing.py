@@ -25,7 +25,7 @@ def pack_states(mean: Array, covariance: Array, model: str) -> Array:
     parts = [mean]
     if FILTERS[model].tilts:
         parts = [mean.copy(), tilted.quaternion_of(mean)]
-        parts[0][..., tilted.ATTITUDE] = 0.0  # indices of the error
+        parts[0][..., tilted.ATTITUDE] = 0.0  # the error; the quaternion contains the attitude
     packed = np.concatenate([*parts, covariance[..., rows, columns]], axis=-1)
     state[..., state_rows(model), :] = packed.swapaxes(-1, -2)
     return state
@@ -104,8 +104,8 @@ def definite(covariance: Array) -> Mask:
 def _find_definite(rows: Array, first: int, n: int, ok: int, definite: Mask) -> None:
     """Find definite covariances (n, n), packed in rows (m, s, r) from row ``first`` on, as in `_upper`.
 
-    ``ok``: row that is 1 if the filter never failed; the state and sums must then also be finite. -1: the rows contain
-    only covariances.
+    ``ok``: row that must be 1 (the filter never failed); the state and sums must then also be finite. -1: the rows
+    contain only covariances. The results are written to ``definite``, (m, r).
     """
     scale, a = np.empty(n), np.empty((n, n))
     for m in range(rows.shape[0]):

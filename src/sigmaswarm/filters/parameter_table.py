@@ -17,7 +17,7 @@ _ABSENT: dict[str, float] = {
     **dict.fromkeys((*NOISE_OF.values(), "gate"), math.inf),
     **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof", "fix_error"), 0.0),
 }
-"""Number that represents None, by field."""
+"""Number that represents None in a column, for each field that may be None."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,7 @@ NIS, OF_STATED = "NIS, dimensionless", "of the stated variance, dimensionless"  
 
 
 class SearchRange(NamedTuple):
-    """Option of ``tune --use`` that searches a parameter, and its bounds; ``spread``: they span powers of ten."""
+    """Option of ``tune --use`` that searches a parameter; its bounds. ``spread``: the bounds span powers of ten."""
 
     option: str
     lowest: float
@@ -77,8 +77,8 @@ class FilterParameters:
         (rad), and the other two biases of the gyro; for an IMU with six axes.
         robot-localization: the EKF of this ROS package in ``two_d_mode``, see `models.robot_localization`.
     nominal_interval : float or None
-        IMU interval of ``process_noise``, s. None: the median interval of each drive. A tuning stores this interval, so
-        that the filter adds the same variance per second with an IMU of another rate.
+        IMU interval to which ``process_noise`` refers, s. None: the median interval of each drive. A tuning stores the
+        interval of its drives, so that the filter adds the same variance per second with an IMU of another rate.
     kind : {"ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"}
         In this order: unscented; extended; unscented with Q and R adapted to the innovations (Sage and Husa 1969);
         unscented with a fading factor (Zhou and Frank 1996); unscented with Q and R scaled by fuzzy rules
@@ -136,7 +136,8 @@ class FilterParameters:
 
     Notes
     -----
-    A negative variance is accepted; the filter then fails and reports the failure, and its cost is ``inf``.
+    Negative numbers in ``process_noise`` and ``measurement_noise`` are accepted; the filter then fails and reports the
+    failure, and its cost is ``inf``.
     """
 
     alpha: Positive
@@ -221,7 +222,7 @@ class FilterParameters:
         Raises
         ------
         InputError
-            If the factor is not positive.
+            If the factor is not positive and finite.
         """
         if not 0 < factor < np.inf:
             raise InputError(f"factor = {factor:g} is not positive and finite; pass for example 2.0")
@@ -250,7 +251,7 @@ class FilterParameters:
 
     @classmethod
     def load(cls, path: str | Path) -> "FilterParameters":
-        """Read the ``[filter]`` table of a parameter file or of a tuning.toml, or an ekf.yaml of robot_localization.
+        """Read the ``[filter]`` table of a parameter file or tuning.toml (or its folder), or robot_localization's YAML.
 
         Raises
         ------
@@ -260,7 +261,8 @@ class FilterParameters:
         Warns
         -----
         SigmaswarmWarning
-            If the file is from an older version, whose filters worked differently.
+            If the file is from a version before `RULES_SINCE`, whose filters worked differently; if an ekf.yaml has
+            settings that the model does not support.
         """
         path = Path(path)
         if path.suffix in YAML:
@@ -301,8 +303,9 @@ class FilterParameters:
         for key in ("process_noise", "measurement_noise"):
             for i, variance in enumerate(getattr(parameters, key)):
                 if variance < 0 or (variance == 0 and key == "measurement_noise"):
+                    limit = "be positive" if key == "measurement_noise" else "not be negative"
                     raise InputError(
-                        f"{path}: the variance filter.{key}[{i}] must be positive (is {variance:g}); "
+                        f"{path}: the variance filter.{key}[{i}] must {limit} (is {variance:g}); "
                         "correct it in the file"
                     )
         return parameters
@@ -312,11 +315,11 @@ SEARCHED: dict[str, SearchRange] = {
     f.name: s for f in fields(FilterParameters) if (s := f.metadata.get("search"))
 }
 _ACTIVATES = {s.option: n for n, s in SEARCHED.items() if getattr(FilterParameters, n) is None}
-"""Options of ``tune --use`` and the fields that they set."""
+"""Options of ``tune --use``, and for each the field that is None unless the option is used."""
 _SCALED = (*NOISE_OF.values(), "accuracy_scale", "fix_error")
 NOISES = ("process_noise", "measurement_noise", "imu_noise", *_SCALED)
 """Fields that are noise variances or factors of them; multiplying all by one factor scales the covariance."""
-RULES_SINCE = (0, 3)  # version that introduced the present treatment of stale fixes, gaps and standstills
+RULES_SINCE = (0, 3)  # first version with the present treatment of stale fixes, gaps and standstills
 
 
 def incompatibility(kind: str, use: Collection[str]) -> str | None:
@@ -387,7 +390,7 @@ def _warn_of_age(table: dict[str, Any], path: Path) -> None:
     if numbers and tuple(map(int, numbers.groups())) < RULES_SINCE:
         warnings.warn(
             f"{path}: was tuned by sigmaswarm {printable(version)}, whose filters used stale fixes, treated gaps in "
-            "the IMU as ordinary steps, and detected standstills by another rule: results differ; tune it again",
+            "the IMU as ordinary steps, and detected standstills by another rule, so results differ; tune it again",
             SigmaswarmWarning,
             stacklevel=3,
         )

@@ -1,4 +1,4 @@
-"""Run any number of filters over drives, and compute their sums."""
+"""Run any number of filters over drives, and compute the sums of which scores and costs consist."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -83,7 +83,7 @@ class FilterPass:
         return int(self.timeline.hides.sum())
 
     def arrays(self, used: frozenset[str]) -> run.DriveArrays:
-        """Return the drive as kernel arrays; their flags depend on the measurements that the filter uses."""
+        """Return the drive as kernel arrays, with the flags of the ``used`` measurements (`MEASURED`)."""
         if used not in self._arrays:
             line, targets = self.timeline, self.targets
             flags, wheels = events_of(line, used)
@@ -141,6 +141,6 @@ def require_readable(replay: FilterPass, array: KernelArray) -> None:
 
 
 def join_sums(parts: Sequence[KernelSums]) -> KernelSums:
-    """Join sums of the same replays and of different sets."""
+    """Join the sums of different sets over the same replays."""
     numbers, failed = zip(*((part.numbers, part.failed) for part in parts), strict=True)
     return KernelSums(np.concatenate(numbers, axis=-1), np.concatenate(failed, axis=-1))

@@ -60,8 +60,8 @@ TYPICAL_VALUES = {
     "accuracy_scale": 1.0,
     "robust_dof": 4.0,
 }
-"""Typical values of parameters that no data sheet states, in m2/s2 and rad2. The gate accepts 99% of good fixes; the
-stated accuracy is used unchanged."""
+"""Typical values of parameters that no data sheet states; the noises in m2/s2 or rad2. The gate accepts 99% of good
+fixes, and the stated accuracy is used unchanged."""
 HALF_A_WHEELBASE = 1.3  # m from the rear axle to an IMU in the middle of a car
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
 """Noise density for unmodeled effects (slopes, vibration, scale factors, mounting), m/s2/sqrt(Hz) and rad/s/sqrt(Hz).
@@ -76,11 +76,11 @@ ACCURACY_FLOOR = 0.1**2  # m2, added to the stated variance of each fix
 def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParameters:
     """Set a filter's parameters from the data sheets of a drive's sensors, without tuning.
 
-    The receiver's accuracy is the stated accuracy or, if none is stated, an estimate from the fixes. The IMU's
-    densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml,
-    combined with `MODEL_NOISE`. The random walks of the biases are ``accel_bias_walk`` (m/s2/sqrt(s)) and
-    ``gyro_bias_walk`` (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures. Values that no data sheet states are in
-    `TYPICAL_VALUES`.
+    The receiver's accuracy is the stated accuracy or, if none is stated, an estimate from the fixes. The IMU's noise
+    densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml, or
+    those of an MPU-6050, combined with `MODEL_NOISE`. The random walks of the biases are ``accel_bias_walk``
+    (m/s2/sqrt(s)) and ``gyro_bias_walk`` (rad/s/sqrt(s)) of drive.toml, which ``sigmaswarm noise`` measures, or
+    `BIAS_WALKS`. Parameters that no data sheet states have `TYPICAL_VALUES`.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParam
 
 
 def filter_for(given: FilterParameters | str | Path, dataset: Dataset) -> FilterParameters:
-    """Load a filter; for an ekf.yaml, use the variances in the messages of the first drive."""
+    """Load a filter; for an ekf.yaml, use the variances in the messages of the dataset's first drive."""
     if isinstance(given, FilterParameters):
         return given
     parameters = FilterParameters.load(given)
@@ -172,7 +172,7 @@ def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
 
 
 def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:
-    """Return the variances of gz and ax that the log's messages state, else those of ``p``."""
+    """Return the variances of gz and ax that the log's messages state; if they state none, those of ``p``."""
     return tuple(map(float, drive.metadata.get("imu_stated_noise", p.imu_noise)))
 
 

@@ -1,7 +1,7 @@
 """Read the ekf.yaml of robot_localization as parameters of the model robot-localization.
 
-The file contains process noise, rejection thresholds, and which entries of a message are fused. The variances of
-measurements are in the messages: see `presets.filter_for`.
+The file contains the process noise, rejection thresholds, and flags for the fused entries of each message. The
+variances of measurements are in the messages: see `presets.filter_for`.
 """
 
 import math
@@ -86,7 +86,7 @@ def _loaded(path: Path) -> Any:
 
 
 def _chosen(content: Any, path: Path) -> Block:
-    """Return the parameters of the node that fuses fixes; if there is none, of the first filter node."""
+    """Return the parameters of the first filter node with an input topic that contains "gps", or of the first one."""
     blocks = [*_blocks(content, set())]
     if not blocks:
         raise InputError(
@@ -133,7 +133,7 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
 
 
 def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float | None:
-    """Return the square of the first of some Mahalanobis thresholds in the file; None: no limit."""
+    """Return the square of the Mahalanobis threshold with the first of ``names`` in the file; None: no limit."""
     keys = [key for name in names or () if (key := f"{name}_rejection_threshold") in block]
     if not keys:
         return None
@@ -157,6 +157,6 @@ def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
         if block.get(f"{name}_differential") is True or block.get(f"{name}_relative") is True:
             yield f"{name}: the settings differential and relative are ignored"
         if entries[_YAW]:
-            yield f"{name}: yaw is the heading of the fixes; it is not used for drives without headings"
+            yield f"{name}: its yaw is replaced by the heading of the fixes, and ignored if they have no heading"
         if entries[_VYAW] and not name.startswith("imu"):
             yield f"{name}: the yaw rate is not used"

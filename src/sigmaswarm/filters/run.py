@@ -42,7 +42,8 @@ class Estimate:
     restarts : tuple of float
         Times of the resets after divergence, s: see `divergence`.
     lost : ndarray of bool, shape (n,) or None
-        True from a divergence to the reset, while the estimate is the last fix. None if divergence is not monitored.
+        True from a divergence until an alignment is available for the reset, while the position is the last fix. None
+        if divergence is not monitored.
     failure : str or None
         The failure and its time; None if the filter did not fail.
     """
@@ -60,7 +61,7 @@ class Estimate:
 
         ``std``: also return standard deviations, named ``std_STATE``, if there is a covariance.
         """
-        states = MODELS["tilted12"].names  # the states of other models come first
+        states = MODELS["tilted12"].names  # begins with the returned states of all other models
         named = {"t": self.time} | dict(zip(states, self.mean.T, strict=False))
         if not std or not self.covariance.size:  # dead reckoning has no covariance
             return named
@@ -94,9 +95,11 @@ class Estimate:
         restarts = [f"diverged, and was reset, at {t:.1f} s" for t in self.restarts]
         return (
             notebook.table(
-                f"Estimate, {len(self.time)} times; the last one{at}", ("", "m, m/s, rad", "sigma"), rows
+                f"Estimates at {len(self.time)} times; last finite state{at}",
+                ("", "m, m/s, rad", "sigma"),
+                rows,
             )
-            + notebook.html_list("To know:", [*([self.failure] if self.failure else []), *restarts])
+            + notebook.html_list("Notes:", [*([self.failure] if self.failure else []), *restarts])
             + notebook.track("Estimate", {"estimate": (self.mean[:, 0], self.mean[:, 1])})
         )
 
@@ -214,15 +217,15 @@ def run_textbook(
     heading_first: bool = True,
     redraw_sigma_points: bool = True,
 ) -> Estimate:
-    """Run the textbook filter over a drive, about ten thousand times slower than `run_filter`.
+    """Run the textbook filter over a drive, about 100 times slower than `run_filter`.
 
     Parameters
     ----------
     drive, parameters, initial
         See `run_filter`.
     heading_first : bool
-        Compute the Cholesky factor of P with theta as the first state, like the compiled filter. False: in the order of
-        the states, like FilterPy.
+        Compute the Cholesky factor of P with theta as the first state, like the compiled filter. False: keep the order
+        of the states, like FilterPy.
     redraw_sigma_points : bool
         See `UnscentedKalmanFilter`.
 

@@ -28,9 +28,10 @@ filter with a wrong heading can therefore recover.
 """
 MOST_REJECTED = 5  # the gate rejects at most this many consecutive fixes, so that a filter can recover
 
-GAP_TURN_STD = 0.1  # rad/s, of the rate in an IMU gap around adjacent samples; 0.05 to 0.3 give equal results
-GAP_ACCELERATION_STD = 1.0  # m/s2 per axis in an IMU gap; 0.5 to 2 give equal results
-GAP_TILT_STD = 0.01  # rad/s about east and north in an IMU gap; 0.02 gives equal results
+# Standard deviations of the motion in an IMU gap relative to the mean of the adjacent samples
+GAP_TURN_STD = 0.1  # rad/s; 0.05 to 0.3 give equal results
+GAP_ACCELERATION_STD = 1.0  # m/s2 per axis; 0.5 to 2 give equal results
+GAP_TILT_STD = 0.01  # rad/s about east and north; 0.02 gives equal results
 
 
 def measured_by(p: FilterParameters) -> frozenset[str]:
@@ -103,8 +104,8 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
     """Return means (m, r, n) and covariances (m, r, n, n) for m starts and std of shape (r, 3).
 
     All starts have the same number of states. States that a start lacks begin at 0; their standard deviation is ``std``
-    for a bias, else the state's ``start_std``. The evidence of the alignment is included: see `GyroBiasEvidence.update`
-    and `add_tilt_evidence`.
+    (see `start_std`) for a bias or fix error, and otherwise the state's ``start_std``. The evidence of the alignment is
+    included: see `GyroBiasEvidence.update` and `add_tilt_evidence`.
     """
     n = len(model.states)
     known = known_states(n, len(initial[0].mean))

@@ -3,9 +3,9 @@
 The forward pass logs its steps, and the backward pass smooths this log: see `compiled.smoothing`. Fixes have the
 weights of the forward pass, and rejected fixes stay rejected.
 
-Memory does not grow with the drive. The forward pass keeps a checkpoint before each piece of the drive. The backward
-pass runs the filter again from each checkpoint, the last one first, and keeps the smoothed state only there. A third
-pass repeats this from the first checkpoint to the last, and returns the estimates in order of time.
+To save memory, the forward pass stores only a checkpoint before each piece of the drive. The backward pass runs the
+filter again from each checkpoint, beginning with the last, and stores the smoothed state only at the checkpoints. A
+third pass smooths each piece again, from the first to the last, and returns the estimates in order of time.
 """
 
 from collections.abc import Iterator

@@ -277,8 +277,8 @@ class States:
 def add_tilt_evidence(mean: Array, covariance: Array, seen: Array) -> None:
     """Update mean (12,) and covariance (12, 12) of a level start with `TiltEvidence.numbers`, in place.
 
-    The evidence is the mean specific force, forward and left, which gives two Kalman updates. The alignment assumed a
-    distribution of the forward force, on which its state depends; the distribution after the update replaces it.
+    The evidence is the mean specific force, forward and left, which gives two Kalman updates. The state of the
+    alignment depends on an assumed distribution of the forward force; here the updated distribution replaces it.
     """
     c, s = np.cos(mean[THETA]), np.sin(mean[THETA])
     re, im = GRAVITY * (seen[TURN] * c + seen[TURN + 1] * s), GRAVITY * (seen[TURN + 1] * c - seen[TURN] * s)

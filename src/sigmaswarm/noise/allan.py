@@ -57,9 +57,9 @@ def _squares(phase: Array, m: int) -> float:
 
 
 def model_parts(tau: Array, white: float, instability: float, walk: float, time: float) -> tuple[Array, ...]:
-    """Return the Allan deviations (m,) of white noise, of flicker noise, and of the walk of a bias.
+    """Return the Allan deviations (m,) of white noise, of flicker noise, and of a bias.
 
-    ``time``: correlation time of the bias, s; inf for a random walk.
+    ``walk``: rate random walk of the bias, unit/sqrt(s); ``time``: its correlation time, s (inf: a random walk).
     """
     r = tau / time
     if math.isinf(time):

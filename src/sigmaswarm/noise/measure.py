@@ -33,7 +33,7 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
     Parameters
     ----------
     log : Drive, Imu, or path
-        A drive's folder, a folder with imu.csv alone, or any log that `import_log` reads; it needs no fixes.
+        Also a drive's folder, a folder with imu.csv alone, or any log that `import_log` reads. Fixes are not needed.
     **settings
         Settings of the import: ``recipe``, ``maps``, ``time``, ``choice``; see `import_log`.
 
@@ -45,7 +45,7 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
     Raises
     ------
     InputError
-        If the log can't be read or is too short, the IMU moves, or the noise of no axis can be measured.
+        If the log can't be read, has no standstill of 10 s, or does not show the noise of any axis.
     """
     if isinstance(log, Imu):
         return _measured("IMU", log, None)
@@ -72,7 +72,7 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
 
 
 def filter_noise(parameters: FilterParameters, name: str = "filter") -> Noise:
-    """Return the noise that a filter's Q assumes for the IMU.
+    """Return the noise that a filter's Q (robot-localization: ``imu_noise``) assumes for the IMU.
 
     Parameters
     ----------

@@ -46,11 +46,11 @@ class AxisNoise:
         Bias instability: coefficient of the flicker noise, unit. The floor of the Allan deviation is 0.664 times this
         value.
     walk : Interval
-        Rate random walk: growth of the bias, unit/sqrt(s).
+        Rate random walk: coefficient of the random walk of the bias, unit/sqrt(s).
     correlation_time : float
         Correlation time of a Gauss-Markov bias, s; inf if the log does not show that the bias returns to its mean.
     drift : float
-        Trend, unit/s, if the other terms do not explain it; else 0.
+        Trend, unit/s; 0 if the other terms explain it.
     tau, deviation : array (n,)
         Overlapping Allan deviation, s and unit.
     """
@@ -73,7 +73,7 @@ class AxisNoise:
 
         ``longest``: length (s) of the longest stretch, which replaces an infinite correlation time. Flicker noise adds
         the variance of a Gauss-Markov process whose largest Allan variance equals that of the flicker noise. If the log
-        shows neither flicker noise nor a walk, the upper end of the walk's interval is used.
+        shows neither flicker noise nor a random walk, the upper end of the interval of ``walk`` is used.
         """
         time = self.correlation_time if math.isfinite(self.correlation_time) else longest
         nothing = self.walk.value == 0 and self.instability.value == 0
@@ -94,7 +94,7 @@ class Noise:
     axes : tuple of AxisNoise
         The axes that could be measured.
     stretches : tuple of (float, float)
-        Static stretches that were used: start in the time of the log and length, s.
+        Start (in the time of the log) and length of each static stretch, s.
     remarks : tuple of str
         Noise terms that the log does not determine, and signs of faults.
     """
@@ -134,7 +134,7 @@ class Noise:
             )
             for axis in self.axes
             for i, (name, scale, unit) in zip(axis.terms.values(), UNITS[axis.axis[0]], strict=True)
-            if i.high > 0  # a filter has no flicker noise, and some filters have no bias
+            if i.high > 0  # filters assume no flicker noise, and some assume no bias
         ]
         return Table(f"Noise of the IMU, {self.name}", columns, tuple(rows))
 

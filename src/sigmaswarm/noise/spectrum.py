@@ -21,7 +21,7 @@ from scipy.fft import prev_fast_len, rfft
 from sigmaswarm.drives.tables import Array
 
 BAND = 0.1  # highest used frequency / sampling rate; filters and the engine affect higher frequencies
-# Smallest number of used frequencies; for fewer, the band is extended to half the sampling rate
+# Number of frequencies up to which the band of a short log is extended, at most to half the sampling rate
 MIN_FREQUENCIES = 200
 # Lowest used frequency in periods per stretch; the subtracted trend contains most of the lower frequencies
 MIN_PERIODS = 2
@@ -30,7 +30,7 @@ TAPER = 1.5  # number of neighboring frequencies that the sine taper makes equiv
 DEVIANCE_95 = 5.99
 """Largest excess deviance inside a 95% interval: chi-square with two degrees of freedom.
 
-The unknown correlation time widens the intervals of the other parameters. These intervals cover 93 to 100%
+The second degree of freedom is for the unknown correlation time. The intervals contain 93 to 100% of the true values
 (benchmarks/imu_noise.py).
 """
 POINTS = 11  # number of values of a parameter in a pass of its profile
@@ -114,7 +114,7 @@ def fit(spectrum: Spectrum, duration: float) -> NoiseFit:
 
 
 def _walk(angle: Array, interval: float, rate: float) -> Array:
-    """Return the density of a sampled Gauss-Markov bias with unit walk; ``angle`` (n,), rad/sample, ``rate``, 1/s."""
+    """Return the density of a sampled Gauss-Markov bias with K = 1; ``angle`` (n,), rad/sample, ``rate`` 1/T, 1/s."""
     keep = math.exp(-rate * interval)
     return interval**2 / ((1 - keep) ** 2 + 4 * keep * np.sin(angle / 2) ** 2)
 
@@ -173,7 +173,7 @@ def _interval(s: Spectrum, shapes: Array, k: int, variance: float, limit: float)
 
 
 def _crossing(profile: Callable[[Array], Array], grid: Array, limit: float) -> float:
-    """Return the first value on a grid at which a profile exceeds the limit; it is below the limit at the start."""
+    """Return the first value, interpolated on a grid, at which a profile that starts below a limit crosses it."""
     first, last, share = grid[0], grid[0], 0.0
     for _ in range(PASSES):
         excess = profile(grid) - limit

@@ -15,21 +15,21 @@ MIN_DURATION = 10.0  # s, shortest stretch
 MIN_SAMPLES = 50  # samples of the shortest stretch
 BLOCK = 1.0  # s, length of the blocks whose means and standard deviations show motion
 MIN_BLOCK_SAMPLES = 20  # samples of a block; the standard deviation of fewer samples scatters too much
-MIN_MEAN_CHANGE = {"a": 0.1, "g": np.radians(0.5)}  # m/s2, rad/s, between blocks; shows motion
-# Ratio of a block's standard deviation to that of the quietest blocks; in motion it is above this and `STATIC_STD`
+MIN_MEAN_CHANGE = {"a": 0.1, "g": np.radians(0.5)}  # m/s2, rad/s; larger changes of the mean show motion
+# A block is at rest if its standard deviation is at most 3 times that of the quietest tenth, or at most `STATIC_STD`
 MAX_STD_RATIO = 3.0
-STATIC_STD = {"a": 0.02, "g": np.radians(0.1)}  # m/s2, rad/s, largest standard deviation of a block at rest
+STATIC_STD = {"a": 0.02, "g": np.radians(0.1)}  # m/s2, rad/s
 MOTION_STD = 0.3  # m/s2, an accelerometer with a larger standard deviation is in motion
 FIX_SPEED = 0.5  # m/s, of a line fitted to the fixes of a stretch; a larger speed shows motion
 SAMPLE = 100_000  # approximate number of samples that determine the quantization step
 # Saturated axis: smallest ratio of the count at the end of the range to that at the next value
 MIN_SATURATION_RATIO = 3.0
-MIN_SATURATION_SHARE = 1e-3  # saturated axis: smallest share of samples at the end of the range
+MIN_SATURATION_SHARE = 1e-3  # saturated axis: smallest fraction of samples at the end of the range
 
 
 @dataclass(frozen=True)
 class Stretches:
-    """Static stretches: slices of the samples, share of the log (0 to 1), and number of gaps in the log."""
+    """Static stretches: slices of the samples, their fraction of all samples, and the number of gaps in the log."""
 
     parts: tuple[slice, ...]
     share: float
@@ -42,7 +42,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
     Raises
     ------
     InputError
-        If no stretch is long enough.
+        If samples are too few or invalid, or no stretch is long enough.
     """
     steps = np.diff(imu.time)
     if len(imu) < MIN_SAMPLES or not np.all(steps > 0):

@@ -1,7 +1,7 @@
 """Compute truth with standard deviations: the fixes of a good receiver, smoothed with the drive's IMU.
 
-The smoother's standard deviations are multiplied by a factor so that they agree with fixes that are hidden for several
-seconds. The variance of a fix is added, since errors are correlated: many fixes are no more accurate than one.
+The smoother's standard deviations are multiplied by a factor that is determined from the errors at hidden fixes. The
+variance of a fix is added, since errors of fixes are correlated: many fixes are no more accurate than one.
 """
 
 import math
@@ -33,12 +33,17 @@ from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.tune import tune
 
 MAX_STD = 0.1  # m per axis, largest standard deviation of the truth
-HIDDEN_DURATIONS = (2.0, 20.0)  # s, range of windows of hidden fixes; in 2 s, cars' IMUs drift by a decimeter
+HIDDEN_DURATIONS = (
+    2.0,
+    20.0,
+)  # s, lengths of windows of hidden fixes; in 2 s, cars' IMUs drift by a decimeter
 HIDDEN_FIRST = 10.0  # s from the start to the first window, and between two windows
 PLACEMENTS = 3  # number of random sets of hidden windows
-COVERAGE = 0.95, 1.96  # share of hidden fixes within an interval, per axis, and half its width in sigmas
+COVERAGE = 0.95, 1.96  # fraction of hidden fixes within an interval, per axis, and half its width in sigmas
 OBJECTIVE = "innovation-t"
-SLIP_STD = math.radians(0.1)  # rad, added to the heading's standard deviation; fixes do not show slip
+SLIP_STD = math.radians(
+    0.1
+)  # rad, added to the heading's standard deviation; fixes do not show the slip angle
 
 
 class ReferenceOptions(TypedDict, total=False):
@@ -108,7 +113,8 @@ def reference(
     Raises
     ------
     InputError
-        If the fixes can't be read, share no time with the drive, state no accuracy, or are too few.
+        If the fixes can't be read, share no time with the drive, state no accuracy, or are too few, or if the result is
+        nowhere as accurate as ``accuracy``.
     AlignmentError
         If the car hardly moves while the good receiver has fixes.
     """
@@ -147,8 +153,8 @@ def _smoothed(
     truth = _truth(estimate, receiver.gps, stretched, accuracy)
     if truth is None:
         raise InputError(
-            f"{name}: the standard deviation is above {accuracy:g} m everywhere; raise --accuracy, or check the log "
-            "with sigmaswarm doctor"
+            f"{name}: the truth has a standard deviation above {accuracy:g} m everywhere; raise --accuracy, or check "
+            "the log with sigmaswarm doctor"
         )
     share = share_known(truth, float(receiver.imu.time[0]), float(receiver.imu.time[-1]))
     return truth, {
@@ -218,7 +224,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
 
 
 def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.Generator) -> float:
-    """Return the factor, at least 1, by which the smoother's standard deviations agree with hidden fixes."""
+    """Return the factor, at least 1, for the smoother's standard deviations, so that hidden fixes have `COVERAGE`."""
     gps, start, end = ready.drive.gps, ready.initial.time, float(ready.drive.imu.time[-1])
     off: list[Array] = []
     for _ in range(PLACEMENTS):

@@ -47,7 +47,7 @@ def simulate_many(
         Function of a drive, called in its thread, for example to write the drive. Its result is yielded instead of the
         drive.
     ahead : int
-        Maximum number of drives simulated in advance; at least the number of workers.
+        Maximum number of drives simulated in advance. If it is less than the number of workers, some are idle.
     leave_out : container of str
         Names of drives to skip, for example after an interruption.
     **options
@@ -61,7 +61,7 @@ def simulate_many(
     Raises
     ------
     InputError
-        If an argument is invalid, as in `simulate`; raised before the first drive.
+        If an argument is invalid, as in `simulate`; raised instead of the first drive.
     """
     duration = options.pop("duration", None)
     _check_conditions(maneuvers, environments, runs, duration)

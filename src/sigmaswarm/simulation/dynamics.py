@@ -1,8 +1,8 @@
 """Compiled simulation of a car (a two-track model) and its driver.
 
 - Tires have a relaxation length, and their forces stay inside the friction circle (combined slip).
-- Motor, brake, rolling resistance and tire act on each wheel. Anti-lock and traction control reduce the torque of a
-  wheel whose slip exceeds that of the tire's peak force.
+- The torques of motor, brake, rolling resistance and tire force act on each wheel. Anti-lock and traction control
+  reduce the torques of brake and motor if the slip of the wheel exceeds that of the tire's peak force.
 - The body moves in the plane under the tire forces and the air drag. Roll and pitch are second-order responses to the
   accelerations; springs and dampers transfer the load.
 
@@ -337,8 +337,8 @@ def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, ped
 def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) -> tuple[float, int, float]:
     """Return the desired steering angle (rad), the index of the nearest point, and the distance along the path, m.
 
-    The angle is the sum of a feedforward from the curvature ahead and a feedback. An offset decays like a second-order
-    system with a frequency of up to 1.5 rad/s, proportional to speed.
+    The angle is the sum of a feedforward from the curvature ahead and a feedback. With the feedback, an offset from the
+    path decays like a damped oscillation of frequency speed / 5 m, at most 1.5 rad/s.
     """
     while nearest < len(path) - 2:
         dx, dy = s[X] - path[nearest + 1, 0], s[Y] - path[nearest + 1, 1]
@@ -384,7 +384,7 @@ def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> floa
 def run_closed_loop(
     car: Vehicle, friction: float, start: Array, path: Array, spacing: float, plan: Array
 ) -> Array:
-    """Let the driver follow a path and a plan from a `start_state`; return the record (10 m, 21).
+    """Let the driver follow a path and a plan from a `start_state`; return the record (m * 10, 21), every 1 ms.
 
     ``path`` (p, 4): m east, m north, heading (rad, not wrapped) and curvature (1/m) every ``spacing`` m.
 

@@ -1,7 +1,7 @@
 """Environments: friction of the road, and the assumed effect of weather on satellite navigation.
 
 Darkness and fog do not change traction, and in CARLA no weather does (carla-simulator/carla#655). Clear, night and fog
-have the same physics, so only three of the paper's five environments are distinct.
+have the same friction. Therefore, without ``gnss_degradation``, only three of the paper's five environments differ.
 """
 
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ class Environment:
 
     @property
     def physics(self) -> str:
-        """Name of the friction: dry, wet or snow."""
+        """Description of the friction: dry, wet, snow, or its value."""
         return {0.85: "dry", 0.65: "wet", 0.25: "snow"}.get(self.friction, f"friction {self.friction:g}")
 
 

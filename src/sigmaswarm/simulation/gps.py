@@ -146,7 +146,7 @@ def measure_gps(
 ) -> Gps:
     """Make fixes with time stamps (n,) in s from the antenna's motion at these times minus the latency of the grade.
 
-    There are no fixes in the outages, (start, end), s. The number of draws does not depend on the grade.
+    There are no fixes in the outages, (start, end), s. The number of random numbers does not depend on the grade.
     """
     interval = float(np.median(np.diff(times)))
     white = grade.white_std * rng.standard_normal((len(times), 2))
@@ -199,7 +199,7 @@ def with_outliers(
     rng : numpy.random.Generator
         Draws first fix, length and direction of each burst uniformly.
     share : float
-        Share of outliers, in [0, 0.5]. The last burst may exceed this share.
+        Smallest fraction of outliers among the fixes, in [0, 0.5]; the last burst may increase it.
     offset : float
         Size of the error, m.
     length : (float, float)

@@ -71,7 +71,7 @@ def _gyro(per_sqrt_hour: float, bias_per_hour: float, **more: float) -> Triad:
 
 _MPU = {"scale": 0.03, "misalignment": 0.02}  # [T] sensitivity tolerance, cross-axis sensitivity
 
-# From the worst to the best real sensor, then simulated sensors
+# The ideal sensor, real sensors, and grades of other simulators
 IMU_GRADES = by_name(
     ImuGrade("ideal", source="no errors"),
     ImuGrade(
@@ -134,7 +134,7 @@ def gauss_markov(rng: np.random.Generator, count: int, axes: int, ratio: float) 
 def _add_errors(
     true: Array, triad: Triad, interval: float, bias_time: float, rng: np.random.Generator
 ) -> Array:
-    """Add the errors of a triad to true values (n, 3); the number of draws does not depend on the grade."""
+    """Add the errors of a triad to true values (n, 3); the number of random numbers does not depend on the grade."""
     turn_on = triad.turn_on * rng.uniform(-1, 1, 3)
     mixing = triad.misalignment * rng.uniform(-1, 1, (3, 3))
     np.fill_diagonal(mixing, 1 + triad.scale * rng.uniform(-1, 1, 3))

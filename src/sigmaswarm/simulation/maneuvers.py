@@ -16,7 +16,7 @@ from sigmaswarm.simulation.planning import Leg
 KMH = 1 / 3.6  # m/s
 QUARTER = math.pi / 2
 HARD_EASE = 0.2  # s, time in which acceleration builds up in hard driving
-_LIMIT = 0.96  # share of the friction limit; the rest is for steering
+_LIMIT = 0.96  # fraction of the friction limit that acceleration and braking use; the rest is for steering
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 The body pitches and rolls about its center of gravity. Attitude: yaw, then pitch (positive nose down), then roll
 (positive left side up), each about the new body axis. A left turn rolls the body to the right, so gravity increases the
-measured lateral acceleration. Pitch and roll of the road and of the suspension are added. The equations are exact
-rigid-body kinematics.
+measured lateral acceleration. The angles of the body are the sums of those of the road and of the suspension. The
+equations are exact rigid-body kinematics.
 """
 
 import math

@@ -20,7 +20,7 @@ class OdometerGrade:
     window : float
         Length of the counting window before a reading, s. The age of the reading is half of this length.
     teeth : int
-        Pulses per revolution of a wheel.
+        Pulses of both rear wheels together per revolution.
     scale_std : float
         Standard deviation of the scale error (reading / true speed - 1), drawn for each drive.
     resolution : float
@@ -56,8 +56,8 @@ ODOMETER_GRADES = by_name(
         "is from the author's memory, not verified",
     ),
 )
-"""Grades by name. The scale error of 1% (wear and pressure of tires) is from the author's memory. The car of comma2k19
-measures 0.8% too little."""
+"""Grades by name. The standard deviation of the scale error (wear and pressure of tires), 1%, is from the author's
+memory. The odometer of comma2k19's car reads 0.8% too low."""
 
 
 def measure_odometer(

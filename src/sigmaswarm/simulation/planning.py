@@ -15,8 +15,9 @@ from sigmaswarm.drives.drive import Array
 SPACING = 0.1  # m, between points of a path
 DRIVER_STEP = 0.01  # s, between steps of the driver
 RUN_OUT = 60.0  # m, straight road after the last leg, for the driver's preview and for longer stops
-SWAY_OFFSET = 0.10  # m, amplitude of the driver's sway about the ideal line
-SWAY_SPEED = 0.006  # amplitude of the driver's sway about the ideal speed, relative to this speed
+# The driver's sway about the ideal line and speed: sqrt(2) times its RMS
+SWAY_OFFSET = 0.10  # m
+SWAY_SPEED = 0.006  # relative to the ideal speed
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
 
 
 def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
-    """Return the fastest plan, shape (m, 3): speed m/s, acceleration m/s2, distance m, every `DRIVER_STEP` s.
+    """Return the fastest plan within all limits, (m, 3): speed m/s, acceleration m/s2, distance m, every `DRIVER_STEP`.
 
     The car first stands for ``stand`` s; if it is None, the car starts at the speed of the first leg.
     """

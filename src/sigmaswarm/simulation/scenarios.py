@@ -87,7 +87,7 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
     environment : str or Environment
         "clear", "night", "rain", "fog" or "slippery".
     seed, run : int
-        0 by default. Equal maneuver, environment, seed and run give the same drive.
+        0 by default. Equal arguments give the same drive.
     imu, gps : str or ImuGrade, GpsGrade
         Names in `IMU_GRADES` and `GPS_GRADES`, or records; "icm-20602" and "ublox-m8" by default.
     vehicle : str or Vehicle
@@ -121,7 +121,8 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
     Returns
     -------
     Drive
-        Drive with truth at the IMU's nominal times. The metadata contain models, target values and achieved values.
+        Drive with truth at the IMU's nominal times. The metadata contain the noise figures of the sensors, and the
+        target values and achieved values of the maneuver.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Simulate hills: grade and bank of the road, for a car with the path and speed of a flat road.
 
 The path in the plane is the path on a flat road, since the driver compensates for the slope. Slopes change the height
-of the car, and its attitude: directly and, since gravity acts on the suspension, indirectly. The slopes depend on the
+of the car and its attitude, which also changes because gravity acts on the suspension. The slopes depend on the
 distance s:
 
     grade pitch p(s), bank roll f(s);  slope of the road ahead  -tan p,  to the left  tan f / cos p
@@ -69,7 +69,7 @@ class Terrain:
     crossfall : float
         Mean slope down to the right, for drainage.
     superelevation : float
-        Largest slope in bends, at `banked_radius` (m). Sharper bends, at intersections, have smaller slopes.
+        Largest slope in bends, at the radius `banked_radius` (m). Wider and sharper bends have smaller slopes.
     """
 
     name: str
@@ -173,7 +173,7 @@ def add_slopes(record: Array, road: RoadProfile, car: Vehicle) -> Array:
     climb_rate = ahead_rate * vx + ahead * vx_rate + left_rate * vy + left * vy_rate
 
     tilted = np.column_stack([record, f, f1, f2, p, p1, p2, _integral(climb), climb, climb_rate])
-    # Force in the axes of the road, minus the force on a flat road.
+    # Force in the axes of the road; the suspension responds to its difference from that on a flat road.
     up = climb_rate + GRAVITY
     forward = np.cos(p) * record[:, AX] - np.sin(p) * up
     normal = np.sin(p) * record[:, AX] + np.cos(p) * up

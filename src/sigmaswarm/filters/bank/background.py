@@ -24,7 +24,8 @@ class PendingSearch:
     """A search over the logged steps before step number ``logged``.
 
     ``led`` is the filter with the largest weight. The search starts from an earlier state of this filter, or of the
-    filter from which it was copied. A forked or unpickled copy of this object searches in the calling thread.
+    filter from which it was copied. A forked copy of this object searches in the calling thread, and an unpickled copy
+    starts the search again.
     """
 
     logged: int

@@ -30,11 +30,15 @@ from sigmaswarm.filters.models import GYRO_BIAS
 from sigmaswarm.filters.parameters import FilterParameters
 
 SEARCH_INTERVAL = 10.0  # s between the starts of two searches
-SEARCH_DELAY = 1.0  # s of samples until the result of a search is used; a search takes about 15 ms
+SEARCH_DELAY = (
+    1.0  # s of samples from the start of a search to the use of its result; a search takes about 15 ms
+)
 REPLAY_SPAN = 60.0  # s of samples that a search replays
 MIN_SPEED = 2.0  # m/s; at lower speeds no search starts, since fixes hardly determine headings and biases
-N_REPLACED = 7  # filters replaced per search: one by its result, the others by changed copies of good ones
-COPY_STD = 0.6  # standard deviation of a copy's random change, in standard deviations of the offset
+N_REPLACED = 7  # filters replaced per search: one by its result, the others by changed copies of good filters
+COPY_STD = (
+    0.6  # standard deviation of a copy's random change of an offset, in standard deviations of the prior
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +54,12 @@ class _Snapshot:
 class LiveFilterBank(LiveFilter):
     """Sixteen filters with different parameters for one stream of samples; the estimate is their mixture.
 
-    The weight of a filter depends on its evidence, the log-likelihood of the fixes, which fades within a minute. Filter
-    0 has the tuned parameters and equals a `LiveFilter`. Some filters have the parameters of other receivers. Every 10
-    s of driving, the worst filters are replaced: one by the result of a search over the last minute, the others by
-    changed copies of good filters. Thus the bank adapts to other sensors or reception; on the vehicle of the tuning,
-    the bank is not more accurate than the single filter. If the mixture diverges, filters 1 to 15 are reset; most of
-    them keep the biases of the mixture.
+    The weight of a filter depends on the prior of its offsets and on its evidence: the log-likelihood of the fixes,
+    with older fixes counting less. Filter 0 has the tuned parameters and equals a `LiveFilter`. Filters 1 to 7 have
+    fixed offsets, for larger biases and for other receivers. Every 10 s of driving, the worst of the other filters are
+    replaced: one by the result of a search over the last minute, the others by changed copies of good filters. Thus the
+    bank adapts to other sensors or reception; on the vehicle of the tuning, the bank is not more accurate than the
+    single filter. If the mixture diverges, filters 1 to 15 are reset; most of them keep the biases of the mixture.
 
     The interface is the same as for a `LiveFilter`, without the smoothed state. A copy by `pickle` continues with
     identical results. After a reset, all filters ignore fixes from before the reset.
@@ -145,7 +149,7 @@ class LiveFilterBank(LiveFilter):
         return self._filter_state[live.BEHIND :]
 
     def _start_lanes(self, start: InitialState, lanes: slice) -> None:
-        """Start some filters, and set the evidence of all filters to 0."""
+        """Start the filters ``lanes``; set the evidence of all filters to 0, and that of failed filters to -inf."""
         rows = self._rows_of(self._numbers)
         rows[:, lanes] = self._started(start)[:, lanes]
         rows[CONSTANT_ROWS, lanes] = self.spread.constants(self._own_constants, self.offsets[lanes])
@@ -342,9 +346,9 @@ class LiveFilterBank(LiveFilter):
         return bias if np.isfinite(bias) else 0.0
 
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
-        """Set the known biases in the restarted filters, except in those that search other biases.
+        """Set the mixture's biases in the reset filters, except in those whose offsets assume other initial biases.
 
-        The bias of the alignment is used if it is more precise than the known bias or contradicts it.
+        The filters keep the alignment's gyro bias if it is more precise than the mixture's or contradicts it.
         """
         gyro = start.gyro
         more_precise = (

@@ -36,7 +36,7 @@ class BankLog:
     names: tuple[str, ...]  # names of the d offsets: see `spread`
     time: Array  # (k,), s
     weights: Array  # (k, LANES)
-    moved: Array  # (k, d), mean offsets from the tuning in decades; of the rear axle in m
+    moved: Array  # (k, d), mean offsets from the tuned parameters, in decades or (rear axle) m
     groups: Mapping[str, list[int]]  # indices of the filters in each group
 
     @property
@@ -47,7 +47,7 @@ class BankLog:
 
     @property
     def settled(self) -> Array:
-        """Mean offsets from the tuning in the last minute, (d,)."""
+        """Mean offsets from the tuned parameters in the last minute, (d,)."""
         return self.moved[self.time >= self.time[-1] - AVERAGING_SPAN].mean(axis=0)
 
     @property
@@ -64,7 +64,7 @@ class BankLog:
 
 
 class BankRun:
-    """Run of a filter bank over a replay, as an iterator of pieces; the log is complete after the last piece.
+    """Run of a filter bank over a drive, as an iterator of pieces; the log is complete after the last piece.
 
     ``failure`` states the first time in the pieces so far at which all filters had failed; None if there is none.
     """

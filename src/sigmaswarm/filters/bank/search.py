@@ -38,9 +38,9 @@ from sigmaswarm.filters.student import INNOVATION_DOF
 
 GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9  # F and CR of differential evolution
-CONVERGENCE_TIME = 2.0  # s at the start of a replay, not scored: a filter with new offsets converges
+CONVERGENCE_TIME = 2.0  # s at the start of a replay without scores, while a filter with new offsets converges
 MIN_SCORED_FIXES = 8  # smallest number of scored fixes for a result
-MAX_OFFSET = 8.0  # largest offset, in its standard deviations
+MAX_OFFSET = 8.0  # largest offset, in standard deviations of its prior
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class FilterEvidence:
     at: float
 
     def then(self, time: Array, losses: Array) -> "FilterEvidence":
-        """Return the evidence after fixes at ``time``, s: each fix subtracts its loss; both fade exponentially."""
+        """Return the evidence after fixes at ``time``, s: each fix subtracts its loss; past evidence decays."""
         if not len(time):
             return self
         decay = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)
@@ -134,7 +134,7 @@ def _loss(lanes: Array) -> Array:
 
 @np.errstate(all="ignore")
 def _evidence_losses(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
-    """Return what each fix subtracts from a filter's evidence, (f,), from nu (m) and S (m2): see `compiled.swarm`."""
+    """Return the loss of each fix for `FilterEvidence`, (f,), from nu (m) and S (m2): see `compiled.swarm`."""
     det = xx * yy - xy * xy
     nis = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det
     losses = 0.5 * np.log(det) + 0.5 * np.minimum(nis, LARGEST_NIS)

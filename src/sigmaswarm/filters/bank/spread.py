@@ -13,7 +13,9 @@ from sigmaswarm.filters.parameters import FilterParameters
 OFFSET_DOF = 4.0  # degrees of freedom of Student's t, the prior of an offset; allows a few large offsets
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
 """Standard deviations, in decades, of offsets of Q, of bias walks, of R, and of other variances."""
-R_DOWN_STD = 0.45  # decades, for an R below the tuned one; in a city, fixes seem accurate until they jump
+R_DOWN_STD = (
+    0.45  # decades, for an R below the tuned R; smaller, since in a city fixes seem accurate until they jump
+)
 SCALE_STD = 0.7  # decades, for a factor of all variances, which hardly changes the estimates
 START_STD = 1.5  # decades, for the initial variance of the biases; `OffsetPrior.first` only increases it
 AXLE_STD = 0.7  # m, standard deviation of the offset of the rear axle
@@ -28,7 +30,7 @@ FIXED_OFFSETS = (
     {R: 2.5, START: 3.0},
     {R: 4.5, START: 3.0},
 )
-"""Offsets of the first filters, which are never replaced: the tuned one, other biases, other receivers."""
+"""Offsets of the first filters, which never change: the tuned parameters, larger initial biases, other receivers."""
 
 WARNING_OFFSET, WARNING_AXLE_OFFSET = 0.5, 0.5  # largest offsets without a warning, decades and m
 _MEANS = {
