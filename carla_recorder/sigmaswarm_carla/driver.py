@@ -115,9 +115,7 @@ class Driver:
         allowed = math.sqrt(max(a * a + (b * b - a * a) * part, 0.0))
         stopping = leg.wait > 0 and self._leg_end - self.way < 3.0 and allowed < 3.0
         before = self._speed
-        if (
-            stopping
-        ):  # the speed decreases with time: as a function of distance, the last meters would take too long
+        if stopping:  # the speed depends on time; as a function of distance, it would reach 0 too late
             self._speed = max(min(before, allowed + 1.0) - leg.braking * TICK, 0.0)
         else:
             self._speed = max(min(before + leg.acceleration * TICK, allowed), 0.0)

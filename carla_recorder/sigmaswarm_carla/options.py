@@ -62,8 +62,6 @@ class FailedRun(RecorderError):
 
 
 class Condition(NamedTuple):
-    """Maneuver, environment and number of a drive."""
-
     maneuver: str
     environment: str
     run: int

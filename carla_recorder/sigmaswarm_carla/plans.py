@@ -13,8 +13,6 @@ from .routes import RUN_OUT, SPACING, Need, Path2D, find_path, straight
 
 
 class Leg(NamedTuple):
-    """A part of a path with its speed and accelerations."""
-
     length: float  # m
     speed: float  # m/s, the speed limit
     acceleration: float  # m/s2
@@ -36,7 +34,6 @@ class Plan:
 
     @property
     def length(self) -> float:
-        """Length of all legs, m."""
         return sum(leg.length for leg in self.legs)
 
 

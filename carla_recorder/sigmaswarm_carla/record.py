@@ -57,7 +57,6 @@ class Progress:
         self._shown, self._name = now, name
 
     def say(self, text: str) -> None:
-        """Print a line in place of the changing line."""
         self.clear()
         print(text, file=sys.stderr, flush=True)
 

@@ -18,9 +18,7 @@ Source = Callable[[], tuple[Drive, list[SigmaswarmWarning]]]
 
 USABLE_MEMORY = 0.8  # fraction of a worker's memory above which Dask pauses the worker
 BASE_MEMORY = 350e6  # bytes without drives: interpreter, Numba, polars
-BYTES_PER_COLUMN_BYTE = (
-    3.3  # memory of a prepared drive / size of its columns, measured by `benchmarks/fleet.py`
-)
+BYTES_PER_COLUMN_BYTE = 3.3  # memory of a prepared drive / size of its columns (`benchmarks/fleet.py`)
 
 
 @dataclass(frozen=True)

@@ -27,11 +27,9 @@ from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA, planar5
 from sigmaswarm.filters.schedule import starts_of
 from sigmaswarm.geodesy import wrap_angle
 
-DIVERGED_AFTER = 10.0  # s; contradictions by bad fixes in a city or in a robust filter's recovery are shorter
+DIVERGED_AFTER = 10.0  # s; bad fixes in a city and the recovery of robust filters are shorter contradictions
 MIN_CHECKS = 5  # smallest number of checks with a contradiction in this time
-MANY_SIGMAS = (
-    5.0  # smallest difference, in combined standard deviations of the filter and the fixes or alignment
-)
+MANY_SIGMAS = 5.0  # smallest difference, in combined standard deviations of filter and fix or alignment
 HEADING_OFF = np.radians(20.0)  # rad, smallest difference of the heading from the alignment
 POSITION_OFF = 20.0  # m, smallest difference of a fix from its prediction
 SUSPECT_HEADING = np.radians(
@@ -44,7 +42,7 @@ CHECKS, SINCE, LAST = range(3)
 
 @dataclass(frozen=True, eq=False)
 class CheckTimes:
-    step: Indices  # (l,), index of the step before each check; the step ends at an IMU sample
+    step: Indices  # (l,), index of the step that ends at the IMU sample of each check
     fix: Indices  # (l,), index of the last fix before each check
 
 
@@ -155,8 +153,7 @@ class DivergenceMonitor:
     ) -> tuple[int | None, InitialState | None]:
         """Evaluate checks at several times (s); return the index of the first divergence and the state for a reset.
 
-        Without a divergence, both are None. ``check_at`` returns the check at the k-th time. If the filter is ``lost``,
-        only the first check is evaluated.
+        ``check_at`` returns the check at the k-th time. If the filter is ``lost``, only the first check is evaluated.
         """
         with np.errstate(all="ignore"):  # non-finite values are not a contradiction
             first = 0 if self.lost else self._first_diverged(times, check_at)
@@ -207,7 +204,6 @@ def position_contradicts(
 
 
 def describe_restarts(drive: str, times: Sequence[float]) -> str:
-    """Describe the resets of a filter on a drive, as a sentence without its subject."""
     at = ", ".join(f"{t:.1f}" for t in times[:5]) + (" ..." if len(times) > 5 else "")
     often = f"{len(times)} times" if len(times) > 1 else "once"
     return f"diverged on {drive} and was reset {often}, at t = {at} s"
@@ -249,10 +245,7 @@ class _Contradiction:
 
 
 def steps_since(samples: Array, time: float) -> Array:
-    """Return the steps from a time to the last sample, (k, 4), as in `StateCheck.since`.
-
-    ``samples``, (m, 4 or more), begin with time, ax, ay and gz.
-    """
+    """Return the steps from a time to the last sample, (k, 4), as in `StateCheck.since`; samples are (m, 4 or more)."""
     steps = samples[samples[:, 0] >= time, :4]
     steps[:, 0] = np.diff(steps[:, 0], prepend=time)
     return steps
@@ -262,7 +255,7 @@ _MAX_MAGNITUDE = 1e12  # m, m/s2 or rad/s; with larger numbers, least squares fa
 
 
 def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
-    """Align with the last few seconds of a live filter's data; return None if this is impossible.
+    """Align with the last few seconds of a live filter's data.
 
     ``samples`` (k, 4 or 6): time, ax, ay, gz, gx, gy; ``fixes`` (m, 3): time (s), x, y (m); ``gyro_bias``: known bias
     of gz, rad/s.

@@ -1,4 +1,4 @@
-"""Run one filter over one replay in pieces, so that memory does not grow with the drive."""
+"""Run one filter over a drive in pieces, so that memory does not grow with the drive."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
@@ -72,7 +72,7 @@ class Innovations:
 
 
 class FilterRun:
-    """Run of a filter over a replay: an iterator of pieces. Sums and innovations are available after the last piece.
+    """Run of a filter over a drive: an iterator of pieces. Sums and innovations are available after the last piece.
 
     ``samples``: number of IMU samples in a piece; it does not affect the results. ``recover``: reset the filter if it
     diverges. At a sample at which the filter is reset, the sums contain the error before the reset.
@@ -216,7 +216,6 @@ class FilterRun:
         )
 
     def _at_fix(self, step: int) -> InitialState:
-        """Return the state to which a diverged filter is reset: position of the last fix, heading of the filter."""
         line, time = self._replay.timeline, float(self._replay.timeline.end[step])
         fix = int(np.searchsorted(line.fix_time, time, side="right")) - 1
         theta = float(self._estimate()[0][THETA])
@@ -228,7 +227,6 @@ class FilterRun:
         return mean[0], covariance[0]
 
     def _variance_of(self, fix: int) -> Array:
-        """Return the diagonal of R of a fix, (2,) m2."""
         rx, ry, scale = self._rows[0, [R.RX, R.RY, R.ACCURACY], 0]
         return np.array([rx, ry]) + scale * self._replay.timeline.fixes[fix, 4:6]
 
@@ -291,8 +289,8 @@ class InterruptibleRun(FilterRun):
 
 
 def failure_at(line: Timeline, time: float) -> str:
-    """Return the message about a filter that failed at a time, s."""
     return (
         f"{line.drive.name}: the filter failed at t = {time:.3f} s (covariance not positive "
-        "definite, or NaN in the data); check that all variances are positive and all samples are finite"
+        "definite, or NaN in the data); check that measurement variances are positive, process variances are "
+        "not negative, and all samples are finite"
     )

@@ -72,11 +72,11 @@ class LiveFilter:
     Samples are in the axes of the vehicle. If the IMU is mounted as in the training drives, SciPy's
     ``Rotation.from_euler("xyz", tuning.mounting, degrees=True)`` rotates its samples into these axes.
 
-    A fix waits for the next IMU sample, which propagates the filter to the time of the fix and, after the update, to
-    its own time. If a fix is at most ``history`` seconds late, the filter returns to the time of the fix and processes
-    the later samples again. The state therefore equals the result of `run_filter` for the same data in time order.
-    Fixes of the same time, for example from two receivers, are used one after the other. An identical fix is a repeated
-    message and is ignored. A stale fix is not used: see `drives.stale_fixes`.
+    A fix waits for the next IMU sample. The filter is then propagated to the time of the fix, updated, and propagated
+    to the time of the sample. If a fix is at most ``history`` seconds late, the filter returns to the time of the fix
+    and processes the later samples again. The state therefore equals the result of `run_filter` for the same data in
+    time order. Fixes of the same time, for example from two receivers, are used one after the other. An identical fix
+    is a repeated message and is ignored. A stale fix is not used: see `drives.stale_fixes`.
 
     Without IMU samples, the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`). A
     sample whose time stamp is more than 10 s ahead of the filter waits for a second sample within a second of this
@@ -114,11 +114,11 @@ class LiveFilter:
     restarts : list of float
         Times of the last `MAX_RESTARTS` resets, s.
     too_late : int
-        Number of fixes and odometer readings that were ignored because they came more than ``history`` s late, because
-        too many were waiting in an IMU gap, or because their time was not finite.
+        Number of fixes and odometer readings that were ignored because they were more than ``history`` s late, too many
+        were waiting in an IMU gap, or their time was not finite.
     time_jumps : int
-        Number of samples and fixes that were dropped because their time stamps were far ahead and not confirmed, and of
-        odometer readings with such time stamps.
+        Number of samples, fixes and odometer readings that were dropped because of a time stamp far ahead, which was
+        not confirmed.
     frozen : int
         Number of stale fixes, which are not used.
     """
@@ -188,7 +188,7 @@ class LiveFilter:
         Raises
         ------
         InputError
-            If the number of axes differs from that of the model.
+            If the number of axes differs from that of the model, or a value is not a number.
         """
         if len(imu) != len(self._axes):
             raise InputError(
@@ -211,11 +211,12 @@ class LiveFilter:
         std: Sequence[float] | None = None,
         heading: Sequence[float] | None = None,
     ) -> bool:
-        """Process a fix: x, y (m), and optionally the velocity, m/s east and north.
+        """Process a fix: x, y (m).
 
-        ``std``: standard deviations that the receiver states, m east and north. A filter with ``accuracy_scale`` needs
-        them; a filter with ``fix_error`` uses them if given. ``heading``: heading and its stated standard deviation,
-        rad (0 if none is stated), for a filter with ``heading_noise``. ``velocity`` is for one with ``velocity_noise``.
+        ``velocity``: m/s east and north, for a filter with ``velocity_noise``. ``std``: standard deviations that the
+        receiver states, m east and north. A filter with ``accuracy_scale`` needs them; a filter with ``fix_error`` uses
+        them if given. ``heading``: heading and its stated standard deviation, rad (0 if none is stated), for a filter
+        with ``heading_noise``.
 
         Returns
         -------
@@ -225,7 +226,7 @@ class LiveFilter:
         Raises
         ------
         InputError
-            If the filter needs ``std`` and it is missing.
+            If a value is not a number, or the filter needs ``std`` and it is missing.
         """
         try:
             takes = self._takes_accuracy or (std is not None and self.parameters.fix_error is not None)
@@ -260,7 +261,6 @@ class LiveFilter:
             raise InputError(f"the odometer reading is not a number: {error}") from None
 
     def _check_divergence(self, now: float, *, due: bool) -> None:
-        """Reset the filter after a sample if it has diverged; ``due``: a check is due."""
         fix, monitor = self._last_fix(now), self._monitor
         if fix is None or monitor is None:
             return
@@ -289,13 +289,11 @@ class LiveFilter:
         return start
 
     def _last_fix(self, now: float) -> Array | None:
-        """Return the row of the last usable fix up to a time."""
         fixes = self._counted_fixes
         until = int(np.searchsorted(fixes[:, live.FIX_TIME], now, side="right"))
         return fixes[until - 1] if until else None
 
     def _variance_of(self, fix: Array) -> Array:
-        """Return the diagonal of R of a fix, (2,), m2."""
         stated = fix[live.FIX_VAR_X : live.FIX_VAR_Y + 1]
         return self._filter_state[[R.RX, R.RY]] + self._filter_state[R.ACCURACY] * stated
 

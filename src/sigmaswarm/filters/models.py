@@ -1,8 +1,7 @@
 """Vehicle models: their description, process f(state, dt, imu) and measurements h(state) in textbook form.
 
-The states of planar8 begin with those of planar5, and the states of tilted12 with those of planar8, so a state has the
-same index in each of them. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. `tilted` defines
-the model with roll and pitch.
+planar8 begins with the states of planar5, and tilted12 with those of planar8. Arrays: state (n,); imu (3,) = ax, ay
+(m/s2), yaw rate (rad/s), body frame. `tilted` defines the model with roll and pitch.
 """
 
 import re
@@ -278,9 +277,7 @@ _X, _Y, _VX, _VY, _THETA = _plane(SMALL_VARIANCE)
 _FORWARD, _LEFT, _YAW = _BIASES
 _HEADING = _per_second(_THETA, HEADING_VARIANCE)
 _TILT = (1e-10, 1e-2)
-_TILT_START = np.radians(
-    3.0
-)  # slope of a road; not tuned, since tuning would fit it to a few training starts
+_TILT_START = np.radians(3.0)  # slopes of roads; not tuned, since a tuning has only a few starts
 _WALKS = {"accel": (1e-10, 1e-1), "gyro": (1e-14, 1e-4)}
 _TILTED = (
     *(_X, _Y),

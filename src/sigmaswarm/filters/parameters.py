@@ -37,7 +37,7 @@ NIS, OF_STATED = "NIS, dimensionless", "of the stated variance, dimensionless"  
 
 
 class SearchRange(NamedTuple):
-    """Option of ``tune --use`` that searches a parameter; its bounds. ``spread``: the bounds span powers of ten."""
+    """Option of ``tune --use`` for a search of a parameter, and bounds. ``spread``: the bounds span powers of ten."""
 
     option: str
     lowest: float
@@ -261,8 +261,7 @@ class FilterParameters:
         Warns
         -----
         SigmaswarmWarning
-            If the file is from a version before `RULES_SINCE`, whose filters worked differently; if an ekf.yaml has
-            settings that the model does not support.
+            If the file is from a version before 0.3, or an ekf.yaml has settings that the model does not support.
         """
         path = Path(path)
         if path.suffix in YAML:

@@ -118,7 +118,6 @@ def baseline_of(drive: Drive, model: ModelName, use: Collection[str]) -> FilterP
 
 
 def _bias_walk(drive: Drive, sensor: str) -> float:
-    """Return the growth of a bias's variance per second, from drive.toml or a typical value."""
     stated = drive.metadata.get(f"{sensor}_bias_walk")
     return BIAS_WALKS[sensor] if stated is None else float(stated) ** 2
 

@@ -169,20 +169,16 @@ def whole_pass(
 
 
 class Run(Protocol):
-    """Run of one filter over a replay, as an iterator of pieces, so that memory does not grow with the drive."""
+    """Run of one filter over a drive, as an iterator of pieces; attributes are those of `FilterRun`."""
 
     @property
     def initial(self) -> InitialState: ...
 
     @property
-    def restarts(self) -> Sequence[float]:
-        """Times of the resets in the pieces so far, s."""
-        ...
+    def restarts(self) -> Sequence[float]: ...
 
     @property
-    def failure(self) -> str | None:
-        """The failure in the pieces so far, with its time; None if the filter did not fail."""
-        ...
+    def failure(self) -> str | None: ...
 
     def __iter__(self) -> Iterator[EstimateChunk]: ...
 

@@ -148,7 +148,7 @@ class _Forward(FilterRun):
 
 
 class SmootherRun:
-    """Smoother over a replay, as an iterator of pieces; the constructor runs the forward and the backward pass.
+    """Smoother over a drive, as an iterator of pieces; the constructor runs the forward and the backward pass.
 
     Parameters and attributes are those of `FilterRun`; ``initial`` is smoothed. Results do not depend on the length of
     the pieces, which is the distance between checkpoints.

@@ -87,7 +87,7 @@ def angles_of(quaternion: Array) -> Array:
 
 
 def _sinc(x: float) -> float:
-    """Compute `np.sinc`, which is slow for one number."""
+    """Replace `np.sinc`, which is slow for one number."""
     return float(np.sin(np.pi * x) / (np.pi * x)) if x else 1.0
 
 

@@ -15,7 +15,7 @@ from sigmaswarm.wording import count_of
 
 MIN_DURATION = 1800.0  # s, shortest stretch that shows bias instability and rate random walk
 MIN_TREND_DURATION = 300.0  # s, shortest stretch whose trend is tested
-MIN_STATIC_SHARE = 0.95  # smallest fraction of samples at rest in a log without a remark about motion
+MIN_STATIC_SHARE = 0.95  # smallest fraction of samples at rest without a remark
 MAX_GRAVITY_ERROR = 0.1  # relative error of gravity that suggests another unit
 # 10 deg/sqrt(h) in rad/s/sqrt(Hz). The white noise of logs in rad/s is less, that of logs in deg/s usually more.
 MAX_GYRO_NOISE = 3e-3

@@ -30,8 +30,8 @@ TAPER = 1.5  # number of neighboring frequencies that the sine taper makes equiv
 DEVIANCE_95 = 5.99
 """Largest excess deviance inside a 95% interval: chi-square with two degrees of freedom.
 
-The second degree of freedom is for the unknown correlation time. The intervals contain 93 to 100% of the true values
-(benchmarks/imu_noise.py).
+The second degree of freedom is for the unknown correlation time. In simulations, 93 to 100% of the intervals contain
+the true value (benchmarks/imu_noise.py).
 """
 POINTS = 11  # number of values of a parameter in a pass of its profile
 PASSES = 3  # number of refinements of each end of an interval

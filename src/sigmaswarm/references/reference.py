@@ -33,17 +33,12 @@ from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.tune import tune
 
 MAX_STD = 0.1  # m per axis, largest standard deviation of the truth
-HIDDEN_DURATIONS = (
-    2.0,
-    20.0,
-)  # s, lengths of windows of hidden fixes; in 2 s, cars' IMUs drift by a decimeter
+HIDDEN_DURATIONS = (2.0, 20.0)  # s, range of windows' lengths; in 2 s, cars' IMUs drift by a decimeter
 HIDDEN_FIRST = 10.0  # s from the start to the first window, and between two windows
 PLACEMENTS = 3  # number of random sets of hidden windows
 COVERAGE = 0.95, 1.96  # fraction of hidden fixes within an interval, per axis, and half its width in sigmas
 OBJECTIVE = "innovation-t"
-SLIP_STD = math.radians(
-    0.1
-)  # rad, added to the heading's standard deviation; fixes do not show the slip angle
+SLIP_STD = math.radians(0.1)  # rad, standard deviation of the slip angle, which fixes do not show
 
 
 class ReferenceOptions(TypedDict, total=False):
@@ -141,7 +136,6 @@ def _smoothed(
     executor: Executor | None,
     progress: Callable[[Progress], None] | None,
 ) -> tuple[Truth, dict[str, Any]]:
-    """Tune and smooth a filter on the good receiver's fixes; return the truth and a description for the metadata."""
     arm, accuracy = options.lever_arm, options.accuracy
     receiver = replace(receiver, metadata={"gps_lever_arm_m": list(arm)} if arm else {})
     parameters = _tuned(receiver, options.seed, executor, progress)

@@ -1,4 +1,4 @@
-"""Simulate conditions and runs in threads, since compiled code releases the interpreter's lock."""
+"""Simulate many drives in threads; the compiled code releases the interpreter's lock."""
 
 import os
 from collections import deque
@@ -44,8 +44,8 @@ def simulate_many(
     workers : int, optional
         Number of threads of the pool; by default one per core.
     use : callable, optional
-        Function of a drive, called in its thread, for example to write the drive. Its result is yielded instead of the
-        drive.
+        Function of a drive, called in the thread of the simulation, for example to write the drive. Its result is
+        yielded instead of the drive.
     ahead : int
         Maximum number of drives simulated in advance. If it is less than the number of workers, some are idle.
     leave_out : container of str
@@ -90,7 +90,6 @@ def simulate_many(
 def _check_conditions(
     maneuvers: Sequence[str], environments: Sequence[str], runs: int, duration: float | None
 ) -> None:
-    """Check all names before the first drive; `simulate` checks the other options."""
     for maneuver in maneuvers:
         lookup(maneuver, MANEUVERS, "maneuver")
     for environment in environments:

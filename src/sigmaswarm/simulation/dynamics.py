@@ -1,8 +1,8 @@
 """Compiled simulation of a car (a two-track model) and its driver.
 
 - Tires have a relaxation length, and their forces stay inside the friction circle (combined slip).
-- The torques of motor, brake, rolling resistance and tire force act on each wheel. Anti-lock and traction control
-  reduce the torques of brake and motor if the slip of the wheel exceeds that of the tire's peak force.
+- Motor, brake, rolling resistance and tire force act on each wheel. Anti-lock and traction control reduce the torques
+  of a wheel whose slip exceeds that of the tire's peak force.
 - The body moves in the plane under the tire forces and the air drag. Roll and pitch are second-order responses to the
   accelerations; springs and dampers transfer the load.
 
@@ -54,9 +54,11 @@ class Vehicle(NamedTuple):
     drag_area: float  # m2, drag coefficient times frontal area
     rolling_resistance: float  # force over load
     wheel_radius: float  # m
-    wheel_inertia: float  # kg m2, with a share of the motor
+    wheel_inertia: float  # kg m2, of a wheel and its part of the motors
     slip_stiffness: float  # longitudinal force over load, per unit of slip
-    cornering_front: float  # lateral force over load, per rad, with the compliance of the suspension
+    cornering_front: (
+        float  # lateral force over load, per rad, including the compliance of steering and suspension
+    )
     cornering_rear: float
     load_sensitivity: float  # relative decrease of the three stiffnesses above at twice the static load
     tire_shape: float  # C of the magic formula

@@ -40,7 +40,7 @@ class Maneuver:
     target: dict[str, float]  # the paper's values, with units in the names
     # (start, end), s after the start of the maneuver itself, without fixes
     outages: list[tuple[float, float]]
-    first: int = 0  # index of the first leg after the warm-up, on which a filter starts
+    first: int = 0  # index of the first leg after the warm-up
 
 
 def straight(road: AccelerationLimits, length: float, kmh: float) -> Leg:

@@ -26,7 +26,7 @@ class OdometerGrade:
     resolution : float
         Resolution of the speed on the bus, m/s.
     slowest : float
-        Lowest speed, m/s; lower speeds are reported as zero.
+        Lowest reported speed, m/s; lower speeds are reported as zero.
     """
 
     name: str

@@ -106,8 +106,8 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
         Position of the IMU, m forward, left and up of the center of gravity; (0.2, 0, 0.1) by default. The truth refers
         to this point.
     vibration : float
-        Level of the vibration of road and engine, 0 by default as in CARLA. 1 is the level in two recordings of real
-        cars, which have much more noise than data sheets state.
+        Level of the vibration while driving, 0 by default as in CARLA. 1 is the level in two recordings of real cars,
+        which have much more noise than data sheets state.
     gnss_degradation : bool
         Multiply the errors of the receiver by the environment's factor, which is **an assumption, not a measurement**.
     terrain : str or Terrain
@@ -121,8 +121,8 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
     Returns
     -------
     Drive
-        Drive with truth at the IMU's nominal times. The metadata contain the noise figures of the sensors, and the
-        target values and achieved values of the maneuver.
+        Drive with truth at the IMU's nominal times. The metadata contain noise figures of the sensors, and target
+        values and achieved values of the maneuver.
 
     Raises
     ------

@@ -30,15 +30,11 @@ from sigmaswarm.filters.models import GYRO_BIAS
 from sigmaswarm.filters.parameters import FilterParameters
 
 SEARCH_INTERVAL = 10.0  # s between the starts of two searches
-SEARCH_DELAY = (
-    1.0  # s of samples from the start of a search to the use of its result; a search takes about 15 ms
-)
+SEARCH_DELAY = 1.0  # s of samples from a search's start to the use of its result; it takes about 15 ms
 REPLAY_SPAN = 60.0  # s of samples that a search replays
 MIN_SPEED = 2.0  # m/s; at lower speeds no search starts, since fixes hardly determine headings and biases
 N_REPLACED = 7  # filters replaced per search: one by its result, the others by changed copies of good filters
-COPY_STD = (
-    0.6  # standard deviation of a copy's random change of an offset, in standard deviations of the prior
-)
+COPY_STD = 0.6  # standard deviation of a copy's random changes, in standard deviations of the offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +51,9 @@ class LiveFilterBank(LiveFilter):
     """Sixteen filters with different parameters for one stream of samples; the estimate is their mixture.
 
     The weight of a filter depends on the prior of its offsets and on its evidence: the log-likelihood of the fixes,
-    with older fixes counting less. Filter 0 has the tuned parameters and equals a `LiveFilter`. Filters 1 to 7 have
-    fixed offsets, for larger biases and for other receivers. Every 10 s of driving, the worst of the other filters are
-    replaced: one by the result of a search over the last minute, the others by changed copies of good filters. Thus the
+    whose weight decays. Filter 0 has the tuned parameters and equals a `LiveFilter`. Filters 1 to 7 have fixed offsets,
+    for larger biases and for other receivers. Every 10 s of driving, the worst of the other filters are replaced: one
+    by the result of a search over the last minute, and each of the others by a changed copy of a good filter. Thus the
     bank adapts to other sensors or reception; on the vehicle of the tuning, the bank is not more accurate than the
     single filter. If the mixture diverges, filters 1 to 15 are reset; most of them keep the biases of the mixture.
 
@@ -187,7 +183,6 @@ class LiveFilterBank(LiveFilter):
             self._move()
 
     def _move(self) -> None:
-        """Use the result of the last search, or start a search."""
         now = float(self._filter_state[live.TIME])
         pending, self._pending = self._pending, None
         if pending is not None:

@@ -12,9 +12,9 @@ from sigmaswarm.filters.parameters import FilterParameters
 
 OFFSET_DOF = 4.0  # degrees of freedom of Student's t, the prior of an offset; allows a few large offsets
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
-"""Standard deviations, in decades, of offsets of Q, of bias walks, of R, and of other variances."""
+"""Standard deviations, in decades, of offsets of Q, of Q for biases, of R, and of other variances."""
 R_DOWN_STD = (
-    0.45  # decades, for an R below the tuned R; smaller, since in a city fixes seem accurate until they jump
+    0.45  # decades, for a smaller R; less than R_STD, since fixes in a city seem accurate until they jump
 )
 SCALE_STD = 0.7  # decades, for a factor of all variances, which hardly changes the estimates
 START_STD = 1.5  # decades, for the initial variance of the biases; `OffsetPrior.first` only increases it
