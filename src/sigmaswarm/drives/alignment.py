@@ -1,9 +1,9 @@
-"""Find the start of a filter: an initial state from earlier samples of the drive, without truth.
+"""Find the start of a filter: its initial state, from the samples before, without truth.
 
 A car's heading is not observable at standstill; after several meters of driving, the course over ground shows it. The
 fit to the fixes of the last few seconds (`alignment_fit`) uses the gyro to correct the course for turns, and the
 accelerometer to correct it for changes of speed. The gyro's bias is subtracted, and the fit repeated, only if the fixes
-contradict a gyro without bias.
+contradict a gyro without bias, or if the vehicle is slow.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
 
 MIN_DURATION = 4.0  # s, shortest duration of an alignment
-MAX_DURATION = 6.0  # s, longest duration of an alignment; the gyro's bias accumulates over longer times
+MAX_DURATION = 6.0  # s, longest duration of an alignment; the error due to the gyro's bias grows with time
 MIN_TRAVEL = 20.0  # m within `MAX_DURATION`, for an accurate heading; requires 12 km/h
 ALIGNMENT_FIXES = 4  # smallest number within `MAX_DURATION`; one fix every 3 s is not enough
 MIN_CHORD = 0.5 * MIN_TRAVEL  # m from the first to the last fix, a cheap test before the fit
@@ -29,10 +29,10 @@ MAX_MISFIT = 0.3  # largest residual of an alignment / travel; fixes that jump h
 MAX_HEADING_STD = np.radians(6.0)  # rad; with a larger standard deviation, the next fix is tried
 REFITS = 3  # largest number of repeated fits, until the gyro bias has converged
 
-SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0  # s, windows for slow vehicles: no `MIN_TRAVEL` within `MAX_DURATION`
+SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0  # s, windows for slow vehicles, see `SLOW_CHORD`
 SLOW_TRAVEL = 10.0  # m, smallest travel in a window for slow vehicles
-SLOW_SPEED = 0.15  # m/s, smallest mean speed of slow vehicles; the fixes of a parked receiver drift less
-SLOW_CHORD = 1.5 * MIN_TRAVEL  # m between two fixes within `MAX_DURATION`; a drive with more is not slow
+SLOW_SPEED = 0.15  # m/s, smallest mean speed of slow vehicles; fixes of a parked receiver drift more slowly
+SLOW_CHORD = 1.5 * MIN_TRAVEL  # m; on a slow drive, fixes within `MAX_DURATION` are never farther apart
 SLOW_HEADING_STD = np.radians(12.0)  # rad, largest for slow vehicles, including the effect of the gyro's bias
 SLOW_FIXES = 8  # smallest number of fixes in a window for slow vehicles
 SLOW_INTERVAL = 1.0  # s, smallest interval between used fixes; errors of closer fixes are correlated
@@ -63,8 +63,8 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     The start is the first fix that follows 20 m of forward driving in 4 to 6 s (12 km/h or faster), with at least
     four fixes in that time. On a slower drive, it is the first fix after 10 m of travel in up to 90 s, or after
     more travel if the fixes are noisy. If the metadata have ``heading_deg`` (degrees counter-clockwise from east, at
-    the first IMU sample), the start is the first fix. If the fixes have a column ``heading``, it is the first fix with
-    a heading. The state depends only on earlier samples.
+    the first IMU sample), the start is the first fix. If the fixes have a column ``heading``, the start is at the
+    latest the first fix with a heading. The state depends only on samples up to the start.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
 
 
 def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | StartFailure:
-    """Return the start as `initial_state` does, or the reason why there is none."""
+    """Return the initial state as `initial_state` does, or the reason why there is none."""
     # a filter can start only if IMU samples follow
     usable = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1])
     usable = usable if as_recorded else usable & ~stale_fixes(drive.gps)
@@ -117,7 +117,7 @@ def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
 
 
 def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | StartFailure:
-    """Start at the first usable fix with an unknown speed and the heading of the fix or of the first IMU sample."""
+    """Return the state at the first usable fix: unknown speed, and a heading from drive.toml or from the fix."""
     gps, imu = drive.gps, drive.imu
     fixes = np.flatnonzero(usable & np.isfinite(gps.x + gps.y))
     if not len(fixes):
@@ -142,8 +142,9 @@ def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | Sta
 class Alignments:
     """The alignments that end at each fix, computed on first use.
 
-    ``usable`` (number of fixes,) marks the fixes to use, by default all. ``time`` (m,) in s are the times of the used
-    fixes within the IMU's time span. ``longest``: longest duration, s; above `MAX_DURATION` for slow vehicles.
+    ``usable`` (number of fixes,) marks the fixes to use, by default all. ``time`` (m,) are the times of the used fixes
+    within the IMU's time span, s. ``longest``: longest duration of an alignment, s; above `MAX_DURATION` for slow
+    vehicles.
     """
 
     def __init__(
@@ -166,7 +167,7 @@ class Alignments:
         self._found: dict[int, InitialState | None] = {}
 
     def at(self, k: int) -> InitialState | None:
-        """Return the alignment that ends at fix k; None if the travel is too short or the fixes jump."""
+        """Return the alignment that ends at used fix k; None if the fixes or their motion do not suffice."""
         if k not in self._found:
             with np.errstate(all="ignore"):  # a fit that overflows is not an alignment
                 fitted = self._fitted_slow if self._slowly else self._fitted
@@ -175,7 +176,7 @@ class Alignments:
 
     @property
     def slow(self) -> bool:
-        """True if there are enough fixes, and the vehicle is always slow, with a margin for noise."""
+        """True if there are enough fixes, and no window has a chord of `SLOW_CHORD` or more."""
         return bool(self._many.any()) and not np.any(self._chord[self._many] >= SLOW_CHORD)
 
     def failure_reason(self) -> StartFailure:
@@ -219,7 +220,7 @@ class Alignments:
         return fit.state() if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
-        """Fit the gyro's bias, too; do not use the accelerometer, whose bias accumulates over the longer time."""
+        """Fit also the gyro's bias; do not use the accelerometer, since the error due to its bias grows with time."""
         first = int(self._first[k])
         interval = float(self.time[k] - self.time[first]) / (k - first)
         rows = np.arange(k, first - 1, -max(1, round(SLOW_INTERVAL / interval)))[::-1]
@@ -249,10 +250,10 @@ class Alignments:
     @cached_property
     @np.errstate(all="ignore")
     def course(self) -> Array:
-        """Rough heading at each fix, rad, shape (m,); NaN if there is no alignment.
+        """Rough heading at each fix, rad, shape (m,); NaN if the window has too few fixes or a chord below `MIN_CHORD`.
 
-        The heading is the direction of the chord of the last few seconds, corrected for turns. A change of speed in a
-        turn causes an error of a few degrees.
+        The heading is the direction of the chord, corrected for turns. A change of speed in a turn causes an error of a
+        few degrees.
         """
         imu, turned = self._drive.imu, self._integrals["gz"]
         direction = np.exp(1j * turned)

@@ -3,9 +3,9 @@
     p(t) = p_i - exp(i theta_i) * integral_t^t_i  v(s) exp(i (psi(s) - psi_i)) ds
     v(s) = v_i + integral_t_i^s a_x + b (s - t_i)
 
-Positions are complex numbers east + i north, psi is the integrated gyro, a_x the forward specific force, and b the
-contribution of tilt and bias to it. The unknowns are position p_i, heading theta_i, speed v_i and b. The compiled
-functions have no complex numbers, since `exports.c_alignment` translates them to C.
+Positions are complex numbers east + i north, psi is the integrated yaw rate, a_x the forward specific force, and b its
+correction for tilt and bias. The unknowns are position p_i, heading theta_i, speed v_i and b. The compiled functions
+have no complex numbers, since `exports.c_alignment` translates them to C.
 """
 
 from collections.abc import Mapping
@@ -31,17 +31,18 @@ from sigmaswarm.drives.tilt_evidence import (
 )
 from sigmaswarm.geodesy import wrap_angle
 
-SLIP_STD = np.radians(1.0)  # rad, angle between course and heading at the IMU in ordinary driving
-ACCELERATION_BIAS_STD = 0.5  # m/s2, prior of b (tilt and bias)
+SLIP_STD = np.radians(1.0)  # rad, standard deviation of course minus heading at the IMU in ordinary driving
+ACCELERATION_BIAS_STD = 0.5  # m/s2, standard deviation of the prior of b (tilt and bias)
 MIN_POSITION_STD = 0.05  # m per axis, smallest assumed standard deviation of fixes
 MAX_STEPS = 12  # largest number of Gauss-Newton steps
-CONVERGED = 1e-10  # m, rad, m/s or m/s2, largest last step
+CONVERGED = 1e-10  # m, rad, m/s or m/s2; the fit ends when no unknown changes by more
 
 BY_SPEED, BY_SLOPE, BY_GAINS, ARM, BY_BIAS, COLUMNS = range(0, 12, 2)
 """Columns of the path from each fix to the last one, two each: forward and left in the body frame at the last fix.
 
-Path per m/s of speed at the last fix (s), per m/s2 of tilt and bias (s2), and by the accelerometer (m); antenna
-relative to the IMU (m). The fit writes the derivative of the path by the gyro's bias (m s) to the last two columns.
+Path per m/s of speed at the last fix (s), per m/s2 of b (s2), and due to the measured acceleration (m); antenna
+relative to the IMU (m). The fit writes the derivative of the path with respect to the gyro's bias (m s) to the last two
+columns.
 """
 EAST, NORTH, YAW, SPEED, SLOPE, TRAVEL, MISFIT, YAW_BIAS, YAW_VARIANCE, RESULTS = range(10)
 """Indices of a fit: position (m), heading (rad) and speed (m/s) at the last fix, and b (m/s2), the unknowns.
@@ -62,7 +63,7 @@ class InitialState:
     covariance : ndarray, shape (5, 5)
         Covariance of ``mean``, positive definite.
     time : float
-        Time of the last fix of the alignment (s) at which filters and scores start.
+        Time of the last fix of the alignment, s; filters and scores start then.
     gyro : GyroBiasEvidence or None
         Evidence about the gyro's bias, for filters that estimate it; with None, they start with a bias of 0.
     tilt : TiltEvidence or None
@@ -82,7 +83,8 @@ class AlignmentFit:
     Attributes
     ----------
     taken : subtracted gyro bias, rad/s
-    yaw_bias, yaw_std, bias_std : gyro bias, its standard deviation, and that from the fit alone, rad/s
+    yaw_bias, yaw_std, bias_std : gyro bias about the vertical, its standard deviation, and the part of the standard
+        deviation that is due to the residuals of the fit, rad/s
     travel, misfit : m; heading_std : rad; span : s
     """
 
@@ -126,7 +128,7 @@ class AlignmentFit:
         fit_path(fixes, len(fixes), self._path, self._coasting, fit, self._covariance, self._turns)
         self.travel, self.misfit, more, variance = fit[TRAVEL:].tolist()
         self.yaw_bias, self.bias_std = self.taken + more, float(np.sqrt(variance))
-        # Part of a turn may look like a bias in any fit. The square of a NumPy float may be inf.
+        # Part of a turn may look like a bias in any fit. A NumPy float, since its square may overflow without an error.
         turn = np.float64(np.ptp(self._psi - self.yaw_bias * self._grid)) / self.span
         self.yaw_std = float(np.sqrt(variance + YAW_STD**2 + (TURN_SHARE * turn) ** 2))
 
@@ -139,7 +141,7 @@ class AlignmentFit:
         self._covariance[:SLOPE, :SLOPE] += variance * np.outer(self._turns[:SLOPE], self._turns[:SLOPE])
 
     def state(self, *, tilts: bool = True) -> InitialState:
-        """Return the start, with evidence about tilts if b was fitted."""
+        """Return the initial state; with ``tilts``, include evidence about tilts if the IMU has gx and gy."""
         fixes, mean, numbers = self._fixes, np.zeros(5), np.zeros(NUMBERS)
         posterior, covariance, turns = (
             self._covariance[SLOPE, SLOPE],
@@ -182,9 +184,10 @@ def _integral_at(imu: Imu, axis: str, integrals: Mapping[str, Array], time: Arra
 
 @cached(error_model="numpy")
 def turn_path(fixes: Array, n: int, path: Array, bias: float) -> None:
-    """Subtract a gyro bias (rad/s) from the path of n fixes.
+    """Correct the path of n fixes for a gyro bias (rad/s).
 
-    Relative to the last fix, it rotates the path between two fixes by its integral from their middle time.
+    Each piece of path between two fixes is rotated by the bias, integrated from the middle of the piece to the last
+    fix.
     """
     end = fixes[n - 1, TIME]
     for k in range(n):
@@ -234,7 +237,7 @@ def _multiply(matrix: Array, vector: Array, product: Array) -> None:
 def _equations_of(fix: Array, way: Array, fit: Array, c: float, s: float, rows: Array) -> None:
     """Set the equations of a fix, (2, 6), in the frame of the heading, whose cosine and sine are c and s.
 
-    The first equation also contains the position forward, the second one that to the left, with the factor 1.
+    In addition, the first equation contains the forward position, the second one the left position, with coefficient 1.
     """
     v, slope = fit[SPEED], fit[SLOPE]
     x, y = fix[X] - fit[EAST], fix[Y] - fit[NORTH]
@@ -317,7 +320,7 @@ def _fit_bias(
 ) -> None:
     """Fit the remaining gyro bias, from the part of its effect on the path that the other unknowns do not explain.
 
-    ``inverse``: that of the normal matrix; ``prior``: weight of the prior of b in it.
+    ``inverse``: inverse of the normal matrix; ``prior``: weight of the prior of b in the normal matrix.
     """
     c, s = np.cos(fit[YAW]), np.sin(fit[YAW])
     rows, right = np.zeros((2, 6)), np.zeros(5)
@@ -372,7 +375,8 @@ def _convert_change(c: float, s: float, v: float, e: Array) -> None:
 def convert_to_start(fit: Array, mean: Array, covariance: Array, turns: Array, change: Array) -> float:
     """Convert a fit to the mean x, y, vx, vy, theta of a start; return the variance of b without its prior.
 
-    ``covariance`` and ``turns`` are converted in place. ``change`` becomes that of the mean per m/s2 of force.
+    ``covariance`` and ``turns`` are converted in place. ``change`` receives the change of the mean per m/s2 of forward
+    force.
     """
     c, s, v, posterior = (
         np.cos(fit[YAW]),

@@ -18,14 +18,15 @@ MIN_SAMPLES = 100  # smallest number of IMU samples
 MIN_SHARED_FIXES = 10  # smallest number of fixes within the IMU's time span
 IMU_GAP = (10.0, 0.1)  # limits of a gap of the IMU, in usual intervals and in s; a gap exceeds both
 GPS_GAP = (5.0, 2.0)  # limits of a gap of fixes or truth, in usual intervals and in s; a gap exceeds both
-MIN_UNSHARED_TIME = 10.0  # s, shortest reported time without the other sensor at the start or end
-# Smallest share of the IMU's time span without fixes at an end that is reported; many logs begin before the first fix
+MIN_UNSHARED_TIME = 10.0  # s; a longer time without the other sensor at the start or end is reported
+# Time without fixes at the start or end of the IMU's time span, as a fraction of the span, above which it is reported.
+# Many logs begin before the first fix.
 MIN_UNSHARED_SHARE = 0.1
 GRAVITY = 9.80665  # m/s2, standard gravity; filters and their exported C have 9.81: see `filters.tilted`
 IMPOSSIBLE_RATE = 3.0  # rad/s; no car makes half a turn in a second
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # number per second
 _MAX_INTERVALS = (2.0, 60.0)  # s between samples and between fixes; longer intervals suggest another unit
-_USUAL_INTERVALS = (0.5, 20.0)  # s between samples and between fixes; a unit with longer intervals is wrong
+_USUAL_INTERVALS = (0.5, 20.0)  # s between samples and between fixes, longest in the right unit
 _JUMP = 3600.0  # s; a longer interval is due to a corrupt time stamp or to a clock that was set
 _WINDOW = 5.0  # s, window for speed and course: long enough for noise of meters, short enough for turns
 
@@ -59,7 +60,7 @@ def check_tables(
 ) -> list[SigmaswarmWarning]:
     """Raise `DriveError` if there are too few data; return warnings of other faults.
 
-    ``placed`` adds the folder to a sentence about imu.csv or gps.csv.
+    ``placed`` adds the folder to a message that begins with the name of a file.
     """
     if shortage := shortage_of(imu, gps):
         raise DriveError(placed(shortage))
@@ -108,7 +109,7 @@ def invalid_times(imu: Imu, gps: Gps) -> list[Remark]:
 
 
 def _time_unit(imu: Array, gps: Array) -> Remark | None:
-    """Check for times in ms, us or ns: of one sensor by the durations, of both by the intervals."""
+    """Check for times in ms, us or ns: in one file by the ratio of the time spans, in both files by the intervals."""
     spans = float(np.ptp(imu)), float(np.ptp(gps))
     if min(spans) <= 0:
         return None
@@ -154,7 +155,7 @@ def gravity_on(imu: Imu) -> Remark | None:
 
 
 def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
-    """Check for a vertical specific force other than +9.8; ``unit`` is m/s2 per unit of az, if known."""
+    """Check whether the median of az differs from +9.8 m/s2; ``unit`` is m/s2 per unit of az, if known."""
     if imu.az is None:
         return None
     az, columns = unit * float(np.median(imu.az)), "az"
@@ -164,7 +165,7 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
         what, remedy = f"column az has median {az:.2f}, as if in g", f"multiply ax, ay, az by {GRAVITY}"
     elif az < -0.7 * GRAVITY:
         what = f"column az has median {az:.2f} m/s2, but specific force is +9.8 at rest with z up"
-        remedy = "rotate the axes, or change the sign of ax, ay, az if the sensor reports the opposite"
+        remedy = "rotate the axes, or change the signs of ax, ay, az if the sensor reports minus the specific force"
     elif abs(az) < 0.2 * GRAVITY:
         remedy = "check its unit and axis, or leave the column out if gravity was already subtracted"
     elif abs(az - GRAVITY) > 0.2 * GRAVITY:
@@ -248,10 +249,10 @@ def unshared_times(imu: Array, gps: Array) -> Remark | None:
 
 
 def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
-    """Return the motion of the fixes over windows, and the integral of an IMU column.
+    """Return the mean velocity of the fixes in windows, and changes from window to window.
 
-    The arrays are the mean velocity (k,) in m/s east + i north, and, (k - 1,) in rad, the integral of ``body_rate`` and
-    the change of course between the middles of consecutive windows. Windows without fixes are left out.
+    The arrays are the velocity (k,), m/s east + i north, and, between the middles of consecutive windows, (k - 1,), the
+    integral of ``body_rate`` and the change of course, rad. Windows without fixes are left out.
     """
     start, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
     window = np.unique(np.floor((gps.time[(gps.time >= start) & (gps.time <= end)] - start) / _WINDOW))
@@ -285,7 +286,7 @@ def _angular_rate(imu: Imu, gps: Gps) -> Iterator[Remark]:
 
 
 def _acceleration(imu: Imu, gps: Gps) -> Iterator[Remark]:
-    """Check for ax in g if there is no az: the integral of ax is about a tenth of the changes of speed."""
+    """Check for ax in g if there is no az; the integral of ax is then about a tenth of the changes of speed."""
     if imu.az is not None:
         return
     velocity, gained, _ = _seen_by_fixes(imu, gps, imu.ax)

@@ -49,7 +49,7 @@ def read_description(path: Path) -> dict[str, Any]:
         about = tomllib.loads(read_toml_text(path))
     except OSError as error:
         raise DriveError(f"{path} can't be read ({error.strerror}); name another file") from None
-    except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
+    except (ValueError, RecursionError) as error:  # the latter: lists nested 3000 deep
         coded = isinstance(error, UnicodeError)
         remedy = "write it as UTF-8" if coded else "correct that line (text needs quotes)"
         raise DriveError(f"{path} is not valid TOML: {printable(error, 160)}; {remedy}") from None
@@ -81,7 +81,7 @@ def ineffective_keys(about: Mapping[str, Any], path: Path) -> Iterator[str]:
 
 
 def require_name(name: object, where: object) -> None:
-    """Raise `DriveError` if a value, given in ``where``, can't name a folder."""
+    """Raise `DriveError` if a name can't be that of a folder; ``where``: file that contains the name."""
     if not isinstance(name, str) or not name.strip():
         raise DriveError(
             f'{where}: name = {printable_value(name)} is not text; write for example name = "monday"'
@@ -119,7 +119,7 @@ def _origin(value: Any, path: Path) -> Origin:
 
 
 def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
-    """Return the frame of the fixes: the stated frame, which must agree with the columns, else that of the columns."""
+    """Return the stated frame of the fixes, which must agree with the columns; if None, the frame of the columns."""
     description = gps.parent / "drive.toml"
     if stated not in (None, *POSITIONS):
         raise DriveError(

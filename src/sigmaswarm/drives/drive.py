@@ -119,7 +119,7 @@ class Drive:
 
     @property
     def nominal_interval(self) -> float:
-        """Median time between IMU samples (s) to which the process noise refers."""
+        """Median time between IMU samples, s; the process noise is the variance added per such interval."""
         return float(np.median(np.diff(self.imu.time)))
 
     @property
@@ -141,7 +141,7 @@ class Drive:
 
     @property
     def mounting(self) -> Angles | None:
-        """Roll, pitch and yaw by which the IMU was rotated, deg: ``imu_mounting_deg`` of drive.toml, else None."""
+        """Rotation of the raw IMU samples, roll, pitch and yaw (deg): ``imu_mounting_deg`` of drive.toml, else None."""
         stated = self.metadata.get(KEY)
         return None if stated is None else (float(stated[0]), float(stated[1]), float(stated[2]))
 

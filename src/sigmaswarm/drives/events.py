@@ -22,7 +22,7 @@ IMU = 2  # time of an IMU sample: estimates are recorded and scored
 VELOCITY = 4  # the fix has a velocity
 LATERAL = 8  # the car's lateral velocity is constrained
 STANDSTILL = 16  # the car is constrained to stand
-HIDDEN = 32  # a fix that is hidden from the filter: its prediction is scored
+HIDDEN = 32  # a fix that is hidden from the filter: the prediction of the fix is scored
 ODOMETER = 64  # update with the wheels' speed
 COMPARED = 128  # the heading is compared with truth in the interval that ends or begins here
 HEADING = 256  # the fix has a heading
@@ -137,7 +137,7 @@ def sample_events(
     ``used``: bits of the events that the filter uses. ``slot``: see `slot_of`; ``now`` and ``before``: times of this
     sample and of the one before, s. ``ay``: m/s2. ``stands``: IMU and fixes show a standstill. The first ``come`` rows
     of ``readings`` (time and speed) are those up to now. ``done`` (4,), see LATERAL_SLOT, is updated. ``wheels`` (3,)
-    becomes the odometer's measurement if there is one.
+    receives the odometer's measurement if there is one.
     """
     events = 0
     if used & LATERAL and done[LATERAL_SLOT] != slot and abs(ay) <= CORNERING:

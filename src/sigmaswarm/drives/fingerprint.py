@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field, FiniteFloat
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.mounting import AXES_KEY, KEY, axes_of
 
-# The start that `alignment` finds, for messages and pages
+# Rule by which `alignment` finds the start of a filter, for messages and pages
 START_RULE = (
     "the first fix that has a heading, or follows 20 m of forward driving in 4 to 6 s. On a slower drive, 10 m in up "
     "to 90 s are enough"
@@ -27,8 +27,8 @@ class DriveRecord(BaseModel):
     imu_mounting_deg: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     imu_axes: dict[str, str] = Field(default_factory=dict)
     sha256: str = ""
-    # Of an evaluated drive: share of the scored time with known truth; start of filters and scores, s after the first
-    # sample; duration of the part that training drives contain, s
+    # Of an evaluated drive: fraction of the scored time with known truth; start of filters and scores, s after the
+    # first sample; duration of the part that training drives contain, s
     truth_share: float | None = None
     scored_from_s: float | None = None
     seen_s: float | None = None

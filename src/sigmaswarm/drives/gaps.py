@@ -44,9 +44,9 @@ def usual_after(interval: float, usual: float) -> float:
 
 
 def is_known(truth: Truth, time: Array) -> Mask:
-    """Return True for times, s, shape (n,), outside of gaps of truth.
+    """Return True for times, s, shape (n,), from the start to the end of truth, except in its gaps.
 
-    If truth has no standard deviations, it has no gaps.
+    Truth without standard deviations is used across gaps.
     """
     inside = (time >= truth.time[0]) & (time <= truth.time[-1])
     if truth.std_x is None or len(truth) < 2:
@@ -56,7 +56,7 @@ def is_known(truth: Truth, time: Array) -> Mask:
 
 
 def share_known(truth: Truth | None, start: float, end: float) -> float:
-    """Return the share of the time from ``start`` to ``end`` (s) at which truth is known."""
+    """Return the fraction of the time from ``start`` to ``end`` (s) that truth covers, without its gaps."""
     if truth is None or len(truth) < 2 or end <= start:
         return 0.0
     edges = np.clip(truth.time, start, end)

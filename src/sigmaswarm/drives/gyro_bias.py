@@ -1,8 +1,9 @@
 """Gyro bias from the last few seconds before a start, and its use by filters.
 
 A cheap gyro may start with a bias of 20 deg/s. With this bias, the curvature of the gyro's path differs from that of
-the fixes, and the integrated roll drifts. Both effects determine the bias to about 1 deg/s. This accuracy is far better
-than that of a cheap gyro's prior. A good gyro has a ``bias_std`` below 1 deg/s and keeps its prior.
+the fixes, and the integrated roll and pitch drift. These effects determine the bias to about 1 deg/s, which is far
+better than the prior of a cheap gyro. The prior of a good gyro is narrower (``bias_std`` below 1 deg/s), so the
+evidence hardly changes it.
 """
 
 from collections.abc import Sequence
@@ -22,9 +23,9 @@ OUTLIER_PROBABILITY = 1e-5
 With 1e-3, the standard deviation of a good gyro's bias would increase by 0.07 deg/s.
 """
 OUTLIER_STD = 0.2  # rad/s, standard deviation of such a gyro's bias; an MPU-6050 may have 20 deg/s
-YAW_STD = np.radians(1.0)  # rad/s, smallest standard deviation, since cars slip and receivers smooth
-TURN_SHARE = 0.3  # share of a turn's mean rate that may look like a bias, since fixes lag and the car slips
-TILT_CHANGE_STD = np.radians(8.0)  # rad, of changes of roll and pitch in a few seconds, as on hills
+YAW_STD = np.radians(1.0)  # rad/s, smallest std of a fitted bias, since cars slip and receivers smooth
+TURN_SHARE = 0.3  # part of a turn's mean rate that may look like a bias, since fixes lag and cars slip
+TILT_CHANGE_STD = np.radians(8.0)  # rad, std of changes of roll and pitch in a few seconds, as on hills
 MAX_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that suggest a larger bias have jumped
 
 
@@ -43,7 +44,7 @@ class GyroBiasEvidence:
     turns: Array
 
     def with_bias(self, known: float) -> "GyroBiasEvidence":
-        """Return the evidence for the gyro before a known bias (vertical axis, rad/s) was subtracted."""
+        """Return the evidence about the raw gyro, if ``known`` (rad/s) was subtracted from its yaw rate."""
         bias = self.bias.copy()
         bias[UP] += known
         return replace(self, bias=bias, taken=self.taken + known)
@@ -51,8 +52,8 @@ class GyroBiasEvidence:
     def update(self, mean: Array, covariance: Array, places: Sequence[int], std: float) -> None:
         """Update ``mean`` (n,) and ``covariance`` (n, n) of the states at the start, in place.
 
-        ``std``: prior standard deviation of the biases, rad/s. ``places``: state of each axis' bias, negative without
-        one.
+        ``std``: prior standard deviation of the biases, rad/s. ``places``: index of the state that is the bias of each
+        axis, negative if there is none.
         """
         bias, variance, used = np.zeros(3), np.zeros(3), np.array(places, dtype=np.int64)
         mix_biases(self.bias, self.variance, used, std, bias, variance)
@@ -65,9 +66,8 @@ def mix_biases(
 ) -> None:
     """Combine the observed biases and their variances with a prior; write mean and variance of each estimated bias.
 
-    The bias follows from two measurements: 0 with standard deviation ``std`` (rad/s) and the observed bias.
-    Alternatively, the gyro is far worse (`OUTLIER_PROBABILITY`, `OUTLIER_STD`). The two cases are weighted by the
-    likelihood of all axes.
+    The prior is a mixture of two normal distributions with mean 0: standard deviation ``std`` (rad/s), or, for a gyro
+    that is far worse, `OUTLIER_STD` with `OUTLIER_PROBABILITY`. The likelihood of all axes determines the weights.
     """
     usual, outlier = std * std, OUTLIER_STD * OUTLIER_STD
     odds = np.log((1.0 - OUTLIER_PROBABILITY) / OUTLIER_PROBABILITY)
@@ -96,7 +96,7 @@ def update_biases(
     taken: float,
     turns: Array,
 ) -> None:
-    """Update the state with the biases; the alignment's part is valid for the bias ``taken`` of the vertical axis."""
+    """Write the biases to the state, and correct its first five elements, which assume the vertical bias ``taken``."""
     for axis in range(3):
         place = places[axis]
         if place >= 0:

@@ -1,4 +1,4 @@
-"""The axes and the mounting of the IMU in drive.toml: how the import computed the vehicle's axes from the sensor's."""
+"""The keys of drive.toml for the axes and the mounting of the IMU, with which its raw samples were converted."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, cast
@@ -13,15 +13,15 @@ KEY = "imu_mounting_deg"
 AXES_KEY = "imu_axes"
 Angles = tuple[float, float, float]  # roll, pitch and yaw of the IMU, deg, as in ``import --mount``
 MAX_SPREAD = 3.0  # deg, largest angle from the mean mounting to that of a drive with the same mounting
-ANGLE_DECIMALS = 9  # decimals of a stated angle, deg; the error of the rotation is below 1e-10
+ANGLE_DECIMALS = 9  # of an angle in drive.toml, deg; elements of the rotation matrix change by less than 1e-10
 NO_ROTATION = (0.0, 0.0, 0.0)
 
 
 def with_rotation(metadata: Mapping[str, Any], rotation: Array | None) -> dict[str, Any]:
     """Return a drive's metadata after a further rotation (3, 3) of its IMU.
 
-    ``rotation``: None if the axes were changed other than by a rotation. The mounting is then removed, since no
-    rotation relates the samples to the sensor's axes.
+    ``rotation``: None if the axes were changed other than by a rotation. The keys of axes and mounting are then
+    removed, since no rotation relates the samples to the sensor's axes.
     """
     if rotation is not None and np.allclose(rotation, np.eye(3), rtol=0, atol=1e-12):
         return {**metadata}
@@ -37,7 +37,7 @@ def without_axes(metadata: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def axes_of(metadata: Mapping[str, Any]) -> dict[str, str]:
-    """Return the expressions of the IMU's axes that a drive states; empty if it states none."""
+    """Return the expressions of the IMU's axes in a drive's metadata; empty if there are none."""
     stated = metadata.get(AXES_KEY)
     axes = cast("dict[str, Any]", stated if isinstance(stated, dict) else {})
     return {axis: str(text) for axis, text in axes.items()}

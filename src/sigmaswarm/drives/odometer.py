@@ -1,15 +1,15 @@
 """Odometer measurements of a filter: means of the readings of up to a tenth of a second.
 
-Errors of readings are correlated (scale, quantization, tires). A mean therefore contains as much information as single
-readings at 83 Hz, with less quantization error. At low speed, pulses are rare, and the odometer may read zero while the
-car moves.
+The errors of readings are correlated (scale, quantization, tires). At a rate of 83 Hz, a mean therefore contains as
+much information as the single readings, and its quantization error is smaller. At low speed, pulses are rare, and the
+odometer may read zero while the car moves.
 """
 
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array
 
 INTERVAL = 0.1  # s, shortest time between measurements, and largest age of a reading in a measurement
-SLOW = 0.5  # m/s; lower readings may be too low, so the square of this speed is added to their variance
+SLOW = 0.5  # m/s; a lower mean may be too low, so the square of this speed is added to its variance
 LARGEST_AGE = 1.0  # s; an older reading does not show whether the wheels turn
 
 SPEED, AGE, MORE = range(3)
@@ -18,19 +18,16 @@ SPEED, AGE, MORE = range(3)
 
 @cached
 def wheels_turn(readings: Array, end: int, now: float) -> bool:
-    """Return True if the wheels turn.
-
-    The first ``end`` rows of ``readings`` (time and speed) are those up to now.
-    """
+    """Return True if the last of the first ``end`` readings (rows of time and speed) is recent and not slow."""
     return end > 0 and readings[end - 1, 0] > now - LARGEST_AGE and abs(readings[end - 1, 1]) >= SLOW
 
 
 @cached
 def mean_reading(readings: Array, end: int, now: float, before: float, taken: float, wheels: Array) -> bool:
-    """Average the readings since the last measurement; return False if there is no new reading.
+    """Average the readings since the last measurement, at most `INTERVAL` old; return False if none is new.
 
-    ``taken`` is the time of the last measurement, and a new reading is later than ``before``. The result is stored in
-    ``wheels`` (3,): see SPEED ... MORE.
+    ``taken`` is the time of the last measurement; a reading is new if it is later than ``before``. The result is stored
+    in ``wheels`` (3,): see SPEED ... MORE.
     """
     oldest = now - INTERVAL
     if end == 0 or readings[end - 1, 0] <= max(before, oldest):

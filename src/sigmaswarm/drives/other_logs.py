@@ -1,4 +1,4 @@
-"""Propose the command that imports a log of another format, for errors that expect a drive."""
+"""Propose the command that imports a log of another format, for errors of commands that need a drive."""
 
 import re
 from pathlib import Path
@@ -13,14 +13,14 @@ _XY = re.compile(r"(?<![a-z])[xy](?![a-z])", re.IGNORECASE)
 
 
 def import_remedy(log: Path) -> str:
-    """Return the remedy for a log of another format: the command that imports the log, or its folder."""
+    """Return the command that imports a log of another format, or the folder of the log, as the remedy of an error."""
     log = _whole_log(log)
     out = Path("drives") / log.resolve().name.removesuffix(log.suffix)
     return f"to make one from a log: sigmaswarm import {quote(str(log))} --out {quote(str(out))}"
 
 
 def _whole_log(file: Path) -> Path:
-    """Return the folder of a table with only IMU or positions, if the folder's tables have both; else the file."""
+    """Return the file; return its folder if the file has only IMU samples or only fixes, but the folder has both."""
     if file.suffix.lower() not in TEXTS or not file.is_file():
         return file
     tables = [table for table in sorted(file.parent.iterdir()) if table.suffix.lower() in TEXTS]
@@ -36,6 +36,6 @@ def _content(table: Path) -> set[str]:
     text = f"{table.stem},{title}"
     axes = _AXES.search(title) is not None
     imu = axes or _MOTION.search(text) is not None
-    # x and y of a table of one sensor are its axes.
+    # x and y are the axes of the IMU, unless the table has other columns for these
     place = _PLACE.search(text) is not None or (_XY.search(title) is not None and (axes or not imu))
     return {kind for kind, present in (("imu", imu), ("gps", place)) if present}

@@ -1,4 +1,4 @@
-"""Artificial GPS outages: time windows (k, 2), start and end (s) whose fixes are hidden from a filter."""
+"""Artificial GPS outages: time windows, (k, 2) start and end in s, whose fixes are hidden from a filter."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,9 +10,9 @@ SECONDS_PER_OUTAGE = 15.0  # s of driving per window in `random_windows`
 
 
 def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> Mask:
-    """Return True for fixes (n,) s in an outage (k, 2) s, including both ends.
+    """Return True for fixes, times (n,) in s, in an outage, windows (k, 2) in s, including both ends.
 
-    Drift is measured at the end of an outage, before any new fix.
+    Drift is measured at the end of an outage, without a fix at this time.
     """
     t = np.asarray(time, dtype=np.float64)
     starts, ends = np.sort(_checked(windows), axis=0).T
@@ -33,7 +33,8 @@ def random_windows(
     """Draw outages (k, 2) between two times (s), uniformly among all placements with the required distances.
 
     ``length`` (s) is fixed or a range. The first outage begins at least ``first_after`` s after the start; outages are
-    at least ``apart`` s apart. ``count`` limits their number; the default is one per 15 s, and at least one.
+    at least ``apart`` s apart. ``count`` is their number, by default one per 15 s but at least one; fewer are returned
+    if the time is too short.
     """
     shortest, longest = length if isinstance(length, tuple) else (length, length)
     if not (0 < shortest <= longest and first_after >= 0 and apart >= 0):
@@ -44,7 +45,7 @@ def random_windows(
     available = end - start - first_after
     wanted = max(round(available / SECONDS_PER_OUTAGE), 1) if count is None else count
     lengths = rng.uniform(shortest, longest, max(wanted, 0))
-    # ends of the windows, s after the earliest start, if they are as close together as allowed
+    # ends of the windows, s after the earliest start of the first one, if they are as close together as allowed
     ends = np.cumsum(lengths) + apart * np.arange(len(lengths))
     fitting = int(np.count_nonzero(ends <= available))
     ends, lengths = ends[:fitting], lengths[:fitting]
@@ -84,9 +85,9 @@ def balanced_windows(
 def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) -> Array:
     """Shift windows (k, 2), sorted by time, so that each ends exactly at an IMU sample (n,), s.
 
-    An end moves to the first sample at or after it, or to a later one that keeps ``apart`` s from the previous window.
-    The length does not change. An end after the last sample moves back to this sample; a window that is then too close
-    is left out.
+    An end moves to the first sample at or after it, or to a later one if the window would begin less than ``apart`` s
+    after the previous one. The length does not change. An end after the last sample moves back to this sample; a window
+    that is then too close to the previous one is left out.
     """
     samples = np.asarray(imu_time, dtype=np.float64)
     snapped: list[list[float]] = []

@@ -25,11 +25,11 @@ from sigmaswarm.geodesy import enu_to_geodetic
 
 Integers = NDArray[np.int64]
 
-TRAINING_DATA_FILE = "seen.npz"  # landmarks of a tuning
+TRAINING_DATA_FILE = "seen.npz"  # landmarks of the training drives of a tuning
 MICRO = 1_000_000
 TIME_TOLERANCE = 1000  # us, largest difference between the times of one landmark, after the clock offset
 POSITION_TOLERANCE = 3.0  # cm or 1e-7 deg (1.1 cm to the north), largest difference of one fix in two files
-RATE_TOLERANCE = 2e-4  # largest difference between ln of equal yaw rates that have 8 decimals in two units
+RATE_TOLERANCE = 2e-4  # largest difference between ln of equal yaw rates with 8 decimals, in rad/s or deg/s
 MIN_SPEED = 1.5  # m/s, smallest speed between a landmark and a neighboring fix
 LOG_RATIO = math.log(180 / math.pi)  # ln of the ratio of rad/s to deg/s; landmarks are ln|gz| modulo this
 # Part of `LOG_RATIO` that contains landmarks: a tenth of all samples, about those of 1 to 1.5 deg/s
@@ -37,13 +37,13 @@ LANDMARK_WIDTH = 0.4
 # Largest number of yaw-rate landmarks; a long drive uses a smaller part of `LOG_RATIO`
 MAX_LANDMARKS = 20_000
 MAX_OCCURRENCES = 100  # in a drive; more frequent yaw rates, for example of a coarse gyro, are ignored
-MIN_MATCHES = 8  # smallest number of landmarks with different values that must agree
-MIN_MATCH_SHARE = 0.5  # smallest share of the landmarks in the common time that must agree
+MIN_MATCHES = 8  # smallest number of different values of landmarks that must agree
+MIN_MATCH_SHARE = 0.5  # smallest fraction of the landmarks in the common time that must agree
 
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """The landmarks of a drive; their size is a thousandth of the drive's.
+    """The landmarks of a drive. In a file, they need a thousandth of the drive's size.
 
     ``sha256``: `fingerprint` of the drive. ``span``: start and end of the IMU samples, s. ``fixes`` (n, 3): time (us)
     and position, latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm). ``rates`` (k, 2): time (s) and
@@ -115,7 +115,7 @@ def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
 
 
 def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | None:
-    """Return `overlap_of`; None if nothing is found and parts of some other drives can't be recognized."""
+    """Return `overlap_of`; None, for unknown, if it is empty and parts of some other drives can't be recognized."""
     overlap = overlap_of(drive, others)
     return overlap if overlap or all(other.distinguishes_parts for other in others) else None
 
@@ -150,10 +150,11 @@ def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
 
 
 def _offset(a: Array, b: Array, tolerance: float) -> float | None:
-    """Return the offset (s) between the clocks of landmarks (time in us, values ...) with the most equal pairs.
+    """Return the offset (s) between the clocks of two drives for which most landmarks agree; None if too few agree.
 
-    Some pairs agree by chance. At least half of the landmarks in the common time must therefore agree, for the drive
-    with fewer landmarks, since a copy may be decimated. Values must differ, since a standing car repeats one value.
+    ``a``, ``b``: landmarks, in rows of time (us) and values. Some agree by chance. In the common time, at least half of
+    the landmarks of the drive with fewer landmarks must therefore agree; the other drive may have more, since a copy
+    may be decimated. A standing car repeats one value, so several values must agree.
     """
     if min(len(a), len(b)) < MIN_MATCHES:
         return None

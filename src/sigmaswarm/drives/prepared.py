@@ -1,4 +1,4 @@
-"""A drive prepared for filters: its start and its time lines, computed once."""
+"""A drive prepared for filters: the initial state and the time lines, computed once."""
 
 from functools import cached_property
 
@@ -10,14 +10,14 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.stale_fixes import STALE, classify_fixes
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 
-MAX_CACHED_STEPS = 500_000  # largest number of steps of a time line that `forget` keeps: over an hour, 40 MB
+MAX_CACHED_STEPS = 500_000  # largest number of steps that `forget` keeps: 80 minutes at 100 Hz, 40 MB
 
 
 class PreparedDrive:
-    """A drive with the start and the time lines that filters need.
+    """A drive with the initial state and the time lines that filters need.
 
-    ``initial`` is by default the start that the alignment finds. With ``as_recorded``, for diagnosis and the paper's
-    protocol, stale fixes are used, and IMU gaps are ordinary steps.
+    By default, the alignment finds ``initial``. With ``as_recorded``, for diagnosis and the paper's protocol, stale
+    fixes are used, and IMU gaps are ordinary steps.
     """
 
     def __init__(
@@ -30,7 +30,7 @@ class PreparedDrive:
 
     @cached_property
     def initial(self) -> InitialState:
-        """Start of filters; raises AlignmentError if the vehicle never moves far enough."""
+        """Initial state of filters; raises AlignmentError if the alignment finds none."""
         return self._given or initial_state(self.drive, as_recorded=self.as_recorded)
 
     @cached_property
@@ -44,10 +44,10 @@ class PreparedDrive:
         return self.kinds >= STALE
 
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
-        """Return the steps of a filter with all fixes except ``hidden`` (g,); computed once.
+        """Return the time line in which the fixes of the mask ``hidden`` (number of fixes,) update no filter; cached.
 
-        With ``removed``, no step ends at a hidden fix. Otherwise, filters can predict hidden fixes, and time lines
-        share arrays.
+        With ``removed``, no step ends at a hidden fix. Otherwise, filters can predict hidden fixes, and the time line
+        shares arrays with that of all fixes.
         """
         if hidden is None or not hidden.any():
             hidden, removed = np.zeros(len(self.drive.gps), dtype=np.bool_), False

@@ -80,7 +80,7 @@ def read_drive(path: str | Path) -> Drive:
     Warns
     -----
     SigmaswarmWarning
-        For unknown columns, which are ignored.
+        For unknown columns, and for keys of drive.toml that have no effect.
     DriveWarning
         For gaps, and values that suggest other units or axes.
     """

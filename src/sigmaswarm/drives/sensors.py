@@ -16,22 +16,22 @@ MIN_START_DISTANCE = 20.0  # m; a car that is farther from the first fix has mov
 GRAVITY_TOLERANCE = 0.3  # largest deviation of the median of az from gravity, relative to gravity
 
 MIN_WHITE_SHARE = 0.4
-"""Smallest share of white noise in the error of fixes for `has_white_errors`.
+"""Smallest ratio of the white noise to the whole error of the fixes (standard deviations) for `has_white_errors`.
 
-The share is 1 in KITTI and colorado, 0.25 with a u-blox M8, and at most 0.02 with car receivers, which smooth their
+The ratio is 1 in KITTI and colorado, 0.25 with a u-blox M8, and at most 0.02 with car receivers, which smooth their
 fixes (kingston-1, comma2k19, dresden).
 """
 UNSTATED_GPS_STD = 2.1  # m per axis, assumed if a receiver states no accuracy: u-blox M8, 2.5 m CEP
 MIN_WHITE_NOISE = 0.25 * UNSTATED_GPS_STD
-"""White noise from fix to fix, m per axis, above which a receiver that states no accuracy does not smooth its fixes.
+"""Smallest white noise (standard deviation, m per axis) that is taken as the error of fixes without stated accuracy.
 
-Noise above this limit is the error of the fixes. The error of fixes with less noise is unknown.
+The error of fixes with less white noise is unknown, since the receiver may smooth them.
 """
 FIXES_FOR_FIX_ERROR = 250
 """Smallest number of fixes, over all logs, for states of correlated errors when tuning without truth.
 
-On eight simulated M8 logs of 142 s at 1 Hz, these states increased the drift over 30 s in six, and one filter diverged
-(1319 m). With 300 and 600 fixes, the mean drift did not change, and the position error was 3 to 6% smaller.
+With eight simulated M8 logs of 142 s at 1 Hz, these states increased the 30 s drift in six logs, in one of them to
+1319 m. With 300 and 600 fixes, the mean drift did not change, and the position error was 3 to 6% smaller.
 """
 
 
@@ -58,9 +58,9 @@ class LogProperties:
     axes : the axes of the IMU
     attitude, spread, white, lasting, receiver_std : results of `has_attitude`, `stated_spread`, `has_white_errors`,
         `has_lasting_errors` and `receiver_std`
-    odometer, accuracy, velocity, heading : True if the log has wheel speed, and the receiver's standard deviations,
-        speed and course, and heading
-    driven : time from 20 m of distance to the end of the log, s
+    odometer, accuracy, velocity, heading : True if the log has wheel speeds; stated standard deviations; speeds and
+        courses; headings
+    driven : time from the first fix more than 20 m away from the start to the last fix, s; 0 if there is none
     fixes : number of fixes within the IMU's time
     """
 
@@ -118,8 +118,8 @@ def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
 
     The gate is not used, since a gate tuned on one receiver rejects good fixes of another. The receiver's velocity and
     heading are not used, since no log with truth had them. Latency is not estimated. Scores do not choose the model:
-    models chosen by held-out likelihood and predictions were 18 to 24% worse than the best on average, and 61 to 122%
-    at worst; one good model for all drives was 4 to 12% worse (docs/results.md, "Default filter").
+    the errors of models chosen by held-out likelihood and predictions exceeded those of the best model by 18 to 24% on
+    average, and by 61 to 122% at worst. With one good model for all drives, they exceeded them by 4 to 12%.
     """
     logs = [log_properties(drive) for drive in drives]
     six = bool(logs) and all(log.attitude for log in logs)
@@ -151,7 +151,7 @@ def has_attitude(drive: Drive) -> bool:
 
 
 def stated_spread(drive: Drive) -> tuple[float, float] | None:
-    """Return the 5% and 95% quantiles of the stated standard deviations, m; None if they hardly vary."""
+    """Return the 5% and 95% quantiles of the stated standard deviations, m; None without them or if they are alike."""
     if (std := drive.gps.std) is None:
         return None
     low, high = np.quantile(std, [0.05, 0.95])
@@ -172,8 +172,7 @@ def stated_std(drive: Drive) -> tuple[float, float] | None:
 def receiver_std(drive: Drive) -> tuple[float, float]:
     """Return the standard deviation of the fixes of a drive's receiver, m east and north.
 
-    If the log states none, the result is the white noise of the fixes, or the value of a u-blox M8 if the noise is
-    small.
+    If none is stated, the result is the white noise of the fixes, or, if the noise is small, `UNSTATED_GPS_STD`.
     """
     if stated := stated_std(drive):
         return stated
@@ -195,9 +194,9 @@ def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
 
 
 def has_white_errors(drive: Drive) -> bool:
-    """Return True if the log shows that the errors of the fixes have a large share of white noise.
+    """Return True if a large part of the errors of the fixes is white noise: see `MIN_WHITE_SHARE`.
 
-    Successive fixes differ by far less than their error if errors are correlated or the receiver smooths the fixes.
+    If errors are correlated, or the receiver smooths the fixes, the white noise is far smaller than the errors.
     """
     gps = drive.gps
     off, shown = max(stated_std(drive) or (UNSTATED_GPS_STD,)), white_noise(gps.x + 1j * gps.y)

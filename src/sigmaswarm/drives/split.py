@@ -23,7 +23,7 @@ def split_drives(
     drives : sequence of Drive, or of objects that represent drives, such as paths
         At least two drives.
     train_fraction : float
-        Share of the drives for training, in (0, 1).
+        Fraction of the drives for training, in (0, 1).
     rng : numpy.random.Generator
     """
     require_fraction(train_fraction)

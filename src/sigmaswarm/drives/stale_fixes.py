@@ -13,14 +13,15 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array, Gps
 
 NEW, HELD, STALE, STALE_MOVING = range(4)
-"""Kinds of fixes: a new position; a repeat at rest; a repeat while the car may move.
+"""Kinds of fixes: a new position, a repeat at rest, and two kinds of repeats while the car may move.
 
-STALE: speed below `NO_REST`; STALE_MOVING: speed above `NO_REST`, so that the repeat is not evidence of a standstill.
+The speed at the first repeat is at most `NO_REST` for STALE. It is higher for STALE_MOVING, so that these repeats are
+not evidence of a standstill.
 """
 
-BEFORE = 3.0  # s, time over which an equal fix is searched; the previous fix is always compared
+BEFORE = 3.0  # s, age of the oldest fix that is compared; the previous fix is always compared
 SPEED_WINDOW = 2.5  # s, window of fixes (at least two) for the speed; three fixes at 1 Hz show braking
-REST = 0.8  # m/s, largest speed at rest; also the limit at a standstill
+REST = 0.8  # m/s, largest speed at rest, as `standstill.FIX_SPEED`
 NO_REST = 2.0  # m/s; above this speed, the first repeat is not evidence of a standstill
 BRAKING = 4.0  # m/s2, largest deceleration of a car; larger values are noise
 ENOUGH = 3.0  # smallest number of new fixes that show braking; fewer give only a mean speed
@@ -71,7 +72,7 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
 
 @cached
 def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
-    """Estimate the car's speed (m/s) at a time from the new fixes of the seconds before.
+    """Estimate the car's speed (m/s) at the time ``now`` from the new fixes of the seconds up to fix ``last``.
 
     The result is the smaller of the speeds of a fitted line and a fitted parabola, since a car that brakes to a halt
     was fast a second before. In a log that begins with repeated fixes, the result is 0.

@@ -7,9 +7,9 @@ changes, so the acceleration must agree with that at the beginning of the stop.
 Samples are summed in blocks of 50 ms (count, means, squares), so cost and memory do not depend on the IMU's rate. The
 last second consists of the current block and the 20 before it, the last quarter of a second of the current block and
 the 5 before it. Blocks are merged as in Chan, Golub and LeVeque (Updating formulae and a pairwise algorithm for
-computing sample variances, 1979). Blocks are never subtracted, since rounding errors would accumulate. The blocks form
-two stacks of 20. Each block of the older stack is merged with the later blocks of this stack. Blocks of the newer stack
-are single; FRESH is their total.
+computing sample variances, 1979). Blocks are never subtracted, since rounding errors would accumulate. The last 20
+complete blocks form two stacks. Each block of the older stack is merged with the later blocks of this stack. Blocks of
+the newer stack are single; FRESH is their total.
 """
 
 import math
@@ -23,19 +23,22 @@ from sigmaswarm.drives.stale_fixes import STALE_MOVING
 
 BLOCK = 0.05  # s
 SECOND = 20  # number of complete blocks in the second that must be calm
-MOST_OF_IT = 16.0  # blocks; smallest age of the oldest block for a complete second
+MOST_OF_IT = 16.0  # blocks; smallest age of the oldest block with which the last second counts as complete
 QUARTER = 5  # number of complete blocks in the quarter of a second that shows a departure
 CALM = 2.5  # largest ratio of the standard deviations in a calm second to the usual ones at rest
 SETTLES = 0.5  # s, time constant with which the estimated noise at rest falls
 RISES = 0.1
-"""Growth of the estimated noise at rest while the car is nearly calm, 1/s; one second is too short to estimate it."""
+"""Relative growth of the estimated noise at rest while the IMU is nearly calm, 1/s.
+
+The noise of the calmest second is too low an estimate.
+"""
 DEPARTS = 0.12  # m/s2, change of the forward or left acceleration of a departing car
 FOLLOWS = 1.0  # s, time constant with which the acceleration of the stop follows sensors that warm up
 FORGETS = 3.0  # s without a calm IMU and constant fixes after which a new stop begins
 FIX_WINDOW = 3.0  # s, window in which the fixes must be constant
 FILLED = 1.5  # mean fix intervals, longest time from the start of the window to the first fix
 FIX_SPEED = 0.8  # m/s, largest speed of the line through constant fixes
-CLOSE = 1e-5  # s before a fix leaves the window, at which the line is fitted again
+CLOSE = 1e-5  # s; the line is fitted again this time before a fix leaves the window
 TURNING = math.radians(1.5)  # rad/s, largest yaw rate at a standstill, due to the gyro's bias
 
 # Rows of a detector's memory, shape (N_MEMORY, 8). The first rows are the two stacks; the older begins at row PLACE.
@@ -43,8 +46,8 @@ NOW = SECOND  # row: the current block
 FRESH = SECOND + 1  # row: the newer stack, merged
 WHOLE = SECOND + 2  # row: the complete blocks of the last second, merged
 PART = SECOND + 3  # row: the complete blocks of the last quarter of a second, merged
-LEVEL = SECOND + 4  # row: usual standard deviations of calm (negative: unknown), then PLACE to LAST
-MEANS = SECOND + 5  # row: means of ax, ay over the last second, then over its last quarter
+LEVEL = SECOND + 4  # row: usual standard deviations at rest (negative: unknown), then PLACE to LAST
+MEANS = SECOND + 5  # row: means of ax, ay over the last second, then over the last quarter of a second
 N_MEMORY = SECOND + 6
 COUNT = 0  # column of a block: number of samples
 MEAN = 1  # first of three columns of a block: means of ax, ay, gz
@@ -107,9 +110,9 @@ def is_calm(memory: Array, t: float, ax: float, ay: float, gz: float) -> bool:
 
 @cached
 def updated_calm(memory: Array, begun: int, dt: float, ax: float, ay: float, gz: float) -> bool:
-    """Add a sample, ``dt`` s after the last one, and update the noise at rest; return True if the last second is calm.
+    """Add a sample, and update the estimated noise at rest; return True if the last second is calm.
 
-    ``begun``: number of blocks that began since the last sample.
+    ``dt``: time since the previous sample, s. ``begun``: number of blocks that began since the previous sample.
     """
     if begun > 0:
         _begin_block(memory, begun)
@@ -208,10 +211,11 @@ def _clear(block: Array) -> None:
 
 @cached
 def matches_stop(stop: Array, passed: float, means: Array) -> bool:
-    """Return True if the acceleration still agrees with that at the beginning of the stop.
+    """Return True if the acceleration still agrees with that of the stop, within `DEPARTS`.
 
-    ``stop`` (2,) contains ax, ay of the stop and is changed; ``passed`` (s) is the time since the last call; ``means``
-    (4,) are those of ax, ay over the last second, then over its last quarter, m/s2.
+    ``stop`` (2,) contains ax, ay of the stop; it follows slow changes, and is replaced after `FORGETS`. ``passed`` (s)
+    is the time since the last call. ``means`` (4,) are the means of ax, ay (m/s2) over the last second, then over the
+    last quarter of a second.
     """
     if not passed <= FORGETS:
         stop[0] = means[0]
@@ -231,8 +235,8 @@ def fixes_are_still(fixes: Array, kinds: Array, n: int, now: float, until: Array
 
     Rows of ``fixes`` begin with t, x, y. Of the first ``n`` rows, those up to ``now`` are read, except stale fixes of a
     driving car (``kinds``, see `stale_fixes`). The result is valid until ``until[0]`` if no fix is added. After an
-    outage, the window must first be full. Half a window has three times the noise, so a departing car would appear to
-    stand.
+    outage, the result is False until the window is full: over half a window, the noise of the speed is three times as
+    large, so a departing car could appear to stand.
     """
     count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     first, last, k = 0, 0, n - 1

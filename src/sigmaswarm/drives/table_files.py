@@ -17,7 +17,7 @@ from sigmaswarm.errors import DriveError
 from sigmaswarm.limits import MAX_CELLS, MAX_COLUMNS, require_regular, require_text
 from sigmaswarm.wording import list_names, printable, quoted
 
-MAX_VALUE = 1e7  # largest accepted value; values of a car's sensors are smaller, even in mm, mg or mdeg/s
+MAX_VALUE = 1e7  # largest accepted magnitude; values of a car's sensors are smaller, even in mm, mg or mdeg/s
 _METERS, _NO_STD = (
     "convert it to meters from a nearby origin",
     "leave the column out if no standard deviation is stated",
@@ -40,7 +40,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     ),
 }
 
-# usual intervals, longest allowed interval: 300 years at 100 Hz; a clock that is set jumps less
+# Longest allowed interval, in median intervals: 300 years at 100 Hz. The jump of a clock that is set is shorter.
 _LONGEST_LEAP = 1e12
 
 CSV, PARQUET = FORMS = ".csv", ".parquet"
@@ -58,8 +58,9 @@ def one_file(path: Path) -> dict[str, Any]:
 class TableFile:
     """The cells of a table, and the number of each row (n,), from 1: line of a CSV file, or row of a Parquet file.
 
-    Cells of a CSV file are numbers if all are finite, which needs a fifth of the memory. Otherwise they are texts (None
-    if empty), which messages quote. A table in memory has a name instead of a path, and rows from 0.
+    If all cells of a CSV file are finite numbers, they are stored as numbers, which need a fifth of the memory of
+    texts. Otherwise they are texts (None if empty), which messages quote. A table in memory has a name instead of a
+    path, and its rows are numbered from 0.
     """
 
     path: Path
@@ -108,7 +109,7 @@ class TableFile:
     def columns(
         self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
     ) -> dict[str, Array]:
-        """Return the known columns as numbers, (n,), with ``t`` renamed ``time``; add a remark on unknown columns."""
+        """Return the known columns, (n,), with ``t`` renamed ``time``; add a message on unknown columns to remarks."""
         new: list[str] = []
         try:
             known = self._known_columns(required, optional, new)
@@ -199,7 +200,7 @@ def _require_size(path: Path, rows: int, columns: int) -> None:
 
 
 def _leap(time: Array) -> int:
-    """Return the index of the first row (n,) after an implausibly long interval; 0 if there is none."""
+    """Return the index of the first time after an implausibly long interval; 0 if there is none."""
     if len(time) < 3:
         return 0
     interval = np.diff(time)
@@ -213,7 +214,6 @@ def _parquet(path: Path) -> pl.DataFrame:
         scan = pl.scan_parquet(**one_file(path), hive_partitioning=False)
         schema = scan.collect_schema()
         _require_size(path, 0, len(schema))
-        # according to the footer
         _require_size(path, int(scan.select(pl.len()).collect().item()), len(schema))
         kept = [pl.col(n) if kind.is_numeric() else pl.lit(None, kind).alias(n) for n, kind in schema.items()]
         cells = scan.select(kept).collect()

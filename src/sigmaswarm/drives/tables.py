@@ -45,7 +45,7 @@ class Table:
         return type(self)(**chosen)
 
     def to_pandas(self) -> "pd.DataFrame":
-        """Return the existing columns, in the order and units of the attributes.
+        """Return the existing columns as a data frame, in the units of the attributes.
 
         Raises
         ------
@@ -83,12 +83,12 @@ class Gps(Table):
 
     Attributes
     ----------
-    time : s, increasing, in files strictly; fixes with equal times, from two receivers, are used in their order
+    time : s, strictly increasing in files; in memory, fixes of two receivers may have equal times
     x, y : m east and north of the drive's origin
     lat, lon, alt : deg, deg, m: the recorded fixes, if they are in WGS-84
     std_x, std_y : m, the receiver's stated standard deviation
     speed, course : m/s; rad, counter-clockwise from east
-    heading : rad, counter-clockwise from east, of two antennas or a compass; with it filters can start at rest
+    heading : rad, counter-clockwise from east, from two antennas or a compass; with it filters can start at rest
     std_heading : rad, stated standard deviation of the heading; `NO_HEADING` or more if the fix has no heading
     """
 
@@ -190,4 +190,4 @@ def _columns(table: type[Table]) -> tuple[tuple[str, ...], tuple[str, ...]]:
 COLUMNS = {name: _columns(table) for name, table in RECORDS.items()}
 COLUMNS["enu"] = COLUMNS["gps"]
 COLUMNS["wgs84"] = ("t", "lat", "lon"), tuple(c for c in COLUMNS["gps"][1] if c not in ("lat", "lon"))
-"""Required and optional columns of each table; for gps also by frame."""
+"""Required and optional columns of each table; those of gps also for each frame."""

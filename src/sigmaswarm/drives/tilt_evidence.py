@@ -4,8 +4,8 @@ The mean specific force, minus the acceleration that the fixes and the gyro show
 
     forward:  accelerometer bias - g pitch        left:  accelerometer bias + g roll - v (vertical gyro bias)
 
-Only these sums are observable at the start. The gyro shows the changes of roll and pitch since then: with the tilt
-e = roll + i pitch at the start and the turn psi since an earlier time, the tilt at this time is
+Only these sums are observable at the start. The gyro shows the changes of roll and pitch in the seconds before: with
+the tilt e = roll + i pitch at the start and the turn psi since an earlier time, the tilt at the earlier time is
 
     exp(-i psi) (e - integral of (rates - biases) exp(i psi))
 """
@@ -18,9 +18,9 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.tables import Array
 
 GRAVITY = 9.81  # m/s2
-FORWARD_STD = 0.15  # m/s2, mean change of bias and slope in a window, beyond the gyro's
-LEFT_STD = 0.05  # m/s2, other lateral accelerations in the mean of a window
-SPEED_ERROR = 0.3  # m/s, error of an alignment's speed, which multiplies the turn rate
+FORWARD_STD = 0.15  # m/s2, standard deviation of changes of bias and slope in a window, unknown to the gyro
+LEFT_STD = 0.05  # m/s2, standard deviation of other lateral accelerations in the mean of a window
+SPEED_ERROR = 0.3  # m/s, standard deviation of an alignment's speed, which is multiplied by the turn rate
 FORCE, VARIANCE, TURN, DRIFT, MEAN_SPEED, ASSUMED, ASSUMED_VARIANCE, CHANGE = 0, 2, 4, 6, 8, 9, 10, 11
 """Indices of `TiltEvidence.numbers`."""
 NUMBERS = 16  # length of `TiltEvidence.numbers`
@@ -38,13 +38,14 @@ class TiltEvidence:
     ``numbers`` (16,), in the order of C's InsGpsGyro: FORCE and its VARIANCE, forward and left, in m/s2 and (m/s2)^2;
     TURN and DRIFT (s), the changes of the mean tilt, real and imaginary part, per unit of the tilt at the start and of
     the gyro's biases about forward and left; the mean speed, m/s. The alignment's mean is valid for the forward force
-    ASSUMED, and its covariance includes ASSUMED_VARIANCE; CHANGE is the change of x, y, vx, vy, theta per m/s2.
+    ASSUMED, and its covariance includes the variance of this force, ASSUMED_VARIANCE; CHANGE is the change of x, y, vx,
+    vy, theta per m/s2 of forward force.
     """
 
     numbers: Array
 
     def with_bias(self, known: float) -> "TiltEvidence":
-        """Return the evidence for the gyro before a known bias (vertical axis, rad/s) was subtracted."""
+        """Return the evidence about the raw gyro, if ``known`` (rad/s) was subtracted from its yaw rate."""
         numbers = self.numbers.copy()
         numbers[FORCE + 1] -= numbers[MEAN_SPEED] * known
         return TiltEvidence(numbers)
@@ -56,8 +57,8 @@ def mean_forces(
 ) -> None:
     """Compute the mean specific forces of a window and their dependence on tilts and biases.
 
-    ``taken``: gyro bias subtracted before the ``fit``, rad/s. ``variance`` and ``posterior``: of b without
-    and with its prior. ``tilt``: `TiltEvidence.numbers`, 0 before, except CHANGE.
+    ``taken``: gyro bias subtracted before the ``fit``, rad/s. ``variance`` and ``posterior``: variances of b (see
+    `alignment_fit`) without and with its prior. ``tilt``: `TiltEvidence.numbers`, initially 0 except CHANGE.
     """
     last, end, speed, slope = n - 1, fixes[n - 1, TIME], fit[3], fit[4]
     span = end - fixes[0, TIME]

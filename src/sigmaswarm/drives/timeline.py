@@ -37,9 +37,9 @@ class Timeline:
 
     Attributes
     ----------
-    start : s
+    start : s, time of the initial state
     end : (k,) s, end of each step
-    steps : (k, 3) dt, s; q_scale, dt / nominal interval; gap (s) length of the IMU gap around the step, or 0
+    steps : (k, 3) columns DT, Q_SCALE and GAP: see `dt`, `q_scale` and `gap`
     sample : (k,) int, index of the IMU sample that drives each step
     driving : (n, 3) or (n, 6) inputs of the steps up to each IMU sample, in ``axes``, m/s2 and rad/s; all time lines of
         a drive share this array
@@ -54,7 +54,7 @@ class Timeline:
     states_accuracy : bool, True if the receiver states the accuracy of each fix
     lever : (3,) m forward, left and up from the IMU to the antenna
     drive : Drive without the hidden fixes
-    kinds : (g,) kind of each fix of that drive: see `drives.stale_fixes`; all `NEW` with ``as_recorded``
+    kinds : (g,) kind of each fix of ``drive``: see `drives.stale_fixes`; all `NEW` with ``as_recorded``
     imu_time : (n,) s, times of the IMU samples after the start
     nominal_interval : s
     """
@@ -121,7 +121,7 @@ class Timeline:
         return Alignments(self.drive, usable=self.kinds < STALE)
 
     def hiding(self, hidden: Mask) -> "Timeline":
-        """Return the same steps with the fixes in the mask ``hidden`` (g,) hidden; other arrays are shared."""
+        """Return the same steps, with the fixes of the mask ``hidden`` (g,) hidden; the time lines share arrays."""
         hides = np.zeros(len(self.end), dtype=np.bool_)
         hides[self.updates] = hidden[_usable(self.drive, self.start, self.kinds)]
         return replace(self, updates=self.updates & ~hides, hides=hides, **self._seen(hidden))

@@ -34,7 +34,7 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
     overwrite : bool
         Replace an existing drive.
     form : {"csv", "parquet"}
-        Format of the tables: Parquet is smaller and much faster to read; the data are identical.
+        Format of the tables. Parquet files are smaller and read much faster; the data are identical.
 
     Returns
     -------
@@ -44,7 +44,8 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
     Raises
     ------
     DriveError
-        If the folder exists, or the drive has values that can't be written or that ``read_drive`` rejects.
+        If the folder can't be created or replaced, or the drive has values that can't be written or that ``read_drive``
+        rejects.
     """
     folder = Path(path).resolve()  # "." has no name to rename
     require_replaceable(folder, overwrite)
@@ -67,7 +68,7 @@ def require_replaceable(
 ) -> None:
     """Raise an error if the folder exists, unless it is empty or, with ``overwrite``, contains only a drive.
 
-    A folder inside a drive is refused, since the drive could no longer be replaced or copied.
+    A folder inside a drive is also refused, since the drive could no longer be replaced or copied.
     """
     around = (parent for parent in folder.parents if (parent / "drive.toml").is_file())
     if around := next((parent for parent in around if has_table(parent, "imu")), None):
