@@ -13,7 +13,7 @@ KEY = "imu_mounting_deg"
 AXES_KEY = "imu_axes"
 Angles = tuple[float, float, float]  # roll, pitch and yaw of the IMU, deg, as in ``import --mount``
 MAX_SPREAD = 3.0  # deg, largest angle from the mean mounting to that of a drive with the same mounting
-ANGLE_DECIMALS = 9  # of an angle in drive.toml, deg; elements of the rotation matrix change by less than 1e-10
+ANGLE_DECIMALS = 9  # of angles in drive.toml, deg; the rotation matrix then has errors below 1e-10
 NO_ROTATION = (0.0, 0.0, 0.0)
 
 

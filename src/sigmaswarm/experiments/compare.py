@@ -3,7 +3,7 @@
 The folder of a comparison contains
 
     config.json       configuration and data, which must be the same for a resumed comparison
-    runs/NAME-SEED/   folder of each tuning, in the format of `tune`, with run.json if it is finished
+    runs/NAME-SEED/   folder of each tuning, in the format of `tune`, with run.json after its end
     times.csv         processor time of each run; the only file that differs between two identical comparisons
 """
 
@@ -86,7 +86,7 @@ def compare(
     Parameters
     ----------
     drives, validation : Drive or sequence of Drive
-        Training drives, and held-out drives for testing.
+        Training drives, and held-out drives on which the results are tested.
     out : path, optional
         Folder for all runs, so that a stopped comparison can be resumed.
     resume : bool

@@ -57,13 +57,14 @@ class Outcome:
     Attributes
     ----------
     cost : float
+        Cost on the training drives.
     held_out_cost, held_out_rmse, held_out_heading : float or None
         Objective, mean position RMSE (m) and mean heading error (deg) on the held-out drives; None if there are no
         held-out drives, the drives have no truth, or the filter failed.
     touched : tuple of str
         Parameters at a bound.
     evaluations, failures : int
-        Number of evaluated parameter sets, and number of failed ones.
+        Number of evaluated parameter sets, and number of those that failed.
     history_evaluations, history_steps : tuple of int
         Total numbers of evaluations and of filter steps after each generation.
     history_best : tuple of float
@@ -139,7 +140,8 @@ class Comparison:
     def frame(self) -> pl.DataFrame:
         """Table with one row for each contender: medians with 95% intervals, worst runs, tests against the first row.
 
-        ``p`` is the p-value of a two-sided Wilcoxon test over the seeds, with Holm's correction over all contenders.
+        Columns that end in ``_p`` are p-values of two-sided Wilcoxon tests over the seeds, with Holm's correction over
+        the contenders.
         """
         rows = [self._row(contender) for contender in self.contenders]
         for measure in self.measures:
@@ -185,7 +187,8 @@ class Comparison:
     def curves(self) -> pl.DataFrame:
         """Table of the lowest cost so far after 1%, 2%, ... of the budget: median and quartiles over the seeds.
 
-        The budget is counted in evaluations on all drives. The cost is ``inf`` until the first generation ends.
+        The column ``full_evaluations`` counts evaluations on all drives. The cost is ``inf`` until the first generation
+        ends.
         """
         grid = self.budget * np.arange(1, 101) / 100
         frames: list[pl.DataFrame] = []

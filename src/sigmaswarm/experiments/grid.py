@@ -42,7 +42,7 @@ def run_grid(
     effort: Callable[[T], float] = lambda _: 0.0,
     progress: Callable[[int, int, T], None] | None = None,
 ) -> dict[T, R]:
-    """Run every task; the first failure or interruption stops the others. Results are in the order of the tasks.
+    """Run every task; return results in the order of the tasks. The first failure or interruption stops all tasks.
 
     ``run(task, report)`` runs a task of ``rounds`` rounds and calls ``report`` with the number of finished rounds.
     ``processes`` is the number of forks (Linux only); if it is 0, the threads of ``executor`` run the tasks. Kernels
@@ -106,7 +106,7 @@ def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) ->
 
 
 def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
-    """Prepare a forked process, which ends at once if its parent or the grid ends."""
+    """Prepare a forked process, which ends at once if its parent dies or the experiment is interrupted."""
     global _run
     _run = run
     # A resumed run removes unfinished files, so no process of the earlier run may still write.

@@ -21,7 +21,7 @@ LEVEL = 0.95
 
 
 class Draws:
-    """Random weights of drives and trials in bootstrap resamples, cached by strata, times and number of trials."""
+    """Random weights of drives and trials in bootstrap resamples, cached by the arguments of `weights`."""
 
     def __init__(self, seed: int | np.random.Generator) -> None:
         self._seed = seed
@@ -60,7 +60,10 @@ def spread(values: Array) -> float:
 
 
 def trial_interval(values: Array) -> Interval:
-    """Return mean +- 1.96 SD / sqrt(n), as in the paper; half of these intervals contain the mean of new drives."""
+    """Return mean +- 1.96 SD / sqrt(n) over the trials, as in the paper.
+
+    The interval is too narrow for new drives: in simulated studies, its coverage is 45 to 91% (docs/study.md).
+    """
     if not len(values):
         return math.nan, math.nan
     return _around_mean(values, 1.96 * spread(values) / math.sqrt(len(values)))
@@ -98,8 +101,8 @@ def crossed_bootstrap(values: Array, strata: Sequence[str], draws: Draws) -> Int
 
     The interval accounts for the choice of drives and the variation of the optimizer (A. B. Owen, The pigeonhole
     bootstrap, Annals of Applied Statistics 1, 2007). `levels` are resampled instead of scores, since the test drives of
-    trials differ. With few trials or drives, quantiles are too narrow; Student's t widens their tails (T. C.
-    Hesterberg, The American Statistician 69, 2015).
+    trials differ. With few trials or drives, percentile intervals are too narrow, so the tail probability follows from
+    Student's t (T. C. Hesterberg, The American Statistician 69, 2015).
     """
     known_values = ~np.isnan(values)
     kept, trials = known_values.any(axis=0), known_values.any(axis=1)
@@ -120,7 +123,7 @@ def crossed_bootstrap(values: Array, strata: Sequence[str], draws: Draws) -> Int
 
 
 def levels(values: Array) -> tuple[Array, Array]:
-    """Return drive levels (n,) and trial levels (m,) whose sums fit the known scores (m, n) by least squares."""
+    """Return levels of drives (n,) and trials (m,) whose sums fit the known scores (m, n) by least squares."""
     known = ~np.isnan(values)
     counted, filled = known.astype(np.float64), np.where(known, values, 0.0)
     share = counted / counted.sum(axis=0)  # weight of each trial in the levels of its drives
@@ -132,7 +135,8 @@ def levels(values: Array) -> tuple[Array, Array]:
 def _drive_weights(strata: Sequence[str], rng: np.random.Generator, times: Array | None = None) -> Array:
     """Return the weight of each drive in each resample, shape (RESAMPLES, n), drawn within each stratum.
 
-    ``times``, shape (n,), is the multiplicity of each drive. If every stratum has one drive, all are joined.
+    ``times``, shape (n,), is the number of trials of each drive. If every stratum has one drive, all drives form one
+    stratum.
     """
     names = np.array(strata)
     times = np.ones(len(names)) if times is None else times
@@ -147,7 +151,7 @@ def _drive_weights(strata: Sequence[str], rng: np.random.Generator, times: Array
 
 
 def _weights(n: int, rng: np.random.Generator) -> Array:
-    """Draw n - 1 of n values; return their weights, with sum n, shape (RESAMPLES, n)."""
+    """Draw n - 1 of n values in each resample; return the weights of the values, with sum n, shape (RESAMPLES, n)."""
     if n == 1:
         return np.ones((RESAMPLES, 1))
     drawn = rng.integers(0, n, (RESAMPLES, n - 1)) + n * np.arange(RESAMPLES)[:, np.newaxis]
@@ -187,7 +191,7 @@ def median_interval(values: Array) -> Interval:
 def signed_rank(own: Array, theirs: Array) -> float:
     """Return the p-value of the two-sided signed-rank test over pairs; 1 if no pair differs.
 
-    An infinite cost is replaced by twice the largest finite cost. F. Wilcoxon, Biometrics Bulletin 1, 1945.
+    An infinite cost is replaced by a larger value than all finite costs. F. Wilcoxon, Biometrics Bulletin 1, 1945.
     """
     finite = np.concatenate([own, theirs])
     finite = finite[np.isfinite(finite)]
@@ -201,7 +205,7 @@ def signed_rank(own: Array, theirs: Array) -> float:
 
 
 def rank_biserial(difference: Array) -> float:
-    """Return the rank-biserial correlation, -1 to 1: negative minus positive differences, as shares of the rank sum.
+    """Return the rank-biserial correlation, -1 to 1: (ranks of negative - ranks of positive differences) / rank sum.
 
     D. S. Kerby, Comprehensive Psychology 3, 2014.
     """

@@ -150,7 +150,7 @@ class StudyConfig(BaseModel):
     drives: tuple[str, ...] = ()
     """Folders or URLs of your own drives with truth, instead of simulated ones."""
     train_fraction: float = Field(default=0.7, gt=0, lt=1)
-    """Share of the drives of each condition that are training drives; drawn again in each trial."""
+    """Fraction of the drives of each condition that are training drives; drawn again in each trial."""
     trials: int = Field(default=20, ge=2)
     """Number of repetitions, each with another split of the drives and another seed."""
     particles: int = Field(default=30, ge=2)
@@ -162,7 +162,7 @@ class StudyConfig(BaseModel):
     per_condition: bool = False
     """Tune one filter for each condition instead of one filter for all."""
     racing: bool | None = None
-    """Evaluate worse candidates on few drives, in a fifth of the time. --no-racing: on all drives, as in the paper."""
+    """Reject worse candidates after few drives, which is faster. --no-racing: each on all drives, as in the paper."""
     rivals: bool = False
     """Also compare a fuzzy filter, Bayesian optimization and networks, and test with other sensors and another car."""
     learn_minutes: float = Field(default=20.0, ge=2)
@@ -210,7 +210,7 @@ class StudyConfig(BaseModel):
 
     @model_serializer(mode="wrap")
     def _without_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit None, which TOML does not have, and unused options of rivals."""
+        """Omit None, which TOML does not have, and, without rivals, the options of rivals."""
         values: dict[str, Any] = dump(self)
         left_out = () if self.rivals else RIVAL_OPTIONS
         return {name: value for name, value in values.items() if value is not None and name not in left_out}

@@ -82,8 +82,8 @@ class Design:
     """The drives of a study and their use.
 
     ``drives`` have truth and unique names; drives on a cluster (``remote``) are represented by `LogProperties`.
-    ``strata``: stratum of each drive; each stratum is split into training and test drives. ``apart``: True if all
-    drives are test drives.
+    ``conditions``: maneuver and environment of each drive. ``strata``: stratum of each drive; each stratum is split
+    into training and test drives. ``apart``: True if all drives are test drives.
     """
 
     drives: tuple[Drive | LogProperties, ...]
@@ -150,7 +150,7 @@ class Design:
 
     @cached_property
     def _races(self) -> bool:
-        """Value of ``racing``; by default, True if every tuning has at least `MIN_DRIVES` training drives."""
+        """The option ``racing``; by default, True if every tuning has at least `MIN_DRIVES` training drives."""
         if self.config.racing is not None:
             return self.config.racing
         train = set(self.split(0)[0])
@@ -221,13 +221,14 @@ def make_design(
     strata = tuple("-".join(condition) for condition in conditions)
     lonely = [name for name in dict.fromkeys(strata) if strata.count(name) < 2]
     if lonely and config.per_condition:
-        raise InputError(f"{lonely[0]}: has one drive, which can't be split; leave per_condition out")
-    # If any condition has only one drive, all drives are split as one stratum.
+        what = f"condition {lonely[0]}: has one drive, which can't be split"
+        raise InputError(f"{what}; leave per_condition out")
+    # If a condition has only one drive, all drives are split as one stratum.
     return Design(tuple(drives), conditions, (ALL,) * len(drives) if lonely else strata, config, remote)
 
 
 def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[str, Design]:
-    """Read or simulate test drives with other sensors or another car; return designs by description."""
+    """Read or simulate test drives with other sensors or another car; return a design for each, with a description."""
     c = home.config
     if not c.rivals or (c.drives and not c.elsewhere):
         return {}

@@ -30,11 +30,11 @@ from sigmaswarm.scoring.score import PieceErrors
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_pass, outage_windows, tracking_pass
 
 MIN_DRIVING_TIME = 21.0
-"""Shortest time of a usable drive after the filter's start, s: for segments of 20 s, and outages from 10 to 20 s."""
+"""Shortest time of a usable drive after the filter's start, s, for segments of 20 s and for outages from 10 to 20 s."""
 MIN_TIME_OF_ONLY_DRIVE = 80.0
 """Shortest time of a single training drive after the filter's start, s."""
 MIN_DRIVES_TO_SPLIT = 3
-"""Number of drives from which the last third of the drives is used for early stopping and calibration."""
+"""Smallest number of drives of which the last third is kept for early stopping and calibration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +83,10 @@ Networks = Mapping[Task, TrainedNetwork]
 
 
 def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrives:
-    """Draw minutes of driving from a trial's training drives: complete drives, and the beginning of one more.
+    """Draw ``minutes`` of driving from a trial's training drives: complete drives, and the beginning of one more.
 
-    With more minutes, drives are added to those for fewer minutes. If the drives for some minutes are too few for
-    training, further drives are added.
+    With more minutes, further drives are added to the same drives. If the drives are too few for training, further
+    drives are added in excess of ``minutes``.
     """
     remaining, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
     order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()
@@ -105,7 +105,7 @@ def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrive
         else:
             begun.append(clip(drive, end=start + took))
         longest, driven, remaining = max(longest, took), driven + took, remaining - took
-    chosen = begun + whole  # the last drives are held back, and these should be complete
+    chosen = begun + whole  # complete drives are last, since the last third is held back
     if len(chosen) < MIN_DRIVES_TO_SPLIT and longest < MIN_TIME_OF_ONLY_DRIVE:
         raise InputError(
             f"trial {trial} has too little data to train networks, which need {MIN_DRIVES_TO_SPLIT} drives of "

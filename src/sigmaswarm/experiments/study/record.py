@@ -59,9 +59,9 @@ class ScoreStatistics(_Part):
     ----------
     mean, sd : mean and standard deviation over trials; the value of a trial is the mean over its test drives
     trial_interval : mean +- 1.96 SD / sqrt(n); accounts for optimizer and split, not for new drives
-    corrected_t_interval : interval for new drives: corrected resampled t
-    bootstrap_interval : interval for new drives: bootstrap over trials, and over drives within conditions
-    n_trials, n_drives : number of trials with values, and number of drives with values
+    corrected_t_interval : interval for new drives, by the corrected resampled t-test
+    bootstrap_interval : interval for new drives, by a bootstrap over trials, and over drives within conditions
+    n_trials, n_drives : numbers of trials and drives that have values
     """
 
     mean: OptionalFloat
@@ -92,7 +92,7 @@ class PairedStatistics(_Part):
     ----------
     mean_difference, interval : method minus other (negative is better), with the bootstrap interval over drives
     p : p-value of Wilcoxon's two-sided signed-rank test
-    rank_biserial : effect size from -1 to 1: share of the rank sum in favor of the method minus the share against it
+    rank_biserial : effect size from -1 (``method`` worse on every drive) to 1 (better): see `statistics.rank_biserial`
     improvement, improvement_interval : %, the paper's equation 5
     """
 
@@ -113,7 +113,7 @@ class _Compared(_Part):
 
 
 class PairedComparison(PairedStatistics, _Compared):
-    """Comparison of a pair of methods; ``holm_p`` is corrected over all pairs of a protocol and measure."""
+    """Comparison of two methods; ``holm_p`` is corrected over all comparisons of a protocol and measure."""
 
     holm_p: float
 
@@ -151,7 +151,7 @@ class Convergence(_Part):
 class Effort(_Part):
     """Data and free parameters of a tuned or trained method; means over trials.
 
-    - ``labelled_s``: driving time with truth (s) of all training drives of the filter.
+    - ``labelled_s``: driving time (s) of the training drives of the filter, which have truth.
     - ``learned_s``: driving time (s) on which the network is trained without truth.
     - ``numbers``: number of parameters that tuning and training determine.
     """
@@ -186,7 +186,7 @@ class CurvePoint(_Part):
 class RivalResults(_Part):
     """Additional results of a study with rivals.
 
-    ``gains`` compares each network with its filter without a network; ``holm_p`` is not corrected for multiple tests.
+    ``gains`` compares each network with its filter without a network; their ``holm_p`` equals ``p``.
     """
 
     efforts: list[Effort]
@@ -235,7 +235,7 @@ QUANTILES = {"low": 0.05, "first": 0.25, "median": 0.5, "third": 0.75, "high": 0
 
 
 class ScoreQuantiles(_Part):
-    """Quantiles over drives of the mean over a drive's trials; ``failed``: number of drives with failures."""
+    """Quantiles over drives; the value of a drive is its mean over trials. ``failed``: drives with a failed filter."""
 
     protocol: str
     method: str
@@ -283,9 +283,9 @@ class _TuningConfig(BaseModel):
 class StudyRecord:
     """Content of the folder of a study.
 
-    ``spreads`` are from scores.csv, ``versions`` from the tunings. ``live``: times of live filters per IMU sample
-    without and with a fix (ms) and the ranges of these times. ``rival_times``: training time of a trial (s) and time of
-    an IMU sample (us) by variant.
+    ``spreads`` are from scores.csv, ``versions`` from the tunings. ``live``: processing times of live filters per IMU
+    sample without and with a fix, medians and ranges, ms. ``rival_times``: training time of a trial (s) and processing
+    time of an IMU sample (us) of each variant.
     """
 
     results: Results

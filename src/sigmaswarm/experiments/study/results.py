@@ -99,7 +99,10 @@ def _summaries(scores: ScoreTable, draws: Draws) -> Iterator[VariantSummary]:
 
 
 def summarize(values: Array, strata: Sequence[str], test_per_train: float, draws: Draws) -> ScoreStatistics:
-    """Return mean, SD and intervals of scores, shape (trials, drives); ``test_per_train`` is a ratio of drives."""
+    """Return mean, SD and intervals of scores, shape (trials, drives).
+
+    ``test_per_train``: ratio of the numbers of test and training drives.
+    """
     each = trial_means(values)
     each = each[~np.isnan(each)]
     return ScoreStatistics(
@@ -128,7 +131,7 @@ def _compared(scores: ScoreTable) -> list[str]:
 def _against(
     scores: ScoreTable, variant: Variant, measure: str, others: Sequence[Variant], draws: Draws
 ) -> Iterator[PairedComparison]:
-    """Compare a variant with others; ``holm_p`` is corrected over these comparisons."""
+    """Compare a variant with others; ``holm_p`` is corrected over these others."""
     design, (protocol, method) = scores.design, variant
     own = scores.values[variant][measure]
     statistics: dict[str, PairedStatistics] = {}
@@ -144,7 +147,7 @@ def _against(
 
 
 def compare_paired(method: Array, other: Array, strata: Sequence[str], draws: Draws) -> PairedStatistics:
-    """Compare the scores of two methods, shape (trials, drives), on the drives where both have values."""
+    """Compare the scores of two methods, shape (trials, drives), on the drives where both means are finite."""
     a, b = drive_means(method), drive_means(other)
     both = np.isfinite(a) & np.isfinite(b)
     a, b, kept = a[both], b[both], [s for s, k in zip(strata, both, strict=True) if k]

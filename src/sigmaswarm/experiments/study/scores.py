@@ -42,7 +42,8 @@ SCORE_OF_MEASURE: dict[str, Callable[[Scores], Array]] = {
 class ScoreTable:
     """Scores of a study: arrays of shape (trials, drives) by variant and measure.
 
-    A score is NaN if the trial did not test on the drive or the measure is undefined, and ``inf`` if the filter failed.
+    A score is NaN if the drive is not a test drive of the trial or the measure is undefined, and ``inf`` if the filter
+    failed.
     """
 
     design: Design
@@ -78,7 +79,7 @@ class ScoreTable:
 
 
 def manual(ready: PreparedDrive, method: str) -> FilterParameters:
-    """Return the parameters that a method without tuning has on a drive."""
+    """Return the parameters of a manually tuned filter for a drive."""
     if method == "ukf-paper":
         return PAPER
     kind, _, preset = method.rpartition("-")
@@ -115,7 +116,7 @@ def score_all(
 
 @dataclass(frozen=True, eq=False)
 class _Pass:
-    """Prepared drives, a mask of the drives with room for an outage, and functions that compute measures."""
+    """Prepared drives, a mask of those that are long enough for the outage, and functions that return measures."""
 
     scorer: AnyBatchScorer
     fits: NDArray[np.bool_]
@@ -123,7 +124,7 @@ class _Pass:
 
 
 def _passes(design: Design) -> list[_Pass]:
-    """Prepare the drives of each pass; longer outages are measured only on local drives."""
+    """Prepare the drives for outages of each length; longer outages are measured only on local drives."""
     passes = [
         _Pass(design.scorer(outages=True), np.ones(len(design.drives), dtype=np.bool_), SCORE_OF_MEASURE)
     ]
@@ -165,9 +166,9 @@ def _manual_jobs(method: str, design: Design) -> list[tuple[list[int], list[Filt
 
 
 def _unfiltered(method: str, design: Design) -> dict[str, Array]:
-    """Score raw fixes, fixes alone or IMU only on all drives: arrays of shape (1, drives) by measure.
+    """Score a method without an IMU filter on all drives: arrays of shape (1, drives) by measure.
 
-    The filter of the fixes alone uses the medians of the noise parameters fitted to the drives.
+    The constant-velocity filter ("fixes-alone") has the medians of the noise parameters that are fitted to the drives.
     """
     lengths, seed = {"outage_drift_m": OUTAGE_LENGTH} | design.config.long_outages, design.config.seed
     noise = MotionNoise.typical(design.map_prepared(fitted_noise)) if method == "fixes-alone" else None
@@ -246,8 +247,8 @@ def _followed(
 def tracked_drives(design: Design, trial: int) -> list[int]:
     """Choose test drives of a trial: one of each condition, or of each maneuver if there are many conditions.
 
-    From each list of drives, a drive at another position is chosen, so that environments differ. A drive with turns is
-    first. If drives have no conditions, the first test drives are chosen.
+    In the list of each maneuver, a drive at another position is chosen, so that environments differ. A drive with turns
+    is first. If all drives have the same condition, the first test drives are chosen.
     """
     _, test = design.split(trial)
     named = {i: design.conditions[i] for i in test}

@@ -3,7 +3,7 @@
 The folder of a study contains
 
     study.toml           configuration, which must be the same for a resumed study
-    trials/              a folder for each protocol and tuned method, in the format of a tuning
+    trials/              a folder for each protocol, tuned method and group, in the format of a tuning
     results.json         see `record.py`
     scores.csv           one row per protocol, trial, method, test drive and measure
     learned/             only with rivals: a folder in the format of `sigmaswarm learn` for each network of a trial and
@@ -94,7 +94,7 @@ class Study:
 
 
 def shown_trial(trials: Trials) -> int:
-    """Return the trial to plot: the one with the lowest training cost of the PSO-UKF that is tuned with truth."""
+    """Return the trial to plot: that with the lowest training cost of the PSO-UKF tuned with truth, over all groups."""
     cost: dict[int, float] = {}
     for task, trial in trials.items():
         if task.variant == ("honest", MAIN_METHOD):
@@ -151,8 +151,7 @@ def run_study(
         ):  # the optimizer bo suppresses this warning, but a compiler in another thread may undo that
             stack.enter_context(warnings.catch_warnings())
             warnings.filterwarnings("ignore", "The optimal value found for dimension")
-        # Python's default number of threads is larger than the number of cores, and the threads would wait for each
-        # other.
+        # By default, Python starts more threads than cores, which would wait for each other.
         crew = workers or cores()
         pool = executor or stack.enter_context(ThreadPoolExecutor(crew if cluster is None else workers))
         # JAX, which rivals need, does not work in forked processes.

@@ -47,7 +47,7 @@ class Stopwatch:
 
 @contextmanager
 def stored_time(file: Path) -> Generator[None]:
-    """Measure this thread's processor time in a ``with`` block, and write it to timings.json."""
+    """Measure this thread's processor time in a ``with`` block, and write it to ``file``."""
     began = time.thread_time()
     yield
     write_json(file, {"processor_s": time.thread_time() - began})
@@ -56,8 +56,8 @@ def stored_time(file: Path) -> Generator[None]:
 def rival_times(out: Path, design: Design, parameters: Filters, networks: Networks) -> Times:
     """Return the processor times of every tuned or trained variant, by names such as ``honest-pso-ukf``.
 
-    ``training_s`` is the time of a trial, s; the time of a network does not include the tuning of its filter.
-    ``sample_us`` is the mean time per IMU sample, us. For a resumed trial, only the last part is counted.
+    ``training_s`` is the mean time of tuning or training in a trial, s, for a network without the tuning of its filter.
+    ``sample_us`` is the mean time per IMU sample of a run, us. For a resumed trial, only the last part is counted.
     """
     ready = design.prepared[design.split(0)[1][0]]
     spent: dict[str, list[float]] = {}
@@ -101,7 +101,7 @@ def _live_times(ready: PreparedDrive) -> Times:
 
 
 def _live_time(ready: PreparedDrive, kind: FilterKind, model: ModelName) -> dict[str, float]:
-    """Measure the time of an IMU sample without and with a fix, ms: median, and range of 95% of the calls."""
+    """Measure the processing time of an IMU sample without and with a fix, ms: median, and range of 95% of samples."""
     drive = ready.drive
     q = (*DEFAULTS.process_noise, *(1e-8,) * (3 if model == "planar8" else 0))
     parameters = FilterParameters(0.1, 2.0, 0.0, q, DEFAULTS.measurement_noise, model, kind=kind)
