@@ -517,7 +517,7 @@ def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest
         "| EKF, manual: data sheet | 7.45 [7.22, 7.68] |",
         "| default filter of tune (tuned with truth) |",
         "| UKF | 1.20 |",
-        "**Parameters found by the PSO, best trial**",
+        "**Parameters of the best trial**",
         "page:    show/page.html\nnext:    sigmaswarm import LOG --show ",
     ):
         assert words in ended.out

@@ -124,10 +124,10 @@ def comparison(evaluation: Evaluation) -> Figure:
 
 
 def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, ...]:
-    """Draw bars of the means over the drives, one chart per measure.
+    """Draw the mean over the drives of every method as a bar, one chart per measure.
 
     The methods "IMU only" and "fixes alone" do not affect the scale. A bar beyond the scale is cut and has an arrow.
-    With ``titled``, the title is the name of the measure, which is then not the label of the axis.
+    With ``titled``, the measure is named in the title of the chart, not at the axis.
     """
 
     def bars(measure: Measure, values: Mapping[str, float]) -> Chart:
@@ -153,7 +153,7 @@ def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, .
 
 
 def consistency(name: str, evaluated: DriveResult) -> Figure | None:
-    """Draw NIS over time, histogram of NIS, and autocorrelation of the tuned filter's innovations.
+    """Draw the tuned filter's NIS over time, a histogram of the NIS, and the autocorrelation of the innovations.
 
     Return None if the filter failed or had too few fixes.
     """
@@ -176,11 +176,11 @@ def consistency(name: str, evaluated: DriveResult) -> Figure | None:
 
     def histogram(ax: Axes) -> None:
         edges = np.linspace(0, max(12.0, float(np.quantile(nis, 0.98))), 30)
-        share, _ = np.histogram(np.minimum(nis, edges[-1]), edges, density=True)
+        density, _ = np.histogram(np.minimum(nis, edges[-1]), edges, density=True)
         middle = (edges[1:] + edges[:-1]) / 2
-        ax.bar(middle, share, float(edges[1]), color=SILVER, alpha=1.0, lw=1.0, edgecolor=GREY)
+        ax.bar(middle, density, float(edges[1]), color=SILVER, alpha=1.0, lw=1.0, edgecolor=GREY)
         curve(ax, middle, np.exp(-middle / 2) / 2, Look(BLACK, 1.2), "consistent filter")
-        ax.set(xlabel="NIS (the last bar includes larger values)", ylabel="share per unit")
+        ax.set(xlabel="NIS (the last bar includes larger values)", ylabel="probability density")
 
     def lags(ax: Axes) -> None:
         ax.axhspan(-found.white_band, found.white_band, color=MIST, alpha=1.0, lw=0)
@@ -190,7 +190,7 @@ def consistency(name: str, evaluated: DriveResult) -> Figure | None:
         ax.set(xlabel="lag, fixes", ylabel="autocorrelation", ylim=(-1.0, 1.0))
 
     charts = (
-        Chart(f"{name}: {found.inside_gate:.1%} inside", over_time),
+        Chart(f"{name}: {found.inside_gate:.1%} in the gate", over_time),
         Chart(f"mean {found.mean_nis:.2f}, consistent: {low:.2f} to {high:.2f}", histogram),
         Chart("innovations (gray: white noise, 95%)", lags),
     )
@@ -259,7 +259,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
 
 
 def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
-    """Draw over time the stacked weights of a bank's filters, and the bank's distance from the tuned parameters."""
+    """Draw the stacked weights of a bank's filters over time, and the offsets of its parameters from the tuned ones."""
     shares, moved = (tracks.series.get("swarm" + ending) for ending in (SHARES, MOVED))
     if shares is None or moved is None:
         return ()
@@ -270,7 +270,7 @@ def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
         for name, color, low, high in zip(names, (BLUE, ORANGE, GREEN, PURPLE), sums, sums[1:], strict=False):
             band(ax, shares["time"], low, high, Look(color, opacity=0.7), name)
         show_time(ax)
-        ax.set(ylabel="share", ylim=(0.0, 1.0))
+        ax.set(ylabel="weight", ylim=(0.0, 1.0))
 
     def distance(ax: Axes) -> None:
         ax.axhline(0.0, **Look(GREY, 0.8).line)
@@ -282,5 +282,5 @@ def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
 
     return (
         Chart(f"{tracks.name}: weights of the filters of the bank", weights),
-        Chart(f"{tracks.name}: distance of the bank from its tuning", distance),
+        Chart(f"{tracks.name}: offsets from the tuned variances", distance),
     )

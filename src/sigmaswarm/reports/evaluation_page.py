@@ -48,10 +48,10 @@ from sigmaswarm.wording import sort_remarks
 WARNING_VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
 BANK_TEXT = (
     "A filter bank has sixteen filters with different parameters. The weight of a filter in the estimate depends on "
-    "how well this filter predicted the fixes of the last minute. While the vehicle moves, a search over the last "
-    "minute replaces the filters with the lowest weights every 10 s. If the parameters move far from the tuned values, "
-    "the vehicle, its sensors or its surroundings differ from those of the tuning. One decade is a factor of ten in a "
-    "variance."
+    "how well this filter predicted the fixes of the last minute. While the vehicle moves, the filters with the lowest "
+    "weights are replaced every 10 s by the result of a search over the last minute and by changed copies of good "
+    "filters. If the parameters move far from the tuned values, the vehicle, its sensors or its surroundings differ "
+    "from those of the tuning. One decade is a factor of ten in a variance."
 )
 
 
@@ -150,5 +150,6 @@ def evaluate_command(
     words += ["--as-recorded"] if setup.as_recorded else []
     options = {AGAINST: ["--against", "against.toml"], SMOOTHED: ["--smooth"], BANK: ["--bank"]}
     words += [word for method in also for word in options.get(method, ())]  # networks need no option
-    note = "tuning.toml is in the folder of this page. Replace the names of the drives by the paths of their folders."
-    return shlex.join(words), note
+    there = "tuning.toml and against.toml are" if AGAINST in also else "tuning.toml is"
+    paths = "Replace the names of the drives by the paths of their folders."
+    return shlex.join(words), f"{there} in the folder of this page. {paths}"

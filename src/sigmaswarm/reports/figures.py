@@ -1,6 +1,6 @@
 """Draw charts with matplotlib as PNG and SVG.
 
-The same chart gives an identical file. The functions do not use pyplot's global state.
+A chart that is drawn twice gives identical files. The functions do not use pyplot's global state.
 """
 
 import re
@@ -67,7 +67,7 @@ def show_time(ax: Axes, name: str = "time t, s") -> None:
 
 
 def logarithmic(axis: Axis) -> None:
-    """Use a logarithmic scale with plain numbers, since a small range contains few powers of ten."""
+    """Use a logarithmic scale with plain numbers; a small range, with few powers of ten, has further labels."""
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # pyright: ignore
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(_Between())

@@ -30,10 +30,10 @@ from sigmaswarm.versions import __version__
 LONG_CELL = 24  # characters of a cell above which the column gets a minimum width
 TERMS = {
     "NIS": "normalized innovation squared: squared innovation of a fix, relative to its covariance",
-    "NEES": "normalized estimation error squared: the position error relative to the filter's covariance",
+    "NEES": "normalized estimation error squared: squared position error, relative to the filter's covariance",
     "RMSE": "root of the mean squared error",
     "whiteness p": "probability that uncorrelated innovations seem at least as correlated as these (Ljung-Box test "
-    "over ten fixes)",
+    "over lags of one to ten fixes)",
     "correlation": "correlation of consecutive innovations; 0 if the filter is consistent",
     "consistent": "95% range of the mean NIS of a consistent filter",
     "95% gate": "share of the fixes with a NIS below 5.99; 95% if the filter is consistent",
@@ -46,7 +46,7 @@ TERMS = {
     "IMU only": "the filter without fixes after its start",
     "3 sigma": "three standard deviations from the covariance of the filter",
     "cost": "value of the objective; lower is better",
-    "density": "noise density that corresponds to the variance",
+    "density": "noise density that corresponds to the variance per step",
 }
 PLOTLY_DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot", "none": "none"}
 _TERM = re.compile(

@@ -136,14 +136,14 @@ def spread_chart(
         name_rows(ax, names)
 
     failed = sum(s.failed for s in rows)
-    note = f" (without {failed} drives on which a filter failed)" if failed else ""
+    note = f" (without {failed} drives of failed filters)" if failed else ""
     return Chart(f"{results.measures[measure]}{note}", draw, rows=len(names), broad=True)
 
 
 def convergence_chart(
     results: Results, protocol: str, methods: Sequence[str] = (), *, log: bool = True
 ) -> Chart | None:
-    """Draw the best cost over generations (the paper's Fig. 2), for all or some methods."""
+    """Draw the lowest cost so far over the generations (the paper's Fig. 2), for all or some methods."""
     shown = [c for c in results.convergence if c.protocol == protocol and c.method in (methods or [c.method])]
     if any(c.group != ALL for c in shown):  # with one line per condition, there is room for one method only
         shown = [c for c in shown if c.method == shown[0].method]
@@ -163,7 +163,7 @@ def convergence_chart(
 
 
 def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool) -> None:
-    """Draw median and middle 80% of the trials; mark the generation from which the median is within 1% of its end."""
+    """Draw median and middle 80% of the trials; mark the generation ``stable`` of `Convergence`."""
     key = f"{course.protocol}-{course.method}"
     color = STUDY_STYLES[key].color if key in STUDY_STYLES else GREEN
     whole, settles = course.group == ALL, course.stable
@@ -176,7 +176,7 @@ def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool
     name = "median" if alone else results.label(course.method) if whole else course.group
     curve(ax, x, middle, Look(color, 2.0), name)
     diamond = Look(color, 1.2, NO_LINE, "D", 6.75).line
-    label = f"within 1% of its end from generation {settles} (paper: {theirs})" if alone else ""
+    label = f"within 1% of its last value from generation {settles} (paper: {theirs})" if alone else ""
     hover = hover_id(f"within 1% of its last value from generation {settles} onward")
     ax.plot(settles, middle[settles - 1], **diamond, gid=hover, label=label)
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from math import inf
 from pathlib import Path
 
-from sigmaswarm.experiments.study.config import MAIN_METHOD
+from sigmaswarm.experiments.study.config import MAIN_METHOD, PROTOCOL_LABELS
 from sigmaswarm.experiments.study.record import Results, StudyRecord
 from sigmaswarm.reports import study_tables as tables
 from sigmaswarm.reports.figures import Chart
@@ -133,9 +133,9 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
 
 def _tables(results: Results) -> Section:
     theirs = results.paper.get("table_1", {}).get(MAIN_METHOD, {}).get("improvement_percent")
-    improvements = [f"the paper {theirs:.0f}%"] if theirs else []
+    improvements = [f"{theirs:.0f}% in the paper"] if theirs else []
     improvements += [
-        f"{c.improvement:.0f}% over {results.label(rival)} ({protocol})"
+        f"{c.improvement:.0f}% relative to {results.label(rival)} ({PROTOCOL_LABELS.get(protocol, protocol)})"
         for protocol in reversed(results.protocols)
         for rival in ("ukf-defaults", "ukf-datasheet")
         if (c := comparison(results, protocol, POSITION, rival)) and c.improvement is not None
@@ -143,7 +143,8 @@ def _tables(results: Results) -> Section:
     text = (
         "Values of the paper and of this study: means over trials, each on its held-out drives. The paper's RMSE is "
         "that of the updated estimates relative to the GPS fixes, so a filter that copies the fixes has an RMSE of 0.",
-        f"Improvement over the manual UKF (equation 5): {'; '.join(improvements)}.",
+        f"Reduction of the PSO-UKF's position RMSE relative to a manually tuned UKF (the paper's equation 5): "
+        f"{'; '.join(improvements)}.",
     )
     shown = (tables.table_1(results), tables.table_2(results), tables.table_3(results))
     return Section("The paper's tables", text, shown)
@@ -157,9 +158,9 @@ def _intervals(results: Results) -> Section:
     charts = [means_chart(results, measure) for measure in ERRORS]
     text = (
         "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) shows only the variation from the "
-        "optimizer and the random split of the drives. In only about half of the cases, it contains the mean over new "
-        "drives. The bootstrap interval over drives and trials contains this mean in 95% of the cases in a full "
-        "study, and in 85 to 95% in a small study.",
+        "optimizer and the random split of the drives. It contains the mean over new drives in only 45 to 91% of "
+        "simulated studies. The bootstrap interval over drives and trials contains this mean in 94 to 95% of full "
+        "studies, and in 85 to 95% of small studies.",
         "An arrow means that the mean is beyond the scale.",
     )
     charts = _known((*charts, means_chart(results, "nis", inf, mark=CONSISTENT_NIS)))
@@ -176,9 +177,9 @@ def _spread(record: StudyRecord) -> Section:
     charts = [spread_chart(results, spreads, measure) for measure in ERRORS]
     text = (
         "Each drive has one value, the mean over its trials. Box: quartiles. Whiskers: 5 to 95% of the drives.",
-        "The mean NIS of a consistent filter is 2. With a larger value the filter is overconfident, with a smaller "
-        "value underconfident. "
-        "Position errors alone do not determine the scale of the covariances.",
+        "The mean NIS of a consistent filter is 2. A filter with a larger value is overconfident, a filter with a "
+        "smaller value underconfident. A tuning by position errors alone does not determine the scale of the "
+        "covariances.",
     )
     charts = _known((*charts, spread_chart(results, spreads, "nis", mark=CONSISTENT_NIS)))
     return Section("Spread over drives, and consistency", text, (tables.consistency_table(results),), charts)
@@ -226,7 +227,7 @@ def _conditions(results: Results) -> tuple[Section, ...]:
 def _convergence(results: Results) -> Section:
     theirs = results.paper["figure_2"]["stable_generation"]
     text = (
-        "Median over trials and range of the middle 80% of the trials. The diamond marks the generation from which "
+        "Lowest training cost so far: median and middle 80% of the trials. The diamond marks the generation from which "
         f"the median stays within 1% of its last value. In the paper's figure 2, this generation is {theirs}."
     )
     charts = _known(convergence_chart(results, protocol) for protocol in results.protocols)

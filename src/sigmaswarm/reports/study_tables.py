@@ -1,4 +1,4 @@
-"""Tables of a study: the paper's results and its own, comparisons, conditions, search results and rivals."""
+"""Tables of a study: its results next to the paper's, comparisons, conditions, search results and rivals."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -49,15 +49,15 @@ PAIRED_NOTE = (
 )
 INTERVALS_NOTE = (
     "The interval over trials (as in the paper) shows only the variation from the optimizer and the random split of "
-    "the drives. In only about half of the cases, it contains the mean over new drives. The other two intervals are "
-    "for new drives. The bootstrap interval contains this mean in 95% of the cases in a full study, and in 85 to 95% "
-    "in a small study. The interval of the corrected t-test contains this mean at least as often; if the results of "
-    "the optimizer vary much, it is too wide."
+    "the drives. It contains the mean over new drives in only 45 to 91% of simulated studies. The other two intervals "
+    "are for new drives. The bootstrap interval contains this mean in 94 to 95% of full studies, and in 85 to 95% of "
+    "small studies. The interval of the corrected t-test contains this mean at least as often; if the results of the "
+    "optimizer vary much, it is too wide."
 )
 EFFORT_NOTE = (
     "Labeled: driving time with truth, for tuning. Learned: driving time without truth, for training a "
-    "network. Numbers: number of free parameters of tuning and training. Drifts: one outage per drive, with the 95% "
-    "interval for new drives (bootstrap over drives and trials); -: no drive is long enough."
+    "network. Numbers: number of free parameters of tuning and training. Drifts: mean over drives of the RMS over the "
+    "outages, with the 95% interval for new drives (bootstrap over drives and trials); -: no drive is long enough."
 )
 TIMES_NOTE = (
     "Training: processor time of a trial (for a network, excluding the tuning of its filter). Per sample: processor "
@@ -67,7 +67,7 @@ Row = tuple[Cell, ...]
 
 
 def _figures(title: str, digits: int = 2, **more: Any) -> Column:
-    """Make a column of numbers in the format of the paper, with decimals below 100 only."""
+    """Make a column of numbers in the format of the paper; numbers of 100 or more have no decimals."""
 
     def printed(value: float) -> str:
         return f"{value:.{digits}f}" if abs(value) < 100 else f"{value:,.0f}"
@@ -135,7 +135,7 @@ def _rows(results: Results) -> list[tuple[str, str, str | None]]:
 
 
 def table_1(results: Results) -> Table:
-    """Tabulate the paper's Table I: RMSE of IMU only, UKF and PSO-UKF against GPS and truth."""
+    """Tabulate the paper's Table I: RMSE of IMU only, raw GPS, UKF and PSO-UKF, relative to GPS and truth."""
     paper = results.paper["table_1"]
     rows: list[Row] = []
     for protocol, method, paper_row in _rows(results):
@@ -202,7 +202,7 @@ def table_3(results: Results) -> Table:
 
 
 def runtime_table(results: Results, live: Times) -> Table:
-    """Tabulate the time of an update of the live filter: the last column of the paper's Table III."""
+    """Tabulate processing times of the live filters: the last column of the paper's Table III."""
     paper = results.paper["table_3"]
     rows: list[Row] = []
     for name, times in live.items():
@@ -344,7 +344,7 @@ def optimum_table(results: Results, methods: Sequence[str] = ()) -> Table:
             rows.append((results.label(method, protocol), group, *scaling, q, r, best.cost))
     columns = [Column("method"), Column("drives"), *(_digits(name, 2) for name in sigma)]
     columns += [Column("Q per step: x, y, vx, vy, theta, then biases"), Column("R"), _digits("cost, m", 3)]
-    return _by_group("Parameters found by the PSO, best trial", columns, rows, results)
+    return _by_group("Parameters of the best trial", columns, rows, results)
 
 
 def rivals_tables(results: Results, times: Times | None = None) -> dict[str, Table]:

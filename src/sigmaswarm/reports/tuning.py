@@ -38,8 +38,8 @@ TUNE_DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.
 GUARD_OPTIONS = ("prior", "inflation")  # options of `tune` with a default that depends on the objective
 PARAMETER_MEANINGS = {
     "latency": (
-        "delay of the fixes for which this filter predicts best; the doctor estimates this delay in another way, as a "
-        "clock offset, from turns and accelerations"
+        "delay of the fixes with which this filter predicts them best; the doctor estimates this delay as a clock "
+        "offset, from turns and accelerations"
     ),
     "rear_axle": "distance of the IMU in front of the rear axle; negative: behind the rear axle",
 }
@@ -69,7 +69,7 @@ def convergence(tuning: Tuning) -> Figure:
 
 
 def _convergence_chart(history: pl.DataFrame, best_trial: int, objective: str) -> Chart:
-    """Draw the best cost so far and the median cost of each generation, the best trial in bold.
+    """Draw the lowest cost so far and the median cost of each generation, the best trial in bold.
 
     The scale is logarithmic if all costs are positive; the cost of a likelihood may be negative.
     """
@@ -254,9 +254,9 @@ def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
 
 
 def shown_config(config: dict[str, Any]) -> dict[str, Any]:
-    """Return the configuration of the search, without the coefficients of other optimizers.
+    """Return the configuration of the search, with the coefficients of pso only if this is the optimizer.
 
-    A custom model is shown as name and fingerprint.
+    Of a custom model, only name and fingerprint are kept.
     """
     if config.get("optimizer", "pso") != "pso":  # old files of pso lack this key
         config = {key: value for key, value in config.items() if key not in SWARM}

@@ -12,11 +12,11 @@ from sigmaswarm.workbench.elements import Page, box, button, card, line, link, m
 from sigmaswarm.workbench.plots import agreement_plot, show_map, time_plot
 from sigmaswarm.workbench.state import CHECKED, LEFT_OUT, Workbench
 
-MIN_PART_LENGTH = 30.0  # s, shortest part that a button keeps
+MIN_PART_LENGTH = 30.0  # s, shortest beginning of a drive that a button offers to keep
 Step = dict[str, Any]  # ``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s
 Agreements = dict[str, Agreement]
 Repaired = dict[str, tuple[Agreements, str]]
-"""Agreements after a repair, and the reason if the repair is rejected, else ""; by code of the finding."""
+"""For each code of a finding: agreements after the repair, and the reason if the repair is rejected, else ""."""
 CheckState = tuple[list[Drive], list[Step], Diagnosis, Agreements]
 """The drive before and after each step, the steps, and the diagnosis and agreements after the last step."""
 
@@ -67,7 +67,7 @@ class CheckPage(Page):
         self.start("reading and checking the drive", self._checked, name, None, then=self._set_state)
 
     def _do(self, waiting: str, steps: list[Step]) -> None:
-        """Apply all steps; results of unchanged steps are cached."""
+        """Apply all steps, using the earlier results of the first steps if these are unchanged."""
         self.start(waiting, self._checked, self._opened, steps, then=self._set_state)
         self.refresh()
 
@@ -171,7 +171,7 @@ class CheckPage(Page):
 
     @ui.refreshable_method
     def _evidence(self, finding: Finding) -> None:
-        """Show the plot of a finding before and, if known, after its repair, and why a repair is rejected."""
+        """Show the plot of a finding before and, if known, after its repair; if the repair is rejected, show why."""
         after, rejected = self.after.get(finding.code, ({}, ""))
         message(rejected, "bad")
         if shown := self.before.get(shown_by(finding.code)):
@@ -236,11 +236,9 @@ def _apply(drive: Drive, step: Step) -> Drive:
 
 
 def _try_repairs(drive: Drive, diagnosis: Diagnosis) -> Repaired:
-    """Try each repair; return the agreements after the repair, and the reason if the repair is rejected."""
+    """Try each repair alone; return the results, see `Repaired`."""
     after: Repaired = {}
-    reason = (
-        "This repair was rejected, since it makes a filter's predictions of the fixes worse. Check the log."
-    )
+    reason = "This repair is rejected, since a filter then predicts the fixes less accurately. Check the log."
     for code in dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None):
         repaired = sigmaswarm.repair(drive, diagnosis, only=[code])
         rejected = code in repaired.metadata.get("withheld", ())

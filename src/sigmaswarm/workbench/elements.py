@@ -12,7 +12,7 @@ from nicegui import background_tasks, run, ui
 from sigmaswarm.workbench.state import Workbench, attempt
 
 T = TypeVar("T")
-REQUEST_DELAY = 0.1  # s within which a new request replaces the previous request
+REQUEST_DELAY = 0.1  # s until a request starts, if no new request replaces it
 
 
 class Page:
@@ -36,7 +36,7 @@ class Page:
     def start(
         self, waiting: str, work: Callable[..., T], *arguments: Any, then: Callable[[T | None], Any]
     ) -> None:
-        """Run ``work`` in a thread, even after the tab is closed; a new request replaces the previous one.
+        """Run ``work`` in a thread, even after the tab is closed; only the result of the latest request is used.
 
         ``then`` receives the result, or None after an error; ``wrong`` then contains the error message.
         """
@@ -114,7 +114,7 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], classes: str = ""
 def select(label: str, options: Any, value: Any, choose: Callable[[Any], Any], **more: Any) -> ui.select:
     """Create a dropdown; ``choose`` receives the new value. Nothing is selected if no option has the given value.
 
-    With ``multiple``, ``choose`` is called once, when the user closes the list.
+    With ``multiple``, ``choose`` is called when the user closes the list.
     """
     known, several = isinstance(value, list) or value in options, more.get("multiple", False)
     made = ui.select(options, label=label, value=value if known else None, **more).classes("grow")

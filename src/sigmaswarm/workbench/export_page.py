@@ -25,7 +25,7 @@ class ExportPage(Page):
         super().__init__(bench)
         self.chosen: dict[str, Any] = {}
         self.outcomes: dict[str, tuple[str, str, str]] = {}
-        """By target: message about written files, error message, and the command that uses the files."""
+        """Keys are targets; values: message about written files, error message, and a command that uses the files."""
 
     def content(self) -> None:
         tunings, drives = self.bench.finished, self.bench.drive_names
@@ -47,7 +47,7 @@ class ExportPage(Page):
             self._trajectories()
         with card():
             text("h2", "The filter itself")
-            about = "tuning.toml states parameters, units, data and versions; FilterParameters.load reads this file."
+            about = "tuning.toml contains parameters, units, data and versions; FilterParameters.load reads this file."
             text("p", about)
             link("Download the tuning", f"download/tunings/{self.chosen['tuning']}", download=True)
 

@@ -36,7 +36,7 @@ class LogPage(OpenLog):
         self._finish()
 
     def refresh(self) -> None:
-        """Redraw what has changed; unchanged rows of a table keep their place and the focus."""
+        """Redraw what has changed; unchanged rows of a table are kept, with the keyboard focus."""
         shown = [panel.preview.table for panel in self.panels]
         if self.inspection and shown == [preview.table for preview in self.inspection.tables]:
             uses = columns.uses_of(self.inspection)
@@ -175,7 +175,7 @@ class LogPage(OpenLog):
 
     @property
     def _finishing(self) -> tuple[bool, str, str, str]:
-        """State of the last card: if a log is open, name of the drive, name of the last written drive, and message."""
+        """State of the last card: True if a log is open, the drive's name, the last written drive, and a message."""
         choices, log = self.bench.log_choices, self.bench.log
         name = choices.get("name") or self.bench.free("drives", log.stem if log else "")
         return log is not None and self.inspection is not None, name, choices.get("made", ""), self.done
@@ -192,7 +192,7 @@ class LogPage(OpenLog):
         self._command.refresh()
 
     def _make(self, name: str) -> None:
-        """Write the drive; it replaces an earlier drive of this log and the checked copy."""
+        """Write the drive, replacing an earlier drive of this log with the same name, and remove its checked copy."""
         if self.waiting:  # the log is being read again after a choice
             self.after_reading = partial(self._make, name)
             return

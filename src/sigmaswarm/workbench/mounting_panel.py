@@ -1,4 +1,4 @@
-"""Mounting of the IMU in the vehicle: three angles, and a sketch."""
+"""Panel for the mounting of the IMU in the vehicle: three angles, and a sketch."""
 
 from functools import partial
 from importlib.resources import files
@@ -16,7 +16,7 @@ from sigmaswarm.workbench.state import attempt
 
 FIND = "Find the mounting in the log"
 ANGLES = ("roll", "pitch", "yaw")
-SLIDER_DELAY = 0.6  # s from the last change until the log is read again
+SLIDER_DELAY = 0.6  # s from a change of a slider until the log is read again
 
 CENTER, SCALE = np.array([170.0, 136.0]), 46
 """Pixel of the vehicle's origin in car.svg, and pixels per m."""
@@ -28,7 +28,7 @@ DIRECTIONS = (("forward", "backward"), ("left", "right"), ("up", "down"))
 
 
 class MountingPanel:
-    """Panel for the choice of the mounting. A change updates the sketch at once, and the plots after a pause."""
+    """Panel for the choice of the mounting. A moved slider updates the sketch at once, and the plots after a pause."""
 
     def __init__(self, page: OpenLog) -> None:
         self.page = page

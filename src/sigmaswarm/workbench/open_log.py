@@ -14,7 +14,7 @@ from sigmaswarm.workbench.elements import Page, message, text
 from sigmaswarm.workbench.state import Workbench, attempt
 
 Reading = tuple[Inspection | None, Drive | None, tuple[Agreement, ...], str, list[str]]
-"""Content of a log, its drive, the agreements, an error message, and notes on the log and its import."""
+"""Content of a log, the drive, its `Agreement` plots, an error message, and notes on the log and the import."""
 
 
 class OpenLog(Page):
@@ -32,10 +32,7 @@ class OpenLog(Page):
     def status(self) -> None:
         self.messages()
         if self.wrong and self.inspection and self.inspection.tables:
-            text(
-                "p",
-                "Choose the use of each column below (--map). After each choice the log is read again.",
-            )
+            text("p", "Choose the use of each column below (--map). After each choice the log is read again.")
         message(self.done, "good")
 
     def choose(self, **choices: Any) -> None:

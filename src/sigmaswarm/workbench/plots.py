@@ -13,9 +13,9 @@ from sigmaswarm.reports.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VE
 from sigmaswarm.workbench.elements import box
 
 PIXELS = 600  # columns of a plot, with two points each
-EAST = "east, m"  # label of the horizontal axis of a map, which gives a plot equal scales
-MAX_LINE_POINTS = 3000  # of a line on a map
-MAX_MARKERS = 600  # on a map; each is an element of the page
+EAST = "east, m"  # label of the horizontal axis of a map; a plot with this label has equal scales
+MAX_LINE_POINTS = 3000  # largest number of points of a line on a map
+MAX_MARKERS = 600  # largest number of fixes on a map; each is an element of the page
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, BLACK)
 Series = tuple[Array, Array]  # times (n,), s, and values (n,); or east and north (n,), m
 Lines = list[dict[str, Any]]
@@ -39,7 +39,7 @@ LAYOUT: dict[str, Any] = {
 
 
 def envelope(series: Series, start: float = -np.inf, end: float = np.inf) -> Series:
-    """Reduce the values between two times to the extremes in each of `PIXELS` columns."""
+    """Reduce the values between two times to the lowest and the highest in each of `PIXELS` columns."""
     time, values = series
     first, last = np.searchsorted(time, start), np.searchsorted(time, end, side="right")
     time, values = time[max(first - 1, 0) : last + 1], values[max(first - 1, 0) : last + 1]
@@ -63,7 +63,10 @@ def lines(
     dashed: Collection[str] = (),
     pale: Mapping[str, Series] | None = None,
 ) -> Lines:
-    """Create the lines of a plot; ``points``: series drawn as markers; ``pale``: the series before a change."""
+    """Create the lines of a plot.
+
+    ``points``, ``dashed``: names of series that are drawn as markers or dashed. ``pale``: the series before a change.
+    """
     made: Lines = []
     for color, (label, (x, y)) in zip(COLORS * 4, series.items(), strict=False):
         drawn: dict[str, Any] = {"mode": "lines", "line": {"color": color, "width": 1.4}}
@@ -105,9 +108,9 @@ def time_plot(
     on_select: Callable[[float, float], Any] | None = None,
     **layout: Any,
 ) -> None:
-    """Show series over time. The mouse zooms, which loads details, or selects a time span for ``on_select``.
+    """Show series over time. Dragging the mouse zooms, which loads details, or selects a time span for ``on_select``.
 
-    For ``dashed`` and ``pale`` see `lines`. ``span``, s, is shaded if it is shorter than the drive.
+    For ``dashed`` and ``pale`` see `lines`. ``span``, s, is shaded if it is clearly shorter than the series.
     """
 
     def visible(start: float = -np.inf, end: float = np.inf) -> Lines:

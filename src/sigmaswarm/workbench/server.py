@@ -126,7 +126,7 @@ Send = Callable[[Scope], Awaitable[None]]
 
 
 class Guard:
-    """Refuse requests without the token, from pages of other hosts, or of more than `MAX_UPLOAD_SIZE` bytes."""
+    """Refuse requests without the token, for or from other hosts, or of more than `MAX_UPLOAD_SIZE` bytes."""
 
     def __init__(self, app: Any, token: str, port: int) -> None:
         self.app, self.prefix, self.hosts = app, f"/{token}/", {f"{HOST}:{port}", f"localhost:{port}"}
@@ -152,7 +152,7 @@ class Guard:
 
     @staticmethod
     def _bounded(receive: Receive) -> Receive:
-        """Disconnect after `MAX_UPLOAD_SIZE` bytes, since a header may state another length."""
+        """Disconnect after `MAX_UPLOAD_SIZE` bytes, since the header may state a wrong length."""
         size = 0
 
         async def counted() -> Scope:

@@ -1,4 +1,4 @@
-"""Folder of the workbench: drives, tunings and evaluations by name, and the user's choices."""
+"""Folder of the workbench: logs, drives, tunings and other results by name, and the user's choices."""
 
 import re
 import shutil
@@ -15,7 +15,7 @@ from sigmaswarm.records import content_if_readable
 KINDS = ("logs", "drives", "tunings", "evaluations", "exports")
 DRIVE, TUNING = "drive.toml", "tuning.toml"
 LEFT_OUT = "leave it out"
-CHECKED = "-checked"  # suffix of a repaired or cut copy; its drive.toml lists the ``steps``
+CHECKED = "-checked"  # suffix of a repaired or cut copy of a drive, whose drive.toml lists the ``steps``
 NAME = re.compile(r"[\w][\w .()+-]{0,99}")
 MAX_UPLOAD_SIZE = 2_000_000_000  # bytes of an upload; the command line opens larger logs
 T = TypeVar("T")
@@ -42,14 +42,14 @@ class Workbench:
         write_json(self._file, self.choices)
 
     def path(self, kind: str, name: str) -> Path:
-        """Return the folder of a drive, tuning, ... by name; raise `InputError` for a name that leads elsewhere."""
+        """Return the folder of a drive, tuning, ... by name; raise `InputError` if the name is not valid or a link."""
         path = self.folder / kind / name
         if kind not in KINDS or not NAME.fullmatch(name) or path.is_symlink():
             raise InputError(f"{name!r} is not a valid name; use letters, digits, - and _")
         return path
 
     def names(self, kind: str, file: str = "") -> list[str]:
-        """List the names of drives, tunings, ... whose folders contain a file, the newest last."""
+        """List the names of drives, tunings, ..., the newest last; with ``file``, only of those that contain it."""
         folders = [p for p in (self.folder / kind).iterdir() if NAME.fullmatch(p.name) and not p.is_symlink()]
         folders = [p for p in folders if not file or (p / file).is_file()]
         return [p.name for p in sorted(folders, key=lambda p: (p.stat().st_mtime, p.name))]
@@ -62,7 +62,7 @@ class Workbench:
 
     @property
     def drives(self) -> list[str]:
-        """Names of the drives for tunings; a checked copy replaces its original."""
+        """Names of the drives for tunings: those with a checked copy are left out, and the copy is included."""
         names = self.drive_names
         return [name for name in names if name + CHECKED not in names]
 

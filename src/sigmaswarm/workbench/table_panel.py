@@ -13,7 +13,7 @@ from sigmaswarm.workbench.elements import box, number, select, table, text
 from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.plots import sparkline
 
-MAX_COLUMNS = 30  # columns of a table on the page; columns in use are first
+MAX_COLUMNS = 30  # largest number of columns of a table on the page; columns in use are first
 
 
 class TablePanel:
@@ -25,7 +25,7 @@ class TablePanel:
         shown = sorted(preview.ranges, key=lambda r: (preview.table, r.column) not in self.uses)
         self.rows = [ColumnRow(self, one) for one in shown[:MAX_COLUMNS]]
         used = (preview.table, shown[0].column) in self.uses if shown else False
-        # Until the log can be imported, used tables are unfolded; in a log with few tables, all tables are unfolded.
+        # Until the log can be imported, tables in use are unfolded; if there are few tables, all are unfolded.
         self.unfolded = page.drive is None and (used or len(inspection.tables) <= 4)
 
     def update(self, inspection: Inspection, uses: Uses) -> None:
@@ -125,7 +125,7 @@ class ColumnRow:
         field.on("change", lambda: page.express(target, field.value or ""))
 
     def _faults(self, target: str) -> list[str]:
-        """Return the parts of the error that name the column, else the reasons not to use the column as guessed."""
+        """Return the parts of the error that name the column; without any, the reasons why it was not recognized."""
         page, column = self.panel.page, self.about.column
         mapped = page.bench.log_choices.get("maps", {})
         faults = [

@@ -34,7 +34,7 @@ MODELS = {
     "planar8": "planar8",
     "tilted12": "tilted12",
 }
-STARTING = "reading the training drives"  # this work continues if the user changes a choice
+STARTING = "reading the training drives"  # a changed choice does not interrupt this work
 MAX_COMPARED_TUNINGS = 6
 Update = Callable[[], None]
 
@@ -114,7 +114,7 @@ class TunePage(Page):
 
     @ui.refreshable_method
     def _reasoning(self) -> None:
-        """Explain the filter and the search of the next tuning, in a part that is redrawn without the input fields."""
+        """Show messages and the explanation of the next tuning; this part is redrawn without the input fields."""
         self.messages()
         for sentence in self.why:
             text("p", sentence)
@@ -163,7 +163,7 @@ class TunePage(Page):
         self._reasoning.refresh()
 
     def _drives(self) -> tuple[list[Drive], list[Drive]]:
-        """Return training and validation drives; split drives if this is chosen, like `sigmaswarm split`."""
+        """Return training and validation drives; write the parts of drives that are split, like `sigmaswarm split`."""
         drives: list[Drive] = []
         held_back: list[Drive] = []
         for name, what in self.plan.items():

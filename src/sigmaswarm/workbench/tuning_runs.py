@@ -22,7 +22,7 @@ class TuningRun:
     ----------
     shown_on : first validation drive; if there is none, the first training drive
     history : lowest cost so far after each generation, by trial
-    track : track of the best filter so far on ``shown_on``
+    track : track of the best filter so far on ``shown_on``; None if there is none yet or this filter failed
     """
 
     name: str
@@ -105,6 +105,6 @@ class TuningRuns:
 
 
 def best_so_far(history: Sequence[float]) -> Series:
-    """Return the generations of a trial and the lowest cost so far; NaN if all filters failed."""
+    """Return the generations of a trial and the lowest cost so far; NaN while all filters failed."""
     costs = np.array(history)
     return np.arange(1.0, len(costs) + 1), np.where(np.isfinite(costs), costs, np.nan)
