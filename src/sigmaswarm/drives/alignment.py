@@ -25,30 +25,31 @@ MAX_DURATION = 6.0  # s, longest duration of an alignment; the error due to the 
 MIN_TRAVEL = 20.0  # m within `MAX_DURATION`, for an accurate heading; requires 12 km/h
 ALIGNMENT_FIXES = 4  # smallest number within `MAX_DURATION`; one fix every 3 s is not enough
 MIN_CHORD = 0.5 * MIN_TRAVEL  # m from the first to the last fix, a cheap test before the fit
-MAX_MISFIT = 0.3  # largest residual of an alignment / travel; fixes that jump have larger residuals
-MAX_HEADING_STD = np.radians(6.0)  # rad; with a larger standard deviation, the next fix is tried
-REFITS = 3  # largest number of repeated fits, until the gyro bias has converged
+MAX_MISFIT = 0.3  # residuals of an alignment, relative to the travel; fixes that jump have larger residuals
+MAX_HEADING_STD = np.radians(6.0)  # rad, largest standard deviation of the heading of an alignment
+REFITS = 3  # number of repeated fits, after which the gyro bias has converged
 
 SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0  # s, windows for slow vehicles, see `SLOW_CHORD`
 SLOW_TRAVEL = 10.0  # m, smallest travel in a window for slow vehicles
 SLOW_SPEED = 0.15  # m/s, smallest mean speed of slow vehicles; fixes of a parked receiver drift more slowly
 SLOW_CHORD = 1.5 * MIN_TRAVEL  # m; on a slow drive, fixes within `MAX_DURATION` are never farther apart
-SLOW_HEADING_STD = np.radians(12.0)  # rad, largest for slow vehicles, including the effect of the gyro's bias
+SLOW_HEADING_STD = np.radians(12.0)  # rad, as `MAX_HEADING_STD`, including the effect of the gyro's bias
 SLOW_FIXES = 8  # smallest number of fixes in a window for slow vehicles
 SLOW_INTERVAL = 1.0  # s, smallest interval between used fixes; errors of closer fixes are correlated
 SLOW_STEP = 2.0  # s between trials of windows for slow vehicles
 SLOW_BIAS_STD = np.radians(1.0)  # rad/s, standard deviation of the prior of the gyro's bias for slow vehicles
 
-REPAIR_FINDINGS = "repair what `sigmaswarm doctor` finds"
+REPAIR_FINDINGS = "repair the findings of `sigmaswarm doctor`"
 STATE_HEADING = (
     "write the heading at the first IMU sample to drive.toml, for example heading_deg = 90 (degrees counter-clockwise "
     "from east), or import with --heading-from-north"
 )
 STATED_HEADING_STD = np.radians(5.0)  # rad, smallest assumed standard deviation of a stated heading
-MAX_STATED_STD = np.radians(12.0)  # rad, largest stated standard deviation for a start
-STATED_POSITION_STD = 3.0  # m per axis, at a start with a stated heading
-STATED_SPEED_STD = 10.0  # m/s forward, at a start with a stated heading
-STATED_LATERAL_STD = 1.0  # m/s to the left, at a start with a stated heading
+MAX_STATED_STD = np.radians(12.0)  # rad, largest stated standard deviation of a heading for a start
+# Standard deviations at a start with a stated heading
+STATED_POSITION_STD = 3.0  # m per axis
+STATED_SPEED_STD = 10.0  # m/s forward
+STATED_LATERAL_STD = 1.0  # m/s to the left
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "imu_stated_noise": ((2,), "[1e-4, 1e-2]"),
 }
 CUT = "cut_from"  # table in the drive.toml of a part of a drive
-REPAIR_ALONE = "repair_alone"  # true: the IMU has another mounting than in the rest of the drive
+REPAIR_ALONE = "repair_alone"  # true: the part has other faults than the rest of the drive
 CUT_KEYS = frozenset({"drive", "sha256", "start_s", "end_s", REPAIR_ALONE})  # keys of the table `CUT`
 # Smallest similarity of an unknown key to a known key, 0 to 1, with which it counts as misspelled
 MIN_SIMILARITY = 0.8
@@ -84,11 +84,12 @@ def require_name(name: object, where: object) -> None:
     """Raise `DriveError` if a name can't be that of a folder; ``where``: file that contains the name."""
     if not isinstance(name, str) or not name.strip():
         raise DriveError(
-            f'{where}: name = {printable_value(name)} is not text; write for example name = "monday"'
+            f'{where}: name = {printable_value(name)} is empty or not text; write for example name = "monday"'
         )
     surrogates = any("\ud800" <= c <= "\udfff" for c in name)  # bytes in a file name that are not UTF-8
     if name in (".", "..") or set(name) & {"/", "\\", "\n", "\0"} or surrogates:
-        raise DriveError(f"{where}: name = {quoted(name)} can't be the name of a folder; leave slashes out")
+        what = f"{where}: name = {quoted(name)} can't be the name of a folder"
+        raise DriveError(f"{what}; use letters, digits, - and _")
 
 
 def _require_numbers(key: str, value: Any, path: Path) -> None:

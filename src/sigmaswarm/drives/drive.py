@@ -70,12 +70,12 @@ class Drive:
         imu : frame with columns t, ax, ay, gz and optionally az, gx, gy
             s; m/s2; rad/s, in the body frame: x forward, y left, z up.
         gps : frame with columns t and x, y (m) or lat, lon (deg)
-            Optionally alt, std_x, std_y (m), speed, course, heading.
+            Optionally alt, std_x, std_y (m), speed (m/s), course, heading, std_heading (rad).
         truth : frame with columns t, x, y (m), vx, vy (m/s), theta (rad), optional
         odometer : frame with columns t, speed (m/s), optional
         name : str
         origin : (latitude deg, longitude deg, altitude m), optional
-            Position of x = y = 0; by default the first fix that has lat and lon.
+            Position of x = y = 0; by default, if there are lat and lon, the first fix.
         columns : mapping, optional
             Maps names of your columns to the names above: ``{"acc_x": "ax"}``.
 

@@ -8,7 +8,7 @@ odometer may read zero while the car moves.
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array
 
-INTERVAL = 0.1  # s, shortest time between measurements, and largest age of a reading in a measurement
+INTERVAL = 0.1  # s, length of a slot with at most one measurement, and largest age of a reading in it
 SLOW = 0.5  # m/s; a lower mean may be too low, so the square of this speed is added to its variance
 LARGEST_AGE = 1.0  # s; an older reading does not show whether the wheels turn
 

@@ -66,7 +66,7 @@ class Landmarks:
 
 @dataclass(frozen=True)
 class Overlap:
-    """Duration (s) of the part of a drive that other drives contain, and their names."""
+    """Duration (s) of the part of a drive that other drives contain, and the names of these drives."""
 
     seconds: float = 0.0
     of: tuple[str, ...] = ()

@@ -19,6 +19,7 @@ from sigmaswarm.drives.table_files import CSV, FORMS, TableFile
 from sigmaswarm.drives.tables import COLUMNS, RECORDS
 from sigmaswarm.drives.urls import A_DRIVE, drive_urls, is_url, local_copy, without_secrets
 from sigmaswarm.errors import DriveError, SigmaswarmWarning
+from sigmaswarm.wording import count_of
 
 Location = str | Path
 
@@ -129,7 +130,8 @@ def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     inside = _drives_in(folder)
     if inside and not has_table(folder, "imu"):
         raise DriveError(
-            f"{folder} is not a drive but contains {len(inside)}; name one of them, for example {min(inside)}"
+            f"{folder} is not a drive but contains {count_of(len(inside), 'drive')}; name one of them, for "
+            f"example {min(inside)}"
         )
     about = read_description(folder / "drive.toml")
     name = about.pop("name", folder.resolve().name)

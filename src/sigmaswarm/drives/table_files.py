@@ -73,8 +73,8 @@ class TableFile:
         require_regular(path)
         if not path.is_file():
             raise DriveError(
-                f"{path} is missing; a drive needs this file, with a header line and one row per sample, or as "
-                f"{PARQUET[1:]}"
+                f"{path} is missing; a drive needs this table, as CSV with a header line and one row per sample, "
+                "or as Parquet"
             )
         if path.suffix == PARQUET:
             cells = _parquet(path)
@@ -131,7 +131,7 @@ class TableFile:
                     what = f"{quoted(names[0])} is one cell; separate cells by commas"
                     raise DriveError(f"{header}: {what}, and write decimals with a dot")
                 in_memory = f"rename one with columns={{'its name': '{name}'}}"
-                remedy = "rename it" if self.path.suffix else in_memory
+                remedy = "rename a column" if self.path.suffix else in_memory
                 raise DriveError(f"{header}: no column {name}, only {list_names(names)}; add or {remedy}")
         if unknown := [name for name in names if name not in known]:
             self._require_one_line(unknown)

@@ -74,7 +74,7 @@ class Imu(Table):
     gy: Array | None = None
 
 
-NO_HEADING = np.pi  # rad; a fix with at least this stated standard deviation has no heading
+NO_HEADING = np.pi  # rad; a fix whose heading has this or a larger stated standard deviation has no heading
 
 
 @dataclass(frozen=True, eq=False)

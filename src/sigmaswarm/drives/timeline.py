@@ -41,8 +41,8 @@ class Timeline:
     end : (k,) s, end of each step
     steps : (k, 3) columns DT, Q_SCALE and GAP: see `dt`, `q_scale` and `gap`
     sample : (k,) int, index of the IMU sample that drives each step
-    driving : (n, 3) or (n, 6) inputs of the steps up to each IMU sample, in ``axes``, m/s2 and rad/s; all time lines of
-        a drive share this array
+    driving : (n, 3) or (n, 6) inputs of the steps up to each IMU sample, in the order of `AXES`, m/s2 and rad/s; the
+        time lines of a drive share this array
     updates : (k,) bool, True if a fix updates the filter at the step's end
     hides : (k,) bool, True if a fix at the step's end is hidden from the filter, which predicts it
     sampled : (k,) bool, True if the step ends at the time of an IMU sample
