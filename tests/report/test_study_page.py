@@ -195,9 +195,13 @@ def test_a_filter_that_does_not_know_its_errors_is_named(study: Study, copy: Pat
         tuned["cost"] = 1.0 + tuned["trial"]
     (copy / "results.json").write_text(json.dumps(results))
     remarks = read_report(copy).remarks
-    assert any("honest: PSO-UKF is overconfident, since its mean NIS is 5" in r for r in remarks)
     assert any(
-        "honest: the training costs of the tunings of PSO-UKF range from 1 to 2 m" in r for r in remarks
+        "PSO-UKF (tuned with truth): the filter is overconfident, since its mean NIS is 5" in r
+        for r in remarks
+    )
+    assert any(
+        "PSO-UKF (tuned with truth): the training costs of the tunings range from 1 to 2 m" in r
+        for r in remarks
     )
 
 

@@ -63,7 +63,7 @@ def comparison_table(comparison: Comparison) -> Table:
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Draw the training cost over the evaluations, with quartiles, and the (held-out) cost of every run."""
+    """Draw the training cost over the evaluations, with quartiles, and every run's cost, held-out if known."""
     last = "held_out_cost" if "held_out_cost" in comparison.measures else "cost"
     contenders = comparison.contenders
     looks = many_styles(len(contenders), 1.6)

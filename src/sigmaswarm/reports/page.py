@@ -36,7 +36,7 @@ TERMS = {
     "over lags of one to ten fixes)",
     "correlation": "correlation of consecutive innovations; 0 if the filter is consistent",
     "consistent": "95% range of the mean NIS of a consistent filter",
-    "95% gate": "share of the fixes with a NIS below 5.99; 95% if the filter is consistent",
+    "95% gate": "fraction of the fixes with a NIS below 5.99; 95% if the filter is consistent",
     "outage drift": "RMS position error at the ends of intervals without fixes",
     "position 50%": "median of the position error",
     "position 95%": "95th percentile of the position error",

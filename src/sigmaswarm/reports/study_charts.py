@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sigmaswarm.experiments.study.config import ALL, BASELINE, MAIN_METHOD
+from sigmaswarm.experiments.study.config import ALL, BASELINE, MAIN_METHOD, PROTOCOL_LABELS
 from sigmaswarm.experiments.study.record import Convergence, CurvePoint, Results, ScoreQuantiles
 from sigmaswarm.experiments.study.study import Study
 from sigmaswarm.files import make_folder, staged_files, write_atomically
@@ -136,7 +136,7 @@ def spread_chart(
         name_rows(ax, names)
 
     failed = sum(s.failed for s in rows)
-    note = f" (without {failed} drives of failed filters)" if failed else ""
+    note = f" (without {failed} values of failed filters)" if failed else ""
     return Chart(f"{results.measures[measure]}{note}", draw, rows=len(names), broad=True)
 
 
@@ -159,7 +159,7 @@ def convergence_chart(
         else:
             ax.set_ylim(0, None)
 
-    return Chart(f"Cost over generations, {protocol}", draw)
+    return Chart(f"Cost over generations, {PROTOCOL_LABELS.get(protocol, protocol)}", draw)
 
 
 def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool) -> None:

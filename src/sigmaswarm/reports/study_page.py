@@ -94,29 +94,30 @@ def _figures(results: Results) -> tuple[KeyFigure, ...]:
         if summary is not None and summary.mean is not None:
             theirs = results.paper.get(table, {}).get(MAIN_METHOD, {}).get(key)
             note = f"the paper: {theirs:.3g} {unit}" if theirs is not None else ""
-            figures.append((f"{what}, {protocol}", f"{summary.mean:.3g} {unit}", note))
+            title = f"{what}, {PROTOCOL_LABELS.get(protocol, protocol)}"
+            figures.append((title, f"{summary.mean:.3g} {unit}", note))
     return (*figures, ("drives", str(results.drives.count), f"{results.drives.strata} conditions"))
 
 
 def _remarks(results: Results, protocol: str) -> Iterable[str]:
-    main = results.label(MAIN_METHOD)
+    main = results.label(MAIN_METHOD, protocol)
     mine = [t for t in results.tunings if (t.protocol, t.method) == (protocol, MAIN_METHOD)]
     if touching := sum(bool(t.touched_bounds) for t in mine):
         yield (
-            f"{protocol}: {touching} of {len(mine)} tunings of {main} ended at a bound, "
+            f"{main}: {touching} of {len(mine)} tunings ended at a bound, "
             "so the optimum may be outside of the search space"
         )
     costs = [t.cost for t in mine]
     if costs and max(costs) > MAX_COST_RATIO * min(costs):
         yield (
-            f"{protocol}: the training costs of the tunings of {main} range "
-            f"from {min(costs):.3g} to {max(costs):.3g} m; tune several times and use the best result"
+            f"{main}: the training costs of the tunings range from {min(costs):.3g} to {max(costs):.3g} m; "
+            "tune several times and use the best result"
         )
     nis = results.summary(protocol, MAIN_METHOD, "nis")
     if nis is not None and nis.mean is not None and not NIS_LIMITS[0] < nis.mean < NIS_LIMITS[1]:
         wrong = "overconfident" if nis.mean > NIS_LIMITS[1] else "underconfident"
         yield (
-            f"{protocol}: {main} is {wrong}, since its mean NIS is {nis.mean:.3g} instead of 2; "
+            f"{main}: the filter is {wrong}, since its mean NIS is {nis.mean:.3g} instead of 2; "
             "do not rely on its covariances"
         )
     unsure = [
@@ -125,7 +126,10 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
         if (c.protocol, c.measure) == (protocol, POSITION) and c.holm_p > 0.05
     ]
     if unsure:
-        yield f"{protocol}: the difference in position from {'; '.join(unsure)} may be due to chance (p above 0.05)"
+        yield (
+            f"{main}: the difference of the position RMSE from that of {'; '.join(unsure)} may be due to chance "
+            "(p above 0.05)"
+        )
 
 
 # ---- the evidence ----

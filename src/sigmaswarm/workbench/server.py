@@ -126,7 +126,7 @@ Send = Callable[[Scope], Awaitable[None]]
 
 
 class Guard:
-    """Refuse requests without the token, for or from other hosts, or of more than `MAX_UPLOAD_SIZE` bytes."""
+    """Refuse requests without the token, with another host or origin, or of more than `MAX_UPLOAD_SIZE` bytes."""
 
     def __init__(self, app: Any, token: str, port: int) -> None:
         self.app, self.prefix, self.hosts = app, f"/{token}/", {f"{HOST}:{port}", f"localhost:{port}"}
