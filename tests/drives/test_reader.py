@@ -99,8 +99,8 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
         lambda f: (shutil.rmtree(f), f.write_text("")),
         ["good", "is a file, not a folder", "a drive is a folder"],
     ),
-    "imu-missing": (delete("imu.csv"), ["imu.csv", "is missing", "needs this file"]),
-    "gps-missing": (delete("gps.csv"), ["gps.csv", "is missing", "needs this file"]),
+    "imu-missing": (delete("imu.csv"), ["imu.csv", "is missing", "needs this table"]),
+    "gps-missing": (delete("gps.csv"), ["gps.csv", "is missing", "needs this table"]),
     "toml-missing": (delete("drive.toml"), ["drive.toml", "is missing", 'frame = "enu"']),
     "file-empty": (text("imu.csv", ""), ["imu.csv", "is empty", "header line"]),
     "lever-arm-number": (
@@ -124,7 +124,7 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
         ["drive.toml", "is not an angle; specify roll, pitch and yaw in degrees"],
     ),
     "std-zero": (text("drive.toml", "gps_std_m = 0"), ["drive.toml", "gps_std_m = 0", "positive"]),
-    "name-with-slash": (text("drive.toml", 'name = "../up"'), ["drive.toml", "'../up'", "slashes"]),
+    "name-with-slash": (text("drive.toml", 'name = "../up"'), ["drive.toml", "'../up'", "use letters"]),
     "file-header-only": (keep_rows("gps.csv", 0), ["gps.csv", "contains no rows", "one row per sample"]),
     "file-blank-lines-only": (text("truth.csv", "t,x\n\n\n"), ["truth.csv", "contains no rows"]),
     "not-utf8": (
