@@ -158,7 +158,6 @@ class Alignments:
         fixes = np.flatnonzero(inside if usable is None else inside & usable)
         self.time = drive.gps.time[fixes]
         self._position = (drive.gps.x + 1j * drive.gps.y)[fixes]
-        # The first fix of the window that ends at each fix.
         self._first = np.searchsorted(self.time, self.time - longest, side="left")
         count = np.arange(len(fixes)) - self._first + 1
         self._chord = np.abs(self._position - self._position[self._first])
@@ -237,7 +236,6 @@ class Alignments:
         return fit.state(tilts=False) if usable else None
 
     def _fit(self, rows: Indices) -> AlignmentFit:
-        """Fit some of the fixes."""
         axes = {axis: values for axis, values in self._integrals.items() if axis != "ax" or not self._slowly}
         return AlignmentFit(self._drive, axes, self.time[rows], self._position[rows])
 

@@ -76,7 +76,6 @@ def _draw_speed(axes: Axes, drive: Drive) -> None:
 
 
 def _draw_lines(axes: Axes, when: Array, lines: dict[str, tuple[Array, str]]) -> None:
-    # the first line is the most important, so it is on top
     for order, (name, (values, color)) in enumerate(lines.items()):
         axes.plot(when, values, color=color, lw=0.8, label=name, zorder=3 - 0.1 * order)
     _legend_above(axes)

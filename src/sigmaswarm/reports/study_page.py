@@ -59,9 +59,6 @@ def study_report(folder: Path) -> Report:
     )
 
 
-# ---- the summary ----
-
-
 def _result(results: Results, protocol: str) -> str:
     summary, objective = (
         results.summary(protocol, MAIN_METHOD, POSITION),
@@ -130,9 +127,6 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
             f"{main}: the difference of the position RMSE from that of {'; '.join(unsure)} may be due to chance "
             "(p above 0.05)"
         )
-
-
-# ---- the evidence ----
 
 
 def _tables(results: Results) -> Section:
