@@ -180,11 +180,9 @@ def median_interval(values: Array) -> Interval:
     W. J. Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2. For fewer than six values, the
     interval is the whole range.
     """
-    ordered = np.sort(values)
-    n = len(ordered)
-    k = 0  # number of values outside the interval at each end
-    while 2 * stats.binom.cdf(k, n, 0.5) <= 1 - LEVEL:
-        k += 1
+    ordered, n = np.sort(values), len(values)
+    # k values are outside of the interval at each end. It misses the median with probability 2 cdf(k).
+    k = max(int(stats.binom.ppf((1 - LEVEL) / 2, n, 0.5)) - 1, 0)
     return float(ordered[k]), float(ordered[n - 1 - k])
 
 
