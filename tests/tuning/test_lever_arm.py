@@ -84,7 +84,7 @@ def test_an_urban_drive_shows_the_arm_without_truth(found: LeverArmEstimate):
     assert abs(found.forward - 2.1) < 0.2
     assert abs(found.left + 0.7) < 0.2
     assert str(found).startswith(
-        f"antenna {found.forward:.2f} m ahead (+-{found.std[0]:.2f} m) and {-found.left:.2f} m right (+-0."
+        f"antenna {found.forward:.2f} m ahead (std {found.std[0]:.2f} m) and {-found.left:.2f} m right (std 0."
     )
 
 
@@ -124,8 +124,8 @@ def test_each_axis_counts_by_itself(urban: Drive):
     found = LeverArmEstimate(1.5, -0.6, std=(0.12, 0.06), stated=(0.7, 0.2), within=0.15)
     assert found.observable == (False, True)
     assert str(found) == (
-        "antenna 0.60 m right (+-0.06 m) of the IMU; drive.toml states 0.70 m ahead and 0.20 m left; the turns "
-        "of this log do not determine 1.50 m ahead (+-0.12 m) to 0.15 m; this accuracy needs 2.5 times as many turns; "
+        "antenna 0.60 m right (std 0.06 m) of the IMU; drive.toml states 0.70 m ahead and 0.20 m left; the turns of "
+        "this log do not determine 1.50 m ahead (std 0.12 m) to 0.15 m; this accuracy needs 2.5 times as many turns; "
         "the value in drive.toml is kept"
     )
     copy = found.applied(replace(urban, metadata={**urban.metadata, "gps_lever_arm_m": [0.7, 0.2, 1.1]}))

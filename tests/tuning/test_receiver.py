@@ -42,12 +42,16 @@ def with_r(std: float):
 @pytest.mark.parametrize(
     ("std", "noise", "said"),
     [
-        (0.05, FixNoise(1.8, 0.1), "corresponds to 0.05 m per axis, but the receiver states 1.8 m"),
-        (0.05, FixNoise(NONE, 1.0), "scatter by 1 m per axis about a path that is consistent with the IMU"),
+        (
+            0.05,
+            FixNoise(1.8, 0.1),
+            "of 0.05 m per axis, but the receiver states a standard deviation of 1.8 m",
+        ),
+        (0.05, FixNoise(NONE, 1.0), "scatter by 1 m about a path that is consistent with the IMU"),
         (
             0.9,
             FixNoise(1.8, 0.1),
-            "states 1.8 m per axis and its fixes scatter by 0.1 m, so their errors are correlated",
+            "of 1.8 m per axis, but its fixes scatter by only 0.1 m, so their errors are correlated",
         ),
         (0.1, FixNoise(NONE, 0.1), "scatter by 0.1 m per axis and their receiver states no accuracy"),
         (0.9, FixNoise(1.0, 1.0), ""),
@@ -67,7 +71,7 @@ def test_r_is_held_against_the_receiver_and_the_scatter(std: float, noise: FixNo
 def test_a_stated_accuracy_that_plays_no_part_is_named(scale: float | None, said: bool):
     filters = replace(with_r(1.0), accuracy_scale=scale)
     found = accuracy_warnings(filters, [1.0])
-    assert ["`accuracy` has no effect" in one for one in found] == [True] * said
+    assert ["`accuracy` has hardly any effect" in one for one in found] == [True] * said
     assert accuracy_warnings(filters, [NONE]) == []
 
 
@@ -84,14 +88,14 @@ def test_errors_that_are_only_assumed_to_be_correlated_are_reported():
     p = FilterParameters(1.0, 2.0, 0.0, (1e-3,) * 5, (1.0, 1.0), kind="ekf", fix_error=0.5)
     (said,) = noise_warnings(p, [FixNoise(np.nan, 0.1)])
     assert said.startswith("TO DO: write the line `gps_std_m = 1.5` at the top of drive.toml")
-    assert "assumes correlated errors of 2.1 m per axis" in said
+    assert "correlated errors with a standard deviation of 2.1 m per axis" in said
     assert noise_warnings(p, [FixNoise(2.0, 0.1)]) == noise_warnings(p, [FixNoise(np.nan, 1.0)]) == []
 
 
 def test_a_tuning_without_truth_says_so_and_one_with_truth_does_not():
     blind = tune(stating(unstated(), 30.0), model="planar5", particles=2, generations=1)
     assert blind.remarks[0].startswith("TO DO: DO NOT USE THIS FILTER")  # two random filters are no search
-    assert "the receiver states 30 m" in blind.remarks[1]
+    assert "the receiver states a standard deviation of 30 m" in blind.remarks[1]
     assert blind.to_dict()["result"]["warnings"] == list(blind.warnings)
     seen = tune(stating(town(), 30.0), particles=2, generations=1)
     assert not [doubt for doubt in seen.warnings if "the receiver states" in doubt]

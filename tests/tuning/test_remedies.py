@@ -71,7 +71,9 @@ def test_without_the_accuracy_that_plays_no_part_nothing_is_said_of_it():
     (said,) = accuracy_warnings(scaled, [2.0], ["lateral", "accuracy"])
     use = re.findall(r"tune with --use (.*?)\.", said)[0].split()
     without = tune(drive, use=use, **options)
-    assert without.parameters.accuracy_scale is None and not to_dos(without, "`accuracy` has no effect")
+    assert without.parameters.accuracy_scale is None and not to_dos(
+        without, "`accuracy` has hardly any effect"
+    )
 
 
 @pytest.mark.long

@@ -38,7 +38,7 @@ class BatchResult:
     scores : tuple of tuple of Score
         ``scores[i][j]``: set i on drive j.
     failed : ndarray of bool, shape (n_sets,)
-        True if a covariance became indefinite or a value became NaN.
+        True if, on any drive, a covariance became indefinite or a value NaN.
     """
 
     costs: Array
@@ -65,7 +65,8 @@ def run_batch(
     objective : str
         A name in `OBJECTIVES`, or a weighted sum of them.
     worst : float
-        Share of the drives over which the cost of a set is averaged: those with its highest costs. 1 means all drives.
+        Fraction of the drives, those on which a set has its highest costs, over which its cost is averaged. 1 means all
+        drives.
     outage_seed : int
         Seed of the outages, for objectives that hide fixes.
     as_recorded : bool
@@ -76,8 +77,8 @@ def run_batch(
     Raises
     ------
     InputError
-        If the objective is unknown, a drive lacks the truth that the objective needs, or an argument has the wrong
-        type.
+        If the objective is unknown, a drive is too short or lacks the truth that the objective needs, or an argument
+        has the wrong type.
     AlignmentError
         If a vehicle never moves far enough to start a filter.
     """

@@ -1,4 +1,4 @@
-"""Bounds of the search space, and its coordinates."""
+"""The bounds and the coordinates of a search space."""
 
 import math
 import re
@@ -17,7 +17,7 @@ BoundSide = Literal["lower", "upper"]
 
 @dataclass(frozen=True)
 class TouchedBound:
-    """A parameter at a bound; files contain its text, such as ``q_x at its lower bound (1e-05)``."""
+    """A parameter whose value is at a bound; ``str`` gives the text in files: ``q_x at its lower bound (1e-05)``."""
 
     parameter: str
     end: BoundSide
@@ -32,7 +32,7 @@ class TouchedBound:
 
     @classmethod
     def read(cls, text: Any) -> "TouchedBound":
-        """Parse the text that ``str`` of an object returns."""
+        """Parse the text of a `TouchedBound`; return a `TouchedBound` unchanged."""
         if isinstance(text, cls):
             return text
         match = re.fullmatch(r"(.+) at its (lower|upper) bound \((\S+)\)", str(text))
@@ -52,7 +52,7 @@ class Dimension:
     - ``spread``: True if the range spans powers of ten.
     - ``inflation``: decades by which the parameter grows per decade of the inflation factor (`tuning.inflation`).
     - ``least``: lower limit after inflation.
-    - ``typical``: typical value and its standard deviation (decades if ``spread``) of the prior; None: no prior.
+    - ``typical``: mean and standard deviation of the prior (if ``spread``, in decades); None: no prior.
     """
 
     name: str
@@ -117,10 +117,10 @@ class Bounds:
         return self._encode(np.maximum([d.least for d in self.dimensions], self.lowest))
 
     def distance(self, points: Array) -> Array:
-        """Return half the squared distance of points, shape (n, d), from the typical values, shape (n,).
+        """Return half the squared distance of points, (n, d), from the typical values as an array of shape (n,).
 
-        Each coordinate is divided by its standard deviation. A linear scale has no prior on parameters that span powers
-        of ten.
+        Each coordinate is divided by its standard deviation. In a linear search, parameters whose range spans powers of
+        ten have no prior and do not contribute.
         """
         known = np.array([d.typical is not None for d in self.dimensions]) & (
             self.logarithmic | ~self._spread
@@ -130,9 +130,9 @@ class Bounds:
         return 0.5 * np.sum(np.where(known, off, 0.0) ** 2, axis=1)
 
     def values(self, points: Array) -> Array:
-        """Convert points in search coordinates to parameters, shape (..., d)."""
+        """Convert points, shape (..., d), from search coordinates to values of the parameters."""
         values = np.where(self.logarithmic, 10.0 ** np.where(self.logarithmic, points, 0.0), points)
-        # 10**-5.0 differs from 1e-5 in the last bit, so values are clipped to the bounds
+        # 10**-5.0 differs from 1e-5 in the last bit, so values of points within the bounds are clipped
         inside = (points >= self.low) & (points <= self.high)
         return np.where(inside, np.minimum(np.maximum(values, self.lowest), self.highest), values)
 

@@ -51,7 +51,7 @@ class SearchConfig(BaseModel):
     """Objective: truth-rmse, truth-pose, innovation-nll, innovation-t, forecast-t, outage-rmse, nis, nees,
     gps-rmse, or a weighted sum."""
     scale: Scale = "log10"
-    """Scale on which variances are searched; the paper uses linear."""
+    """Scale of searched variances and other parameters whose range spans powers of ten; the paper uses linear."""
     particles: int = Field(default=30, ge=2)
     """Size of the swarm: evaluations per generation."""
     generations: int = Field(default=50, ge=1)
@@ -61,14 +61,14 @@ class SearchConfig(BaseModel):
     seed: int = Field(default=0, ge=0)
     """Seed of all random numbers; the same seed gives the same result."""
     worst: float = Field(default=1.0, gt=0, le=1)
-    """Share of the drives, those with the highest costs, over which the cost is averaged; 1 means all drives."""
+    """Fraction of the drives, those with the highest costs, over which the cost is averaged; 1 means all drives."""
     # At the same budget, de-qpso is at least as good as de and better than the paper's pso (docs/optimizers.md).
     optimizer: OptimizerName | OwnOptimizer | OwnOptimizerName = "de-qpso"
     """Search algorithm; bo needs scikit-learn. In Python, a custom class is also possible. See docs/optimizers.md."""
     polish: int = Field(default=0, ge=0)
     """Evaluations of the budget reserved for a final Nelder-Mead search from the best point."""
     racing: bool = False
-    """Drop the worse candidates of a generation after a few drives; saves time with many drives."""
+    """Stop evaluating the worse candidates of a generation after a few drives; saves time with many drives."""
     inertia: float = INERTIA
     """Weight w of pso."""
     cognitive: float = ACCELERATION
@@ -113,7 +113,8 @@ class TuneConfig(SearchConfig):
     as_recorded: bool = False
     """Run without preprocessing: use stale fixes, treat IMU gaps as ordinary steps; for diagnosis and the paper."""
     prior: float | None = Field(default=None, ge=0, le=100)
-    """Weight of priors on R and (tilted12) other parameters; 0 disables them. Default: 1 without truth, otherwise 0."""
+    """Weight of priors on R and (tilted12) other parameters; 0 disables them. Default: 1 for likelihoods without truth,
+    otherwise 0."""
     inflation: float | None = Field(default=None, ge=0, le=1)
     """Relative cost increase allowed for inflating process noise; 0 disables it. Default: 0 to 0.05, depending on
     model and truth."""
@@ -122,7 +123,7 @@ class TuneConfig(SearchConfig):
     @classmethod
     def _complete(cls, options: Any) -> Any:
         """Accept old names of options, and add the default filter type of the model."""
-        from sigmaswarm.filters.models import MODELS  # slow, and not needed for the command line's help
+        from sigmaswarm.filters.models import MODELS  # imported here, since it would slow down the help
 
         if not isinstance(options, Mapping):
             return options
@@ -150,7 +151,7 @@ MODEL_REMEDIES = {
     "prior": "narrow the bounds of the parameters of measurement_noise",
     "start": "narrow the bounds of the parameters",
 }
-"""Remedies if options of built-in models are given for a custom model; other options must be left out."""
+"""Remedies if options of built-in models are given for a custom model; for other options: leave them out."""
 
 
 PAPER_OPTIONS: dict[str, Any] = {
@@ -169,7 +170,7 @@ PAPER_OPTIONS: dict[str, Any] = {
     "prior": 0.0,
     "inflation": 0.0,
 }
-"""Options of ``paper=True``. The paper repeats such a tuning 20 times, and states neither inertia nor seed."""
+"""Options that ``paper=True`` sets. The paper repeats such a tuning 20 times, and states neither inertia nor seed."""
 
 
 def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:

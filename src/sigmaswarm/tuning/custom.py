@@ -22,7 +22,7 @@ from sigmaswarm.tuning.space import SCALING
 
 MODEL_OBJECTIVES = {
     "truth-rmse": "root mean square of the scored states' errors against truth",
-    "innovation-nll": "mean negative log-likelihood of each measurement before its update",
+    "innovation-nll": "mean negative log-likelihood of the measurements, predicted before their updates",
 }
 
 
@@ -86,8 +86,7 @@ def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> Mo
 def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
     """Return a function that computes the RMSE of a model's ``scored`` states; by default, of every state with truth.
 
-    The function's argument is the state means at the log's times, shape (k, n). The means are interpolated at the truth
-    times.
+    Its argument is the state means at the log's times, shape (k, n); they are interpolated to the truth times.
     """
     names = model.scored or tuple(log.truth)
     missing = [name for name in names if name not in log.truth]

@@ -20,18 +20,18 @@ PAPER_MODEL = "planar5"  # the paper's model
 OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
 """Objectives with and without truth; see docs/objectives.md, "Outliers"."""
 FORECAST_OBJECTIVE = "0.5 innovation-t + 0.5 forecast-t"
-"""Objective without truth, for a model with roll and pitch and receivers with white errors.
+"""Objective without truth for a model with roll and pitch, if the fix errors of most drives are white.
 
-If the fix errors are correlated, a filter that is tuned by forecasts reproduces these errors: with a u-blox M8, the
-filter's error was 11 m instead of 4 m. A planar filter overfits to the training roads: on the roads of another car, the
-filter's error was 3.6 times that of the fixes.
+If the fix errors are correlated, a filter that is tuned by forecasts reproduces these errors: with a u-blox M8, its
+position RMSE was 11 m instead of 4 m. A planar filter overfits to the training roads: on a drive of another car, its
+position RMSE was 3.6 times that of the fixes.
 """
 FIX_ERROR_OBJECTIVE = "innovation-t + 0.2 truth-pose + 0.2 nees"
 """Objective with truth and fix-error: mainly the likelihood, since a drive has few independent position errors.
 
-With a larger share of truth-pose, the filter overfits to the errors of the training drive.
+With a larger weight of truth-pose, the filter overfits to the errors of the training drive.
 """
-MIN_DRIVEN = 30.0  # s, shortest driving time of a drive in which fixes can be hidden
+MIN_DRIVEN = 30.0  # s, driving time that each drive must exceed for `FORECAST_OBJECTIVE`
 OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
 """Objectives with and without truth for custom models, which support only these."""
 
@@ -42,8 +42,8 @@ def default_filter_options(
     """Add missing ``model`` and ``use``; return the options and one line that explains them, or "" if none was missing.
 
     For planar5, the paper's model, no measurements are added. Measurements that conflict with ``kind`` or the objective
-    are omitted. ``fix-error`` is added only to the model that suits the sensors: on roads that need tilted12, planar8
-    with ``fix-error`` drifts twice as far over 30 s.
+    are omitted. ``fix-error`` is added only to the model that suits the sensors: on roads that need tilted12, it
+    doubles the drift of planar8 over 30 s.
     """
     if "model" in options and "use" in options:
         return options, ""
@@ -71,11 +71,11 @@ def default_filter_options(
 
 
 def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive | LogProperties]) -> bool:
-    """Return True if all logs show correlated fix errors, the filter can model them, and the objective suits them.
+    """Return True if all logs show correlated fix errors in enough fixes, and filter and objective permit fix-error.
 
-    Without truth, the states for these errors reduce the position RMSE by 25% on kingston-1 and by 13% on comma2k19.
-    With simulated receivers and errors that last minutes, only the covariance improves. With truth, these states are
-    used only for models with roll and pitch: see `space.FIX_ERROR_TIME`.
+    Without truth, the states for these errors change the position RMSE by -25% on kingston-1, and by -13% or +6% on two
+    parts of comma2k19. With simulated receivers and errors that last minutes, only the covariance improves. If all logs
+    have truth, the states are used only with the default objective and roll and pitch: see `space.FIX_ERROR_TIME`.
     """
     have, objective = [log_properties(one) for one in drives], options.get("objective") or "auto"
     known = model in MODELS
@@ -119,7 +119,7 @@ def objective_for(
     blind = [one.name for one in data if not one.truth]
     if blind and len(blind) < len(data):
         warnings.warn(
-            f"{blind[0]} has no truth, so all drives are tuned with {without}; leave this drive out, or set "
+            f"{blind[0]} has no truth, so all drives are tuned with {without}; leave drives without truth out, or set "
             "--objective",
             SigmaswarmWarning,
             stacklevel=5,
@@ -132,7 +132,7 @@ def _allows_forecasts(cars: Sequence[LogProperties]) -> bool:
 
 
 def complete_config(config: C, data: Sequence[LogProperties | Log]) -> C:
-    """Set the objective, the weight of the priors and the process-noise inflation that the user did not set."""
+    """Replace the objective ``auto``, and an unset weight of the priors and process-noise inflation, by defaults."""
     car = isinstance(config, TuneConfig)
     model, use = (config.model, config.use) if car else (PAPER_MODEL, ())
     objective = objective_for(data, config.objective, model, use)
@@ -140,7 +140,7 @@ def complete_config(config: C, data: Sequence[LogProperties | Log]) -> C:
 
 
 def explain_tuning(drives: Sequence[Drive | LogProperties], **options: Any) -> list[str]:
-    """Explain the filter, objective and search that `tune` would use, in three sentences."""
+    """Describe the filter, the objective and the search that `tune` would use, in three lines."""
     sensors = [log_properties(one) for one in drives]
     options, because = default_filter_options(options, sensors)
     config = complete_config(validated_config(TuneConfig, options), sensors)
@@ -154,9 +154,10 @@ def explain_tuning(drives: Sequence[Drive | LogProperties], **options: Any) -> l
 
 
 def with_default_guards(config: C) -> C:
-    """Set the weight of the priors and the process-noise inflation; by default both apply to likelihoods without truth.
+    """Set the weight of the priors and the process-noise inflation if they are None.
 
-    With truth, only the process noise of models with roll and pitch is inflated.
+    Likelihoods without truth have priors and, in a log10 search, inflation. With truth there are no priors, and only
+    models with roll and pitch have inflation.
     """
     if not isinstance(config, TuneConfig):
         return config

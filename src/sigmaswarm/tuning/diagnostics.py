@@ -1,7 +1,7 @@
 """Find faults of a tuned filter that its objective hardly shows: divergence, drift and a wrong covariance scale.
 
-If all noise variances are multiplied by the factor mean NIS / 2, the mean NIS becomes 2, and the filter is consistent.
-If the gains depend on the scale, the factor also changes the estimates, so its effect on the position is measured.
+If all variances are multiplied by mean NIS / 2, the mean NIS becomes 2. The factor changes the estimates only if gains
+depend on the scale (fixed variances of the initial state; robust weights), so the change of the RMSE is measured.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -29,8 +29,8 @@ from sigmaswarm.tables import Column, Table
 from sigmaswarm.tuning.objectives import Objective
 from sigmaswarm.wording import to_do
 
-MAX_NAMED_DRIVES = 3  # drives that a message names, and that are checked for drift
-MONITORED_TIME = 3600.0  # s of a drive that are checked for divergence; a longer check needs more memory
+MAX_NAMED_DRIVES = 3  # largest number of drives that a message names, and that are checked for drift
+MONITORED_TIME = 3600.0  # s from the start in which divergence is checked; a longer time needs more memory
 MAX_DRIFT_RATIO = 1.5  # ratio to the baseline's drift above which a warning is given
 FIRST_SETS = 2  # sets of outages that are checked first
 RECHECK_RATIO = 1.2
@@ -44,7 +44,7 @@ REMEDY = f"{DO_NOT_USE}; check the drive with `sigmaswarm doctor`, or tune with 
 MAX_CORRELATION = 0.3
 """Lag-1 autocorrelation of innovations above which a warning is given.
 
-For three filters tuned without truth, the median autocorrelations were -0.05 and 0.12 with white errors, 0.15 with a
+For filters tuned without truth, the median autocorrelation was -0.05 and 0.12 with white fix errors, 0.15 with a
 simulated u-blox M8, and 0.33 to 0.91 with real receivers.
 """
 SCALE_REMEDY = "tune with '{objective} + 0.2 {measure}'"
@@ -106,7 +106,7 @@ def forecasts_of(
 ) -> Iterator[DriftComparison]:
     """Measure the drift over outages of several lengths, in the middle of the first drives.
 
-    The outages are those of an evaluation, so an evaluation of the same drive reports the same drift.
+    On a drive of at most `CHECKED_TIME`, an evaluation with the default seed has the same outages and drift.
     """
     some = scorer.subset(range(min(len(scorer.dataset), MAX_NAMED_DRIVES)))
     for length in FORECAST_LENGTHS:
@@ -204,7 +204,10 @@ def drifts_of(
     length: float = LONG_OUTAGE_LENGTH,
     noise: MotionNoise | None = None,
 ) -> tuple[float, ...]:
-    """Return the RMS drifts (m) of a filter, the baseline and, with ``noise``, fixes alone; NaN if no outage fits."""
+    """Return the RMS drifts (m) of a filter, the baseline and, with ``noise``, fixes alone; NaN if no outage fits.
+
+    Drifts are measured in the middle of the drive, over at most ``most`` sets of outages of ``length`` s.
+    """
     middle = float(ready.drive.imu.time[0] + ready.drive.imu.time[-1]) / 2
     part = _part(ready, middle - CHECKED_TIME / 2, middle + CHECKED_TIME / 2)
     try:
@@ -238,8 +241,8 @@ def scale_warnings(objective: Objective, parameters: FilterParameters, scorer: A
         moved = float(after.position_rmse.mean() / before.position_rmse.mean() - 1)
         if abs(moved) <= MAX_RMSE_CHANGE and abs(float(after.mean_nis.mean()) / 2 - 1) <= MAX_NIS_ERROR:
             right = (
-                f"With all variances multiplied by {nis / 2:.3g}, the mean NIS is 2, and the position RMSE changes by "
-                f"{moved:+.1%}"
+                f"With all variances multiplied by {nis / 2:.3g}, the mean NIS is about 2, and the position RMSE "
+                f"changes by {moved:+.1%}"
             )
             return [to_do(f"{remedy}, or use FilterParameters.scaled({nis / 2:.3g})", f"{message}. {right}")]
     return [to_do(remedy, message)]

@@ -6,22 +6,23 @@ better, so it allows a smaller cost increase.
 
 For a planar model, all process noise is inflated except the random walk of the gyro's bias. The noise of the velocity
 is included, since it represents the tilt of roads. One drive hardly determines the random walk: an inflation to 1e-7
-(rad/s)2/s raised the heading error on another car's drive by 29%. For a model with roll and pitch, the noise of
-position and velocity is inflated by the square root of the factor. With the whole factor, the error on another car is
-0.86 instead of 0.65 times that of the fixes. Without inflation of position and velocity, the heading error with a cheap
-IMU is 50% larger. The noises of heading and yaw rate in robot-localization are not inflated, since they do not depend
-on roads.
+(rad/s)2/s raised the heading error on another car's drive by 29%. For a model with roll and pitch, the random walks of
+the biases are inflated by the factor, and the noise of position and velocity by its square root. With the whole factor
+for position and velocity, the position RMSE on another car's drive is 0.86 instead of 0.65 times that of the fixes.
+Without inflation of position and velocity, the heading error with a cheap IMU is 50% larger. The noises of heading and
+yaw rate in robot-localization are not inflated, since they do not depend on roads.
 
-A factor has no effect on a noise near zero. In a filter with roll and pitch, the process noise and the standard
-deviations of the initial biases therefore have minima (`space.INFLATION_MINIMA`), also with truth. With these minima, a
-filter that was tuned on one drive has a position error of 0.8 m instead of 1.7 m on another car's drive. On drives of
-the same car, the minima change the error by -5 to +2%. Three or more drives with truth determine the standard
-deviations of the initial biases, so these have no minimum: a minimum would increase the heading error by 10%.
+A factor has no effect on a noise near zero. In a filter with roll and pitch, the noise of these angles, the random
+walks of the gyro's x and y biases, and the standard deviations of the initial biases therefore have minima
+(`space.INFLATION_MINIMA`). With these minima, a filter that was tuned on one drive has a position RMSE of 0.8 m instead
+of 1.7 m on another car's drive. On drives of the same car, the minima change the RMSE by -5 to +2%. Three or more
+drives with truth determine the standard deviations of the initial biases, so these have no minimum: a minimum would
+increase the heading error by 10%.
 
 The standard deviation of the gyro's initial bias has another minimum if the starts of the training drives show biases.
-At its start, a filter subtracts a bias of many standard deviations (`GyroBiasEvidence.update`), so the cost
-hardly depends on this parameter. For a gyro with biases of 0.2 rad/s, the tuned standard deviation was 5e-5 rad/s, and
-the filter diverged on drives with a smaller bias.
+At its start, a filter subtracts a bias of many standard deviations (`GyroBiasEvidence.update`), so the cost hardly
+depends on this parameter. For a gyro with biases of 0.2 rad/s, the tuned standard deviation was 5e-5 rad/s, and the
+filter diverged on drives with a smaller bias.
 """
 
 from collections.abc import Sequence
@@ -38,17 +39,17 @@ from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.problem import Problem, duration_share
 
 INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
-"""Default relative cost increases: planar without truth, other models without truth, tilted12 with truth."""
-MIN_DRIVES = 3  # drives with truth that determine the standard deviations of the initial biases
+"""Default allowed cost increases: planar without truth, other models without truth, tilted12 with truth."""
+MIN_DRIVES = 3  # drives with truth from which the standard deviations of the initial biases are determined
 REFERENCE_DURATION, TILTED_DURATION = 100.0, 150.0
-"""Driving times (s) for which the whole cost increase is allowed: for planar models, and with roll and pitch.
+"""Total driving times (s) up to which the whole cost increase is allowed: planar models, models with roll and pitch.
 
-Twice the driving time allows half of the increase. On the 72 pairs of drives of `benchmarks/road_matrix.py`, the
-position RMSE of planar8 is 1 to 2% lower and its 5 s drift 3 to 4% lower with 100 s than with 150 s. With roll and
-pitch, a filter was tuned on 200 s of kitti-09-30-0018 and tested on kitti-09-30-0033. With 100 s instead of 150 s, 83%
-instead of 90% of its errors were inside the 95% radius; the position RMSE on the training roads was the same within 1%.
-Shorter drives do not allow a larger increase: after tuning on 60 s of a highway, an increase of 0.086 instead of 0.05
-raised the 5 s drift on other roads by 20%.
+Twice this time allows half of the increase. On the 72 pairs of drives of `benchmarks/road_matrix.py`, the position RMSE
+of planar8 is 1 to 2% lower and its 5 s drift 3 to 4% lower with 100 s than with 150 s. With roll and pitch, a filter
+was tuned on 200 s of kitti-09-30-0018 and tested on kitti-09-30-0033. With 100 s instead of 150 s, 83% instead of 90%
+of its errors were inside the 95% radius; the position RMSE on the training roads was the same within 1%. Shorter drives
+do not allow a larger increase: after tuning on 60 s of a highway, an increase of 0.086 instead of 0.05 raised the 5 s
+drift on other roads by 20%.
 """
 MIN_BIAS_RATIO = 5.0
 """Mean of bias^2 / variance over starts and axes above which the starts show biases of the gyro.
@@ -62,10 +63,10 @@ STEP = 0.1  # decades between two factors
 def inflate(
     problem: Problem[Any], point: Array, allowed: float, executor: Executor | None
 ) -> tuple[Array, float, float]:
-    """Inflate the process noise of a point, shape (d,), within the bounds, until its cost has increased by ``allowed``.
+    """Inflate the process noise of a point, shape (d,), within the bounds, as far as its cost permits.
 
-    ``allowed`` is a relative increase of the cost without a prior. The inflated point is also raised to the minima.
-    Return this point, its cost and the inflation factor.
+    ``allowed`` is the largest relative increase of the cost without a prior; it is smaller for driving times above the
+    reference. Then raise the point to the minima. Return the new point, its cost and the inflation factor.
     """
     space = problem.space
     decades = np.arange(0.0, MAX_DECADES + STEP / 2, STEP)
@@ -92,7 +93,7 @@ def _limits(problem: Problem[Any]) -> Array:
 
 
 def shown_bias(starts: Sequence[InitialState]) -> float:
-    """Return the standard deviation of the gyro biases that starts show, rad/s; 0 if they show none."""
+    """Return the RMS of the gyro biases at the starts without their estimation errors, rad/s; 0 if they show none."""
     gyros = [start.gyro for start in starts if start.gyro is not None]
     bias, variance = (np.array([getattr(one, what) for one in gyros]) for what in ("bias", "variance"))
     # The variance of an axis that was not observed is infinite.

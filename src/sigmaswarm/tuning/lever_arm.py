@@ -31,16 +31,16 @@ from sigmaswarm.tuning.search import TrialRunner
 
 ARM = ("forward", "left")
 UNKNOWN_STD, STATED_STD = 2.0, 1.0
-"""Prior standard deviations, m, if drive.toml has no lever arm, and if it has no ``gps_lever_arm_std_m``."""
+"""Prior standard deviations, m, if drive.toml has no lever arm, and if it has one without ``gps_lever_arm_std_m``."""
 SCALES = ("scale_ax", "scale_ay", "scale_gz")
 ROLLING = 0.1
-"""Prior standard deviation of a planar filter's accelerometer scales, which include effects of roll and pitch."""
+"""Prior standard deviation of a planar filter's accelerometer scale errors, which include effects of roll and pitch."""
 PRIOR_STD = dict.fromkeys(SCALES, 0.03) | {"latency": 0.02, "rear_axle": 1.0, "tire_slip": 0.01}
-"""Prior standard deviations of scales (no unit), latency (s), rear axle (m) and tire slip (s2/m)."""
+"""Prior standard deviations of scale errors (no unit), latency (s), rear axle (m) and tire slip (s2/m)."""
 STEP = {"forward": 0.1, "left": 0.1, "latency": 0.01, "rear_axle": 0.1, "tire_slip": 1e-3} | dict.fromkeys(
     SCALES, 0.005
 )
-"""Steps of finite differences: lever arm in m, the others in the units of `PRIOR_STD`."""
+"""Steps of finite differences: lever arm in m, other unknowns in the units of `PRIOR_STD`."""
 DOF = 8.0  # degrees of freedom of Student's t, which reduces the weight of outliers
 BLOCK_LENGTH = 20.0  # s, length of a block; fix errors may be correlated within a block
 STD_FACTOR = 1.2
@@ -49,9 +49,9 @@ STD_FACTOR = 1.2
 Without this factor, 93% of the errors on 65 simulated drives were within 1.96 standard deviations.
 """
 MAX_ROUNDS, STEP_TOLERANCE = 8, 0.005
-"""Largest number of Gauss-Newton steps, and size of the last step (m)."""
+"""Largest number of Gauss-Newton steps, and step of the lever arm (m) below which the iteration ends."""
 NOISE_SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
-"""Options for tuning the noise; without tuning, the standard deviations are two to six times as large."""
+"""Options for tuning the noise; without tuning, the lever arm's standard deviations are two to six times as large."""
 Values = dict[str, float]
 Whitened = tuple[Array, Array, Array, Array]
 """Arrays of a drive: times (f,), s; L^-1 nu (f, 2); its negative derivatives (f, 2, k); robust weights (f,)."""
@@ -81,13 +81,13 @@ class LeverArmEstimate:
 
     @property
     def observable(self) -> tuple[bool, bool]:
-        """Observability of forward and left: True if the turns of the drives determine the axis."""
+        """Observability of forward and left: True if the turns of the drives determine the axis to ``within``."""
         forward, left = (1.96 * std <= self.within for std in self.std)
         return forward, left
 
     def __str__(self) -> str:
         estimated, stated = _placed(self.forward, self.left), _placed(*self.stated)
-        axes = [f"{axis} (+-{std:.2f} m)" for axis, std in zip(estimated, self.std, strict=True)]
+        axes = [f"{axis} (std {std:.2f} m)" for axis, std in zip(estimated, self.std, strict=True)]
         known = [axis for axis, observable in zip(axes, self.observable, strict=True) if observable]
         unknown = [axis for axis in axes if axis not in known]
         remarks = [f"antenna {' and '.join(known)} of the IMU"] if known else []
@@ -128,9 +128,9 @@ def estimate_lever_arm(
 ) -> LeverArmEstimate:
     """Estimate the antenna's lever arm, forward and left, from drives of one vehicle.
 
-    The prior mean is ``gps_lever_arm_m`` of drive.toml, and its standard deviation is ``gps_lever_arm_std_m`` (1 m if
-    not stated; 2 m if no lever arm is stated). The delay of the fixes, whose effect is similar to that of ``forward``,
-    has a prior standard deviation of 0.02 s.
+    The prior has the mean ``gps_lever_arm_m`` and the standard deviation ``gps_lever_arm_std_m`` of drive.toml (if
+    these are missing: 0 m with 2 m, or the stated lever arm with 1 m). The delay of the fixes, whose effect is similar
+    to that of ``forward``, has a prior standard deviation of 0.02 s.
 
     Parameters
     ----------
@@ -150,7 +150,8 @@ def estimate_lever_arm(
     AlignmentError
         If a vehicle never moves far enough to start a filter.
     InputError
-        If there are no drives, the drives state different lever arms, or ``within`` is not positive and finite.
+        If there are no drives, the drives state different lever arms or standard deviations, a filter fails, or
+        ``within`` is not positive and finite.
     """
     read = [replace(drive, truth=None) for drive in as_list(drives)]
     if not read:
@@ -159,7 +160,8 @@ def estimate_lever_arm(
         raise InputError(f"within = {within:g}: must be positive and finite, m")
     if len({(*drive.lever_arm, *_stated_std(drive)) for drive in read}) > 1:
         raise InputError(
-            "the drives contain different gps_lever_arm_m; pass drives of one vehicle, or one drive at a time"
+            "the drives contain different gps_lever_arm_m or gps_lever_arm_std_m; pass drives of one vehicle, or one "
+            "drive at a time"
         )
     mean, std = read[0].lever_arm, _stated_std(read[0])
     prior = {name: (float(m), s) for name, m, s in zip(ARM, mean, std, strict=True)}
@@ -250,7 +252,8 @@ def _deviations(
 ) -> tuple[float, float]:
     """Return the standard deviations of the lever arm, forward and left, m.
 
-    Each is the larger one of the model's estimate and the sandwich estimate from blocks of the drives (White, 1980).
+    Each is `STD_FACTOR` times the larger one of the model's estimate and the sandwich estimate from blocks of the
+    drives (White, 1980).
     """
     spread, inverse = before.copy(), np.linalg.inv(information)
     for time, nu, columns, weight in whitened:

@@ -1,4 +1,4 @@
-"""Objectives, which turn the scores of parameter sets on drives into costs, and their weighted sums."""
+"""Objectives: functions from the scores of parameter sets on drives to costs, and weighted sums of such functions."""
 
 import re
 from collections.abc import Callable
@@ -30,10 +30,10 @@ class Objective:
     scale_free : bool
         True if the cost does not depend on a common factor of all covariances.
     likelihood : bool
-        True for a negative log-likelihood. In a sum with such a term, all terms are in nats.
+        True for a negative log-likelihood, or a sum with such a term. The whole sum then counts as nats.
     nats : float
-        Total weight of the logarithmic terms; 0 if the cost is a positive error. In a term of weight 1, errors that are
-        1% larger add 0.01 nats per element of a measurement.
+        Total weight of the logarithmic terms; 0 if the cost is a positive error. If errors are 1% larger, a term of
+        weight 1 increases by 0.01 nats per element of a measurement.
     warning : str or None
         Warning for the user before the search.
     """
@@ -50,7 +50,10 @@ class Objective:
     warning: str | None = None
 
     def costs(self, scores: Scores, worst: float = 1.0) -> Array:
-        """Return the mean cost over the ``worst`` share of a set's drives, shape (n_sets,); ``inf`` if any failed."""
+        """Return the mean of the highest costs of each set, shape (n_sets,); ``inf`` if it failed on any drive.
+
+        ``worst`` is the fraction of the drives that are averaged.
+        """
         return mean_cost(self.each(scores), worst)
 
     def each(self, scores: Scores) -> Array:
@@ -59,7 +62,7 @@ class Objective:
         return np.where(scores.failed | ~np.isfinite(costs), np.inf, costs)
 
     def relative_increase(self, costs: Array | float, best: float, elements: float = 2) -> Array:
-        """Return the relative increase of costs; 0.01 means that errors are 1% larger.
+        """Return the relative increase of costs over ``best``; 0.01 means that errors are 1% larger.
 
         ``elements`` is the mean number of elements of a measurement.
         """
@@ -76,13 +79,13 @@ def mean_cost(each: Array, worst: float = 1.0) -> Array:
 
 
 def conditional_value_at_risk(costs: Array, share: float) -> Array:
-    """Return the mean over the worst ``share`` of each row of costs, shape (n, m), as an array of shape (n,).
+    """Return the mean over the fraction ``share`` of highest costs in each row; costs (n, m), result (n,).
 
-    If the share is not a whole number of values, the smallest of these values has a smaller weight (conditional value
-    at risk: R. T. Rockafellar and S. Uryasev, J. Risk 2, 2000).
+    If m times ``share`` is not an integer, the smallest of these costs has a smaller weight (conditional value at risk:
+    R. T. Rockafellar and S. Uryasev, J. Risk 2, 2000).
     """
     if not 0 < share <= 1:
-        raise InputError(f"worst = {share:g}: specify a share of the drives above 0 and at most 1")
+        raise InputError(f"worst = {share:g}: specify a fraction of the drives, above 0 and at most 1")
     if share == 1.0:
         return costs.mean(axis=1)
     count = costs.shape[1]
@@ -93,7 +96,7 @@ def conditional_value_at_risk(costs: Array, share: float) -> Array:
 
 
 def _pose(scores: Scores) -> Array:
-    # If a drive is too short for an outage or too slow for a heading, this term is 0 for every set.
+    # On a drive that is too short for outages or too slow for headings, the drift or heading term is 0 for every set.
     heading = np.nan_to_num(np.degrees(scores.heading_rmse), posinf=np.inf)
     drift = np.nan_to_num(scores.outage_drift, posinf=np.inf)
     return scores.position_rmse + HEADING_WEIGHT * heading + OUTAGE_WEIGHT * drift
@@ -124,21 +127,21 @@ OBJECTIVES = {
         ),
         Objective(
             "innovation-nll",
-            "mean negative log-likelihood of each fix before its update, nats",
+            "mean negative log-likelihood of the fixes, predicted before their updates, nats",
             lambda scores: scores.innovation_nll,
             likelihood=True,
             nats=1.0,
         ),
         Objective(
             "innovation-t",
-            "mean negative log-likelihood of each fix under Student's t before its update, nats",
+            "mean negative log-likelihood of the fixes under Student's t, predicted before their updates, nats",
             lambda scores: scores.innovation_t,
             likelihood=True,
             nats=1.0,
         ),
         Objective(
             "forecast-t",
-            "mean negative log-likelihood of fixes hidden for 3 to 5 s under Student's t about their forecasts, nats",
+            "mean negative log-likelihood of forecast errors under Student's t, for fixes hidden for 3 to 5 s, nats",
             lambda scores: scores.forecast_t,
             needs_forecasts=True,
             likelihood=True,
@@ -146,27 +149,27 @@ OBJECTIVES = {
         ),
         Objective(
             "outage-rmse",
-            "RMS error of the forecast of fixes hidden for 3 to 5 s, m",
+            "RMS forecast error for fixes hidden for 3 to 5 s, m",
             lambda scores: scores.forecast_rmse,
             needs_forecasts=True,
             scale_free=True,
         ),
         Objective(
             "nis",
-            "|ln(mean NIS / 2)|: deviation of the innovations from their covariances",
+            "|ln(mean NIS / 2)|: error of the scale of the innovations' covariance",
             lambda scores: _deviation(scores.mean_nis),
             nats=1.0,
         ),
         Objective(
             "nees",
-            "|ln(mean NEES / 2)|: deviation of the position error from its covariance",
+            "|ln(mean NEES / 2)|: error of the scale of the position's covariance",
             lambda scores: _deviation(scores.mean_nees),
             needs_truth=True,
             nats=1.0,
         ),
         Objective(
             "gps-rmse",
-            "the paper's equation 4: RMSE against the fixes after their update, m",
+            "the paper's equation 4: RMSE of the updated positions against the fixes, m",
             lambda scores: scores.fix_rmse,
             warning=(
                 "gps-rmse compares the filter with the fix of the last update, so this cost is lowest for a filter "

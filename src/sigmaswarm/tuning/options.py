@@ -30,14 +30,14 @@ Option = Literal[
 ]
 
 INERTIA = 0.7298
-"""Inertia weight w: the constriction coefficient of Clerc and Kennedy (2002), since the paper states no value."""
+"""Inertia weight w. The paper states no value; this is the constriction coefficient of Clerc and Kennedy (2002)."""
 ACCELERATION = 1.5
 """Acceleration coefficients c1 = c2, from the paper."""
 SEEDS = 20
-"""Number of runs of each optimizer in a comparison."""
+"""Default number of runs of each optimizer in a comparison."""
 
 
-class SharedOptions(TypedDict, total=False):  # equal for all tunings of a comparison
+class SharedOptions(TypedDict, total=False):  # the same in all tunings of a comparison
     objective: str
     worst: float
     particles: int

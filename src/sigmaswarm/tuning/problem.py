@@ -77,7 +77,7 @@ class Problem(ABC, Generic[P]):
 
     @abstractmethod
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
-        """Return the costs, shape (n, len(drives)), of points, shape (n, d), on some drives; ``inf`` for failures."""
+        """Return the costs, shape (n, k), of points, shape (n, d), on k drives given by index; ``inf`` for failures."""
 
     @abstractmethod
     def relative_increase(self, costs: Array | float, best: float) -> Array:
@@ -104,15 +104,15 @@ class Problem(ABC, Generic[P]):
         return []
 
     def fixes_alone(self) -> MotionNoise | None:
-        """Fit the noise parameters of a constant-velocity filter that uses only fixes."""
+        """Fit the noise parameters of a constant-velocity filter that uses only fixes; None for a custom model."""
         return None
 
     def forecasts(self, point: Array, noise: MotionNoise) -> list[DriftComparison]:
-        """Compare the drift of a filter with that of fixes alone, by outage length."""
+        """Compare the drifts of a filter, the baseline and fixes alone, by outage length."""
         return []
 
     def starts(self) -> Sequence[InitialState]:
-        """Return the start of the filter on each drive."""
+        """Return the initial state of the filter on each drive; none for a custom model."""
         return ()
 
     def failure_reason(self, point: Array) -> str | None:
@@ -202,14 +202,14 @@ class CarProblem(Problem[FilterParameters]):
             names = [drive.name for drive in self.sensors]
             decided = prior_warnings(parameters, prior, names, self._receiver_std, noise) if prior else []
             messages += decided or noise_warnings(parameters, noise, self.config.use)
-            if enough_for_fix_error(self.sensors):  # with fewer fixes, the remedy increases errors
+            if enough_for_fix_error(self.sensors):  # with fewer fixes, fix-error increases errors
                 correlations = scorer.map_prepared(partial(correlation_of, parameters=parameters))
                 messages += correlation_warnings(parameters, correlations, self.config.use)
         return messages
 
 
 def duration_share(data: Iterable[Mapping[str, Any]], reference: float) -> float:
-    """Return a reference duration, s, divided by the driving time of all drives; at most 1."""
+    """Return a reference duration, s, divided by the total driving time, but at most 1."""
     return min(1.0, reference / sum(entry["duration_s"] for entry in data))
 
 

@@ -1,12 +1,12 @@
 """Race candidates: evaluate all of them on a few drives, and only the better ones on more drives.
 
-This is successive halving (K. Jamieson and A. Talwalkar, AISTATS 2016) with drives as the resource. Unlike F-race (M.
-Birattari et al., GECCO 2002), a race drops a fixed share of the candidates, so the number of steps is known in advance.
+This is successive halving (K. Jamieson and A. Talwalkar, AISTATS 2016) with drives as the resource: each rung drops the
+worse half of the candidates. In F-race (M. Birattari et al., GECCO 2002), a test decides how many are dropped.
 
 A single filter takes as long as eight filters in one vector, so the last candidate of a race is expensive. With many
-drives, a batch therefore also races against the best candidate so far, the leader. The leader's costs are a control
-variate for the costs of dropped candidates. A race that starts with 1/32 of the drives is faster, but the resulting
-costs mislead the search.
+drives, candidates must therefore also be better than the best candidate so far, the leader. The leader's costs are a
+control variate for the costs of dropped candidates. A race that starts with 1/32 instead of 1/12 of the drives is
+faster, but the resulting costs mislead the search.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.tables import Array, Mask
 from sigmaswarm.tuning.problem import Problem
 
-FIRST_DIVISOR = 12  # a race starts with 1 / FIRST_DIVISOR of the drives
+FIRST_DIVISOR = 12  # a race on MIN_DRIVES or more drives starts with 1 / FIRST_DIVISOR of them
 MIN_DRIVES = 96
 """Smallest number of drives for a race against the leader; 1/12 of fewer drives is too small a sample for a test."""
 Order = Sequence[int] | NDArray[np.int64]
@@ -74,7 +74,8 @@ def race(
 ) -> RaceResult:
     """Evaluate points, shape (n, d), on the drives in the given order, and drop the worse half at each rung.
 
-    With many drives, the points race against ``leader``. Without it, or for one point, all drives are used.
+    With `MIN_DRIVES` or more drives, points that are not better than ``leader`` are dropped, too. Without a leader, or
+    for one point, nothing is dropped then.
     """
     order = np.asarray(order)
     many, n, m = len(order) >= MIN_DRIVES, len(points), len(order)
@@ -117,7 +118,7 @@ def _ahead(each: Array, costs: Array, rival: Leader, drives: NDArray[np.int64]) 
 
 
 def _in_order(each: Array, order: NDArray[np.int64]) -> Array:
-    """Return columns in the order of the drives, C-contiguous, since the rounding of sums depends on both."""
+    """Sort columns by drive, C-contiguous, since the rounding of sums depends on order and memory layout."""
     return np.ascontiguousarray(each[:, np.argsort(order[: each.shape[1]], kind="stable")])
 
 

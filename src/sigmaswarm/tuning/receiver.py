@@ -1,9 +1,9 @@
-"""Compare R with the receiver's accuracy: a prior for logs without truth, and warnings of an implausible R.
+"""Compare R with the receiver's accuracy: a prior for objectives without truth, and warnings about an implausible R.
 
-Many receivers smooth their fixes. For smoothed fixes, the likelihood is largest with an R of centimeters, and a filter
-with this R copies the fixes. The prior penalizes an R below the receiver's variance. It does not penalize a larger R,
-since in cities receivers state standard deviations that are too small. The prior is counted once per fix. Otherwise,
-its weight would decrease with the number of fixes, although their errors are correlated.
+Many receivers smooth their fixes. For smoothed fixes, the likelihood is largest if R corresponds to centimeters, and a
+filter with this R copies the fixes. The prior penalizes an R below the receiver's variance. Only with fix-error does it
+penalize a larger R, since in cities receivers state standard deviations that are too small. The prior is counted once
+per fix. Otherwise, its weight would decrease with the number of fixes, although their errors are correlated.
 """
 
 from collections.abc import Sequence
@@ -23,10 +23,10 @@ from sigmaswarm.wording import to_do
 PRIOR_STD = 0.5  # prior standard deviation of log10 R below the receiver's variance
 PRIOR_STD_ABOVE = 0.25  # prior standard deviation of log10 R above that variance, for fix-error only
 MAX_STD_RATIO = 3.0  # ratio of the receiver's standard deviation to that of R above which a warning is given
-MIN_STATED_SHARE = 0.05  # smallest share of R from stated variances at which these have an effect
-SPAN = 600.0  # s of a drive in which the scatter of the fixes is measured; a longer part does not change the result
+MIN_STATED_SHARE = 0.05  # fraction of R from stated variances up to which a warning is given
+SPAN = 600.0  # s in the middle of a drive in which scatter is measured; more time gives the same result
 MIN_PRIOR_COST = 0.02  # nats per fix; a larger cost of the prior leads to a remark
-MIN_SCATTER = 0.5  # m; if fixes scatter less, the receiver smooths them or uses RTK
+MIN_SCATTER = 0.5  # m per axis; if fixes scatter less, the receiver smooths them or uses RTK
 UNKNOWN = "A log without truth does not show an error that all fixes have in common"
 AT_THE_TOP = "at the top of drive.toml"
 TUNE_AGAIN = "tune into a new folder"
@@ -37,12 +37,12 @@ STATE_REMEDY = (
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
-    """Return the prior's penalty per fix of n parameter sets on m drives, nats, shape (n, m).
+    """Return the penalties of n parameter sets on m drives by the prior on R, nats per fix, shape (n, m).
 
     The penalty is 0.5 (log10(R / std^2) / 0.5)^2 if R is smaller than std^2, else 0, averaged over both axes. ``std``
-    (m, shape (m, 2)) is the `receiver_std` of each drive. With stated accuracies, R is for the median fix. In a
-    filter with fix-error, R includes the variance of the correlated errors, and an R larger than std^2 costs
-    0.5 (log10(R / std^2) / 0.25)^2.
+    (m, shape (m, 2)) is the `receiver_std` of each drive. With the option accuracy, R is that of the median fix. With
+    fix-error, R includes the variance of the correlated errors, and the penalty of an R larger than std^2 is 0.5
+    (log10(R / std^2) / 0.25)^2.
     """
     log = np.log10(typical_variance(parameter_sets, std) / std**2)
     correlated = ParameterTable.of(parameter_sets).column("fix_error")[:, None, None] > 0.0
@@ -51,7 +51,7 @@ def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array
 
 
 def typical_variance(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
-    """Return the variances of the median fix east and north, m2, shape (n, m, 2); ``std`` as in `prior_costs`."""
+    """Return the error variances that n filters assume for the median fix of m drives, m2, (n, m, 2): `prior_costs`."""
     table = ParameterTable.of(parameter_sets)
     scale = table.column("accuracy_scale") + table.column("fix_error")
     return table.column("measurement_noise")[:, None, :] + scale[:, None, None] * std**2
@@ -93,7 +93,7 @@ def noise_warnings(
     stated, scatter = (_median([getattr(one, what) for one in drives]) for what in ("stated", "scatter"))
     if parameters.fix_error is not None:
         why = (
-            "the receiver states no accuracy, so the filter assumes correlated errors of "
+            "the receiver states no accuracy, so the filter assumes correlated errors with a standard deviation of "
             f"{UNSTATED_GPS_STD:g} m per axis"
         )
         return [to_do(STATE_REMEDY, why)] if np.isnan(stated) and scatter < MIN_SCATTER else []
@@ -101,11 +101,14 @@ def noise_warnings(
     remedy = STATE_REMEDY if np.isnan(stated) else f"tune with --use {' '.join([*use, 'accuracy'])}"
     remedy += ", or evaluate with the truth of a reference receiver"
     if r * MAX_STD_RATIO < stated:
-        why = f"the receiver states {stated:.2g} m per axis"
+        why = f"the receiver states a standard deviation of {stated:.2g} m"
     elif r * MAX_STD_RATIO < scatter:
-        why = f"the fixes scatter by {scatter:.2g} m per axis about a path that is consistent with the IMU"
+        why = f"the fixes scatter by {scatter:.2g} m about a path that is consistent with the IMU"
     elif lasting:
-        why = f"the receiver states {stated:.2g} m per axis and its fixes scatter by {scatter:.2g} m"
+        why = (
+            f"the receiver states a standard deviation of {stated:.2g} m per axis, but its fixes scatter by only "
+            f"{scatter:.2g} m"
+        )
         return [to_do(remedy, f"{why}, so their errors are correlated. {UNKNOWN}")]
     elif np.isnan(stated) and scatter < MIN_SCATTER:
         why = (
@@ -115,7 +118,8 @@ def noise_warnings(
         return [to_do(remedy, f"{why}. {UNKNOWN}")]
     else:
         return []
-    message = f"the filter copies the fixes, since its R corresponds to {r:.2g} m per axis, but {why}"
+    copied = "the filter copies the fixes, since its R corresponds to a standard deviation of"
+    message = f"{copied} {r:.2g} m per axis, but {why}"
     return [to_do(remedy, f"{message}. Predictions of the fixes do not show correlated errors. {UNKNOWN}")]
 
 
@@ -126,13 +130,16 @@ def prior_warnings(
     receiver: Array,
     noise: Sequence[FixNoise],
 ) -> list[str]:
-    """Report the first drive on which the prior changed R noticeably, with the standard deviations, m per axis."""
+    """Report the first drive on which the prior changed R noticeably, with the standard deviations of R and the fixes."""
     costs = weight * prior_costs([parameters], receiver)[0]
     r = np.sqrt(np.mean(typical_variance([parameters], receiver)[0], axis=1))
     for name, std, one, tuned, cost in zip(names, receiver.mean(axis=1), noise, r, costs, strict=True):
         if cost <= MIN_PRIOR_COST or tuned * MAX_STD_RATIO < std:
             continue
-        compromise = f"R corresponds to {tuned:.2g} m per axis, a compromise between the innovations and"
+        compromise = (
+            f"R corresponds to a standard deviation of {tuned:.2g} m per axis, a compromise between the "
+            "innovations and"
+        )
         if np.isfinite(one.stated):
             lasting = f". The fixes scatter by {one.scatter:.2g} m, so their errors are correlated. {UNKNOWN}"
             addition = lasting if std > MAX_SCATTER_RATIO * one.scatter else ""
@@ -150,7 +157,10 @@ def prior_warnings(
 def accuracy_warnings(
     parameters: FilterParameters, stated: Sequence[float], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn if the stated accuracies (m) have no effect; ``use``: values of ``--use`` in the proposed command."""
+    """Warn if the stated accuracies hardly affect R.
+
+    ``stated``: median stated standard deviation of each drive, m; ``use``: values of ``--use`` in the proposed command.
+    """
     std = _median(stated)
     if parameters.accuracy_scale is None or not np.isfinite(std):
         return []
@@ -159,8 +169,8 @@ def accuracy_warnings(
     if share > MIN_STATED_SHARE:
         return []
     why = (
-        f"the stated accuracy contributes only {share:.0%} of R, so `accuracy` has no effect. The stated accuracy "
-        "hardly changes from fix to fix, or is unrelated to the errors of the fixes"
+        f"the stated accuracy contributes only {share:.0%} of R, so `accuracy` has hardly any effect. The stated "
+        "accuracy hardly changes from fix to fix, or is unrelated to the errors of the fixes"
     )
     rest = " ".join(name for name in use if name != "accuracy")
     return [to_do(f"tune with --use {rest}" if rest else "leave accuracy out of --use", why)]

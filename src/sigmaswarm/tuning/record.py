@@ -58,7 +58,7 @@ class ResultRecord(BaseModel):
     unidentified: list[str] = Field(default_factory=list)
     remarks: list[str] = Field(default_factory=list)
     warnings: tuple[str, ...] = Field(default=(), validation_alias=AliasChoices("warnings", "doubts"))
-    """Remarks that depend on the training data."""
+    """Faults on the training data that the objective does not show."""
     best_trial: int = 0
     trial_costs: tuple[float, ...] = ()
     evaluations: int = 0
@@ -128,7 +128,7 @@ def tuning_file(path: Path) -> Path:
 def training_data_of(path: Path) -> list[Landmarks]:
     """Return the landmarks of the training drives of a tuning.toml or its folder, from seen.npz next to it.
 
-    If seen.npz is missing or was written by an earlier version, only whole drives are recognized.
+    If seen.npz is missing or has other drives than tuning.toml, only whole drives are recognized.
     """
     data = TuningRecord.read(path).data
     kept = load_landmarks(tuning_file(path).parent / TRAINING_DATA_FILE)

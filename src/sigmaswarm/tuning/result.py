@@ -45,12 +45,12 @@ STORED = (
     *("best_trial", "trial_costs", "evaluations", "failures"),
 )
 """Attributes of `Tuning` with the same name in the file."""
-LARGE_GAP = 0.2  # relative increase of the errors on validation drives
+LARGE_GAP = 0.2  # relative increase of the errors on validation drives above which a remark is made
 
 
 @dataclass(frozen=True)
 class Validation:
-    """Cost on drives that the search did not use; ``gap``: relative increase of errors from the training drives."""
+    """Cost without a prior on drives that the search did not use; ``gap``: relative increase over the training cost."""
 
     cost: float
     gap: float
@@ -64,13 +64,13 @@ class Tuning(Generic[P]):
     Attributes
     ----------
     parameters : FilterParameters, or dict of str to float for a custom model
-        Parameters of the best trial.
+        Tuned parameters, after process-noise inflation.
     cost : float
-        Value of the objective on the training drives.
+        Cost of these parameters on the training drives, including priors.
     touched_bounds : list of TouchedBound
         Parameters at a bound: the optimum may lie beyond it.
     trial_costs : tuple of float
-        Lowest cost of each trial.
+        Lowest cost of each trial, before inflation.
     best_trial : int
     config : TuneConfig, or ModelTuneConfig for a custom model
     trials : tuple of Trial
@@ -80,9 +80,9 @@ class Tuning(Generic[P]):
     steps, full_steps : int
         Number of filter steps of the search, and the number that the same evaluations without racing would take.
     data : list of dict
-        Name, length and fingerprint of each drive.
+        Name, duration, fingerprint and other properties of each training drive.
     seen : sequence of Landmarks
-        Landmarks by which `evaluate` recognizes training drives or parts of them.
+        Landmarks by which `evaluate` recognizes training drives and parts of them.
     warnings : tuple of str
         Faults on the training drives that the objective does not show.
     sensitivities : tuple of Sensitivity
@@ -96,7 +96,7 @@ class Tuning(Generic[P]):
         Noise parameters of a constant-velocity filter that uses only the fixes, fitted to the training drives by
         likelihood.
     forecasts : tuple of DriftComparison
-        Drifts over outages of 1, 5 and 30 s on the training drives, compared with fixes alone and the baseline.
+        Drifts over outages of 1, 5 and 30 s on the first training drives, compared with fixes alone and the baseline.
     """
 
     parameters: P
@@ -224,7 +224,7 @@ class Tuning(Generic[P]):
         lines = [self._headline(), f"filter: {filtered}, {len(self.trial_costs)} trial(s)", *parameters]
         if v := self.validation:
             on = count_of(len(v.drives), f"validation {self._noun}")
-            lines.append(f"cost {notebook.number(v.cost)} on {on}, errors {v.gap:+.1%}")
+            lines.append(f"cost {notebook.number(v.cost)} on {on}, errors {v.gap:+.1%} relative to training")
         if self.forecasts:
             table = drift_table(self.forecasts, [one["duration_s"] for one in self.data])
             lines += [f"{table.caption}:", table.to_text(), *larger_drifts(self.forecasts)]
@@ -348,7 +348,7 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     if t.mounting is None and any(KEY in entry for entry in t.data):
         yield f"the training drives state different mountings ({KEY}), so exports do not rotate raw IMU samples"
     if t.start_cost is not None:
-        yield f"the filter from which the search started has cost {notebook.number(t.start_cost)} with the same inputs"
+        yield f"the filter from which the search started has cost {notebook.number(t.start_cost)} on the same drives"
     if t.validation is None:
         yield NOT_VALIDATED
     elif not np.isfinite(t.validation.cost):

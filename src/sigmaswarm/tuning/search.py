@@ -35,8 +35,8 @@ HISTORY: dict[str, type] = {"best": np.float64, "median": np.float64, "steps": n
 class Progress:
     """Progress of a tuning run, passed to the callback after every generation.
 
-    ``done`` and ``total`` count the generations of all trials. ``parameters`` are the best parameters of this trial so
-    far, or None if no cost was finite.
+    ``done`` and ``total`` count the generations of all trials. ``best_cost`` and ``parameters`` are the best of this
+    trial so far; ``parameters`` is None if no cost was finite.
     """
 
     trial: int
@@ -61,7 +61,7 @@ class Trial:
     median : ndarray, shape (generations,)
         Median cost of each generation.
     steps : ndarray of int, shape (generations,)
-        Number of filter steps so far.
+        Number of filter steps from the first to this generation.
     evaluations, failures : int
         Number of evaluated parameter sets, and number of failed ones.
     """
@@ -88,7 +88,7 @@ def _trial(result: dict[str, Any], history: dict[str, Any]) -> Trial:
 
 @dataclass(frozen=True, eq=False)
 class TrialRunner:
-    """Settings that the trials of one tuning share; the first generation includes ``start``, shape (d,)."""
+    """Settings that the trials of one tuning share; built-in optimizers search from ``start``, shape (d,)."""
 
     problem: Problem[Any]
     executor: Executor | None
@@ -148,7 +148,8 @@ class TrialRunner:
         if trial.point.shape == low.shape and np.all((low <= trial.point) & (trial.point <= high)):
             return trial
         raise InputError(
-            f"{folder / 'history.npz'}: the point does not belong to this search; delete {folder} to redo this trial"
+            f"{folder / 'history.npz'}: the best point is not in the search space of this tuning; delete {folder} to "
+            "redo this trial"
         )
 
     def _generation(self, number: int, optimizer: Budgeted, best: Array, leader: Leader | None) -> RaceResult:

@@ -1,7 +1,7 @@
 """The range of each parameter in which the cost increases by less than 1%.
 
 Only one parameter changes at a time, so trade-offs between parameters are not visible. The exception is a common factor
-on all noise variances, which is varied like a parameter.
+on all noise variances, which is varied like a parameter. For costs in nats, see `Objective.relative_increase`.
 """
 
 from concurrent.futures import Executor
@@ -29,7 +29,7 @@ class Sensitivity:
     lowest, highest : float or None
         Values at which the cost has increased by 1%; None if the range reaches the bound.
     lowest_rise : float
-        Lowest relative change of the cost in the range; negative if the search had not converged.
+        Lowest relative change of the cost at the tried values; negative if the search had not converged.
     """
 
     name: str
@@ -60,10 +60,10 @@ def sensitivities(
         first = int(np.argmax(noises))
         return float(space.values(at)[k] if k < len(point) else 10 ** (at[first] - point[first]))
 
-    shares = np.array([0.5**k for k in range(10, -1, -1)])  # shares of the distance to the bound
+    shares = np.array([0.5**k for k in range(10, -1, -1)])  # fractions of the distance to the bound
     steps = np.stack([down, up], axis=1)
     points = (point + shares[:, np.newaxis] * steps[:, :, np.newaxis]).reshape(-1, len(point))
-    # A parameter at a bound moves one way only.
+    # The points of a parameter at a bound repeat in this direction.
     tried, inverse = np.unique(points, axis=0, return_inverse=True)
     rises = problem.relative_increase(problem.costs(tried, executor)[inverse], cost).reshape(
         len(names), 2, len(shares)
@@ -80,7 +80,7 @@ def sensitivities(
 
 
 def _crossing(shares: Array, rise: Array) -> float | None:
-    """Return the share of the distance at which the cost has increased by 1%, interpolated; None if it never does."""
+    """Return the fraction of the distance at which the cost has increased by 1%, interpolated; None if it never has."""
     above = np.flatnonzero(~(rise < MAX_INCREASE))
     if not len(above):
         return None

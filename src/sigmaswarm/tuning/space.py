@@ -33,14 +33,14 @@ SCALING = (
 FIX_ERROR_TIME = "fix_error_time"
 """Parameter that is searched only with truth, for models with roll and pitch.
 
-Without truth, the likelihood hardly depends on this time. In a planar filter, slopes also cause correlated errors.
-After tuning with truth on kingston-1, the position RMSE was 3.1 m with a searched time and 2.2 m with a fixed time.
+Without truth, the likelihood hardly depends on this time. In a planar filter, slopes also cause correlated innovations:
+after tuning with truth on kingston-1, the position RMSE was 3.1 m with a searched time and 2.2 m with a fixed time.
 """
 TYPICAL_SLIP = 0.005
-"""Tire slip of passenger cars, s2/m, used without truth.
+"""Tire slip of passenger cars, s2/m, used if the objective does not use truth.
 
 The slip is 0.004 to 0.012 on real drives (course relative to the gyro's heading) and 0.006 on simulated drives. The
-likelihood without truth is largest at 0.010 to 0.018. Cars turn at similar speeds v, so the likelihood determines only
+likelihood is largest at 0.010 to 0.018: a car takes most turns at similar speeds v, so the likelihood determines only
 rear_axle - slip v^2.
 """
 MIN_WHITE_SHARE = 0.04
@@ -56,7 +56,7 @@ INFLATION_MINIMA = {
     "accel_bias_std": 0.005,
     "gyro_bias_std": 2e-4,
 }
-"""Lower limits that `tuning.inflation` applies, in rad2/s, (rad/s)2/s, m/s2 and rad/s."""
+"""Lower limits for models with roll and pitch, in rad2/s, (rad/s)2/s, m/s2 and rad/s; see `tuning.inflation`."""
 TYPICAL_NOISES = {
     "q_xy": (1e-7, 3.0),
     "q_vxy": (1e-4, 2.0),
@@ -68,26 +68,26 @@ TYPICAL_NOISES = {
     "robust_dof": (TYPICAL_VALUES["robust_dof"], 0.5),
     "rear_axle": (HALF_A_WHEELBASE, 1.0),
 }
-"""Prior of a filter with roll and pitch: typical values, and their standard deviations in decades (rear_axle: m).
+"""Prior of a filter with roll and pitch: typical values, and standard deviations in decades (rear_axle: m).
 
-The process noise is per second. The densities are those of an automotive MEMS IMU: 0.01 m/s2/sqrt(Hz), 1e-4
-rad/s/sqrt(Hz), and random walks of 1e-4 m/s2/sqrt(s) and 3e-6 rad/s/sqrt(s) for the biases.
+The variances of the process noise are per second, for an automotive MEMS IMU: noise densities of 0.01 m/s2/sqrt(Hz) and
+1e-4 rad/s/sqrt(Hz), and random walks of the biases of 1e-4 m/s2/sqrt(s) and 3e-6 rad/s/sqrt(s).
 """
 TYPICAL_WEIGHT, TYPICAL_DURATION = 1 / 250, 150.0
-"""Weight of this prior, nats per fix, for drives of up to this duration, s; twice the time halves the weight.
+"""Weight of this prior, nats per fix, and total driving time, s, above which the weight decreases in proportion.
 
-A likelihood of n independent fixes divides its prior by n. A log of 150 s counts as 250 fixes.
+In a cost that is the mean over n independent fixes, a prior has the weight 1 / n. For 150 s, n is set to 250.
 """
 DEFAULT_INTERVAL = 0.01  # IMU interval, s, if no drive is known yet
 IMU_DIMENSIONS = (
     Dimension("r_gyro", "imu_noise", 1, 1e-9, 1.0),
     Dimension("r_accel", "imu_noise", 1, 1e-6, 1e2),
 )
-"""Variances that the IMU's messages state, for robot-localization."""
+"""Variances of gz and ax in the IMU's messages, for robot-localization."""
 ENTRIES = {"imu_gate": ("gate_gyro", "gate_accel")}
-"""Names of the entries of a tuple."""
+"""Names of the dimensions of a field that is a tuple."""
 NOISE_ONLY_OPTIONS = ("lateral", "odometer")
-"""Options with only a noise parameter in robot-localization, which reads twists in m/s, at the IMU, without delay."""
+"""Options of which robot-localization has only the noise: it reads velocities in m/s, at the IMU, without delay."""
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     **dict.fromkeys(
         ("adaptive-ukf", "strong-tracking-ukf"),
@@ -105,20 +105,20 @@ KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class SearchSpace(Bounds):
-    """Bounds of the parameters of built-in models; ``fixed``: fields that are not searched."""
+    """Bounds of the parameters of a built-in model; ``fixed``: values of fields that are not searched."""
 
     fixed: dict[str, Any]
 
     def decode(self, points: Array) -> ParameterTable:
-        """Return the filters at points, shape (n, d)."""
+        """Return the parameter sets of points, shape (n, d)."""
         values = self.values(points)
         columns = {name: values[:, places] for name, places in self._places.items()}
         return ParameterTable(self._any, columns, len(points))
 
     def point_of(self, parameters: FilterParameters) -> Array:
-        """Return the point of a filter, shape (d,), clipped to the bounds.
+        """Return the point of a parameter set, shape (d,), clipped to the bounds.
 
-        A parameter that the filter lacks is set to the middle of its bounds.
+        A parameter that is None is replaced by the middle of its bounds.
         """
         own, here = parameters.nominal_interval, self.fixed["nominal_interval"]
         if own and here:
@@ -161,11 +161,11 @@ def search_space(
     fix_std: float = UNSTATED_GPS_STD,
     has_truth: bool = False,
 ) -> SearchSpace:
-    """Create the search space of a filter; ``scale`` applies to the variances.
+    """Create the search space of a filter; ``scale`` applies to parameters whose range spans powers of ten.
 
-    Bounds per second are converted to ``nominal_interval`` (s), by default 10 ms. fix-error needs ``fix_std``, the
-    receiver's standard deviation per axis, m. For fix-error and slip, ``has_truth`` is True if the objective uses
-    truth.
+    Bounds per second are converted to ``nominal_interval`` (s), by default 10 ms. ``fix_std`` is the receiver's
+    standard deviation, m per axis, for fix-error. ``has_truth`` is True if the objective uses truth; it affects
+    fix-error and slip.
     """
     if scale not in ("log10", "linear"):
         raise InputError(f"scale must be log10 or linear, not {scale!r}")
@@ -181,7 +181,7 @@ def search_space(
     if lacking:
         raise InputError(f"{model} can't use {lacking[0]!r}; choose from {', '.join(options)}")
     if kind not in kinds:
-        raise InputError(f"{model} is not compiled as {kind}; use {' or '.join(kinds)}")
+        raise InputError(f"{model} is not available as {kind}; use {' or '.join(kinds)}")
     if kernel_name(model, kind, "fix-error" in use) not in FILTERS:
         raise InputError(
             f"fix-error can't be combined with {model} as {kind}; use ekf, or leave fix-error out"
@@ -212,7 +212,7 @@ def _with_prior(dimensions: Sequence[Dimension], interval: float) -> Iterator[Di
 
 
 def _with_fixed_time(dimensions: Sequence[Dimension], fix_std: float, weighs: bool) -> Iterator[Dimension]:
-    """Yield the dimensions for fix-error without its time; ``weighs``: R grows with the stated variance of a fix."""
+    """Omit `FIX_ERROR_TIME`, and set a minimum of R; ``weighs``: True if R depends on the stated variance of a fix."""
     field, least = (
         ("accuracy_scale", MIN_WHITE_SHARE) if weighs else ("measurement_noise", MIN_WHITE_SHARE * fix_std**2)
     )
@@ -224,11 +224,11 @@ def _with_fixed_time(dimensions: Sequence[Dimension], fix_std: float, weighs: bo
 def _dimensions(
     model: ModelName, kind: FilterKind, use: Sequence[Option], interval: float
 ) -> Iterator[Dimension]:
-    """Yield the dimensions in order; east and north share their noise, except in the paper's own filter.
+    """Yield the dimensions in order; east and north have the same noise, except in planar5 without ``lateral``.
 
-    With separate noise, a filter tuned on roads to the east had 1000 times more velocity noise to the north. On a road
-    to the north, the lateral constraint then corrected lateral errors mostly by changes along the road:
-    docs/results/planar5.md, "One noise for both map axes".
+    With separate noises, a filter tuned on roads to the east had 1000 times more velocity noise to the north. On a road
+    to the north, the lateral constraint then corrected mostly the velocity along the road: docs/results/planar5.md,
+    "One noise for both map axes".
     """
     if kind != "ekf":
         yield from SCALING

@@ -2,8 +2,8 @@
 
 The folder contains
 
-    config.json          configuration and data, which must be the same for a resumed run
-    checkpoint-000.npz   complete state of a running trial after its last generation
+    config.json          configuration, data and versions, which must be the same for a resumed run
+    checkpoint-000.npz   complete state of an unfinished trial after its latest generation
     trial-000/           result.json and history.npz of a finished trial
     tuning.toml          filter of the best trial, after all trials
     seen.npz             landmarks that identify the training drives (`drives.overlap`)
@@ -82,7 +82,7 @@ def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     config = _with_current_names(record.model_extra)
     if "start" in config:
         raise InputError(
-            f"{path}: was started from another filter; repeat the first command, with its --start, and add --resume"
+            f"{path}: the tuning was started with --start; repeat its first command and add --resume"
         )
     return config, config.pop("data", [])
 
@@ -162,9 +162,9 @@ def _require_same(file: Path, config: dict[str, Any]) -> None:
 class ResultFolder:
     """The folder of a tuning run, created if missing.
 
-    With ``resume`` the folder may contain an unfinished run with the same configuration. Raises `InputError` if the
-    folder contains another tuning, or if it contains any tuning and ``resume`` is False. The message proposes
-    ``--resume`` only if the configuration is the same.
+    With ``resume`` the folder may contain a run with the same configuration. Raises `InputError` if the folder contains
+    another tuning, or if it contains any tuning and ``resume`` is False. The message proposes ``--resume`` only if the
+    configuration is the same.
     """
 
     def __init__(self, path: Path, config: dict[str, Any], *, resume: bool) -> None:

@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 TAKES = "tune takes Drives, or Logs together with model=Model(...)"
 ARGUMENTS = ("validation", "start", "out", "resume", "paper", "executor", "cluster", "progress")
-NOT_ROBUST = "innovation-nll does not downweight outliers, even with robust; for robust use innovation-t"
+NOT_ROBUST = "innovation-nll gives outliers full weight, even if the filter uses robust; use innovation-t"
 P = TypeVar("P")
 
 
@@ -243,8 +243,8 @@ def tune_problem(
 ) -> Tuning[P]:
     """Run, resume or read the trials, and write tuning.toml.
 
-    If the cost of ``start`` is lower than that of every trial, the result is ``start``. With ``diagnose``, the filter
-    is checked for faults that the objective does not show.
+    If the cost of ``start`` is lower than that of every trial, ``start`` is the best point. With ``diagnose``, the
+    filter is checked for faults that the objective does not show.
     """
     config, search = problem.config, TrialRunner(problem, executor, folder, progress, start)
     trials = tuple(search.trial(i) for i in range(config.trials))

@@ -7,7 +7,9 @@ All implement the protocol `Optimizer` and are used in the same loop::
         optimizer.tell(costs_of(points))
     print(optimizer.global_best, optimizer.global_cost)
 
-A custom class needs four methods; pass it to ``tune(drives, optimizer=Halton)``::
+A custom class needs a constructor and four methods; pass it to ``tune(drives, optimizer=Halton)``::
+
+    import scipy.stats
 
     class Halton:
         def __init__(self, low, high, population, rng):
@@ -69,8 +71,8 @@ def create_optimizer(
     """Create an optimizer with a budget of evaluations.
 
     ``name`` is a name in `OPTIMIZERS`, or a class that implements `Optimizer`. ``low`` and ``high``, shape (d,), are
-    bounds in search coordinates. ``population`` is the number of points per batch. ``polish`` is the number of
-    evaluations reserved for a Nelder-Mead search from the best point. The other options go to the optimizer.
+    bounds in search coordinates. ``population`` is the number of points per batch. The option ``polish`` is the number
+    of evaluations reserved for a Nelder-Mead search from the best point. Other options are passed to the optimizer.
     """
     polish = options.pop("polish", 0)
     if isinstance(name, str) and name not in OPTIMIZERS:

@@ -65,7 +65,7 @@ class AskTell:
         self.told = False
 
     def begin_at(self, point: Array) -> None:
-        """Put a point, shape (d,), into the first batch, before the first `ask`."""
+        """Put a point, shape (d,), into the first batch; call this before the first `ask`."""
         self.positions[0] = point
 
     def ask(self) -> Array:

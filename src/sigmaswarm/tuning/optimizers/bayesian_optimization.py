@@ -21,7 +21,7 @@ MAX_POINTS = 200  # largest number n of costs in a fit; the time of a fit is pro
 NOISE = 1e-6  # variance of the noise of a cost, relative to the variance of all costs
 MIN_VARIANCE = 1e-12  # smallest variance of a predicted cost, relative to the variance of all costs
 N_BEST, NEAR_STD = 5, 0.02
-"""Half of the candidates are near this number of best points, with this standard deviation in widths of the bounds."""
+"""Number of best points near which half of the candidates are drawn, and standard deviation in widths of the bounds."""
 MIN_LENGTH_SCALE, MAX_LENGTH_SCALE = 0.2, 10.0  # smallest and largest length scale, in widths of the bounds
 _LOCK = threading.Lock()
 """Lock for fits, since warning filters and thread limits apply to the whole process."""
@@ -33,7 +33,10 @@ class BayesianOptimization(AskTell):
     name = "bo"
     saved = ("points", "costs")
     batch: int = 1
-    """Number of points between two fits; fewer points need fewer evaluations, more points need less time."""
+    """Number of points that are evaluated between two fits of the Gaussian process.
+
+    A larger number needs less time for fits, but more evaluations for the same cost.
+    """
     candidates: int = 2000
     searches: int = 3
     """Number of local searches from the best candidates."""
@@ -90,7 +93,7 @@ def next_points(
 
     ``effort``: numbers of candidates and of local searches.
     """
-    # One thread, since the rounding depends on the number of threads. With small matrices, more are not faster.
+    # One thread, since the rounding depends on the number of threads. For small matrices, more threads are not faster.
     from threadpoolctl import threadpool_limits
 
     n = len(points)
@@ -170,7 +173,10 @@ def _density(z: Array) -> Array:
 def _highest(
     improvement: Improvement, best: Array, effort: tuple[int, int], rng: np.random.Generator
 ) -> Array:
-    """Return the best result of local searches; half of the candidates are random, half near the best points."""
+    """Return the point with the highest improvement that local searches from the best candidates find.
+
+    Half of the candidates are random, half are near the points of ``best``.
+    """
     from scipy.optimize import minimize
 
     d, (places, searches) = best.shape[1], effort

@@ -32,7 +32,7 @@ class Budgeted:
         self.global_best, self.global_cost = low.copy(), np.inf
 
     def begin_at(self, point: Array) -> None:
-        """Start at a point, if the optimizer supports it, before the first `ask`."""
+        """Set the start point, shape (d,), before the first `ask`; custom optimizers ignore it."""
         if isinstance(self.first, AskTell):
             self.first.begin_at(point)
 
@@ -66,7 +66,7 @@ class Budgeted:
         self.spent += len(costs)
 
     def end_global_search(self) -> bool:
-        """End the search of the whole space; return True if the local search follows or has begun."""
+        """End the global search; return True if evaluations remain for a local search."""
         if self.local is None:
             if not self.polish or not np.isfinite(self.global_cost):
                 return False

@@ -1,7 +1,7 @@
 """CMA-ES: a normal distribution that adapts to the costs of its samples.
 
-N. Hansen, The CMA evolution strategy: a tutorial, arXiv:1604.00772v2, 2023; comments have its equation numbers. CMA-ES
-libraries are not used, since they save their state only as pickles.
+N. Hansen, The CMA evolution strategy: a tutorial, arXiv:1604.00772v2, 2023; numbers in comments are its equations.
+CMA-ES libraries are not used, since they save their state only as pickles.
 
 A sample outside the bounds is drawn once more. If the second sample is also outside, its cost is the cost of its
 projection on the bounds plus a penalty: that of N. Hansen et al., IEEE Trans. Evolutionary Computation 13, 180-197,
@@ -15,7 +15,10 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 INITIAL_STEP = 0.3  # in widths of the bounds, as the tutorial recommends
 MIN_WIDTH, MAX_WIDTH, MAX_CONDITION = 1e-12, 10.0, 1e14
-"""Limits of the width, in widths of the bounds, and of the condition number; beyond them the search restarts."""
+"""Limits of the largest standard deviation, in widths of the bounds, and of the covariance's condition number.
+
+Beyond them the search restarts.
+"""
 
 
 class CmaEs(AskTell):
@@ -75,7 +78,7 @@ class CmaEs(AskTell):
         return self.mean + self.step * (z * np.sqrt(variances)) @ axes.T  # (39, 40)
 
     def _penalized(self, costs: Array) -> Array:
-        """Add to the costs the mean squared distance from the bounds, in steps, times the spread of the costs."""
+        """Add the mean squared distance from the bounds, in variances, times the interquartile range of the costs."""
         outside = np.mean((self.samples - np.clip(self.samples, 0.0, 1.0)) ** 2, axis=1)
         lower, upper = np.percentile(costs[np.isfinite(costs)], [25, 75])
         return costs + (upper - lower) * outside / (self.step**2 * np.mean(np.diag(self.covariance)))

@@ -10,7 +10,7 @@ import numpy as np
 from sigmaswarm.tuning.optimizers.asktell import Array, Swarm
 
 EXPANSION = (1.0, 0.5)
-"""Contraction-expansion coefficient at the start and in the last generation."""
+"""Contraction-expansion coefficient at the start and after ``generations``; it falls linearly."""
 DIFFERENTIAL, SCALE, CROSSOVER = 0.5, (0.5, 1.0), 0.7
 """Probability of a differential move, range of its scale factor F, and crossover probability CR."""
 
@@ -19,7 +19,7 @@ class QuantumSwarm(Swarm):
     name = "de-qpso"
     saved = (*Swarm.saved, "generation")
     generations: int = 50
-    """Number of generations over which the coefficient falls."""
+    """Number of generations over which the contraction-expansion coefficient falls."""
 
     def _begin(self) -> Array:
         self.generation = 0

@@ -38,11 +38,11 @@ class DifferentialEvolution(AskTell):
         start = x[r3] if self.base == "rand" else x[np.argmin(self.member_costs)]
         mutants = start + factor * (x[r1] - x[r2])
         crossed = self.rng.random((n, d)) < self.crossover
-        crossed[np.arange(n), self.rng.integers(d, size=n)] = True  # at least one coordinate changes
+        crossed[np.arange(n), self.rng.integers(d, size=n)] = True  # at least one coordinate is the mutant's
         return self._redrawn(np.where(crossed, mutants, x))
 
     def _others(self) -> list[NDArray[np.intp]]:
-        """Return three distinct other members for each member; with fewer than four members, some repeat."""
+        """Return the indices of three distinct other members for each member; with fewer than four, some repeat."""
         n = len(self.members)
         order = self.rng.random((n, n))
         np.fill_diagonal(order, 2.0)  # the member itself comes last

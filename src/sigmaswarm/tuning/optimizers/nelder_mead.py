@@ -10,7 +10,7 @@ import numpy as np
 
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
-MIN_SIZE = 1e-12  # size of the last simplex, in widths of the bounds
+MIN_SIZE = 1e-12  # size of the simplex at which the search ends, in widths of the bounds
 
 
 class NelderMead(AskTell):
@@ -45,7 +45,7 @@ class NelderMead(AskTell):
         self.values = np.full(d + 1, np.inf)
         self.values[0] = self.start_cost
         self.moved = min(max(self.parallel, 1), (d + 1) // 2)
-        n = max(d, 2)  # (Gao and Han 4.1); in two dimensions these are the values of 1965
+        n = max(d, 2)  # (Gao and Han 4.1); in two dimensions these are the coefficients of Nelder and Mead
         self.expansion, self.contraction, self.shrinkage = 1 + 2 / n, 0.75 - 1 / (2 * n), 1 - 1 / n
         self.phase, self.reach = "begin", np.empty(0)
         self.reflected, self.reflected_values = np.empty((0, d)), np.empty(0)
