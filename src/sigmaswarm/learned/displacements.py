@@ -1,13 +1,13 @@
-"""Update a filter with a displacement between two times.
+"""Update a filter with a displacement between the times 0 and 1.
 
-The measurement also depends on the state at the start, as in stochastic cloning (S. Roumeliotis and J. Burdick, ICRA
-2002). Otherwise, each update would add the error of the last position again:
+The measurement
 
     z = R(theta_0)^T (p_1 - p_0) + noise
 
-The covariance of the errors at both times is Cov(e_1, e_0) = A P_0, since e_1 = A e_0 + an independent part. The
-columns of A are finite differences between runs of the filter. These runs are columns of one call of the compiled
-kernel.
+also depends on the state at time 0, as in stochastic cloning (S. Roumeliotis and J. Burdick, ICRA 2002). If p_0 were
+taken as known, each update would add its error again. The cross-covariance of the errors e is Cov(e_1, e_0) = A P_0,
+since e_1 = A e_0 + an independent part. The columns of A are finite differences between runs of the filter, which one
+call of the compiled kernel makes.
 """
 
 from typing import Any, NamedTuple
@@ -24,11 +24,11 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, run_steps
 
 _DIFFERENCE_STEP = 1e-3  # step of the finite differences, in standard deviations
-GATE = 13.8  # largest NIS of a displacement: 99.9% quantile of chi-square with two degrees of freedom
+GATE = 13.8  # largest accepted NIS of a displacement: 99.9% quantile of chi-square, two degrees of freedom
 
 
 class DisplacementStart(NamedTuple):
-    """Filter at the start of a displacement: its rows (N_KEPT, columns), and the cursor of its run (5,)."""
+    """State of a filter at the start of a displacement: kernel rows (N_KEPT, columns), and indices of the run (5,)."""
 
     rows: Array
     place: Array
@@ -92,7 +92,7 @@ class Displacements:
         return mean[0], covariance[0]
 
     def _transported(self, begin: DisplacementStart, x0: Array, p0: Array, stop: int) -> Array:
-        """Return A, the transition of an error since the start of the displacement, (n, n)."""
+        """Return A, the transition matrix of errors from the start of the displacement to step ``stop``, (n, n)."""
         n, step = len(x0), _DIFFERENCE_STEP * np.sqrt(np.diag(p0))
         moved = np.array([x0, *(self._plus(x0, e) for e in np.diag(step))])
         moved = np.vstack([moved, np.broadcast_to(x0, (LANES - n - 1, n))])

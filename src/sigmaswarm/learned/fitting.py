@@ -19,11 +19,11 @@ from sigmaswarm.errors import InputError, not_installed
 from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
 
 Loss = Callable[[Any, tuple[Any, ...]], Any]  # loss for weights and a batch
-Settings = Mapping[str, float]  # number of hidden units, window (s) and learning rate of a network
+Settings = Mapping[str, float]  # number of hidden units, window or segment (s), and learning rate
 WEIGHT_DECAY = 1e-4  # per step, relative to the learning rate: I. Loshchilov and F. Hutter, ICLR 2019
 MAX_GRADIENT_NORM = 1.0
 """Largest norm of a gradient; a larger gradient is scaled down: R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013."""
-VALIDATION_SHARE = 0.25  # share of each drive, at its end, for validation if no validation drives are given
+VALIDATION_SHARE = 0.25  # fraction of each drive, at its end, for validation without validation drives
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,8 @@ class TrainingProblem:
 class Schedule:
     """Options of a training run.
 
-    ``batch`` is the number of examples per step; ``patience`` is the largest number of epochs without improvement.
+    ``batch``: number of examples per step. ``patience``: number of epochs without a lower validation loss after which
+    the training stops.
     """
 
     learning_rate: float
@@ -66,8 +67,8 @@ class Schedule:
 class TrainingResult:
     """Weights after the best epoch, and losses.
 
-    ``losses``, shape (epochs + 1, 2): means over the training and over the validation examples, before the first epoch
-    and after each epoch.
+    ``losses``, shape (epochs + 1, 2): mean over the training examples during each epoch (first: NaN), and mean over the
+    validation examples before the first and after each epoch.
     """
 
     weights: dict[str, Array]
@@ -79,7 +80,7 @@ class TrainingResult:
 
 
 def double_precision() -> AbstractContextManager[Any]:
-    """Use JAX with double precision in a block; raise `InputError` if JAX or Optax is not installed."""
+    """Enable double precision of JAX in a ``with`` block; raise `InputError` if JAX or Optax is not installed."""
     try:
         import jax
 
@@ -99,7 +100,7 @@ def fit(
     """Minimize the loss by Adam; return the weights with the least loss on the validation examples.
 
     A stopped training continues from the file ``checkpoint``. After each epoch, ``progress`` is called with its number
-    and the least loss so far.
+    and the least validation loss so far.
     """
     with double_precision():
         import jax

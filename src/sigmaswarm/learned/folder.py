@@ -1,10 +1,10 @@
 """The folder of a training run. It contains no pickles, which could execute code.
 
-tuning.toml, seen.npz   the filter's files, from its tuning
+tuning.toml, seen.npz   files of the filter, from its tuning
 learned.toml            type of network, settings, and training data
 weights.npz             weights
 learned_seen.npz        landmarks that identify the training drives
-timings.json            duration of the training: the only file that differs between two runs
+timings.json            processor time of the training; the only file that differs between two runs
 """
 
 from collections.abc import Mapping
@@ -95,7 +95,7 @@ class LearnedNetwork:
 
 
 def training_landmarks(folder: Path) -> list[Landmarks]:
-    """Return the landmarks of the training drives of a folder's network, if any."""
+    """Return the landmarks of the training drives of the network in a folder; an empty list if there are none."""
     return [] if not folder.is_dir() else load_landmarks(folder / LEARNED_SEEN) or []
 
 

@@ -41,7 +41,7 @@ POPULATION = 4  # settings in a batch of the search
 
 @dataclass(frozen=True)
 class TrainingProgress:
-    """Progress after an epoch; ``done`` and ``total`` count the epochs of all trainings."""
+    """Progress after an epoch: ``done`` of at most ``total`` epochs of all trainings; least validation ``loss``."""
 
     trial: int
     epoch: int
@@ -54,14 +54,14 @@ Learner = OutageLearner | NoiseLearner
 LEARNERS: Mapping[str, type[Learner]] = {outage_lstm.NAME: OutageLearner, noise_gru.NAME: NoiseLearner}
 """Learner of each type of network.
 
-``start``: settings of the first training. ``box``: bounds of the search, as logarithms to base 2. ``training_problem``
+``start``: settings of the first training. ``box``: logarithms (base 2) of the search's bounds. ``training_problem``
 prepares the input of `fit`. ``finish`` returns the weights of the best network, and further entries of its record.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class LearnConfig:
-    """The network, its settings and its data, which are saved as config.json.
+    """Type of network, filter, data and options of a training; saved as config.json.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class LearnConfig:
         }
 
     def split(self) -> tuple[Sequence[Drive], Sequence[Drive]]:
-        """Return training and validation drives; if the latter are empty, the ends of drives are validation data."""
+        """Return training and validation drives; without the latter, the ends of training drives are for validation."""
         if self.kind == noise_gru.NAME or self.validation:
             return self.drives, self.validation
         last = len(self.drives) - len(self.drives) // 3  # the calibration needs long drives

@@ -1,8 +1,8 @@
 """Extended Kalman filter of planar5 and planar8 in JAX, to train `noise-gru` with gradients.
 
 The filter has the textbook form and the rules of `schedule`. It uses neither the receiver's velocity nor an odometer.
-It is not reset after a divergence, and has no recovery from a run of outliers. This module needs JAX, the extra
-``learned``.
+It is not reset after a divergence. With Student's t, it does not inflate P during runs of outliers. This module needs
+JAX, the extra ``learned``.
 """
 
 from dataclasses import dataclass
@@ -116,7 +116,7 @@ def _weight(dof: float, observed: Any, noise: Any, nu: Any) -> Any:
 
 
 def _take_fix(settings: FilterConstants, state: tuple[Any, ...], u: Any, scale: Any) -> tuple[Any, ...]:
-    """Update mean, covariance and number of rejected fixes with a fix; ``scale``: logarithm of the factor of R.
+    """Update mean, covariance and number of rejected fixes with a fix; ``scale``: logarithm of the factor on R.
 
     Also return nu (m) and xx, xy, yy of S, m2, before the update.
     """
@@ -161,8 +161,8 @@ def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
 def run(settings: FilterConstants, weights: Any, mean: Any, covariance: Any, columns: Any) -> tuple[Any, Any]:
     """Run the filter with its network over k steps, from a mean (n,) and a covariance (n, n).
 
-    Return an array (k, 6), and the means (k, n). The array contains nu (m) and xx, xy, yy of S, m2, before the update,
-    and 1 if the step has a fix, else 0.
+    Return an array (k, 6), and the means (k, n). The array contains nu, m, and xx, xy, yy of S, m2, before the update
+    of each step with a fix; its last column is 1 at these steps, else 0.
     """
     p, nothing = settings.parameters, jnp.array([0.0, 0.0, 1.0, 0.0, 1.0, -1.0])
 

@@ -2,7 +2,7 @@
 
 The network runs one step after each fix. Its factors apply from the next IMU sample to the sample after the next fix,
 so they do not depend on the fix whose R they scale. The inputs are the innovation in the body frame divided by its
-expected size, the NIS, and the time since the last fix.
+standard deviation, the NIS, and the time since the previous fix.
 """
 
 from collections.abc import Mapping
@@ -32,7 +32,7 @@ def features_of(xp: Any, nu: Any, s: Any, theta: Any, since: Any) -> Any:
     """Return the inputs at a fix, (..., FEATURES).
 
     ``nu``: innovation (..., 2), m east and north. ``s``: xx, xy and yy of its covariance (..., 3), m2. ``theta``:
-    heading at the next IMU sample, rad. ``since``: time since the last fix, s.
+    heading at the next IMU sample, rad. ``since``: time since the previous fix, s.
     """
     n1, n2 = nu[..., 0], nu[..., 1]
     nis, _ = nis_of(nu, s)
@@ -54,7 +54,7 @@ def nis_of(nu: Any, s: Any) -> tuple[Any, Any]:
 class NoiseRun(InterruptibleRun):
     """Run of a filter over a replay with a network that scales Q and R.
 
-    ``scales``: factors of R and Q after each fix. With an untrained network, the run equals that of `FilterRun`.
+    ``scales``: factors on R and Q after each fix. With a new network, the results equal those of `FilterRun`.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Train `noise-gru` with gradients of the whole filter: maximize the likelihood of the fixes before their updates.
+"""Train `noise-gru` with gradients of the whole filter: maximize the likelihood of the innovations.
 
 Each segment of a drive starts from the state of the filter without a network.
 """
@@ -34,7 +34,7 @@ def require_supported(p: FilterParameters) -> None:
 def segments_of(
     drives: Sequence[Drive], parameters: FilterParameters, length: float, validation: Sequence[Drive] = ()
 ) -> Examples:
-    """Cut drives into segments of ``length`` s; without ``validation``, the last segments of each drive validate.
+    """Cut drives into segments of ``length`` s; without ``validation``, the end of each drive is validation data.
 
     The arrays are initial means (s, n) and covariances (s, n, n), steps (s, k, N_COLUMNS), Q (s, n) and lever arms (s,
     2).
@@ -72,7 +72,7 @@ def segments_of(
 
 
 def loss(parameters: FilterParameters) -> Loss:
-    """Return the loss of a batch of segments: the mean negative log-likelihood of a fix, nats."""
+    """Return the loss of a batch of segments: the mean negative log-likelihood of their fixes, nats."""
     import jax
     import jax.numpy as jnp
 
@@ -113,6 +113,6 @@ class NoiseLearner:
     def finish(
         self, settings: Settings, weights: Mapping[str, Array]
     ) -> tuple[Mapping[str, Array], dict[str, Any]]:
-        """Return the weights, which need no calibration, since the loss is a likelihood."""
+        """Return the weights unchanged: the network has no variances to calibrate."""
         del settings
         return weights, {}

@@ -4,10 +4,10 @@ The network estimates the displacement in the last second, forward and left, fro
 contain information on the speed, since vibration and lateral acceleration depend on it. The filter's speed is not an
 input, since the update would use it twice.
 
-Errors of the forecasts are modeled as Gauss-Markov processes. In an outage, the last known error, multiplied by a
-decay, is subtracted. Two factors are chosen to maximize the likelihood of hidden fixes on validation data. The factor
-of the forecasts' variance accounts for the remaining correlation in time. The factor of the velocity's Q is needed
-since, in an outage, the velocity covariance of a filter tuned with fixes is often too small.
+Errors of the forecasts are modeled as Gauss-Markov processes. In an outage, the error at the last fix, multiplied by a
+decay, is subtracted. Two factors are chosen to maximize the likelihood of hidden fixes on validation data. A factor on
+the variance of the forecasts accounts for the remaining correlation in time. A factor on the Q of the velocity is
+needed, since a filter that was tuned with fixes often has too small a velocity covariance in an outage.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,7 +32,7 @@ from sigmaswarm.learned.displacements import Displacements, DisplacementStart, t
 HORIZON = 1.0  # s, duration of a displacement
 OUTAGE_AFTER = 2.0  # s from the last fix to the start of an outage; a working receiver has at least 1 Hz
 WINDOW_STEPS = 40  # number of steps to which a window is resampled
-_VIBRATION_OFFSET = 1e-3  # m/s2, added to an axis's vibration before the logarithm; 1e-4 rad/s for a gyro
+_VIBRATION_OFFSET = 1e-3  # m/s2, added to the standard deviation before the logarithm; for a gyro 1e-4 rad/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +56,9 @@ class Windows:
 
 
 def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Windows:
-    """Divide a drive's outages, which begin `OUTAGE_AFTER` after a fix, into windows of `HORIZON`; ignore hidden fixes.
+    """Divide the outages of a drive into windows of `HORIZON` s; hidden fixes do not end an outage.
 
-    The IMU's ``axes`` over ``window`` s are the inputs.
+    An outage begins `OUTAGE_AFTER` s after a fix. Inputs are the ``axes`` of the IMU over ``window`` s.
     """
     time = line.imu_time
     fix_times = np.concatenate([[line.start], line.end[line.updates]])
@@ -100,10 +100,10 @@ def pairs_of(time: Array, after: float, until: float, every: float) -> tuple[Ind
 
 
 def features_at(line: Timeline, end: Indices, *, axes: Sequence[str], window: float) -> Array:
-    """Return the inputs from the last ``window`` s before some samples, (k, WINDOW_STEPS, 2 axes).
+    """Return the inputs of the network at the samples ``end``, (k, WINDOW_STEPS, 2 n) for n ``axes``.
 
-    The inputs are the mean (m/s2, rad/s) and the logarithm of the standard deviation of each step. Vibration, and with
-    it the standard deviation, grows with the speed of a car.
+    The inputs are the mean (m/s2, rad/s) and the logarithm of the standard deviation in each step of the last
+    ``window`` s. Vibration, and with it the standard deviation, grows with the speed of a car.
     """
     time = line.drive.imu.time
     edges = line.imu_time[end][:, np.newaxis] + np.linspace(-window, 0.0, WINDOW_STEPS + 1)
@@ -126,7 +126,7 @@ def features_at(line: Timeline, end: Indices, *, axes: Sequence[str], window: fl
 
 
 def _means(time: Array, values: Array, edges: Array) -> Array:
-    """Return the means (k, m) of a signal between edges (k, m + 1), s; it is constant before its first sample."""
+    """Return the means (k, m) of a signal between times ``edges`` (k, m + 1), s; before its start, its first value."""
     whole = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
     inside = np.maximum(edges, time[0])
     length = np.diff(inside, axis=1)
@@ -146,7 +146,7 @@ class DisplacementForecast(NamedTuple):
       after the last fix.
     - ``age``: time from ``first`` to the end of the displacement, s.
     - ``moved``, ``variance``: the displacement (2,) in m and its variance in m2.
-    - ``before``: the displacement at ``first`` (2,), m.
+    - ``before``: estimate of the displacement in the second before ``first`` (2,), m.
     """
 
     begin: int
@@ -161,11 +161,11 @@ class DisplacementForecast(NamedTuple):
 class OutageLstm:
     """A trained network; its inputs are ``axes`` of the IMU over ``window`` s.
 
-    - ``weights``: weights of `cells`; mean ``center`` and deviation ``spread`` (f,) of the features; mean ``usual`` and
-      deviation ``scale`` (2,) of the displacements, m; ``kept`` (2,) and ``lasts`` (2,) in s, of the errors'
-      autocorrelation, kept exp(-t / lasts).
-    - ``inflation``: factor of the variances; if it is infinite, forecasts are not used.
-    - ``unsure``: factor of the velocity's Q in outages.
+    - ``weights``: weights of `cells`; mean ``center`` and standard deviation ``spread`` (f,) of the features; mean
+      ``usual`` and standard deviation ``scale`` (2,) of the displacements, m; ``kept`` (2,) and ``lasts`` (2,), s, of
+      the autocorrelation of the errors, kept exp(-t / lasts).
+    - ``inflation``: factor on the variances of forecasts; if it is infinite, forecasts are not used.
+    - ``unsure``: factor on the velocity's Q in outages.
     """
 
     axes: tuple[str, ...]
@@ -181,24 +181,24 @@ class OutageLstm:
         return self.weights["usual"] + raw[:, :2] * self.weights["scale"], std**2
 
     def remains(self, age: Any) -> Any:
-        """Return the share of an error, (..., 2), that remains after ``age`` s."""
+        """Return the fraction of an error, (..., 2), that remains after ``age`` s."""
         return self.weights["kept"] * np.exp(-np.asarray(age)[..., np.newaxis] / self.weights["lasts"])
 
     def forecasts(self, windows: Windows) -> dict[int, DisplacementForecast]:
-        """Return the forecast at the end of each window, by the index of the last sample."""
+        """Return the forecast of each window, by the index of the window's last sample."""
         numbers = (column.tolist() for column in (windows.begin, windows.first, windows.age))
         outputs = *self.displacements(windows.features), self.displacements(windows.features_at_first)[0]
         return dict(zip(windows.end.tolist(), map(DisplacementForecast, *numbers, *outputs), strict=True))
 
     def corrected(self, forecast: DisplacementForecast, velocity: Array) -> tuple[Array, Array]:
-        """Return a displacement (2,) in m and its variance (2,) in m2, corrected with the velocity at the last fix."""
+        """Subtract the error at the last fix, from the velocity there; return displacement, m, and variance, m2."""
         share = self.remains(forecast.age)
         moved = forecast.moved + share * (HORIZON * velocity - forecast.before)
         return moved, self.inflation * (forecast.variance * (1.0 - share**2) + MIN_STD**2)
 
 
 def outputs_of(xp: Any, weights: Weights, features: Any) -> Any:
-    """Return scaled displacements and ln std, (k, 4), for features (k, WINDOW_STEPS, f)."""
+    """Return displacements in units of ``scale``, and ln of their standard deviations, (k, 4), for (k, steps, f)."""
     inputs = (features - weights["center"]) / weights["spread"]
     units = weights["hidden"].shape[0]
     state = xp.zeros((len(inputs), units)), xp.zeros((len(inputs), units))
@@ -231,7 +231,7 @@ def new_network(
 class OutageRun(InterruptibleRun):
     """Run of a filter over a replay with forecasts of displacements in outages.
 
-    Without outages, the run equals that of `FilterRun`. ``accepted`` and ``rejected`` count displacements.
+    Without outages, the results equal those of `FilterRun`. ``accepted`` and ``rejected`` count displacements.
     """
 
     def __init__(

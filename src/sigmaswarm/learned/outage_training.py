@@ -1,7 +1,7 @@
-"""Train `outage-lstm`: its examples, its loss, and the calibration of its variances.
+"""Train `outage-lstm`: examples, loss, and calibration of the variances.
 
-The network learns the displacements of the smoothed filter with all fixes. Fixes that are hidden in outages of the
-validation data calibrate the variances.
+The network learns the displacements of estimates that are smoothed with all fixes. Fixes that are hidden in outages of
+the validation data calibrate the variances.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,7 +39,7 @@ from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER
 LENGTHS = (10.0, 40.0)  # s, shortest and longest calibration outage
 PLACEMENTS = 4  # number of random sets of outages in each drive
 EXAMPLE_INTERVAL = 0.25  # s, between examples
-VALIDATION_GAP = 5.0  # s, gap between the training and validation data
+VALIDATION_GAP = 5.0  # s between the training and the validation data of a drive, without examples
 INFLATIONS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # values of `OutageLstm.inflation` that the calibration tries
 UNSURE = (1.0, 10.0, 100.0)  # values of `OutageLstm.unsure` that the calibration tries
 LAGS = (2, 4, 8, 12, 20, 40, 80, 120)  # lags of the autocorrelation of errors, in units of `EXAMPLE_INTERVAL`
@@ -61,7 +61,7 @@ class Track:
 def tracks_of(
     drives: Sequence[Drive], parameters: FilterParameters, validation: Sequence[Drive] = ()
 ) -> list[Track]:
-    """Smooth drives for training; without ``validation`` drives, the end of each drive is for validation."""
+    """Smooth drives for training; without ``validation`` drives, the end of each drive is validation data."""
     tracks: list[Track] = []
     for drive in (*drives, *validation):
         ready = PreparedDrive(drive)
@@ -97,7 +97,7 @@ def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[FilterPass, float
 
 
 def _windows_of(track: Track, axes: Sequence[str], window: float) -> tuple[Array, Array, Array]:
-    """Return windows of a whole drive: their end times (k,), s, features, and displacements (k, 2), m."""
+    """Return windows of a whole drive: end times (k,), s, features, and displacements (k, 2), m."""
     line = track.ready.timeline()
     begins, ends = pairs_of(line.imu_time, line.start, np.inf, EXAMPLE_INTERVAL)
     features = features_at(line, ends, axes=axes, window=window)
@@ -105,7 +105,7 @@ def _windows_of(track: Track, axes: Sequence[str], window: float) -> tuple[Array
 
 
 def examples_of(tracks: Sequence[Track], axes: Sequence[str], window: float) -> Examples:
-    """Make examples: inputs (k, WINDOW_STEPS, f), displacements (k, 2), none near the border of the validation data."""
+    """Make examples: inputs (k, WINDOW_STEPS, f) and displacements (k, 2); omit `VALIDATION_GAP`."""
     parts: list[tuple[Array, Array, NDArray[np.bool_]]] = []
     for track in tracks:
         end, features, moved = _windows_of(track, axes, window)
@@ -117,7 +117,7 @@ def examples_of(tracks: Sequence[Track], axes: Sequence[str], window: float) -> 
 
 
 def _loss(fixed: dict[str, Array]) -> Loss:
-    """Return the loss: -ln N(moved; output, std^2) in units of the scale."""
+    """Return the loss: -ln N(moved; output, std^2) in units of ``scale``, without constants."""
     import jax.numpy as jnp
 
     def of(weights: Any, batch: tuple[Any, ...]) -> Any:
@@ -210,8 +210,8 @@ def calibrate(
 ) -> OutageLstm:
     """Choose the factors of `OutageLstm` that maximize the likelihood of hidden fixes.
 
-    The inflation is infinite if no factors have a mean gain over the filter alone that exceeds its standard error. Only
-    the outages of one set count as independent.
+    The inflation is infinite if no factors improve the mean log-likelihood over that of the filter alone by more than a
+    standard error, in which only the outages of one set count as independent.
     """
     windows = [
         outage_windows(replay.timeline, axes=network.axes, window=network.window) for replay, _ in cases

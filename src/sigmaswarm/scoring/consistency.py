@@ -47,7 +47,7 @@ class Consistency(BaseModel):
     nis_band : (float, float)
         95% band of the mean NIS of a consistent filter with ``n_fixes`` independent innovations.
     inside_gate : float
-        Share of the fixes inside the 95% gate.
+        Fraction of the fixes inside the 95% gate (NIS up to `GATE_95`).
     autocorrelation : list of float, length LAGS
         Autocorrelation of the normalized innovations at lags 1 to LAGS, mean of both axes; near 0 for white
         innovations.
@@ -56,10 +56,10 @@ class Consistency(BaseModel):
     white_p : float
         p-value of Ljung and Box's test for whiteness (1978).
     mean_nees : float or None
-        Mean NEES of the position at truth times: 2 for a consistent filter, None if the drive has no truth. The band is
+        Mean NEES of the position at truth times: 2 for a consistent filter, None if not computed. A 95% band is
         unknown, since position errors are correlated over time.
     missed, expected : float or None
-        Actual RMS of the innovations, and the RMS that their covariances predict, m.
+        RMS of the innovations, and the RMS that their covariances predict, m.
     own_sigma : float or None
         RMS of the filter's position standard deviation, m; None if not computed.
     """
@@ -82,14 +82,17 @@ class Consistency(BaseModel):
 def consistency(
     drive: Drive | PreparedDrive, parameters: FilterParameters, mean_nees: float = math.nan
 ) -> Consistency | None:
-    """Compute a filter's consistency over a drive; None if the filter failed or had too few fixes."""
+    """Compute a filter's consistency over a drive; None if the filter failed or had too few fixes.
+
+    ``mean_nees`` is stored in the result; this function does not compute it.
+    """
     return consistency_of(run_innovations(drive, parameters), mean_nees)
 
 
 def consistency_of(
     innovations: Innovations, mean_nees: float = math.nan, own_sigma: float = math.nan
 ) -> Consistency | None:
-    """Compute consistency from innovations; None if there are too few innovations or a covariance is invalid."""
+    """Compute consistency from innovations; None if there are at most 2 LAGS of them, or a covariance is invalid."""
     n = len(innovations.time)
     s = innovations.covariance
     if n <= 2 * LAGS or not (
@@ -132,10 +135,11 @@ Kind = Literal[
 
 - ``optimistic``: larger than their covariances predict (overconfident).
 - ``pessimistic``: smaller than their covariances predict.
-- ``alike``: smaller, and consecutive innovations are nearly equal; without truth, the position error is unknown.
+- ``alike``: smaller, and consecutive innovations are nearly equal, so the position error is unknown; only without
+truth.
 - ``lasting``: smaller, since predictions contain the errors of the fixes; errors against truth agree with covariances.
-- ``correlated``: of the expected size, but correlated; used only without truth.
-- ``optimistic_position``: not larger, but errors against truth exceed the covariances.
+- ``correlated``: of the expected size, but correlated; only without truth.
+- ``optimistic_position``: not larger, but errors against truth are larger than the position covariance predicts.
 """
 EQUAL_CORRELATION = 0.5  # lag-1 correlation above which consecutive innovations are nearly equal
 MAX_CORRELATION = 0.2  # lag-1 correlation above which a mean NIS of 2 does not prove consistency
@@ -209,7 +213,7 @@ def _size(mean_squares: Sequence[float], what: str) -> str:
 
 
 def describe_ratio(ratio: float) -> str:
-    """Describe the ratio of standard deviations to the correct values, such as ``20% too small``."""
+    """Describe a ratio of standard deviations to correct values, for example as ``20% too small``."""
     size = "large" if ratio > 1 else "small"
     if 0.5 < ratio < 2:
         return f"{100 * abs(ratio - 1):.0f}% too {size}"

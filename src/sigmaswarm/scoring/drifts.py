@@ -29,8 +29,8 @@ RunFactories = Mapping[str, Callable[[FilterPass], Run]]
 class OutageDrifts:
     """Outages of one length on a drive, in several random sets, and the drift of each method.
 
-    ``seeds``: one seed per set; empty if the drive is too short for an outage. ``failed``: methods that failed in a
-    set.
+    ``seeds``: one seed per set; empty if the drive is too short for an outage. ``failed``: methods that failed in at
+    least one set.
     """
 
     def __init__(self, ready: PreparedDrive, *, length: float, seed: int, most: int | None = None) -> None:
@@ -61,7 +61,8 @@ class OutageDrifts:
     ) -> None:
         """Run methods with the fixes hidden, without storing their estimates.
 
-        If ``monitored``, a filter is reset after divergence. Otherwise all filters run as one batch.
+        If ``monitored``, a filter is reset after divergence. Otherwise all ``filters`` run as one batch. ``also``:
+        functions that run further methods.
         """
         for seed in self.seeds:
             self._ready.forget()

@@ -84,7 +84,7 @@ class EvaluationOptions:
         Another filter of any model, or its file: a tuning.toml, or an ekf.yaml of robot_localization. Its scores are
         the first row of every table.
     outage_length : float
-        Length of the medium outages, s; the others last 1 s and 30 s.
+        Length of the medium outages, s. The short and the long outages last 1 s and 30 s.
     outage_seed : int
         Seed of the outages; all methods have the same outages.
     as_recorded : bool
@@ -94,7 +94,7 @@ class EvaluationOptions:
     bank : bool
         Also evaluate a filter bank: see `sigmaswarm.LiveFilterBank`.
     more : mapping of str to callable
-        Functions that run further methods, such as a trained network, over a `FilterPass`; names from
+        Functions that run further methods, such as a trained network, over a `FilterPass`; keys from
         `OPTIONAL_METHODS`.
     fixes_alone : MotionNoise, optional
         Noise parameters of the filter that uses only the fixes, as in ``tuning.fixes_alone``. By default, they are
@@ -166,7 +166,7 @@ class Evaluation:
     names : mapping of method to str
         Display names.
     outage_length, outage_seed : float, int
-        Length of the medium outages, s (the others last 1 s and 30 s), and seed of all outages.
+        Length of the medium outages, s, and seed of the short (1 s), medium and long (30 s) outages.
     against : FilterParameters or None
         Other filter in the comparison.
     parameters : FilterParameters or None
@@ -214,13 +214,13 @@ class Evaluation:
         return next((key for key, name in self.names.items() if name == method), method)
 
     def improvement(self, over: str = BASELINE, measure: str = "position_rmse_m") -> float | None:
-        """Return the improvement 100 (method - tuned) / method, %, of means over drives (the paper's equation 5)."""
+        """Return the paper's equation 5, 100 (other - tuned) / other, %, with means over drives; other: ``over``."""
         other, tuned = self.mean(over, measure), self.mean("tuned", measure)
         return None if not other or tuned is None else 100 * (other - tuned) / other
 
     @property
     def measures(self) -> Mapping[str, Measure]:
-        """`MEASURES`, with the evaluation's outage length in their titles."""
+        """`measures` with the outage length of this evaluation in the titles."""
         return measures(self.outage_length)
 
     @property
@@ -235,12 +235,12 @@ class Evaluation:
 
     @property
     def worse_than_untuned(self) -> tuple[str, ...]:
-        """Sentences on the baseline and the fixes alone, where they are better on average over the drives."""
+        """Sentences on measures whose mean is more than 10% lower for the baseline or for the fixes alone."""
         return worse_than_untuned(self.record, self.measures)
 
     @property
     def is_worse_than_untuned(self) -> bool:
-        """True if the baseline or the fixes alone have a smaller position RMSE, or are better in most measures."""
+        """True if the baseline or the fixes alone are more than 10% better in the position RMSE or in most measures."""
         return is_worse_than_untuned(self.record, self.measures)
 
     @property
@@ -287,7 +287,7 @@ class Evaluation:
 
     @property
     def view(self) -> EvaluationView:
-        """Tables and sentences for the terminal, notebooks and the page."""
+        """Tables and sentences for the terminal, notebooks and the HTML report."""
         return EvaluationView(self.record, self.setup, self.names)
 
     def to_frame(self) -> pl.DataFrame:
@@ -443,7 +443,7 @@ def _tracked(
     filters: Mapping[str, FilterParameters],
     options: EvaluationOptions,
 ) -> tuple[DriveResult, RunFactories]:
-    """Run every method over all fixes; return the results, and a function for each method that is not a single filter.
+    """Run every method with all fixes; return the results, and a run function for each method that is not one filter.
 
     As a separate function, it frees its memory before the next pass.
     """

@@ -1,4 +1,4 @@
-"""Jobs of a batch; each job runs some parameter sets over some of the passes.
+"""Jobs of a batch; each job runs some of the parameter sets over some of the passes.
 
 A kernel runs up to `most_lanes` parameter sets at once; with fewer sets, each set takes more time.
 """
@@ -13,8 +13,8 @@ from sigmaswarm.filters.compiled.layout import WIDEST, most_lanes
 
 Result = TypeVar("Result")
 
-MAX_SETS = 64  # largest number in a job of a single worker, to limit the memory
-MIN_JOB_STEPS = 20_000  # steps; shorter replays share a job unless workers would be idle
+MAX_SETS = 64  # largest number of parameter sets in a job of a single worker, to limit the memory
+MIN_JOB_STEPS = 20_000  # filter steps; passes with fewer steps share a job unless workers would be idle
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, worke
     total = sum(map(sum, steps.values()))
     parts = list(_parts(steps, total if workers == 1 else min(MIN_JOB_STEPS, total / workers)))
     most = MAX_SETS if workers == 1 else most_lanes(kernel)
-    # Parts that fill whole rounds of all workers have the full width. The remaining parts, the shortest ones, do not
-    # fill a round, so their parameter sets are split among the workers.
+    # As many parts as fill whole rounds of all workers run `most` sets per job. The shortest parts are left over; their
+    # parameter sets are divided among the workers.
     left_over = sorted(parts, key=lambda part: part.steps)[: len(parts) % workers]
     narrow = min(most, -(-n_sets // workers // WIDEST) * WIDEST)
     widths = [(part, narrow if part in left_over else most) for part in parts]

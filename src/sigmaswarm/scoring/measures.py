@@ -23,7 +23,7 @@ class Measure:
 def measures(outage_length: float = OUTAGE_LENGTH) -> dict[str, Measure]:
     """Return the measures in display units; ``outage_length`` (s): length of the medium outages.
 
-    If the short or the long outages have the same length, their measure is left out, since the drifts are equal.
+    The measure of short or long outages is left out if the medium outages have the same length.
     """
     known = {
         "position_rmse_m": Measure("position RMSE", "m", lambda s: s.position_rmse),
@@ -46,7 +46,7 @@ MEASURES = measures()
 DRIFTS = ("short_outage_drift_m", "outage_drift_m", "long_outage_drift_m")
 """Measures in which a filter with an IMU should be better than the fixes alone."""
 NO_OUTAGES = ("raw_gps", "imu_only")
-"""Methods whose outage drifts are not shown. In files, the drift of imu_only is the error since the start."""
+"""Methods whose outage drifts are not shown. In files, the drift of imu_only has accumulated since its start."""
 POSITION_MEASURES = {"position_rmse_m": "RMSE", "position_median_m": "50%", "position_95_m": "95%"}
 """Measures by which a filter is compared with the raw fixes, and their names in sentences."""
 

@@ -5,7 +5,7 @@ from collections.abc import Collection
 SMOOTHED = "smoothed"  # the tuned filter, smoothed
 BANK = "swarm"  # a filter bank of the tuned filter
 LEARNED = ("outage-lstm", "noise-gru")
-AGAINST = "against"  # another tuning, or a user's own filter
+AGAINST = "against"  # another filter, given by the user
 FIXES = "fixes_alone"  # a constant-velocity filter without IMU
 BASELINE = "untuned"  # the tuned filter's model with typical noise parameters
 
@@ -63,8 +63,9 @@ def in_sentence(method: str, name: str) -> str:
 def baseline_note(tuned: str) -> str:
     if tuned.endswith("robot-localization"):
         return (
-            "The baseline is robot_localization with its default process noise. The IMU's variances are 0.0001 rad2/s2 "
-            "and 0.01 m2/s4. R is computed from the stated accuracy of the fixes, or from 2.1 m if none is stated"
+            "The baseline is robot_localization with its default process noise. The IMU's variances are those in the "
+            "log, or 0.0001 rad2/s2 and 0.01 m2/s4. R is computed from the stated or observed accuracy of the fixes, "
+            "or from 2.1 m if neither is known"
         )
     return (
         "The baseline has the tuned filter's model, with typical noise parameters. R is computed from the stated or "

@@ -25,17 +25,17 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import receiver_std, white_noise
 from sigmaswarm.filters.parameters import FilterParameters
 
-DOF = 7.0  # degrees of freedom; chosen on parts of development drives that tunings with seed 0 did not use
+DOF = 7.0  # degrees of freedom, chosen with tunings (seed 0) on parts of development drives that these did not use
 LEVELS = 0.95, 0.999  # probabilities
 TRACKING = "tracking"  # key of the radii with all fixes
-MIN_COVERAGE = 0.85  # share of errors inside the 95% radius below which a warning is given
+MIN_COVERAGE = 0.85  # fraction of errors inside the 95% radius below which a warning is given
 
 
 class RadiusRecord(BaseModel):
-    """Median radii of a filter's position on a drive, and the share of errors inside the radii.
+    """Median radii of a filter's position on a drive, and the fraction of errors inside the radii.
 
-    ``n``: number of errors; if there is no truth, number of estimates. ``sigma_ratio``: RMS of the filter's sigma
-    divided by the RMS error, per axis. ``lasting_m``: RMS of the correlated errors, m per axis.
+    ``n``: number of errors; if there is no truth, number of estimates. ``sigma_ratio``: RMS of the filter's standard
+    deviation divided by the RMS error, per axis. ``lasting_m``: RMS of the correlated fix errors, m per axis.
     """
 
     n: int
@@ -48,7 +48,7 @@ class RadiusRecord(BaseModel):
 
 
 def factor_of(level: float) -> float:
-    """Return the ratio of the radius to sigma per axis."""
+    """Return the ratio of the radius for a probability ``level`` to sigma per axis."""
     return math.sqrt(DOF * ((1.0 - level) ** (-2.0 / DOF) - 1.0))
 
 

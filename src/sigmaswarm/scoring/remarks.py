@@ -13,7 +13,7 @@ from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import FirstTrack
 from sigmaswarm.wording import count_of
 
-COMPLETE_SHARE = 0.99  # share of the time with truth above which gaps are not reported
+COMPLETE_SHARE = 0.99  # fraction of the time with truth above which gaps are not reported
 MIN_INFORMATIVE_NIS = 1.0  # mean NIS below which predicted fixes do not measure the position error
 # Ratio to the tuned filter's error below which a method without tuning is reported as better
 MAX_ERROR_RATIO = 0.9
@@ -47,7 +47,7 @@ def describe_drives(data: Sequence[DriveRecord]) -> str:
 def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:
     return tuple(
         f"the errors on {drive.name} cover {drive.truth_share:.0%} of the time after the start of the filters, since "
-        "the rest has no truth"
+        "there is no truth at other times"
         for drive in data
         if drive.has_truth and drive.truth_share is not None and drive.truth_share < COMPLETE_SHARE
     )
@@ -96,7 +96,7 @@ def _is_worse(worse: Collection[str], known: int) -> bool:
 def _worse_measures(
     scores: ScoresRecord, shown: Mapping[str, Measure], method: str
 ) -> tuple[dict[str, tuple[float, float]], int]:
-    """Return the means of the tuned filter and of a method where the method is better, and the number of measures."""
+    """Return means of the tuned filter and of a method, if the method's is 10% smaller, and the number of measures."""
     known = {
         m: (tuned, other)
         for m in ("position_rmse_m", "heading_rmse_deg", *DRIFTS)

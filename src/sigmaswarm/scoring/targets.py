@@ -19,7 +19,7 @@ SHORT_OUTAGE_LENGTH = 1.0  # s, about the time to the next fix
 FORECAST_LENGTHS = (SHORT_OUTAGE_LENGTH, OUTAGE_LENGTH, LONG_OUTAGE_LENGTH)
 Seed = int | tuple[int, ...]
 TARGET_OUTAGES = 200  # outages per drive; with this number the drift is accurate to about 10%
-MAX_PLACEMENTS = 8  # sets of outages; more sets would hide the same fixes again
+MAX_PLACEMENTS = 8  # largest number of sets of outages; more sets would hide the same fixes again
 OUTAGE_FIRST_AFTER = 10.0  # s, shortest time from the start to the first outage
 OUTAGE_APART = 5.0  # s, shortest time between outages
 
@@ -114,6 +114,6 @@ def _truth_targets(truth: Truth | None, timeline: Timeline) -> Targets:
 
 
 def _end(timeline: Timeline, times: Array) -> NDArray[np.int32]:
-    """Return how many target times precede the end of each step."""
+    """Return the number of target times up to the end of each step."""
     done = np.searchsorted(times, timeline.imu_time, side="right")
     return np.concatenate([[0], done]).astype(np.int32)[np.cumsum(timeline.sampled, dtype=np.int32)]

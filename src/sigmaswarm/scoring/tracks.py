@@ -33,7 +33,7 @@ from sigmaswarm.scoring.thinning import CloseUp, Columns, ThinnedSeries
 TRACKS_FILE = "tracks.npz"
 NIS = ".nis"
 SHARES, MOVED = ".shares", ".moved"  # series of a filter bank: weights, distance from the tuned parameters
-MAX_POINTS = 1500  # largest number of points of a series in a file, above the pixel columns of most charts
+MAX_POINTS = 1500  # largest number of points of a series in a file; most charts have fewer pixel columns
 MAX_PLOT_POINTS = 20_000  # largest number of points of a series in a static plot
 NOTHING_STATED: tuple[Array, Array, Array | None] = np.empty(0), np.empty(0), None
 CLOSE_UP_SIZE = 50.0  # m, side of the close-up of a track
@@ -57,9 +57,9 @@ class Tracks:
 class Picture:
     """Data of a static plot of the tracks on a drive.
 
-    ``close`` has all x and y of each series near the sharpest turn, and NaN elsewhere. ``start`` and ``turn``, shape
-    (2,), are the positions of the filters' start and of the turn, m east and north. ``frame``, shape (2, 2), has the
-    smallest and the largest x and y of the fixes.
+    ``close`` has all x and y of each series near the sharpest turn, and NaN where the series leaves this region.
+    ``start`` and ``turn``, shape (2,), are the positions of the filters' start and of the turn, m east and north.
+    ``frame``, shape (2, 2), has the smallest and the largest x and y of the fixes.
     """
 
     whole: Tracks

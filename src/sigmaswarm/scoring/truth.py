@@ -1,4 +1,4 @@
-"""Weights of truth, and a constant offset between truth and fixes."""
+"""Weights of errors by the accuracy of truth, and a constant offset between truth and fixes."""
 
 import math
 
@@ -20,7 +20,7 @@ N_BLOCKS = (
     8  # parts of a drive; the spread of the offset over the parts shows the effect of correlated errors
 )
 MIN_OFFSET_SIGMAS = 5.0  # smallest ratio of a reported offset to its standard deviation
-MIN_OFFSET = 0.3, 0.3  # smallest reported offset: m, and share of the scatter of the fixes
+MIN_OFFSET = 0.3, 0.3  # smallest reported offset: m, and as a fraction of the scatter of the fixes
 
 
 def weights_at(truth: Truth, time: Array) -> Array | None:
@@ -49,8 +49,8 @@ def root_mean(squares: Array, weights: Array | None = None) -> float:
 def truth_offset(drive: Drive) -> str:
     """Return a sentence on a constant offset of the fixes from truth, with its remedy; "" if there is none.
 
-    The offset is constant in the map frame (east, north) or in the vehicle frame (forward, left). The frame is that in
-    which the averages over `N_BLOCKS` parts of the drive agree better.
+    The offset is constant in the map frame (east, north) or in the vehicle frame (forward, left): in the frame in which
+    the medians of `N_BLOCKS` parts of the drive agree better.
     """
     gps, truth = drive.gps, drive.truth
     if truth is None or len(truth) < 2 or not np.any(used := is_known(truth, gps.time)):
@@ -82,8 +82,8 @@ def truth_offset(drive: Drive) -> str:
         if clear > MIN_OFFSET_SIGMAS and clear > other / 2  # a straight road does not distinguish the frames
     ]
     return (
-        f"on average, the fixes of {drive.name} lie {abs(offset):.2f} m from the truth, and all position errors "
-        f"contain this offset. It is {world.real:+.2f} m east and {world.imag:+.2f} m north, or {body.real:+.2f} m "
+        f"the fixes of {drive.name} have a constant offset of {abs(offset):.2f} m from the truth, which all position "
+        f"errors contain. It is {world.real:+.2f} m east and {world.imag:+.2f} m north, or {body.real:+.2f} m "
         f"forward and {body.imag:+.2f} m left. Remedy: {'; '.join(causes)}"
     )
 

@@ -22,11 +22,12 @@ VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
 MAX_ERROR_RATIO = 1.05
 """Largest accepted ratio (after / before) of forecast errors.
 
-A rotation is accepted or rejected by the geometric mean of four errors. After the rotation of a tilted phone, one error
-of planar8, which models no tilt, was 10% larger. The other three errors were 28 to 58% smaller.
+If a rotation is the only verified repair, the geometric mean of the four ratios counts, else the largest ratio. After
+the rotation of a tilted phone, one error of planar8, which models no tilt, was 10% larger, and three were 28 to 58%
+smaller.
 """
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
-"""Noise densities of planar8's states, unit/sqrt(s).
+"""Noise densities of planar8's states, unit of the state per sqrt(s).
 
 With these densities, the filter follows the fixes over seconds and the IMU over shorter times.
 """
@@ -55,9 +56,10 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
     """Return a repaired copy of the drive; reject repairs that increase prediction errors.
 
     A filter with fixed noise runs over the log before and after the repairs; for clocks and rotations, the baseline of
-    the default filter also runs. These filters forecast the next fix, and fixes that are hidden for 3 to 5 s. If a
-    forecast error increases by more than 5%, the responsible repair of axes or clocks is rejected. A rotation is
-    rejected only if the geometric mean of the errors increases by more than 5%.
+    the default filter also runs. These filters forecast the next fix, and fixes that are hidden for 3 to 5 s. If the
+    RMS of a forecast error increases by more than 5%, the responsible repair of axes, signs, units or clocks is
+    rejected. If a rotation is the only such repair, it is rejected if the geometric mean of these errors increases by
+    more than 5%.
 
     Parameters
     ----------
@@ -126,7 +128,10 @@ def _without(diagnosis: Diagnosis, codes: Collection[str]) -> Diagnosis:
 
 
 def _forecasts(drive: Drive, filters: list[FilterParameters]) -> Array:
-    """Return RMS errors, m, shape (2 n,), of the next fix and of hidden fixes, by n filters; NaN if unknown."""
+    """Return the RMS of n filters' forecast errors for the next fix and for hidden fixes, m, (2 n,); NaN if unknown.
+
+    The 5% largest errors for the next fix do not count.
+    """
     errors = np.full((len(filters), 2), np.nan)
     for row, parameters in zip(errors, filters, strict=True):
         try:

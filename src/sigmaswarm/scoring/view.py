@@ -1,4 +1,4 @@
-"""Tables and sentences of an evaluation, for the terminal, notebooks and the page."""
+"""Tables and sentences of an evaluation, for the terminal, notebooks and the HTML report."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ from sigmaswarm.scoring.remarks import (
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 from sigmaswarm.tables import Cell, Column, Table
 
-LATE_START = 5.0  # s from the start of a drive; a later start of the scores is reported
+LATE_START = 5.0  # s from the start of a drive; if the scores start later, this is reported
 NO_TRUTH = (
     "there is no truth, so errors of position and heading can't be computed. The tables contain the drift of each "
     "filter relative to the hidden fixes, which includes the errors of these fixes. They also contain the consistency "
@@ -189,7 +189,7 @@ class EvaluationView:
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
     def _not_better(self) -> str:
-        """Return sentences on the rivals, with the drifts in which the tuned filter is not better."""
+        """Return a sentence for each other method than which the tuned filter is not better in some drifts."""
         mean_of = self.scores.mean_of
         sentences = ""
         for method in (m for m in (AGAINST, FIXES, BASELINE) if m in self.names):
@@ -250,7 +250,7 @@ class EvaluationView:
         return tuple(sentences)
 
     def verdicts(self) -> dict[str, str]:
-        """Return a sentence for each kind of verdict; a warning names the drives on which the filter failed."""
+        """Return a sentence for each kind of verdict, without drives on which the filter failed: see `warnings`."""
         failed = {drive for drive, methods in self.scores.failed.items() if "tuned" in methods}
         kinds = verdicts([one for drive, one in self.scores.consistency.items() if drive not in failed])
         return {kind: _sentence(message) for kind, message in kinds.items()}
@@ -261,7 +261,7 @@ class EvaluationView:
         sentences: list[str] = []
         if any(drive.seen_s for drive in data):
             sentences.append(
-                "the filter was tuned on some of these drives, where its errors are smaller than on other drives"
+                "the filter was tuned with data of these drives, so expect larger errors on other drives"
             )
         if failed := [drive for drive, methods in self.scores.failed.items() if "tuned" in methods]:
             sentences.append(f"the tuned filter failed on {', '.join(failed)}")
@@ -300,7 +300,7 @@ class EvaluationView:
         return tuple(dict.fromkeys((*sentences, *more)))
 
     def missing_drifts(self) -> tuple[str, ...]:
-        """Return a sentence for each outage drift that is missing, with the drives that are too short."""
+        """Return a sentence for each outage drift that some drives lack, since no such outage fits."""
         short = {
             measure.title: [
                 d for d, of in self.scores.drives.items() if all(v.get(m) is None for v in of.values())
@@ -346,9 +346,9 @@ def explained_consistency(nees: bool) -> str:
         f"This table shows whether the tuned filter's {'predictions and errors' if nees else 'predictions'} agree "
         f"with its covariances. If they do, {what} 2. Above 2 the filter is overconfident, below 2 underconfident."
         f"{'' if nees else f' {FORECASTS}.'} Innovations of a consistent filter are white: they are not "
-        "correlated from fix to fix. p is the probability that white innovations seem as correlated as these "
-        "(Ljung and Box's test over ten fixes). If p is below 0.01, the errors of consecutive fixes are correlated, "
-        "as with most real receivers. Such errors average out less than the filter assumes."
+        "correlated from fix to fix. p is the probability that white innovations are at least as correlated as these "
+        "(Ljung-Box test, lags of 1 to 10 fixes). A p below 0.01 means that innovations are correlated. The cause is "
+        "usually the receiver: correlated errors of the fixes average out less than the filter assumes."
     )
 
 
@@ -356,12 +356,13 @@ def explained_radius() -> str:
     factors = [factor_of(level) for level in LEVELS]
     return (
         "The position error should lie within this radius with a probability of 95% or 99.9% (median over the drive). "
-        "The variance per axis is the sum of the filter's variance and the variance of correlated fix errors, which "
-        "the log does not show. This variance is the square of the stated standard deviation of the fixes (2.1 m if "
-        "none is stated), minus the variance of the fixes' white noise. The radii are "
+        "The variance per axis is the sum of the filter's variance and the variance of correlated fix errors. The "
+        "latter is the total variance of the fixes minus that of their white noise and of errors that the filter "
+        "models. The total is the square of the stated standard deviation (if none is stated, of the white noise or, "
+        "if this is small, 2.1 m). The radii are "
         f"{factors[0]:.2f} and {factors[1]:.2f} standard deviations, from Student's t with {DOF:g} degrees of freedom, "
-        "since a training drive determines a covariance from few independent errors. The covariances in estimates and "
-        "exports are the filter's own, without this addition."
+        "since a training drive determines a covariance from few independent errors. Covariances in estimates and "
+        "exports are those of the filter, without correlated fix errors."
     )
 
 

@@ -130,7 +130,7 @@ def prior_warnings(
     receiver: Array,
     noise: Sequence[FixNoise],
 ) -> list[str]:
-    """Report the first drive on which the prior changed R noticeably, with the standard deviations of R and the fixes."""
+    """Report the first drive on which the prior changed R noticeably; ``receiver``: `receiver_std` of each drive, m."""
     costs = weight * prior_costs([parameters], receiver)[0]
     r = np.sqrt(np.mean(typical_variance([parameters], receiver)[0], axis=1))
     for name, std, one, tuned, cost in zip(names, receiver.mean(axis=1), noise, r, costs, strict=True):
