@@ -5,9 +5,9 @@ The measurement
     z = R(theta_0)^T (p_1 - p_0) + noise
 
 also depends on the state at time 0, as in stochastic cloning (S. Roumeliotis and J. Burdick, ICRA 2002). If p_0 were
-taken as known, each update would add its error again. The cross-covariance of the errors e is Cov(e_1, e_0) = A P_0,
-since e_1 = A e_0 + an independent part. The columns of A are finite differences between runs of the filter, which one
-call of the compiled kernel makes.
+taken as known, each update would add its error again. The cross-covariance of the state errors e is Cov(e_1, e_0) = A
+P_0, since e_1 = A e_0 + an independent part. The columns of A are finite differences between runs of the filter, all in
+one call of the compiled kernel.
 """
 
 from typing import Any, NamedTuple

@@ -36,7 +36,7 @@ from sigmaswarm.tuning.record import FILE
 from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.versions import versions
 
-POPULATION = 4  # settings in a batch of the search
+POPULATION = 4  # combinations of settings in a batch of the search
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ class LearnConfig:
         Drives for early stopping, and for the calibration of outage-lstm. The default is the last quarter of each
         drive; for outage-lstm with three or more drives, the last third of the drives.
     search : int
-        Number of additional settings (number of hidden units, window, learning rate) to try. The settings with the
-        least loss on the validation data are used.
+        Number of further combinations of settings (hidden units, window, learning rate) to try. The combination with
+        the least loss on the validation data is used.
     seed : int
         The same seed gives identical results on the same machine.
     """
@@ -188,7 +188,7 @@ class FinishedRecord(BaseModel, extra="forbid"):
 
 
 class FinishedHistoryRecord(BaseModel):
-    """history.npz of a training run: losses after each epoch (e, 2), and the weights."""
+    """history.npz of a training run: ``losses`` of `TrainingResult`, and the weights."""
 
     model_config = ARRAYS | ConfigDict(extra="allow")
     losses: np.ndarray[Any, np.dtype[np.float64]]

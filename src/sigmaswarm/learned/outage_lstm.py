@@ -126,7 +126,7 @@ def features_at(line: Timeline, end: Indices, *, axes: Sequence[str], window: fl
 
 
 def _means(time: Array, values: Array, edges: Array) -> Array:
-    """Return the means (k, m) of a signal between times ``edges`` (k, m + 1), s; before its start, its first value."""
+    """Return the means (k, m) of a signal between times ``edges`` (k, m + 1), s; earlier values equal the first."""
     whole = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
     inside = np.maximum(edges, time[0])
     length = np.diff(inside, axis=1)

@@ -135,8 +135,7 @@ Kind = Literal[
 
 - ``optimistic``: larger than their covariances predict (overconfident).
 - ``pessimistic``: smaller than their covariances predict.
-- ``alike``: smaller, and consecutive innovations are nearly equal, so the position error is unknown; only without
-truth.
+- ``alike``: smaller, and consecutive innovations are nearly equal; the position error is unknown, without truth.
 - ``lasting``: smaller, since predictions contain the errors of the fixes; errors against truth agree with covariances.
 - ``correlated``: of the expected size, but correlated; only without truth.
 - ``optimistic_position``: not larger, but errors against truth are larger than the position covariance predicts.

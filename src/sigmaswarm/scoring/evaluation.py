@@ -214,7 +214,7 @@ class Evaluation:
         return next((key for key, name in self.names.items() if name == method), method)
 
     def improvement(self, over: str = BASELINE, measure: str = "position_rmse_m") -> float | None:
-        """Return the paper's equation 5, 100 (other - tuned) / other, %, with means over drives; other: ``over``."""
+        """Return the improvement over a method, 100 (method - tuned) / method, %, of means (the paper's equation 5)."""
         other, tuned = self.mean(over, measure), self.mean("tuned", measure)
         return None if not other or tuned is None else 100 * (other - tuned) / other
 

@@ -96,7 +96,7 @@ def _is_worse(worse: Collection[str], known: int) -> bool:
 def _worse_measures(
     scores: ScoresRecord, shown: Mapping[str, Measure], method: str
 ) -> tuple[dict[str, tuple[float, float]], int]:
-    """Return means of the tuned filter and of a method, if the method's is 10% smaller, and the number of measures."""
+    """Return means (tuned, method) of measures that are over 10% lower for the method, and the number of measures."""
     known = {
         m: (tuned, other)
         for m in ("position_rmse_m", "heading_rmse_deg", *DRIFTS)

@@ -129,7 +129,7 @@ def distance_from(truth: Truth, time: Array, x: Array, y: Array) -> Array:
 
 
 def score_estimate(drive: Drive, estimate: Estimate) -> Score:
-    """Score position and heading; NaN if there is no truth or the method failed."""
+    """Score position and heading; NaN if there is no truth."""
     failed = estimate.failure is not None
     if drive.truth is None:
         return Score(failed=failed)

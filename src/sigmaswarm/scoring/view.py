@@ -189,7 +189,7 @@ class EvaluationView:
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
     def _not_better(self) -> str:
-        """Return a sentence for each other method than which the tuned filter is not better in some drifts."""
+        """Return sentences on the drifts in which another method is at least as good as the tuned filter."""
         mean_of = self.scores.mean_of
         sentences = ""
         for method in (m for m in (AGAINST, FIXES, BASELINE) if m in self.names):

@@ -28,8 +28,8 @@ from sigmaswarm.wording import printable
 class BatchResult:
     """Costs and scores of parameter sets on drives.
 
-    Drifts and forecasts are NaN unless the objective needs them. Medians and drifts over 1 s and 30 s are always NaN;
-    `evaluate` computes them.
+    Drifts and forecasts are NaN unless the objective needs them. Quantiles of position errors and drifts over 1 s and
+    30 s are always NaN; `evaluate` computes them.
 
     Attributes
     ----------

@@ -117,7 +117,7 @@ class Bounds:
         return self._encode(np.maximum([d.least for d in self.dimensions], self.lowest))
 
     def distance(self, points: Array) -> Array:
-        """Return half the squared distance of points, (n, d), from the typical values as an array of shape (n,).
+        """Return half the squared distances, shape (n,), of points, shape (n, d), from the typical values.
 
         Each coordinate is divided by its standard deviation. In a linear search, parameters whose range spans powers of
         ten have no prior and do not contribute.

@@ -156,8 +156,8 @@ def explain_tuning(drives: Sequence[Drive | LogProperties], **options: Any) -> l
 def with_default_guards(config: C) -> C:
     """Set the weight of the priors and the process-noise inflation if they are None.
 
-    Likelihoods without truth have priors and, in a log10 search, inflation. With truth there are no priors, and only
-    models with roll and pitch have inflation.
+    Objectives that are likelihoods without truth have priors and, in a log10 search, inflation. Objectives with truth
+    have no priors, and inflation only for models with roll and pitch. Other objectives have neither.
     """
     if not isinstance(config, TuneConfig):
         return config

@@ -178,8 +178,8 @@ def correlation_warnings(
     if parameters.fix_error is not None or not supported or not known or np.median(known) < MAX_CORRELATION:
         return []
     why = (
-        "the innovations are correlated from fix to fix, so the errors of the fixes are correlated and the filter's "
-        f"covariance is too small (autocorrelation at lag 1: {np.median(known):.2f})"
+        "the innovations are correlated from fix to fix, so the errors of the fixes are probably correlated, and the "
+        f"filter's covariance is too small (autocorrelation at lag 1: {np.median(known):.2f})"
     )
     return [to_do(f"tune with --use {' '.join([*use, 'fix-error'])}", why)]
 

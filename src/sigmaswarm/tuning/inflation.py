@@ -93,7 +93,7 @@ def _limits(problem: Problem[Any]) -> Array:
 
 
 def shown_bias(starts: Sequence[InitialState]) -> float:
-    """Return the RMS of the gyro biases at the starts without their estimation errors, rad/s; 0 if they show none."""
+    """Return the RMS of the gyro biases at the starts, corrected for estimation errors, rad/s; 0 if they show none."""
     gyros = [start.gyro for start in starts if start.gyro is not None]
     bias, variance = (np.array([getattr(one, what) for one in gyros]) for what in ("bias", "variance"))
     # The variance of an axis that was not observed is infinite.

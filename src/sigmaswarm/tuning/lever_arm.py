@@ -96,8 +96,8 @@ class LeverArmEstimate:
         if unknown:
             times = (1.96 * max(self.std) / self.within) ** 2
             remarks.append(
-                f"the turns of this log do not determine {' and '.join(unknown)} to {self.within:g} m; "
-                f"this accuracy needs {times:.1f} times as many turns"
+                f"the 95% error of {' and '.join(unknown)} exceeds {self.within:g} m; for this accuracy the log needs "
+                f"{times:.1f} times as many turns"
                 + ("; the value in drive.toml is kept" if any(self.stated) else "")
             )
         return "; ".join(remarks)

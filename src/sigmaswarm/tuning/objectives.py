@@ -27,6 +27,7 @@ class Objective:
     per_drive : callable
         Function from scores to costs, shape (n_sets, n_drives).
     needs_truth, needs_outages, needs_forecasts : bool
+        True if the scores must contain errors against truth, drifts in outages, or forecasts of hidden fixes.
     scale_free : bool
         True if the cost does not depend on a common factor of all covariances.
     likelihood : bool

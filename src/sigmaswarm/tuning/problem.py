@@ -116,7 +116,7 @@ class Problem(ABC, Generic[P]):
         return ()
 
     def failure_reason(self, point: Array) -> str | None:
-        """Return why the filter at a point failed, if known."""
+        """Return the reason why the filter at a point failed; None if unknown."""
         return None
 
 

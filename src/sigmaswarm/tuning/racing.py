@@ -97,7 +97,7 @@ def race(
         each = np.hstack([each, column])
         steps += len(alive) * int(problem.steps[fresh].sum())
         costs[alive] = problem.mean(_in_order(each[alive], order[:drives]))
-        if rival and drives < m:  # corrects for drives that are harder or easier than average
+        if rival and drives < m:  # the drives so far may be harder or easier than average
             costs[alive] += rival.cost - problem.mean(rival.each[np.newaxis, np.sort(order[:drives])])[0]
     failures = int(np.isinf(costs).sum())
     costs = _behind(costs, alive, dropped, rival.cost if rival else np.inf)

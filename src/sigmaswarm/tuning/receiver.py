@@ -51,7 +51,7 @@ def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array
 
 
 def typical_variance(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
-    """Return the error variances that n filters assume for the median fix of m drives, m2, (n, m, 2): `prior_costs`."""
+    """Return the error variances, m2, (n, m, 2), that n filters assume for the median fix of m drives."""
     table = ParameterTable.of(parameter_sets)
     scale = table.column("accuracy_scale") + table.column("fix_error")
     return table.column("measurement_noise")[:, None, :] + scale[:, None, None] * std**2

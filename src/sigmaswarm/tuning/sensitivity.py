@@ -51,7 +51,7 @@ def sensitivities(
     down, up = ((bound - point)[:, np.newaxis] * axes for bound in (space.low, space.high))
     noises = space.logarithmic & space.noises
     if noises.any():
-        # Two decades each way, also beyond the bounds; otherwise one variance at its bound would fix the factor.
+        # Two decades each way, also beyond the bounds; otherwise a variance at its bound would keep the factor at 1.
         together = np.where(noises, 2.0, 0.0)
         down, up = np.vstack([down, -together]), np.vstack([up, together])
         names.append(NOISE_SCALE)

@@ -31,7 +31,7 @@ SCALING = (
 )
 """Scaling parameters of the sigma points, with the paper's bounds."""
 FIX_ERROR_TIME = "fix_error_time"
-"""Parameter that is searched only with truth, for models with roll and pitch.
+"""Parameter that is searched only with truth, and only for models with roll and pitch.
 
 Without truth, the likelihood hardly depends on this time. In a planar filter, slopes also cause correlated innovations:
 after tuning with truth on kingston-1, the position RMSE was 3.1 m with a searched time and 2.2 m with a fixed time.
@@ -189,7 +189,7 @@ def search_space(
     fixed: dict[str, Any] = {"model": model, "kind": kind, "nominal_interval": nominal_interval}
     if "fix-error" in use:
         fixed["fix_std"] = fix_std
-    if kind == "ekf":  # it has no sigma points
+    if kind == "ekf":  # no sigma points
         fixed |= {"alpha": 1.0, "beta": 0.0, "kappa": 0.0}
     searched: list[Option] = [option for option in use if option != "slip" or has_truth]
     if len(searched) < len(use):
@@ -264,7 +264,7 @@ def _dimensions(
 
 
 def searched_name(name: str, known: Container[str], model: str) -> str:
-    """Return the name of a parameter in the search: q_x and q_y are q_xy, q_roll is q_tilt."""
+    """Return the name of the searched parameter that sets a parameter: q_xy for q_x and q_y, q_tilt for q_roll."""
     states = MODELS[model].states if model in MODELS else ()
     shared = {f"q_{state.name}": f"q_{state.shared}" for state in states}
     return name if name in known else (shared | {"r_x": "r_xy", "r_y": "r_xy"}).get(name, name)

@@ -78,7 +78,7 @@ class CmaEs(AskTell):
         return self.mean + self.step * (z * np.sqrt(variances)) @ axes.T  # (39, 40)
 
     def _penalized(self, costs: Array) -> Array:
-        """Add the mean squared distance from the bounds, in variances, times the interquartile range of the costs."""
+        """Add to each cost the squared distance from the bounds, in variances, times the costs' interquartile range."""
         outside = np.mean((self.samples - np.clip(self.samples, 0.0, 1.0)) ** 2, axis=1)
         lower, upper = np.percentile(costs[np.isfinite(costs)], [25, 75])
         return costs + (upper - lower) * outside / (self.step**2 * np.mean(np.diag(self.covariance)))
