@@ -115,7 +115,7 @@ def test_what_the_turns_do_not_show_stays_as_it_is(urban: Drive):
     assert found.observable == (False, False)
     assert max(found.std) > 0.3
     assert str(found).startswith("the 95% error of ")
-    assert " to 0.15 m; this accuracy needs " in str(found)
+    assert " exceeds 0.15 m; for this accuracy the log needs " in str(found)
     assert found.applied(drive) is drive
 
 

@@ -40,7 +40,7 @@ def bits(tuning: Tuning) -> list[bytes]:
 
 def test_robust_is_told_of_a_likelihood_that_it_does_not_go_with():
     blind = [replace(d, truth=None) for d in DRIVES]
-    with pytest.warns(SigmaswarmWarning, match="for robust use innovation-t"):
+    with pytest.warns(SigmaswarmWarning, match="even if the filter uses robust; use innovation-t"):
         tune(blind, use=["robust"], objective="innovation-nll + nis", **SMALL)
 
 
