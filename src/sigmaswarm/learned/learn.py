@@ -181,8 +181,6 @@ def _save(learned: LearnedNetwork, config: LearnConfig, tuning: Path | None, out
 
 
 class FinishedRecord(BaseModel, extra="forbid"):
-    """result.json of a training run."""
-
     cost: float | None
     settings: dict[str, float]
 

@@ -206,7 +206,6 @@ def _kinds(one: Consistency) -> Iterator[Kind]:
 
 
 def _size(mean_squares: Sequence[float], what: str) -> str:
-    """Describe the size of the standard deviations, from the mean NIS or NEES on each drive (should be 2)."""
     mean = sum(mean_squares) / max(len(mean_squares), 1)
     return f"{describe_ratio(math.sqrt(2 / mean) if mean > 0 else math.inf)} (mean {what} {mean:.2g}, should be 2)"
 

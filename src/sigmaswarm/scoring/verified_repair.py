@@ -22,9 +22,8 @@ VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
 MAX_ERROR_RATIO = 1.05
 """Largest accepted ratio (after / before) of forecast errors.
 
-If a rotation is the only verified repair, the geometric mean of the four ratios counts, else the largest ratio. After
-the rotation of a tilted phone, one error of planar8, which models no tilt, was 10% larger, and three were 28 to 58%
-smaller.
+For a rotation alone, it applies to the geometric mean of four ratios: after the rotation of a tilted phone, one error
+of planar8, which models no tilt, was 10% larger, and three were 28 to 58% smaller.
 """
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
 """Noise densities of planar8's states, unit of the state per sqrt(s).
@@ -64,7 +63,6 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
     Parameters
     ----------
     drive : Drive
-        The diagnosed drive.
     diagnosis : Diagnosis
         The diagnosis of this drive.
     only : collection of str, optional
@@ -97,7 +95,6 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
 
 
 def _rejected(drive: Drive, diagnosis: Diagnosis) -> set[str]:
-    """Return the codes of the findings whose repair makes the forecasts of a filter worse."""
     tested = {f.code for f in diagnosis.findings if f.repair is not None and f.repair.action in VERIFIED}
     filters = [checking_filter(drive)] if tested else []
     if {f.repair.action for f in diagnosis.findings if f.repair} & {*CLOCKS, "rotate"}:

@@ -74,7 +74,7 @@ class EvaluationView:
         return self._table("Each drive", rows)
 
     def _table(self, caption: str, rows: Sequence[tuple[str, str, str, Measured]]) -> Table:
-        """Return a table of all known scores, from rows (drive, method, remark, scores)."""
+        """Return a table from rows (drive, method, remark, scores)."""
         methods, known = self.scores.known(self.names, self.measures)
         rows = [(d, m, r, with_outages(m, scores)) for d, m, r, scores in rows if m in methods]
         rows = [row for row in rows if row[1] != "imu_only" or any(row[3].get(m) is not None for m in known)]

@@ -16,7 +16,7 @@ from sigmaswarm.tuning.inflation import INFLATION, TILTED_INFLATION, WITH_TRUTH
 from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.wording import count_of
 
-PAPER_MODEL = "planar5"  # the paper's model
+PAPER_MODEL = "planar5"
 OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
 """Objectives with and without truth; see docs/objectives.md, "Outliers"."""
 FORECAST_OBJECTIVE = "0.5 innovation-t + 0.5 forecast-t"

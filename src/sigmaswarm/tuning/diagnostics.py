@@ -79,11 +79,7 @@ def larger_drifts(forecasts: Sequence[DriftComparison]) -> list[str]:
 
 
 def drift_table(forecasts: Sequence[DriftComparison], durations: Sequence[float] = ()) -> Table:
-    """Return a table of the drifts on the training drives.
-
-    ``durations``: durations of the training drives, s. The caption states whether only a part of the drives was
-    measured.
-    """
+    """Return a table of drifts; its caption states the measured part of the drives, with ``durations``, s."""
     on = (
         f"the first {MAX_NAMED_DRIVES} training drives"
         if len(durations) > MAX_NAMED_DRIVES

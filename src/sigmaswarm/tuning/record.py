@@ -110,7 +110,6 @@ class TuningRecord(BaseModel):
 
     @property
     def mountings_differ(self) -> bool:
-        """True if the training drives have different mountings."""
         return self.mounting is None and any(drive.imu_mounting_deg for drive in self.data)
 
 

@@ -137,7 +137,6 @@ class SearchSpace(Bounds):
 
     @cached_property
     def _places(self) -> dict[str, int | list[int]]:
-        """Index of each field's dimension, or indices for the entries of a tuple."""
         places: dict[str, int | list[int]] = {}
         for i, dimension in enumerate(self.dimensions):
             before = places.get(dimension.field, [])

@@ -32,8 +32,6 @@ class ConfigRecord(BaseModel, extra="allow"):
 
 
 class CountsRecord(BaseModel, extra="forbid"):
-    """Number of evaluated parameter sets, and number of failed ones."""
-
     evaluations: int
     failures: int
 

@@ -65,7 +65,6 @@ class BayesianOptimization(AskTell):
         return self.low + found * (self.high - self.low)
 
     def _remembered(self) -> NDArray[np.intp]:
-        """Return the indices of the points for the fit: the best and the latest."""
         last = len(self.costs) - MAX_POINTS // 2
         if last <= MAX_POINTS // 2:
             return np.arange(len(self.costs))
@@ -108,7 +107,6 @@ def next_points(
 
 
 def _fitted(points: Array, costs: Array) -> Array:
-    """Return the length scales, shape (d,), with the largest likelihood."""
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import Matern
 
