@@ -143,7 +143,7 @@ def test_a_folder_that_others_can_write_is_not_used(looked: Looked, sound: Path)
     for cache, told in (looked[name] for name in WRITABLE):
         assert told["hits"] == 0
         (said,) = told["said"]
-        assert f"other users can write to {cache}/sigmaswarm" in said
+        assert f"other users have access to {cache}/sigmaswarm" in said
         assert "set NUMBA_CACHE_DIR" in said
         assert {file.relative_to(cache): file.read_bytes() for file in files(cache)} == before
 

@@ -3,25 +3,26 @@
 Data flow
 ---------
 A `Drive` is read, recorded or simulated. Filters run over drives, and scores measure the errors of the filters. An
-objective converts scores to a cost, and a swarm searches for the parameters with the lowest cost. The result is a
+objective converts scores to a cost, and an optimizer searches for the parameters with the lowest cost. The result is a
 `Tuning`.
 
 Conventions
 -----------
-- Values are in SI units and radians. Degrees are used only in text and in columns whose names end in ``deg``.
+- Values are in SI units and radians. Degrees are used in text, for latitude and longitude, for mounting angles, and for
+  values whose names end in ``deg``.
 - Local frame: east-north-up; x east, y north. Heading ``theta`` counter-clockwise from east, in (-pi, pi].
 - Body frame: x forward, y left, z up (REP-103). The IMU measures specific force and angular rate in this frame.
 - Attitude of models with roll and pitch: R = Rz(theta) Ry(pitch) Rx(roll) rotates body axes into local axes. ``roll``
   is positive with the left side up, and ``pitch`` with the nose down.
 - Time: float64 seconds, strictly increasing within a sensor; sensors keep their own clocks and rates.
 - State of ``planar5``: x, y (m), vx, vy (m/s), theta (rad); other models have additional states after these.
-  ``process_noise`` is the diagonal of Q, the variance added per nominal IMU step; ``measurement_noise`` is the diagonal
-  of R.
+  ``process_noise`` is the diagonal of Q: the variances added per nominal IMU step. ``measurement_noise`` is the
+  diagonal of R.
 - Filters never use truth. The error is estimate - truth. Costs are minimized; the cost of a failed filter is ``inf``.
 
 Symbols: x, P state mean and covariance; Q, R process and measurement noise covariance; alpha, beta, kappa sigma-point
-scaling (Merwe); z, nu, S, K measurement, innovation, its covariance, gain; w, c1, c2 inertia, cognitive and
-social acceleration of the swarm.
+scaling (Merwe); z, nu, S, K measurement, innovation, innovation covariance, gain; w, c1, c2 inertia, cognitive and
+social acceleration of a particle swarm.
 """
 
 import ast
@@ -172,7 +173,7 @@ def _modules() -> dict[str, str]:
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name at its first use, so that `sigmaswarm --help` does not wait for Numba."""
+    """Import a name at its first use, so that `sigmaswarm --help` does not wait for Numba."""
     if name in _RENAMED:
         warnings.warn(f"sigmaswarm.{name} is now {_RENAMED[name]}", DeprecationWarning, stacklevel=2)
         return __getattr__(_RENAMED[name])

@@ -1,4 +1,4 @@
-"""Run the command line as `python -m sigmaswarm`, which also works if the script is not on the path."""
+"""Run the command line as `python -m sigmaswarm`, which also works if the command `sigmaswarm` is not on the path."""
 
 from sigmaswarm.cli import main
 

@@ -33,7 +33,7 @@ Filter = FilterParameters | Tuning[Any] | str | Path
 
 @dataclass(frozen=True)
 class TunedFilter:
-    """A filter with the settings of its tuning."""
+    """A filter with the settings of its tuning; ``seen``: landmarks of the training drives."""
 
     parameters: FilterParameters
     as_recorded: bool = False
@@ -75,7 +75,7 @@ def import_log(
     name : str, optional
         Name of the drive; by default the name of the log.
     say : callable, optional
-        Receives the notes; by default they are warnings.
+        Called with each note; by default, notes are warnings.
     **settings
         ``gps``, ``truth``, ``odometer``: further logs. ``format``, ``maps`` ({"ax": "acc_x*g"}), ``tables`` ({"imu":
         "/imu/data"}), ``time``, ``recipe`` (a file) and settings of a recipe, such as ``mount``, ``gps_offset_s``,
@@ -94,14 +94,15 @@ def import_log(
     Warns
     -----
     SigmaswarmWarning
-        For each assumption of the import, and for times that only the IMU or only the fixes cover.
+        Without ``say``: for each note, for example on an assumption, or on times that only the IMU or only the fixes
+        cover.
     """
     from sigmaswarm.importing.convert import import_drive, request_of
 
     request = request_of(log, settings)
     imported = import_drive(request, name or Path(log).resolve().stem)
     drive, notes = imported.drive, [*imported.notes, *imported.assumed]
-    # The command `sigmaswarm import` shows this as a finding of the doctor.
+    # The command `sigmaswarm import` reports such times as a finding of the doctor.
     if unshared := unshared_times(drive.imu.time, drive.gps.time):
         notes.append(str(unshared).replace(".csv", ""))
     for note in notes:
@@ -110,7 +111,7 @@ def import_log(
 
 
 def inspect_log(log: str | Path, **settings: Any) -> "Inspection":
-    """Return the tables of a log, the recipe that `import_log` would use, and its assumptions.
+    """Return the tables of a log, the recipe that `import_log` would use, and notes on assumptions and faults.
 
     Parameters
     ----------
@@ -144,7 +145,8 @@ def run(
     bank : bool
         Run a bank of sixteen filters with different parameters; the estimate is their mixture.
     initial : InitialState, optional
-        Start of the filter; by default the first time at which the drive shows position, speed and heading.
+        Start of the filter; by default the state at the first time at which the drive determines position, speed and
+        heading.
     recover : bool
         Reset the filter if it diverges.
     as_recorded : bool, optional
@@ -154,12 +156,12 @@ def run(
     Returns
     -------
     Estimate
-        Times (n,), means (n, n_states) and covariances (n, n_states, n_states) at the IMU's samples.
+        Times (n,), means (n, n_states) and covariances (n, n_states, n_states) at the IMU samples from the start on.
 
     Raises
     ------
     AlignmentError
-        If the vehicle never moves far enough to start a filter.
+        If no filter can start on the drive, for example because the vehicle is too slow.
     InputError
         If ``smooth`` and ``bank`` are both given.
     """
@@ -179,13 +181,13 @@ def run(
 def evaluate(
     drives: Sequence[Drive] | Drive, parameters: Filter, *, against: Filter | None = None, **options: Any
 ) -> "Evaluation":
-    """Compare a filter with the baseline, raw GPS, fixes alone and IMU only, on drives that the tuning did not use.
+    """Compare a filter with the baseline and with the fixes alone; with truth, also with raw GPS and the IMU only.
 
     Parameters
     ----------
     drives : Drive or sequence of Drive
-        Drives to evaluate on. Without truth, the scores are the consistency, and the drift over outages relative to the
-        fixes.
+        Drives that the tuning did not use. Without truth, the scores are the consistency of the innovations, and the
+        drift in simulated outages, measured at the hidden fixes.
     parameters : FilterParameters, Tuning, or the path of a tuning
         A tuning also identifies its training drives, so that the evaluation can warn if ``drives`` contain parts of
         them.
@@ -206,7 +208,7 @@ def evaluate(
     InputError
         If there are no drives, or ``parameters`` is not a filter.
     AlignmentError
-        If a vehicle never moves far enough to start a filter.
+        If no filter can start on a drive, for example because the vehicle is too slow.
     """
     from sigmaswarm.scoring import evaluation
 
@@ -231,8 +233,9 @@ def export(
         Folder for the files; by default nothing is written.
     **options
         ``replay`` (a Drive), ``as_recorded``, ``lanes``, ``seed``: see ``sigmaswarm export --help``. ``mounting``:
-        roll, pitch and yaw of the IMU, deg, for an export that rotates raw samples; ``imu_axes``: expressions of the
-        IMU's axes. ``as_recorded``, ``mounting`` and ``imu_axes`` are by default those of the tuning.
+        roll, pitch and yaw of the IMU, deg, for an export that rotates raw samples; ``imu_axes``: expressions with
+        which the import read the IMU's axes. ``as_recorded``, ``mounting`` and ``imu_axes`` are by default those of the
+        tuning.
 
     Returns
     -------

@@ -36,7 +36,7 @@ T = TypeVar("T")
 
 
 def call_once(make: Callable[P, T]) -> Callable[P, T]:
-    """Cache results like `functools.cache`, but let threads wait while another thread computes the same value."""
+    """Cache results like `functools.cache`, but let one thread compute at a time, so that no value is made twice."""
     lock, made = threading.RLock(), cache(make)
 
     @wraps(make)
@@ -51,7 +51,7 @@ def call_once(make: Callable[P, T]) -> Callable[P, T]:
 class FunctionRecipe:
     """A function that is generated only if its machine code is not cached, since the generation takes half a second.
 
-    ``like`` has the same name and parameters. ``key`` distinguishes functions with the same name.
+    ``like``: a placeholder with the same name and parameters. ``key`` distinguishes functions with the same name.
     """
 
     like: Callable[..., Any]
@@ -114,7 +114,7 @@ def _write(recipe: FunctionRecipe, compiled: Any) -> None:
 
 @cache
 def _folder() -> tuple[Path | None, str]:
-    """Make the cache folder, or return the reason why there is none."""
+    """Make the cache folder; return it and "", or None and the reason why there is none."""
     if config.CACHE_DIR:
         folder = Path(config.CACHE_DIR).absolute() / "sigmaswarm"
     else:
@@ -131,13 +131,13 @@ def _folder() -> tuple[Path | None, str]:
     if not private:
         return (
             None,
-            f"other users can write to {folder}, and could put code there (set the folder's mode to 700)",
+            f"other users have access to {folder}, and could put code there (set the folder's mode to 700)",
         )
     return folder, ""
 
 
 def _is_private(folder: Path) -> bool:
-    """Check that no other user can write into a folder or replace it; True on systems without user ids."""
+    """Return True if other users can neither access nor replace a folder, or on systems without user ids."""
     if not hasattr(os, "getuid"):
         return True
     own, above = folder.stat(), folder.parent.stat()
@@ -160,7 +160,7 @@ class _Checked(CompileResultCacheImpl):
 
 
 class _Cache(FunctionCache):
-    """A cache that compiles and writes damaged files again."""
+    """A cache that replaces damaged files by compiling again."""
 
     _impl_class = _Checked
     recipe: FunctionRecipe | None = None
@@ -195,7 +195,7 @@ class _Cache(FunctionCache):
 
 
 class _NoCache(NullCache):
-    """A cache that stores nothing and warns at its first use."""
+    """A cache that stores nothing. The first attempt to store machine code warns, once per process and reason."""
 
     def __init__(self, trouble: str) -> None:
         self._trouble = trouble

@@ -91,7 +91,7 @@ def locked_folder(path: Path) -> Generator[Path]:
         raise InputError(
             f"{path}: another run is writing to it; wait until that run ends, or choose another --out"
         ) from None
-    # Remove lock files of killed runs also in subfolders, to which no later run may write. No run makes deeper folders.
+    # Remove lock files of killed runs in subfolders too, since later runs may not write there. No run nests deeper.
     for level in ("", "*/", "*/*/", "*/*/*/"):
         _sweep_all(path, f"{level}.*.lock")
     try:
@@ -231,7 +231,7 @@ def staged_files(
 
 
 def _is_exported_code(file: Path) -> bool:
-    """Return True for code that an earlier version exported, since its exports have no list of files."""
+    """Return True for code that sigmaswarm exported; exports of version 0.3.0 have no list of files."""
     if file.suffix not in (".c", ".h", ".py", ".yaml"):
         return False
     with file.open("rb") as opened:
@@ -274,7 +274,7 @@ def _restore(hidden: Path, folder: Path) -> None:
 
 
 def _unwritable(path: Path, error: OSError) -> InputError:
-    rust = re.search(r"\(os error (\d+)\)", str(error))  # polars states the number only in the message
+    rust = re.search(r"\(os error (\d+)\)", str(error))  # polars gives the error number only in the message
     number = int(rust[1]) if rust else error.errno
     if number in (EEXIST, ENOTEMPTY):
         return InputError(f"{path}: already exists; delete it, or choose another name")
@@ -307,7 +307,7 @@ def _staging(path: Path, named: Path | None = None) -> Generator[Path]:
     An `OSError` that names the hidden path, or no path, is replaced by an `InputError` that names ``named``.
     """
     _sweep(path.parent.resolve())
-    stem = path.name.encode()[:200].decode(errors="ignore")  # names end at 255 bytes
+    stem = path.name.encode()[:200].decode(errors="ignore")  # file names have at most 255 bytes
     hidden = path.with_name(f".{stem}.sigmaswarm-{secrets.token_hex(6)}")
     file = hidden.with_name(f"{hidden.name}.lock")
     lock = _lock(file)

@@ -1,6 +1,6 @@
 """Check the sizes of files before they are read, since a small or damaged file can claim any size.
 
-Within these limits, the rejection of a file needs at most 1.5 GB of memory and 10 s.
+With these limits, sigmaswarm rejects a bad file within 10 s, and needs at most 1.5 GB of memory for this.
 """
 
 import re
@@ -13,8 +13,8 @@ from sigmaswarm.errors import InputError
 if TYPE_CHECKING:
     import zipfile
 
-MAX_LINE_BYTES = 1 << 20  # bytes of text
-MAX_CELLS = 120_000_000  # cells of a Parquet table, 1 GB: a week of an IMU at 50 Hz
+MAX_LINE_BYTES = 1 << 20  # bytes of a line of text
+MAX_CELLS = 120_000_000  # cells of a Parquet table, 1 GB: a week of an IMU at 50 Hz, with 4 columns
 MAX_COLUMNS = 1000
 MAX_NAME_LENGTH = 1000  # characters of a column's name
 MAX_TOML_BYTES = 1 << 20  # bytes; parsing takes 3 s
@@ -100,6 +100,7 @@ def require_members(path: Path, members: "list[zipfile.ZipInfo]") -> None:
     unpacked = sum(member.file_size for member in members)
     if len(members) > MAX_MEMBERS or unpacked > MAX_UNPACKED_BYTES:
         raise InputError(
-            f"{path}: contains {len(members)} arrays of {unpacked / 1e6:.0f} MB, more than {MAX_MEMBERS} or "
-            f"{MAX_UNPACKED_BYTES / 1e6:.0f} MB; sigmaswarm did not write this file, or it is damaged"
+            f"{path}: contains {len(members)} arrays with {unpacked / 1e6:.0f} MB in total; the limits are "
+            f"{MAX_MEMBERS} arrays and {MAX_UNPACKED_BYTES / 1e6:.0f} MB; sigmaswarm did not write this file, or it is "
+            "damaged"
         )

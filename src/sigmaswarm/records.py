@@ -15,7 +15,7 @@ from sigmaswarm.limits import MAX_JSON_BYTES, read_bounded, read_toml_text
 from sigmaswarm.wording import first_mistake, printable
 
 R = TypeVar("R")
-ARRAYS = ConfigDict(arbitrary_types_allowed=True, extra="forbid")  # of a record of an npz file
+ARRAYS = ConfigDict(arbitrary_types_allowed=True, extra="forbid")  # for records in npz files
 DAMAGED = "the file was not written by sigmaswarm, or is damaged"
 MISSING = "repeat the command that made the folder"
 
@@ -33,10 +33,10 @@ Vector = Annotated[NDArray[Any], BeforeValidator(_vector)]  # numbers (n,) in an
 def load_record(
     kind: type[R], path: Path, remedy: str = DAMAGED, *, missing: str = MISSING, infinite: bool = False
 ) -> R:
-    """Read a record, a pydantic model or a dataclass, from a file: JSON or npz by its suffix, else TOML.
+    """Read a record, a pydantic model or a dataclass, from a file: .json, .npz, or TOML with any other suffix.
 
     ``remedy`` and ``missing`` are the remedies in messages about a damaged and a missing file. NaN and inf in a JSON
-    file become None unless ``infinite``.
+    file become None unless ``infinite`` is True.
     """
     content = read_content(path, remedy, missing=missing, infinite=infinite)
     try:

@@ -15,7 +15,7 @@ from sigmaswarm import notebook
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-Range = tuple[float | None, float | None]  # such as an interval; sorted by its lower end
+Range = tuple[float | None, float | None]  # lower and upper end
 Cell = str | float | Range | None  # None: unknown
 UNKNOWN = "-"
 MAX_NAME_WIDTH = 20  # characters; longer names may be broken in a terminal

@@ -48,7 +48,7 @@ def quoted(text: object, most: int = MAX_CHARACTERS) -> str:
 
 
 def printable_value(value: object) -> str:
-    """Show a value of a file in a message; an integer of 5000 digits has no text form."""
+    """Show a value of a file in a message; Python converts no integer of more than 4300 digits to text."""
     try:
         return printable(repr(value))
     except (ValueError, RecursionError):
@@ -58,7 +58,7 @@ def printable_value(value: object) -> str:
 class Mistake(NamedTuple):
     """The first error that pydantic found, for a message.
 
-    ``key`` is empty for the whole record, ``value`` for a table. ``kind`` is pydantic's name of the error.
+    ``key`` is empty for an error of the whole record. ``value`` is empty for a table. ``kind``: pydantic's error type.
     """
 
     key: str

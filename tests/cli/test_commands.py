@@ -365,7 +365,9 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
     assert "raw GPS" in shown
     assert "\nurban-clear-03: there is no truth, so errors of position and heading can't be" in shown
     assert shown.count("Position error on") == 1, "where there is truth, it tells"
-    assert shown.endswith("next: repeat this command with --out evaluation to get figures and a page\n")
+    assert shown.endswith(
+        "next: repeat this command with --out evaluation to save scores, figures and page data\n"
+    )
 
 
 def test_run_writes_csv(sigmaswarm, drives: Path, tuned: Path, here: Path):
@@ -566,7 +568,9 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     shutil.copytree("part", "alone")
     Path("alone/seen.npz").unlink()  # so whole drives alone are known: of the rest nothing is said
     plain = "On 1 drive, the tuned filter"
-    assert sigmaswarm("evaluate", "alone", first, "--out", "f").out.startswith("On 1 drive (lower is better)")
+    assert sigmaswarm("evaluate", "alone", first, "--out", "f").out.startswith(
+        "Scores on 1 drive (lower is better)"
+    )
     assert sigmaswarm("report", "f").code == 0
     assert plain in Path("f/page.html").read_text()
     told = sigmaswarm("evaluate", "alone", second, "parts/urban-clear-00-train").out

@@ -57,7 +57,7 @@ def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: 
     search = ("--particles", 4, "--generations", 2)
     ended = sigmaswarm("tune", drive, "--start", "ekf.yaml", "--out", "t", *search)
     assert ended.code == 0, ended.err
-    assert "model:    robot-localization" in ended.out and "at the start" in ended.out
+    assert "model:    robot-localization" in ended.out and "from which the search started" in ended.out
     ended = sigmaswarm("evaluate", "t", drive, "--against", "ekf.yaml", "--trust-log")
     assert ended.code == 0 and "other EKF" in ended.out
     out = ("--to", "robot-localization", "--out", "ekf")
@@ -144,7 +144,7 @@ def test_the_c_is_checked_on_drives(sigmaswarm: Command, tuned: Path, drives: Pa
     assert ended.code == 0, ended.err
     pattern = (
         r"^urban-clear-00: every state in C is within (\S+) of sigmaswarm run"
-        r".*in float the difference is at most (\S+) mm and (\S+) degrees$"
+        r".*in float the position differs by at most (\S+) mm and the heading by (\S+) degrees$"
     )
     (found,) = re.findall(pattern, ended.out, re.MULTILINE)
     assert float(found[0]) < 1e-9 and float(found[1]) < 10.0 and float(found[2]) < 0.01
@@ -194,7 +194,7 @@ def test_export_says_how_to_go_on(sigmaswarm: Command, tuned: Path, here: Path):
         (["--to", "c99", "--out", "x", "--check", "nowhere"], "nowhere does not exist"),
         (
             ["--to", "filterpy", "--out", "x", "--check", "DRIVE"],
-            "--check is for --to c99 and for tunings of robot-localization",
+            "--check needs --to c99 or a tuning of the model robot-localization",
         ),
     ],
 )

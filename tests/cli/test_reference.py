@@ -19,7 +19,7 @@ def test_it_writes_a_drive_with_truth(sigmaswarm: Command, here: Path):
     asked = ("reference", "cheap", "--fixes", "rtk", "--out", "made", "--lever-arm", "0,0,0")
     done = sigmaswarm(*asked)
     assert done.code == 0, done.err
-    assert "used 200 of 200 fixes; over " in done.out
+    assert "used 200 of 200 fixes; the truth covers " in done.out
     assert done.out.splitlines()[-1] == "next: sigmaswarm tune made --out tuned"
     made = read_drive(here / "made")
     assert made.truth.std_x.max() <= 0.1

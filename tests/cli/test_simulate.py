@@ -136,15 +136,15 @@ def test_help_names_every_choice(sigmaswarm):
         assert [name for name in choices if name not in said] == []
 
 
-def test_labels_of_one_physics_are_said_to_be_so(sigmaswarm, here: Path):
+def test_labels_of_one_friction_are_said_to_be_so(sigmaswarm, here: Path):
     shared = sigmaswarm(
         "simulate", "--out", "a", "--maneuver", "brake", "--environment", "clear", "fog", "--runs", 1
     )
-    assert "clear, night and fog have the same physics" in shared.out
+    assert "clear, night and fog have the same friction" in shared.out
     apart = sigmaswarm(
         "simulate", "--out", "b", "--maneuver", "brake", "--environment", "clear", "rain", "--runs", 1
     )
-    assert "physics" not in apart.out
+    assert "friction" not in apart.out
 
 
 @pytest.mark.long

@@ -132,7 +132,7 @@ def test_a_full_output_is_told(drive):
     with Path("/dev/full").open("wb") as full:
         done = command("split", "named", "--out", "parts", stdout=full)
     assert done.returncode == 2
-    assert done.stderr == b"sigmaswarm: the output: No space left on device\n"
+    assert done.stderr == b"sigmaswarm: the output can't be written: No space left on device\n"
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The command line, one file per command. Commands import large libraries when they run."""
+"""The command line, one file per command. Commands import large libraries only when they run, for fast help."""
 
 from sigmaswarm.cli.app import main
 

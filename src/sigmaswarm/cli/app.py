@@ -41,7 +41,7 @@ A drive is a folder with imu.csv, gps.csv, drive.toml and, if known, truth.csv. 
 Other formats: `sigmaswarm import LOG --show` shows the content of a log. `sigmaswarm import LOG --out DRIVE` writes
 a drive.
 
-`sigmaswarm workbench LOG` does all of this in the browser.
+`sigmaswarm workbench LOG` does all these steps in the browser.
 
 Without drives: `sigmaswarm simulate --out drives` simulates drives. `sigmaswarm demo` runs a small version of the
 paper's experiment.
@@ -51,7 +51,7 @@ paper's experiment.
     suppress_keyboard_interrupt=False,
 )
 PLAIN = Parameter(negative=(), consume_multiple=1)
-# Each command is the function of the same name in a file of this folder.
+# Each command is a function in a file of the same name in this folder.
 COMMANDS = (
     *("doctor", "noise", "tune", "learn", "compare", "evaluate", "report", "study", "run", "export"),
     *("split", "convert", "reference", "simulate", "record-carla", "plot", "demo", "import", "workbench"),
@@ -106,7 +106,7 @@ def main() -> NoReturn:
     except OSError as error:  # closed output, or full disk
         terminal.mute()
         if not isinstance(error, BrokenPipeError):
-            code = _fail(2, f"the output: {error.strerror or error}")
+            code = _fail(2, f"the output can't be written: {error.strerror or error}")
     sys.exit(code)
 
 
@@ -126,10 +126,11 @@ def _run() -> int:
         return _fail(130, "interrupted" + "; repeat the command with --resume to continue" * resumable)
     except BrokenPipeError:  # `sigmaswarm ... | head` is not a mistake
         terminal.mute()
-    except OSError as error:  # no permission, a network drive that is gone
-        if not error.filename:  # the output itself
+    except OSError as error:  # for example no permission, or a lost network drive
+        if not error.filename:  # an error of stdout
             terminal.mute()
-        return _fail(2, f"{error.filename or 'the output'}: {error.strerror or error}")
+        what = error.filename or "the output can't be written"
+        return _fail(2, f"{what}: {error.strerror or error}")
     except Exception as error:
         return _unforeseen(error)
     return 0
@@ -163,7 +164,7 @@ def _missing_out(error: Exception) -> str | None:
 
 
 def _other_name(error: Exception) -> str | None:
-    """Suggest an option of sigmaswarm if the user gave its name in another library."""
+    """Suggest the option of sigmaswarm if the user gave the option's name in another library."""
     if not isinstance(error, UnknownOptionError):
         return None
     from sigmaswarm.tuning.config import SYNONYMS

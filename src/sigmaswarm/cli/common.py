@@ -24,7 +24,7 @@ MAX_REMARKS = 3  # remarks on an evaluation or a tuning that the terminal shows 
 
 
 def read_silently(place: "Location") -> "Drive":
-    """Read a drive without warnings about gaps and unused samples, which an earlier command printed."""
+    """Read a drive; suppress warnings about gaps and unused samples, which `sigmaswarm doctor` reports."""
     from sigmaswarm.drives.reader import read_with_warnings
 
     drive, warned = read_with_warnings(place)
@@ -39,14 +39,17 @@ def _warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> No
 
 
 def read_drives(places: "Sequence[Location]") -> "list[Drive]":
-    """Read drives with `read_silently`, and all drives in each folder of drive folders."""
+    """Read drives, and all drives in folders of drive folders, with `read_silently`."""
     from sigmaswarm.drives.reader import all_drive_locations
 
     return [read_silently(place) for place in all_drive_locations(places)]
 
 
 def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *, overwrite: bool) -> None:
-    """Raise `InputError` if a folder exists or, with ``overwrite``, if it is one of the ``sources``."""
+    """Raise `InputError` if a folder can't be written: it contains files or, with ``overwrite``, more than a drive.
+
+    A folder in ``sources`` is refused too.
+    """
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.writer import require_replaceable
     from sigmaswarm.errors import InputError
@@ -61,9 +64,9 @@ def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *
 def require_result_folder(
     out: Path, sources: "Iterable[Location | None]", kind: str, mark: str = "", *, overwrite: bool = True
 ) -> None:
-    """Raise `InputError` if a folder contains a source, or files other than an earlier result of this kind.
+    """Raise `InputError` if ``out`` is or contains a source, or contains files other than a result of this kind.
 
-    Without ``overwrite`` an earlier result is also refused.
+    Without ``overwrite``, also raise it for a result of this kind. ``mark``: see `earlier_result`.
     """
     from sigmaswarm.errors import InputError
     from sigmaswarm.files import earlier_result, free_path
@@ -101,8 +104,8 @@ def read_datasets(
 ) -> "list[Dataset]":
     """Read groups of drives in this process or on the workers of a cluster.
 
-    With ``remedies`` the doctor checks the drives and adds the remedies for serious faults to the list. With ``gaps``,
-    warnings about gaps and unused samples are printed.
+    With ``remedies`` the doctor checks the drives and adds the remedies for serious faults to the list. Without
+    ``gaps``, warnings about gaps and unused samples are suppressed.
     """
     from sigmaswarm.cli.findings import warn_of_serious
     from sigmaswarm.cli.terminal import progress_bar
@@ -184,7 +187,7 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
     if verbose and several:
         strong = by_drive.strong | {len(by_drive.rows) + i for i in mean.strong}
         table = replace(by_drive, rows=by_drive.rows + mean.rows, strong=strong)
-    title = f"On {describe_drives(view.setup.data)} (lower is better)"
+    title = f"Scores on {describe_drives(view.setup.data)} (lower is better)"
     print_lines(replace(table, caption=title).to_rich(grouped=True))
     if verbose:
         caption = "Consistency of the tuned filter (NIS and NEES should be 2)"
@@ -196,5 +199,5 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
         return
     shown = tuple(dict.fromkeys((*sentences[:MAX_REMARKS], *view.missing_drifts())))
     hidden = [f"{len(sentences) - len(shown)} more remarks"] if len(sentences) > len(shown) else []
-    *others, last = [*(["each drive"] if several else []), "the consistency", *hidden]
+    *others, last = [*(["the scores of each drive"] if several else []), "the consistency", *hidden]
     print_lines(*shown, f"--verbose also shows {' and '.join(filter(None, [', '.join(others), last]))}")

@@ -23,12 +23,12 @@ class CompareOptions:
     Attributes
     ----------
     optimizers
-        Optimizers, each compared with the first. Settings follow a colon: pso:polish=300. Default: pso, ga, ga-pso,
-        de, cma-es, random.
+        Optimizers; the tests compare each with the first. Settings follow a colon: pso:polish=300. Default: pso, ga,
+        ga-pso, de, cma-es, random.
     scales
         Scales of the search space; log10 by default.
     seeds
-        Number of runs of each optimizer, each with a different seed.
+        Number of runs of each optimizer and scale, each with a different seed.
     validation
         Held-out drives: the search does not use them, and the tuned filters are also evaluated on them.
     workers

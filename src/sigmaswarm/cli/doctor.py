@@ -28,7 +28,7 @@ class DoctorOptions:
     fix
         Folder for a repaired copy of each drive. The drives themselves are not changed.
     lever_arm_within
-        Estimate one lever arm from all drives. --fix writes the components with a 95% interval within +- this value, m.
+        Estimate one lever arm from all drives. --fix writes components whose 95% interval is within +- this value, m.
     """
 
     fix: Path | None = None
@@ -47,9 +47,9 @@ def doctor(
 ) -> None:
     """Check drives for wrong signs, units, axes, clocks, noise and gaps.
 
-    The doctor compares the IMU with the motion of the fixes. It does not use truth. The exit code is 0 if there is no
-    serious fault, 1 if there is one, and 2 if a drive can't be read. With --fix, the exit code describes the repaired
-    copies.
+    The doctor compares the IMU with the motion of the fixes. It does not use truth. The exit code is 0 if no drive has
+    a serious fault, 1 if a drive has one, and 2 if a drive can't be read. With --fix, exit codes 0 and 1 are about the
+    repaired copies.
 
     For example:
 
@@ -97,7 +97,7 @@ def _repair(
     options: DoctorOptions,
     explained: set[str],
 ) -> "tuple[Diagnosis, dict[str, Any]]":
-    """Write a repaired copy of a drive; return the diagnosis of the copy, and its content for JSON."""
+    """Write a repaired copy of a drive; return the diagnosis of the copy, and the content of "copy" in the JSON."""
     copy = sigmaswarm.repair(drive, diagnosis)
     copy = arm.applied(copy) if arm else copy
     sigmaswarm.write_drive(copy, folder, overwrite=options.overwrite)
@@ -115,7 +115,7 @@ def _repair(
 
 
 def _read(paths: list[Path]) -> "list[Drive]":
-    """Read drives without warnings, since the diagnosis repeats these checks in more detail."""
+    """Read drives without warnings, since the diagnosis contains the same checks in more detail."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DriveWarning)
         return read_drives(paths)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from sigmaswarm.learned.folder import LearnedNetwork
 
 WORSE_STEP = (
-    "then: tune on more or longer drives, and evaluate again; a method without tuning is more accurate"
+    "then: tune on more or longer drives, and evaluate again, since a method without tuning is more accurate"
 )
 
 
@@ -47,7 +47,7 @@ class EvaluateOptions:
         Another filter to compare with: a tuning, a TOML file with a table [filter], or an ekf.yaml of
         robot_localization.
     out
-        Folder for scores.csv, scores.json, figures and the data of the page.
+        Folder for scores.csv, scores.json, figures and the data for `sigmaswarm report`.
     overwrite
         Replace an earlier evaluation in this folder.
     outage_length
@@ -57,8 +57,8 @@ class EvaluateOptions:
     smooth
         Also evaluate the smoothed estimates of the tuned filter.
     bank
-        Also evaluate a filter bank: sixteen filter variants and their mixture. --swarm is the deprecated name of this
-        option.
+        Also evaluate a filter bank: the mixture of sixteen filters with different parameters. --swarm is the deprecated
+        name.
     verbose
         Also print the scores of each drive, the consistency, all remarks and the names of written files.
     """
@@ -159,7 +159,7 @@ def _next_steps(out: Path | None, remedies: Sequence[Remedy], export: Iterable[s
         yield f"next: sigmaswarm report {quote(str(out))}"
         yield from export
     else:
-        yield f"next: repeat this command with --out {free_path('evaluation')} to get figures and a page"
+        yield f"next: repeat this command with --out {free_path('evaluation')} to save scores, figures and page data"
 
 
 def _export(tuning: Path, tuned: "TunedFilter", drives: Sequence[str]) -> Iterator[str]:

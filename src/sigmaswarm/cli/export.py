@@ -28,18 +28,18 @@ class ExportOptions:
     Attributes
     ----------
     to
-        c99: a C library. filterpy: a Python script (planar models). robot_localization: a YAML file (accurate only for
-        --model robot-localization).
+        c99: a C library. filterpy: a Python script (only planar models). robot_localization: a YAML file (accurate only
+        for --model robot-localization).
     out
         Folder to write to. An earlier export, with the files built from it, is replaced; other files are kept.
     replay
-        c99: also write replay.csv, the input of the program replay.c, from this drive.
+        c99: also write this drive as replay.csv, the input of the program replay.c.
     check
-        c99: compare C with `sigmaswarm run` on these drives. robot_localization: write the errors into README.md.
+        c99: compare C with `sigmaswarm run` on these drives. Model robot-localization: write its errors into README.md.
     against
-        For --check and the model robot-localization: another tuning, whose errors are added to README.md.
+        With --check and the model robot-localization: another tuning, whose errors are added to README.md.
     lanes
-        c99: number of filters in the exported bank, 1 to 16. The C code does not search for better parameters.
+        c99: number of filters in the exported bank, 1 to 16. Unlike --bank of `sigmaswarm run`, it does not search.
     seed
         Seed of the parameters in the filter bank.
     """
@@ -113,14 +113,14 @@ def export(
 
 
 def _check_options(options: ExportOptions, *, ros: bool) -> None:
-    """Raise `InputError` for options that a target lacks; ``ros``: True for a tuning of robot-localization."""
+    """Raise `InputError` for options that a target lacks; ``ros``: True to export robot-localization, not to C."""
     if options.check and options.to != "c99" and not ros:
         raise sigmaswarm.InputError(
-            f"--check is for --to c99 and for tunings of robot-localization, not for {options.to}; leave --check out"
+            "--check needs --to c99 or a tuning of the model robot-localization; leave --check out"
         )
     if options.against and not (options.check and ros):
         raise sigmaswarm.InputError(
-            "--against needs --check and a tuning of robot-localization; leave --against out"
+            "--against needs --check and a tuning of the model robot-localization; leave --against out"
         )
 
 
@@ -128,13 +128,13 @@ def _mounting_notes(target: AnyTarget, record: "TuningRecord", *, replay: bool) 
     if record.mounting and target == "c99":
         angles = ", ".join(f"{angle:.4g}" for angle in record.mounting)
         yield (
-            "pass each IMU sample, with the axes that sigmaswarm import read (README.md), to ins_gps_turn_imu(), "
+            "pass each IMU sample, in the axes of the training log (README.md), to ins_gps_turn_imu(), "
             f"which applies the mounting of the training drives (roll, pitch, yaw: {angles} deg)"
             f"{'. The samples in replay.csv are rotated already' if replay else ''}"
         )
     if target != "filterpy" and record.mountings_differ:
         yield (
-            "note: the training drives state different mountings, so the export contains no rotation; rotate raw "
+            "note: the training drives have different mountings, so the export contains no rotation; rotate raw "
             "samples to x forward, y left, z up before the filter, or tune on drives with one mounting"
         )
 
@@ -149,6 +149,6 @@ def _describe(check: "ExportCheck", lanes: int) -> str:
     if single is None:
         return f"{line}; the filter fails in float"
     return (
-        f"{line}; in float the difference is at most {1e3 * single.position:.2g} mm and "
+        f"{line}; in float the position differs by at most {1e3 * single.position:.2g} mm and the heading by "
         f"{math.degrees(single.heading):.1g} degrees"
     )

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sigmaswarm.drives.reader import Location
 
 Remedy = tuple[str, Path | None]
-"""Command that repairs or shows the faults of a drive; folder of the repaired copy, or None."""
+"""Command that repairs or shows the faults of a drive; folder of the repaired copy, or None if it repairs nothing."""
 _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
 
@@ -66,7 +66,7 @@ def _in_words(finding: "Finding", *, part: bool) -> str:
 
 
 def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Remedy]:
-    """Warn in one line per drive about its serious faults, else about its warnings; return the faults' remedies."""
+    """Warn in one line per drive about serious faults or, without such, warnings; return remedies for the faults."""
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.errors import SigmaswarmWarning
 
@@ -88,7 +88,7 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Rem
 
 
 def split_command(diagnosis: "Diagnosis", folder: "Location") -> str:
-    """Return the command that splits a drive; "" if no serious finding requires a split."""
+    """Return the command that a serious finding recommends to split a drive; "" if there is none."""
     remedies = [finding.remedy for finding in diagnosis.findings if finding.severity == "serious"]
     match = re.search(r"sigmaswarm split DRIVE --at \S+ --out parts", " ".join(remedies))
     if not match:
@@ -117,7 +117,7 @@ def repair_command(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
     """Return the command that repairs a drive, and the folder of the repaired copy.
 
     If a serious fault has no repair, or there is nothing to repair, return the command that shows the faults, and None.
-    For a part of a drive, return the command that repairs the whole drive.
+    For a part of a drive, return the command that repairs the whole drive, if this is possible.
     """
     command = _doctor(folder)
     if diagnosis.whole:
@@ -141,7 +141,10 @@ def diagnosis_of_whole(part: "Location") -> "tuple[Diagnosis, Path] | None":
 
 
 def repair_and_split(diagnosis: "Diagnosis", folder: Path, options: Sequence[str] = ()) -> Iterator[str]:
-    """Yield the commands that repair a drive and split it again with these options; none if it needs no repair."""
+    """Yield the commands that repair a drive and split the copy with ``options``; none if it needs no repair.
+
+    If a serious finding requires a split at a certain time, yield only this split.
+    """
     if cut := split_command(diagnosis, folder):
         yield f"next: {cut}"
         return
@@ -157,9 +160,9 @@ def repair_and_split(diagnosis: "Diagnosis", folder: Path, options: Sequence[str
 
 
 def exchanging(diagnosis: "Diagnosis", folder: "Location") -> Remedy | None:
-    """Return the command that copies a drive and exchanges the coordinates of its fixes, and the folder of the copy.
+    """Return the command that exchanges the coordinates of fixes in a copy of a drive, and the folder of the copy.
 
-    Return None if the fixes are not mirrored.
+    Return None if the fixes are not mirrored, or the doctor can repair them.
     """
     exchange = next((f for f in diagnosis.findings if f.code == "mirrored-fixes" and not f.repair), None)
     if exchange is None:
@@ -178,7 +181,10 @@ def _doctor(folder: "Location") -> str:
 
 
 def repair_whole(diagnosis: "Diagnosis", part: "Location") -> "tuple[list[str], Location]":
-    """Return the next steps to repair the drive of a part, and its folder; no steps if it needs no repair."""
+    """Return the steps that repair the whole drive of a part, and the folder of that drive (if unknown, of the part).
+
+    There are no steps if the drive needs no repair.
+    """
     if whole := diagnosis_of_whole(part):
         return [*repair_and_split(*whole)], whole[1]
     name = printable(diagnosis.whole)

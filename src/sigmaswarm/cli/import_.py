@@ -40,7 +40,7 @@ class ImportOptions:
     out
         Folder of the new drive.
     show
-        Show tables or topics, rates, value ranges and the planned import. Write nothing.
+        Show tables or topics, rates, value ranges and the planned import. Write no drive.
     format
         Format: ros, mcap, kitti, nclt, comma2k19, rtklib, ubx, nmea, px4, ardupilot, matlab, sensor-logger, phyphox,
         gnss-logger, json, csv.
@@ -55,9 +55,9 @@ class ImportOptions:
     time
         Expression for the times, s, in the tables of SOURCE, such as "stamp*1e-9" or "utc(date)".
     recipe
-        Recipe file that --save-recipe wrote.
+        Use the recipe in a file that --save-recipe wrote.
     save_recipe
-        Save the recipe of this import in a file.
+        File to which the recipe of this import is saved.
     imu_topic
         Topic or table of the IMU.
     gps_topic
@@ -71,11 +71,12 @@ class ImportOptions:
     mag_topic
         Topic or table of a magnetometer with the IMU's axes; adds headings to the fixes. For --map: mag.mx, mag.my.
     declination
-        Magnetic declination, deg, east positive. Default: estimated from the course, with the sensor's rotation.
+        Magnetic declination, deg, east positive. By default, its sum with the sensor's rotation is estimated from the
+        course.
     receive_times
         Use the receive times of messages instead of the stamps in their headers.
     part
-        Number of the recording to read; the first is 1. A table contains several recordings if its clock restarts.
+        Number of the recording to read, from 1. A table contains several recordings if its clock restarts.
     msg
         Message definitions that a bag lacks: a .msg file, or the folder of a ROS package.
     mount
@@ -93,13 +94,13 @@ class ImportOptions:
     heading_from_north
         Heading at the first IMU sample, deg clockwise from north. Needed if the vehicle is too slow for an estimate.
     gps_from_truth
-        Simulate fixes from the truth: rate in Hz and white noise in m, for example 5,1.
+        Simulate fixes from the truth: rate in Hz and standard deviation per axis in m, for example 5,1.
     max_rows
         Maximum number of rows of a table; 10 million by default (28 hours at 100 Hz).
     max_columns
         Maximum number of columns of all tables together; 100 000 by default.
     max_unpacked_mb
-        Maximum unpacked size of a chunk or of the files of a zip, MB; 500 by default.
+        Maximum unpacked size of a bag's chunk, or of all files in a zip, MB; 500 by default.
     name
         Name of the drive; by default the name of the folder.
     """
@@ -155,7 +156,7 @@ def import_(
     """Import a log as a drive.
 
     The log can be a ROS bag, an MCAP, CSV or Parquet file, a published data set, or a log of a receiver, a flight
-    controller or a phone. The format is detected. Begin with --show, which writes nothing.
+    controller or a phone. The format is detected. Begin with --show, which writes no drive.
 
     For example:
 
@@ -212,7 +213,7 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
         raise InputError(f"{out}: contains a log that this command reads; choose another folder")
     require_replaceable(out.resolve(), options.overwrite, "add --overwrite, or choose another folder")
     with progress_bar("importing") as show, warnings.catch_warnings():
-        warnings.simplefilter("ignore", DriveWarning)  # the diagnosis repeats these checks in more detail
+        warnings.simplefilter("ignore", DriveWarning)  # the diagnosis contains the same checks in more detail
         imported = import_drive(request, options.name or out.resolve().name, lambda share: show(share, 1.0))
     if (heading := options.heading_from_north) is not None:
         stated = {**imported.drive.metadata, "heading_deg": (90.0 - heading) % 360.0}
@@ -231,7 +232,10 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
 
 
 def _with_exchanged_fixes(diagnosis: "Diagnosis") -> str:
-    """Return the user's command with the mapping that exchanges the coordinates of the fixes; "" if none is needed."""
+    """Return the user's command with a --map that exchanges the fixes' coordinates; "" if they are not mirrored.
+
+    A command that contains --map already is not changed; the result is also "".
+    """
     exchange = next((f for f in diagnosis.findings if f.code == "mirrored-fixes" and not f.repair), None)
     maps = re.findall(r'"(gps\.\w+=[^"]*)"', exchange.remedy) if exchange else []
     if not maps or "--map" in sys.argv:
@@ -270,7 +274,7 @@ def _report(imported: "ImportResult", out: Path, diagnosis: "Diagnosis") -> Iter
     truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
     wheels = f", {len(drive.odometer)} of the odometer" if drive.odometer else ""
     yield from (f"read {printable(read, 1000)}" for read in imported.recipe.map_arguments())
-    # a finding about the axes has a better remedy than an assumption
+    # the remedy of a finding about the axes replaces the note on the assumed axes
     assumed = (
         () if affects_axes(diagnosis) else imported.assumed or (() if imported.recipe.mount else (AXES_NOTE,))
     )
@@ -315,8 +319,8 @@ def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
             f"\nTo read the other columns, add these options to the command{lacking}:", style="bold"
         )
         of_rows = re.search(r"\b(imu|gps)\.t=", inspection.proposal)
-        times = "; imu.t and gps.t are the times of the rows of IMU and fixes" if of_rows else ""
-        evidence = f"({printable(inspection.evidence, 1000)}{times}; import uses the proposal only with these options)"
+        times = "; imu.t and gps.t are the times of IMU samples and fixes" if of_rows else ""
+        evidence = f"({printable(inspection.evidence, 1000)}{times}; without these options, import ignores the columns)"
         print_lines(printable(inspection.proposal, 4000), evidence)
     if inspection.unread:
         console.print("\nColumns that are not used:", style="bold")
@@ -330,7 +334,7 @@ def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
 def _command(inspection: "Inspection", options: ImportOptions) -> str:
     typed = [word for word in sys.argv[1:] if word != "--show"]
     out = [] if options.out else ["--out", "drive"]
-    # The check of a proposal assumes the drive's axes.
+    # The proposal was checked without --mount.
     out += ["--mount", inspection.mount] if inspection.mount and not inspection.proposal else []
     command = printable(shlex.join(["sigmaswarm", *typed, *out]), 4000)
     return f"{command} {printable(inspection.proposal, 4000)}".rstrip()

@@ -27,9 +27,9 @@ class LearnOptions:
     out
         Folder for learned.toml, weights.npz and the filter. It must not contain a network, except with --resume.
     validation
-        Drives for early stopping and calibration, not for training; by default a part of the given drives (see above).
+        Drives for early stopping and calibration, not for training; by default a part of the training drives.
     search
-        Number of additional combinations of hidden units, window and learning rate to try.
+        Number of additional settings (hidden units, window, learning rate) to try; the best network is kept.
     seed
         Seed of all random numbers. The same seed gives the same result.
     resume
@@ -62,8 +62,8 @@ def learn(
     innovations, and needs a filter with the model planar5 or planar8. OUT also contains the filter, so that `sigmaswarm
     run` and `evaluate` read OUT like a tuning. Only training needs `pip install 'sigmaswarm[learned]'`.
 
-    Without --validation, the last quarter of each drive is held out. For outage-lstm and three or more drives, the last
-    third of the drives is held out instead.
+    Without --validation, the last quarter of each drive is held out. For outage-lstm with three or more drives, a third
+    of the drives, the last ones, is held out instead.
 
     For example:
 
@@ -110,7 +110,7 @@ def _summary(record: "LearnedRecord", out: Path) -> Iterator[str]:
         yield (
             f"calibration: factor {net.inflation:.3g} on the predicted variances"
             if net.inflation
-            else "note: the network lowers the likelihood of hidden fixes, so the filter does not use the forecasts"
+            else "note: the network lowers the likelihood of hidden fixes, so the filter does not use its predictions"
         )
     yield f"learned:  {out / 'learned.toml'}, {out / 'weights.npz'}"
     yield f"next:     sigmaswarm evaluate {quote(str(out))} HELD_OUT_DRIVE..."

@@ -26,11 +26,11 @@ class NoiseOptions:
     tuned
         Show the process noise Q of this tuning instead of the noise of a log.
     to
-        Formats and units in which the noise is printed or, with --out, written to files.
+        Packages in whose format and units the noise is printed or, with --out, written to files.
     out
-        Folder for noise.png, noise.svg, noise.json and the files for packages; an earlier result is replaced.
+        Folder for the files of --to and, for a log, noise.png, noise.svg and noise.json. An earlier result is replaced.
     recipe
-        Recipe file that `sigmaswarm import --save-recipe` wrote.
+        Use the recipe in a file that `sigmaswarm import --save-recipe` wrote.
     map
         Columns of the IMU as column=expression, as in `sigmaswarm import`: "ax=acc_x*9.80665".
     time
@@ -59,8 +59,8 @@ def noise(
 ) -> None:
     """Measure the noise of an IMU at rest, in the units of other software.
 
-    The log needs no fixes. A log of an hour at rest determines white noise, bias instability and random walk. The
-    standstills of a drive determine only the white noise.
+    The log needs no fixes. A log of an hour at rest determines white noise, bias instability and rate random walk. The
+    standstills of a drive are usually too short for more than the white noise.
 
     For example:
 

@@ -1,4 +1,4 @@
-"""Options of several commands, options made from fields of pydantic, and the short help."""
+"""Options that several commands share, options made from fields of pydantic, and the short help."""
 
 import inspect
 import sys
@@ -36,7 +36,7 @@ Workers = Annotated[
 Cluster = Annotated[
     str | None,
     Parameter(
-        help="Dask cluster that computes: tcp://host:8786, a scheduler file, or local:4 for 4 processes here."
+        help="Dask cluster that computes: tcp://host:8786, a scheduler file, or local:4 for 4 local processes."
     ),
 ]
 TrustLog = Annotated[bool, Parameter(help="Skip the check of the drives for serious faults.")]
@@ -61,7 +61,7 @@ def options_of(
     """Add fields as options to a command, which receives the options of the user as ``**options``.
 
     ``shown``: fields in the short help, by default all. ``omitted``: fields that are not options. ``by_data``: fields
-    with a default that depends on the data. ``renamed``: deprecated names and the current names.
+    with a default that depends on the data. ``renamed``: the current name of each deprecated name.
     """
     old = {new: name for name, new in (renamed or {}).items()}
     added = {
@@ -94,7 +94,11 @@ def options_of(
 
 
 def _annotation(name: str, field: FieldInfo, old: str | None, shown: bool, constant: bool) -> Any:
-    """Return type and `Parameter` of a field; for a union, the command line accepts only the first type."""
+    """Return type and `Parameter` of a field; of a union, the command line accepts only the first type except None.
+
+    ``old``: deprecated name. ``shown``: True for an option in the short help. ``constant``: False for a default that
+    depends on the data.
+    """
     kind, option = field.annotation, f"--{name.replace('_', '-')}"
     if get_origin(kind) in (Union, UnionType):
         kind = next(member for member in get_args(kind) if member is not NoneType)

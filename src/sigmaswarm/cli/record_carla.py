@@ -25,8 +25,7 @@ for option in fields(Options):
 def record_carla(*, out: Path, **options: Any) -> None:
     """Record drives with known truth from a CARLA server.
 
-    A Tesla Model 3 drives the maneuvers of the paper in the environments of the paper: 25 conditions, by default with
-    20 drives each.
+    A Tesla Model 3 drives the paper's five maneuvers in its five environments, by default 20 drives of each pair.
 
     A server of CARLA 0.9.16 needs `pip install carla==0.9.16`. For an older server, write the recorder into one file
     with `python -m sigmaswarm_carla.pack carla_recorder.pyz`, and run this file with the Python that has the server's
@@ -58,7 +57,7 @@ def record_carla(*, out: Path, **options: Any) -> None:
             code = process.wait()
             break
         except KeyboardInterrupt:
-            continue  # the recorder also receives the signal, and first restores the server
+            continue  # the recorder also receives the signal, and restores the server's settings before it ends
     if code < 0:
         raise SigmaswarmError(
             f"the CARLA client was killed by signal {-code}; complete drives are in {out}; continue "

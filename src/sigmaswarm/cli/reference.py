@@ -21,7 +21,7 @@ class ReferenceOptions:
     Attributes
     ----------
     fixes
-        Log of the good receiver (RTKLIB, NMEA, UBX, CSV, ...), or a drive folder. Only RTK-fixed solutions are used.
+        Log of the good receiver (RTKLIB, NMEA, UBX, CSV, ...), or a drive folder. RTK float solutions are left out.
     out
         Folder of the new drive.
     lever_arm
@@ -29,11 +29,11 @@ class ReferenceOptions:
     offset
         Seconds to add to the good receiver's times.
     accuracy
-        Largest standard deviation of the truth per axis, m. Rows with a larger standard deviation are left out.
+        Largest standard deviation of the truth per axis, m. Fixes and truth with a larger one are left out.
     fix_std
         Minimum standard deviation of a good fix per axis, m; also used for fixes without a standard deviation.
     seed
-        Seed of the smoother's tuning, and of the choice of the fixes that are hidden to test the smoother.
+        Seed of the smoother's tuning, and of the choice of fixes that are hidden to test the smoother.
     """
 
     fixes: Path
@@ -80,8 +80,8 @@ def reference(
     about = made.metadata["reference"]
     lines = [f"note: {note}" for note in about["notes"]]
     lines.append(
-        f"used {about['fixes_taken']} of {about['fixes_given']} fixes; over {about['share']:.0%} of the drive "
-        f"the standard deviation of the truth is at most {options.accuracy:g} m"
+        f"used {about['fixes_taken']} of {about['fixes_given']} fixes; the truth covers {about['share']:.0%} of the "
+        f"drive, with a standard deviation of at most {options.accuracy:g} m per axis"
     )
     if about["stretched"] > 1:
         lines.append(

@@ -14,7 +14,10 @@ _DESCRIPTION = "drive.toml"
 
 
 def name_files(remark: str, folders: Sequence[Path]) -> str:
-    """Replace drive.toml in a remark by its path; for a part of a drive, by the path of the whole drive's file."""
+    """Replace drive.toml in a remark by its path.
+
+    If the user must edit the drive.toml of a part of a drive, name the file of the whole drive instead.
+    """
     from sigmaswarm.cli.whole_drive import description_of, find_whole
     from sigmaswarm.drives.description import cut_of
     from sigmaswarm.tuning.receiver import AT_THE_TOP, TUNE_AGAIN
@@ -49,9 +52,10 @@ def local_folders(places: "Sequence[Location]") -> list[Path]:
 def name_training_files(
     remarks: Iterable[str], names: Sequence[str], evaluated: "Sequence[Location]"
 ) -> list[str]:
-    """Replace drive.toml in remarks by its path, for training drives (``names``) next to the evaluated drives.
+    """Replace drive.toml in remarks by the path of the file of the first training drive.
 
-    If no training drive is there, add the name of the first training drive.
+    ``names``: training drives, which are sought next to the evaluated drives. If none is found, add the name of the
+    first training drive.
     """
     from sigmaswarm.cli.whole_drive import description_of
 

@@ -30,7 +30,7 @@ class RunOptions:
     origin
         LAT,LON of x = y = 0 in degrees, for a map of a drive without an origin.
     truth
-        Also write the drive's truth, in the format given by the file extension.
+        Also write the drive's truth to this file; the extension selects the format.
     merge
         With --out NAME.ros2: also copy the messages of this ROS 2 bag. --beside is the deprecated name.
     before
@@ -70,15 +70,15 @@ def run(
 ) -> None:
     """Run a tuned filter over a drive and write its estimates.
 
-    The file extension selects the format: .csv (t, x, y, vx, vy, theta and their standard deviations), .mat (MATLAB),
-    .tum and .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a folder with a ROS 2 bag). The bag also
-    contains innovations, NIS and a layout for Foxglove.
+    The file extension selects the format: .csv (t, the states and their standard deviations), .mat (MATLAB), .tum and
+    .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a folder with a ROS 2 bag). The folder also contains
+    a layout for Foxglove and, for a single filter without a network, the bag contains innovations and NIS.
 
     A filter that was tuned without preprocessing also runs without preprocessing. If the filter diverges, it is reset;
     --smooth smooths the parts before and after a reset separately.
 
-    A filter bank adapts to changes of sensors or surroundings. --bank also writes NAME.swarm.csv, a log of the bank
-    with one row per second, and NAME.swarm.toml, the filter that the bank converged to.
+    A filter bank adapts its parameters to changes of sensors or surroundings. --bank also writes NAME.swarm.csv, a log
+    of the bank with one row per second, and NAME.swarm.toml, a filter with the parameters to which the bank converged.
 
     For example:
 
@@ -193,7 +193,7 @@ def _lines(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixe
         yield from (f"the filter bank: {sentence}" for sentence in summary["said"])
         yield from (f"wrote {summary['swarm']}", f"wrote {summary['settled']}")
     earlier = first - float(drive.imu.time[0])
-    if earlier > 5.0:  # s; less is usual, since a start in motion needs some seconds
+    if earlier > 5.0:  # s; a start in motion usually needs less
         written = f"wrote {options.before}: {fixes} fixes before the start"
         yield f"the first {earlier:.1f} s have no estimate, since a filter starts at {START_RULE}"
         yield written if options.before else "--before NAME.csv writes the fixes before the start"

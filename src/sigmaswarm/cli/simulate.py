@@ -32,7 +32,7 @@ class SimulateOptions:
     maneuver
         cruise, turns, accelerate, brake, outages: the maneuvers of the paper, all by default. urban: mixed driving.
     environment
-        clear, night, rain, fog, slippery; all by default. Clear, night and fog have the same physics.
+        clear, night, rain, fog, slippery; all by default. Clear, night and fog have the same friction.
     runs
         Number of drives of each maneuver in each environment.
     imu
@@ -49,7 +49,7 @@ class SimulateOptions:
     jitter
         Add jitter with a standard deviation of 2 ms to the sample times.
     vibration
-        Add the vibration of road and engine to the IMU, as in two recordings of real cars.
+        Add vibration of road and engine to the IMU, as strong as in recordings of two real cars.
     gnss_degradation
         Degrade the fixes in bad weather. The degradation is an assumption, not based on measurements.
     terrain
@@ -57,7 +57,7 @@ class SimulateOptions:
     odometer
         Sensor of the wheel speed: pulses (coarse, 50 Hz), can (fine, 83 Hz) or ideal. None by default.
     heading
-        Heading of each fix from the receiver: dual-antenna (error 0.4 deg) or ideal. None by default.
+        Heading of each fix from the receiver: dual-antenna (standard deviation 0.4 deg) or ideal. None by default.
     resume
         Keep existing drives and simulate the missing drives.
     """
@@ -125,7 +125,9 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
             show(written, len(names) - len(kept))
     lines = [f"wrote {count_of(written, 'drive')} to {out}" + (f", kept {len(kept)}" if kept else "")]
     if len({"clear", "night", "fog"} & set(environments)) > 1:
-        lines.append("note: clear, night and fog have the same physics; only their random numbers differ")
+        lines.append(
+            "note: clear, night and fog have the same friction; without --gnss-degradation, only random numbers differ"
+        )
     content = {"drives": [str(out / name) for name in names], "written": written, "kept": len(kept)}
     print_result(options.json, content, *lines, f"next: sigmaswarm plot {out / names[0]}")
 

@@ -40,7 +40,7 @@ def split(
     out
         Folder for the two drive folders.
     train_fraction
-        Share of the drive's duration in the first part; 0.7 by default.
+        Fraction of the drive's duration in the first part; 0.7 by default.
     at
         Time of the split on the drive's clock, s. With two times, the data between them are left out.
     """
@@ -69,7 +69,7 @@ def split(
 
 
 def _options(train_fraction: float | None, at: list[float] | None) -> list[str]:
-    """Return the options of a split that select the same parts."""
+    """Return the user's options, for the command that splits the repaired drive."""
     if at:
         return ["--at", *(f"{time:.12g}" for time in at)]
     return [] if train_fraction is None else ["--train-fraction", f"{train_fraction:g}"]

@@ -50,20 +50,21 @@ def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(
     Each trial tunes on a different 70% of the simulated drives and evaluates all methods on the other drives. The
     methods are:
 
-    - IMU only and raw GPS;
-    - three filters with manual parameters: EKF, adaptive UKF, UKF;
-    - the paper's PSO-UKF;
+    - IMU only, raw GPS, and a constant-velocity filter without IMU;
+    - three filters, each with two manual parameter sets: EKF, adaptive UKF, UKF;
+    - the UKF with the paper's optimum, and the paper's PSO-UKF;
     - three filters tuned with the same budget: EKF, adaptive UKF, planar8;
     - the default filter of `tune`.
 
-    Filters are tuned under two protocols. The protocol "paper" compares the filter with the fixes, and searches
-    variances on a linear scale. The protocol "honest" compares the filter with truth, and searches variances on a
-    logarithmic scale. The tables also list the values in the paper. Racing (fewer drives for bad candidates) is on by
-    default with 96 training drives or more. The result does not depend on the number of workers.
+    PSO-UKF is tuned under two protocols. The protocol "paper" compares the filter with the fixes, and searches
+    variances on a linear scale. The protocol "honest" compares it with truth, and searches variances on a logarithmic
+    scale. The other filters are tuned with truth only. The tables also list the values in the paper. Racing (fewer
+    drives for bad candidates) is on by default with 96 training drives or more. The result does not depend on the
+    number of workers.
 
     In each trial, --rivals also tunes a fuzzy UKF, tunes a UKF by Bayesian optimization (at most 100 evaluations), and
-    trains outage-lstm and noise-gru for planar8. The option adds the drift after 15, 30 and 60 s, drives with other
-    sensors and another car, and learning curves. The option needs `pip install 'sigmaswarm[learned,bo]'`.
+    trains outage-lstm and noise-gru for planar8. The option adds the drift after outages of 15, 30 and 60 s, drives
+    with other sensors and another car, and learning curves. It needs `pip install 'sigmaswarm[learned,bo]'`.
 
     For example:
 

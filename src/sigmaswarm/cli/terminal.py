@@ -38,7 +38,8 @@ def report_compilation() -> None:
 
 class _OnStderr(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
-        print(f"sigmaswarm: {record.getMessage()}", file=sys.stderr)  # stderr may have changed since
+        # StreamHandler would keep the stream of the time at which it was made
+        print(f"sigmaswarm: {record.getMessage()}", file=sys.stderr)
 
 
 def console(**options: Any) -> "Console":
@@ -65,7 +66,7 @@ def one_line(text: object) -> str:
 
 
 def mute() -> None:
-    """Discard the remaining output, since Python prints an error at exit if stdout is closed."""
+    """Discard further output, since Python prints an error at exit if stdout is closed."""
     if sys.stdout is not None:
         try:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

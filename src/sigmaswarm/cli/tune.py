@@ -70,8 +70,9 @@ def tune(
 ) -> None:
     """Tune a filter on drives.
 
-    The filter is written to OUT/tuning.toml. If a drive has no truth.csv, the filter is tuned to predict the fixes. By
-    default the sensors of the drives determine --model and --use. Keep some drives for `sigmaswarm evaluate`.
+    The filter is written to OUT/tuning.toml. If a drive has no truth, the default objective is the likelihood of the
+    fixes. The defaults of --model and --use depend on the sensors of the drives. Keep some drives for `sigmaswarm
+    evaluate`.
 
     For example:
 
@@ -88,10 +89,10 @@ def tune(
 
         truth-rmse      position error against truth
         truth-pose      errors of position and heading, and drift in outages
-        innovation-nll  likelihood of each predicted fix, with normal errors
-        innovation-t    likelihood of each predicted fix, with Student's t errors (for outliers)
+        innovation-nll  likelihood of each fix given the prediction, with normal errors
+        innovation-t    likelihood of each fix given the prediction, with Student's t errors (for outliers)
         forecast-t      likelihood of fixes that are hidden for 3 to 5 s
-        outage-rmse     error at fixes that are hidden for 3 to 5 s
+        outage-rmse     prediction error at fixes that are hidden for 3 to 5 s
         nis, nees       penalty for a wrong scale of the covariance; add it to another objective
         gps-rmse        distance of updated estimates to the fixes (paper)
 
@@ -99,16 +100,16 @@ def tune(
 
         velocity        use the receiver's speed and course
         lateral         assume that a car does not move sideways
-        slip            tune the tire slip that lateral allows
+        slip            with lateral: tune the sideways slip of the tires
         standstill      assume zero velocity while the car stands
         odometer        use the wheel speed
-        heading         use the heading of two antennas or a compass
+        heading         use the heading from two antennas or a compass
         gate            reject fixes that are far from the prediction
         imu-gate        robot-localization: reject IMU messages with a large NIS
         latency         tune the delay of the fixes
         accuracy        use the receiver's stated accuracy of each fix
-        robust          assume Student's t for fix errors; replaces gate
-        fix-error       estimate errors that consecutive fixes have in common
+        robust          assume that fix errors have a Student's t distribution; replaces gate
+        fix-error       estimate the slowly varying error of the fixes
 
     Parameters
     ----------
@@ -198,12 +199,12 @@ def _costs(tuning: "Tuning[Any]") -> "Iterable[str | RichTable]":
     inflated = f"; {before:.4f} before process-noise inflation" if tuning.inflation_factor != 1.0 else ""
     on = count_of(len(tuning.data), "drive")
     if tuning.start_cost is not None:
-        yield f"cost {tuning.start_cost:.4f} at the start"
+        yield f"cost {tuning.start_cost:.4f} of the filter from which the search started"
     unit = " nats per fix" if parse_objective(tuning.config.objective).likelihood else ""
     yield f"cost {tuning.cost:.4f}{unit} ({tuning.config.objective}{inflated}) on {on}"
     if tuning.config.racing:
         share = tuning.steps / tuning.full_steps
-        yield f"racing: {tuning.steps} filter steps, {share:.0%} of the steps without racing"
+        yield f"racing: {tuning.steps} filter steps, {share:.0%} of the number without racing"
     if tuning.validation:
         gap = tuning.validation.gap
         change = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
@@ -247,7 +248,10 @@ def _evaluate(out: Path, drive: Path | None = None) -> str:
 
 
 def _next(out: Path, given: str, name: str, *, part: bool) -> tuple[str, list[str]]:
-    """Return the command that evaluates a filter tuned on one drive, and lines on splitting if it is a whole drive."""
+    """Return the command that evaluates a filter tuned on one drive; for a whole drive, also lines on splitting it.
+
+    ``given``: path of the drive; ``name``: its name; ``part``: True for a part of a split drive.
+    """
     from sigmaswarm.drives.reader import drive_folders
     from sigmaswarm.drives.urls import is_url
 

@@ -11,7 +11,7 @@ from sigmaswarm.drives.reader import Location, has_table, read_with_warnings
 from sigmaswarm.drives.urls import is_url
 from sigmaswarm.errors import DriveError
 
-MAX_FOLDERS = 1000  # folders that are searched
+MAX_FOLDERS = 1000  # maximum number of searched folders
 
 
 def find_whole(part: Location) -> tuple[Drive, Path] | None:
@@ -44,7 +44,7 @@ def _near(part: Path) -> Iterator[Path]:
 
 
 def description_of(folder: Path) -> dict[str, Any]:
-    """Return drive.toml of a folder; {} if it is missing or damaged."""
+    """Return the content of a folder's drive.toml; {} if the file is missing or damaged."""
     try:
         return read_description(folder / "drive.toml")
     except DriveError:

@@ -19,8 +19,8 @@ def workbench(
 ) -> None:
     """Import, check, tune, evaluate and export in the browser.
 
-    The page opens on this machine only. Its address contains a secret token. Other commands can read the drives,
-    tunings and evaluations in OUT. An interrupted tuning run in OUT can be resumed.
+    The server accepts connections only from this machine. The page's address contains a secret token. Other commands
+    can read the drives, tunings and evaluations in OUT. An interrupted tuning run in OUT can be resumed.
 
     For example:
 
