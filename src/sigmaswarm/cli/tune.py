@@ -100,7 +100,7 @@ def tune(
 
         velocity        use the receiver's speed and course
         lateral         assume that a car does not move sideways
-        slip            with lateral: tune the sideways slip of the tires
+        slip            with lateral: model the sideways slip of the tires
         standstill      assume zero velocity while the car stands
         odometer        use the wheel speed
         heading         use the heading from two antennas or a compass
