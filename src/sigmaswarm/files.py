@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from filelock import BaseFileLock
     from numpy.typing import NDArray
 
-RESULT_FILE = ".sigmaswarm-result.json"  # kind and files of a result in its folder
+RESULT_FILE = ".sigmaswarm-result.json"  # in the folder of a result: its kind and the names of its files
 _HIDDEN = re.compile(
     r"\.DS_Store|Thumbs\.db|desktop\.ini|\.sigmaswarm\.lock|\..+\.sigmaswarm-[0-9a-f]{12}(\.lock)?"
 )

@@ -109,7 +109,7 @@ def _repair(
         print_lines(f"wrote {folder}. Repaired: {', '.join(repaired)}. Remaining findings:\n")
         print_diagnosis(remaining, explained)
     elif not options.json:
-        why = "every repair was rejected" if codes else "the doctor has no repair for these findings"
+        why = "every repair was rejected" if codes else "there is no fault that the doctor can repair"
         print_lines(f"wrote {folder}, an unchanged copy, since {why}\n")
     return remaining, {"path": str(folder), "mended": repaired, **remaining.to_dict()}
 
@@ -154,4 +154,6 @@ def _check_names(drives: "list[Drive]") -> None:
     names = [drive.name for drive in drives]
     for name in names:
         if names.count(name) > 1:
-            raise InputError(f"{names.count(name)} drives are named {name!r}; repair them one at a time")
+            raise InputError(
+                f"{names.count(name)} drives are named {name!r}; repair them into different folders"
+            )

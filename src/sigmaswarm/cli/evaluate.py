@@ -51,7 +51,7 @@ class EvaluateOptions:
     overwrite
         Replace an earlier evaluation in this folder.
     outage_length
-        Length of the outages, s. The drift is the error at the end of an outage.
+        Length of an outage, s; drift is the error at its end. Outages of 1 and 30 s are added.
     outage_seed
         Seed of the outage windows.
     smooth

@@ -41,7 +41,7 @@ class ExportOptions:
     lanes
         c99: number of filters in the exported bank, 1 to 16. Unlike --bank of `sigmaswarm run`, it does not search.
     seed
-        Seed of the parameters in the filter bank.
+        c99: seed of the parameters of the filters in the bank.
     """
 
     to: AnyTarget

@@ -88,7 +88,7 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Rem
 
 
 def split_command(diagnosis: "Diagnosis", folder: "Location") -> str:
-    """Return the command that a serious finding recommends to split a drive; "" if there is none."""
+    """Return the command that splits a drive, if a serious finding recommends a split; otherwise an empty string."""
     remedies = [finding.remedy for finding in diagnosis.findings if finding.severity == "serious"]
     match = re.search(r"sigmaswarm split DRIVE --at \S+ --out parts", " ".join(remedies))
     if not match:

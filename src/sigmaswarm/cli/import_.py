@@ -98,7 +98,7 @@ class ImportOptions:
     max_rows
         Maximum number of rows of a table; 10 million by default (28 hours at 100 Hz).
     max_columns
-        Maximum number of columns of all tables together; 100 000 by default.
+        Maximum number of columns of all tables together; 100,000 by default.
     max_unpacked_mb
         Maximum unpacked size of a bag's chunk, or of all files in a zip, MB; 500 by default.
     name
@@ -272,7 +272,7 @@ def _summary(imported: "ImportResult", out: Path) -> dict[str, Any]:
 def _report(imported: "ImportResult", out: Path, diagnosis: "Diagnosis") -> Iterator[str]:
     drive = imported.drive
     truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
-    wheels = f", {len(drive.odometer)} of the odometer" if drive.odometer else ""
+    wheels = f", {len(drive.odometer)} odometer samples" if drive.odometer else ""
     yield from (f"read {printable(read, 1000)}" for read in imported.recipe.map_arguments())
     # the remedy of a finding about the axes replaces the note on the assumed axes
     assumed = (

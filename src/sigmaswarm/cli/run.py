@@ -34,7 +34,7 @@ class RunOptions:
     merge
         With --out NAME.ros2: also copy the messages of this ROS 2 bag. --beside is the deprecated name.
     before
-        Also write the fixes before the start of the filter: NAME.csv, .geojson, .gpx or .kml.
+        Also write the fixes before the start of the filter to this file: NAME.csv, .geojson, .gpx or .kml.
     smooth
         Write smoothed estimates, which also use later fixes.
     bank

@@ -47,8 +47,7 @@ class StudyOptions:
 def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(), **config: Any) -> None:
     """Run the paper's experiment.
 
-    Each trial tunes on a different 70% of the simulated drives and evaluates all methods on the other drives. The
-    methods are:
+    Each trial tunes on a different 70% of the drives and evaluates all methods on the other drives. The methods are:
 
     - IMU only, raw GPS, and a constant-velocity filter without IMU;
     - three filters, each with two manual parameter sets: EKF, adaptive UKF, UKF;

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.search import Progress as TuningProgress
 
 MAX_LINE_LENGTH = 600  # characters of an error or warning; longer messages are shortened
-MIN_COLUMNS = 20  # columns of a table
+MIN_COLUMNS = 20  # characters, smallest width of a terminal in which tables are readable
 
 
 def prepare() -> None:

@@ -85,15 +85,16 @@ def tune(
         sigmaswarm tune drives/training --out tuned --resume
         sigmaswarm tune s3://fleet/training --out tuned --cluster tcp://scheduler:8786
 
-    Objectives of a search (default: truth-pose + 0.2 nees if all drives have truth, otherwise innovation-t):
+    Values of --objective (usual defaults: truth-pose + 0.2 nees if all drives have truth, otherwise innovation-t, for
+    tilted12 also with forecast-t):
 
         truth-rmse      position error against truth
         truth-pose      errors of position and heading, and drift in outages
-        innovation-nll  likelihood of each fix given the prediction, with normal errors
-        innovation-t    likelihood of each fix given the prediction, with Student's t errors (for outliers)
+        innovation-nll  likelihood of each fix given its prediction (normal errors)
+        innovation-t    the same with Student's t errors (for outliers)
         forecast-t      likelihood of fixes that are hidden for 3 to 5 s
         outage-rmse     prediction error at fixes that are hidden for 3 to 5 s
-        nis, nees       penalty for a wrong scale of the covariance; add it to another objective
+        nis, nees       penalty for a wrong covariance; add it to another objective
         gps-rmse        distance of updated estimates to the fixes (paper)
 
     Values of --use:
@@ -107,8 +108,8 @@ def tune(
         gate            reject fixes that are far from the prediction
         imu-gate        robot-localization: reject IMU messages with a large NIS
         latency         tune the delay of the fixes
-        accuracy        use the receiver's stated accuracy of each fix
-        robust          assume that fix errors have a Student's t distribution; replaces gate
+        accuracy        use the standard deviation that the receiver states
+        robust          model fix errors by Student's t; replaces gate
         fix-error       estimate the slowly varying error of the fixes
 
     Parameters
@@ -207,9 +208,10 @@ def _costs(tuning: "Tuning[Any]") -> "Iterable[str | RichTable]":
         yield f"racing: {tuning.steps} filter steps, {share:.0%} of the number without racing"
     if tuning.validation:
         gap = tuning.validation.gap
-        change = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
+        larger = f"{abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}"
+        change = f"errors {larger} than on the training drives" if isfinite(gap) else "failed"
         on = count_of(len(tuning.validation.drives), "validation drive")
-        yield f"cost {tuning.validation.cost:.4f} on {on}: {change}"
+        yield f"cost {tuning.validation.cost:.4f} on {on} ({change})"
     if tuning.forecasts:
         yield drift_table(tuning.forecasts, [one["duration_s"] for one in tuning.data]).to_rich()
     yield from (f"{sentence}; {_remedy(tuning)}" for sentence in larger_drifts(tuning.forecasts))
