@@ -1,7 +1,7 @@
-"""The site: `make docs` builds it from these pages, the docstrings and the command line's own help.
+"""Configuration of the site, which `make docs` builds from these pages, the docstrings and the commands' help.
 
-Sphinx reads from the top of the checkout, so that links between pages are the same files here, in the site and in the
-web view of a repository.
+The source folder of Sphinx is the top of the checkout, so that relative links between files work in the checkout, in
+the site and in a repository's web view.
 """
 
 import sys
@@ -25,29 +25,29 @@ include_patterns = ["docs/**", "examples/*.ipynb", "CONTRIBUTING.md", "CHANGELOG
 exclude_patterns = ["docs/_build", "docs/_templates", ".*", "src", "tests", "benchmarks", "dist", "demo"]
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
 
-# Pages. Headings have the anchors that a repository's web view gives them.
+# Pages. The anchors of headings are those of a repository's web view.
 myst_heading_anchors = 4
 myst_links_external_new_tab = False
-nb_execution_mode = "off"  # `make notebook` executes it, and keeps its outputs in it
+nb_execution_mode = "off"  # `make notebook` executes the notebooks and saves their outputs
 suppress_warnings = ["myst.xref_ambiguous"]
 
-# The reference. NumPy docstrings say shapes and units, so signatures need not repeat the types.
+# The reference. The docstrings contain the types, so signatures omit them.
 autosummary_generate = True
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 templates_path = [
     str(Path(__file__).parent / "_templates")
-]  # autosummary looks from the source, Sphinx from here
+]  # absolute, since autosummary and Sphinx resolve relative paths differently
 numpydoc_show_class_members = False
-numpydoc_xref_param_type = True  # of the types that docstrings name, ours lead to their pages
+numpydoc_xref_param_type = True  # link the types of this library in docstrings to their pages
 numpydoc_xref_aliases = {name: f"sigmaswarm.{name}" for name in sigmaswarm.__all__}
 numpydoc_xref_ignore = "all"
-DEFAULT_LINKS.clear()  # lead to Python's own pages, which are not in this folder
+DEFAULT_LINKS.clear()  # links to Python's own documentation, which is not part of the site
 add_module_names = False
 default_role = "py:obj"
 
-# The look: everything comes from the folder itself, nothing from a network.
+# Appearance. The site loads nothing from the network.
 html_theme = "pydata_sphinx_theme"
 html_title = "sigmaswarm"
 html_static_path = ["_static"]
@@ -68,21 +68,21 @@ html_theme_options: dict[str, Any] = {
 
 
 def setup(app: Any) -> None:
-    """Make what is generated before Sphinx looks for pages; leave a first page at the top of the folder."""
+    """Write the generated pages before Sphinx collects the pages, and index.html at the top of the site afterwards."""
     app.connect("builder-inited", lambda _: generate.write_commands(), priority=1)
     app.connect("autodoc-process-docstring", _example)
-    app.connect("build-finished", _entrance)
+    app.connect("build-finished", _redirect)
 
 
 def _example(_: Any, what: str, name: str, __: Any, ___: Any, lines: list[str]) -> None:
-    """Lead from a name's own page to the example that uses it."""
+    """Link the page of a public name to the reference page that contains an example."""
     short = name.rpartition(".")[2]
     page = generate.homes().get(short)
     if page and what in ("class", "function") and len(name.split(".")) == 2:
         lines += ["", f"An example that runs: :doc:`/docs/reference/{page}`."]
 
 
-def _entrance(app: Any, error: Exception | None) -> None:
+def _redirect(app: Any, error: Exception | None) -> None:
     if error is None and app.builder.name == "html":
         to = "docs/index.html"
         (Path(app.outdir) / "index.html").write_text(

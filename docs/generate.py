@@ -1,4 +1,4 @@
-"""What the site's reference is made of: pages of the commands, and which page has which public name."""
+"""Generate the pages of the commands, and find the reference page of each public name."""
 
 import inspect
 import re
@@ -11,7 +11,7 @@ COMMANDS = DOCS / "reference" / "generated" / "commands"
 
 
 def commands() -> dict[str, str]:
-    """A page for each command of the command line, in its order: Markdown, made of its own help."""
+    """Return a Markdown page with the help of each command, by name, in the order of the command line."""
     from sigmaswarm.cli.app import app
 
     return {name: _page(name) for name in app if not name.startswith("-")}
@@ -33,7 +33,7 @@ def _page(name: str) -> str:
 
 
 def write_commands() -> None:
-    """Write the commands' pages where the site looks for them; untouched where nothing changed."""
+    """Write the pages of the commands; do not touch unchanged files, so that Sphinx does not build them again."""
     COMMANDS.mkdir(parents=True, exist_ok=True)
     pages = {f"{name}.md": text for name, text in commands().items()}
     for old in COMMANDS.glob("*.md"):
@@ -46,7 +46,7 @@ def write_commands() -> None:
 
 
 def homes() -> dict[str, str]:
-    """Which page of the reference has a public name: the names in its autosummary."""
+    """Return the reference page of each public name: the page whose autosummary lists the name."""
     found: dict[str, str] = {}
     for page in sorted((DOCS / "reference").glob("*.md")):
         for block in re.findall(r"\.\. autosummary::\n(.*?)```", page.read_text(), re.DOTALL):

@@ -1,7 +1,7 @@
-"""Make the site's pictures anew: `make pictures`.
+"""Draw the pictures of the docs again: `make pictures`.
 
-Those of the demo come from the demo itself, that of the workbench from a browser; those of measured figures from the
-tables in these pages.
+The picture of the demo is drawn by the demo, the picture of the workbench is a browser's screenshot, and the picture of
+the results is drawn from the first table of results.md.
 """
 
 import json
@@ -23,19 +23,19 @@ IMAGES = DOCS / "images"
 DEMO = {"trajectory.png": "demo-track.png"}
 MOUNT = "4,-38,20"
 HIDDEN = ".heading, section.card:not(:has(.sketch)), .section:not(:has(.plot)), .q-expansion-item.card"
-"""What the picture of the workbench leaves out."""
+"""CSS selectors of elements that the picture of the workbench omits."""
 METHODS = {"with truth": "#0072b2", "without truth": "#d55e00", "raw fixes": "#009e73"}
 
 
 def demo(folder: Path) -> None:
-    """Run the demo, and keep some of its pictures."""
+    """Run the demo and copy its pictures in `DEMO`."""
     subprocess.run([sys.executable, "-m", "sigmaswarm", "demo", "--out", str(folder)], check=True)
     for made, kept in DEMO.items():
         copyfile(folder / "figures" / made, IMAGES / kept)
 
 
 def workbench(folder: Path) -> None:
-    """Show the first step with the log of an IMU that is turned, and its mounting."""
+    """Take a screenshot of the workbench's first step, with the log of a rotated IMU and its mounting."""
     sys.path.insert(0, str(DOCS.parent / "tests"))
     from browsing import open_browser
 
@@ -65,7 +65,7 @@ def workbench(folder: Path) -> None:
 
 
 def held_out() -> dict[str, dict[str, tuple[float, float]]]:
-    """Position RMSE and 5 s drift, m, by real drive and tuning: the first table of docs/results.md."""
+    """Read position RMSE and 5 s drift, m, by real drive and tuning from the first table of docs/results.md."""
     found: dict[str, dict[str, tuple[float, float]]] = {}
     text = (DOCS / "results.md").read_text()
     table = text[text.index("| tested on | filter |") :].partition("\n\n")[0]
@@ -83,7 +83,7 @@ def held_out() -> dict[str, dict[str, tuple[float, float]]]:
 
 
 def real_drives() -> Figure:
-    """Position RMSE and drift on the real drives that were held back."""
+    """Draw position RMSE and drift on the real test drives."""
     found = held_out()
     figure = Figure(figsize=(9, 0.45 * len(found) + 1.6), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
