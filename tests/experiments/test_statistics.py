@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from scipy.stats import binom
 
 from sigmaswarm.experiments import statistics as s
 from sigmaswarm.experiments.study.results import compare_paired, summarize

@@ -121,7 +121,17 @@ def test_where_fixes_err_anew_each_time_forecasts_over_seconds_are_asked_for_too
     assert auto([white, noisy(WHOLE, 1.0, "short")]) == "innovation-t"  # no room to hide fixes
     for asked in ("innovation-t", "outage-rmse"):
         assert objective_for([white], asked, "tilted12") == asked
-    assert auto([replace(white, truth=long.truth)]) == "truth-pose + 0.2 nees"
+    known = replace(white, truth=long.truth)
+    assert auto([known]) == "truth-pose + 0.2 nees + 0.2 forecast-t"
+    assert (
+        auto([known], model="planar8")
+        == auto([replace(copying, truth=long.truth)])
+        == "truth-pose + 0.2 nees"
+    )
+    assert (
+        objective_for([known], "auto", "tilted12", ("fix-error",))
+        == "innovation-t + 0.2 truth-pose + 0.2 nees"
+    )
     assert auto([white], model="planar8") == "innovation-t"  # it would trust these roads too much
     assert tune(six(white), **SMALL).config.model_dump()["objective"] == forecasts
 

@@ -85,8 +85,8 @@ def tune(
         sigmaswarm tune drives/training --out tuned --resume
         sigmaswarm tune s3://fleet/training --out tuned --cluster tcp://scheduler:8786
 
-    Values of --objective (usual defaults: truth-pose + 0.2 nees if all drives have truth, otherwise innovation-t, for
-    tilted12 also with forecast-t):
+    Values of --objective (usual defaults: truth-pose + 0.2 nees if all drives have truth, otherwise innovation-t; for
+    tilted12 with forecast-t if the fix errors are white):
 
         truth-rmse      position error against truth
         truth-pose      errors of position and heading, and drift in outages
