@@ -208,7 +208,7 @@ def test_notes_next_to_a_log_are_not_read(sigmaswarm: Command, here: Path):
     (here / "log" / "notes.txt").write_text("hello\n")
     ended = sigmaswarm("import", "log", "--out", "drive")
     assert ended.code == 0, ended.err
-    assert "note: notes.txt: is not a table, and is not read" in ended.out
+    assert "note: notes.txt: is not a table and is not read" in ended.out
 
 
 @pytest.mark.parametrize(

@@ -175,7 +175,7 @@ HEADERS = (b"PK\x03\x04", b"PK\x01\x02")
 def test_an_encrypted_zip(tmp_path: Path):
     log = zipped(phyphox(tmp_path / "export"))
     damaged(log, HEADERS, (6, 8), 1, True)
-    refused(".csv, which is encrypted; unpack it", lambda: imported(log))
+    refused(".csv, which is encrypted; unpack the zip", lambda: imported(log))
 
 
 def test_a_zip_of_an_unknown_method(tmp_path: Path):
@@ -490,7 +490,8 @@ def table(folder: Path, *lines: str) -> Path:
 def test_a_name_with_and_without_a_space(tmp_path: Path, header: str, other: str):
     log = table(tmp_path, header, *(row + ",7" for row in ROWS))
     got = imported(log)
-    assert any(f"column 'ax' appears twice; the other is '{other}'" in note for note in got.notes), got.notes
+    said = f"column 'ax' appears twice; the second is called '{other}'"
+    assert any(said in note for note in got.notes), got.notes
     assert not got.drive.imu.ax.any()
     assert np.all(imported(log, maps=[f"ax={other}"]).drive.imu.ax == 7)
 
@@ -507,7 +508,8 @@ def test_one_name_thousands_of_times(tmp_path: Path):
     log = table(tmp_path, "t,ax,ay,gz,x,y" + ",ax" * 2000, *(row + ",7" * 2000 for row in ROWS))
     notes = [note for note in imported(log).notes if "ax" in note]
     assert len(notes) == 1
-    assert "column 'ax' appears 2001 times; the others are 'ax_duplicated_0', 'ax_duplicated_1'" in notes[0]
+    called = "the others are called 'ax_duplicated_0', 'ax_duplicated_1'"
+    assert f"column 'ax' appears 2001 times; {called}" in notes[0]
 
 
 def test_no_complete_row(tmp_path: Path):

@@ -467,7 +467,7 @@ def test_letters_of_other_languages_are_refused_and_the_remedy_helps(tmp_path: P
     """O is west in Spanish and French, and east in German."""
     (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
     write_fixes(tmp_path, None, [f"{ddmm(b)},O" for b in GPS.lon.tolist()], "t,lat,lon [dddmm.mmmm],lon_dir")
-    with pytest.raises(InputError, match="'O' is not east or west; if it is west, write") as caught:
+    with pytest.raises(InputError, match="'O' is neither east nor west; if it means west, write") as caught:
         imported(tmp_path)
     got = imported(tmp_path, maps=maps_in(str(caught.value))).drive.gps
     np.testing.assert_allclose([got.lat, got.lon], [GPS.lat, -GPS.lon], atol=1e-7)

@@ -32,7 +32,7 @@ from sigmaswarm.importing.timeline import STEPS
 from sigmaswarm.importing.times import FASTEST_IMU, MAX_STEP, MIN_FIX_INTERVAL, SLOWEST_IMU
 from sigmaswarm.importing.velocities import without_wrong_velocity
 
-# Of fixes made from the truth: the seed of their noise, and their largest number
+# For fixes made from the truth: seed of the noise, and largest number of fixes
 SEED, MAX_FIXES = 0, 10_000_000
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 WITHOUT_POSITION = "gps: no column contains a position; map lat and lon (deg), or x and y (m east, north)"
@@ -60,7 +60,7 @@ def assemble(
         if back and not gathered[role][0].set_back and back > STEPS * np.median(steps):
             message = "the clock does not restart when the IMU's clock restarts. If the pause before this recording was"
             say(f"{role}: {message} short, add --{role}-offset {-back / SECOND:.3f}")
-    seconds, zero = _seconds(_in_one_turn(times, gathered, say), recipe)
+    seconds, zero = _seconds(_in_same_period(times, gathered, say), recipe)
     imu = _imu(seconds["imu"], values["imu"], recipe)
     origin = recipe.origin
     gps: Values = {}
@@ -78,7 +78,7 @@ def assemble(
     if recipe.gps_from_truth:
         if truth is None:
             raise InputError(
-                f"{name}: --gps-from-truth needs a truth, which the log lacks; name it with --truth"
+                f"{name}: --gps-from-truth needs a truth, but the log contains none; add another log with --truth"
             )
         seconds["gps"], gps = _made_fixes(truth, *recipe.gps_from_truth)
     wheels = Odometer(seconds["odometer"], values["odometer"]["speed"]) if "odometer" in values else None
@@ -153,7 +153,7 @@ def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[P
     return ""
 
 
-def _in_one_turn(
+def _in_same_period(
     times: Mapping[Role, Nanoseconds], gathered: Mapping[Role, Sequence[PartColumns]], say: Say
 ) -> dict[Role, Nanoseconds]:
     """Shift tables by whole periods of a wrapping clock, so that they overlap the IMU.
@@ -175,15 +175,15 @@ def _in_one_turn(
         if len(best) > 1 and role in ("gps", "truth", "odometer"):
             other = (best[1] - best[0]) / SECOND
             message = (
-                f"the clock wraps every {period / SECOND:.6g} s; the table is assumed to end with the IMU "
-                "samples"
+                f"the clock wraps every {period / SECOND:.6g} s, and several shifts fit the IMU; the shift is used "
+                "with which the table ends nearest to the last IMU sample"
             )
             say(f"{role}: {message}. If this is wrong, add --{role}-offset {other:.10g}")
     return moved
 
 
 def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, str]]:
-    """Yield offsets of the fixes, s, with which they overlap the IMU in time, and the reasons for the offsets."""
+    """Yield offsets of the fixes, s, with which they overlap the IMU in time, each with the reason for it."""
     imu, gps = seconds["imu"] + zero, seconds["gps"] + zero
     leap = float(max(imu[0], gps[0]) - gps_to_unix(np.array([max(imu[0], gps[0])]))[0])
     short, dated = min(imu[0], gps[0]), max(imu[0], gps[0]) * SECOND > MIN_DATE
@@ -206,7 +206,8 @@ def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, st
 def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[PartColumns]]) -> str:
     """Return a remedy if the times of IMU and fixes have the same unit but were read in different units; else "".
 
-    For example, in hundredths of a second, an IMU has steps of 1, like ms, and fixes have steps of 10, like seconds.
+    For example, in hundredths of a second, an IMU at 100 Hz has steps of 1, which are read as ms. Fixes at 10 Hz have
+    steps of 10, which are read as seconds.
     """
     both: tuple[Role, ...] = ("imu", "gps")
     texts = {role: gathered[role][0].part.columns["t"] for role in both if gathered.get(role)}
@@ -250,14 +251,15 @@ def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
     metadata[AXES_KEY] = recipe.imu_axes()
     if recipe.gps_from_truth:
         rate, noise = recipe.gps_from_truth
-        metadata["gps"] = f"synthetic from truth, {rate:g} Hz, white noise {noise:g} m per axis, seed {SEED}"
+        noisy = f"white noise with a standard deviation of {noise:g} m per axis"
+        metadata["gps"] = f"made from the truth, {rate:g} Hz, {noisy}, seed {SEED}"
     if recipe.gps_lever_arm_m:
         metadata["gps_lever_arm_m"] = list(recipe.gps_lever_arm_m)
     return with_rotation(metadata, parse_mount(recipe.mount)) if recipe.mount else metadata
 
 
 def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Role, Array], int]:
-    """Return the times in s, with the recipe's offsets, and their origin, which is a whole second for dates."""
+    """Return the times in s, with the recipe's offsets, and their origin, a whole second: 0 unless they are dates."""
     moved: dict[Role, Nanoseconds] = {}
     for role in ROLES:
         offset = getattr(recipe, f"{role}_offset_s", 0.0)
@@ -265,8 +267,7 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
             raise InputError(f"--{role}-offset {offset:g}: must be above -4e9 and below 4e9 s")
         if role in times:
             moved[role] = times[role] + round(offset * SECOND)
-    # A time stamp years before the others is wrong; with this stamp as the origin, the others would lose their last
-    # digits.
+    # If a wrong stamp, years before the others, were the origin, rounding would remove the last digits of the others.
     begins = {role: int(t[np.searchsorted(t, t[len(t) // 2] - MIN_DATE)]) for role, t in moved.items()}
     begin = min(t for role, t in begins.items() if role in ("imu", "gps") or "gps" not in moved)
     zero = begin // SECOND if begin >= MIN_DATE else 0
@@ -319,7 +320,7 @@ def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[V
     """Return the truth with x and y, m, and the origin; without a given origin, it is the truth's first position.
 
     If the fixes have no altitude, the truth also gets the origin's altitude, since a difference of 1000 m would stretch
-    one track by 16 cm per kilometer.
+    its track by 16 cm per kilometer.
     """
     if "lat" in values and "lon" in values:
         if origin is None and gps:
@@ -354,7 +355,7 @@ def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]
 
 
 def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
-    """Return the truth's columns; compute a missing velocity or heading from positions and course."""
+    """Return the truth's columns; compute a missing velocity from speed or positions, a missing heading from it."""
     if "forward" in values and "theta" in values:
         body = values["forward"] + 1j * values.get("left", np.zeros(len(time)))
         east_north = body * np.exp(1j * values["theta"])
@@ -376,7 +377,8 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
         apart = np.hypot(east, north)
         if apart > 1000.0:
             say(
-                f"truth: lies {apart:.0f} m from the fixes (median); if the truth has another origin, specify --origin"
+                f"truth: its median position is {apart:.0f} m from that of the fixes; if its origin differs, specify "
+                "--origin"
             )
     return {name: values[name] for name in ("x", "y", "vx", "vy", "theta")}
 

@@ -39,8 +39,8 @@ KINDS = {
 }
 LABELS = {"t": "time", "ax": "ax forward", "ay": "ay left", "az": "az up", "gx": "gx roll rate", "gy": "gy pitch rate",
         "gz": "gz yaw rate", "lat": "latitude", "lon": "longitude", "alt": "altitude", "x": "x east", "y": "y north",
-        "std_x": "accuracy east", "std_y": "accuracy north", "vx": "velocity east", "vy": "velocity north",
-        "theta": "heading", "keep": "condition: row counts"}  # fmt: skip
+        "std_x": "standard deviation east", "std_y": "standard deviation north", "vx": "velocity east",
+        "vy": "velocity north", "theta": "heading", "keep": "condition of rows to read"}  # fmt: skip
 NAMES = {"imu": "IMU", "gps": "fixes", "truth": "truth", "odometer": "wheels", "mag": "magnetometer"}
 UNUSED = ""
 TARGETS: dict[str, str] = {UNUSED: "not used"} | {
@@ -81,7 +81,7 @@ def units_of(target: str) -> dict[str, str]:
 
 
 def unit_in(target: str, column: str, expression: str) -> str:
-    """Return the unit that an expression converts from; `CUSTOM` if it is not one of `units_of`."""
+    """Return the unit from which an expression converts; `CUSTOM` if it is not one of `units_of`."""
     plain = expression.replace(" ", "")
     for unit, text in units_of(target).items():
         if plain in (text.format(quoted_column(column)).replace(" ", ""), text.format(column)):
@@ -90,15 +90,15 @@ def unit_in(target: str, column: str, expression: str) -> str:
 
 
 def expression_of(target: str, column: str, unit: str = "") -> str:
-    """Return the expression that converts a column from a unit, by default the first of `units_of`, to a drive's."""
+    """Return the expression that converts a column from a unit, by default the first of `units_of`."""
     units = units_of(target)
     return (units[unit] if unit else next(iter(units.values()))).format(quoted_column(column))
 
 
 def assign(choices: dict[str, Any], inspection: Inspection, table: str, column: str, target: str) -> None:
-    """Assign a column to a target, and remove it from its previous target.
+    """Assign a column to a target, and remove it from its previous targets other than times.
 
-    The unit is that of a note on this column; without a note, the target's first unit.
+    The expression is the one that a note proposes for this column; without a note, the target's first unit is assumed.
     """
     maps: dict[str, str] = choices.setdefault("maps", {})
     for old, _ in uses_of(inspection).get((table, column), []):

@@ -1,4 +1,4 @@
-"""Dates in text and GPS time, as seconds since 1970 in UTC; times in the importer are whole nanoseconds."""
+"""Convert dates in text, and GPS time, to seconds since 1970 in UTC; the importer's times are whole nanoseconds."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from sigmaswarm.importing.units import BASES
 
 Nanoseconds = NDArray[np.int64]
 SECOND = 1_000_000_000
-# ns; larger times (above 12 days) count from 1970 or from the start of a phone. The drive's times then begin at 0.
+# ns; larger times (above 11.6 days) count from 1970, or from the start of a phone. The drive's times then begin at 0.
 MIN_DATE = 1_000_000 * SECOND
 GPS_EPOCH = 315_964_800  # 1980-01-06 (IS-GPS-200), s since 1970-01-01
 WEEK = 604_800
@@ -68,7 +68,7 @@ def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
     ahead = zone.struct[1].cast(pl.Float64) + zone.struct[2].cast(pl.Float64).fill_null(0.0) / 60
     ahead = 3600 * pl.coalesce(named, pl.when(zone.struct[0] == "-").then(-ahead).otherwise(ahead), 0.0)
     plain = plain.str.replace(r"(\d\d:.*?) ?[+-]\d\d(?::?\d\d)?$", "${1}")
-    # minutes and seconds of a spreadsheet; without a fraction, perhaps hours and minutes
+    # spreadsheets show only minutes and seconds (12:34.5); a text without a fraction may be hours and minutes
     if form.startswith("%M"):
         plain, form = pl.when(plain.str.contains(r"\.")).then("0:" + plain), f"%H:{form}"
     if form and "%d" not in form and "%j" not in form:

@@ -300,7 +300,7 @@ def _rounded(expression: Expression) -> pl.Expr:
 
 
 def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
-    """Return ``column * number`` in ns if the column has integers or dates; else None."""
+    """Return ``column * number`` in ns if the column has integers (perhaps as text) or dates; otherwise None."""
     scaled = integer_scale(text, frame.columns)
     if scaled is None:
         return None

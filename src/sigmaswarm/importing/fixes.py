@@ -1,4 +1,4 @@
-"""Fixes of a second receiver, from a log or another drive, in the time and plane of a drive."""
+"""Read the fixes of a second receiver from a log or another drive, in the clock and the local frame of a drive."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +22,7 @@ CLOCK = "time_origin_s"  # key of drive.toml: Unix time at t = 0, s
 
 @dataclass(frozen=True, eq=False)
 class ReceiverLog:
-    """Fixes of a receiver, in the time and plane of a drive."""
+    """Fixes of a receiver, in the clock and the local frame of a drive."""
 
     gps: Gps
     sure: NDArray[np.bool_]  # (n,), True for integer ambiguities; all True if the format does not state them
@@ -32,7 +32,7 @@ class ReceiverLog:
 def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
     """Read the fixes of a log in any format of `sigmaswarm import`, or of a drive's folder.
 
-    Times (``time_origin_s``) and plane (``origin``) are those of ``drive``; ``offset``, s, is added to the times.
+    Clock (``time_origin_s``) and frame (``origin``) are those of ``drive``; ``offset``, s, is added to the times.
     """
     if has_table(path, "gps"):
         return _of_drive(read_with_warnings(path)[0], drive, offset)  # the import has printed the warnings
@@ -80,7 +80,7 @@ def _of_drive(other: Drive, drive: Drive, offset: float) -> ReceiverLog:
 def _placed(values: Values, time: Array, drive: Drive, path: Path, say: Say) -> Gps:
     if "lat" in values and drive.origin is None:
         raise InputError(
-            f"{path}: positions are in degrees, and {drive.name} has no origin; write "
+            f"{path}: positions are in degrees, but the drive {drive.name} has no origin; write "
             "origin = [lat, lon, alt] to its drive.toml"
         )
     return Gps(time, **placed_fixes(values, drive.origin, say)[0])

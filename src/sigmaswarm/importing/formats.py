@@ -17,7 +17,7 @@ from sigmaswarm.wording import list_names
 # module has two functions. ``recognizes(path)`` returns True if the name or the first bytes of a file or folder show
 # the format; it needs no library. ``open_log(path, limits, stack)`` returns a `Log`; the stack closes its files.
 READERS: dict[str, tuple[str, str]] = {
-    "mcap": ("mcap", "an MCAP file: ROS 1, ROS 2 or JSON messages"),
+    "mcap": ("mcap", "an MCAP file: ROS 1, ROS 2, JSON or Protobuf messages"),
     "ros": ("ros", "a ROS 1 bag, or a ROS 2 bag's folder or file"),
     "kitti": ("kitti", "a KITTI raw drive: its OXTS text files"),
     "nclt": ("nclt", "an NCLT session"),
@@ -38,19 +38,21 @@ READERS: dict[str, tuple[str, str]] = {
 _SINGLE = ("mcap", "rtklib", "ubx", "nmea", "px4", "ardupilot", "matlab", "gnss-logger", "json")
 _MIXED = ("nmea", "gnss-logger")
 _TEXTS = (*_MIXED, "rtklib", "csv")
-# Largest number of lines per row of a table in a text with several kinds of lines; of lines above the rows
+# Largest number of lines per row of a table, in texts with several kinds of lines; largest number of lines above it
 _LINES_OF_ROW, _TITLES = 10, 1000
 # Suffixes of formats that are not supported, and how to convert them
 NOT_READ = {
     ".xlsx .xls .ods": "a spreadsheet; save it as CSV",
-    ".tlog": "a MAVLink log; run: mavlogdump.py --format csv --types SCALED_IMU,GPS_RAW_INT, or import the .bin file",
-    ".bbl .bfl": "a blackbox log; run: blackbox_decode --merge-gps --unit-acceleration m/s2 --unit-rotation deg/s, and "
-    "import the .csv",
+    ".tlog": "a MAVLink log; import the autopilot's dataflash log (.bin) of the same drive, or the CSV of: "
+    "mavlogdump.py --format csv --types SCALED_IMU,GPS_RAW_INT LOG.tlog > log.csv",
+    ".bbl .bfl": "a blackbox log; import the CSV that this command writes: blackbox_decode --merge-gps "
+    "--unit-acceleration m/s2 --unit-rotation deg/s LOG.BBL",
     ".mf4 .mdf": "an ASAM measurement file; export it as CSV, for example with asammdf",
     ".sbf": "a Septentrio stream; convert it to NMEA with sbfconvert or RxTools",
     ".rtcm .rtcm3 .obs "
     ".rnx": "raw measurements; compute fixes with RTKLIB (convbin, rnx2rtkp), and import the .pos file",
-    ".gpx .kml .kmz .fit": "a track; convert it to CSV, for example with: gpsbabel -i gpx -f IN -o unicsv -F track.csv",
+    ".gpx .kml .kmz .fit": "a track; convert it to CSV, for example from GPX with: gpsbabel -i gpx -f FILE -o unicsv "
+    "-F track.csv",
     ".json .jsonl .ndjson": "JSON without objects; write a list with an object for each sample",
     ".sql": "a database dump; export its tables as CSV, for example with COPY ... TO 'log.csv' CSV HEADER",
     ".npy .npz .pkl": "Python arrays; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
@@ -80,7 +82,7 @@ def open_log(
 ) -> Generator[Log]:
     """Open a log in a named or detected format.
 
-    ``definitions`` are files or folders with .msg definitions of ROS messages, for bags without definitions.
+    ``definitions`` are files or folders with .msg definitions of ROS messages, for bags.
     """
     if not path.exists():
         raise InputError(f"{path} does not exist; name a log file or its folder")
@@ -106,7 +108,9 @@ def _texts(path: Path, form: str) -> list[Path]:
     if path.is_file():
         return [path] if form in _TEXTS and first_bytes(path, 4) not in (b"PAR1", b"PK\3\4") else []
     inside = (
-        path.rglob("*") if form in ("kitti", "comma2k19") else (*path.iterdir(), *_reader("csv").below(path))
+        path.rglob("*")
+        if form in ("kitti", "comma2k19")
+        else (*path.iterdir(), *_reader("csv").files_of_sensors(path))
     )
     for file in (files := sorted(file for file in inside if file.suffix.lower() in (".csv", ".tsv", ".txt"))):
         require_regular(file)
@@ -135,7 +139,7 @@ def format_of(path: Path) -> str:
 
 
 def unsupported_format(path: Path) -> str:
-    """Describe the unsupported format of a file, by its suffix or its first bytes; else return ""."""
+    """Return a description of a file's format if it is known, by suffix or first bytes, but not supported; else ""."""
     if not path.is_file() or path.suffix.lower() == ".csv":
         return ""
     head = first_bytes(path, 64)

@@ -23,8 +23,12 @@ from sigmaswarm.importing.times import rising_time, time_of, wrong_unit
 from sigmaswarm.wording import list_names, printable, quoted
 
 ROW = "row"  # column of row numbers, from 0, in tables without a column of this name
-MAX_TIMELESS_ROWS = 10  # largest number of rows without a time that may be lines of a header or a footer
-MIN_PLACEHOLDER_DISTANCE = 10  # of a placeholder from the other values, in units of their range
+MAX_TIMELESS_ROWS = (
+    10  # largest number of rows without a time that are taken for lines of a header or a footer
+)
+MIN_PLACEHOLDER_DISTANCE = (
+    10  # of a placeholder from the median of the other values, in units of their 1% to 99% range
+)
 
 
 def with_row_numbers(frame: pl.DataFrame, first: int = 0) -> pl.DataFrame:
@@ -114,7 +118,7 @@ class PartColumns:
         )
 
     def _without_placeholders(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Set placeholders such as -999 to null, if they are far from the other values or in both coordinates."""
+        """Set placeholders such as -999 to null if they are far from the other values, or equal in both coordinates."""
         used = {n: e.numbers for n, e in self.expressions.items() if n not in ("t", "keep")}
         names = [c for c in sorted(set().union(*used.values())) if not frame.schema[c].is_nested()]
         numbers = frame.select(pl.col(names).cast(pl.Float64, strict=False))
@@ -134,7 +138,7 @@ class PartColumns:
 
 
 def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
-    """Mark values whose distance from the unmarked values is large compared with the range of the unmarked values."""
+    """Mark values whose distance from the values not ``marked`` is large compared with the range of these values."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
         return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)
@@ -189,7 +193,7 @@ def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
             return [replace(part, table=name)]
     if part.table:
         there = list_names(log.tables)
-        raise InputError(f"{log.path}: has no {quoted(part.table)} for the {role}; choose from {there}")
+        raise InputError(f"{log.path}: has no table {quoted(part.table)} for the {role}; choose from {there}")
     homes = {
         name: [n for n, table in log.tables.items() if is_valid_expression(text, table.columns)]
         for name, text in part.columns.items()

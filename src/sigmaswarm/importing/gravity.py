@@ -20,7 +20,7 @@ from sigmaswarm.importing.times import column_numbers, median_of
 FORCES, RATES = ("ax", "ay", "az"), ("gx", "gy", "gz")
 MIN_TILT = math.radians(20.0)  # larger than the slopes of roads
 MAX_DEVIATION = 0.3  # relative deviation of the median specific force from gravity
-# m/s2, largest median of the specific force of a vehicle; rad/s, largest range of common gyros
+# m/s2, largest median magnitude of a vehicle's specific force; rad/s, largest range of common gyros
 MAX_FORCE, MAX_RATE = 3 * GRAVITY, math.radians(2000.0)
 
 
@@ -54,9 +54,9 @@ def wrong_scale(imu: Imu, parts: Sequence[Part], rates: Mapping[str, str]) -> li
 
 
 def tilted_mount(recipe: Recipe, rows: Mapping[str, pl.DataFrame], *, downward: bool) -> tuple[str, str]:
-    """Return "auto" and a note if gravity in the first rows is clearly not along +z; otherwise two empty texts.
+    """Return "auto" and a note if the specific force in the first rows is clearly not along +z; otherwise two "".
 
-    ``downward``: True if another note reports gravity along -z.
+    ``downward``: True if another note reports that the z axis points down.
     """
     force = _median_force(recipe, rows)
     size = math.hypot(*force)
@@ -67,8 +67,8 @@ def tilted_mount(recipe: Recipe, rows: Mapping[str, pl.DataFrame], *, downward: 
         return "", ""
     values = ", ".join(f"{name} {value:.3g}" for name, value in zip(FORCES, force, strict=True))
     note = (
-        f"gravity is {math.degrees(tilt):.0f} deg from +z, so the IMU is rotated relative to the vehicle (medians of "
-        f"the first rows: {values} m/s2); --mount {AUTO} estimates the rotation from the log"
+        f"the specific force is {math.degrees(tilt):.0f} deg from +z, so the IMU is rotated relative to the vehicle "
+        f"(medians of the first rows: {values} m/s2); --mount {AUTO} estimates the rotation from the log"
     )
     return AUTO, note
 

@@ -1,4 +1,4 @@
-"""Inspect a log: list its tables with their rates and ranges of columns, and the recipe of a drive."""
+"""Inspect a log: list its tables with rates and ranges of columns, and find the recipe of a drive."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -33,7 +33,7 @@ MAX_SCANNED_ROWS = 25_000
 
 @dataclass(frozen=True)
 class Range:
-    """Smallest, median and largest value of a column in the first rows; None if the column has no numbers."""
+    """Smallest, median and largest value of a column in the first rows (None without numbers), and its first value."""
 
     column: str
     low: float | None

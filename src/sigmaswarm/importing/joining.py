@@ -17,10 +17,10 @@ from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.timeline import from_digits, recordings, require_likely, sorted_times, unwrap
 from sigmaswarm.wording import count_of, printable, rows_left_out
 
-MIN_STD = 1e-6  # m or rad; a standard deviation of at most this value counts as not stated
+MIN_STD = 1e-6  # m or rad; a standard deviation of at most this value counts as missing
 # Period of each angle column, rad or deg
 PERIODS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
-# Largest share of empty cells in an optional column. With a larger share the column is left out, otherwise the rows.
+# Largest fraction of empty cells in an optional column: above it the column is left out, otherwise the rows
 MAX_EMPTY_SHARE = 0.1
 POSITIONS = ("lat", "lon", "x", "y")
 COLUMN_PAIRS = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
@@ -39,7 +39,7 @@ def join(
             continue
         inside = (time >= other_time[0]) & (time <= other_time[-1])
         if left := int(np.count_nonzero(~inside)):
-            say(f"{role}: {rows_left_out(left)}, since not all tables of the sensor cover the time")
+            say(f"{role}: {rows_left_out(left)}, since not all tables of the sensor cover their times")
         if not inside.any():
             raise InputError(f"{role}: the tables do not overlap in time; convert them to one clock")
         time, values = time[inside], {k: v[inside] for k, v in values.items()}
@@ -59,15 +59,16 @@ def _with_known_headings(values: Values) -> Values:
     std, known = values.get("std_heading", np.full(len(heading), np.nan)), np.isfinite(heading)
     if not known.any() or (known.all() and not np.isfinite(std).any()):
         return {name: column for name, column in values.items() if name != "std_heading"}
-    stated = np.where(std > MIN_STD, std, MIN_STD)  # at MIN_STD, the filter uses its own variance
+    stated = np.where(std > MIN_STD, std, MIN_STD)  # negligible next to the variance that the filter adds
     deviation = np.where(known, stated, NO_HEADING)
     return {**values, "heading": np.where(known, heading, 0.0), "std_heading": deviation}
 
 
 def _between(time: Array, known: Array, values: Array, turn: float | None) -> Array:
-    """Interpolate values (m,), known at times (m,), s, linearly at times (n,), s; angles along the shorter arc.
+    """Interpolate values (m,) at ``known`` (m,), s, linearly at ``time`` (n,), s; angles along the shorter arc.
 
-    Values beyond half a turn, which are unwrapped or in a wrong unit, are not wrapped, so a wrong unit remains visible.
+    ``turn`` is the period of an angle, or None. Values beyond half a period, which are unwrapped or in a wrong unit,
+    are not wrapped, so a wrong unit remains visible.
     """
     if turn is None:
         return np.interp(time, known, values)
@@ -174,7 +175,8 @@ def _complete_rows(
             if not empty.all():
                 are = "is" if len(gone) == 1 else "are"
                 say(
-                    f"{role}: {' and '.join(gone)} {are} left out, since {np.mean(empty):.0%} of the rows are empty"
+                    f"{role}: {' and '.join(gone)} {are} left out, since {np.mean(empty):.0%} of the cells of {name} "
+                    "are empty"
                 )
             values = {n: column for n, column in values.items() if n not in gone}
     full = _finite(values, len(time)).all(axis=0)

@@ -23,9 +23,9 @@ from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Part
 from sigmaswarm.importing.times import quoted_column
 
-MIN_HEADING_RANGE = 180  # deg, smallest range of headings that determines the hard iron
-BIN, MIN_SAMPLES = 10, 5  # deg, width of a bin of headings; samples in a covered bin
-DRIFT_TIME = 10.0  # s, time constant with which the course corrects the gyro's heading
+MIN_HEADING_RANGE = 180  # deg, smallest part of the circle whose headings determine the hard iron
+BIN, MIN_SAMPLES = 10, 5  # deg, width of a bin of headings; smallest number of samples in a covered bin
+DRIFT_TIME = 10.0  # s, interval over which the difference between course and integrated gyro is averaged
 MAX_ROWS = 20_000  # rows for the calibration, evenly spread over the drive
 # Largest deviation of the field's magnitude (relative) or direction (rad) without steel nearby: in robust standard
 # deviations; smallest value of this limit
@@ -74,7 +74,7 @@ class Calibration:
 
 
 def part_of(table: str, columns: Sequence[str]) -> Part:
-    """Find the axes in a table that the user chose by column names; the part may be empty."""
+    """Find the axes by their names in a table that the user chose; the part is empty if there are none."""
     for pattern in _AXES:
         found = {m[1]: column for column in reversed(columns) if (m := re.fullmatch(pattern, column.lower()))}
         if {"x", "y"} <= found.keys():

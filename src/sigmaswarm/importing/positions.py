@@ -83,7 +83,10 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
         ("radians clockwise from north", np.pi / 2 - angle),
         ("degrees counter-clockwise from east", np.radians(angle)),
         ("degrees clockwise from north", np.pi / 2 - np.radians(angle)),
-        ("unwrapped radians", np.degrees(angle)),  # large values were read as degrees
+        (
+            "unwrapped radians",
+            np.degrees(angle),
+        ),  # undoes a conversion from degrees, assumed for values above 6.4
     )
     errors = [float(np.median(np.abs(wrap_angle(a[rows] - course)))) for _, a in conventions]
     best = int(np.argmin(errors))

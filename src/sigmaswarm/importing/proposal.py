@@ -53,7 +53,7 @@ NO_PLACE = {
 }
 # Actions of repairs that can be written as expressions, in the order of application
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
-# Largest distance of a rotation's elements from integers if it exchanges axes or changes signs
+# Largest difference of a rotation's elements from integers with which it counts as a signed permutation of axes
 EXCHANGE_TOLERANCE = 0.2
 # Warnings of contradictory signs, axes or units
 CONTRADICTIONS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}

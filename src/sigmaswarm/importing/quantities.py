@@ -24,15 +24,17 @@ DIMENSIONS: dict[str, UnitDimension] = {
     **dict.fromkeys(("alt", "x", "y", "std_x", "std_y"), "length"),
     **dict.fromkeys(("speed", "wheel_speed", "vx", "vy"), "speed"),
 }
-# Columns that need a known unit; other columns without a unit are left out
+# Columns that are faults if their unit is unknown; other columns with an unknown unit are left out
 REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta", "wheel_speed")
-# Largest share of rows that may contradict the form of the others; they are presumably damaged
+# Largest fraction of rows that may contradict the form of the others; they are presumably damaged
 MAX_DAMAGED_SHARE = 0.02
 # Largest ratio of the third to the first quartile of the magnitude of accelerations with gravity
 MAX_QUARTILE_RATIO = 1.5
 MAX_ACCELERATION = 100.0  # m/s2, largest acceleration of a car on a smooth road
 MAX_RATE = 250.0  # deg/s, largest angular rate of a car
-MAX_ALTITUDE = 9000.0  # m, largest altitude; another unit would stretch the track by 0.15% or more
+MAX_ALTITUDE = (
+    9000.0  # m; a larger number is in another unit, and as m it would stretch the track by 0.14% or more
+)
 RADIUS, EDGE = 6_378_137.0, 2.01e7  # m, radius of Web Mercator's sphere; edge of its map
 # Scales of common sensors per g; mg, cg, ug, mm/s2, cm/s2, ft/s2
 PER_G = (16384, 8192, 4096, 4000, 2048, 1024, 256, 1000, 100, 1e6, 9806.65, 980.665, 9.80665 / 0.3048)
@@ -280,7 +282,7 @@ def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
         other = [c for c in cells if re.fullmatch(" *[A-Za-z] *", c) and c not in texts]
         if named and rows[column].is_in(other).sum() > MAX_DAMAGED_SHARE * len(rows):
             negative, (first, last) = other[:1], words.split("|")
-            fault = f"column {quoted(column)}: {quoted(other[0])} is not {first} or {last}; if it is {last}"
+            fault = f"column {quoted(column)}: {quoted(other[0])} is neither {first} nor {last}; if it means {last}"
         if named or texts:
             found[what] = " or ".join(f"{quoted_column(column)} == '{text}'" for text in negative), fault
     names = {"lat": "ns", "lon": "ew"}

@@ -1,4 +1,4 @@
-"""Find the unit of angular rates without a stated unit from the turns of the fixes."""
+"""Find the unit of angular rates without a stated unit from the changes of course of the fixes."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -33,13 +33,14 @@ FACTOR_TOLERANCE, MIN_FACTOR_RATIO = 0.08, 1.4
 TURN_INTERVALS, MAX_INTERVAL_RATIO = (1.5, 6.0, 24.0), 1.4
 # s, tried delays of the fixes
 DELAYS = (-1.0, -0.5, -0.25, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
-# Share of the changes of course that the rates must explain, to show another unit and to confirm the assumed unit
+# Fraction of the variance of the changes of course that the rates must explain to show another unit, and to confirm the
+# assumed one
 MIN_EXPLAINED, MIN_CONFIRMED = 0.9, 0.5
 # rad, smallest standard deviation of the changes of course; their smallest number
 MIN_TURN_STD, MIN_TURNS = 0.1, 20
 # standard deviations; larger residuals, for example of a robot that spins in place, are left out
 OUTLIER_SIGMAS = 3.0
-# Cutoff of the least-squares fit: smallest singular value of the measured turns, relative to the largest
+# Cutoff of the least-squares fit: smallest singular value of the integrated rates, relative to the largest
 MIN_AXIS_SHARE = 0.2
 
 
@@ -54,10 +55,10 @@ class RateUnit(NamedTuple):
 def unit_of_rates(
     drive: Drive, roles: Mapping[Role, Sequence[Part]], unitless: Mapping[str, str]
 ) -> RateUnit:
-    """Compare the turns of rates without a stated unit with those of the fixes, and find the unit if they differ.
+    """Compare rates without a stated unit with the course of the fixes; find the unit if the assumed one does not fit.
 
-    ``unitless``: columns without a unit, as text in expressions, by column of the drive. If the fixes do not turn, a
-    note states that rad/s is assumed.
+    ``unitless``: columns without a unit, as text in expressions, by column of the drive. If the course does not change,
+    a note states that rad/s is assumed.
     """
     rates = unitless.keys() & {"gx", "gy", "gz"}
     times = {role: parts[0].columns.get("t", "") for role, parts in roles.items() if parts}
@@ -107,7 +108,7 @@ def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
 
 
 def _ratio(drive: Drive) -> tuple[float, float]:
-    """Return the share of the fixes' turns that the IMU's turns explain, and the ratio of the fixes' to the IMU's."""
+    """Return the fraction of the variance of course changes that the IMU explains, and the ratio of course to IMU."""
     time, x, y, imu = drive.gps.time, drive.gps.x, drive.gps.y, drive.imu
     axes = np.array([v for v in (imu.gx, imu.gy, imu.gz) if v is not None])
     steps = 0.5 * (axes[:, 1:] + axes[:, :-1]) * np.diff(imu.time)
@@ -128,7 +129,7 @@ def _ratio(drive: Drive) -> tuple[float, float]:
 
 
 def _fitted(measured: Array, turns: Array) -> tuple[float, float]:
-    """Fit measured angles (n, axes) to turns (n,), rad; return explained share and factor, or zeros for few turns."""
+    """Fit measured angles (n, axes) to turns (n,), rad; return explained fraction and factor, 0 and 0 for few turns."""
     share, ratio = 0.0, 0.0
     for _ in range(4):
         if len(turns) < MIN_TURNS or np.std(turns) < MIN_TURN_STD:

@@ -55,7 +55,7 @@ class Recipe:
     )
     origin: tuple[float, float, float] | None = None  # deg, deg, m, of the local frame
     gps_lever_arm_m: tuple[float, float, float] | None = None  # forward, left, up from IMU to antenna
-    # Rate, Hz, and white noise per axis, m, of fixes made from the truth, for a log without a receiver
+    # Rate, Hz, and standard deviation of the white noise, m per axis, of fixes made from the truth
     gps_from_truth: tuple[float, float] | None = None
 
     @classmethod
@@ -144,7 +144,7 @@ def with_maps(
 ) -> dict[Role, tuple[Part, ...]]:
     """Replace expressions by those of the user: ``ax=-acc_y*9.80665`` or ``gps.t=stamp``; "az=" omits a column.
 
-    ``times``: times of the tables of a role, unless the user maps them.
+    ``times``: expressions of the times, by role, used unless the user maps the times of this role.
     """
     mapped: dict[Role, list[Part]] = {role: list(parts) for role, parts in roles.items()}
     timed: set[Role] = set()

@@ -11,7 +11,7 @@ from sigmaswarm.geodesy import Origin, enu_to_geodetic, geodetic_to_enu
 from sigmaswarm.importing.positions import MAX_DISTANCE, Values
 from sigmaswarm.importing.source import Part, Role
 
-# Smallest share of the fixes' variance that a rotated truth must explain; smallest angle, rad, and smallest relative
+# Smallest fraction of the fixes' variance that a rotated truth must explain; smallest angle, rad, and smallest relative
 # difference of scale that are reported
 MIN_EXPLAINED, MIN_ROTATION, MIN_STRETCH = 0.9, np.radians(5), 0.05
 # s, tried delays of the truth, since on a circle a delay looks like a rotation; smallest ratio of the residual variance

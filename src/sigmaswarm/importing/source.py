@@ -19,9 +19,9 @@ Role = Literal["imu", "gps", "truth", "odometer", "mag"]
 ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer", "mag")
 CHUNK = 5000
 FILES = "columns"
-ImportProgress = Callable[[float], None]  # receives the share of the log that has been read, 0 to 1
+ImportProgress = Callable[[float], None]  # receives the fraction of the log that has been read, 0 to 1
 Wanted = Mapping[str, Collection[str]]
-# A table, rows with its wanted columns, and the share of the log that has been read, 0 to 1
+# A table, rows with its wanted columns, and the fraction of the log that has been read, 0 to 1
 Batch = tuple[str, pl.DataFrame, float]
 
 
@@ -29,7 +29,9 @@ Batch = tuple[str, pl.DataFrame, float]
 class Limits:
     rows: int = 10_000_000  # of a table; 10 million are 28 hours at 100 Hz
     columns: int = 100_000  # of all tables of a log
-    unpacked_mb: int = 500  # MB, unpacked size of a chunk, or of the required files of a zip
+    unpacked_mb: int = (
+        500  # MB that are unpacked at once: a chunk, a MATLAB variable, or the required files of a zip
+    )
 
     def check_rows(self, count: int, path: Path, table: str) -> None:
         if count > self.rows:
@@ -46,7 +48,7 @@ class Limits:
             )
 
     def first_columns(self, names: Iterator[str], path: Path) -> tuple[str, ...]:
-        """Return the names that are not empty; empty names count toward the limit, since reading them takes time."""
+        """Return the names that are not empty; empty names also count toward the limit, since each costs time."""
         found = list(islice(names, self.columns + 1))
         if len(found) > self.columns:
             raise InputError(
@@ -88,7 +90,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Placement:
-    """Mounting of the IMU and lever arm that a log states."""
+    """Mounting of the IMU and lever arm that a log contains."""
 
     mount: str  # roll, pitch and yaw of the IMU in the vehicle, deg: see `parse_mount`
     lever_arm: tuple[float, float, float] | None  # m forward, left, up from IMU to antenna
@@ -110,7 +112,7 @@ class Placement:
 class Guess:
     """A reader's recipe for a log, and its assumptions."""
 
-    roles: Mapping[Role, tuple[Part, ...]]  # times are those of the first part; others are interpolated
+    roles: Mapping[Role, tuple[Part, ...]]  # times are those of the first part; other parts are interpolated
     notes: tuple[str, ...] = ()  # sentences for the user
     origin: tuple[float, float, float] | None = None  # deg, deg, m, of the truth's frame
     metadata: Mapping[str, Any] = field(default_factory=dict[str, Any])  # keys for drive.toml
@@ -118,8 +120,8 @@ class Guess:
     downward: str = ""  # sentence if the IMU's vertical axis points down, for an import without a mounting
     fixed: str = ""  # expression over the fixes' first table, true for integer ambiguities
     faults: tuple[Fault, ...] = ()  # reasons not to use columns unchanged, unless the user maps them
-    placed: Placement | None = None  # mounting and lever arm that the log states
-    # The IMU's columns without a known unit, as text in expressions, by column of the drive
+    placed: Placement | None = None
+    # Columns of the IMU's table whose unit is unknown, as text of expressions, by column of the drive
     unitless: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
@@ -137,8 +139,10 @@ class Log:
     path: Path
     tables: Mapping[str, Table]
     batches: Callable[[Wanted], Iterator[Batch]]  # reads the wanted columns, in the order of the log
-    guess: Callable[[TableChoice], Guess]  # makes a recipe
-    remarks: list[str] = field(default_factory=list[str])  # on the log; some are added while batches are read
+    guess: Callable[[TableChoice], Guess]
+    remarks: list[str] = field(
+        default_factory=list[str]
+    )  # for the user; some are added while batches are read
     mixed: bool = False  # True if rows of the tables alternate, so that all tables occur near the beginning
 
     def guessed(self, guess: Guess) -> "Log":
@@ -165,7 +169,7 @@ def log_of_rows(
     guess: Guess,
     remarks: list[str],
 ) -> Log:
-    """Make a log of one table; ``read`` yields its rows, each with the share of the file that has been read."""
+    """Make a log of one table; ``read`` yields its rows, each with the fraction of the file that has been read."""
 
     def batches(wanted: Wanted) -> Iterator[Batch]:
         rows: list[tuple[float, ...]] = []
@@ -184,7 +188,7 @@ def log_of_rows(
 def roles_of(
     parts: Iterable[tuple[Role, str, Mapping[str, str | tuple[str, ...]]]], tables: Wanted
 ) -> dict[Role, tuple[Part, ...]]:
-    """Return the parts of existing tables; of several expressions, use the first whose columns exist."""
+    """Return the parts of existing tables, by role; of several expressions, use the first whose columns exist."""
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, table, columns in parts:
         if table in tables:

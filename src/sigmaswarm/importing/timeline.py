@@ -33,16 +33,16 @@ WRAPS: tuple[tuple[int, str], ...] = (
 MIN_ROWS = 20
 # s, smallest distance of a wrong time from the times of the rows around it; largest number of checked clock jumps
 MIN_TIME_ERROR, MAX_JUMPS = 10.0, 100
-MAX_SECONDS = 5  # more recordings, each a second long, show wrong fractions of seconds
+MAX_SECONDS = 5  # with more recordings of about one second, the fractions of the seconds are presumably wrong
 MIN_STEP_BACK, STEPS = 0.2, 2  # smallest step back of a clock between recordings: s, and median steps
-MAX_REPEATED_SHARE = 0.02  # with a larger share of rows that repeat the previous time, rows share stamps
-MAX_UNEVEN_SHARE = 0.1  # largest share of stamps whose number of rows differs from the usual number
+MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous time, rows share stamps
+MAX_UNEVEN_SHARE = 0.1  # largest fraction of stamps with an unusual number of rows, or with an unusual step
 
 
 def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
     """Convert times of day with digits hhmmss (115959.98) to seconds; return the times, and a sentence or "".
 
-    The digits are recognized by jumps of 40 at each minute.
+    The digits are recognized by an additional step of 40 s at each minute.
     """
     whole = time // SECOND
     if len(time) < 3 or int(whole.min()) < 10_000 or int(whole.max()) >= 240_000:
@@ -134,8 +134,9 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
         return parts[0], f"{where}: the clock does not restart; all rows are used" if part else ""
     if part is None and len(parts) > MAX_SECONDS and (rate := _rate_by_rows(time, parts)):
         raise InputError(
-            f"{where}: the clock goes back {len(parts) - 1} times, about once per second; if the times lack zeros of "
-            f'fractions, or whole seconds, count rows: --map "{role}.t=row/{rate:.4g}"'
+            f"{where}: the clock goes back {len(parts) - 1} times, about once per second; if the fractions of seconds "
+            "lack leading zeros, or whole seconds are missing, compute the time from the row number: "
+            f'--map "{role}.t=row/{rate:.4g}"'
         )
     lengths = [f"{(int(time[p].max()) - int(time[p].min())) / SECOND:.1f} s" for p in parts]
     many = f"{len(parts)} recordings ({list_names(lengths)})"
@@ -153,8 +154,8 @@ def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanosecond
     repeated = 1 - len(new) / len(time)
     if len(time) > 2 and len(new) < 2:
         raise InputError(
-            f"{where}: all {len(time)} rows have the same time; specify a finer time with --map {role}.t=..., or count "
-            f'rows where the rate is known: --map "{role}.t=row/100" for 100 Hz'
+            f"{where}: all {len(time)} rows have the same time; specify a finer time with --map {role}.t=..., or, if "
+            f'the rate is known, compute it from the row number: --map "{role}.t=row/100" for 100 Hz'
         )
     if repeated <= MAX_REPEATED_SHARE or len(new) < 2:
         return time, ""

@@ -35,7 +35,7 @@ MAX_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer
 MIN_STEP, MIN_FIX_INTERVAL = 1e-4, 0.04
 # s, intervals of an IMU outside which the unit of its time is not guessed
 FASTEST_IMU, SLOWEST_IMU = 4e-4, 0.15
-# Share of decreasing steps above which rows are unordered; a counter that wraps has fewer decreasing steps
+# Fraction of decreasing steps above which rows are unordered; a counter that wraps has fewer decreasing steps
 MAX_DECREASING_SHARE = 0.4
 # Smallest step of whole numbers that are read as ms; smaller steps may be row numbers, or 0.01 s
 MIN_COUNT_STEP = 4
@@ -53,7 +53,9 @@ DATE_FORMATS = (
     *("%Y-%m-%d_%H-%M-%S%.f", "%Y-%m-%d %H-%M-%S%.f", "%Y%m%d %H%M%S%.f", "%Y%m%d %H:%M:%S%.f"),
     *("%H:%M:%S%.f", "%H:%M:%S:%3f", "%I:%M:%S%.f %p", "%M:%S%.f"),
 )
-MIN_FITTING_SHARE = 0.99  # smallest share of dates that fit a format; the others are presumably damaged
+MIN_FITTING_SHARE = (
+    0.99  # smallest fraction of dates that must fit a format; the others are presumably damaged
+)
 COUNTER_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 CALENDAR = ("year", "month", "day", "hour", "minute", "second")
 # Last words of the names of the six columns of a date
@@ -112,7 +114,7 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 
 
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
-    """Return the first column without a known name that increases from row to row, in s; else "COLUMN"."""
+    """Return, in s, the first column without a known name that increases in each row; "COLUMN" if there is none."""
     for name in read_names(frame.columns):
         steps = column_numbers(frame[name.column]).diff().drop_nulls()
         if name.meaning is None and len(steps) and (steps > 0).all():
@@ -200,7 +202,7 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> TimeExpress
             text = f"{quoted_column(first.column)} + {quoted_column(rest.column)}*{scale:.0e}".replace(
                 "e-0", "e-"
             )
-            return TimeExpression(text, f"the time is {first.column} and {rest.column} together")
+            return TimeExpression(text, f"the time is the sum of {first.column} and {rest.column}")
     return None
 
 
@@ -401,7 +403,7 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> TimeExpression:
         rates = ", ".join(f'"{text}*1e-{k}" for {10**k / step:.4g} Hz' for k in (3, 2))
         message = f"column {quoted(column)}: steps of {step:g} may be ms, hundredths of a second, or rows"
         return TimeExpression(
-            "", fault=f'{message}; state the unit with --time: {rates}, or "{text}/100" for 100 rows per s'
+            "", fault=f'{message}; specify the unit with --time: {rates}, or "{text}/100" for 100 rows per s'
         )
     if role == "imu" and not dated and unit != "s" and step * COUNTER_UNITS[unit] > SLOWEST_IMU:
         rates = ", ".join(
@@ -423,7 +425,7 @@ def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Ro
         return TimeExpression(f"{text}*86400", f"{column} is read as days (fractions of a day)")
     message = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes, *1 for seconds'
     seen = f"column {quoted(column)}: steps of {step:.2g} are too short for seconds"
-    return TimeExpression("", fault=f"{seen}; state the unit: {message}")
+    return TimeExpression("", fault=f"{seen}; specify the unit: {message}")
 
 
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:

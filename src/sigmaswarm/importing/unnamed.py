@@ -63,13 +63,13 @@ def _axes(values: dict[str, Array]) -> dict[str, str]:
             ):
                 continue
             near = [names[i : i + 3] for i in (k - 3, k + 3) if i >= 0]
-            rates = min((b for b in near if len(b) == 3), key=lambda b: _mean_ratio(values, b), default=[])
+            rates = min((b for b in near if len(b) == 3), key=lambda b: _median_ratio(values, b), default=[])
             found = zip(("ax", "ay", "az", "gx", "gy", "gz"), [*names[k : k + 3], *rates], strict=False)
             return dict(found) if rates else {}
     return {}
 
 
-def _mean_ratio(values: dict[str, Array], names: Sequence[str]) -> float:
+def _median_ratio(values: dict[str, Array], names: Sequence[str]) -> float:
     """Return the largest ratio of a column's median to its standard deviation; it is small for rates."""
     spread = [float(np.nanstd(values[n])) for n in names]
     return max(

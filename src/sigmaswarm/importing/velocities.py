@@ -19,7 +19,7 @@ UNITS = (("mm/s", 1e3, "*1e-3"), ("cm/s", 100.0, "*1e-2"), ("km/h", 3.6, "/3.6")
 MAX_SPEED_RATIO, MAX_RATIO_SPREAD = 1.5, 2.0
 # m/s, lowest speed at which positions are compared with a stated speed: robots are slow
 MIN_COMPARED_SPEED = 0.2
-MIN_MOVING_SHARE = 0.3  # smallest share of the rows in motion that the compared stretches must contain
+MIN_MOVING_SHARE = 0.3  # smallest fraction of the rows in motion that the compared stretches must contain
 # rad, largest median difference of a stated course from the course of the positions. A course that lags in turns, or
 # that is computed from noisy positions, differs by less.
 MAX_COURSE_ERROR = np.radians(40)
@@ -101,7 +101,7 @@ def _stretches(
         return none, none
     x, y, time = x[rows], y[rows], time[rows]
     step = np.hypot(np.diff(x), np.diff(y))
-    # Rayleigh, of x[i] - 2 x[i+1] + x[i+2]
+    # 2.9 = 1.18 sqrt(6): median magnitude of x[i] - 2 x[i+1] + x[i+2] if x is white noise of variance 1 (Rayleigh)
     noise = float(np.median(np.hypot(np.diff(x, 2), np.diff(y, 2)))) / 2.9
     least = max(3.0, 10 * noise)
     apart = int(

@@ -1,9 +1,9 @@
 """ArduPilot's dataflash logs, binary (``.bin``) or as text (``.log``), read with pymavlink.
 
-Messages (ArduPilot, libraries/AP_Logger/LogStructure.h): times are TimeUS in us since start. Before version 3.3 they
-are TimeMS in ms; in GPS messages they are T, since TimeMS is there the time of week. IMU is forward, right, down (m/s2,
-rad/s). GPS is in degrees, m/s and degrees clockwise from north. GPA contains the stated accuracies, SIM the true
-position of a simulation.
+Messages (ArduPilot, libraries/AP_Logger/LogStructure.h): the time is TimeUS in us since start. Before version 3.3 it is
+TimeMS in ms; in GPS messages it is T, since their TimeMS is the time of week. IMU is forward, right, down (m/s2,
+rad/s). GPS is in degrees, m/s and degrees clockwise from north. GPA contains the accuracies that the receiver reports,
+SIM the true position and yaw of a simulation.
 """
 
 from contextlib import ExitStack, redirect_stderr, redirect_stdout, suppress
@@ -26,7 +26,7 @@ from sigmaswarm.importing.source import (
     roles_of,
 )
 
-# Largest number of bytes outside of messages; pymavlink takes about a second to skip them
+# Largest number of bytes outside of messages; pymavlink needs about 1 s to skip so many
 MAX_SKIPPED = 200_000
 MAGIC, TEXTS = b"\xa3\x95\x80", (b"FMT, 128,", b"FMT,128,")
 _T = {"t": "TimeUS*1e-6"}
@@ -50,14 +50,14 @@ _COLUMNS = {
 
 
 class _Skipped(StringIO):
-    """Sink for pymavlink's reports of skipped bytes; raises `ValueError` if a file has too many."""
+    """Replacement of stderr that counts the bytes skipped by pymavlink; more than `MAX_SKIPPED` are a `ValueError`."""
 
     count = 0
 
     def write(self, text: str, /) -> int:
         self.count += text.startswith("bad header")
         if self.count > MAX_SKIPPED:
-            raise ValueError(f"more than {MAX_SKIPPED} bytes between messages belong to no message")
+            raise ValueError(f"more than {MAX_SKIPPED} bytes belong to no message")
         return len(text)
 
 
@@ -71,7 +71,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     module = import_library("pymavlink.DFReader", "logs")
     kind = module.DFReader_binary if first_bytes(path, 3) == MAGIC else module.DFReader_text
     log = kind.__new__(kind)  # created first, so that its files can be closed if __init__ fails
-    log.init_arrays_fast = log.init_arrays  # the output of the compiled function can't be caught
+    log.init_arrays_fast = log.init_arrays  # the compiled function ignores redirect_stderr
     try:
         # pymavlink prints to both streams
         with errors_as_damage(path), redirect_stderr(_Skipped()), redirect_stdout(StringIO()):
@@ -80,7 +80,9 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     finally:
         for name in ("data_map", "filehandle"):
             if (stream := getattr(log, name, None)) is not None:
-                with suppress(BufferError):  # a failed message may still refer to the map
+                with suppress(
+                    BufferError
+                ):  # a message that can't be decoded may still refer to the memory map
                     stream.close()
     frames = {
         name: pl.DataFrame(values, schema=dict.fromkeys(_COLUMNS[name], pl.Float64), orient="row")
@@ -89,7 +91,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     }
     if not frames:
         raise InputError(
-            f"{path}: contains none of {', '.join(_COLUMNS)}; enable these messages (LOG_BITMASK), and record again"
+            f"{path}: contains none of the messages {', '.join(_COLUMNS)}; enable IMU and GPS with LOG_BITMASK, and "
+            "record again"
         )
     parts = [part for part in PARTS if part[1] != "GPA" or "GPS" in frames]
     guess = Guess(

@@ -1,4 +1,7 @@
-"""CSV and Parquet: a file, or a folder of files; each file is a table. Polars streams the rows."""
+"""CSV and Parquet: a file, a folder, or a zip of CSV files. Each file, or each sequence of files, is a table.
+
+Polars streams the rows.
+"""
 
 import math
 import re
@@ -42,7 +45,7 @@ MAX_BREAK = 10.0  # s, longest time between files that are joined
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a table, by suffix or first lines, for a zip or folder of tables, and for an EuRoC folder."""
+    """Return True for a table (by suffix or first lines), a zip or folder of tables, and a folder as in EuRoC."""
     return bool(_files(path) or _packed(path)) or (path.is_file() and is_table(path))
 
 
@@ -54,11 +57,12 @@ def _packed(path: Path) -> list[PurePosixPath]:
 def _files(path: Path) -> list[Path]:
     if path.is_dir():
         here = [f for f in path.iterdir() if f.suffix.lower() in SUFFIXES and not is_empty(f)]
-        return sorted(here) or below(path)
+        return sorted(here) or files_of_sensors(path)
     return [path] if path.suffix.lower() in SUFFIXES else []
 
 
-def below(folder: Path) -> list[Path]:
+def files_of_sensors(folder: Path) -> list[Path]:
+    """Return the data.csv of each sensor in a folder as in EuRoC."""
     found = [*folder.glob("*/data.csv"), *folder.glob("mav0/*/data.csv")]
     names = "imu|gps|gnss|rtk|cam|leica|vicon|baro|mag|odom|wheel|state_groundtruth_estimate"
     sensors = [file for file in found if re.fullmatch(rf"(?:{names})\d", file.parent.name)]
@@ -81,7 +85,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     if path.is_dir():
         folder, found = path, _files(path)
         files = [file for file in found if not _is_prose(file)]
-        remarks += [f"{file.name}: is not a table, and is not read" for file in found if file not in files]
+        remarks += [f"{file.name}: is not a table and is not read" for file in found if file not in files]
         empty = sorted(f.name for f in path.iterdir() if f.suffix.lower() in SUFFIXES and is_empty(f))
         remarks += [f"{name} is empty; copy it again" for name in empty]
         if not files:
@@ -93,7 +97,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, pl.LazyFrame]:
     """Join files that continue each other: with the same columns, times in sequence, and names that differ in numbers.
 
-    Files without a header may have any name; they are compared with the only file whose header has as many columns.
+    If exactly one file has a header and as many columns as a file without a header, this file gets its columns, and
+    may have any name.
     """
     if len(scans) < 2:
         return {**scans}
@@ -138,7 +143,7 @@ def _span(rows: pl.LazyFrame) -> tuple[float, float]:
 def log_of_names(
     path: Path, names: Collection[str], limits: Limits, stack: ExitStack, guessed: Guess | None
 ) -> Log:
-    """Open the named tables of a folder or zip; ``guessed``: see `log_of_files`."""
+    """Open those of the named tables that a folder or zip contains; ``guessed``: see `log_of_files`."""
     folder, remarks = unpacked(path, names, limits, stack), list[str]()
     there = [name for name in names if (folder / name).is_file()]
     scans = {name: scan(folder / name, path / name, limits, remarks) for name in there}
@@ -146,7 +151,7 @@ def log_of_names(
 
 
 def _is_prose(file: Path) -> bool:
-    """Return True for a text without columns of numbers, such as notes next to a log."""
+    """Return True for a .txt file without columns of numbers, such as notes about a log."""
     if file.suffix.lower() != ".txt" or first_bytes(file, 4) == b"PAR1":
         return False
     dialect = dialect_of(file, file)
@@ -209,7 +214,7 @@ def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.L
         remarks += dialect.remarks
         _check_names(names, shown_as, limits)
         frame = _text(file, dialect, shown_as)
-    # codes of categories have no meaning
+    # the integers that encode categories have no meaning
     frame = frame.with_columns(pl.col(pl.Categorical, pl.Enum).cast(pl.String))
     old = frame.collect_schema().names()
     return frame.rename(dict(zip(old, _plain(names, shown_as, remarks), strict=True)))
@@ -224,7 +229,7 @@ sys.exit(count <= int(sys.argv[2]) and count != sum(map(len, rows.collect_batche
 
 
 def _require_decodable(file: Path, shown_as: Path, limits: Limits) -> None:
-    """Decode a Parquet file in another process, since polars may abort or omit rows without error on damaged bytes."""
+    """Decode a Parquet file in another process, since damaged bytes may abort polars, or make it omit rows silently."""
     words = [sys.executable, "-c", _DECODE, str(file), str(limits.rows)]
     ended = subprocess.run(words, capture_output=True, check=False)
     if ended.returncode:
@@ -241,7 +246,7 @@ def _check_names(names: Sequence[str], shown_as: Path, limits: Limits) -> None:
 
 
 def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
-    """Scan the rows of a text table as columns c1, c2, ...; decimal commas become dots."""
+    """Scan the rows of a text table as columns c1, c2, ...; commas become dots, thousands separators are deleted."""
     columns = [f"c{k}" for k in range(1, len(dialect.names) + dialect.surplus + 1)]
     try:
         if dialect.separator == BLANKS:  # any number of blanks
@@ -285,7 +290,7 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
 
 
 def _grouped(frame: pl.LazyFrame, columns: Sequence[str], shown_as: Path) -> dict[str, str]:
-    """Return the thousands separator of each column in which a number, such as 1.234,5, certainly contains one."""
+    """Return the thousands separator of each column with a number, such as 1.234,5, that can't be read without one."""
     forms = {
         **{
             group: rf"^[+-]?\d{{1,3}}(?:\{group}\d{{3}})+\{mark}\d+$"
@@ -335,10 +340,11 @@ def text_lines(file: Path, skip: int, encoding: str = "utf8-lossy", **options: A
 
 def _plain(names: Sequence[str], file: Path, remarks: list[str]) -> list[str]:
     plain: dict[str, None] = {}
-    numbers: dict[str, Iterator[int]] = {}  # a header may repeat one name a hundred thousand times
+    # Next suffix of each name; for 100,000 equal names, a search from 0 would take minutes
+    numbers: dict[str, Iterator[int]] = {}
     others: dict[str, list[str]] = {}
     for name in names:
-        bare = name.strip().replace("`", "'")  # expressions quote names by backticks
+        bare = name.strip().replace("`", "'")  # expressions quote names with backticks
         first = re.sub(r"_duplicated_\d+$", "", bare) if bare not in plain else bare
         if first in plain:
             free = numbers.setdefault(first, count())
@@ -347,14 +353,14 @@ def _plain(names: Sequence[str], file: Path, remarks: list[str]) -> list[str]:
         plain[bare] = None
     for first, again in others.items():
         if first:
-            often = "twice; the other is" if len(again) == 1 else f"{len(again) + 1} times; the others are"
+            often = "twice; the second is" if len(again) == 1 else f"{len(again) + 1} times; the others are"
             called = list_names(again, mark="'")
-            remarks.append(f"{file.name}: column {quoted(first)} appears {often} {called}")
+            remarks.append(f"{file.name}: column {quoted(first)} appears {often} called {called}")
     return list(plain)
 
 
 def _require_closed_quotes(file: Path, shown_as: Path) -> None:
-    """Refuse an odd number of quotes, since the rest of the file would be read as one cell."""
+    """Refuse an odd number of quotes, since everything after an unclosed quote would be read as one cell."""
     with file.open("rb") as stream:
         quotes = sum(block.count(b'"') for block in iter(lambda: stream.read(1 << 20), b""))
     if quotes % 2:

@@ -16,11 +16,11 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Guess, Limits, Log, Role, errors_as_damage, log_of_frames, roles_of
 
-_TURNED = ("forward", "right", "down")
-# Folders that may contain each table, and its columns
+_AXES = ("forward", "right", "down")
+# For each table: the folders that may contain it, of which the first is read, and the names of its columns
 _SENSORS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "accelerometer": (("IMU/accelerometer", "IMU/acceleration"), _TURNED),
-    "gyro": (("IMU/gyro", "IMU/gyro_uncalibrated"), _TURNED),
+    "accelerometer": (("IMU/accelerometer", "IMU/acceleration"), _AXES),
+    "gyro": (("IMU/gyro", "IMU/gyro_uncalibrated"), _AXES),
     "gnss": (
         ("GNSS/live_gnss_ublox", "GNSS/live_gnss_qcom"),
         ("latitude", "longitude", "speed", "utc", "altitude", "bearing"),
@@ -64,7 +64,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _load(path: Path, width: int, rows: int | None = None) -> Array:
-    """Load an array (rows, width) of numbers; for a width of 1, the shape may be (rows,)."""
+    """Load an array (rows, width) of numbers; files may have one axis if the width is 1, and must without ``rows``."""
     with errors_as_damage(path, "can't be read as a NumPy array", "unpack the segment again"):
         # memory-mapped, so that NumPy refuses a shape larger than the file before it allocates memory
         array = np.load(path, allow_pickle=False, mmap_mode="r")

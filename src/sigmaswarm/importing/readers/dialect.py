@@ -19,8 +19,10 @@ from sigmaswarm.importing.units import COUNTS, parse_unit
 from sigmaswarm.wording import list_names
 
 HEADER_BYTES = 4_000_000  # number of first bytes that are read
-SAMPLE, MAX_LINES = 200_000, 300  # largest numbers of characters and of lines that are examined
-SEPARATORS = (";", "\t", "|", ",")  # in order of preference if two fit equally well; commas may be decimal
+# Numbers of characters and of lines after which no further lines are examined (but at least four are)
+SAMPLE, MAX_LINES = 200_000, 300
+# In order of preference if two fit equally well; the comma is last, since it may be a decimal comma
+SEPARATORS = (";", "\t", "|", ",")
 BLANKS = " "  # separator that stands for any number of blanks
 COMMENTS = "#%!"
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
@@ -93,7 +95,8 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
         _require_one_kind(data, shown_as)
         if names := _of_message(data[0]):
             notes.append(
-                f"{shown_as.name}: is read as a message of {width} values, in the format of `ros2 topic echo --csv`"
+                f"{shown_as.name}: each row is read as a message of {width} values, in the format of "
+                "`ros2 topic echo --csv`"
             )
         names = names or [""] * most
     if not any(name and not name.startswith(" [") for name in names):
@@ -109,7 +112,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
 
 
 def _of_message(row: Sequence[str]) -> list[str]:
-    """Return the fields of sensor_msgs/Imu or NavSatFix if `ros2 topic echo --csv` printed the row; else []."""
+    """Return the fields of sensor_msgs/Imu or NavSatFix if a row looks like `ros2 topic echo --csv`; otherwise []."""
     fields = _MESSAGES.get(len(row), [])
     if not fields or is_value(row[2]) or not (row[0] + row[1]).isdigit() or int(row[1]) >= 1_000_000_000:
         return []
@@ -119,23 +122,23 @@ def _of_message(row: Sequence[str]) -> list[str]:
 
 
 def _require_one_kind(rows: Rows, shown_as: Path) -> None:
-    """Refuse rows that begin with a name of their kind, if rows of different kinds have different numbers of cells."""
+    """Refuse rows that begin with the name of a kind, if there are several kinds with different numbers of cells."""
     last = [max(k for k, cell in enumerate(row) if k == 0 or cell.strip()) for row in rows]
-    # A row with only a name and a time, such as that of an invalid fix, is not a separate kind.
+    # A row with only a name and a time, such as an invalid fix, is not a separate kind.
     kinds = {(row[0].strip(), end) for row, end in zip(rows, last, strict=True) if end > 1}
     names = sorted({name for name, _ in kinds})
     named = all(re.fullmatch(r"\$?[A-Za-z]\w*", name) for name in names)
     if named and 1 < len(names) <= 20 and len({width for _, width in kinds}) > 1:
         bare = names[0].strip("$")
         raise InputError(
-            f"{shown_as}: has rows of several kinds ({list_names(names)}); write each kind to a separate file, "
-            f"for example with: grep '^ *[$]*{bare}[^A-Za-z0-9_]' {quote(shown_as.name)} > {bare.lower()}.csv, "
-            "and add a header line to each file"
+            f"{shown_as}: has rows of several kinds ({list_names(names)}); write each kind to a separate file, and "
+            f"add a header line to it; for {bare}, for example: "
+            f"grep '^ *[$]*{bare}[^A-Za-z0-9_]' {quote(shown_as.name)} > {bare.lower()}.csv"
         )
 
 
 def is_table(file: Path) -> bool:
-    """Return True if the first lines of a file are rows of at least three cells, most of which are numbers."""
+    """Return True if the last 6 to 20 lines of the first 64 KiB are rows of at least three cells, mostly numbers."""
     head = first_bytes(file, 65536)
     if b"\0" in head:
         return False
@@ -149,7 +152,7 @@ def _is_empty(cell: str) -> bool:
 
 
 def _has_decimal_commas(cells: Sequence[str]) -> bool:
-    """Return True for numbers with decimal commas, unless the column also has many other texts, such as dates."""
+    """Return True if a column has commas, none of them before a dot, and 90% of the first 100 cells are numbers."""
     filled = [cell.strip() for cell in cells if not _is_empty(cell)][:100]
     numbers = sum(any(form.fullmatch(cell) for form in (_NUMBER, _GROUPED)) for cell in filled)
     commas = [cell for cell in cells if "," in cell]
@@ -207,7 +210,10 @@ def is_value(cell: str) -> bool:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """Return the separator with which rows of equal length have the most values; else that of the first line."""
+    """Return the separator with which the rows of the most common length have the most values.
+
+    If there are no values, return the most frequent separator of the first line.
+    """
     best, most = "", 0.0
     for separator in (*SEPARATORS, BLANKS):
         if separator == BLANKS and best:
@@ -222,7 +228,7 @@ def _separator(lines: Sequence[str]) -> str:
 
 
 def _numeric_columns(rows: Rows) -> list[int]:
-    """Return the indices of columns with values in at least half of their filled rows."""
+    """Return the indices of columns with numbers or dates in at least half of their filled cells."""
     filled, values = Counter[int](), Counter[int]()
     for row in rows:
         for k, cell in enumerate(row):
@@ -241,7 +247,7 @@ def _is_data(cells: Sequence[str], numeric: Sequence[int]) -> bool:
 
 
 def _header(above: Sequence[str], separator: str, width: int, most: int, empty: int) -> list[str]:
-    """Read the names from one of the last four lines above the rows: the line with the most recognized names.
+    """Read the names from one of the last four lines above the data: the line with the most recognized names.
 
     ``width`` and ``most``: usual and largest number of cells of a row; ``empty``: number of last cells that are always
     empty.
@@ -265,14 +271,14 @@ def _header(above: Sequence[str], separator: str, width: int, most: int, empty: 
     while empty and len(titles) == width and not titles[-1].strip():
         titles, width, empty = titles[:-1], width - 1, empty - 1
     counted = titles[1:] if not titles[0] else titles
-    # pandas writes such numbers for columns without names
+    # pandas writes 0, 1, 2 ... for columns without names
     if counted == [str(k) for k in range(len(counted))]:
         titles = [f"c{k}" for k in range(1, len(titles) + 1)]
     return titles
 
 
 def _fitting(line: str, separator: str, width: int, most: int, empty: int) -> list[str]:
-    """Split a line into one cell for each column, by the rows' separator or another one; else return []."""
+    """Split a line into one cell for each column, with any separator, preferably that of the rows; [] if none fits."""
     for other in (separator, *(s for s in (*SEPARATORS, BLANKS) if s != separator)):
         cells = _titles(line, other)
         if len(cells) == width + 1 and not cells[-1].strip():
@@ -296,7 +302,7 @@ def _titles(line: str, separator: str) -> list[str]:
 
 
 def _are_units(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
-    """Return True if cells of a line are units, and the line has no more recognized names than the line above."""
+    """Return True if any cell of a line is a known unit, and the line has no more known names than the line above."""
     units = [parse_unit(c.strip("[]() ")) for c in cells if c.strip()]
     known = any(u is not None and (u.known or u.text.lower() in COUNTS) for u in units)
     return known and _meanings(cells) <= _meanings(above)
@@ -312,7 +318,7 @@ def _with_unit(name: str, unit: str) -> str:
 
 
 def uneven_row(file: Path, dialect: Dialect) -> tuple[int, int] | None:
-    """Find the first row with more filled cells than names; return its line and number of cells, or None."""
+    """Find the first row with a filled cell beyond the last name; return its line number and number of cells."""
     most = len(dialect.names)
     with file.open(encoding="utf-8", errors="replace") as lines:
         for number, line in enumerate(lines, 1):

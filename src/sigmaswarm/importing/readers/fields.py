@@ -1,4 +1,4 @@
-"""Read numbers of messages by their paths, such as ``linear_acceleration.x`` or ``covariance[0]``, and stamps."""
+"""Read the time stamps of messages, and numbers by path, such as ``linear_acceleration.x`` or ``covariance[0]``."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -9,11 +9,14 @@ from typing import Any
 from sigmaswarm.importing.source import Limits
 
 MAX_DEPTH = 6
-MAX_ELEMENTS = 36  # largest number of elements of a list that become columns: those of a 6 x 6 covariance
+MAX_ELEMENTS = 36  # largest number of elements of a list that become columns: a 6 x 6 covariance has 36
 
 
 def getter(column: str) -> Callable[[Any], Any]:
-    """Return a function that reads the number of a column from a message, or None if a JSON message lacks it."""
+    """Return a function that reads a column's number from a message; it returns None if the message lacks the number.
+
+    Only JSON messages and lists may lack it.
+    """
     if column == "stamp":
         return stamp_of
     element = re.fullmatch(r"(.*)\[(\d{1,9})\]", column, re.DOTALL)
@@ -43,7 +46,7 @@ def has_header(message: Any) -> bool:
 
 
 def stamp_of(message: Any) -> int | None:
-    """Return the stamp of a message, ns, from its header or its own field, or None if a JSON message lacks it."""
+    """Return the stamp of a message, ns, from its header or its own field; None if it is missing or exceeds 64 bits."""
     if not isinstance(message, dict):
         if not has_header(message):
             return message.stamp
@@ -79,7 +82,7 @@ def columns_of(
 
 
 def _is_list(field: Any) -> bool:
-    """Return True for a list of float32 or float64 of any length."""
+    """Return True for a list of float32 or float64 of variable length."""
     from rosbags.interfaces import Nodetype
 
     node, detail = field
@@ -87,7 +90,7 @@ def _is_list(field: Any) -> bool:
 
 
 def _paths(typestore: Any, msgtype: str, before: str, depth: int) -> Iterator[str]:
-    """Yield the paths, depth first, and an empty name for each field, so that the limit also counts other fields."""
+    """Yield the paths of the numbers, depth first, and "" for each field, so that the limit counts all fields."""
     from rosbags.interfaces import Nodetype
 
     if depth > MAX_DEPTH or msgtype not in typestore.fielddefs:

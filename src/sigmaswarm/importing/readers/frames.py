@@ -22,15 +22,16 @@ def static_topic(tables: Mapping[str, Table]) -> str | None:
 
 
 def frame_of(message: Any) -> str:
-    """Return the frame in a message's header; for Odometry, the frame of the body, or base_link if it is empty."""
+    """Return the frame in a message's header; for Odometry, child_frame_id, or base_link if this is empty."""
     child = getattr(message, "child_frame_id", None)
     name = child if child is not None else getattr(getattr(message, "header", None), "frame_id", "")
     return name.strip("/") or (BASES[0] if child is not None else "")
 
 
 def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | None:
-    """Find the poses of IMU and antenna in the vehicle; None if no transforms connect IMU and vehicle.
+    """Find the poses of IMU and antenna in the vehicle's frame, or else in another frame that contains both.
 
+    Return None if the transforms connect the IMU with neither.
     ``messages`` are of type tf2_msgs/TFMessage; a later transform of the same frame replaces an earlier one.
     """
     tree: dict[str, tuple[str, Pose]] = {}
@@ -54,7 +55,7 @@ def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | No
 
 
 def _pose_of(transform: Any) -> Pose | None:
-    """Convert a transform to rotation and translation; None if its quaternion is not a rotation."""
+    """Convert a transform to rotation and translation; None if it is not finite or its quaternion has not length 1."""
     r, t = transform.rotation, transform.translation
     x, y, z, w = q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
     translation, norm = np.array([t.x, t.y, t.z], dtype=np.float64), float(np.linalg.norm(q))

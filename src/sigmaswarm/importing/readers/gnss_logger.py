@@ -1,8 +1,8 @@
 """Android's GnssLogger: one text file with several kinds of lines; comments at the top name the columns of each kind.
 
 LOGGING.md of the app: Fix (degrees, m/s, bearing from north; AccuracyMeters is the radius of a 68% circle), Accel or
-UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). All kinds share the clock ``elapsedRealtimeNanos``. Older
-logs have no such clock in Fix; then times are UTC in milliseconds.
+UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). All kinds share the clock ``elapsedRealtimeNanos``. In older
+logs, Fix lacks this clock; then all times are UTC in milliseconds.
 """
 
 from contextlib import ExitStack
@@ -35,7 +35,7 @@ _FIX: dict[str, str | tuple[str, ...]] = {
     "course": ("radians(90 - BearingDegrees)",),
     "std_x": (f"AccuracyMeters/{RADIUS_68}",),
     "std_y": (f"AccuracyMeters/{RADIUS_68}",),
-    "keep": "Provider == 'GPS' or Provider == 'gps'",  # not fused fixes, and not fixes of the network
+    "keep": "Provider == 'GPS' or Provider == 'gps'",  # excludes fused fixes and network fixes
 }
 
 
@@ -81,7 +81,10 @@ def _cells(lines: pl.LazyFrame, names: list[str]) -> pl.LazyFrame:
 
 
 def _require_one_clock(columns: Wanted, path: Path) -> None:
-    """Refuse a sensor without the shared clock, since its header comment is damaged and UTC is another clock."""
+    """Refuse a sensor without the shared clock if another sensor has it: its header comment is damaged.
+
+    UTC can't replace this clock, since the two differ.
+    """
     clock = {kind: _CLOCK in names for kind, names in columns.items() if kind != "Fix"}
     if any(clock.values()) and not all(clock.values()):
         kind = next(kind for kind, found in clock.items() if not found)
@@ -102,5 +105,6 @@ def _guess(columns: Wanted) -> Guess:
         p, q, r = (f"{gyro[0]}{axis}RadPerSec" for axis in "XYZ")
         parts.append(("imu", acceleration[0], {"t": t, "ax": y, "ay": f"-{x}", "az": z}))
         parts.append(("imu", gyro[0], {"t": t, "gx": q, "gy": f"-{p}", "gz": r}))
-    late = () if shared else ("Fix has no elapsedRealtimeNanos, so the times are UTC in milliseconds",)
-    return Guess(roles_of(parts, columns), late, flat=FLAT_NOTE)
+    lacking = [kind for kind, names in columns.items() if _CLOCK not in names]
+    notes = (f"{', '.join(lacking)}: no {_CLOCK}, so all times are UTC in milliseconds",) if lacking else ()
+    return Guess(roles_of(parts, columns), notes, flat=FLAT_NOTE)

@@ -1,4 +1,4 @@
-"""JSON: a list of objects, an object on each line, or lists of objects by name; each kind of object is a table."""
+"""JSON: a list of objects, one object per line, or an object of named lists of objects; each kind is a table."""
 
 import json
 import re
@@ -15,7 +15,7 @@ from sigmaswarm.importing.readers.fields import MAX_DEPTH, MAX_ELEMENTS
 from sigmaswarm.importing.source import Limits, Log, first_bytes
 
 KINDS = ("sensor", "type", "name", "topic", "kind", "_measurement")
-MAX_KINDS = 50  # largest number of kinds of objects
+MAX_KINDS = 50
 Row = dict[str, Any]
 
 
@@ -71,7 +71,7 @@ def _parsed(path: Path) -> Any:
 
 
 def _by_kind(rows: list[Row]) -> dict[str, list[Row]]:
-    """Group objects by the first key of `KINDS` that all objects have and that has few values."""
+    """Group objects by the first key of `KINDS` that all objects have and that has 2 to `MAX_KINDS` values."""
     for key in KINDS:
         kinds = {row.get(key) for row in rows}
         if rows and None not in kinds and 1 < len(kinds) <= MAX_KINDS:

@@ -86,7 +86,7 @@ def _stamps(path: Path) -> np.ndarray:
 
 
 def _numbers(path: Path, count: int) -> list[float]:
-    """Return the number of a sample, from the name of its file, and its values."""
+    """Return the index of a sample, which is the name of its file, and its values."""
     cells = path.read_text("utf-8", "replace").split()
     try:
         numbers = [float(cell) for cell in cells]

@@ -1,6 +1,6 @@
 """MATLAB files (``.mat`` up to version 7), read with SciPy.
 
-Each struct is a table. Other vectors of equal length also form tables.
+Vectors of equal length in a struct, or outside of structs, form a table.
 """
 
 import io
@@ -32,7 +32,7 @@ from sigmaswarm.wording import printable
 ROOT_TABLE = "variables"  # name of the table of vectors outside of structs
 MAX_DEPTH = 5
 MAX_STRUCTS = 100_000
-MAX_MATRIX_COLUMNS = 9  # largest number of columns of a matrix that become columns of a table
+MAX_MATRIX_COLUMNS = 9  # matrices with more columns are left out
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 # Types of elements in files of version 5 to 7 (MathWorks, "MAT-File Format")
 _SHAPE, _FLAGS, _ARRAY, _COMPRESSED = 5, 6, 14, 15
@@ -72,7 +72,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         if any(type(v).__name__ in _OPAQUE or k == "__function_workspace__" for k, v in content.items()):
             raise InputError(
                 f"{path}: contains MATLAB's own tables (timetable, table), which are not supported; in MATLAB "
-                "write each with writetimetable(NAME, 'NAME.csv') or writetable, and import the folder of these files"
+                "write each with writetimetable(NAME, 'NAME.csv') or writetable(NAME, 'NAME.csv'), and import the "
+                "folder of these files"
             )
         raise InputError(
             f"{path}: contains no vectors of equal length; save the log's columns as vectors of one struct"
@@ -110,7 +111,7 @@ def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]
     while (at := file.tell()) + 8 <= end:
         kind, size = struct.unpack(f"{order}II", file.read(8))
         following = at + 8 + size
-        if kind >> 16:  # a small element: up to four bytes, after the type
+        if kind >> 16:  # a small element: type and size share four bytes, and the content is the next four
             kind, size, following = kind & 0xFFFF, kind >> 16, at + 8
             file.seek(at + 4)
         elif kind != _COMPRESSED:
@@ -142,9 +143,10 @@ def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int
         elif inner not in _NUMBERS:
             raise ValueError(f"an element of type {inner} instead of numbers")
     if array in _OF_ARRAYS:
-        lacks = depth > 0 and count > MAX_STRUCTS  # `open_log` names a variable with too many structs
+        # `open_log` checks the number at depth 0, since its error names the variable
+        lacks = depth > 0 and count > MAX_STRUCTS
     elif array == _SPARSE:
-        lacks = parts < 4 + bool(flags & _COMPLEX)  # a name, rows, columns, values
+        lacks = parts < 4 + bool(flags & _COMPLEX)  # name, row indices, column indices, values
     else:
         lacks = parts < 2 + bool(flags & _COMPLEX) or count > filled
     if lacks:

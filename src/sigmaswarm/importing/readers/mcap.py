@@ -39,7 +39,10 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _unpacked(file: BinaryIO, offset: int, limits: Limits) -> int:
-    """Return the unpacked size of a chunk, bytes, which record and data state; unpack LZ4 if it states no size."""
+    """Return the unpacked size of a chunk, bytes: the larger of the sizes in its record and in its data.
+
+    LZ4 data may contain no size; then they are unpacked if they could exceed the limit.
+    """
     file.seek(offset + 9 + 16)  # after the opcode, the record's length, and the first and last time
     size, _, length = struct.unpack("<QII", file.read(16))
     kind = file.read(min(length, 16))
@@ -126,7 +129,7 @@ def _protobuf(schema: Any) -> Callable[[bytes], dict[str, Any]]:
 
 
 def _fields(message: Any, depth: int) -> dict[str, Any]:
-    """Return the fields of a Protobuf message; a Timestamp becomes a ROS stamp."""
+    """Return the fields of a Protobuf message; a Timestamp becomes a dict with the fields of a ROS stamp."""
     if message.DESCRIPTOR.full_name == "google.protobuf.Timestamp":
         return {"sec": message.seconds, "nanosec": message.nanos}
     content: dict[str, Any] = {}

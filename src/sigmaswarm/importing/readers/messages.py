@@ -1,6 +1,6 @@
 """Logs of messages: each topic is a table, and each number of a message is a column with the field's path as name.
 
-``received`` is the receive time and ``stamp`` the time in the header, both in ns.
+``received`` is the receive time and ``stamp`` the time in the message, mostly in its header, both in ns.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -36,7 +36,7 @@ from sigmaswarm.importing.times import time_of
 
 MIN_DELAY = 0.1  # s; a larger median difference between receive times and header stamps is reported
 Message = tuple[str, int, Any]  # topic, receive time in ns, and message with its fields as attributes or keys
-# Decoded messages of some topics, in the order of the log
+# Yields the decoded messages of the given topics
 Stream = Callable[[Collection[str]], Iterator[Message]]
 
 
@@ -78,7 +78,7 @@ class _Messages:
             yield from self.stream(topics)
 
     def guess(self, choice: TableChoice) -> Guess:
-        """Guess by the fields of standard messages and the names of topics; for other messages by names of columns."""
+        """Guess the roles of standard messages from fields and topic names; of other messages from column names."""
         own: dict[str, str] = {}
         for role, chosen in choice.tables.items():
             topic = next((t for t in (chosen, "/" + chosen.lstrip("/")) if t in self.tables), "")
@@ -89,7 +89,7 @@ class _Messages:
         guess = first.guess()
         for role in ("imu", "gps"):
             if role in own or role not in guess.roles:
-                other = self._own_messages(role, own.get(role), choice)
+                other = self._of_other_types(role, own.get(role), choice)
                 if role in other.roles:
                     guess = replace(
                         guess,
@@ -117,8 +117,11 @@ class _Messages:
         sent = islice(self._messages([static]), self.tables[static].rows)
         return placement((message for _, _, message in sent), imu, antenna)
 
-    def _own_messages(self, role: Role, topic: str | None, choice: TableChoice) -> Guess:
-        """Guess a role's part by PX4's types or by names of columns; only the time if the user maps the rest."""
+    def _of_other_types(self, role: Role, topic: str | None, choice: TableChoice) -> Guess:
+        """Guess a role's part from PX4's types or from column names.
+
+        If the user maps columns of this role and the names are not recognized, guess only the time.
+        """
         wanted = {"lat", "lon"} if role == "gps" else {"ax", "ay", "gz"}
         topics = [topic] if topic else list(self.tables)
         for name in topics:
@@ -132,7 +135,7 @@ class _Messages:
             return Guess({})
         if role not in choice.mapped:
             raise InputError(
-                f"{self.path}: {topic} ({self.tables[topic].kind}) has no fields whose names mean "
+                f"{self.path}: {topic} ({self.tables[topic].kind}) lacks fields with a recognized name for "
                 f"{', '.join(sorted(wanted))}; choose another topic, or map the fields with --map"
             )
         time = time_of(self._sample(topic), role)
@@ -160,7 +163,9 @@ class _Collector:
     def add(self, received: int, message: Any) -> None:
         row = [get(message) if get else received for get in self.getters]
         self.rows.append(row)
-        if self.stamp is not None and row[self.stamp] and has_header(message):  # a stamp of 0 is not set
+        if (
+            self.stamp is not None and row[self.stamp] and has_header(message)
+        ):  # 0 means that the stamp is not set
             self.delays.append((received - row[self.stamp]) * 1e-9)
 
     def take(self) -> pl.DataFrame:

@@ -1,8 +1,8 @@
 """NMEA 0183 sentences of a receiver, read with pynmeagps.
 
-GGA, GNS, GLL or RMC contain the position, RMC date and velocity, GST standard deviations, and HDT, THS or PASHR the
-heading of two antennas. Sentences with the same time of day make one fix. RMC or ZDA states the day, which advances at
-midnight.
+The position is in GGA, GNS, GLL or RMC, the velocity in RMC, and the date in RMC or ZDA. Standard deviations are in
+GST, and the heading of two antennas is in HDT, THS or PASHR. Sentences with the same time of day make one fix. The date
+advances at midnight.
 """
 
 import math
@@ -16,7 +16,7 @@ from typing import Any
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, import_library, log_of_rows
 
-KNOT, MIN_SPEED = 1852 / 3600, 0.5  # m/s: a knot, and the speed below which the course has no meaning
+KNOT, MIN_SPEED = 1852 / 3600, 0.5  # m/s: a knot, and the speed below which an empty course is no error
 COLUMNS = (
     *("t", "lat", "lon", "alt", "quality", "hdop", "speed", "course", "std_lat", "std_lon"),
     *("heading", "std_heading"),
@@ -35,7 +35,9 @@ GUESS = Guess(
             ),
         )
     },
-    ("NMEA: times are UTC; altitudes are above the ellipsoid where GGA contains the geoid separation",),
+    (
+        "NMEA: times are UTC; altitudes are above the ellipsoid where GGA or GNS contains the geoid separation",
+    ),
     fixed="quality == 4",
 )
 # A sentence, perhaps after the time at which a computer received the sentence
@@ -86,7 +88,7 @@ def _rows(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[tupl
 
 
 def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[Any, float]]:
-    """Yield the complete sentences, each with the share of the file that has been read."""
+    """Yield the complete sentences, each with the fraction of the file that has been read."""
     broken = complete = read = 0
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -99,7 +101,7 @@ def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[
                     whole = _WHOLE.match(line, begin)
                     text = whole[0] if whole else line[begin:].rstrip()
                     message = pynmeagps.NMEAReader.parse(text + b"\r\n", msgmode=0)
-                except Exception:  # a damaged sentence; the next line is another sentence
+                except Exception:  # a damaged sentence
                     message = None
             if message is None:
                 broken += begin >= 0 or bool(line.strip())

@@ -1,4 +1,4 @@
-"""Find files in a folder, or in a zip of a folder."""
+"""Find files in a folder or a zip, and unpack them."""
 
 import shutil
 import tempfile
@@ -31,7 +31,7 @@ def paths_in(path: Path) -> list[PurePosixPath]:
 
 
 def unpacked(path: Path, names: Collection[str], limits: Limits, stack: ExitStack) -> Path:
-    """Return the folder of the named text files: the given folder, or a temporary folder for a zip."""
+    """Return the folder of the named text files: the given folder, or a temporary folder with the files of a zip."""
     if path.is_dir():
         return path
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -59,5 +59,7 @@ def _wanted(
     limits.check_unpacked(sum(m.file_size for m in wanted.values()), path)
     for name, member in wanted.items():
         if member.flag_bits & 1:
-            raise InputError(f"{path}: contains {name}, which is encrypted; unpack it, and name the folder")
+            raise InputError(
+                f"{path}: contains {name}, which is encrypted; unpack the zip, and name the folder"
+            )
     return wanted

@@ -10,7 +10,7 @@ from sigmaswarm.errors import InputError
 _VALUE = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan"
 _NAMED = re.compile(rf"([A-Za-z_]\w*) *[:=] *(?:{_VALUE})(?= *[,;\s]|$)")
 _POINT = r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?"
-# Three or more numbers in brackets or quotes; in quotes all have a point, since "1,234,567" and dates are single values
+# Three or more numbers in brackets or quotes; in quotes all have a decimal point, since "1,234,567" is a single number
 _VECTOR = re.compile(
     rf"[\[({{] *((?:{_VALUE})(?: *[,; ] *(?:{_VALUE})){{2,}}) *[\])}}]|\" *({_POINT}(?: *[,; ] *{_POINT}){{2,}}) *\""
 )
@@ -20,14 +20,14 @@ _NO_NAMES, _NO_BRACKETS = r"s/[A-Za-z_][A-Za-z0-9_]* *[:=] *//g", r"s/[]\"(){}[]
 _SEPARATED = "s/ *[,; ] */,/g"
 _PRINTED = re.compile(r"[\d:.]+ -> ")
 PARTS = {2: "xy", 3: "xyz", 4: "xyzw"}
-MIN_NAMES = 3  # smallest number of names in a row
-MAX_ROWS = 20  # number of last rows on which the command is tried
+MIN_NAMES = 3  # smallest number of names in a row that are reported
+MAX_ROWS = 20  # number of last rows that are examined
 
 
 def packed_cells(lines: Sequence[str], shown_as: Path) -> str:
-    """Describe rows with names or several numbers in a cell, and a command that converts them; else return "".
+    """Return a message on cells with several numbers, and a command that splits them; "" if there are none.
 
-    Raise `InputError` if the rows can't be split at their separators.
+    Raise this message as an `InputError` if cells contain separators or names, or rows begin with times of a monitor.
     """
     rows = [_OUTER.sub("", line.strip()) for line in lines if line.strip()]
     if not rows:

@@ -43,7 +43,7 @@ _REQUIRED = {"imu": {"t", "x", "y", "z"}, "gps": {"t", "lat", "lon"}}
 # Columns and units of a table of positions, in the app's order
 _PLACE = {"time": "s", "latitude": "°", "longitude": "°", "height": "m", "velocity": "m/s", "direction": "°"}
 _META = {"time.csv", "device.csv"}
-# m/s2, smallest median of an acceleration with gravity; linear acceleration has the same columns
+# m/s2, smallest median magnitude of an acceleration with gravity; the table of linear acceleration has the same columns
 MIN_GRAVITY = 5.0
 
 
@@ -106,7 +106,10 @@ def _is_place(columns: Sequence[str]) -> bool:
 
 
 def _by_units(log: Log) -> dict[str, tuple[str, dict[str, str]]]:
-    """Return by `FILES` the tables of an export in another language, with their columns by English names."""
+    """Find the tables of an export in another language by the units of their columns.
+
+    Return a dict from the English file name (one of `FILES`) to the table's name and its columns by English name.
+    """
     found: dict[str, tuple[str, dict[str, str]]] = {}
     for table, columns in ((name, about.columns) for name, about in log.tables.items()):
         for file, unit in zip(FILES[:2], ("m/s^2", "rad/s"), strict=True):

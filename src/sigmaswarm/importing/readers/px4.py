@@ -1,8 +1,8 @@
 """PX4's flight logs (``.ulg``), read with pyulog, and PX4's messages in ROS 2 bags.
 
-Messages (PX4-Autopilot, msg/): times in us since start; sensor_combined forward, right, down (m/s2, rad/s); fixes in
-degrees (in older logs 1e-7 degrees and mm), with velocity north and east; in simulations also the true position, north
-and east of a reference.
+Messages (PX4-Autopilot, msg/): times are in us since start. The axes of sensor_combined are forward, right, down (m/s2,
+rad/s). Fixes are in degrees and m (in older logs 1e-7 degrees and mm), with velocity north and east. Simulations also
+contain the true position, m north and east of a reference.
 """
 
 import io
@@ -114,7 +114,9 @@ def _guess(frames: dict[str, pl.DataFrame]) -> Guess:
     notes = [AXES_NOTE]
     if fixes := next((t for t in _TOPICS[1:3] if t in frames), None):
         parts.append(("gps", fixes, _FIX))
-        notes.append(f"{fixes}: the stated horizontal accuracy is split evenly between east and north")
+        notes.append(
+            f"{fixes}: the horizontal accuracy / sqrt(2) is used as the standard deviation east and north"
+        )
     reference = ("ref_lat", "ref_lon", "ref_alt")
     if _TRUTH in frames and {*reference} <= {*frames[_TRUTH].columns} and len(frames[_TRUTH]):
         parts.append(("truth", _TRUTH, {**_TRUE}))

@@ -38,7 +38,7 @@ def bag_paths(path: Path) -> list[Path]:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence[Path] = ()) -> Log:
-    """Open a bag; message definitions that it lacks come from ``definitions``, by default from the latest ROS 2."""
+    """Open a bag; the .msg files ``definitions`` replace its definitions, or those of ROS 2 if it contains none."""
     anyreader = import_library("rosbags.highlevel", "ros")
     typesys = import_library("rosbags.typesys", "ros")
     paths = bag_paths(path)
@@ -57,7 +57,10 @@ def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence
 
 
 def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
-    """Add the definitions in .msg files to those of a bag; the folder that contains ``msg/`` names the package."""
+    """Add the definitions in .msg files to those of a bag.
+
+    A file defines the bag's types of its name. If there are none, the folder that contains ``msg/`` names the package.
+    """
     kinds = {c.msgtype for c in reader.connections}
     for given in definitions:
         files = sorted(given.rglob("*.msg")) if given.is_dir() else [given]

@@ -1,4 +1,4 @@
-"""Find the topics of a drive by the fields of their messages (sensor_msgs, geometry_msgs, nav_msgs)."""
+"""Find the topics of a drive by name and by the fields of their messages (sensor_msgs, geometry_msgs, nav_msgs)."""
 
 import math
 import re
@@ -85,9 +85,7 @@ class Topics:
             t for t, table in self.tables.items() if "Odometry" in table.kind and t != fixes
         ):
             there = list_names(poses)
-            self.notes.append(
-                f"no topic's name indicates truth, so {there} is not used as truth; choose a topic with --truth-topic"
-            )
+            self.notes.append(f"no topic's name indicates truth; to use {there} as truth, add --truth-topic")
         other = re.compile(f"{_TRUTH.pattern}|{_RECEIVER.pattern}|cmd|command", re.IGNORECASE)
         counted = {t for t in self.tables if self._speed(t) and _WHEELS.search(t) and not other.search(t)}
         if wheels := self._topic("odometer", counted - {fixes, truth}):
@@ -158,7 +156,7 @@ class Topics:
         return {"imu_stated_noise": [float(value) for value in stated]} if known else {}
 
     def _position(self, topic: str) -> dict[str, str]:
-        """Return the columns of fixes (NavSatFix, or poses in m east and north), with stated standard deviations."""
+        """Return the columns of fixes (NavSatFix, or poses in m east and north), with their standard deviations."""
         columns = set(self.tables[topic].columns)
         if (at := prefix(self.tables[topic], _FIX)) is not None:
             found = self._named(topic, _FIX)
@@ -185,7 +183,7 @@ class Topics:
         return found
 
     def _motion(self, topic: str) -> dict[str, str]:
-        """Return the columns of the truth: fixes in degrees, or poses with heading, in Odometry also with velocity."""
+        """Return the columns of the truth: fixes in degrees, or poses with heading and, in Odometry, with velocity."""
         if prefix(self.tables[topic], _FIX) is not None:
             return {k: v for k, v in self._position(topic).items() if not k.startswith("std")}
         found = self._named(topic, _POSITION)
@@ -202,7 +200,7 @@ class Topics:
         return found
 
     def _part(self, topic: str, columns: dict[str, str]) -> Part:
-        """Make a part with its time: the header stamp, unless it is not set or the user chose receive times."""
+        """Make a part with its time: the header stamp, or receive times if the user chose them or no stamp is set."""
         time = "received*1e-9"
         if "stamp" not in self.tables[topic].columns:
             self.notes.append(f"{topic}: the messages have no header, so receive times are used")
@@ -215,7 +213,7 @@ class Topics:
         return Part(topic, {"t": time, **columns})
 
     def _downward(self, topic: str) -> str:
-        """Return a sentence if the vertical axis points down in the first message of an IMU; else ""."""
+        """Return a sentence if the z axis points down according to the first message of an IMU; otherwise ""."""
         message = self.first(topic)
         columns = [self._named(topic, _IMU)[axis] for axis in ("ax", "ay", "az")]
         force = [getter(column)(message[2]) for column in columns] if message else [0.0]

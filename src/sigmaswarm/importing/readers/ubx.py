@@ -1,9 +1,10 @@
 """UBX streams of u-blox receivers, read with pyubx2: NAV-PVT, or NAV-POSLLH with NAV-SOL and NAV-VELNED of u-blox 6.
 
 u-blox M8 Receiver description, UBX-13003221, 32.17.15 UBX-NAV-PVT: UTC, degrees, mm, mm/s; hAcc is the receiver's
-estimate of the position's standard deviation. u-blox 6 Receiver description, GPS.G6-SW-10018, 35: POSLLH in mm, VELNED
-in cm/s; times are ms of the GPS week, which SOL or TIMEGPS state, or TIMEUTC determines. NAV-RELPOSNED (F9 HPG
-interface description, UBX-21019746): heading from one antenna to the other. Other messages, such as NMEA, are skipped.
+estimate of the horizontal standard deviation. u-blox 6 Receiver description, GPS.G6-SW-10018, 35: POSLLH in mm, VELNED
+in cm/s; times are ms since the start of the GPS week. SOL or TIMEGPS states the week, or it follows from TIMEUTC.
+NAV-RELPOSNED (F9 HPG interface description, UBX-21019746): heading from one antenna to the other. Other messages, such
+as NMEA, are skipped.
 """
 
 import calendar
@@ -39,7 +40,7 @@ PVT = _FIX | {
     "keep": "gnssFixOk == 1 and fixType >= 2 and fixType <= 4",
 }
 POSLLH = _FIX | {"vx": "velE*1e-2", "vy": "velN*1e-2", "keep": "gpsFix >= 2 and gpsFix <= 4"}
-RAW = "raw measurements: compute fixes with RTKLIB (convbin, rnx2rtkp) and import the .pos file"
+RAW = "to use the raw measurements, compute fixes with RTKLIB (convbin, rnx2rtkp) and import the .pos file"
 
 
 def recognizes(path: Path) -> bool:
@@ -52,16 +53,17 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     if SYNC not in first_bytes(path, 1 << 20):
         raise InputError(f"{path}: contains no UBX messages; specify the format with --format")
     remarks: list[str] = []
-    split = "the stated horizontal accuracy is split evenly between east and north"
+    accuracy = "the receiver's horizontal accuracy / sqrt(2) is used as the standard deviation east and north"
     kinds = {raw[2:4] for raw, _ in _messages(path) if raw is not None}
     if NAV_PVT in kinds:
         fixed = "gnssFixOk == 1 and carrSoln == 2"
-        guess = Guess({"gps": (Part("NAV-PVT", PVT),)}, (f"NAV-PVT: times are UTC; {split}",), fixed=fixed)
+        guess = Guess({"gps": (Part("NAV-PVT", PVT),)}, (f"NAV-PVT: times are UTC; {accuracy}",), fixed=fixed)
         columns = (*COLUMNS, *HEADING)
         return log_of_rows(path, "NAV-PVT", columns, lambda: _rows(path, pyubx2, remarks), guess, remarks)
     if NAV_POSLLH in kinds:
         guess = Guess(
-            {"gps": (Part("NAV-POSLLH", POSLLH),)}, (f"NAV-POSLLH: GPS time is converted to UTC; {split}",)
+            {"gps": (Part("NAV-POSLLH", POSLLH),)},
+            (f"NAV-POSLLH: GPS time is converted to UTC; {accuracy}",),
         )
         return log_of_rows(
             path, "NAV-POSLLH", COLUMNS_6, lambda: _rows_6(path, pyubx2, remarks), guess, remarks
@@ -153,7 +155,7 @@ def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple
         remarks.append(f"{path.name}: {broken} damaged messages are skipped")
     if not week:
         remarks.append(
-            f"{path.name}: no NAV-SOL, NAV-TIMEGPS or NAV-TIMEUTC message contains the GPS week, so times count from "
+            f"{path.name}: no NAV-SOL, NAV-TIMEGPS or NAV-TIMEUTC message determines the GPS week, so times count from "
             "the start of the week; --gps-offset adds seconds to them"
         )
 
@@ -178,7 +180,7 @@ def _row_6(fix: dict[str, float], week: int) -> tuple[float, ...]:
 
 
 def _messages(path: Path) -> Iterator[tuple[bytes | None, float]]:
-    """Yield messages with a correct checksum, and None for damaged bytes, each with the share of the file read so far.
+    """Yield messages with a correct checksum, and None for damaged bytes, each with the fraction of the file read.
 
     The length of a damaged message is unreliable, so the search for the next message begins after its first bytes.
     """
