@@ -34,7 +34,7 @@ FINDINGS = {
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """Measured quantities over time, and their expected values.
+    """Measured quantities over time, and their expected values, for one plot.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Agreement:
 
 
 def shown_by(code: str) -> str:
-    """Return the key of the agreement that shows a finding; "" if the map of the fixes shows it."""
+    """Return the key of the `Agreement` that shows findings with this code; "" if the map of the fixes shows them."""
     return next((key for key, starts in FINDINGS.items() if code.startswith(starts)), "")
 
 

@@ -63,7 +63,7 @@ def diagnose(drive: Drive) -> Diagnosis:
     """
     if shortage := shortage_of(drive.imu, drive.gps):
         raise DriveError(f"{drive.name}/{shortage}")
-    about = repr(sorted(drive.metadata.items()))  # drive.toml may state a noise
+    about = repr(sorted(drive.metadata.items()))  # drive.toml may contain the noise of the fixes
     key = drive.name, fingerprint(drive) + about
     found = _cache.get(key) or _diagnosed(drive)
     for old in list(_cache)[: max(len(_cache) + 1 - CACHE_SIZE, 0)]:

@@ -10,7 +10,7 @@ from sigmaswarm.doctor.clock_search import MAX_OFFSET, MIN_TURN, search_offset
 from sigmaswarm.doctor.fixes import Course, Mask, course_of, mark_jumps, with_exchanged_axes
 from sigmaswarm.doctor.mounting import Mounting, mounting_of, rotate_imu
 from sigmaswarm.doctor.verdicts import (
-    MIN_EXCHANGE_ANGLE,
+    MAX_RECORDED_ANGLE,
     ClockOffset,
     PlanarMounting,
     Yaw,
@@ -30,12 +30,12 @@ MAX_FIT_OFFSET = 2.3  # s, largest offset that the fit determines; the fit tries
 MIN_SEARCH_OFFSET = 0.3  # s, smallest offset that the search determines
 # s, largest usual delay of a receiver; a larger delay is accepted if the search finds no other offset
 MAX_USUAL_DELAY = 1.0
-# other columns, signs and units are accepted only if no clock offset explains the data
+# Reading of a gyro without faults; others are accepted only if no clock offset explains the data
 AS_RECORDED = Yaw(known=True)
 # Smallest cosine of the angles between az and gravity, and between ax and forward, at which mirrored fixes can be
 # distinguished from an IMU with other axes.
 MIN_UPRIGHT_COSINE = 0.7
-MAX_SCALE_SIGMAS = 4.0  # smallest scale of ax and ay, in standard deviations, that confirms exchanged fixes
+MIN_SCALE_SIGMAS = 4.0  # smallest scale of ax and ay, in standard deviations, that confirms exchanged fixes
 MIN_FIXES = 20  # smallest number of fixes for the checks that need motion
 # Ratio of the stated noise to the scatter about a path of 10 s above which most of the error lasts longer than 10 s
 MAX_SCATTER_RATIO = 2.5
@@ -81,7 +81,7 @@ class Evidence:
 def gather(drive: Drive) -> Evidence:
     """Fit the gyro to the course and the accelerometers to the path, and interpret the fits.
 
-    If the recorded gyro does not follow the course with a delay below 1 s, first search for a clock offset up to 40 s.
+    If the recorded gyro does not follow the course with a delay below 1 s, search for a clock offset of up to 40 s.
     If the recorded IMU agrees only with a mirror image of the fixes, all evidence refers to the mirror image.
     """
     evidence = _read(drive)
@@ -154,7 +154,7 @@ def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
         return None
     if mount is None or not np.array_equal(mount.axes, np.eye(2)):
         return None
-    clear = all(scale > MAX_SCALE_SIGMAS * std for scale, std in mount.scale)
+    clear = all(scale > MIN_SCALE_SIGMAS * std for scale, std in mount.scale)
     return replace(new, mirrored=True) if clear else None
 
 
@@ -178,7 +178,7 @@ def _gather(drive: Drive) -> Evidence:
         acceleration = fit_acceleration(drive, course, rate, tried)
         mount = acceleration and planar_mounting(acceleration)
         as_recorded = (
-            mount and np.array_equal(mount.matrix, np.eye(2)) and abs(mount.angle) <= MIN_EXCHANGE_ANGLE / 8
+            mount and np.array_equal(mount.matrix, np.eye(2)) and abs(mount.angle) <= MAX_RECORDED_ANGLE
         )
         if delay and not as_recorded:
             # Other axes are reported only if they agree with the delay that the gyro shows.

@@ -17,7 +17,7 @@ MAX_ACCELERATION = 8.0  # m/s2, largest acceleration of a car; a larger one is a
 SPAN_LIMITS = (3.0, 6.0)  # s, shortest and longest time over which one velocity is computed
 SPEED_STD = 0.5  # m/s, intended standard deviation of the velocity
 MIN_SPEED = 3.0  # m/s; at lower speeds the course is noise
-USUAL_SHARE = 0.5  # of a slow vehicle's usual speed; at higher speeds accurate fixes determine a course
+USUAL_SHARE = 0.5  # fraction of a slow vehicle's usual speed above which accurate fixes determine a course
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class Course:
     angle: Array  # (n,) rad, the course, unwrapped
     moving: Mask  # (n,), True if the car is fast enough for a course
     slowest: float  # m/s, lowest speed with a course
-    span: float  # s
+    span: float  # s, averaging time of the velocity
 
 
 def with_exchanged_axes(drive: Drive) -> Drive | None:
@@ -80,7 +80,7 @@ def _off_line(time: Array, position: Complex) -> Complex:
 
 def course_of(time: Array, position: Complex) -> Course:
     interval, noise = float(np.median(np.diff(time))), white_noise(position)
-    # a line through n fixes over T: std = noise sqrt(12 / n) / T
+    # the slope of a line through n fixes over T has the standard deviation noise sqrt(12 / n) / T
     span = float(np.clip((12 * noise**2 * interval / SPEED_STD**2) ** (1 / 3), *SPAN_LIMITS))
     span = max(span, 4.5 * interval)
     first, last = np.searchsorted(time, time - span / 2), np.searchsorted(time, time + span / 2, side="right")

@@ -27,7 +27,9 @@ from sigmaswarm.geodesy import rotation_of
 MAX_ROUNDS = 16  # a round leaves up to 0.7 of the error; after six, up to a degree remains in a few logs
 # rad, largest total standard deviation of this confidence
 SURE_STD, LIKELY_STD = math.radians(3.0), math.radians(8.0)
-MIN_EXPLAINED = 0.5  # smallest share of the course's changes that the leveled gyro explains
+MIN_EXPLAINED = (
+    0.5  # smallest fraction of the variance of the course's changes that the leveled gyro explains
+)
 MIN_RIVAL_LEAD = 25.0  # smallest lead in chi-square over any mounting that is rotated by 90 degrees or more
 # rad, smallest standard deviations of the axis of turning (springs) and of gravity (roads, biases)
 TILT_FLOOR = math.radians(1.0), math.radians(1.0)
@@ -46,7 +48,7 @@ MAX_GRAVITY_CHANGE = math.radians(8.0)
 # rad, smallest corrected tilt and rotation about z; their smallest ratio to the standard deviation
 MIN_TILT, MIN_YAW, MIN_SIGMAS = math.radians(4.0), math.radians(5.0), 3.5
 SERIOUS = math.radians(7.0)
-# The 24 rotations that exchange axes
+# The 24 rotations by multiples of 90 degrees about the axes: signed permutations
 AXIS_PERMUTATIONS = [
     m
     for m in (np.diag(d)[list(p)] for p in permutations(range(3)) for d in product((1.0, -1.0), repeat=3))
@@ -75,13 +77,13 @@ class Mounting:
     def mount(self) -> Array:
         """The rotation (3, 3) from the axes of the raw samples to the vehicle's axes.
 
-        If the estimate does not differ significantly from an exchange of the raw axes, the result is this exchange. The
-        tolerance of `needed` is not used, since a rotation near 4 deg would be 0 in some parts of a log and not in
-        others.
+        If the estimate does not differ significantly from a signed permutation of the raw axes, the result is this
+        permutation. The tolerances of `needed` (`MIN_TILT`, `MIN_YAW`) do not apply: with them, a rotation near a
+        tolerance would be 0 in one part of a log but not in another.
         """
         found = self.rotation @ self.before
-        exchanged = max(AXIS_PERMUTATIONS, key=lambda axes: float(np.trace(found @ axes.T)))
-        return exchanged if self._agrees(found @ exchanged.T) else found
+        nearest = max(AXIS_PERMUTATIONS, key=lambda axes: float(np.trace(found @ axes.T)))
+        return nearest if self._agrees(found @ nearest.T) else found
 
     @property
     def repair(self) -> Array:
@@ -148,7 +150,7 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
     imu, yaw_fit = found
     rotation, seen = _converged(drive, course, imu, yaw_fit)
     if seen and seen.yaw_fit.gain < 0 and _follows(seen.yaw_fit) and seen.mirrored > MIN_LEAD:
-        # The leveled IMU is upside down: all or some accelerometers report the opposite of specific force.
+        # The leveled IMU is upside down: all or some accelerometers report minus the specific force.
         opposite = _scaled(imu, "a", -1.0)
         upright = _converged(drive, course, opposite)
         if np.min(_leaning(rotate_imu(opposite, upright[0]))) > MIN_LEANING:

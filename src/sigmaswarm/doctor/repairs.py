@@ -42,7 +42,7 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     repairs = [r for _, r in found]
     rotation = _rotation(drive, [r for r in repairs if r.action in AXIS_ACTIONS])
     drive = _applied(drive, repairs)
-    # not only a rotation, but units or single axes
+    # these actions also change units or single axes
     if {r.action for r in repairs} & AXIS_ACTIONS - {"rotate", "turn"}:
         drive = replace(drive, metadata=without_axes(drive.metadata))
     repaired = [*drive.metadata.get("repaired", []), *dict.fromkeys(code for code, _ in found)]

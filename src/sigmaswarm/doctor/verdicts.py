@@ -13,20 +13,21 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Imu
 
 DEGREE = math.pi / 180
-# A gain that differs from 1, -1 or deg/s by less than this ratio, in either direction, is read as this factor
+# A gain that differs from 1 or pi/180, with either sign, by less than this ratio is read as this factor
 FACTOR_TOLERANCE = 1.35
-# Smallest explained share of the course's changes, if the gain is below `MIN_GAIN_SIGMAS` standard deviations
+# Smallest explained fraction of the course's changes if the gain is below `MIN_GAIN_SIGMAS` standard deviations
 MIN_EXPLAINED = 0.2
 MIN_GAIN_ERROR = 0.1  # smallest reported relative difference of a gain from a factor
-# rad, RMS change of the course within 20 s above which the course determines column, sign and unit of the gyro. Below,
-# the course is mostly noise, and other values than the recorded ones must exceed `MIN_GAIN_SIGMAS` or `LARGE_SHARE`.
+# rad, RMS change of the course within 20 s above which the course determines column, sign and unit of the gyro. Below
+# it, the course is mostly noise, and any reading other than gz in rad/s must exceed `MIN_GAIN_SIGMAS` or `LARGE_SHARE`.
 MIN_TURN = 0.05
 LARGE_SHARE = 0.5
-# Ratio of a gain to its standard deviation above which a column may explain a small share of the course's changes. In a
-# city, most of these changes are errors of the fixes.
+# Ratio of a gain to its standard deviation above which a column may explain a small fraction of the course's changes.
+# In a city, most of these changes are errors of the fixes.
 MIN_GAIN_SIGMAS = 12.0
-# Multiple of this ratio at which a column that explains a small share follows the course. In windows of 60 s, wrong
-# gains reached 1.2 times the ratio; in a drive of 40 min with many wrong fixes, the right gain reaches 4.8 times.
+# Multiple of `MIN_GAIN_SIGMAS` above which a column that explains a small fraction follows the course. In windows of
+# 60 s, wrong gains reached 1.2 times that ratio; in a drive of 40 min with many wrong fixes, the right gain reaches 4.8
+# times.
 MIN_FOLLOWING_RATIO = 3.0
 # Decrease in chi-square for which another interpretation replaces the recorded one; largest chi-square of a log in g.
 # In steady circles, the forces hardly exceed the noise and do not determine the unit. Logs in g have a chi-square of 4.
@@ -41,7 +42,7 @@ MIN_OFFSET = 0.1  # s, smallest reported offset; the receiver's noise hides smal
 MIN_VARIED = 0.1
 # Ratios of an offset to its standard deviation: note, warning with repair, serious
 OFFSET_SIGMAS = (2.5, 3.3, 4.5)
-MIN_EXCHANGE_ANGLE = math.radians(40)  # rad, rotation above which axes are exchanged
+MAX_RECORDED_ANGLE = math.radians(5)  # rad, largest rotation about z without a penalty
 ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
 
 
@@ -57,7 +58,8 @@ class Yaw:
 def yaw_of(fit: YawFit | None, imu: Imu) -> Yaw:
     """Find column, sign and unit of the gyro by the course; the result is gz in rad/s if the course shows none.
 
-    A factor of no unit needs a column that clearly follows the course, and level axes, since a tilt reduces the rate.
+    A factor other than that of a unit needs a column that clearly follows the course, and level axes, since a tilt
+    reduces the rate.
     """
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < MIN_EXPLAINED and size < MIN_GAIN_SIGMAS):
@@ -107,7 +109,10 @@ def _expected(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
 
 
 def planar_mounting(fit: AccelerationFit) -> PlanarMounting:
-    """Return the interpretation with the least chi-square; axes and units that differ from the log have a penalty."""
+    """Return the assignment of columns, signs and unit to the car's axes with the least chi-square.
+
+    Assignments other than the recorded one have a penalty, and must be better by `MIN_LEAD`.
+    """
     covariance, as_recorded = fit.covariance[:4, :4], np.eye(2)
     spread = np.sqrt(np.diag(covariance)).reshape(2, 2)
 
@@ -127,9 +132,7 @@ def planar_mounting(fit: AccelerationFit) -> PlanarMounting:
     ):
         axes = np.diag(signs) @ order
         price = 6.0 * (unit != 1) + 6.0 * (not np.array_equal(axes, as_recorded)) + 2.0 * (axes[0, 0] == 0)
-        turned = float(
-            np.min(misfits_of(axes, unit, ANGLES) + 6.0 * (np.abs(ANGLES) > MIN_EXCHANGE_ANGLE / 8))
-        )
+        turned = float(np.min(misfits_of(axes, unit, ANGLES) + 6.0 * (np.abs(ANGLES) > MAX_RECORDED_ANGLE)))
         if unit == 1 or turned < MIN_LEAD:
             readings.append((turned + price, axes, unit))
     best, axes, unit = min(readings, key=lambda reading: reading[0])

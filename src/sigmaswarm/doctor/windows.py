@@ -58,7 +58,7 @@ class Regression:
     solution: Array  # (k,)
     residual: Complex  # (w, n)
     weight: Array  # (w, n), the robust weight of each value, 0 to 1
-    cost: float  # the mean magnitude of the residual
+    cost: float  # the mean magnitude of the weighted residual, without robust weights
     # (w, k, 2n), weighted, orthogonal to the columns `own`; real and imaginary parts alternate
     columns: Array
     left: Array  # (w, 2n), the weighted residuals; real and imaginary parts alternate

@@ -11,11 +11,11 @@ from sigmaswarm.doctor.windows import Regression, integral, regress, smoothed, w
 from sigmaswarm.drives.drive import Array, Drive
 
 WINDOW = 20.0  # s: long enough for turns, and so short that the integral of a bias is a straight line
-# Share of the course's changes that gz must explain so that no other column is tried
+# Fraction of the variance of the course's changes that gz must explain so that no other column is tried
 SUFFICIENT_SHARE = 0.7
-MIN_LEAD = 0.3  # smallest lead of another column over gz in the explained share
+MIN_LEAD = 0.3  # smallest lead of another column over gz in the explained fraction
 # m, mean and standard deviation of the antenna's distance ahead of the rear axle, which does not slide sideways. The
-# antenna's course changes this distance earlier.
+# antenna's course changes earlier, by the time in which the car drives this distance.
 ANTENNA_DISTANCE = (0.8, 0.8)
 MIN_DELAY_STD = 0.1  # s, smallest standard deviation of the delay as a prior
 DELAYS = np.arange(-2.5, 2.51, 0.1)  # s, delays of the fixes to try
@@ -28,7 +28,7 @@ class YawFit:
     column: str
     gain: float  # 1 for the yaw rate of the car in rad/s
     std: float  # standard deviation of the gain
-    share: float  # share of the changes of the course that the column explains, 0 to 1
+    share: float  # fraction of the variance of the course's changes that the column explains, 0 to 1
     delay: float  # s, delay of the fixes
     delay_std: float  # s
     course_change: float  # rad, RMS change of the course within windows

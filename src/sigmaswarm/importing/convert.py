@@ -43,12 +43,12 @@ class Request:
     choice: TableChoice = field(default_factory=TableChoice)
     limits: Limits = field(default_factory=Limits)
     part: int | None = None  # number of the recording, from 1, if a clock restarts within a table
-    # Files or folders with .msg definitions of ROS messages, for bags without definitions
+    # Files or folders with .msg definitions of ROS messages, for bags
     definitions: Sequence[Path] = ()
 
     @property
     def log(self) -> str:
-        """The name of the source, also of the current folder."""
+        """The name of the source; for ".", the name of the current folder."""
         return self.source.name or self.source.resolve().name
 
     def home(self, role: Role) -> Path:
@@ -76,7 +76,7 @@ IMU = dict.fromkeys(("az", "gx", "gy"), "") | {
     "ay": "ay (the acceleration to the left)",
     "gz": "gz (the yaw rate)",
 }
-MAX_FAULTS = 3  # in one message
+MAX_FAULTS = 3  # largest number of faults in a message
 
 
 def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
@@ -102,7 +102,7 @@ def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
 def import_drive(
     request: Request, name: str, progress: ImportProgress = lambda done: None, *, raw: bool = False
 ) -> ImportResult:
-    """Make a drive from a log; ``progress`` receives the completed share, 0 to 1; ``raw`` permits raw counts.
+    """Make a drive from a log; ``progress`` receives the completed fraction, 0 to 1; ``raw`` permits raw counts.
 
     Raise `InputError` for a damaged or incomplete log, or a column that cannot be computed.
     """
@@ -220,7 +220,7 @@ def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
 def faults_left(request: Request, recipe: Recipe, logs: Mapping[Path, Log], guesses: Guesses) -> list[str]:
     """Return reasons not to read columns as guessed, except for columns that the user mapped or omitted.
 
-    The remedy for rates with an unknown unit is the unit that the turns of the fixes show.
+    The remedy for angular rates with an unknown unit is the unit that agrees with the course of the fixes.
     """
     stated = {entry.partition("=")[0].strip() for entry in request.maps}
     left: list[str] = []
@@ -240,7 +240,7 @@ def faults_left(request: Request, recipe: Recipe, logs: Mapping[Path, Log], gues
 def _with_unit_of_rates(
     faults: list[str], request: Request, logs: Mapping[Path, Log], recipe: Recipe, unitless: Mapping[str, str]
 ) -> list[str]:
-    """Replace the remedy of rates with an unknown unit by the unit that the turns of the fixes show."""
+    """Replace the remedy of angular rates with an unknown unit by the unit that agrees with the course of the fixes."""
     if "gps" not in recipe.roles or not any('"imu.g' in fault for fault in faults):
         return faults
     known = {name for part in recipe.roles["imu"] for name in part.columns}
@@ -266,7 +266,7 @@ def notes_of(logs: Mapping[Path, Log], guesses: Guesses, recipe: Recipe) -> list
 
 
 def assumed_mounting(guesses: Guesses, recipe: Recipe) -> tuple[str, ...]:
-    """Return the readers' sentences on the mounting; empty if the user states a mounting."""
+    """Return the readers' sentences on an assumed mounting; empty if the recipe contains a mounting."""
     found = () if recipe.mount else guesses.values()
     return tuple(dict.fromkeys(note for guess in found for note in (guess.flat, guess.downward) if note))
 

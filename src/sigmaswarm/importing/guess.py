@@ -67,8 +67,8 @@ _SURE_FIX = r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|psr|valid).*"
 MAX_WORDS = 20  # largest number of different words in a column of flags
 # Names of columns in which 3 means a fix in three dimensions, and 1 means no fix
 _DIMENSIONS = ".*(?:type|mode)"
-# Largest share of the likely fixes that a flag may exclude, unless the positions jump there; smallest ratio of a jump
-# to the 90% quantile of the other steps
+# Largest fraction of the likely fixes that a flag may exclude, unless the positions jump there; smallest ratio of a
+# jump to the 90% quantile of the other steps
 MAX_DROPPED, MIN_JUMP_RATIO = 0.2, 5.0
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
@@ -90,7 +90,7 @@ _HINTS: dict[str, str] = {
 def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) -> Guess:
     """Find the tables of each role by their columns, and choose among several tables by their names.
 
-    ``samples``: first rows of each table; ``chosen``: table by role, as chosen by the user.
+    ``samples``: rows of each table; ``chosen``: table by role, as chosen by the user.
     """
     found = {table: _find_columns(frame, table) for table, frame in samples.items()}
     roles: dict[Role, tuple[Part, ...]] = {}
@@ -148,7 +148,7 @@ def spread_rows(rows: pl.LazyFrame) -> pl.DataFrame:
 
 
 def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
-    """Assign to each quantity the first column with its name; in a table of an IMU, x, y, z are axes of the IMU."""
+    """Assign to each quantity the first column with its name; x, y, z are axes in a table with the name of a sensor."""
     columns = Columns(frame)
     for name in read_names(frame.columns):
         if (what := name.meaning) is not None and what != "t":
@@ -167,7 +167,7 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
 
 
 def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
-    """List the tables that fit each role; x and y next to latitude and longitude are not fixes."""
+    """List the tables that fit each role; if any has latitude and longitude, tables with only x, y are not fixes."""
     forces = {t for t, c in found.items() if c.has("ax", "ay")}
     rates = {t for t, c in found.items() if "gz" in c}
     degrees = {t for t, c in found.items() if c.has("lat", "lon")}

@@ -178,8 +178,9 @@ def meaning_of_plain(plain: str) -> str | None:
 def read_names(columns: Sequence[str]) -> list[Name]:
     """Interpret the names of a table's columns, without a shared prefix as in "Car.ax" and "vehicle/imu/ax".
 
-    After a receiver's prefix, only positions and speeds lose the prefix; after another prefix, only accelerations and
-    rates. Next to an IMU, positions in degrees also lose it, since a table of estimates would have no accelerations.
+    A prefix that names a receiver is not removed from accelerations and rates, another prefix is removed only from
+    these. In a table with an IMU, it is also removed from positions in degrees, since a table of estimates would have
+    no accelerations.
     """
     pairs = zip(min(columns, default=""), max(columns, default=""), strict=False)
     shared = "".join(a for a, _ in takewhile(lambda pair: pair[0] == pair[1], pairs))

@@ -15,15 +15,15 @@ from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array, Imu
 
 MOUNTING_LIMITS = (math.radians(5), math.radians(10))  # rad about z, for a warning and for a serious finding
-# m/s2, residuals of ax and ay above which there is a warning or a serious finding. Roads and the biases of cheap
-# sensors cause residuals below the second limit.
+# m/s2, offset in (ax, ay) above which there is a warning or a serious finding. Roads and the biases of cheap sensors
+# cause offsets below the second limit.
 RESIDUAL_LIMITS = (0.5, 1.2)
-# m/s2, errors of the median specific force above which there is a note or a warning. Errors of cheap sensors reach 0.8
-# m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
+# m/s2, errors of the median magnitude of the specific force above which there is a note or a warning. Errors of cheap
+# sensors reach 0.8 m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
 MAGNITUDE_LIMITS = (0.3, 1.0)
 # ratio of a rotation to its standard deviation, to report or to repair it
 REPORT_RATIO, REPAIR_RATIO = 2.5, 3.5
-WRONG_SCALE = 0.4
+WRONG_SCALE = 0.4  # smallest reported relative error of the scale
 MIN_ACCELERATION_SPREAD = 0.4  # m/s2, smallest spread of the acceleration that determines its scale
 WHERE = "imu.csv, ax, ay"
 
@@ -47,9 +47,7 @@ def _axes(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
         opposite = np.array_equal(axes, -np.eye(2)) and az is not None and float(np.median(az)) < 0
         what = f"the forward acceleration is in {forward}, the leftward acceleration in {left}"
         if opposite:
-            what = (
-                "the accelerometers report the opposite of specific force: ax, ay and az have the wrong sign"
-            )
+            what = "the accelerometers report minus the specific force: ax, ay and az have the wrong sign"
         elif not all(mount.known):
             what = f"{what} (the drive shows only {'forward' if mount.known[0] else 'sideways'} acceleration)"
         remedy = f"read ax as {forward} and ay as {left}" + (" and change the sign of az" if opposite else "")
@@ -61,7 +59,7 @@ def _axes(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
         )  # fmt: skip
     if mount.unit != 1:
         size = mount.unit * mount.scale[0][0]
-        what = f"the accelerations are in g: the car accelerates {size:.1f} times as much as ax states"
+        what = f"the accelerations are in g: the car accelerates {size:.1f} times as much as ax indicates"
         repair = Repair("accelerometer", (GRAVITY, 0.0, 0.0, GRAVITY, GRAVITY))
         remedy = f"multiply ax, ay, az by {GRAVITY}"
         yield Finding("accelerometer-unit", "serious", what, f"{WHERE}, az", span, confidence, remedy, repair)
@@ -137,7 +135,7 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _leveled(imu: Imu, leak: Array) -> Repair:
-    """Rotate six axes level if a tilt explains the residual of ax and ay; otherwise subtract constants."""
+    """Rotate six axes level if a tilt explains the offsets of ax and ay; otherwise subtract constants."""
     if imu.az is not None and imu.gx is not None and imu.gy is not None:
         up = np.append(leak, np.median(imu.az))
         if abs(float(np.linalg.norm(up)) - GRAVITY) < abs(float(up[2]) - GRAVITY):
@@ -203,7 +201,7 @@ def _magnitude(evidence: Evidence, unit: float) -> Iterator[Finding]:
     level = float(np.median(np.sum(force[:2] ** 2, axis=0)))
     factor = math.sqrt(GRAVITY**2 - level) / float(np.median(force[2])) if level < GRAVITY**2 / 2 else 1.0
     what = (
-        f"the median specific force is {size:.2f} m/s2. It differs by {off:+.2f} m/s2 from gravity "
+        f"the median magnitude of the specific force is {size:.2f} m/s2. It differs by {off:+.2f} m/s2 from gravity "
         f"({GRAVITY:.2f} m/s2)"
     )
     yield Finding(

@@ -19,7 +19,7 @@ from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.sensors import suggest_filter
 
-MIN_TURN = np.radians(1.0)  # rad; smaller changes of course within a few seconds are due to swaying
+MIN_TURN = np.radians(1.0)  # rad, RMS change of the course within 20 s; smaller changes are due to swaying
 BIAS_LIMITS = (np.radians(0.1), np.radians(1.0))  # rad/s, for a note and for a warning
 
 # s, windows for the mean of the force, and for the change of its direction. Longer windows contain more of the car's

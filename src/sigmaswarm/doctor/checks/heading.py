@@ -22,7 +22,7 @@ HEADINGS: dict[str, Callable[[Array], Array]] = {
     "deg clockwise from east": lambda angle: -np.radians(angle),
 }
 MAX_DEVIATION = math.radians(15)  # rad, largest median difference from the course, apart from a constant
-# rad from the course, for a warning and for a serious finding
+# rad, constant difference from the course for a warning and for a serious finding
 ROTATION_LIMITS = (math.radians(2), math.radians(10))
 # s, delay for a warning; largest ratio of the misfits with and without this delay
 MIN_DELAY, MAX_MISFIT_RATIO = 0.15, 0.8

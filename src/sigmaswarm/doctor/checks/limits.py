@@ -83,7 +83,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
         reasons["odometer"] = "odometer.csv contains the wheel speed"
     if stated := stated_spread(drive):
         reasons["accuracy"] = (
-            f"the stated standard deviations range from {stated[0]:.2g} to {stated[1]:.2g} m"
+            f"the receiver's standard deviations range from {stated[0]:.2g} to {stated[1]:.2g} m"
         )
     if count := int(np.count_nonzero(evidence.outlying)):
         reasons["robust"] = f"{count_of(count, 'fix')} {'lie' if count > 1 else 'lies'} far off the path"
@@ -95,7 +95,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
         may["heading"] = "of the fixes"
     use = chosen.use
     what = f"tune uses {chosen.options}{f', since {because}' if because else ''}"
-    # A tuning may use several drives, or a part of this one, so the number of fixes is stated, not compared.
+    # A tuning may use several drives, or a part of this one, so the message contains the required number of fixes.
     if (drive.truth is None or chosen.model == "tilted12") and has_lasting_errors(drive):
         what += f". With {FIXES_FOR_FIX_ERROR} or more training fixes, tune also uses fix-error"
         enough = len(drive.gps) >= FIXES_FOR_FIX_ERROR

@@ -48,7 +48,7 @@ def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
         f"if gz and ay have the correct signs, exchange {places}: "
         f'import with --map "gps.{first}=COLUMN_OF_{second.upper()}" "gps.{second}=COLUMN_OF_{first.upper()}"'
     )
-    # A truth may be mirrored too, and degrees have another scale after the exchange.
+    # Otherwise there is no repair: a truth may be mirrored too, and the exchange changes the scale of degrees.
     repair = Repair("exchange-fixes", ()) if drive.frame == "enu" and drive.truth is None else None
     where = f"gps.csv, {first}, {second}"
     yield Finding("mirrored-fixes", "serious", what, where, evidence.span, 0.99, remedy, repair)
@@ -78,7 +78,7 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
     whole = name_of_whole(evidence.drive)
     if mounting.needed and (angle > SERIOUS or not whole):
         given = ",".join(f"{degrees:g}" for degrees in evidence.drive.mounting or ())
-        instead = f" instead of {given} (both rotations together)" if given else ""
+        instead = f" instead of {given}, which it includes" if given else ""
         roll, pitch, yaw = roll_pitch_yaw(mounting.repair, 1)
         yield Finding(
             "mounting", "serious" if angle > SERIOUS else "warning",
@@ -161,11 +161,11 @@ def find_steady_span(drive: Drive) -> tuple[float, float]:
     times, mean = _means(imu.time, (imu.ax, imu.ay, imu.az, imu.gx, imu.gy, imu.gz), step)
     up = np.median(mean[:, :3], axis=0)
     tilting = np.linalg.norm(np.cross(mean[:, 3:], up / max(float(np.linalg.norm(up)), 1e-9)), axis=1)
-    early, delay = times < first + ENDS, times + step > last - ENDS
-    usual = float(np.max(tilting[~early & ~delay], initial=0.0))
+    early, late = times < first + ENDS, times + step > last - ENDS
+    usual = float(np.max(tilting[~early & ~late], initial=0.0))
     limit = max(HANDLED, UNLIKE * usual) if np.linalg.norm(up) > GRAVITY / 2 else np.inf
     begin = float(times[early & (tilting > usual)].max()) + step if np.any(tilting[early] > limit) else first
-    end = float(times[delay & (tilting > usual)].min()) if np.any(tilting[delay] > limit) else last
+    end = float(times[late & (tilting > usual)].min()) if np.any(tilting[late] > limit) else last
     return begin, end
 
 

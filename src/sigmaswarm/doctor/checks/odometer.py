@@ -161,7 +161,8 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
     if size > 0.1 and abs(size - 1) > max(MIN_SCALE_ERROR, 3 * unsure):
         way = "higher" if size > 1 else "lower"
         what = (
-            f"the speed of the odometer is {abs(size - 1):.1%} {way} than that of the fixes (+- {unsure:.1%})"
+            f"the speed of the odometer is {abs(size - 1):.1%} {way} than that of the fixes "
+            f"(standard deviation {unsure:.1%})"
         )
         remedy = f"divide speed by {size:.4f}, or tune the scale with --use odometer"
         yield Finding(
@@ -170,7 +171,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Return for each path the displacement by the odometer relative to that by the fixes, and that by the fixes, m."""
+    """Return for each path the ratio of the odometer's to the fixes' displacement, and the fixes' displacement, m."""
     imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)

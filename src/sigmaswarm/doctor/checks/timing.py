@@ -14,8 +14,8 @@ from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
 SERIOUS_OFFSET = 0.3  # s, clock offset above which errors are meters
 MIN_IMU_RATE = 8.0  # Hz, rate below which turns are lost between samples
-MAX_INTERVAL_RANGE = 0.5  # largest range of the middle 90% of the intervals, as a share of their median
-# a larger share of repeated IMU samples shows that a slower sensor was logged too often
+MAX_INTERVAL_RANGE = 0.5  # largest range of the middle 90% of the intervals, relative to their median
+# if a larger fraction of the IMU samples is repeated, the sensor is slower than the log
 MAX_REPEATED_SHARE = 0.2
 LONG_GAP = 0.5  # s without IMU samples, above which a filter's step is inaccurate
 MIN_STALE_FIXES = 3
