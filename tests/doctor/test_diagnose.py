@@ -442,7 +442,7 @@ def test_the_options_follow_from_the_log():
     assert found_of(planar, "use") == "tune uses --model planar8 --use lateral standstill robust"
     varied = states(drive, rng.uniform(0.5, 2.0, n))
     assert found_of(varied, "use").startswith(
-        "tune uses --model tilted12 --use lateral standstill accuracy robust, since the stated standard deviations"
+        "tune uses --model tilted12 --use lateral standstill accuracy robust, since the receiver's standard deviations"
     )
     velocity = simulated("icm-20602")  # its receiver gives speed and course, and its errors are correlated
     few = ". With 250 or more training fixes, tune also uses fix-error"

@@ -29,7 +29,7 @@ class Finding:
         A short, stable name for programs, such as "gyro-sign" or "clock-offset"; docs/doctor.md lists them.
     severity : {"note", "warning", "serious"}
     what : str
-        The fault in one sentence, with values.
+        The fault in words, with values.
     where : str
         File and columns.
     span : (float, float)

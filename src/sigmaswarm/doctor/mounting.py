@@ -25,7 +25,7 @@ from sigmaswarm.drives.mounting import NO_ROTATION
 from sigmaswarm.geodesy import rotation_of
 
 MAX_ROUNDS = 16  # a round leaves up to 0.7 of the error; after six, up to a degree remains in a few logs
-# rad, largest total standard deviation of this confidence
+# rad, largest total standard deviation of the confidences "sure" and "likely"
 SURE_STD, LIKELY_STD = math.radians(3.0), math.radians(8.0)
 MIN_EXPLAINED = (
     0.5  # smallest fraction of the variance of the course's changes that the leveled gyro explains

@@ -7,9 +7,9 @@ A table of a `Log` becomes part of a drive in these steps:
 3. ``guess.py`` assigns columns to IMU, fixes, truth and odometer, and ``times.py`` finds the time of each table.
 4. ``gather.py`` evaluates the expressions in batches (``expressions.py``, ``dates.py``).
 5. ``timeline.py`` unwraps, spreads and sorts times and chooses a recording; ``joining.py`` joins the tables of a role.
-6. ``positions.py`` and ``velocities.py`` check the columns of fixes, ``mounting.py`` rotates the IMU, and
-   ``assemble.py`` makes the drive. ``rates.py`` compares turns of the IMU and the fixes, ``shared_frame.py`` the tracks
-   of the truth and the fixes.
+6. ``positions.py`` and ``velocities.py`` check the columns of fixes and truth, ``mounting.py`` rotates the IMU, and
+   ``assemble.py`` makes the drive. ``rates.py`` compares the IMU with the course of the fixes, and ``shared_frame.py``
+   compares the tracks of truth and fixes.
 
 A `Recipe` contains the expressions; ``--map`` changes them. ``convert.py`` runs all steps;
 ``inspection.py`` describes a log without importing it.

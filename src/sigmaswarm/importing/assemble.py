@@ -190,8 +190,8 @@ def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, st
     reasons = (
         (900, 0.0, "the clocks show the local times of two zones", short * SECOND > MIN_DATE),
         (86_400, 0.0, "one clock counts from midnight, UTC", dated and short < 2 * 86_400),
-        (WEEK, GPS_EPOCH % WEEK - leap, "one clock is the GPS time of week", dated and short < WEEK),
-        (1e12, GPS_EPOCH - leap, "one clock is GPS time", short * SECOND > MIN_DATE),
+        (WEEK, GPS_EPOCH % WEEK - leap, "one clock shows the GPS time of week", dated and short < WEEK),
+        (1e12, GPS_EPOCH - leap, "one clock shows GPS time", short * SECOND > MIN_DATE),
         (2**32 * 1e-6, 0.0, "a counter of 2^32 microseconds has wrapped", not dated),
     )
     for period, begin, why, fits in reasons:
@@ -252,7 +252,7 @@ def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
     if recipe.gps_from_truth:
         rate, noise = recipe.gps_from_truth
         noisy = f"white noise with a standard deviation of {noise:g} m per axis"
-        metadata["gps"] = f"made from the truth, {rate:g} Hz, {noisy}, seed {SEED}"
+        metadata["gps"] = f"synthetic fixes from the truth, {rate:g} Hz, {noisy}, seed {SEED}"
     if recipe.gps_lever_arm_m:
         metadata["gps_lever_arm_m"] = list(recipe.gps_lever_arm_m)
     return with_rotation(metadata, parse_mount(recipe.mount)) if recipe.mount else metadata
@@ -263,7 +263,7 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
     moved: dict[Role, Nanoseconds] = {}
     for role in ROLES:
         offset = getattr(recipe, f"{role}_offset_s", 0.0)
-        if not abs(offset) < 4e9:  # 126 years: times in ns would exceed 64 bits
+        if not abs(offset) < 4e9:  # 126 years; after larger offsets, times in ns could exceed 64 bits
             raise InputError(f"--{role}-offset {offset:g}: must be above -4e9 and below 4e9 s")
         if role in times:
             moved[role] = times[role] + round(offset * SECOND)
@@ -297,7 +297,7 @@ def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Value
 
 
 def _require_meters(time: Array, gps: Values, parts: Sequence[PartColumns]) -> None:
-    """Refuse x and y that are not in meters: the vehicle would move impossibly fast."""
+    """Refuse x and y with which the vehicle would move impossibly fast, since they are not in meters."""
     apart = int(np.searchsorted(time, time[0] + 2.0)) if len(time) else 0
     if "lat" in gps or len(time) < 10 or not 0 < apart < len(time):
         return
@@ -340,7 +340,7 @@ def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[V
 
 
 def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]:
-    """Make fixes from the truth at a rate (Hz), with white noise (m per axis)."""
+    """Make fixes from the truth at a rate (Hz), with white noise of this standard deviation (m per axis)."""
     given = f"--gps-from-truth {rate:g},{noise:g}"
     if not (0 < rate <= 1000 and 0 <= noise < np.inf):
         raise InputError(
@@ -355,7 +355,7 @@ def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]
 
 
 def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
-    """Return the truth's columns; compute a missing velocity from speed or positions, a missing heading from it."""
+    """Return the truth's columns; compute a missing velocity from speed or positions, and the heading from velocity."""
     if "forward" in values and "theta" in values:
         body = values["forward"] + 1j * values.get("left", np.zeros(len(time)))
         east_north = body * np.exp(1j * values["theta"])

@@ -197,7 +197,7 @@ def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
         guessed = guesses[request.home(role)].roles
         parts = guessed.get(role, ())
         if not parts and role == "truth" and request.truth:
-            # the fixes of an accurate receiver, without their standard deviations
+            # the truth may be the fixes of an accurate receiver; their standard deviations are left out
             for part in guessed.get("gps", ()):
                 columns = {k: v for k, v in part.columns.items() if k in COLUMNS["truth"]}
                 parts = (*parts, Part(part.table, columns))
@@ -251,7 +251,7 @@ def _with_unit_of_rates(
         gathered.pop("mag", None)
         drive = assemble("log", gathered, plain, lambda note: None, request.part)
         message = unit_of_rates(drive, plain.roles, unitless).fault
-    except InputError:  # other faults remain
+    except InputError:  # other faults prevent the comparison
         return faults
     rates = [fault for fault in faults if '"imu.g' in fault] if message else []
     shown = {fault: f"{fault.partition('; specify')[0]}; {message}" for fault in rates[:1]}

@@ -58,7 +58,7 @@ NOT_READ = {
     ".npy .npz .pkl": "Python arrays; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
     ".h5 .hdf5": "HDF5; write its tables as CSV, for example with pandas.read_hdf(...).to_csv",
     ".gz .bz2 .xz .zst .7z .tar .tgz": "a compressed file or an archive; unpack it",
-    ".db .sqlite": "a database; export its tables as CSV (a ROS 2 bag is called .db3)",
+    ".db .sqlite": "a database; export its tables as CSV (a ROS 2 bag has the suffix .db3)",
     ".vbo": "a Racelogic file; export it as CSV, with the channels of the IMU",
     ".ld .xrk .drk": "a race car log; export it as CSV with the logger's program (MoTeC i2, Race Studio)",
     ".blf": "a CAN bus log; decode its signals with their DBC file, for example with asammdf, and export CSV",

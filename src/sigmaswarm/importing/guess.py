@@ -1,4 +1,4 @@
-"""Guess the roles of a log's tables by the names, units and first values of their columns."""
+"""Guess the roles of a log's tables by the names, units and sampled values of their columns."""
 
 import math
 import re

@@ -178,9 +178,8 @@ def meaning_of_plain(plain: str) -> str | None:
 def read_names(columns: Sequence[str]) -> list[Name]:
     """Interpret the names of a table's columns, without a shared prefix as in "Car.ax" and "vehicle/imu/ax".
 
-    A prefix that names a receiver is not removed from accelerations and rates, another prefix is removed only from
-    these. In a table with an IMU, it is also removed from positions in degrees, since a table of estimates would have
-    no accelerations.
+    A prefix that names a receiver is not removed from accelerations and rates. Any other prefix is removed only from
+    these and, in a table with an IMU, from positions in degrees, since a table of estimates has no accelerations.
     """
     pairs = zip(min(columns, default=""), max(columns, default=""), strict=False)
     shared = "".join(a for a, _ in takewhile(lambda pair: pair[0] == pair[1], pairs))

@@ -24,7 +24,7 @@ DIMENSIONS: dict[str, UnitDimension] = {
     **dict.fromkeys(("alt", "x", "y", "std_x", "std_y"), "length"),
     **dict.fromkeys(("speed", "wheel_speed", "vx", "vy"), "speed"),
 }
-# Columns that are faults if their unit is unknown; other columns with an unknown unit are left out
+# Columns whose unknown unit is a fault; other columns with an unknown unit are left out
 REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta", "wheel_speed")
 # Largest fraction of rows that may contradict the form of the others; they are presumably damaged
 MAX_DAMAGED_SHARE = 0.02
@@ -186,7 +186,7 @@ def _maps(columns: Columns, role: Role, whats: Sequence[str], form: str) -> str:
 
 
 def in_units(frame: pl.DataFrame, role: Role, texts: Mapping[str, str]) -> dict[str, str]:
-    """Convert mapped columns to a drive's units, by the rules for recognized names or the remedies for their faults."""
+    """Convert proposed columns to a drive's units, like recognized names; after a fault, as its remedy proposes."""
     columns, signs = Columns(frame), {what: "-" * text.startswith("-") for what, text in texts.items()}
     quoted_names = {quoted_column(column): column for column in frame.columns}
     for what, text in texts.items():

@@ -103,12 +103,12 @@ def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
     ):
         return ""
     maps = " ".join(f'"{role}.t={text}*1e{power}"' for role, text in times.items())
-    message = f"the course of the fixes turns {ratio:.3g} times as far as {columns} measure"
+    message = f"the course of the fixes turns {ratio:.3g} times as far as the integral of {columns}"
     return f"{message}, so the unit of the times is likely {10.0**power:g} times the assumed unit; write --map {maps}"
 
 
 def _ratio(drive: Drive) -> tuple[float, float]:
-    """Return the fraction of the variance of course changes that the IMU explains, and the ratio of course to IMU."""
+    """Return the fraction of the variance of course changes that the rates explain, and their ratio to the rates."""
     time, x, y, imu = drive.gps.time, drive.gps.x, drive.gps.y, drive.imu
     axes = np.array([v for v in (imu.gx, imu.gy, imu.gz) if v is not None])
     steps = 0.5 * (axes[:, 1:] + axes[:, :-1]) * np.diff(imu.time)

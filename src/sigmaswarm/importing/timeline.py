@@ -69,7 +69,7 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, int, str]:
         # After a wrap, the times continue by about a usual step, unlike after two exchanged rows of a short log.
         lost = 5 if period >= 3600 * SECOND else 2.5  # a recording may end by chance near a short period
         near = np.abs(steps + period) <= min(max(50 * usual, 2 * SECOND), lost * usual + 1e-3 * period)
-        low = -period // 2 if int(time.min()) < 0 else 0  # a number with a sign
+        low = -period // 2 if int(time.min()) < 0 else 0  # a signed counter
         inside = low <= int(time.min()) and int(time.max()) <= low + 1.001 * period
         # The times may have the date of the first row and the time of day of each row.
         if period == 86_400 * SECOND and wraps.any():

@@ -100,8 +100,8 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
             what = (
                 "the errors of the fixes are correlated. The standard deviation of the fixes per axis is "
                 f"{noise:.2g} m from fix to fix and {scatter:.2g} m about a smooth path of ten seconds; "
-                f"{stated:.2g} m is stated. Averaging hardly reduces correlated errors. If there is no truth, neither "
-                "the stated standard deviation nor a filter's error can be checked"
+                f"a standard deviation of {stated:.2g} m is stated. Averaging hardly reduces correlated errors. If "
+                "there is no truth, neither the stated standard deviation nor a filter's error can be checked"
             )
             remedy = (
                 "expect errors larger than the filter's standard deviations, which represent only the scatter"

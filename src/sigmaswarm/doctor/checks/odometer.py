@@ -32,7 +32,7 @@ MIN_STUCK_ERROR = 2.5  # m/s, smallest median difference of a stuck reading from
 # m/s, change of speed within MAX_JUMP_TIME s, without acceleration, that shows spinning or locked wheels. A slope of
 # 10% looks like a change of 1 m/s, a delay of 0.3 s during full braking like 2 m/s.
 MIN_JUMP = 2.5
-MAX_JUMP_TIME, MAX_SLIP_TIME = 1.0, 10.0  # s: longest jump, longest time until the wheels return
+MAX_JUMP_TIME, MAX_SLIP_TIME = 1.0, 10.0  # s: longest jump, longest slip
 # m/s, largest median difference between the speed changes of odometer and IMU with which slip can be checked
 MAX_DIFFERENCE = 0.5
 

@@ -97,8 +97,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, pl.LazyFrame]:
     """Join files that continue each other: with the same columns, times in sequence, and names that differ in numbers.
 
-    If exactly one file has a header and as many columns as a file without a header, this file gets its columns, and
-    may have any name.
+    A file without a header may have any name. It gets the header of the only file that has one and as many columns.
     """
     if len(scans) < 2:
         return {**scans}
@@ -246,7 +245,7 @@ def _check_names(names: Sequence[str], shown_as: Path, limits: Limits) -> None:
 
 
 def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
-    """Scan the rows of a text table as columns c1, c2, ...; commas become dots, thousands separators are deleted."""
+    """Scan the rows of a text table as columns c1, c2, ..., with decimal points and without thousands separators."""
     columns = [f"c{k}" for k in range(1, len(dialect.names) + dialect.surplus + 1)]
     try:
         if dialect.separator == BLANKS:  # any number of blanks

@@ -64,7 +64,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _load(path: Path, width: int, rows: int | None = None) -> Array:
-    """Load an array (rows, width) of numbers; files may have one axis if the width is 1, and must without ``rows``."""
+    """Load numbers as an array (rows, width); the file must have one axis without ``rows``, and may if width is 1."""
     with errors_as_damage(path, "can't be read as a NumPy array", "unpack the segment again"):
         # memory-mapped, so that NumPy refuses a shape larger than the file before it allocates memory
         array = np.load(path, allow_pickle=False, mmap_mode="r")

@@ -29,7 +29,7 @@ def frame_of(message: Any) -> str:
 
 
 def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | None:
-    """Find the poses of IMU and antenna in the vehicle's frame, or else in another frame that contains both.
+    """Find the poses of IMU and antenna in the vehicle's frame, or else in a common ancestor of their frames.
 
     Return None if the transforms connect the IMU with neither.
     ``messages`` are of type tf2_msgs/TFMessage; a later transform of the same frame replaces an earlier one.
@@ -55,7 +55,7 @@ def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | No
 
 
 def _pose_of(transform: Any) -> Pose | None:
-    """Convert a transform to rotation and translation; None if it is not finite or its quaternion has not length 1."""
+    """Convert a transform to rotation and translation; None if it is not finite or its quaternion not normalized."""
     r, t = transform.rotation, transform.translation
     x, y, z, w = q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
     translation, norm = np.array([t.x, t.y, t.z], dtype=np.float64), float(np.linalg.norm(q))

@@ -1,4 +1,4 @@
-"""JSON: a list of objects, one object per line, or an object of named lists of objects; each kind is a table."""
+"""JSON: a list of objects, one object per line, or an object of named lists; each kind of object is a table."""
 
 import json
 import re

@@ -27,7 +27,7 @@ MAX_ROWS = 20  # number of last rows that are examined
 def packed_cells(lines: Sequence[str], shown_as: Path) -> str:
     """Return a message on cells with several numbers, and a command that splits them; "" if there are none.
 
-    Raise this message as an `InputError` if cells contain separators or names, or rows begin with times of a monitor.
+    Raise an `InputError` instead if the cells contain separators or names, or rows begin with a serial monitor's times.
     """
     rows = [_OUTER.sub("", line.strip()) for line in lines if line.strip()]
     if not rows:

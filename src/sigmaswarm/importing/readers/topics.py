@@ -170,7 +170,7 @@ class Topics:
         found = self._named(topic, _POSITION)
         if "pose.covariance[0]" in columns:
             found |= {"std_x": "sqrt(pose.covariance[0])", "std_y": "sqrt(pose.covariance[7])"}
-        self.notes.append(f"{topic} is read as meters east and north")
+        self.notes.append(f"the positions of {topic} are read as m east and north")
         return found
 
     def _heading(self, topic: str) -> dict[str, str]:
