@@ -40,7 +40,7 @@ class YawFit:
 
 
 def fit_yaw(drive: Drive, course: Course) -> YawFit | None:
-    """Fit the column that explains the course best; None if the car hardly moves."""
+    """Fit gz, or gx or gy if this column explains the course clearly better; None if the car hardly moves."""
     rows = yaw_windows(course)
     if not len(rows):
         return None

@@ -1,4 +1,4 @@
-"""Compare the stated speed and course with the positions, and leave out columns that contradict the positions."""
+"""Compare the recorded speed and course with the positions, and leave out columns that contradict the positions."""
 
 import re
 from collections.abc import Iterable
@@ -14,13 +14,13 @@ from sigmaswarm.importing.source import Part
 # Units of speed: the name, the number per m/s, and the conversion in an expression
 UNITS = (("mm/s", 1e3, "*1e-3"), ("cm/s", 100.0, "*1e-2"), ("km/h", 3.6, "/3.6"), ("ft/s", 3.28084, "*0.3048"),
          ("mph", 2.23694, "*0.44704"), ("knots", 1.94384, "*0.514444444444"))  # fmt: skip
-# Ratio of the stated speed to that of the positions above which the speed is wrong; largest ratio of this ratio's 90%
+# Ratio of the recorded speed to that of the positions above which the speed is wrong; largest ratio of this ratio's 90%
 # quantile to its 10% quantile, since a wrong unit changes the speed by a constant factor
 MAX_SPEED_RATIO, MAX_RATIO_SPREAD = 1.5, 2.0
-# m/s, lowest speed at which positions are compared with a stated speed: robots are slow
+# m/s, lowest speed at which positions are compared with a recorded speed: robots are slow
 MIN_COMPARED_SPEED = 0.2
 MIN_MOVING_SHARE = 0.3  # smallest fraction of the rows in motion that the compared stretches must contain
-# rad, largest median difference of a stated course from the course of the positions. A course that lags in turns, or
+# rad, largest median difference of a recorded course from the course of the positions. A course that lags in turns, or
 # that is computed from noisy positions, differs by less.
 MAX_COURSE_ERROR = np.radians(40)
 MIN_STRETCHES = 5  # smallest number of stretches for a contradiction
@@ -30,7 +30,7 @@ _SPEED = ("speed", "course", "vx", "vy")
 def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterable[Part], say: Say) -> Values:
     """Return the columns (n,); leave out speed and course if the positions x, y contradict one of them.
 
-    The messages state the expressions of the role's ``parts``.
+    The messages contain the expressions of the role's ``parts``.
     """
     texts = {name: text for part in parts for name, text in part.columns.items() if name in _SPEED}
     slowest = MIN_SPEED if "speed" not in values and "vx" not in values else MIN_COMPARED_SPEED
@@ -91,8 +91,8 @@ def _stretches(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the first and the last rows of stretches in which the position moves clearly and steadily.
 
-    A stretch is longer than ten times the noise between rows, and has at least five positions. No single step makes up
-    most of its length, since a jump of a parked vehicle's fixes is not motion.
+    A stretch is longer than 3 m and ten times the noise between rows, and has at least five positions. No single step
+    makes up most of its length, since a jump of a parked vehicle's fixes is not motion.
     """
     # repeated positions count once
     rows = np.flatnonzero(np.append(True, (np.diff(x) != 0) | (np.diff(y) != 0)))
