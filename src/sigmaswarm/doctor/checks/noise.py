@@ -1,4 +1,7 @@
-"""Compare stated standard deviations with the scatter of the fixes; find correlated errors, outliers and multipath."""
+"""Compare stated standard deviations with the scatter of the fixes; find correlated errors, outliers and multipath.
+
+The stated standard deviation is that of the receiver (std_x, std_y), or gps_std_m in drive.toml.
+"""
 
 from collections.abc import Iterator
 
