@@ -11,7 +11,7 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.stale_fixes import stale_fixes
 
-MIN_FIXES = 8  # smallest number of fixes for a course
+MIN_FIXES = 8
 MIN_SPEED = 1.0  # m/s, lowest speed at which a course is shown
 AVERAGING_TIME = 2.0  # s; the specific force is averaged, since vibration would hide gravity
 RATE = 10.0  # Hz, rate of the averaged specific force

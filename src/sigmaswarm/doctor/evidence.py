@@ -50,14 +50,14 @@ class Evidence:
     outlying: Mask  # (n,), fixes far from the path
     used: NDArray[np.intp]  # (m,), indices of the fixes in `course`
     course: Course | None
-    yaw_fit: YawFit | None  # the regression of the course on the gyro
+    yaw_fit: YawFit | None
     yaw: Yaw  # interpretation of `yaw_fit`
-    acceleration: AccelerationFit | None  # the regression of the path on the accelerometers
+    acceleration: AccelerationFit | None
     mount: PlanarMounting | None  # interpretation of `acceleration`
-    clock: ClockOffset  # delay of the fixes
+    clock: ClockOffset
     noise: float  # m per axis, noise from fix to fix
     scatter: float  # m per axis, scatter of the fixes about the path over ten seconds
-    mounting: Mounting | None  # mounting of the IMU in the vehicle, for a log with six axes
+    mounting: Mounting | None  # for a log with six axes
     moved: float = 0.0  # s, subtracted from the fixes' times if the clocks are far apart
     # x and y of the fixes are exchanged in the log; the other fields refer to corrected fixes
     mirrored: bool = False

@@ -183,7 +183,7 @@ def _in_same_period(
 
 
 def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, str]]:
-    """Yield offsets of the fixes, s, with which they overlap the IMU in time, each with the reason for it."""
+    """Yield offsets of the fixes, s, with which they overlap the IMU in time, with reasons."""
     imu, gps = seconds["imu"] + zero, seconds["gps"] + zero
     leap = float(max(imu[0], gps[0]) - gps_to_unix(np.array([max(imu[0], gps[0])]))[0])
     short, dated = min(imu[0], gps[0]), max(imu[0], gps[0]) * SECOND > MIN_DATE
@@ -206,8 +206,7 @@ def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, st
 def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[PartColumns]]) -> str:
     """Return a remedy if the times of IMU and fixes have the same unit but were read in different units; else "".
 
-    For example, in hundredths of a second, an IMU at 100 Hz has steps of 1, which are read as ms. Fixes at 10 Hz have
-    steps of 10, which are read as seconds.
+    For example, an IMU at 100 Hz has steps of 1 in hundredths of a second, which are read as ms.
     """
     both: tuple[Role, ...] = ("imu", "gps")
     texts = {role: gathered[role][0].part.columns["t"] for role in both if gathered.get(role)}

@@ -48,7 +48,7 @@ TARGETS: dict[str, str] = {UNUSED: "not used"} | {
 }
 CUSTOM = "expression"
 GIVEN = ("gps", "truth", "tables", "maps")
-# Command-line options of choices
+
 FLAGS = {
     "mount": "--mount",
     "gps_offset_s": "--gps-offset",

@@ -30,8 +30,6 @@ from sigmaswarm.wording import list_names
 
 @dataclass(frozen=True)
 class Request:
-    """The logs to import, and the user's options."""
-
     source: Path  # the log with the IMU
     gps: Path | None = None  # another log, with fixes
     truth: Path | None = None  # another log, with truth
@@ -76,7 +74,7 @@ IMU = dict.fromkeys(("az", "gx", "gy"), "") | {
     "ay": "ay (the acceleration to the left)",
     "gz": "gz (the yaw rate)",
 }
-MAX_FAULTS = 3  # largest number of faults in a message
+MAX_FAULTS = 3  # in one message
 
 
 def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:

@@ -44,7 +44,6 @@ def gps_time(week: pl.Expr, seconds: pl.Expr) -> pl.Expr:
 
 
 def as_text(columns: Sequence[str]) -> pl.Expr:
-    """Join the cells of columns, such as day and time of day, with a space."""
     cells = [pl.col(name).cast(pl.String).str.strip_chars() for name in columns]
     return cells[0] if len(cells) == 1 else pl.concat_str(cells, separator=" ")
 

@@ -45,7 +45,7 @@ class PartColumns:
     part: Part
     expressions: dict[str, Expression]
     rows: list[pl.DataFrame] = field(default_factory=list[pl.DataFrame])
-    seen: int = 0  # number of rows
+    seen: int = 0
     unkept: int = 0  # number of rows for which ``keep`` is false
     timeless: int = 0  # number of rows without a time
     # For each column of the table: the placeholder of missing values, and its count

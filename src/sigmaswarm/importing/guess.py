@@ -57,7 +57,6 @@ _NO_FIX = (
     r"(?:no|not|un|in)_?(?:\w+_)?(?:valid|fix|fixed|solution|gps|gnss|signal|available)|no|none|false|void|bad|lost|"
     r"searching|acquiring|insufficient.*|cold_start"
 )
-# Words that mean a fix
 _FIX = (
     r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|gps|gnss|valid|active|ok|good|true|yes|int|computed|auto|alone|"
     r"available|psr).*"
@@ -296,7 +295,6 @@ def _downward(imu: Columns) -> str:
 
 
 def points_down(column: str) -> str:
-    """Describe a vertical axis that points down, and the remedy."""
     return (
         f"{column} is negative, so the z axis points down. If x points forward and y to the right, add --mount "
         f"{Z_DOWN}, and check the result with `sigmaswarm doctor`"

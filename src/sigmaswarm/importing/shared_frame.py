@@ -31,7 +31,7 @@ LENGTHS = {
     "nmi": 1852.0,
 }
 MAX_DELAY = 2.5  # s, largest delay of a receiver
-MIN_FIXES = 10  # smallest number of fixes that are compared with the truth
+MIN_FIXES = 10
 
 
 def require_same_axes(

@@ -97,7 +97,6 @@ class Placement:
     frames: tuple[str, str, str]  # names of the frames of the vehicle, the IMU and the antenna
 
     def notes(self, mount: str, lever_arm: Any) -> Iterator[str]:
-        """Describe the mounting and the lever arm that an import takes from tf_static."""
         base, imu, antenna = self.frames
         if mount == self.mount:
             yield f"mounting {mount} deg (roll, pitch, yaw) is taken from tf_static, {imu} in {base}"
@@ -127,8 +126,6 @@ class Guess:
 
 @dataclass(frozen=True)
 class TableChoice:
-    """The user's choices among the tables of a log."""
-
     tables: Mapping[str, str] = field(default_factory=dict[str, str])  # by role
     receive_times: bool = False  # True to use receive times instead of header stamps
     mapped: frozenset[str] = frozenset()  # roles with mapped columns; any table can be chosen for them
@@ -208,7 +205,6 @@ EXTRAS = {"ros": "rosbags mcap mcap-protobuf-support pyyaml", "logs": "pyubx2 py
 
 
 def import_library(name: str, extra: str) -> Any:
-    """Import the library of a format; if it is missing, state how to install it."""
     try:
         return import_module(name)
     except ImportError:
@@ -246,7 +242,6 @@ def require_filled(file: Path, shown_as: Path) -> None:
 
 
 def no_log_error(folder: Path) -> InputError:
-    """Return the error for a folder without a log; the message names the files in the folder."""
     remedy = "name a log file or the folder of a log"
     if not (files := sorted(entry.name for entry in folder.iterdir())):
         return InputError(f"{folder}: is an empty folder; {remedy}")

@@ -114,7 +114,7 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 
 
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
-    """Return the expression, in s, of the first unrecognized column that increases in each row; else "COLUMN"."""
+    """Return the first column without a known name that increases from row to row, in s; else "COLUMN"."""
     for name in read_names(frame.columns):
         steps = column_numbers(frame[name.column]).diff().drop_nulls()
         if name.meaning is None and len(steps) and (steps > 0).all():

@@ -16,7 +16,7 @@ from sigmaswarm.drives.drive import Array, Odometer
 # to noise, and the gyro's bias has little effect within 20 s.
 SPAN_LIMITS = (6.0, 20.0)
 MIN_DISTANCE = 15.0  # m, shortest straight distance of a compared path
-MIN_PATHS = 6  # smallest number of compared paths
+MIN_PATHS = 6
 MIN_SCALE_ERROR = 0.02  # smallest reported error of the scale; it must also exceed three standard deviations
 # Ratio of the speeds, or its inverse, above which the unit is wrong rather than the tire size
 MAX_SCALE_RATIO = 1.25

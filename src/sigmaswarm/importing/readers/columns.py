@@ -1,7 +1,4 @@
-"""CSV and Parquet: a file, a folder, or a zip of CSV files. Each file, or each sequence of files, is a table.
-
-Polars streams the rows.
-"""
+"""CSV and Parquet: a file, a folder, or a zip of CSV files. Each file, or each sequence of files, is a table."""
 
 import math
 import re
@@ -248,7 +245,7 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
     """Scan the rows of a text table as columns c1, c2, ..., with decimal points and without thousands separators."""
     columns = [f"c{k}" for k in range(1, len(dialect.names) + dialect.surplus + 1)]
     try:
-        if dialect.separator == BLANKS:  # any number of blanks
+        if dialect.separator == BLANKS:
             cells = (
                 pl.col("line").str.strip_chars().str.replace_all(r"\s+", " ").str.splitn(" ", len(columns))
             )

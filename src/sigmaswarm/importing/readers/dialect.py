@@ -18,8 +18,8 @@ from sigmaswarm.importing.source import first_bytes
 from sigmaswarm.importing.units import COUNTS, parse_unit
 from sigmaswarm.wording import list_names
 
-HEADER_BYTES = 4_000_000  # number of first bytes that are read
-# Numbers of characters and of lines after which no further lines are examined (but at least four are)
+HEADER_BYTES = 4_000_000
+# Numbers of characters and of lines that are examined, but at least four lines
 SAMPLE, MAX_LINES = 200_000, 300
 # In order of preference if two fit equally well; the comma is last, since it may be a decimal comma
 SEPARATORS = (";", "\t", "|", ",")

@@ -13,10 +13,7 @@ MAX_ELEMENTS = 36  # largest number of elements of a list that become columns: a
 
 
 def getter(column: str) -> Callable[[Any], Any]:
-    """Return a function that reads a column's number from a message; it returns None if the message lacks the number.
-
-    Only JSON messages and lists may lack it.
-    """
+    """Return a function that reads a column's number from a message; its result is None if the number is missing."""
     if column == "stamp":
         return stamp_of
     element = re.fullmatch(r"(.*)\[(\d{1,9})\]", column, re.DOTALL)

@@ -31,7 +31,7 @@ def frame_of(message: Any) -> str:
 def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | None:
     """Find the poses of IMU and antenna in the vehicle's frame, or else in a common ancestor of their frames.
 
-    Return None if the transforms connect the IMU with neither.
+    None if the transforms connect the IMU with neither.
     ``messages`` are of type tf2_msgs/TFMessage; a later transform of the same frame replaces an earlier one.
     """
     tree: dict[str, tuple[str, Pose]] = {}

@@ -45,7 +45,6 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read the column names from the comments, and find the kinds that occur in the log."""
     columns: dict[str, list[str]] = {}
     with path.open(encoding="utf-8", errors="replace") as file:
         for line in file:
@@ -74,17 +73,13 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _cells(lines: pl.LazyFrame, names: list[str]) -> pl.LazyFrame:
-    """Split lines of one kind into named cells; surplus cells are left out."""
     cells = pl.col("line").str.strip_chars().str.splitn(",", len(names) + 2)
     whole = cells.struct.rename_fields(["kind ", *names, "surplus "])
     return lines.select(whole.alias("cells")).unnest("cells").select(names)
 
 
 def _require_one_clock(columns: Wanted, path: Path) -> None:
-    """Refuse a sensor without the shared clock if another sensor has it: its header comment is damaged.
-
-    UTC can't replace this clock, since the two differ.
-    """
+    """Refuse a sensor without the shared clock if another sensor has it: its header comment is damaged."""
     clock = {kind: _CLOCK in names for kind, names in columns.items() if kind != "Fix"}
     if any(clock.values()) and not all(clock.values()):
         kind = next(kind for kind, found in clock.items() if not found)

@@ -50,7 +50,6 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read all text files of a drive; an hour at 100 Hz has 360,000 files, 90 MB in total."""
     folder = _oxts(path)
     if not recognizes(path):
         raise InputError(

@@ -48,7 +48,6 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read all variables; for timetables and version 7.3, the error states how to convert them in MATLAB."""
     from scipy.io import loadmat, whosmat
 
     if _HDF5 in first_bytes(path, 1024):

@@ -39,10 +39,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _unpacked(file: BinaryIO, offset: int, limits: Limits) -> int:
-    """Return the unpacked size of a chunk, bytes: the larger of the sizes in its record and in its data.
-
-    LZ4 data may contain no size; then they are unpacked if they could exceed the limit.
-    """
+    """Return the unpacked size of a chunk, bytes, from its record or its data; unpack large LZ4 data without a size."""
     file.seek(offset + 9 + 16)  # after the opcode, the record's length, and the first and last time
     size, _, length = struct.unpack("<QII", file.read(16))
     kind = file.read(min(length, 16))
@@ -118,7 +115,6 @@ def _decoder(
 
 
 def _json(data: bytes) -> dict[str, Any]:
-    """Decode a JSON message; the result is empty if the JSON is not an object."""
     content = json.loads(data)
     return cast("dict[str, Any]", content) if isinstance(content, dict) else {}
 

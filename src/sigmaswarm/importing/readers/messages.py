@@ -101,7 +101,6 @@ class _Messages:
         return replace(guess, placed=self._placement(guess))
 
     def _received(self, parts: Iterable[Part]) -> tuple[str, ...]:
-        """Return a sentence on each part that uses receive times, with the reason."""
         topics = [part.table for part in parts if "received" in part.columns.get("t", "")]
         no_stamp = {True: "the header stamps are not set", False: "the messages have no header"}
         why = {topic: no_stamp["stamp" in self.tables[topic].columns] for topic in topics}

@@ -49,7 +49,6 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open the files of a folder, which have no headers; gps.csv and the truth may be missing."""
     scans: dict[str, pl.LazyFrame] = {}
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, (pattern, columns, expressions) in FILES.items():

@@ -20,7 +20,6 @@ def names_in(path: Path) -> set[str]:
 
 
 def paths_in(path: Path) -> list[PurePosixPath]:
-    """Return the paths inside a zip; empty for other files."""
     if path.suffix.lower() == ".zip" and zipfile.is_zipfile(path):
         try:
             with zipfile.ZipFile(path) as archive:

@@ -54,7 +54,7 @@ class Topics:
     tables: Mapping[str, Table]
     choice: TableChoice
     first: Callable[[str], tuple[str, int, Any] | None]  # first message of a topic
-    notes: list[str] = field(default_factory=list[str])  # sentences on the choices
+    notes: list[str] = field(default_factory=list[str])
 
     def guess(self) -> Guess:
         roles: dict[Role, tuple[Part, ...]] = {}

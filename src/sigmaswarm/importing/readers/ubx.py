@@ -77,7 +77,6 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """Yield one row per NAV-PVT message with a valid date and time."""
     broken = undated = 0
     headings = _headings(path, pyubx2)
     for raw, done in _messages(path):
