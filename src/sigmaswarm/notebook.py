@@ -23,7 +23,7 @@ COLORS = {"truth": "#000000", "fixes": "#009e73", "estimate": "#0072b2"}
 
 
 def number(value: float | None) -> str:
-    """Format a number with three significant digits, or as an integer from 1000 to 1e7; a dash if it is unknown."""
+    """Format with three significant digits, or as an integer if 1000 <= abs(value) < 1e7; a dash if None or inf."""
     if value is None or not math.isfinite(value):
         return "-"
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.3g}"

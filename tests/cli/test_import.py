@@ -538,7 +538,7 @@ def test_a_log_in_place_of_a_drive_is_answered_with_the_import_to_type(
     for log in ("log", "log.mcap", "monday"):
         said = sigmaswarm(*command.format(log, filter=tuned).split())
         (typed,) = re.findall(
-            r"to make one from a log: sigmaswarm (import .*?)(?:;|$)", said.err, re.MULTILINE
+            r"to make a drive from a log: sigmaswarm (import .*?)(?:;|$)", said.err, re.MULTILINE
         )
         assert said.code == 2
         assert sigmaswarm(*shlex.split(typed), "--overwrite").code == 0

@@ -22,7 +22,11 @@ _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
 
 def print_diagnosis(diagnosis: "Diagnosis", explained: set[str] | None = None) -> None:
-    """Print the findings about a drive. Notes in ``explained`` are only counted; printed messages are added to it."""
+    """Print the findings about a drive.
+
+    ``explained``: messages that were printed before. Notes among them are only counted; new messages are added to the
+    set.
+    """
     from rich.table import Table
     from rich.text import Text
 

@@ -110,7 +110,8 @@ def _summary(record: "LearnedRecord", out: Path) -> Iterator[str]:
         yield (
             f"calibration: factor {net.inflation:.3g} on the predicted variances"
             if net.inflation
-            else "note: the network lowers the likelihood of hidden fixes, so the filter does not use its predictions"
+            else "note: the network does not increase the likelihood of hidden fixes by more than the standard "
+            "error, so the filter does not use the network"
         )
     yield f"learned:  {out / 'learned.toml'}, {out / 'weights.npz'}"
     yield f"next:     sigmaswarm evaluate {quote(str(out))} HELD_OUT_DRIVE..."

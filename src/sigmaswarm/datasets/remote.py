@@ -248,7 +248,10 @@ def _size_and_warnings(
 
 
 def source_of(drive: Drive | Location | Source) -> Source:
-    """Make the source of a drive, a path or a URL. Paths become absolute, since workers may run in other folders."""
+    """Return a function that reads a drive, given the drive, its path, its URL, or such a function.
+
+    Paths become absolute, since workers may run in other folders.
+    """
     if isinstance(drive, Drive):
         return partial(_with_no_warnings, drive)
     if isinstance(drive, str | Path):

@@ -105,7 +105,7 @@ def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | Sta
 
 
 def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
-    """Find the first alignment of a slow vehicle, over the shortest window with an alignment."""
+    """Return the earliest alignment of a slow vehicle; at each tried fix the shortest window comes first."""
     windows = [Alignments(drive, usable, longest) for longest in SLOW_DURATIONS]
     tried = -np.inf
     for k, time in enumerate(windows[0].time):

@@ -30,7 +30,9 @@ HEADING = 256  # the fix has a heading
 CORNERING = 4.0  # m/s2, lateral acceleration above which tires slip too much for the lateral constraint
 
 LATERAL_SLOT, STANDSTILL_SLOT, ODOMETER_SLOT, ODOMETER_TIME = range(4)
-"""Indices of ``done``: slots of the last updates by constraints and odometer, and time of the last odometer update."""
+"""Indices into ``done`` of `sample_events`: slots (see `slot_of`) of the last lateral, standstill and odometer updates,
+and time of the last odometer update, s.
+"""
 NO_READINGS = np.empty((0, 2))
 
 

@@ -16,7 +16,7 @@ def import_remedy(log: Path) -> str:
     """Return the command that imports a log of another format, or the folder of the log, as the remedy of an error."""
     log = _whole_log(log)
     out = Path("drives") / log.resolve().name.removesuffix(log.suffix)
-    return f"to make one from a log: sigmaswarm import {quote(str(log))} --out {quote(str(out))}"
+    return f"to make a drive from a log: sigmaswarm import {quote(str(log))} --out {quote(str(out))}"
 
 
 def _whole_log(file: Path) -> Path:

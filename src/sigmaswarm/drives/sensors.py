@@ -16,7 +16,7 @@ MIN_START_DISTANCE = 20.0  # m; a car that is farther from the first fix has mov
 GRAVITY_TOLERANCE = 0.3  # largest deviation of the median of az from gravity, relative to gravity
 
 MIN_WHITE_SHARE = 0.4
-"""Smallest ratio of the white noise to the whole error of the fixes (standard deviations) for `has_white_errors`.
+"""Ratio of the white noise in the fixes to the stated or assumed standard deviation, above which errors count as white.
 
 The ratio is 1 in KITTI and colorado, 0.25 with a u-blox M8, and at most 0.02 with car receivers, which smooth their
 fixes (kingston-1, comma2k19, dresden).

@@ -121,7 +121,7 @@ class Timeline:
         return Alignments(self.drive, usable=self.kinds < STALE)
 
     def hiding(self, hidden: Mask) -> "Timeline":
-        """Return the same steps, with the fixes of the mask ``hidden`` (g,) hidden; the time lines share arrays."""
+        """Return this time line with the fixes hidden where ``hidden`` (g,) is True; both share arrays."""
         hides = np.zeros(len(self.end), dtype=np.bool_)
         hides[self.updates] = hidden[_usable(self.drive, self.start, self.kinds)]
         return replace(self, updates=self.updates & ~hides, hides=hides, **self._seen(hidden))

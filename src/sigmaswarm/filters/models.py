@@ -249,7 +249,7 @@ class CarModel:
 
     @cached_property
     def gyro_places(self) -> tuple[int, ...]:
-        """Indices of the gyro biases about forward, left and up in the state; -1 for an axis without a bias."""
+        """Indices in the state of the gyro biases about the x, y and z axes; -1 for an axis without a bias."""
         return tuple(self.gyro_axes.get(f"g{axis}", -1) for axis in "xyz")
 
 

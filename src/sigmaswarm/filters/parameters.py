@@ -150,7 +150,8 @@ class FilterParameters:
     kind: FilterKind = _option("ukf")
     forgetting: Annotated[float, Field(gt=0, lt=1)] = _option(0.98)
     fuzzy_widths: tuple[Positive, Positive] = _option(
-        (0.3, 0.3), "in units of ratio and trend, which lie between -1 and 1"
+        (0.3, 0.3),
+        "dimensionless; the inputs of the fuzzy rules, ratio and trend of the NIS, lie between -1 and 1",
     )
     fuzzy_gains: tuple[Gain, Gain] = _option((3.0, 3.0), "largest factors of R and Q")
     bias_std: tuple[Positive, Positive] = _option((0.3, 0.01))

@@ -1,4 +1,4 @@
-"""Initial states, constants of measurements, and checks of required data, for all forms of a filter."""
+"""Initial states, constants of measurements, and checks of required data, shared by all implementations of a filter."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import fields

@@ -121,7 +121,7 @@ def minus(state: Array, other: Array) -> Array:
 
 
 def nearest(error: Array, near: Array) -> Array:
-    """Add whole turns to the rotation of an error (12,), so that it is nearest to that of ``near``."""
+    """Add whole turns to the rotation vector of an error (12,), to get the one nearest to that of ``near``."""
     vector, other = error[[*ATTITUDE]], near[[*ATTITUDE]]
     angle = np.sqrt(vector @ vector)
     if not angle > 0:

@@ -97,10 +97,10 @@ def fit(
     checkpoint: Path | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> TrainingResult:
-    """Minimize the loss by Adam; return the weights with the least loss on the validation examples.
+    """Minimize the loss by AdamW; return the weights with the lowest loss on the validation examples.
 
-    A stopped training continues from the file ``checkpoint``. After each epoch, ``progress`` is called with its number
-    and the least validation loss so far.
+    A stopped training continues from the file ``checkpoint``. After each epoch, ``progress`` is called with the number
+    of finished epochs and the lowest validation loss so far.
     """
     with double_precision():
         import jax

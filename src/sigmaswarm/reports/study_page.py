@@ -189,7 +189,10 @@ def _tracks(record: StudyRecord) -> tuple[Section, ...]:
         protocol, _, method = series.partition("-")
         tuned = protocol in results.protocols
         labels[series] = results.label(method, protocol) if tuned else results.label(series.replace("_", "-"))
-    text = "Held-out drives and filters of the trial with the lowest training cost."
+    text = (
+        "The tracks are from held-out drives of the trial in which the PSO-UKF tuned with truth has the lowest "
+        "training cost."
+    )
     view = TrackView(record.tracks, labels, STUDY_STYLES, f"honest-{MAIN_METHOD}")
     return (Section("Tracks and errors over time", (text,), tracks=view),) if record.tracks else ()
 

@@ -85,14 +85,14 @@ IMU_GRADES = by_name(
         _accel(0.2, 1000e-5, reach=4 * _G, resolution=_G / 8192),
         _gyro(0.2, 200, reach=500 * _DEG, resolution=_DEG / 65.5),
         bias_time=3600.0,
-        source="i2Nav awesome-gins-datasets, tuned on a car",
+        source="i2Nav awesome-gins-datasets: noise parameters tuned on drives of a car",
     ),
     ImuGrade(
         "adis16465",  # reach and resolution [R]
         _accel(0.1, 200e-5, reach=8 * _G, resolution=8 * _G / 2**31),
         _gyro(0.1, 25, reach=500 * _DEG, resolution=500 * _DEG / 2**31),
         bias_time=3600.0,
-        source="i2Nav awesome-gins-datasets, tuned on a car",
+        source="i2Nav awesome-gins-datasets: noise parameters tuned on drives of a car",
     ),
     ImuGrade(
         "adis16405",  # reach and resolution [R]

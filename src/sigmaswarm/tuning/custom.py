@@ -22,7 +22,7 @@ from sigmaswarm.tuning.space import SCALING
 
 MODEL_OBJECTIVES = {
     "truth-rmse": "root mean square of the scored states' errors against truth",
-    "innovation-nll": "mean negative log-likelihood of the measurements, predicted before their updates",
+    "innovation-nll": "mean negative log-likelihood of each measurement, given the prediction before its update",
 }
 
 

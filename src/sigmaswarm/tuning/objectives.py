@@ -128,14 +128,14 @@ OBJECTIVES = {
         ),
         Objective(
             "innovation-nll",
-            "mean negative log-likelihood of the fixes, predicted before their updates, nats",
+            "mean negative log-likelihood of each fix, given the prediction before its update, nats",
             lambda scores: scores.innovation_nll,
             likelihood=True,
             nats=1.0,
         ),
         Objective(
             "innovation-t",
-            "mean negative log-likelihood of the fixes under Student's t, predicted before their updates, nats",
+            "mean negative log-likelihood of each fix, given the prediction before its update, under Student's t, nats",
             lambda scores: scores.innovation_t,
             likelihood=True,
             nats=1.0,

@@ -73,7 +73,7 @@ class Problem(ABC, Generic[P]):
 
     @abstractmethod
     def parameters(self, point: Array) -> P:
-        """Return the filter at a point, shape (d,)."""
+        """Return the filter parameters at a point, shape (d,)."""
 
     @abstractmethod
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
@@ -100,7 +100,7 @@ class Problem(ABC, Generic[P]):
         return self.costs(points, executor)
 
     def warnings(self, point: Array) -> list[str]:
-        """List faults of the filter that the objective does not show."""
+        """List faults of the filter at a point that the objective does not show."""
         return []
 
     def fixes_alone(self) -> MotionNoise | None:

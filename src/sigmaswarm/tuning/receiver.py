@@ -39,9 +39,9 @@ STATE_REMEDY = (
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
     """Return the penalties of n parameter sets on m drives by the prior on R, nats per fix, shape (n, m).
 
-    The penalty is 0.5 (log10(R / std^2) / 0.5)^2 if R is smaller than std^2, else 0, averaged over both axes. ``std``
-    (m, shape (m, 2)) is the `receiver_std` of each drive. With the option accuracy, R is that of the median fix. With
-    fix-error, R includes the variance of the correlated errors, and the penalty of an R larger than std^2 is 0.5
+    The penalty is 0.5 (log10(R / std^2) / 0.5)^2 if R is smaller than std^2, else 0, averaged over both axes. ``std``,
+    shape (m, 2), is the `receiver_std` of each drive, in meters. With the option accuracy, R is that of the median fix.
+    With fix-error, R includes the variance of the correlated errors, and the penalty of an R larger than std^2 is 0.5
     (log10(R / std^2) / 0.25)^2.
     """
     log = np.log10(typical_variance(parameter_sets, std) / std**2)
@@ -112,8 +112,8 @@ def noise_warnings(
         return [to_do(remedy, f"{why}, so their errors are correlated. {UNKNOWN}")]
     elif np.isnan(stated) and scatter < MIN_SCATTER:
         why = (
-            f"the fixes scatter by {scatter:.2g} m per axis and their receiver states no accuracy. Fixes with "
-            "correlated errors can also scatter this little"
+            f"the fixes scatter by only {scatter:.2g} m per axis, and their receiver states no accuracy. This does not "
+            "prove that the fixes are accurate, since correlated errors cause little scatter"
         )
         return [to_do(remedy, f"{why}. {UNKNOWN}")]
     else:

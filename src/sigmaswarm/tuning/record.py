@@ -58,7 +58,7 @@ class ResultRecord(BaseModel):
     unidentified: list[str] = Field(default_factory=list)
     remarks: list[str] = Field(default_factory=list)
     warnings: tuple[str, ...] = Field(default=(), validation_alias=AliasChoices("warnings", "doubts"))
-    """Faults on the training data that the objective does not show."""
+    """Faults of the tuned filter on the training data that the objective does not show."""
     best_trial: int = 0
     trial_costs: tuple[float, ...] = ()
     evaluations: int = 0
@@ -100,7 +100,7 @@ class TuningRecord(BaseModel):
 
     @property
     def imu_axes(self) -> dict[str, str]:
-        """Expressions of the IMU's axes with which all training drives were imported; empty if unknown."""
+        """Import expressions of the IMU's axes if all training drives have the same; empty if not, or if unknown."""
         return common_axes(drive.imu_axes for drive in self.data)
 
     @property
@@ -119,7 +119,7 @@ def tuning_file(path: Path) -> Path:
         return path
     if (path / "config.json").exists() and not (path / FILE).exists():
         raise InputError(
-            f"{path}: has no finished tuning; repeat the command that made this folder with --resume"
+            f"{path}: has no finished tuning; add --resume to the command that made this folder, and run it again"
         )
     return path / FILE
 

@@ -144,7 +144,7 @@ class Tuning(Generic[P]):
 
     @property
     def imu_axes(self) -> dict[str, str]:
-        """Expressions of the IMU's axes with which all training drives were imported; empty if unknown."""
+        """Import expressions of the IMU's axes if all training drives have the same; empty if not, or if unknown."""
         return common_axes(map(axes_of, self.data))
 
     @property

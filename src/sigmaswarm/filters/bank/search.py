@@ -160,12 +160,12 @@ def with_zero_sums(lanes: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """The best filter's offsets (d,), rows, and evidence, and the population (LANES, d) for the next search."""
+    """Result of a search: the best filter, and the population with which the next search begins."""
 
-    offsets: Array
-    lane: Array  # rows (N_KEPT,) at the end of the replay
+    offsets: Array  # (d,)
+    lane: Array  # (N_KEPT,), state and constants in the kernel's layout, at the end of the replay
     known: FilterEvidence
-    population: Array
+    population: Array  # (LANES, d)
 
 
 def search(

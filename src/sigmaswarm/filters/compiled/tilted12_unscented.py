@@ -312,7 +312,7 @@ def linearize(w, u):
 
 @kernel
 def add_curvature(w, u):
-    """Add EXTRA, the covariance that H does not contain, to the covariance of a step."""
+    """Add EXTRA, the last two terms of Cov(r), to the predicted covariance."""
     h = 0.5 * u[DT]
     for l in range(LANES):
         for i in range(len(ADDED)):
