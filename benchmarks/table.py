@@ -200,7 +200,7 @@ def machine() -> str:
     """Processor, cores and versions; nothing that tells whose machine it is."""
     packages = ", ".join(f"{name} {version(name)}" for name in PACKAGES if find_spec(name.replace("-", "_")))
     return (
-        f"{processor()}, {os.cpu_count()} cores, of which one is used unless stated; "
+        f"{processor()}, {os.cpu_count()} cores, of which one is used unless stated otherwise; "
         f"Python {platform.python_version()}, {packages}."
     )
 

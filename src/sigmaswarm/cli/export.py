@@ -39,7 +39,7 @@ class ExportOptions:
     against
         With --check and the model robot-localization: another tuning, whose errors are added to README.md.
     lanes
-        c99: number of filters in the exported bank, 1 to 16. Unlike --bank of `sigmaswarm run`, it does not search.
+        c99: number of filters in the exported bank, 1 to 16. This bank does not search for better parameters.
     seed
         c99: seed of the parameters of the filters in the bank.
     """

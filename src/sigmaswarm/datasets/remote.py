@@ -204,7 +204,7 @@ def _with_drive(function: Callable[[Drive], T], cached: CachedDrive) -> T:
 def remote_datasets(
     cluster: Cluster, groups: Sequence[Iterable[Any]], *, progress: ReadProgress | None = None
 ) -> tuple[list[RemoteDataset], list[SigmaswarmWarning]]:
-    """Let the workers read groups of drives, paths, URLs or sources; return a dataset for each group, and warnings.
+    """Let the workers read groups of drives, paths, URLs or `Source`; return a dataset for each group, and warnings.
 
     Raises
     ------

@@ -33,9 +33,9 @@ MAX_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that suggest a larger bia
 class GyroBiasEvidence:
     """Evidence about the gyro bias from one alignment.
 
-    ``bias`` and ``variance`` (3,), about forward, left and up, are in rad/s and (rad/s)^2; an unknown axis has infinite
-    variance. The alignment's mean and covariance assume the bias ``taken`` (vertical axis, rad/s). ``turns`` (5,) is
-    the change of x, y, vx, vy, theta per rad/s of bias.
+    ``bias`` and ``variance`` (3,), about the forward, left and up axes, are in rad/s and (rad/s)^2; an unknown axis has
+    infinite variance. The alignment's mean and covariance assume the bias ``taken`` (vertical axis, rad/s). ``turns``
+    (5,) is the change of x, y, vx, vy, theta per rad/s of bias.
     """
 
     bias: Array

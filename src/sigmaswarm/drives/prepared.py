@@ -44,7 +44,7 @@ class PreparedDrive:
         return self.kinds >= STALE
 
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
-        """Return the time line in which the fixes of the mask ``hidden`` (number of fixes,) update no filter; cached.
+        """Return the time line in which fixes where ``hidden`` (number of fixes,) is True update no filter; cached.
 
         With ``removed``, no step ends at a hidden fix. Otherwise, filters can predict hidden fixes, and the time line
         shares arrays with that of all fixes.

@@ -119,7 +119,8 @@ def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
     The gate is not used, since a gate tuned on one receiver rejects good fixes of another. The receiver's velocity and
     heading are not used, since no log with truth had them. Latency is not estimated. Scores do not choose the model:
     the errors of models chosen by held-out likelihood and predictions exceeded those of the best model by 18 to 24% on
-    average, and by 61 to 122% at worst. With one good model for all drives, they exceeded them by 4 to 12%.
+    average, and by 61 to 122% at worst. With one good model for all drives, the errors exceeded those of the best model
+    by 4 to 12%.
     """
     logs = [log_properties(drive) for drive in drives]
     six = bool(logs) and all(log.attitude for log in logs)

@@ -27,7 +27,8 @@ NUMBERS = 16  # length of `TiltEvidence.numbers`
 TIME, X, Y, TURNED, GAINED, ROLLED, PITCHED, LATERAL = range(8)
 """Columns of the fixes of a window: time (s), position (m) and the integrals of the IMU's axes at the fix.
 
-The integrals are heading (rad), speed (m/s), rotation about forward and left (rad), and lateral acceleration (m/s).
+The integrals are heading (rad), speed (m/s), rotation about the forward and left axes (rad), and lateral acceleration
+(m/s).
 """
 
 
@@ -37,9 +38,9 @@ class TiltEvidence:
 
     ``numbers`` (16,), in the order of C's InsGpsGyro: FORCE and its VARIANCE, forward and left, in m/s2 and (m/s2)^2;
     TURN and DRIFT (s), the changes of the mean tilt, real and imaginary part, per unit of the tilt at the start and of
-    the gyro's biases about forward and left; the mean speed, m/s. The alignment's mean is valid for the forward force
-    ASSUMED, and its covariance includes the variance of this force, ASSUMED_VARIANCE; CHANGE is the change of x, y, vx,
-    vy, theta per m/s2 of forward force.
+    the gyro's biases about the forward and left axes; the mean speed, m/s. The alignment's mean is valid for the
+    forward force ASSUMED, and its covariance includes the variance of this force, ASSUMED_VARIANCE; CHANGE is the
+    change of x, y, vx, vy, theta per m/s2 of forward force.
     """
 
     numbers: Array

@@ -141,7 +141,7 @@ class KernelArray:
         return constants
 
     def compute_starts(self, initial: Sequence[InitialState]) -> None:
-        """Compute the starts of all sets at once, which takes no longer than for a few, for use in each `part`."""
+        """Compute the starts of all sets for each `part`; this takes no longer than for a few sets."""
         unknown = tuple(dict.fromkeys(initial))
         if len(unknown) * len(self._start_std) <= MAX_STARTS:
             self._starts = self._starts_at(unknown, self._start_std)

@@ -184,7 +184,7 @@ class State:
     shared: str  # name of the search parameter; east and north share this name if their noise is the same
     bias_of: str | None = None  # the sensor in SENSORS with this bias, which starts at 0
     per_second: bool = False  # the bounds are per second
-    start_std: float = 0.0  # initial standard deviation, if neither a bias nor part of an alignment
+    start_std: float = 0.0  # initial std of a state that is neither a bias nor from the alignment
 
     @property
     def variance_unit(self) -> str:

@@ -31,8 +31,8 @@ class Targets:
     weight: (
         Array  # (m,), weight of the later estimate in the interpolation between the estimates around the time
     )
-    x: Array  # (m,), m
-    y: Array  # (m,), m
+    x: Array  # (m,), in meters
+    y: Array  # (m,), in meters
     theta: Array  # (m,), rad
     counts: Mask  # (m,), True if the heading is compared
     end: NDArray[np.int32]  # (k,), number of targets before the end of each step

@@ -30,7 +30,7 @@ from sigmaswarm.geodesy import Array, wrap_angle
 THETA, ACCEL_X, ACCEL_Y, GYRO, ROLL, PITCH, GYRO_X, GYRO_Y, N = range(4, 13)
 # Indices of the error about east, north and up; also of roll, pitch and theta
 ATTITUDE = (ROLL, PITCH, THETA)
-ACCEL_BIAS, GYRO_BIAS = (ACCEL_X, ACCEL_Y), (GYRO_X, GYRO_Y, GYRO)  # forward, left; about forward, left, up
+ACCEL_BIAS, GYRO_BIAS = (ACCEL_X, ACCEL_Y), (GYRO_X, GYRO_Y, GYRO)  # axes: forward, left; forward, left, up
 STEP_FIRST, MEASURED_FIRST = (7, 10, 11, 4, 8, 9), (4, 8, 9)
 """States whose columns come first in the square root of P, for the sigma points of a step and of a measurement. If
 these states are fixed, process and measurements are linear in all others."""

@@ -1,4 +1,4 @@
-"""Fit weights by Adam with early stopping; results are reproducible, and a stopped fit continues after its last epoch.
+"""Fit weights by AdamW with early stopping; results are reproducible, and a stopped fit resumes after its last epoch.
 
 This module needs JAX and Optax, the extra ``learned``.
 """
@@ -142,8 +142,8 @@ def _compiled(loss: Loss, learning_rate: float) -> tuple[Any, Any, Any]:
     import jax
     import optax
 
-    adam = optax.adamw(learning_rate, weight_decay=WEIGHT_DECAY)
-    steps = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), adam)
+    adamw = optax.adamw(learning_rate, weight_decay=WEIGHT_DECAY)
+    steps = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), adamw)
     # Skip updates that are not finite.
     optimizer = optax.apply_if_finite(steps, max_consecutive_errors=np.iinfo(np.int32).max)
     return optimizer, jax.jit(loss), jax.jit(partial(_epoch, loss, optimizer))

@@ -36,8 +36,8 @@ def segments_of(
 ) -> Examples:
     """Cut drives into segments of ``length`` s; without ``validation``, the end of each drive is validation data.
 
-    The arrays are initial means (s, n) and covariances (s, n, n), steps (s, k, N_COLUMNS), Q (s, n) and lever arms (s,
-    2).
+    The arrays of r segments are initial means (r, n) and covariances (r, n, n), steps (r, k, N_COLUMNS), Q (r, n), and
+    lever arms (r, 2).
     """
     from sigmaswarm.learned.noise_filter import FilterConstants, columns_of
 

@@ -22,7 +22,9 @@ def read_report(folder: Path) -> Report:
         if (folder / file).exists():
             return report(folder)
     if (folder / "config.json").exists() and list(folder.glob("checkpoint-*.npz")):
-        raise InputError(f"{folder}: the tuning is not finished; repeat the command with --resume")
+        raise InputError(
+            f"{folder}: the tuning is not finished; add --resume to its command, and run it again"
+        )
     raise InputError(
         f"{folder}: contains no results (none of {', '.join(REPORTS)}); name a folder that "
         "tune, evaluate or study wrote"

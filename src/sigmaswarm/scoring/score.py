@@ -151,6 +151,6 @@ def score_raw_gps(drive: Drive, initial: InitialState) -> Score:
 
 
 def _position_score(errors: Array, weights: Array | None) -> Score:
-    """Return RMSE and quantiles (linear between ranks) of errors, m, shape (m,); NaN if there are no errors."""
+    """Return RMSE and quantiles (linear between ranks) of errors (n,) in meters; NaN if there are no errors."""
     median, high = np.quantile(errors, [0.5, 0.95]).tolist() if errors.size else (math.nan, math.nan)
     return Score(root_mean(errors**2, weights), position_median=median, position_95=high)

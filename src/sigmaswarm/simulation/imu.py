@@ -145,7 +145,7 @@ def _add_errors(
 
 
 def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Generator) -> Imu:
-    """Measure the motion of the IMU's position at ``times`` (n,), s; a `carla` grade lacks the first two samples."""
+    """Measure the motion of the IMU at ``times`` (n,), s; with a `carla` grade, the first two samples are missing."""
     force, rate = motion.specific_force, motion.angular_rate
     if grade.carla:
         force, rate, times = carla_force(times, motion), rate[2:], times[2:]

@@ -122,7 +122,7 @@ def objective_for(
     blind = [one.name for one in data if not one.truth]
     if blind and len(blind) < len(data):
         warnings.warn(
-            f"{blind[0]} has no truth, so all drives are tuned with {without}; leave drives without truth out, or set "
+            f"{blind[0]} has no truth, so the objective is {without}; leave drives without truth out, or set "
             "--objective",
             SigmaswarmWarning,
             stacklevel=5,

@@ -133,7 +133,7 @@ class CarProblem(Problem[FilterParameters]):
         return parse_objective(self.config.objective)
 
     @cached_property
-    def _receiver_std(self) -> Array:  # m, shape (m, 2)
+    def _receiver_std(self) -> Array:  # in meters, shape (m, 2)
         return np.array([one.receiver_std for one in self.sensors])
 
     @cached_property

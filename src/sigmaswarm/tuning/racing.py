@@ -74,8 +74,8 @@ def race(
 ) -> RaceResult:
     """Evaluate points, shape (n, d), on the drives in the given order, and drop the worse half at each rung.
 
-    With `MIN_DRIVES` or more drives, points that are not better than ``leader`` are dropped, too. Without a leader, or
-    for one point, nothing is dropped then.
+    With `MIN_DRIVES` or more drives, points that are not better than ``leader`` are dropped, too. With so many drives,
+    but without a leader or with only one point, no point is dropped.
     """
     order = np.asarray(order)
     many, n, m = len(order) >= MIN_DRIVES, len(points), len(order)

@@ -1,9 +1,10 @@
 """Compare R with the receiver's accuracy: a prior for objectives without truth, and warnings about an implausible R.
 
 Many receivers smooth their fixes. For smoothed fixes, the likelihood is largest if R corresponds to centimeters, and a
-filter with this R copies the fixes. The prior penalizes an R below the receiver's variance. Only with fix-error does it
-penalize a larger R, since in cities receivers state standard deviations that are too small. The prior is counted once
-per fix. Otherwise, its weight would decrease with the number of fixes, although their errors are correlated.
+filter with this R copies the fixes. The prior penalizes an R below the receiver's variance. It penalizes a larger R
+only with fix-error, since in cities receivers state standard deviations that are too small. The prior is counted once
+per fix. If it were counted once in total, its weight would decrease with the number of fixes, as if their errors were
+independent.
 """
 
 from collections.abc import Sequence
@@ -51,7 +52,7 @@ def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array
 
 
 def typical_variance(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
-    """Return the error variances, m2, (n, m, 2), that n filters assume for the median fix of m drives."""
+    """Return the variances, shape (n, m, 2), that n filters assume for the error of the median fix of m drives."""
     table = ParameterTable.of(parameter_sets)
     scale = table.column("accuracy_scale") + table.column("fix_error")
     return table.column("measurement_noise")[:, None, :] + scale[:, None, None] * std**2

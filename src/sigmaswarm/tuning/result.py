@@ -84,7 +84,7 @@ class Tuning(Generic[P]):
     seen : sequence of Landmarks
         Landmarks by which `evaluate` recognizes training drives and parts of them.
     warnings : tuple of str
-        Faults on the training drives that the objective does not show.
+        Faults of the tuned filter on the training drives that the objective does not show.
     sensitivities : tuple of Sensitivity
         Range of each parameter in which the cost increases by less than 1%.
     validation : Validation or None

@@ -33,8 +33,9 @@ SCALING = (
 FIX_ERROR_TIME = "fix_error_time"
 """Parameter that is searched only with truth, and only for models with roll and pitch.
 
-Without truth, the likelihood hardly depends on this time. In a planar filter, slopes also cause correlated innovations:
-after tuning with truth on kingston-1, the position RMSE was 3.1 m with a searched time and 2.2 m with a fixed time.
+Without truth, the likelihood hardly depends on this time constant. In a planar filter, slopes also cause correlated
+innovations: after tuning with truth on kingston-1, the position RMSE was 3.1 m with a searched time and 2.2 m with a
+fixed time.
 """
 TYPICAL_SLIP = 0.005
 """Tire slip of passenger cars, s2/m, used if the objective does not use truth.

@@ -30,7 +30,7 @@ from sigmaswarm.filters.models import GYRO_BIAS
 from sigmaswarm.filters.parameters import FilterParameters
 
 SEARCH_INTERVAL = 10.0  # s between the starts of two searches
-SEARCH_DELAY = 1.0  # s of samples from a search's start to the use of its result; it takes about 15 ms
+SEARCH_DELAY = 1.0  # s of samples from a search's start to the use of its result; a search takes about 15 ms
 REPLAY_SPAN = 60.0  # s of samples that a search replays
 MIN_SPEED = 2.0  # m/s; at lower speeds no search starts, since fixes hardly determine headings and biases
 N_REPLACED = 7  # filters replaced per search: one by its result, the others by changed copies of good filters
@@ -157,7 +157,7 @@ class LiveFilterBank(LiveFilter):
         swarm.weigh(self._filter_state)
 
     def _started(self, start: InitialState) -> Array:
-        """Return the rows (N_KEPT, LANES) of all filters at a start."""
+        """Return the kernel rows (N_KEPT, LANES) of all filters at a start: see `compiled.layout`."""
         sets = tuple(self.spread.parameters(self.offsets[lane]) for lane in range(LANES))
         return KernelArray(sets).start([start], [self._interval])[0]
 
@@ -298,7 +298,7 @@ class LiveFilterBank(LiveFilter):
         )
 
     def _after_later_steps(self, result: SearchResult, since: Array) -> tuple[Array, float]:
-        """Return the rows (N_KEPT,) and the evidence of a search's best filter after the later steps ``since``."""
+        """Return the kernel rows (N_KEPT,) and evidence of a search's best filter after the later steps ``since``."""
         steps = LoggedSteps(self._kernel, since, self._filter_state[live.LEVER].copy())
         lane, known = steps.followed(result.lane, result.known)
         return lane, known.evidence

@@ -83,7 +83,7 @@ class LoggedSteps:
         return _loss(lanes) - before
 
     def followed(self, lane: Array, known: FilterEvidence) -> tuple[Array, FilterEvidence]:
-        """Return the rows (N_KEPT,) and the evidence of a filter after all steps."""
+        """Return the kernel rows (N_KEPT,) and the evidence of a filter after all logged steps."""
         lanes = np.repeat(lane[:, np.newaxis], WIDEST, axis=1)
         fixes = np.flatnonzero(self.rows[:, T_FLAGS].astype(np.uint16) & FIX)
         innovations = np.empty((len(fixes), 5))
@@ -163,7 +163,7 @@ class SearchResult:
     """Result of a search: the best filter, and the population with which the next search begins."""
 
     offsets: Array  # (d,)
-    lane: Array  # (N_KEPT,), state and constants in the kernel's layout, at the end of the replay
+    lane: Array  # (N_KEPT,), kernel rows at the end of the replay: see `compiled.layout`
     known: FilterEvidence
     population: Array  # (LANES, d)
 

@@ -16,8 +16,8 @@ def strong_tracking(w, *, n):
     """Strong tracking: inflate P until the trace of S is at least the recent mean of nu^T nu.
 
     FADING < 0: off. Source: D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996 (single fading factor, computed
-    from traces), with two changes. The previous mean has the weight rho = FADING and the new nu^T nu 1 - rho, since the
-    paper's weights, rho / (1 + rho) and 1 / (1 + rho), forget too fast. Only the part of P that the fix observes is
+    from traces), with two changes. The previous mean and the new nu^T nu have the weights rho = FADING and 1 - rho.
+    The paper's weights, rho / (1 + rho) and 1 / (1 + rho), forget too fast. Only the part of P that the fix observes is
     inflated, P + (factor - 1) C (H P H^T)^-1 C^T, since the unobserved part would grow without limit.
     """
     for l in range(LANES):

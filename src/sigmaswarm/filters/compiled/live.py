@@ -46,7 +46,7 @@ from sigmaswarm.filters.compiled.monitor import (
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.single import take_step
 
-# The state: rows as in `layout`; its time; nominal steps since the last fix; slots of the last events.
+# The state: rows as in `layout`; its time; nominal steps since the last fix; time slots of the last events.
 N_FILTER = N_KEPT
 OK = R.OK
 TIME, SINCE = range(N_FILTER, N_FILTER + 2)
