@@ -1,4 +1,4 @@
-"""The exported filters with the wheels' speed: C is the run, late readings included; the script takes none."""
+"""The exported filters with the wheels' speed: C is the run, late readings included, and so is the script."""
 
 import subprocess
 from dataclasses import replace
@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exported import SANITIZERS, build, distance, export_filter, needs_gcc, replay
+from exported import SANITIZERS, build, distance, needs_gcc, replay, run_script
 from filter_cases import OPTIONS, equipped, parameters
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.errors import InputError
+from sigmaswarm.drives.split import clip
 from sigmaswarm.exports.c99 import replay_rows
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
@@ -70,6 +70,10 @@ def test_late_readings_take_it_back_and_forward(tmp_path: Path):
     np.testing.assert_allclose(last, ours.mean[-1], rtol=0, atol=1e-9)
 
 
-def test_the_script_reads_none(tmp_path: Path):
-    with pytest.raises(InputError, match="does not read an odometer; export the filter as C99"):
-        export_filter(given("planar8", "ukf"), "filterpy", tmp_path)
+@pytest.mark.parametrize("kind", quickly([("ukf",), ("ekf",)], lambda kind: kind == "ekf"))
+def test_the_script_is_the_run(tmp_path: Path, kind: str):
+    p, drive = given("planar8", kind, **OPTIONS["all"]), clip(wheeled(equipped()), 0.0, 9.0)
+    ours = run_filter(drive, p, recover=False).mean
+    assert distance(run_script(tmp_path, p, drive).mean, ours) < 1e-10
+    without = run_filter(drive, replace(p, odometer_noise=None), recover=False).mean
+    assert distance(without, ours) > 1e-3

@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from collections import Counter
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -145,6 +146,17 @@ def test_it_imports_nothing_but_numpy_and_filterpy(kind: str):
             imported.add(str(node.module).split(".")[0])
     others = imported - set(sys.stdlib_module_names)
     assert others == {"numpy", "filterpy"}
+
+
+def test_modules_in_one_script_do_not_overwrite_names():
+    text = filterpy(tuned("planar8", "ukf", 0.01), 0.01)["run_filter.py"]
+    names: list[str] = []
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.append(node.name)
+        elif isinstance(node, ast.Assign):
+            names += [n.id for target in node.targets for n in ast.walk(target) if isinstance(n, ast.Name)]
+    assert [name for name, n in Counter(names).items() if n > 1] == []
 
 
 def test_sources_are_taken_whole_but_for_compiling_and_imports():

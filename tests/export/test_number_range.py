@@ -65,32 +65,18 @@ def test_c_keeps_every_bit_and_compiles_but_for_a_float_that_is_too_small(
 def test_the_script_states_the_same_numbers(tmp_path: Path, change: dict[str, Any]):
     p = replace(P, **change)
     (path,) = export_filter(p, "filterpy", tmp_path)
-    stated = constants_of(path)
-    assert stated["PROCESS_NOISE"] == list(p.process_noise)
-    assert stated["MEASUREMENT_NOISE"] == list(p.measurement_noise)
-    assert stated["(ALPHA, BETA, KAPPA)"] == (p.alpha, p.beta, p.kappa)
-    for name in (
-        "velocity_noise",
-        "lateral_noise",
-        "rear_axle",
-        "tire_slip",
-        "standstill_noise",
-        "gate",
-        "latency",
-    ):
-        assert stated[name.upper()] == getattr(p, name)
+    stated = parameters_of(path)
+    for name in ("alpha", "beta", "kappa", "process_noise", "measurement_noise", *change):
+        assert stated[name] == getattr(p, name)
 
 
-def constants_of(script: Path) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for node in ast.parse(script.read_text()).body:
-        if isinstance(node, ast.Assign):
-            value = node.value.args[0] if isinstance(node.value, ast.Call) and node.value.args else node.value
-            try:
-                found[ast.unparse(node.targets[0])] = ast.literal_eval(value)
-            except ValueError:
-                continue
-    return found
+def parameters_of(script: Path) -> dict[str, Any]:
+    body = ast.parse(script.read_text()).body
+    given = next(
+        n.value for n in body if isinstance(n, ast.Assign) and ast.unparse(n.targets[0]) == "PARAMETERS"
+    )
+    assert isinstance(given, ast.Call)
+    return {str(each.arg): ast.literal_eval(each.value) for each in given.keywords}
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ INTERVAL = 0.1  # s, length of a slot with at most one measurement, and largest 
 SLOW = 0.5  # m/s; a lower mean may be too low, so the square of this speed is added to its variance
 LARGEST_AGE = 1.0  # s; an older reading does not show whether the wheels turn
 
-SPEED, AGE, MORE = range(3)
+WHEEL_SPEED, WHEEL_AGE, WHEEL_NOISE = range(3)
 """Columns of a measurement: mean of the readings (m/s), their mean age (s), and addition to R (m2/s2)."""
 
 
@@ -27,7 +27,7 @@ def mean_reading(readings: Array, end: int, now: float, before: float, taken: fl
     """Average the readings since the last measurement, at most `INTERVAL` old; return False if none is new.
 
     ``taken`` is the time of the last measurement; a reading is new if it is later than ``before``. The result is stored
-    in ``wheels`` (3,): see SPEED ... MORE.
+    in ``wheels`` (3,): see WHEEL_SPEED ... WHEEL_NOISE.
     """
     oldest = now - INTERVAL
     if end == 0 or readings[end - 1, 0] <= max(before, oldest):
@@ -39,7 +39,7 @@ def mean_reading(readings: Array, end: int, now: float, before: float, taken: fl
     for r in range(first, end):
         total += readings[r, 1]
         age += now - readings[r, 0]
-    wheels[SPEED] = total / n
-    wheels[AGE] = age / n
-    wheels[MORE] = SLOW * SLOW if abs(wheels[SPEED]) < SLOW else 0.0
+    wheels[WHEEL_SPEED] = total / n
+    wheels[WHEEL_AGE] = age / n
+    wheels[WHEEL_NOISE] = SLOW * SLOW if abs(wheels[WHEEL_SPEED]) < SLOW else 0.0
     return True

@@ -24,7 +24,7 @@ SPEED_ERROR = 0.3  # m/s, standard deviation of an alignment's speed, which is m
 FORCE, VARIANCE, TURN, DRIFT, MEAN_SPEED, ASSUMED, ASSUMED_VARIANCE, CHANGE = 0, 2, 4, 6, 8, 9, 10, 11
 """Indices of `TiltEvidence.numbers`."""
 NUMBERS = 16  # length of `TiltEvidence.numbers`
-TIME, X, Y, TURNED, GAINED, ROLLED, PITCHED, LATERAL = range(8)
+TIME, X, Y, TURNED, GAINED, ROLLED, PITCHED, LATERAL_SPEED = range(8)
 """Columns of the fixes of a window: time (s), position (m) and the integrals of the IMU's axes at the fix.
 
 The integrals are heading (rad), speed (m/s), rotation about the forward and left axes (rad), and lateral acceleration
@@ -90,7 +90,7 @@ def mean_forces(
         tilt[MEAN_SPEED] += share * v
         rate += part
         turned_speed += v * part
-    lateral = (fixes[last, LATERAL] - fixes[0, LATERAL]) / span - turned_speed
+    lateral = (fixes[last, LATERAL_SPEED] - fixes[0, LATERAL_SPEED]) / span - turned_speed
     tilt[FORCE] = -slope * variance / posterior - GRAVITY * lean_y
     tilt[FORCE + 1] = lateral - tilt[MEAN_SPEED] * taken + GRAVITY * lean_x
     tilt[VARIANCE] = variance

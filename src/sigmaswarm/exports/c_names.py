@@ -1,6 +1,6 @@
 """Names in C of the states, and of the parameters and elements that a kernel reads."""
 
-from sigmaswarm.drives import odometer, timeline
+from sigmaswarm.drives import timeline
 
 STATES = (
     *("X", "Y", "VX", "VY", "HEADING", "ACCEL_X", "ACCEL_Y", "GYRO", "ROLL", "PITCH", "GYRO_X", "GYRO_Y"),
@@ -19,6 +19,8 @@ PARAMETERS = {
     "l": (),
 }
 """C parameters that replace a parameter of a kernel. A C function has only the parameters that it uses."""
+WHEELS = ("speed", "age", "more")
+"""Fields of an odometer measurement, in the order of `drives.odometer`."""
 _AXES = {"gz": "sample->yaw_rate"}
 INPUTS = {
     "u": {
@@ -33,7 +35,7 @@ INPUTS = {
         **{timeline.FIX_VAR_X: "fix->variance[0]", timeline.FIX_VAR_Y: "fix->variance[1]"},
         **{timeline.FIX_THETA: "fix->heading", timeline.FIX_VAR_THETA: "fix->heading_variance"},
     },
-    "wheels": {odometer.SPEED: "wheels->speed", odometer.AGE: "wheels->age", odometer.MORE: "wheels->more"},
+    "wheels": {k: f"wheels->{name}" for k, name in enumerate(WHEELS)},
     "lever": {k: f"lever[{k}]" for k in range(3)},
 }
 """C text of the elements of a step, a fix, an odometer reading and the lever arm."""

@@ -16,6 +16,7 @@ import numpy as np
 
 from sigmaswarm.drives import events, gaps, odometer, stale_fixes, standstill
 from sigmaswarm.exports.c_emitter import Emitter, _Function, parameter_name
+from sigmaswarm.exports.c_names import WHEELS
 from sigmaswarm.exports.c_text import constants_of
 
 ALWAYS = gaps.gap_of, gaps.usual_after, stale_fixes._speed_at, stale_fixes.kind_of
@@ -34,7 +35,7 @@ POINTERS = {
 }
 """C types of arrays; by default ``real *``. The array ``kinds`` is a field of the fixes."""
 FIELDS = {
-    **{"fixes": ("time", "x", "y"), "readings": ("time", "speed"), "wheels": ("speed", "age", "more")},
+    **{"fixes": ("time", "x", "y"), "readings": ("time", "speed"), "wheels": WHEELS},
     "done": ("lateral_slot", "standstill_slot", "odometer_slot", "odometer_time"),
 }
 TIMES = ("now", "before", "taken")

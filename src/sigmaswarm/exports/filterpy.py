@@ -5,36 +5,58 @@ The script contains sigmaswarm's source of the parts that FilterPy lacks, so bot
 
 import ast
 import inspect
+from collections.abc import Mapping
+from dataclasses import fields
 from types import ModuleType
 
 from sigmaswarm import geodesy
 from sigmaswarm.drives import (
     alignment,
     alignment_fit,
+    events,
     gaps,
     gyro_bias,
+    odometer,
     stale_fixes,
     standstill,
     tables,
     tilt_evidence,
+    timeline,
 )
 from sigmaswarm.drives.mounting import Angles
-from sigmaswarm.errors import InputError
-from sigmaswarm.exports.features import features_of, fill, listed, values_of, with_definitions
-from sigmaswarm.filters import models, schedule
+from sigmaswarm.exports.features import fill
+from sigmaswarm.filters import fuzzy, models, schedule, student
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.textbook import adaptive, ekf, gaussian
+from sigmaswarm.filters.textbook import adaptive, car, ekf, gaussian
+from sigmaswarm.versions import __version__
 
 FILE = "run_filter.py"
-WEIGHING = {
-    "USE_ADAPTIVE": "SageHusa",
-    "USE_FUZZY": "FuzzyNoise",
-    "USE_STRONG_TRACKING": "StrongTracking",
-    "USE_ROBUST": "StudentT",
-    "USE_STRETCH": "stretched",
+_ABSENT = ("imu_noise", "imu_gate", "fix_error", "fix_error_time", "fix_std")
+"""Parameters of filters that a script does not have."""
+MODEL = {
+    models: "THETA ACCEL_BIAS GYRO_BIAS planar5 planar8 gps_position velocity lateral_arm lateral_velocity "
+    "wheel_speed heading gyro_bias"
 }
-"""Parts of `textbook.adaptive` that a script contains, by feature."""
-GAPS_IN_THE_IMU = ["MANY", "SHORTEST", "OVER", "MOST", "gaps_before", "_find_gaps", "gap_of", "usual_after"]
+"""Parts of the model that a script contains, by module; likewise FILTER and DRIVE. An empty text: all."""
+FILTER = {
+    gaussian: "Innovation Prediction GaussianFilter",
+    ekf: "complex_step",
+    fuzzy: "",
+    student: "ITERATIONS OUTLYING OUTLIERS OUTLIERS_SPAN",
+    adaptive: "",
+    schedule: "STANDSTILL_RATE_NOISE SLIP_GATE HEADING_GATE MOST_REJECTED GAP_TURN_STD GAP_ACCELERATION_STD "
+    "GAP_TILT_STD gap_covariance process_noise_per_step require_accuracy require_odometer",
+    car: "Car",
+}
+DRIVE = {
+    geodesy: "wrap_angle",
+    tables: "Mask Indices NO_HEADING headings_of",
+    stale_fixes: "",
+    gaps: "MANY SHORTEST OVER MOST gaps_before _find_gaps gap_of usual_after",
+    standstill: "",
+    tilt_evidence: "TIME FORCE NUMBERS",
+    **dict.fromkeys((gyro_bias, alignment_fit, alignment, odometer, timeline, events), ""),
+}
 
 
 def filterpy(
@@ -44,48 +66,33 @@ def filterpy(
 
     The mounting is ignored, since the script reads drives, whose samples are in the axes of the vehicle.
     """
-    p = parameters
-    if p.odometer_noise is not None:
-        raise InputError(
-            "the script for FilterPy does not read an odometer; export the filter as C99, or tune without odometer"
-        )
-    features = features_of(p)
-    model = models.MODELS[p.model]
-    stands = features["USE_STANDSTILL"] and model.gyro_bias is not None
-    used = ["THETA", *(["GYRO_BIAS"] if stands or features["USE_LATERAL"] else [])]
-    used += [*dict.fromkeys(["planar5", p.model]), "gps_position"]
-    used += ["velocity"] if features["USE_VELOCITY_OR_STANDSTILL"] else []
-    used += ["lateral_arm", "lateral_velocity"] if features["USE_LATERAL"] else []
-    used += ["gyro_bias"] if stands else []
-    weighing = [name for feature, name in WEIGHING.items() if features[feature]]
-    sources = [source_of(models, used), *([source_of(ekf, ["complex_step"])] if p.kind == "ekf" else [])]
-    values = values_of(p, interval) | {
+    p, model = parameters, models.MODELS[parameters.model]
+    extended = p.kind == "ekf"
+    stated = {f.name: f for f in fields(p) if f.name not in _ABSENT}
+    numbers = {name: getattr(p, name) for name in stated} | {"nominal_interval": interval}
+    units = {name: f.metadata.get("unit") for name, f in stated.items()}
+    listed = [f"    {n}={v!r},{f'  # {units[n]}' if units[n] else ''}" for n, v in numbers.items()]
+    values = {
+        "VERSION": __version__,
+        "DESCRIPTION": f"{p.model}, {p.kind}",
         "STATES": repr(model.names),
         "AS_RECORDED": repr(as_recorded),
-        "PROCESS_NOISE": listed(p.process_noise),
-        "MEASUREMENT_NOISE": listed(p.measurement_noise),
-        "STANDS": "stands[k]" if features["USE_STANDSTILL"] else "False",
-        "FILTERPY_NAMES": "ExtendedKalmanFilter"
-        if p.kind == "ekf"
+        "PARAMETERS": "\n".join(listed),
+        "KALMAN_NAMES": "ExtendedKalmanFilter"
+        if extended
         else "MerweScaledSigmaPoints, UnscentedKalmanFilter",
-        "MODEL_SOURCE": "\n\n\n".join(sources),
-        "ADAPTIVE_SOURCE": "\n\n\n".join(
-            [source_of(gaussian, ["Innovation"]), source_of(adaptive, weighing)]
-        ),
-        "WRAP_SOURCE": source_of(geodesy, ["wrap_angle"]),
-        "STALE_SOURCE": source_of(stale_fixes),
-        "GAPS_SOURCE": source_of(gaps, GAPS_IN_THE_IMU),
-        "GAP_SOURCE": source_of(schedule, ["GAP_TURN_STD", "GAP_ACCELERATION_STD", "gap_covariance"]),
-        "ALIGNMENT_SOURCE": "\n\n\n".join(
-            [
-                source_of(tables, ["NO_HEADING", "headings_of"]),
-                source_of(tilt_evidence, ["TIME", "FORCE", "NUMBERS"]),
-                *map(source_of, (gyro_bias, alignment_fit, alignment)),
-            ]
-        ),
-        "STANDSTILL_SOURCE": source_of(standstill),
+        "MODEL": p.model,
+        "GYRO_AXES": repr(model.gyro_axes),
+        "MEASURED": f"frozenset({sorted(schedule.measured_by(p))!r})",
+        "MODEL_SOURCE": _sources_of(MODEL),
+        "FILTER_SOURCE": _sources_of(FILTER),
+        "DRIVE_SOURCE": _sources_of(DRIVE),
     }
-    return {FILE: with_definitions(fill("filterpy.py.in", features, values), values, "{} = {}  # {}")}
+    return {FILE: fill("filterpy.py.in", {"USE_UNSCENTED": not extended}, values)}
+
+
+def _sources_of(parts: Mapping[ModuleType, str]) -> str:
+    return "\n\n\n".join(source_of(module, names.split() or None) for module, names in parts.items())
 
 
 def source_of(module: ModuleType, names: list[str] | None = None) -> str:
@@ -106,7 +113,7 @@ def source_of(module: ModuleType, names: list[str] | None = None) -> str:
         decorators = [ast.unparse(d) for d in getattr(node, "decorator_list", [])]
         kept = name is not None and "overload" not in decorators and (names is None or name in names)
         if kept:
-            compiled = any(d.startswith(("njit", "cached")) for d in decorators)
+            compiled = any(d.startswith(("njit", "cached", "register_jitable")) for d in decorators)
             first = node.lineno if compiled or not decorators else node.decorator_list[0].lineno  # pyright: ignore
             parts.append("\n".join(lines[first - 1 : node.end_lineno]))
     return "\n\n\n".join(parts)

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from sigmaswarm.drives.events import FIX, HEADING, HIDDEN, IMU, LATERAL, ODOMETER, STANDSTILL
-from sigmaswarm.drives.odometer import SPEED
+from sigmaswarm.drives.odometer import WHEEL_SPEED
 from sigmaswarm.drives.timeline import (
     AX,
     AY,
@@ -204,7 +204,7 @@ def step(w, u, events, z, wheels, lever, since):
         if events & USES_VY:
             _update_vy(w, 0.0)
     if events & ODOMETER:
-        _update_vx(w, wheels[SPEED])
+        _update_vx(w, wheels[WHEEL_SPEED])
     if events & (FIX | HIDDEN):
         x, y, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
         _measure_fix(w, x, y, var_x, var_y, lever[0], lever[1])

@@ -12,7 +12,7 @@ scratch rows, then those of (A P) A^T.
 
 import math
 
-from sigmaswarm.drives.odometer import AGE, MORE, SPEED
+from sigmaswarm.drives.odometer import WHEEL_AGE, WHEEL_NOISE, WHEEL_SPEED
 from sigmaswarm.drives.timeline import AX, AY, AZ, DT, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GX, GY, GZ, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import FAR, TINY, angle_of, kernel, sinc_cos, sincos
 from sigmaswarm.filters.compiled.layout import C1, C2, FP, LANES, Q0, R, at
@@ -239,7 +239,7 @@ def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
     if lateral:
         shown = u[GZ]
     else:
-        shown, speed, age, more = u[AX], wheels[SPEED], wheels[AGE], wheels[MORE]
+        shown, speed, age, more = u[AX], wheels[WHEEL_SPEED], wheels[WHEEL_AGE], wheels[WHEEL_NOISE]
     for l in range(LANES):
         q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
         if lateral:

@@ -29,7 +29,7 @@ import math
 
 import numpy as np
 
-from sigmaswarm.drives.odometer import AGE, MORE, SPEED
+from sigmaswarm.drives.odometer import WHEEL_AGE, WHEEL_NOISE, WHEEL_SPEED
 from sigmaswarm.drives.timeline import AX, AY, AZ, DT, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GZ
 from sigmaswarm.filters.compiled.lanes import FAR, TINY, angle_of, kernel, sinc_cos, sincos, spread_of
 from sigmaswarm.filters.compiled.layout import BEND, C1, C2, EXTRA, LANES, PIVOT, ROOT, SHIFT, SLOPE, R, at
@@ -432,7 +432,7 @@ def _measure_along(w, u, wheels, *, lateral, bias, axis):
     if lateral:
         shown = u[GZ]
     else:
-        shown, speed, age, more = u[AX], wheels[SPEED], wheels[AGE], wheels[MORE]
+        shown, speed, age, more = u[AX], wheels[WHEEL_SPEED], wheels[WHEEL_AGE], wheels[WHEEL_NOISE]
     _root_with_velocity(w)
     for l in range(LANES):
         e, c = axis(w, l), _up(w, l)

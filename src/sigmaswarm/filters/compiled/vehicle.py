@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from sigmaswarm.drives.odometer import AGE, MORE, SPEED
+from sigmaswarm.drives.odometer import WHEEL_AGE, WHEEL_NOISE, WHEEL_SPEED
 from sigmaswarm.drives.timeline import AX, FIX_THETA, FIX_VAR_THETA, FIX_VX, FIX_VY, GX, GY, GZ
 from sigmaswarm.filters.compiled.lanes import sincos, spread_of
 from sigmaswarm.filters.compiled.layout import C1, C2, LANES, R, at
@@ -80,7 +80,7 @@ def measure_along_planar(w, u, wheels, *, n, bias, lateral):
     if lateral:
         shown = u[GZ]
     else:
-        shown, speed, age, more = u[AX], wheels[SPEED], wheels[AGE], wheels[MORE]
+        shown, speed, age, more = u[AX], wheels[WHEEL_SPEED], wheels[WHEEL_AGE], wheels[WHEEL_NOISE]
     for l in range(LANES):
         second, quarter_gamma = w[R.SECOND, l], w[R.QUARTER_GAMMA, l]
         if lateral:  # noqa: SIM108 (known at compilation)

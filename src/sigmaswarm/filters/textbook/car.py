@@ -1,5 +1,6 @@
 """Textbook filters for cars, with which tests compare `compiled/run.py`."""
 
+from collections.abc import Set
 from dataclasses import replace
 
 import numpy as np
@@ -33,43 +34,29 @@ from sigmaswarm.filters.textbook.manifold import (
     Manifold,
     ManifoldUnscentedKalmanFilter,
 )
-from sigmaswarm.filters.tilted import ATTITUDE, MEASURED_FIRST, STEP_FIRST
+from sigmaswarm.filters.tilted import MEASURED_FIRST, STEP_FIRST
 from sigmaswarm.geodesy import wrap_angle
 
 
-class TextbookCar:
-    """Textbook filter on a drive's time line.
+class Car:
+    """Filter on a drive's time line, in textbook form; a script for FilterPy contains this class.
 
-    ``filter.mean`` and ``filter.covariance`` may be set before a step. ``noise`` has the current diagonals of Q and R.
-    For ``heading_first`` and ``redraw_sigma_points`` see `run_textbook`.
+    ``filter`` has the interface of `GaussianFilter`; its ``mean`` and ``covariance`` may be set before a step.
+    ``noise`` has the current diagonals of Q and R. ``measured``: see `schedule.measured_by`.
     """
 
     def __init__(
         self,
         timeline: Timeline,
         parameters: FilterParameters,
-        initial: InitialState,
-        *,
-        heading_first: bool = True,
-        redraw_sigma_points: bool = True,
+        model: CarModel,
+        filter: GaussianFilter,
+        measured: Set[str],
     ) -> None:
         p = parameters
-        require_driven_by_imu(p.model, "run_textbook")
-        self.timeline, self.parameters = timeline, p
-        mean, covariance = start_of(initial, p)
-        self.model = FILTERS[p.kernel]
-        require_axes(timeline.drive, p.model)
-        first = STEP_FIRST if self.model.tilts else (THETA,)
-        points = SigmaPoints(p.alpha, p.beta, p.kappa, first=first if heading_first else ())
-        self.filter = _filter(
-            self.model,
-            self.model.position(timeline.lever.tolist(), p.latency),
-            mean,
-            covariance,
-            points=None if p.kind == "ekf" else points,
-            redraw_sigma_points=redraw_sigma_points,
-        )
-        self._fix_error_noise = np.zeros(len(mean) - p.n_states)  # Q of the fix error between fixes
+        self.timeline, self.parameters, self.model, self.filter = timeline, p, model, filter
+        # Q of the fix error, which changes only at fixes
+        self._fix_error_noise = np.zeros(len(filter.mean) - len(p.process_noise))
         q = process_noise_per_step(p, timeline.nominal_interval)
         r = np.array(p.measurement_noise)
         fuzzy = p.kind == "fuzzy-ukf"
@@ -82,8 +69,9 @@ class TextbookCar:
             require_accuracy(timeline)
         if p.odometer_noise is not None:
             require_odometer(timeline.drive)
-        self._imu = timeline.imu(self.model.imu)
-        self.flags, self._wheels = events_of(timeline, measured_by(p))
+        self._imu = timeline.imu(model.imu)
+        self._tilts = [i for i, name in enumerate(model.names) if name in ("roll", "pitch")]
+        self.flags, self._wheels = events_of(timeline, measured)
         self._wheels_of_step = np.cumsum(self.flags & ODOMETER != 0) - 1
         self._fix_of_step = np.cumsum(timeline.updates | timeline.hides) - 1
         self._rejected = 0
@@ -93,7 +81,7 @@ class TextbookCar:
         line, p = self.timeline, self.parameters
         imu, model = self._imu[i], self.model
         unseen = gap_covariance(len(self.filter.mean), line.dt[i], line.gap[i])
-        for tilt in ATTITUDE[:2] if model.tilts else ():
+        for tilt in self._tilts:
             unseen[tilt, tilt] += GAP_TILT_STD**2 * line.gap[i] * line.dt[i]
         q = np.concatenate([self.noise.process_noise, self._fix_error_noise])
         self.filter.predict(line.dt[i], imu, np.diag(q) * line.q_scale[i] + unseen)
@@ -155,7 +143,37 @@ class TextbookCar:
         self.filter.correct(replace(innovation, variance=np.maximum(innovation.variance, least)))
 
     def _age_fix_error(self, stated: Array) -> None:
-        """Propagate the correlated error to the next fix; ``stated``: stated variances of this fix, (2,) m2, or 0."""
+        """Propagate the correlated error to the next fix; ``stated``: variances of the next fix, (2,) m2, or 0."""
+        raise NotImplementedError
+
+
+class TextbookCar(Car):
+    """Textbook filter on a drive's time line. For ``heading_first`` and ``redraw_sigma_points`` see `run_textbook`."""
+
+    def __init__(
+        self,
+        timeline: Timeline,
+        parameters: FilterParameters,
+        initial: InitialState,
+        *,
+        heading_first: bool = True,
+        redraw_sigma_points: bool = True,
+    ) -> None:
+        p = parameters
+        require_driven_by_imu(p.model, "run_textbook")
+        mean, covariance = start_of(initial, p)
+        model = FILTERS[p.kernel]
+        require_axes(timeline.drive, p.model)
+        first = STEP_FIRST if model.tilts else (THETA,)
+        points = SigmaPoints(p.alpha, p.beta, p.kappa, first=first if heading_first else ())
+        position = model.position(timeline.lever.tolist(), p.latency)
+        points = None if p.kind == "ekf" else points
+        filter = _filter(
+            model, position, mean, covariance, points=points, redraw_sigma_points=redraw_sigma_points
+        )
+        super().__init__(timeline, p, model, filter, measured_by(p))
+
+    def _age_fix_error(self, stated: Array) -> None:
         p, filter = self.parameters, self.filter
         phi = float(np.exp(-self._since * self.timeline.nominal_interval / p.fix_error_time))
         f, q = fix_error.transition(len(filter.mean), phi), np.zeros_like(filter.covariance)
