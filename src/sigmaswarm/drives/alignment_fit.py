@@ -152,7 +152,8 @@ class AlignmentFit:
         mean[4] = wrap_angle(mean[4])
         tilt = None
         if self._leans and tilts:
-            mean_forces(fixes, len(fixes), self.taken, self._fit, variance, posterior, numbers)
+            speed, slope = self._fit[SPEED], self._fit[SLOPE]
+            mean_forces(fixes, len(fixes), self.taken, speed, slope, variance, posterior, numbers)
             tilt = TiltEvidence(numbers)
         return InitialState(mean, covariance, float(fixes[-1, TIME]), self._gyro(turns), tilt)
 

@@ -54,14 +54,22 @@ class TiltEvidence:
 
 @cached(error_model="numpy")
 def mean_forces(
-    fixes: Array, n: int, taken: float, fit: Array, variance: float, posterior: float, tilt: Array
+    fixes: Array,
+    n: int,
+    taken: float,
+    speed: float,
+    slope: float,
+    variance: float,
+    posterior: float,
+    tilt: Array,
 ) -> None:
     """Compute the mean specific forces of a window and their dependence on tilts and biases.
 
-    ``taken``: gyro bias subtracted before the ``fit``, rad/s. ``variance`` and ``posterior``: variances of b (see
-    `alignment_fit`) without and with its prior. ``tilt``: `TiltEvidence.numbers`, initially 0 except CHANGE.
+    ``taken``: gyro bias subtracted before the fit, rad/s. ``speed`` (m/s, at the last fix) and ``slope`` (b, m/s2) are
+    results of the fit. ``variance`` and ``posterior``: variances of b (see `alignment_fit`) without and with its prior.
+    ``tilt``: `TiltEvidence.numbers`, initially 0 except CHANGE.
     """
-    last, end, speed, slope = n - 1, fixes[n - 1, TIME], fit[3], fit[4]
+    last, end = n - 1, fixes[n - 1, TIME]
     span = end - fixes[0, TIME]
     # rotation and time from a fix to the last one, in the axes of the car at the last fix
     x, y, forward, left = 0.0, 0.0, 0.0, 0.0

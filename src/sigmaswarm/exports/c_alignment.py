@@ -59,6 +59,7 @@ class _OfFilter(_OfFit):
 class _OfMonitor(_OfFit):
     """Translation of a rule of the divergence monitor."""
 
+    enumerators: ClassVar = {"THETA": "INS_GPS_HEADING"}
     fields: ClassVar = {"contradiction": ("checks", "since", "last")}
     pointers: ClassVar = {
         **dict.fromkeys(("fix", "variance", "lever"), "const real *"),
