@@ -244,3 +244,10 @@ def test_c_library_gives_the_estimates_of_a_run(model: str, kind: str, option: s
 def test_other_exports_refuse_it_in_one_line(target: str):
     with pytest.raises(InputError, match=f"{target} does not support fix-error; tune without fix-error"):
         export_texts(filter_of(nominal_interval=0.01), target)
+
+
+def test_planar5_has_its_fix_error_where_planar8_has_a_bias():
+    model = FILTERS["planar5+fix-error"]
+    assert (model.accel_bias, model.gyro_bias) == (None, None)
+    state = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 7.0, 7.0])
+    np.testing.assert_array_equal(model.odometer(2.0, 0.5)(state), [2.0])

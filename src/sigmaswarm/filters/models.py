@@ -122,7 +122,7 @@ def wheel_speed(ax: float, delay: float) -> Callable[[Array], Array]:
     """
 
     def h(state: Array) -> Array:
-        bias = state[ACCEL_BIAS] if len(state) > ACCEL_BIAS else 0.0
+        bias = state[ACCEL_BIAS] if len(state) > GYRO_BIAS else 0.0  # planar5 has the fix error in this place
         forward = np.cos(state[THETA]) * state[2] + np.sin(state[THETA]) * state[3]
         return np.array([forward - delay * (ax - bias)])
 
@@ -234,7 +234,7 @@ class CarModel:
     @property
     def accel_bias(self) -> int | None:
         """Index of the accelerometer's bias (forward), or None."""
-        return ACCEL_BIAS if len(self.states) > ACCEL_BIAS and not self.measures_imu else None
+        return ACCEL_BIAS if len(self.states) > GYRO_BIAS and not self.measures_imu else None
 
     @property
     def gyro_bias(self) -> int | None:
