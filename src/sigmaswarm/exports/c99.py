@@ -13,10 +13,9 @@ from sigmaswarm.drives.mounting import Angles
 from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.drives.tilt_evidence import NUMBERS
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.c_alignment import alignment_of, with_constants
-from sigmaswarm.exports.c_kernels import kernels_of
+from sigmaswarm.exports import c_alignment, c_kernels, c_rules
 from sigmaswarm.exports.c_names import STATES
-from sigmaswarm.exports.c_rules import rules_of
+from sigmaswarm.exports.c_text import with_constants
 from sigmaswarm.exports.features import (
     PARAMETERS,
     exact_texts,
@@ -93,10 +92,9 @@ def c99(
         "USE_LANES": several,
         "USE_MOUNTING": mounting is not None,
         "USE_IMU_AXES": bool(imu_axes),
-        "USE_EXP": several or features["USE_FIX_ERROR"],
     }
     values = values_of(parameters, interval) | _only_in_c(parameters, interval) | lanes.values(parameters)
-    values |= kernels_of(parameters, features, values)
+    values |= c_kernels.kernels_of(parameters, features, values)
     if mounting is not None:
         values["MOUNTING"] = "{:g}, {:g} and {:g}".format(*mounting)
         values["ROTATION"] = ", ".join(f"{{{listed(row, 'R({})')}}}" for row in rotation_of(*mounting))
@@ -104,13 +102,13 @@ def c99(
     axes = (f"{printable(axis):{width}} = {printable(text, 1000)}" for axis, text in (imu_axes or {}).items())
     values["BEFORE_MOUNTING"] = ", before the rotation" if mounting is not None else ""
     values["IMU_AXES"] = "\n".join(axes)
-    values |= rules_of(features, events.bits_of(schedule.measured_by(parameters)))
-    values |= alignment_of(biases=features["USE_BIASES"], tilted=features["USE_TILTED"])
-    values["CONSTANTS"] = "@CONSTANTS@"
+    values |= c_rules.rules_of(features, events.bits_of(schedule.measured_by(parameters)))
+    values |= c_alignment.alignment_of(biases=features["USE_BIASES"], tilted=features["USE_TILTED"])
     texts = {name: fill(f"{name}.in", features, values) for name in FILES}
-    texts["ins_gps_align.c"] = with_constants(texts["ins_gps_align.c"])
+    texts["ins_gps_align.c"] = with_constants(texts["ins_gps_align.c"], c_alignment.MODULES)
     numbers = {name: f"R({value})" for name, value in values.items()} | lanes.numbers(parameters)
-    texts["ins_gps.c"] = with_definitions(texts["ins_gps.c"], numbers, "#define {} {} /* {} */")
+    text = with_definitions(texts["ins_gps.c"], numbers)
+    texts["ins_gps.c"] = with_constants(text, (*c_rules.MODULES, *c_kernels.MODULES))
     return texts
 
 
@@ -258,6 +256,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "PATIENCE": (OUTLIERS_SPAN - 1e-6) / interval,
         "SLOTS": round(1.0 / odometer.INTERVAL),
         "BLOCKS": round(1.0 / standstill.BLOCK),
+        "N_MEMORY": standstill.N_MEMORY,
         "HISTORY": max(1, math.ceil(1.0 / interval)),  # default of LiveFilter
         "FIXES": 64,  # 6 s at 10 Hz
     }

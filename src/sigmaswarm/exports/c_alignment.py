@@ -3,26 +3,19 @@
 # pyright: reportPrivateUsage=false
 
 import re
-import textwrap
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from sigmaswarm.drives import alignment, alignment_fit, gyro_bias, tilt_evidence
 from sigmaswarm.exports.c_emitter import Emitter
 from sigmaswarm.exports.c_names import STATES
-from sigmaswarm.exports.c_rules import Rule, definition
-from sigmaswarm.exports.c_text import constants_of
+from sigmaswarm.exports.c_rules import Rule
 from sigmaswarm.filters import divergence
 from sigmaswarm.filters.compiled import live, monitor
 from sigmaswarm.filters.tilted import add_tilt_evidence
 
-FIT = (
-    *(alignment_fit.turn_path, alignment_fit._invert, alignment_fit._multiply, alignment_fit._equations_of),
-    *(alignment_fit._fit_bias, alignment_fit.fit_path, alignment_fit._convert_change),
-    alignment_fit.convert_to_start,
-)
 MODULES = alignment, alignment_fit, gyro_bias, tilt_evidence, divergence, monitor, live
-"""Modules whose constants the C text may use."""
+"""Modules with constants of the C text."""
 _FIX = ("motion.time", "x", "y", "motion.turned", "motion.gained", "motion.leaned[0]", "motion.leaned[1]")
 _PAIRS = ("force", "force_variance", "turn", "drift")
 _NUMBERS = (
@@ -70,7 +63,8 @@ class _OfMonitor(_OfFit):
 
 def alignment_of(*, biases: bool, tilted: bool) -> dict[str, str]:
     """Return the C text of the fit, of its evidence for a filter, and of the rules of the divergence monitor."""
-    fit = [*FIT, *([tilt_evidence.mean_forces] if tilted else [])]
+    fit = [alignment_fit.turn_path, alignment_fit.fit_path, alignment_fit.convert_to_start]
+    fit += [tilt_evidence.mean_forces] if tilted else []
     evidence = [*((gyro_bias.mix_biases, gyro_bias.update_biases) if biases else ())]
     evidence += [add_tilt_evidence] if tilted else []
     checks = (divergence.record_check, divergence.persists, divergence.position_contradicts)
@@ -80,22 +74,8 @@ def alignment_of(*, biases: bool, tilted: bool) -> dict[str, str]:
 
 def _in_double(translation: type[Rule], functions: Sequence[Any]) -> str:
     emitter = Emitter({})
-    texts = [translation(emitter, function, {}).text() for function in functions]
-    text = re.sub(r"\bR\(([\w.+-]+)\)", r"\1", "\n".join(texts))
+    for function in functions:
+        emitter.add(function, translation=translation)
+    text = re.sub(r"\bR\(([\w.+-]+)\)", r"\1", "\n".join(emitter.texts))
     text = re.sub(r"\b(SIN|COS|SQRT|HYPOT|ATAN2|FABS|EXP|LOG)\b", lambda name: name[0].lower(), text)
     return re.sub(r"\breal\b", "double", text).replace("LARGER", "fmax").replace("SMALLER", "fmin")
-
-
-def with_constants(text: str) -> str:
-    """Replace ``@CONSTANTS@`` by definitions of the library's constants that the text uses."""
-    used = set(re.findall(r"\b[A-Z][A-Z_0-9]+\b", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)))
-    used -= set(re.findall(r"#define (\w+)", text))
-    lines: list[str] = []
-    for module in MODULES:
-        for names, description in constants_of(module).items():
-            group = [name for name in names.split(", ") if name in used]
-            if group and "," in names and description:
-                lines += [*textwrap.wrap(f"/* {description} */", 120, subsequent_indent=" * ")]
-            described = "" if "," in names else description
-            lines += [definition(name, vars(module)[name], described).rstrip() for name in group]
-    return text.replace("@CONSTANTS@", "\n".join(lines))

@@ -42,21 +42,44 @@ class Emitter:
         For each row of parameters: C text, a number, or None if C does not have the row.
     states : sequence of str
         C names of the filter's states.
+    settings : dict
+        Values of parameters and globals, by name, in all functions.
+    names : dict of str to str
+        C names of functions, by name in Python; by default the same.
     """
 
-    def __init__(self, rows: Mapping[str, str | float | None], states: Sequence[str] = STATES) -> None:
+    def __init__(
+        self,
+        rows: Mapping[str, str | float | None],
+        states: Sequence[str] = STATES,
+        settings: Mapping[str, Any] | None = None,
+        names: Mapping[str, str] | None = None,
+    ) -> None:
         self.rows, self.states, self.texts = rows, states, list[str]()
-        self.constants: dict[str, float] = {}  # constants of the kernels' modules
+        self.settings, self.names = settings or {}, names or {}
         self.signatures: dict[str, tuple[str, list[list[str]]]] = {}  # by name in Python
 
-    def add(self, function: Any, name: str = "", **known: Any) -> None:
-        """Translate a kernel or a plain function; ``name`` is the name in C, by default that in Python.
+    def add(
+        self, function: Any, name: str = "", translation: "type[_Function] | None" = None, **known: Any
+    ) -> None:
+        """Translate a kernel or a plain function, and before it the functions that it calls.
 
-        ``known`` contains the values of parameters. A function with `Elements` ``e`` writes its results to these.
+        ``name`` is the name in calls, by default that of the function. ``known`` contains the values of parameters. A
+        function with `Elements` ``e`` writes its results to these.
         """
         if isinstance(function, Kernel):
             function, known = function.source, {**function.known, **known}
-        self.texts.append(_Function(self, function, name or function.__name__.lstrip("_"), known).text())
+        absent = {parameter: 0 for parameter, value in known.items() if value is None}
+        known = {**known, **absent, **self.settings}
+        self.texts.append((translation or _Function)(self, function, name or function.__name__, known).text())
+
+    def signature_of(
+        self, name: str, function: Any, translation: "type[_Function]"
+    ) -> tuple[str, list[list[str]]]:
+        """Return the name in C and the parameters of a function that a translated function calls by a name."""
+        if name not in self.signatures:
+            self.add(function, name, translation)
+        return self.signatures[name]
 
     def call(self, function: str) -> str:
         name, signature = self.signatures[function]
@@ -65,18 +88,12 @@ class Emitter:
 
     def text(self) -> str:
         code = re.sub(r"/\*.*?\*/", "", "\n".join(self.texts), flags=re.DOTALL)
-        used = [
-            name for name in dict.fromkeys(re.findall(r"\b[A-Z][A-Z_0-9]+\b", code)) if name in self.constants
-        ]
-        constants = [
-            f"#define {name} R({self.constants[name]!r})\n" for name in used if name not in self.rows
-        ]
         rows = set(re.findall(r"work->(\w+)", code))
         names = [row.lower() for row in NAMES if row.lower() in rows]
         names += [f"{block}[N]" for block in ("C1", "C2") if block in rows]
         listed = textwrap.fill(", ".join(names), 110, subsequent_indent=" " * 9)
         struct = f"typedef struct {{\n    real {listed};\n}} Work;\n"
-        return "\n".join(["".join(constants), struct, *self.texts])
+        return "\n".join([struct, *self.texts])
 
 
 class _Function(ast.NodeTransformer):
@@ -86,12 +103,12 @@ class _Function(ast.NodeTransformer):
     """
 
     def __init__(
-        self, emitter: Emitter, function: Callable[..., Any], name: str, known: dict[str, Any]
+        self, emitter: Emitter, function: Callable[..., Any], key: str, known: dict[str, Any]
     ) -> None:
         definition, self.comments = parsed(function)
-        self.emitter, self.name, self.definition = emitter, name, definition
+        self.emitter, self.key, self.definition = emitter, key, definition
+        self.name = emitter.names.get(key, key.lstrip("_"))
         self.known, self.names = known, {**function.__globals__, **known}
-        emitter.constants |= {n: v for n, v in self.names.items() if n.isupper() and isinstance(v, float)}
         self.is_kernel = any(each.arg == "w" for each in definition.args.args)
         self.body = self.chosen(definition.body[ast.get_docstring(definition) is not None :])
         nodes = [node for statement in self.body for node in ast.walk(statement)]
@@ -110,7 +127,7 @@ class _Function(ast.NodeTransformer):
         for each in self.definition.args.args:
             parameters_in_c = self.parameters_of(each.arg)
             signature.append([p for p in parameters_in_c if uses(code, parameter_name(p))])
-        self.emitter.signatures[self.definition.name] = self.name, signature
+        self.emitter.signatures[self.key] = self.name, signature
         parameters = dict.fromkeys(p for each in signature for p in each)
         parameters = [*parameters, *(f"real *{out}" for out in self.outs)]
         parameters = [p.replace(" ", "\0") for p in parameters]  # no line break within a parameter
@@ -386,6 +403,8 @@ class _Function(ast.NodeTransformer):
         return numeral(node.value) if isinstance(node.value, float) else ast.Name(str(node.value))
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
+        if node.id.isupper() and isinstance(self.names.get(node.id), int | float):
+            return ast.Name(f"R({node.id})")  # a constant
         return self.numbers.get(node.id, ast.Name(self.local(node.id)))
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
@@ -458,7 +477,7 @@ class _Function(ast.NodeTransformer):
         name = ast.unparse(node.func)
         if name in CALLS:
             return f"{CALLS[name]}({', '.join(map(self.c, node.args))})"
-        printed, signature = self.emitter.signatures[getattr(self.names[name], "__name__", name)]
+        printed, signature = self.emitter.signature_of(name, self.names[name], type(self))
         arguments: list[str] = []
         for each, theirs in zip(node.args, signature, strict=True):
             if self.is_kernel and isinstance(each, ast.Name) and each.id in PARAMETERS:

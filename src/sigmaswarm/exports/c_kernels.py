@@ -6,29 +6,34 @@
 from collections.abc import Mapping
 from typing import Any
 
-from sigmaswarm.drives import events
+from sigmaswarm.drives import events, tilt_evidence
 from sigmaswarm.exports.c_emitter import Elements, Emitter
 from sigmaswarm.exports.c_names import FIX_ERROR, PARAMETERS, STATES
+from sigmaswarm.filters import fuzzy, schedule, student
 from sigmaswarm.filters.compiled import (
     adaptive,
-    fix_error,
     lanes,
-    measurements,
-    planar5,
-    planar8,
+    live,
     step,
+    swarm,
     tilted12,
     transition,
-    updates,
     vehicle,
 )
 from sigmaswarm.filters.compiled.layout import MEAN, NAMES, SUMS
+from sigmaswarm.filters.compiled.unroll import Kernel
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.models import MEASURED, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
+MODULES = lanes, vehicle, schedule, tilt_evidence, fuzzy, student, live, swarm
+"""Modules with constants of the kernels and the template."""
 EVENTS = ("FIX", *map(str.upper, MEASURED))
 """Names of the bits of `drives.events` in C. An exported filter defines only those that its features use."""
+NAMES_IN_C = {
+    **{"_series": "sine_series", "_near": "sine_cosine_near", "sincos": "sine_cosine"},
+    **{"_turn": "turn_acceleration", "carry": "carry_fix_error"},
+}
 
 
 def kernels_of(
@@ -36,125 +41,32 @@ def kernels_of(
 ) -> dict[str, str]:
     """Return the C text of prediction, measurements and step, as values of the template."""
     model = FILTERS[p.kernel]
-    n, tilted = len(model.states), int(model.tilts is not None)
+    n = len(model.states)
     states = STATES if not model.fix_error else (*STATES[: n - 2], *FIX_ERROR)
-    emitter = Emitter(_rows(p, values["Q"] + "[{}]", values["R"] + "[{}]", features), states)
-    emitter.add(lanes._series, "sine_series")
-    emitter.add(lanes._near, "sine_cosine_near")
-    emitter.add(lanes.sincos, "sine_cosine")
-    if features["USE_SCALAR"]:
-        emitter.add(updates.update_scalar, n=n)
-    if tilted:
-        _add_tilted(emitter, features, n)
-    else:
-        if p.kind != "ekf":
-            emitter.add(lanes.spread_of)
-        _add_planar(emitter, p.model, features, n)
-    both = {"n": n, "tilted": tilted}
-    if features["USE_HEADING"]:
-        measure = tilted12.measure_heading_tilted if tilted else vehicle.measure_heading_planar
-        emitter.add(measure, "measure_heading", n=n)
-        emitter.add(vehicle.update_heading, tilted=tilted, measure_heading=measure)
-    if model.fix_error:
-        _add_fix_error(emitter, n, features)
-    emitter.add(updates.update_pair, **both, fold=tilted12.fold)
-    if features["USE_VELOCITY_OR_STANDSTILL"]:
-        emitter.add(vehicle.take_velocity, n=n, update_pair=updates.update_pair)
-    if features["USE_VELOCITY"]:
-        emitter.add(vehicle.update_velocity)
-    if features["USE_STANDSTILL"]:
-        gyro = tuple(model.gyro_axes.values())
-        emitter.add(vehicle.update_standstill, **both, gyro_biases=gyro)
-    emitter.add(measurements._keep_digits, **both, unscented=0, fix_error=int(model.fix_error))
-    if features["USE_STRETCH"]:
-        emitter.add(adaptive.inflate_observed, n=n)
-    if features["USE_STRONG_TRACKING"]:
-        emitter.add(adaptive.strong_tracking, n=n)
-    if features["USE_ROBUST"]:
-        emitter.add(adaptive.student_t_weight)
-    if features["USE_ADAPTIVE"]:
-        emitter.add(adaptive.adapt, n=n)
-    if features["USE_FUZZY"]:
-        emitter.add(adaptive.apply_fuzzy_rules, n=n)
-    _add_step(emitter, p, features)
-    kernels, stepping = emitter.texts[:-1], emitter.texts[-1]
-    emitter.texts = kernels
-    bits = [f"#define EVENT_{name} {getattr(events, name)}u\n" for name in _events(features)]
+    used = [name for name in EVENTS if features.get(f"USE_{name}", True)]
+    settings = {
+        **{name: 0 for name in (*EVENTS, "HIDDEN") if name not in used},
+        **{"settle": 0, "note_prior": 0, "unscented": 0, "noted": 0, "adaptive": 1},
+        **{"stores_innovation": features["USE_NIS"] or features["USE_LANES"], "gated": features["USE_GATE"]},
+        **{"fading": features["USE_STRONG_TRACKING"], "fuzzy": features["USE_FUZZY"]},
+        **{"robust": features["USE_ROBUST"], "adapting": features["USE_ADAPTIVE"]},
+        "inflate_observed": Kernel(adaptive.inflate_observed, None, {"n": n}),
+    }
+    rows = _rows(p, values["Q"] + "[{}]", values["R"] + "[{}]", features)
+    emitter = Emitter(rows, states, settings, {**NAMES_IN_C, "predict": f"predict_{p.model}"})
+    if model.tilts:
+        _add_prediction(emitter)
+    emitter.add(step.step_of(p.kernel))
+    emitter.texts, stepping = emitter.texts[:-1], emitter.texts[-1]
+    bits = [f"#define EVENT_{name} {getattr(events, name)}u\n" for name in used]
     wheels = "&wheels" if features["USE_ODOMETER"] else "NULL"
     parts = {"EVENTS": "".join(bits), "STEP": stepping, "CALL_STEP": emitter.call("_step"), "WHEELS": wheels}
     return {"KERNELS": emitter.text(), **parts}
 
 
-def _events(features: Mapping[str, bool]) -> list[str]:
-    return [name for name in EVENTS if features.get(f"USE_{name}", True)]
-
-
-def _add_step(emitter: Emitter, p: FilterParameters, features: Mapping[str, bool]) -> None:
-    model = FILTERS[p.kernel]
-    stores_innovation = features["USE_NIS"] or features["USE_LANES"]
-    if stores_innovation:
-        emitter.add(measurements._add_likelihood)
-    emitter.add(
-        measurements.update_fix,
-        **{
-            "stores_innovation": stores_innovation,
-            "gated": features["USE_GATE"],
-            "adaptive": 1,
-            "note_prior": 0,
-        },
-        **{"fading": features["USE_STRONG_TRACKING"], "fuzzy": features["USE_FUZZY"]},
-        **{"robust": features["USE_ROBUST"], "adapting": features["USE_ADAPTIVE"]},
-        fix_error=model.fix_error,
-        _measure_fix=tilted12.measure_fix_tilted if model.tilts else measurements._measure_fix,
-    )
-    emitter.add(step._grow, tilted=int(model.tilts is not None))
-    if model.tilts:  # the template contains the order of the prediction
-        state, sample = ["InsGpsEstimate *b", "Work *work"], [*PARAMETERS["u"]]
-        emitter.signatures["predict_tilted12"] = "predict_tilted12", [state, sample]
-    absent = {name: 0 for name in (*EVENTS, "HIDDEN") if name not in _events(features)}
-    emitter.add(
-        step._step,
-        predict=step._PREDICTIONS[p.model][0],
-        carry=fix_error.carry if features["USE_PLANAR_FIX_ERROR"] else 0,
-        grow=step._grow,
-        **{function.__name__: function for function in measurements.UPDATES},
-        **{"settle": 0, "note_prior": 0},
-        **absent,
-    )
-
-
-def _add_planar(emitter: Emitter, model: str, features: Mapping[str, bool], n: int) -> None:
-    if model == "planar5":
-        emitter.add(lanes.sinc_cos)
-        emitter.add(planar5._refresh_sin_cos)
-        emitter.add(planar5._invalidate_sin_cos)
-        emitter.add(planar5._turn, "turn_acceleration")
-        emitter.add(planar5.predict_planar5)
-    else:
-        emitter.add(planar8._turn, "turn_acceleration")
-        emitter.add(planar8.predict_planar8)
-    emitter.add(measurements._turn_lever)
-    emitter.add(measurements._measure_fix, n=n)
-    has_biases = features["USE_BIASES"]
-    along = vehicle.measure_along_planar
-    if features["USE_LATERAL"]:
-        emitter.add(along, "measure_lateral", n=n, lateral=1, bias=MEAN.index("W") if has_biases else -1)
-        emitter.add(vehicle.update_lateral, tilted=0, measure_lateral=along)
-    if features["USE_ODOMETER"]:
-        emitter.add(along, "measure_odometer", n=n, lateral=0, bias=MEAN.index("A") if has_biases else -1)
-        emitter.add(vehicle.update_odometer, tilted=0, measure_odometer=along)
-
-
-def _add_fix_error(emitter: Emitter, n: int, features: Mapping[str, bool]) -> None:
-    if not features["USE_TILTED"]:
-        emitter.add(fix_error.carry, "carry_fix_error", n=n, biases=int(features["USE_BIASES"]))
-    emitter.add(fix_error.age_fix_error)
-    emitter.add(fix_error.move_fix_error, n=n, noted=0)
-    emitter.add(fix_error.observe_fix_error, n=n)
-
-
-def _add_tilted(emitter: Emitter, features: Mapping[str, bool], n: int) -> None:
-    for function in (lanes.sinc_cos, tilted12._turn_far, tilted12._half_turn, tilted12._move, tilted12.fold):
+def _add_prediction(emitter: Emitter) -> None:
+    """Add the parts of tilted12's prediction; the template contains their order."""
+    for function in (tilted12._half_turn, tilted12._move):
         emitter.add(function)
     coefficients = [f"work->{NAMES[row].lower()}" for row in transition.COEFFICIENTS["tilted12"]]
     emitter.add(
@@ -163,14 +75,8 @@ def _add_tilted(emitter: Emitter, features: Mapping[str, bool], n: int) -> None:
         f=Elements("const Work *work", coefficients),
         e=Elements("real *e", [f"e[{state}]" for state in STATES[: -len(FIX_ERROR)]]),
     )
-    emitter.add(tilted12.measure_fix_tilted, "measure_fix", n=n)
-    along = tilted12.measure_along_tilted
-    if features["USE_LATERAL"]:
-        emitter.add(along, "measure_lateral", n=n, **tilted12.ALONG["lateral"])
-        emitter.add(vehicle.update_lateral, tilted=1, measure_lateral=along)
-    if features["USE_ODOMETER"]:
-        emitter.add(along, "measure_odometer", n=n, **tilted12.ALONG["odometer"])
-        emitter.add(vehicle.update_odometer, tilted=1, measure_odometer=along)
+    state, sample = ["InsGpsEstimate *b", "Work *work"], [*PARAMETERS["u"]]
+    emitter.signatures["predict"] = "predict_tilted12", [state, sample]
 
 
 def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> dict[str, str | float | None]:
@@ -193,7 +99,7 @@ def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> 
         **{f"R_{name.upper()}": noise.upper() for name, noise in NOISE_OF.items()},
         "REAR_AXLE": "REAR_AXLE",
         "TIRE_SLIP": "TIRE_SLIP" if features["USE_SLIP"] else 0.0,
-        "R_RATE": "STANDSTILL_RATE_NOISE",
+        "R_RATE": "R(STANDSTILL_RATE_NOISE)",
         "ODOMETER_SCALE": "PER_ODOMETER_SCALE",
         "ODOMETER_LATENCY": "ODOMETER_LATENCY",
         **{"FORGETTING": "FORGETTING", "FADING": "FORGETTING", "RECENT": "b->recent"},

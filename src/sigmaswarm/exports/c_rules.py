@@ -7,7 +7,6 @@ difference of two times; ``SECONDS`` converts seconds that are added to a time.
 # pyright: reportPrivateUsage=false
 
 import ast
-import sys
 import textwrap
 from collections.abc import Mapping
 from typing import Any
@@ -17,13 +16,9 @@ import numpy as np
 from sigmaswarm.drives import events, gaps, odometer, stale_fixes, standstill
 from sigmaswarm.exports.c_emitter import Emitter, _Function, parameter_name
 from sigmaswarm.exports.c_names import WHEELS
-from sigmaswarm.exports.c_text import constants_of
 
-ALWAYS = gaps.gap_of, gaps.usual_after, stale_fixes._speed_at, stale_fixes.kind_of
-STANDSTILL = (
-    *(standstill._clear, standstill._copy, standstill._merge, standstill._merge_quarter),
-    *(standstill._begin_block, standstill.updated_calm, standstill.matches_stop, standstill.fixes_are_still),
-)
+MODULES = gaps, stale_fixes, standstill, odometer, events
+"""Modules with constants of the rules."""
 POINTERS = {
     **{"fixes": "const InsGpsFix *", "readings": "const InsGpsReading *", "wheels": "Wheels *"},
     **{
@@ -58,29 +53,19 @@ _CASTS = {"int": "(int)", "float": "(real)"}
 
 def rules_of(features: Mapping[str, bool], used: int) -> dict[str, str]:
     """Return the C text of the rules and of the call of `sample_events`, by name; ``used``: see `events.bits_of`."""
-    stands, wheels = features["USE_STANDSTILL"], features["USE_ODOMETER"]
-    functions = [*ALWAYS, *(STANDSTILL if stands else ()), *([odometer.mean_reading] if wheels else [])]
-    functions += [odometer.wheels_turn] if stands and wheels else []
-    functions += [events.sample_events] if used else []
-    emitter, constants, texts = Emitter({}), dict[str, str](), list[str]()
-    for function in functions:
-        rule = Rule(emitter, function, {"used": used})
-        texts.append(rule.text())
-        constants |= rule.used
-    values = {"RULES": "\n".join(["".join(constants.values()), *texts])}
+    functions = [gaps.gap_of, gaps.usual_after, stale_fixes.kind_of]
+    if features["USE_STANDSTILL"]:
+        functions += [standstill.updated_calm, standstill.matches_stop, standstill.fixes_are_still]
+    emitter = Emitter({}, settings={"used": used})
+    for function in (*functions, *([events.sample_events] if used else [])):
+        emitter.add(function, translation=Rule)
+    values = {"RULES": "\n".join(emitter.texts)}
     if used:
         name, signature = emitter.signatures["sample_events"]
         arguments = [SAMPLE[parameter_name(p)] for each in signature for p in each]
         call = f"{name}({', '.join(arguments)})"
         values["SAMPLE_EVENTS"] = textwrap.fill(call, 100, subsequent_indent=" " * 8)
     return values
-
-
-def definition(name: str, value: float, description: str) -> str:
-    """Return the definition of a constant in C."""
-    text = repr(float(value) if isinstance(value, float) else value)
-    line = f"#define {name} {text}{f' /* {description} */' if description else ''}"
-    return "\n".join(textwrap.wrap(line, 120, subsequent_indent=" " * 4)) + "\n"
 
 
 def _declared(kind: str, name: str) -> str:
@@ -94,17 +79,15 @@ class Rule(_Function):
 
     pointers, fields, times, enumerators = POINTERS, FIELDS, TIMES, ENUMERATORS
 
-    def __init__(self, emitter: Emitter, compiled: Any, known: dict[str, Any]) -> None:
+    def __init__(self, emitter: Emitter, compiled: Any, key: str, known: dict[str, Any]) -> None:
         function = getattr(compiled, "py_func", compiled)
-        super().__init__(emitter, function, function.__name__.lstrip("_"), known)
+        super().__init__(emitter, function, key, known)
         self.types = {name: _TYPES.get(kind, "real *") for name, kind in function.__annotations__.items()}
         self.types |= {name: kind for name, kind in self.pointers.items() if name in self.types}
         self.types |= {name: _TIME for name in self.types if name in self.times}
         self.types |= {"slot": "uint32_t", "events": "unsigned"}
         returns = {"kind_of": _KIND, "sample_events": "unsigned"}
         self.returns = returns.get(self.name, self.types["return"])
-        self.described = constants_of(sys.modules[function.__module__])
-        self.used: dict[str, str] = {}  # definitions of constants
 
     def parameters_of(self, name: str) -> tuple[str, ...]:
         return () if name == "kinds" else (_declared(self.types[name], self.local(name)),)
@@ -229,14 +212,8 @@ class Rule(_Function):
     def visit_Name(self, node: ast.Name) -> ast.expr:
         if node.id in self.enumerators:
             return ast.Name(self.enumerators[node.id])
-        if not isinstance(self.names.get(node.id), int | float):
-            return super().visit_Name(node)
-        name = self.constant(node.id)
-        return ast.Name(name if isinstance(self.names[name], int) else f"R({name})")
-
-    def constant(self, name: str) -> str:
-        self.used[name] = definition(name, self.names[name], self.described.get(name, ""))
-        return name
+        is_int = isinstance(self.names.get(node.id), int)
+        return ast.Name(node.id) if is_int else super().visit_Name(node)
 
     def visit_Subscript(self, node: ast.Subscript) -> ast.expr:
         assert isinstance(node.value, ast.Name)
@@ -265,7 +242,7 @@ class Rule(_Function):
         if kinds == [_TIME, _TIME]:
             return ast.Name(f"seconds_between({self.c(node.right)}, {self.c(node.left)})")
         if kinds[0] == _TIME:
-            seconds = ast.Name(f"SECONDS({self.constant(ast.unparse(node.right))})")
+            seconds = ast.Name(f"SECONDS({ast.unparse(node.right)})")
             return ast.BinOp(self.visit(node.left), node.op, seconds)
         return super().visit_BinOp(node)
 

@@ -7,7 +7,7 @@ import math
 import re
 import textwrap
 import tokenize
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any
 
@@ -85,6 +85,30 @@ def constants_of(module: Any) -> dict[str, str]:
         names: in_c(" ".join((comment or re.split(r"[.]\s", text)[0]).split()))
         for names, comment, text in definitions
     }
+
+
+def with_constants(text: str, modules: Iterable[Any]) -> str:
+    """Replace ``@CONSTANTS@`` by definitions of the constants of modules that the text uses but does not define."""
+    used = set(re.findall(r"\b[A-Z][A-Z_0-9]+\b", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)))
+    used -= set(re.findall(r"#define (\w+)", text))
+    lines: list[str] = []
+    for module in modules:
+        for names, description in constants_of(module).items():
+            group = [name for name in names.split(", ") if name in used]
+            used -= {*group}
+            if group and "," in names and description:
+                lines += textwrap.wrap(f"/* {description} */", 120, subsequent_indent=" * ")
+            comment = f" /* {description} */" if description and "," not in names else ""
+            definitions = [f"#define {name} {_value_of(module, name)!r}{comment}" for name in group]
+            lines += [
+                line for each in definitions for line in textwrap.wrap(each, 120, subsequent_indent="    ")
+            ]
+    return text.replace("@CONSTANTS@", "\n".join(lines))
+
+
+def _value_of(module: Any, name: str) -> float:
+    value = vars(module)[name]
+    return float(value) if isinstance(value, float) else value
 
 
 def _comments(source: str) -> dict[int, list[str]]:

@@ -8,13 +8,9 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from importlib.resources import files
-from types import ModuleType
 
-from sigmaswarm.drives import events, odometer, standstill, tilt_evidence
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.c_text import constants_of
-from sigmaswarm.filters import fuzzy, schedule, student
-from sigmaswarm.filters.compiled import live, swarm
+from sigmaswarm.filters import schedule
 from sigmaswarm.filters.models import MEASURED, MODELS, NOISE_OF, SENSORS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.versions import __version__
@@ -34,11 +30,9 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "ADAPTIVE": adaptive,
         "STRONG_TRACKING": tracking,
         "FUZZY": rules,
-        "FORGETTING": adaptive or tracking or rules,
         "LATENCY": p.latency != 0.0,
         "GATE": gate,
         "NIS": gate or rules,
-        "INNOVATION": gate or adaptive or tracking or rules or robust,
         "ACCURACY": p.accuracy_scale is not None,
         "FIX_ERROR": p.fix_error is not None,
         "PLANAR_FIX_ERROR": p.fix_error is not None and not has_tilts,
@@ -49,7 +43,6 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         **{name.upper(): name in measured for name in MEASURED},
         "SLIP": lateral and p.tire_slip != 0.0,
         "VELOCITY_OR_STANDSTILL": "velocity" in measured or stands,
-        "LATERAL_OR_STANDSTILL": lateral or stands,
         "SLOTS": lateral or stands or wheels,
         "SCALAR": lateral or wheels or "heading" in measured or (stands and biases),
     }
@@ -60,16 +53,6 @@ PARAMETERS = (
     *("latency", "alpha", "beta", "kappa", "forgetting", "gate", "accuracy_scale", "robust_dof", "fix_error"),
     *(*NOISE_OF.values(), "rear_axle", "tire_slip", "odometer_scale", "odometer_latency"),
 )
-_DESCRIBED: Mapping[ModuleType, str] = {
-    fuzzy: "LARGEST_RATIO SLOWER",
-    events: "CORNERING",
-    odometer: "INTERVAL",
-    schedule: "STANDSTILL_RATE_NOISE SLIP_GATE MOST_REJECTED",
-    student: "ITERATIONS OUTLIERS OUTLYING OUTLIERS_SPAN",
-    swarm: "EVIDENCE_LASTS EVIDENCE_COUNTS LARGEST_NIS",
-    tilt_evidence: "GRAVITY",
-}
-CONSTANTS = {**_DESCRIBED, live: "LEAP AGREES", standstill: "BLOCK N_MEMORY"}
 NUMBERS = {
     "LATENCY": "s: delay of a fix: its time stamp minus the time at which the position was true",
     "QUARTER_GAMMA": "gamma / 4, with gamma^2 = alpha^2 (n + kappa)",
@@ -97,27 +80,25 @@ NUMBERS = {
     "TIRE_SLIP": "s2/m: slip angle of the rear tires (rad) per lateral acceleration (m/s2)",
     "PER_ODOMETER_SCALE": "true speed / reading",
     "ODOMETER_LATENCY": "s: delay of a reading: its time stamp minus the time at which its value was true",
-    **{name: constants_of(module)[name] for module, names in _DESCRIBED.items() for name in names.split()},
 }
 """Numbers that a template may use, and the comments in their definitions."""
 
 
-def with_definitions(text: str, numbers: Mapping[str, str], form: str) -> str:
-    """Replace ``@NUMBERS@`` by definitions of those `NUMBERS` that the text uses but does not define."""
+def with_definitions(text: str, numbers: Mapping[str, str]) -> str:
+    """Replace ``@NUMBERS@`` by definitions of those `NUMBERS` that the C text uses but does not define."""
     names = set(re.findall(r"\w+", text)) - set(re.findall(r"#define (\w+)", text))
     used = [name for name in NUMBERS if name in names and name in numbers]
-    return text.replace("@NUMBERS@", "\n".join(form.format(n, numbers[n], NUMBERS[n]) for n in used))
+    definitions = [f"#define {name} {numbers[name]} /* {NUMBERS[name]} */" for name in used]
+    return text.replace("@NUMBERS@", "\n".join(definitions))
 
 
 def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
     """Return parameters and constants as text, by name. Q refers to steps of ``interval`` s."""
-    constants = {name: getattr(module, name) for module, names in CONSTANTS.items() for name in names.split()}
     states = "INS_GPS_STATES" if p.fix_error is None else "INS_GPS_STATES + 2"
     texts = {"VERSION": __version__, "DESCRIPTION": f"{p.model}, {p.kind}", "MODEL": p.model}
     texts |= {"BELIEF_STATES": states, "N": states if p.fix_error is None else f"({states})"}
     numbers = exact_texts(
         {
-            **constants,
             **{name.upper(): getattr(p, name) for name in PARAMETERS},
             "NOMINAL_INTERVAL": interval,
             **dict(zip(("ACCEL_BIAS_STD", "GYRO_BIAS_STD"), p.bias_std, strict=True)),
@@ -129,7 +110,7 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
             "FIX_ERROR_START": (p.fix_error or 0.0) * p.fix_std**2,
         }
     )
-    return numbers | texts | {"NUMBERS": "@NUMBERS@"}
+    return numbers | texts | {"NUMBERS": "@NUMBERS@", "CONSTANTS": "@CONSTANTS@"}
 
 
 def in_range(value: float, of: str) -> float:
