@@ -191,14 +191,18 @@ class _Function(ast.NodeTransformer):
                     self.numbers |= {target: ast.Name(text) for target, text in pairs}
                 case ast.Assign([target], value):
                     self.store_all([target], [value], depth)
+                case ast.AugAssign(target, ast.BitOr(), value):
+                    self.put(f"{self.c(target)} |= {self.c(value)};", depth)
                 case ast.AugAssign(target, op, value):
                     self.add_to(target, _SIGNS[type(op)], self.fold(value), depth)
                 case ast.For(ast.Name(name), steps, body):
                     self.loop(name, steps, body, depth)
-                case ast.If(test, body, []):
-                    self.put(f"if ({self.c(test)}) {{", depth)
-                    self.block(body, depth + 1)
-                    self.put("}", depth)
+                case ast.While(test, body):
+                    self.nested(f"while ({self.c(test)}) {{", body, depth)
+                case ast.If():
+                    self.branch("if", statement, depth)
+                case ast.Break():
+                    self.put("break;", depth)
                 case ast.Expr(ast.Call() as call):
                     self.put(f"{self.call(call)};", depth)
                 case ast.Return(ast.Tuple(elts=values)) if "e" in self.known:
@@ -210,7 +214,7 @@ class _Function(ast.NodeTransformer):
                         self.outs.append(f"{each.id}_out" if isinstance(each, ast.Name) else f"result{k + 1}")
                         self.put(f"*{self.outs[-1]} = {self.c(each)};", depth)
                 case ast.Return(ast.expr() as value):
-                    self.returns = "real"
+                    self.returns = self.returns or "real"
                     self.put(f"return {self.c(value)};", depth)
                 case _:
                     raise self.refused(statement)
@@ -299,18 +303,37 @@ class _Function(ast.NodeTransformer):
             if value is not None:
                 end = "N" if value in (self.known.get("n"), self.names.get("N")) else str(value)
             first = self.index(steps.args[0]) if len(steps.args) == 2 else "0"
-            self.put(f"for (int {name} = {first}; {name} < {end}; {name}++) {{", depth)
+            self.nested(f"for (int {name} = {first}; {name} < {end}; {name}++) {{", body, depth)
         else:  # all states, beginning at one of them
             first, *_ = values = list(self.evaluate(steps))
             assert values == [*range(first, len(values)), *range(first)]
             self.put(f"for (int k = {first}; k < N + {first}; k++) {{", depth)
-            self.put(f"const int {name} = k % N;", depth + 1)
+            self.nested(f"    const int {name} = k % N;", body, depth)
+
+    def branch(self, head: str, statement: ast.If, depth: int) -> None:
+        self.nested(f"{head} ({self.c(statement.test)}) {{", statement.body, depth)
+        if statement.orelse:
+            self.lines.pop()
+            match statement.orelse:
+                case [ast.If() as other]:
+                    self.branch("} else if", other, depth)
+                case body:
+                    self.nested("} else {", body, depth)
+        elif head != "if":  # MISRA rule 15.7
+            self.lines.pop()
+            self.put("} else {", depth)
+            self.put("/* nothing */", depth + 1)
+            self.put("}", depth)
+
+    def nested(self, head: str, body: list[ast.stmt], depth: int) -> None:
+        self.put(head, depth)
         before, n_lines = set(self.declared), len(self.lines)
         self.block(body, depth + 1)
         self.declared = before
-        self.put("}", depth)
-        if len(self.lines) == n_lines + 1:
-            del self.lines[-2:]  # no term is left
+        if len(self.lines) == n_lines and head.startswith("for"):
+            self.lines.pop()  # no term is left
+        else:
+            self.put("}", depth)
 
     # ---- places ----
 

@@ -94,64 +94,25 @@ class Rule(_Function):
 
     # ---- statements ----
 
-    def block(self, statements: list[ast.stmt], depth: int) -> None:
-        for statement in statements:
-            if isinstance(statement, ast.While | ast.For | ast.If):
-                for comment in self.comments.get(statement.lineno, []):
-                    self.put(f"/* {comment} */", depth)
-            match statement:
-                case ast.While(test, body):
-                    self.nested(f"while ({self.c(test)}) {{", body, depth)
-                case ast.For(ast.Name(name), ast.Call(_, bounds), body):
-                    self.types[name] = "int"
-                    self.nested(self.counting(self.local(name), bounds), body, depth)
-                case ast.If():
-                    self.branch("if", statement, depth)
-                case ast.Assign([ast.Name(name)], ast.Tuple(elts=values)):
-                    self.types[name] = "real *"
-                    self.put(f"const real {name}[] = {{{', '.join(map(self.c, values))}}};", depth)
-                case ast.AugAssign(target, ast.BitOr(), value):
-                    self.put(f"{self.c(target)} |= {self.c(value)};", depth)
-                case ast.Return(ast.expr() as value):
-                    self.put(f"return {self.c(value)};", depth)
-                case ast.Break():
-                    self.put("break;", depth)
-                case _:
-                    super().block([statement], depth)
-
-    def counting(self, name: str, bounds: list[ast.expr]) -> str:
-        """Return the head of a loop over `range`."""
-        texts = [self.print(self.fold(bound), 4) for bound in bounds]
+    def loop(self, name: str, steps: ast.expr, body: list[ast.stmt], depth: int) -> None:
+        """Print a loop over `range`."""
+        self.types[name] = "int"
+        assert isinstance(steps, ast.Call)
+        texts = [self.print(self.fold(bound), 4) for bound in steps.args]
         first, end, step = texts if len(texts) == 3 else [*["0", *texts][-2:], "1"]
         sign, by = ("-", step[1:]) if step.startswith("-") else ("+", step)
-        change = f"{name}{2 * sign}" if by == "1" else f"{name} {sign}= {by}"
-        return f"for (int {name} = {first}; {name} {'>' if sign == '-' else '<'} {end}; {change}) {{"
-
-    def branch(self, head: str, statement: ast.If, depth: int) -> None:
-        self.nested(f"{head} ({self.c(statement.test)}) {{", statement.body, depth)
-        if statement.orelse:
-            self.lines.pop()
-            match statement.orelse:
-                case [ast.If() as other]:
-                    self.branch("} else if", other, depth)
-                case body:
-                    self.nested("} else {", body, depth)
-        elif head != "if":  # MISRA rule 15.7
-            self.lines.pop()
-            self.put("} else {", depth)
-            self.put("/* nothing */", depth + 1)
-            self.put("}", depth)
-
-    def nested(self, head: str, body: list[ast.stmt], depth: int) -> None:
-        self.put(head, depth)
-        before = set(self.declared)
-        self.block(body, depth + 1)
-        self.declared = before
-        self.put("}", depth)
+        place = self.local(name)
+        change = f"{place}{2 * sign}" if by == "1" else f"{place} {sign}= {by}"
+        compared = ">" if sign == "-" else "<"
+        self.nested(f"for (int {place} = {first}; {place} {compared} {end}; {change}) {{", body, depth)
 
     def store_all(self, targets: list[ast.expr], values: list[ast.expr], depth: int) -> None:
         pairs = list[tuple[ast.expr, ast.expr]]()
         for target, value in zip(targets, values, strict=True):
+            if isinstance(target, ast.Name) and isinstance(value, ast.Tuple):
+                self.types[target.id] = "real *"
+                self.put(f"const real {target.id}[] = {{{', '.join(map(self.c, value.elts))}}};", depth)
+                continue
             if isinstance(value, ast.Call) and ast.unparse(value.func) == "np.zeros":
                 lengths = np.atleast_1d(self.evaluate(value.args[0]))
                 dimensions = "".join(f"[{length}]" for length in lengths)

@@ -19,14 +19,13 @@ from sigmaswarm.versions import __version__
 def features_of(p: FilterParameters) -> dict[str, bool]:
     measured = schedule.measured_by(p)
     lateral, stands, wheels = (name in measured for name in ("lateral", "standstill", "odometer"))
-    has_tilts = MODELS[p.model].tilts is not None
-    biases, gate, robust = bool(MODELS[p.model].sensors), p.gate is not None, p.robust_dof is not None
+    gate, robust = p.gate is not None, p.robust_dof is not None
     adaptive, tracking, rules = (p.kind == f"{kind}-ukf" for kind in ("adaptive", "strong-tracking", "fuzzy"))
     used = {
         "UNSCENTED": p.kind != "ekf",
-        "TILTED": has_tilts,
+        "TILTED": MODELS[p.model].tilts is not None,
         "PLANAR5": p.model == "planar5",
-        "BIASES": biases,
+        "BIASES": bool(MODELS[p.model].sensors),
         "ADAPTIVE": adaptive,
         "STRONG_TRACKING": tracking,
         "FUZZY": rules,
@@ -35,16 +34,12 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "NIS": gate or rules,
         "ACCURACY": p.accuracy_scale is not None,
         "FIX_ERROR": p.fix_error is not None,
-        "PLANAR_FIX_ERROR": p.fix_error is not None and not has_tilts,
         "STD": p.accuracy_scale is not None or p.fix_error is not None,
         "SINCE": adaptive or robust or p.fix_error is not None,
         "ROBUST": robust,
-        "STRETCH": tracking or robust,
         **{name.upper(): name in measured for name in MEASURED},
         "SLIP": lateral and p.tire_slip != 0.0,
-        "VELOCITY_OR_STANDSTILL": "velocity" in measured or stands,
         "SLOTS": lateral or stands or wheels,
-        "SCALAR": lateral or wheels or "heading" in measured or (stands and biases),
     }
     return {f"USE_{name}": value for name, value in used.items()}
 
