@@ -268,7 +268,7 @@ def test_clang_has_nothing_to_say(tmp_path: Path):
 def test_cpp_takes_the_header(tmp_path: Path):
     write(tmp_path, given("planar8", "ukf", "all"), lanes=16)
     (tmp_path / "main.cpp").write_text(
-        '#include "ins_gps.h"\nstatic InsGps f;\nint main() { return f.now.failed; }\n'
+        '#include "ins_gps.h"\nstatic InsGps f;\nint main() { return f.now.lane[0].failed; }\n'
     )
     subprocess.run(["g++", "-Wall", "-Wextra", "-Werror", "-c", "main.cpp"], cwd=tmp_path, check=True)
 
@@ -320,4 +320,7 @@ def test_one_lane_is_the_filter_alone(tmp_path: Path):
         for name, seed in (("alone", 0), ("one", 5))
     ]
     assert texts[0] == texts[1]
-    assert "lane" not in texts[0]["ins_gps.c"].replace("planar", "")
+    assert "#define INS_GPS_LANES 1 " in texts[0]["ins_gps.h"]
+    assert not any(
+        word in "".join(texts[0].values()) for word in ("b->evidence", "penalty", "ins_gps_weights")
+    )

@@ -29,7 +29,7 @@ from sigmaswarm.exports.features import (
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.filters import schedule
 from sigmaswarm.filters.fix_error import FILTERS
-from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.student import OUTLIERS_SPAN
@@ -220,6 +220,10 @@ def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
     tilted = MODELS[p.model].tilts is not None
     axes = ["ax", "ay", *(["az", "gx", "gy"] if tilted else []), "yaw_rate"]
     turning = [axis for axis in axes if axis != "az" and (tilted or axis != "ay")]
+    row = ["t", "ax", "ay", "yaw_rate", "az", "gx", "gy"]  # of a replay
+
+    def replayed(names: list[str]) -> str:
+        return ", ".join(f"(ins_gps_real)z[{row.index(name)}]" for name in names)
 
     def joined(names: list[str], form: str, separator: str = ", ") -> str:
         return separator.join(form.format(name) for name in names)
@@ -229,10 +233,15 @@ def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
         "GIVEN_AXES": joined(axes, "{}"),
         "TURNING_AXES": joined(turning, "ins_gps_real {}"),
         "GIVEN_TURNING_AXES": joined(turning, "{}"),
+        "REPLAYED_AXES": replayed(axes),
+        "REPLAYED_TURNING_AXES": replayed(turning),
         "AXES_OF_SAMPLE": joined(axes, "    sample.{0} = {0};", "\n"),
         "AXES_IN_GAP": joined(axes, "            sample->{0} = R(0.5) * (f->last.{0} + given.{0});", "\n"),
         "ALSO_STD": ", const ins_gps_real std[2]" if uses_std else "",
         "GIVEN_STD": ", std" if uses_std else "",
+        "TAKES_STD": ", std: Sequence[float]" if uses_std else "",
+        "STD_IN_PYTHON": ", their standard deviations (m)" if uses_std else "",
+        "PASSES_STD": ", self._reals(std)" if uses_std else "",
     }
 
 
@@ -244,7 +253,11 @@ def _texts_of_states(p: FilterParameters) -> dict[str, str]:
     names = [f"INS_GPS_{_STATE_NAMES.get(state.name, state.name.upper())}" for state in states]
     listed = [f"    {name}, /* {state.unit} */" for name, state in zip(names, states, strict=True)]
     short = [f"#define {own} {name}" for own, name in zip(STATES, names, strict=False)]
-    return {"STATE_ENUMERATORS": "\n".join(listed), "STATE_NAMES": "\n".join(short)}
+    names_of_std = {None: "TILT_STD"} | {sensor: f"{sensor}_bias_std".upper() for sensor in SENSORS}
+    stds = [(own, names_of_std[s.bias_of]) for own, s in zip(STATES[5:], states[5:], strict=False)]
+    starts = [f"    b->covariance[{own}][{own}] = {std} * {std};" for own, std in stds]
+    texts = {"STATE_ENUMERATORS": listed, "STATE_NAMES": short, "START_VARIANCES": starts}
+    return {name: "\n".join(lines) for name, lines in texts.items()}
 
 
 def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
