@@ -27,7 +27,7 @@ from sigmaswarm.drives.mounting import Angles
 from sigmaswarm.exports.features import fill
 from sigmaswarm.filters import fuzzy, models, schedule, student
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.textbook import adaptive, car, ekf, gaussian
+from sigmaswarm.filters.textbook import adaptive, car, ekf, gaussian, ukf
 from sigmaswarm.versions import __version__
 
 FILE = "run_filter.py"
@@ -41,6 +41,7 @@ MODEL = {
 FILTER = {
     gaussian: "Innovation Prediction GaussianFilter",
     ekf: "complex_step",
+    ukf: "NotPositiveDefiniteError square_root",
     fuzzy: "",
     student: "ITERATIONS OUTLYING OUTLIERS OUTLIERS_SPAN",
     adaptive: "",
