@@ -277,7 +277,6 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         gamma_squared, spread = _sigma_points(p)
         derived |= {"QUARTER_GAMMA": 0.25 * math.sqrt(gamma_squared), "SHORTENS": -8.0 / gamma_squared}
         derived["SPREAD"] = spread
-    gyro_note = ", and the gyro shows only its bias" if model.gyro_bias is not None else ""
     own = (
         _texts_of_axes(p, weighs or lasting)
         | _texts_of_states(p)
@@ -295,8 +294,6 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "STD_NOTE": "; this filter uses them" if weighs else "; 0 if none are stated",
         "STD_UNUSED": "    (void)std;\n" if lasting and not weighs else "",
         "BELIEF_NOTE": " /* and the correlated fix error, m east and north */" if lasting else "",
-        "GYRO_NOTE": gyro_note,
-        "LEVER_NOTE": ", and with its height at roll and pitch" if tilted else "",
         "LEVER_AXES": ", left and up" if tilted else " and left",
         "LEVER_COLUMNS": ",left,up" if tilted else ",left",
         "SAMPLE": f"m/s2 forward{', left and up, rad/s about the same' if tilted else ' and left, rad/s'}",

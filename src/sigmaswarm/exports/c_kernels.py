@@ -112,7 +112,6 @@ def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> 
         "OK": "b->failed",
         **{name: name for name in ("FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR")},
         **dict.fromkeys(("SIN_COS_VALID", "SIN_COS_VALID_ALL"), "b->faced" if turns_along else None),
-        **dict.fromkeys(("TINY", "GRAVITY")),
     }
     memory = "b" if turns_along else "work"
     rows |= {"COS": f"{memory}->cos", "SIN": f"{memory}->sin"}

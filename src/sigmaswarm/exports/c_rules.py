@@ -9,18 +9,20 @@ difference of two times; ``SECONDS`` converts seconds that are added to a time.
 import ast
 import textwrap
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from sigmaswarm.drives import events, gaps, odometer, stale_fixes, standstill
 from sigmaswarm.exports.c_emitter import Emitter, _Function, parameter_name
 from sigmaswarm.exports.c_names import WHEELS
+from sigmaswarm.filters.compiled import live
 
 MODULES = gaps, stale_fixes, standstill, odometer, events
 """Modules with constants of the rules."""
 POINTERS = {
-    **{"fixes": "const InsGpsFix *", "readings": "const InsGpsReading *", "wheels": "Wheels *"},
+    **dict.fromkeys(("fixes", "rows"), "const InsGpsFix *"),
+    **{"readings": "const InsGpsReading *", "wheels": "Wheels *"},
     **{
         "memory": "InsGpsBlock *",
         "means": "const real *",
@@ -30,7 +32,7 @@ POINTERS = {
 }
 """C types of arrays; by default ``real *``. The array ``kinds`` is a field of the fixes."""
 FIELDS = {
-    **{"fixes": ("time", "x", "y"), "readings": ("time", "speed"), "wheels": WHEELS},
+    **{"fixes": ("time", "x", "y"), "rows": ("time",), "readings": ("time", "speed"), "wheels": WHEELS},
     "done": ("lateral_slot", "standstill_slot", "odometer_slot", "odometer_time"),
 }
 TIMES = ("now", "before", "taken")
@@ -42,7 +44,7 @@ ENUMERATORS = {
 SAMPLE = {
     **{"slot": "slot_of(f, sample->time)", "now": "sample->time", "before": "before", "ay": "sample->ay"},
     **{"stands": "stands", "readings": "f->readings"},
-    **{"come": "readings_until(f, sample->time)", "done": "b", "wheels": "&wheels"},
+    **{"come": "readings_until(f->readings, f->n_readings, sample->time)", "done": "b", "wheels": "&wheels"},
 }
 """C arguments of `drives.events.sample_events`."""
 _TIME, _KIND = "ins_gps_time", "InsGpsFixKind"
@@ -53,10 +55,13 @@ _CASTS = {"int": "(int)", "float": "(real)"}
 
 def rules_of(features: Mapping[str, bool], used: int) -> dict[str, str]:
     """Return the C text of the rules and of the call of `sample_events`, by name; ``used``: see `events.bits_of`."""
+    emitter = Emitter({}, settings={"used": used})
+    emitter.add(live._until, "fixes_until", Rule)
+    if features["USE_ODOMETER"]:
+        emitter.add(live._until, "readings_until", _OfReadings)
     functions = [gaps.gap_of, gaps.usual_after, stale_fixes.kind_of]
     if features["USE_STANDSTILL"]:
         functions += [standstill.updated_calm, standstill.matches_stop, standstill.fixes_are_still]
-    emitter = Emitter({}, settings={"used": used})
     for function in (*functions, *([events.sample_events] if used else [])):
         emitter.add(function, translation=Rule)
     values = {"RULES": "\n".join(emitter.texts)}
@@ -216,3 +221,7 @@ class Rule(_Function):
         if name == "int":
             return self.c(node.args[0])
         return super().call(node)
+
+
+class _OfReadings(Rule):
+    pointers: ClassVar = {"rows": "const InsGpsReading *"}

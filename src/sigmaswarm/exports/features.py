@@ -90,7 +90,7 @@ def with_definitions(text: str, numbers: Mapping[str, str]) -> str:
 def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
     """Return parameters and constants as text, by name. Q refers to steps of ``interval`` s."""
     states = "INS_GPS_STATES" if p.fix_error is None else "INS_GPS_STATES + 2"
-    texts = {"VERSION": __version__, "DESCRIPTION": f"{p.model}, {p.kind}", "MODEL": p.model}
+    texts = {"VERSION": __version__, "DESCRIPTION": f"{p.model}, {p.kind}"}
     texts |= {"BELIEF_STATES": states, "N": states if p.fix_error is None else f"({states})"}
     numbers = exact_texts(
         {

@@ -199,7 +199,7 @@ def _process_sample(step, v, counts, fixes, speeds, t, u, calm, means, number):
 
 
 @_plain
-def _until(rows, n, now):
+def _until(rows: np.ndarray, n: int, now: float) -> int:
     """Return how many of the first n rows have a time (column 0) up to ``now``."""
     while n > 0 and rows[n - 1, 0] > now:
         n -= 1
