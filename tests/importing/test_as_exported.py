@@ -534,17 +534,17 @@ def test_measured_positions_go_before_estimates(tmp_path: Path):
     require_right(tmp_path)
 
 
-RATES = {
+HZS = {
     **{"mrad/s": 1e-3, "rpm": np.pi / 30, "rev/s": 2 * np.pi, "deg/h": np.pi / 648e3, "mdps": np.pi / 180e3},
     **{"deg/min": np.pi / 10800, "0.1 deg/s": np.pi / 1800, "counts, 16.4 per deg/s": np.pi / 180 / 16.4},
     **{f"counts, {per} per deg/s": np.pi / 180 / per for per in (131, 65.5, 32.8)},
 }
 
 
-@pytest.mark.parametrize("unit", RATES)
+@pytest.mark.parametrize("unit", HZS)
 @pytest.mark.parametrize("form", ["three", "yaw_rate", "tilted", "unknown"])
 def test_the_turns_of_the_fixes_show_the_unit_of_rates(tmp_path: Path, unit: str, form: str):
-    rates = {n: IMU[n] / RATES[unit] for n in ("gx", "gy", "gz")}
+    rates = {n: IMU[n] / HZS[unit] for n in ("gx", "gy", "gz")}
     if form == "tilted":
         rates = {"gx": -0.8 * rates["gz"], "gy": rates["gy"], "gz": 0.6 * rates["gz"]}
     rates = {n: np.round(c) if "counts" in unit else c for n, c in rates.items()}
@@ -559,7 +559,7 @@ def test_the_turns_of_the_fixes_show_the_unit_of_rates(tmp_path: Path, unit: str
     assert not shown.faults or any(remedy in note for note in shown.notes)  # the same as of --show
     right = 0.6 * IMU["gz"] if form == "tilted" else IMU["gz"]
     found = [imported(tmp_path, maps=maps).drive.imu.gz for maps in options_in(str(caught.value))]
-    assert any(np.allclose(gz, right, atol=0.6 * RATES[unit] if "counts" in unit else 1e-6) for gz in found)
+    assert any(np.allclose(gz, right, atol=0.6 * HZS[unit] if "counts" in unit else 1e-6) for gz in found)
 
 
 def test_raw_rates_without_fixes_keep_the_example(tmp_path: Path):
@@ -868,3 +868,165 @@ def test_rows_of_several_kinds_below_a_header_name_the_command(tmp_path: Path):
     (tmp_path / "log.csv").write_text("\n".join([*head, *rows]))
     with pytest.raises(InputError, match=r"rows of several kinds \(\$IMU, \$TIME\); .* grep '"):
         imported(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize(
+    ("column", "scale", "lost"),
+    [("zaehler", 1 / HZ, "3"), ("uhr", 1.0, "3"), ("stufe", 1e-3, "3"), ("", 0.0, "")],
+)
+def test_a_gap_of_the_logger_in_times_from_row_numbers_is_named(
+    tmp_path: Path, column: str, scale: float, lost: str
+):
+    """Another clock of the table shows the gap; without one, the import says that a gap can't be seen."""
+    clock = {"uhr": np.floor(T), "stufe": np.round(T * 1e3) + 70}.get(column, np.arange(N))
+    kept = (T < 20) | (T >= 23)
+    imu = {**IMU, **({column: clock} if column else {})}
+    write(
+        tmp_path,
+        {n: v[kept] for n, v in imu.items()},
+        clock=lambda t: np.zeros(kept.sum()),
+        gps_clock=lambda t: t,
+    )
+    for whole in (False, True) if column else (False,):
+        if whole:
+            write(tmp_path, imu, clock=lambda t: 0 * t, gps_clock=lambda t: t)
+        notes = " / ".join(imported(tmp_path, maps=[f"imu.t=row/{HZ:g}"]).notes)
+        if not column:
+            assert "imu: imu.csv: times from row numbers do not show gaps of the logger" in notes
+        elif whole:
+            assert "row" not in notes
+        else:
+            assert f"according to column {column}, rows for {lost}" in notes
+            (again,) = re.findall('write --map "(.*?)"', notes)
+            time = imported(tmp_path, maps=[again]).drive.imu.time
+            assert time[-1] - time[0] == pytest.approx(T[-1] - T[0], abs=1.01 * max(scale, 1 / HZ))
+
+
+@pytest.mark.parametrize(("begin", "end"), [(20, 20), (20, 26), (31, 33)])
+def test_missing_fixes_with_times_from_row_numbers_are_named(tmp_path: Path, begin: float, end: float):
+    time = T[::EVERY]
+    kept = (time < begin) | (time >= end)
+    write(tmp_path, gps={n: v[kept] for n, v in FIXES.items()}, gps_clock=lambda t: 0 * t[kept])
+    rate = 1 / (time[1] - time[0])
+    notes = " / ".join(imported(tmp_path, maps=[f"gps.t=row/{rate:g}"]).notes)
+    assert ("much longer than the steps around" in notes) == (end > begin)
+    assert "gps: gps.csv: times from row numbers do not show gaps" in notes
+
+
+@pytest.mark.parametrize(
+    ("direction", "speed"),
+    [
+        ("Richtung", "Geschwindigkeit"),
+        ("rumbo", "velocidad"),
+        ("cap", "vitesse"),
+        ("direction", "speed"),
+        ("Kurs", ""),
+    ],
+)
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_course_in_another_language_needs_no_unit(tmp_path: Path, direction: str, speed: str, turned: bool):
+    """Its range shows degrees, and the positions confirm it; a direction of the wind is left out."""
+    move = np.gradient(PATH["x"], T) + 1j * np.gradient(PATH["y"], T)
+    angle = np.degrees(np.angle(move))[::EVERY]
+    values = {direction: (90 - angle + 140 * turned) % 360} | (
+        {speed: np.abs(move)[::EVERY]} if speed else {}
+    )
+    write(tmp_path, gps={**FIXES, **values})
+    got = imported(tmp_path)
+    assert f"{direction} is read as degrees clockwise from north" in " / ".join(got.notes)
+    if turned:
+        assert got.drive.gps.course is None
+    else:
+        assert got.drive.gps.course is not None
+        off = np.angle(np.exp(1j * (got.drive.gps.course - np.radians(angle))))
+        assert np.median(np.abs(off)) < 0.01
+
+
+def test_a_direction_in_letters_is_not_read(tmp_path: Path):
+    write(tmp_path, gps={**FIXES, "direction": np.array(["N", "NE"] * N)[: N // EVERY]})
+    require_right(tmp_path)
+
+
+SEMICIRCLES = {n: np.round(v * 2**31 / 180) for n, v in FIXES.items()}
+BOARDS: dict[str, tuple[Columns, Columns]] = {
+    "FIT": (
+        {f"calibrated_{s}_{i}[{u}]": v for (n, v), (s, i, u) in zip(
+            {n: v / 9.80665 if n[0] == "a" else np.degrees(v) for n, v in IMU.items()}.items(),
+            [*(("accel", i, "g") for i in "xyz"), *(("gyro", i, "deg/s") for i in "xyz")], strict=True)},
+        {"position_lat[semicircles]": SEMICIRCLES["lat"], "position_long[semicircles]": SEMICIRCLES["lon"]},
+    ),
+    "Septentrio": (IMU, {f"{n} [rad]": np.radians(v) for n, v in FIXES.items()}),
+    "hundredths": ({f"{n} [0.01 {'m/s2' if n[0] == 'a' else 'rad/s'}]": 100 * v for n, v in IMU.items()}, FIXES),
+}  # fmt: skip
+TICKS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "t": lambda t: t,
+    "TOW [0.001 s]": lambda t: np.round(1e3 * t),
+    "esp_timer": lambda t: np.round(1e6 * t + 4.28e9) % 2**32,
+}
+
+
+@pytest.mark.parametrize(
+    ("layout", "clock"), [("FIT", "t"), ("Septentrio", "TOW [0.001 s]"), ("hundredths", "esp_timer")]
+)
+def test_units_and_clocks_of_receivers_and_boards(tmp_path: Path, layout: str, clock: str):
+    imu, fixes = BOARDS[layout]
+    week = {"WNc [w]": 2369} if "TOW" in clock else {}
+    for table, time, columns in (("imu", T, imu), ("gps", T[::EVERY], fixes)):
+        also = {name: np.full(len(time), value) for name, value in week.items()}
+        head = {"cnt": np.arange(len(time)), clock: TICKS[clock](time)}
+        pl.DataFrame(head | also | columns).write_csv(tmp_path / f"{table}.csv")
+    require_right(tmp_path)
+
+
+def test_a_counter_of_rows_is_not_proposed_as_a_time(tmp_path: Path):
+    columns = {"cnt": np.arange(N), "takt": np.round(T * 1e6)}
+    for names in (["cnt"], ["cnt", "takt"]):
+        pl.DataFrame({n: columns[n] for n in names} | IMU).write_csv(tmp_path / "imu.csv")
+        pl.DataFrame({"t": T[::EVERY], **FIXES}).write_csv(tmp_path / "gps.csv")
+        with pytest.raises(InputError) as caught:
+            imported(tmp_path)
+        assert f'specify it with --map "imu.t={"takt*1e-6" if "takt" in names else "COLUMN"}"' in str(
+            caught.value
+        )
+
+
+@pytest.mark.parametrize("every", [3.0, 5.0, 10.0, 10.4])
+@pytest.mark.parametrize("noise", [0.0, 0.5])
+def test_interpolated_fixes_are_left_out(tmp_path: Path, every: float, noise: float):
+    """Loggers of race cars write interpolated positions at the rate of the IMU."""
+    rows = np.arange(0.3 * every, N - 1, every)
+    rng = np.random.default_rng(0)
+    at = {n: np.interp(rows, np.arange(0, N, EVERY), v) for n, v in FIXES.items()}
+    at = {n: v + noise / 111e3 * rng.standard_normal(len(v)) for n, v in at.items()}
+    places = {n: np.round(np.interp(np.arange(N), rows, v), 8) for n, v in at.items()}
+    pl.DataFrame({"t": T, **IMU, **places}).write_csv(tmp_path / "log.csv")
+    got = imported(tmp_path / "log.csv")
+    left = [note for note in got.notes if "interpolated between fixes" in note]
+    assert len(left) == 1
+    assert len(got.drive.gps) == pytest.approx(N / every, abs=2)
+
+
+def test_smooth_fixes_at_a_high_rate_are_kept(tmp_path: Path):
+    exact = np.array(enu_to_geodetic(np.column_stack([PATH["x"], PATH["y"], 0 * T]), ORIGIN)).T
+    for noise in (0.0, 1e-6):
+        moved = exact[:, :2].T if exact.shape[0] == N else exact[:2]
+        moved = moved + noise * np.random.default_rng(0).standard_normal(moved.shape)
+        pl.DataFrame({"t": T, **IMU, "lat": moved[0], "lon": moved[1]}).write_csv(tmp_path / "log.csv")
+        assert len(imported(tmp_path / "log.csv").drive.gps) == N
+
+
+@pytest.mark.parametrize("form", ["%Y/%m/%d", "%d.%m.%Y", "%Y-%m-%d"])
+def test_date_and_clock_in_columns_without_names_are_joined(tmp_path: Path, form: str):
+    """Solutions of RTK receivers have no header; next to an IMU, --gps names their file."""
+    clock = [datetime.datetime.fromtimestamp(EPOCH + t, datetime.UTC) for t in T[::EVERY]]
+    rows = zip(clock, *FIXES.values(), strict=True)
+    lines = [f"{at:{form} %H:%M:%S.%f} {lat:.9f} {lon:.9f} 500.0 1 12" for at, lat, lon in rows]
+    (tmp_path / "solution.llh").write_text("\n".join(lines))
+    pl.DataFrame({"unix_time": EPOCH + T, **IMU}).write_csv(tmp_path / "imu.csv")
+    with pytest.raises(InputError) as caught:
+        imported(tmp_path)
+    (gps,) = re.findall(r"--gps (\S+),", str(caught.value))
+    seen = inspect_request(Request(tmp_path, gps=Path(gps)))
+    assert seen.works and "utc(c1, c2" in (seen.proposal or "")
+    maps = [f"{column}={text}" for column, text in seen.settings["maps"].items()]
+    require_right(tmp_path, gps=Path(gps), maps=maps)

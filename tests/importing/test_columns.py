@@ -650,14 +650,14 @@ def test_all_six_names_of_an_mpu6050_are_its_counts(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("name", "read"), [("vitesse (km/h)", True), ("vitesse", False), ("Geschwindigkeit", False)]
+    ("name", "scale"), [("vitesse (km/h)", 3.6), ("vitesse", 1.0), ("Geschwindigkeit", 1.0)]
 )
-def test_a_speed_in_another_language_needs_a_unit(tmp_path: Path, name: str, read: bool):
-    write_two(tmp_path, AXES, FIXES | {name: DRIVE.gps.speed * 3.6})
-    got = imported(tmp_path).drive.gps
-    assert (got.speed is not None) == read
-    if read:
-        assert_close(got, DRIVE.gps, "speed", 1e-9)
+def test_a_speed_in_another_language_without_a_unit_is_in_m_per_s(tmp_path: Path, name: str, scale: float):
+    write_two(tmp_path, AXES, FIXES | {name: DRIVE.gps.speed * scale})
+    got = imported(tmp_path)
+    assert_close(got.drive.gps, DRIVE.gps, "speed", 1e-9)
+    said = f'{name} is read as m/s; if it is in km/h, write --map "gps.speed={name}/3.6"'
+    assert (said in got.notes) == (scale == 1.0)
 
 
 def test_derivatives_are_no_positions(tmp_path: Path):

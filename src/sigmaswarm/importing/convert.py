@@ -16,7 +16,7 @@ from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import REQUIRED, assemble, assemble_imu
 from sigmaswarm.importing.formats import open_log, unsupported_format
-from sigmaswarm.importing.gather import PartColumns, complete_parts, gather
+from sigmaswarm.importing.gather import ROW, PartColumns, complete_parts, gather
 from sigmaswarm.importing.gravity import impossible_rates, wrong_scale
 from sigmaswarm.importing.long_tables import describe_kinds
 from sigmaswarm.importing.magnetometer import part_of, with_magnetometer
@@ -24,6 +24,7 @@ from sigmaswarm.importing.mounting import AUTO, find_mount
 from sigmaswarm.importing.names import read_names
 from sigmaswarm.importing.rates import unit_of_rates
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, mapped_roles, with_maps
+from sigmaswarm.importing.row_times import gaps_by_clock, gaps_by_distance
 from sigmaswarm.importing.source import ROLES, Guess, ImportProgress, Limits, Log, Part, Role, TableChoice
 from sigmaswarm.wording import list_names
 
@@ -74,6 +75,12 @@ IMU = dict.fromkeys(("az", "gx", "gy"), "") | {
     "ay": "ay (the acceleration to the left)",
     "gz": "gz (the yaw rate)",
 }
+RECEIVER_LOGS = (
+    ".llh",
+    ".pos",
+    ".nmea",
+    ".ubx",
+)  # endings of files next to tables that are read only with --gps
 MAX_FAULTS = 3  # in one message
 
 
@@ -111,6 +118,8 @@ def import_drive(
         plain = replace(recipe, mount="") if recipe.mount == AUTO else recipe
         field = gathered.pop("mag", ())
         drive = assemble(name, gathered, plain, notes.append, request.part)
+        if any(ROW in part.expressions["t"].columns for part in gathered.get("gps", ())):
+            notes += filter(None, [gaps_by_distance(drive)])
         parts = recipe.roles["imu"]
         impossible = {} if raw else impossible_rates(drive.imu, parts)
         unit = unit_of_rates(drive, recipe.roles, unitless | impossible)
@@ -159,6 +168,9 @@ def _read(
         gathered = _gather_all(request, logs, recipe, progress)
         metadata = {key: value for guess in guesses.values() for key, value in guess.metadata.items()}
         notes, assumed = notes_of(logs, guesses, recipe), assumed_mounting(guesses, recipe)
+        notes += [
+            note for path, log in logs.items() for note in gaps_by_clock(_parts(request, recipe, path), log)
+        ]
         mapped = {entry.partition("=")[0].strip().removeprefix("imu.") for entry in request.maps}
         guessed = {name: text for name, text in unitless.items() if name not in mapped}
         return recipe, gathered, notes, assumed, metadata, guessed
@@ -298,7 +310,9 @@ def missing_sensor(
         if role == "imu" and lacking and {*columns} & {*IMU}:
             there = f"no column of the IMU contains {list_names(lacking)}"
             return f"{path}: {there}; {remedy}, or name the columns with --map"
-        around = path.iterdir() if role == "gps" and path.is_dir() else ()
+        around = sorted(path.iterdir()) if role == "gps" and path.is_dir() else ()
+        if beside := next((f for f in around if f.suffix.lower() in RECEIVER_LOGS), None):
+            remedy = f"add the log with the fixes: --gps {quote(str(beside))}"
         more = next(
             (
                 f"; {f.name} is not read, since it is {kind}"
@@ -339,20 +353,21 @@ def complete_all(
     completed = {path: list[tuple[Role, Part]]() for path in logs}
     faults: dict[tuple[Path, str], str] = {}
     for path, log in logs.items():
-        mine: list[tuple[Role, Part]] = [
-            (role, part)
-            for role in ROLES
-            if request.home(role) == path
-            for part in recipe.roles.get(role, ())
-        ]
         rows = None if first is None else first[path]
-        for role, part in mine:
+        for role, part in _parts(request, recipe, path):
             try:
                 for whole in complete_parts(part, log, role, rows):
                     completed[path].append((role, whole))
             except InputError as error:
                 faults.setdefault((path, part.table), str(error))
     return completed, [*faults.values()]
+
+
+def _parts(request: Request, recipe: Recipe, path: Path) -> list[tuple[Role, Part]]:
+    """Return the parts that are read from the log ``path``, with their roles."""
+    return [
+        (role, part) for role in ROLES if request.home(role) == path for part in recipe.roles.get(role, ())
+    ]
 
 
 def _gather_all(

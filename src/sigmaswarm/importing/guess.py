@@ -150,7 +150,9 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
     """Assign to each quantity the first column with its name; x, y, z are axes in a table with the name of a sensor."""
     columns = Columns(frame)
     for name in read_names(frame.columns):
-        if (what := name.meaning) is not None and what != "t":
+        if (what := name.meaning) is None or what == "t":
+            continue
+        if what != "bearing" or len(column_numbers(frame[name.column])):  # a direction may be N or NE
             columns.names.setdefault(what, name)
     letter = "a" if _FORCES.search(table) else "g" if _RATES.search(table) else ""
     if letter and not columns.has("lat", "lon"):

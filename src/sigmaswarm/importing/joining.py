@@ -23,6 +23,9 @@ PERIODS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon":
 # Largest fraction of empty cells in an optional column: above it the column is left out, otherwise the rows
 MAX_EMPTY_SHARE = 0.1
 POSITIONS = ("lat", "lon", "x", "y")
+# Smallest bend at a corner of an interpolated path, in median bends; smallest number of corners, and the smallest
+# share of corners at a constant interval
+MIN_CORNER, MIN_CORNERS, MIN_REGULAR_SHARE = 8.0, 20, 0.9
 COLUMN_PAIRS = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
 
 
@@ -193,7 +196,33 @@ def _complete_rows(
         return time, values
     changed = np.append(True, np.any([np.diff(p) != 0 for p in position], axis=0))
     if np.mean(changed) > 0.5:
-        return time, values
+        if (fixes := _interpolated(position)) is None:
+            return time, values
+        left, every = rows_left_out(len(time) - len(fixes)), round(len(time) / len(fixes))
+        say(
+            f"gps: {left}, since positions are interpolated between fixes; about every {every}th row has a fix"
+        )
+        return time[fixes], _rows(values, fixes)
     # in a table at the IMU's rate, each fix is repeated up to the next fix
     say(f"gps: {rows_left_out(int(np.count_nonzero(~changed)))}, since the previous position is repeated")
     return time[changed], _rows(values, changed)
+
+
+def _interpolated(position: Sequence[Array]) -> NDArray[np.int64] | None:
+    """Return the rows of the fixes between which a logger interpolated the others linearly; None if it did not.
+
+    The path has corners only at the fixes, at a constant number of rows.
+    """
+    bend = np.max([np.abs(np.diff(p, n=2)) for p in position[:2]], axis=0)
+    corners = np.flatnonzero(bend > MIN_CORNER * float(np.quantile(bend, 0.5))) + 1
+    corners = corners[np.diff(corners, prepend=-2) > 1]  # a fix between two rows bends both
+    if len(corners) < MIN_CORNERS:
+        return None
+    steps = np.diff(corners)
+    number = np.append(0.0, np.cumsum(np.round(steps / np.median(steps))))
+    every, begin = np.polyfit(number, corners, 1)
+    regular = np.abs(corners - begin - number * every) <= 1.0
+    if every < 2 or np.mean(regular) < MIN_REGULAR_SHARE or number[-1] + 1 > 3 * len(corners):
+        return None
+    rows = np.round(np.arange(begin % every, len(position[0]), every)).astype(np.int64)
+    return rows[rows < len(position[0])]

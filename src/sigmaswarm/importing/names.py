@@ -17,11 +17,11 @@ TIME = (
 )
 # Names of times, for tables without a more usual name
 CLOCK = (
-    "received|boot|date|cts|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|gps|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
+    "received|boot|date|cts|(?:esp_)?timer|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|gps|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
     "datenum|t_?(?:imu|gps|gnss|acc|gyro?|truth|ref|gt)|(?:imu|gps|gnss|fix|truth)_?t|(?:(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|utc|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed|offset)_?){1,2}(?:time|clock|stamp)"
 )
 STAMP = "(?:.*_)?header_(?:time_?)?stamp"  # ROS header stamps, in tables converted from bags
-WEEK = "(?:gps|gnss)?_?(?:week|wn|weeks)(?:_?(?:no|num|number))?"
+WEEK = "(?:gps|gnss)?_?(?:week|wnc?|weeks)(?:_?(?:no|num|number))?"
 TIME_OF_WEEK = (
     "(?:gps|gnss)?_?(?:i?tow|sow|wsec|(?:time|secs?|seconds|ms)_?(?:of|in|into)_?(?:the_)?week|"
     "week_(?:secs?|seconds|time))"
@@ -70,7 +70,8 @@ _PLACES = ("lat", "lon", "alt", "ns", "ew")
 _TOTAL = {"gfx", "gfy", "gfz"}  # specific force in g, in logs of Physics Toolbox
 # Names in common Arduino sketches for an MPU-6050
 _MPU = {f"{s}{i}": f"{name}_{i}" for s, name in (("ac", "acc"), ("gy", "gyro")) for i in "xyz"}
-# Dimension, column and names. A name has this meaning only with a unit of the dimension: "x_acc" may be an accuracy
+# Dimension, column and names. A name has this meaning only with a unit of the dimension: "x_acc" may be an accuracy.
+# Angles and speeds also have it without a unit, in a table with both coordinates.
 _STATED: tuple[tuple[UnitDimension, str, str], ...] = (
     ("time", "t", "temps"),
     *(("acceleration", f"a{i}", f"{i}_?acc(?:el(?:eration)?)?|accsmooth_{i}") for i in "xyz"),
@@ -84,7 +85,7 @@ _SHORT = r"(?:field|data|msg|imu\d?)_(?=[agw][xyz](?:_|$))"
 # Prefixes of message tables and of loggers
 _CHIPS = r"(?:adis|adxl|bmi|bmx|bno|icm|iim|lis|lsm|mpu)\d+_(?=[ag]_?[xyz]$)|measurement_(?=[xyz]$)"
 _PREFIXES = re.compile(
-    rf"(?:field|data|msg|unit|imu\d?|gps\d?|gnss\d?|fix|location|pos_lla|pos)_(?=...)|{_SHORT}|{_CHIPS}"
+    rf"(?:field|data|msg|unit|imu\d?|gps\d?|gnss\d?|fix|location|position|pos_lla|pos)_(?=...)|calibrated_(?=acc|gyr)|{_SHORT}|{_CHIPS}"
 )
 _FIXES = r"gps\d?|gnss\d?|fix|position|location"
 # Words of a shared prefix that do not change the meaning of a name; others may mark an estimate or another quantity
@@ -216,6 +217,10 @@ def _one_sensor(names: list[Name]) -> list[Name]:
     names = [
         replace(n, plain="") if n.is_one("(?:roll|pitch)_?rate") and n.meaning in turns else n for n in names
     ]
+    stated = {n.column: _meaning_in_table(n) for n in names if n.meaning is None and n.unit is None}
+    known = {n.meaning for n in names} | {*stated.values()}
+    if known >= {"lat", "lon"}:  # the values of a course and of a speed are compared with the positions
+        names = [replace(n, plain=stated.get(n.column) or n.plain) for n in names]
     for axes in (_AXES[:3], _AXES[3:]):
         families = [_family(n) if n.meaning in axes else None for n in names]
         first = min((f for f in families if f is not None), key=bool, default=None)
@@ -223,6 +228,11 @@ def _one_sensor(names: list[Name]) -> list[Name]:
             n if f in (None, first) else replace(n, plain="") for n, f in zip(names, families, strict=True)
         ]
     return names
+
+
+def _meaning_in_table(name: Name) -> str | None:
+    found = (_stated(name.plain, Unit("", dimension, 1.0)) for dimension in ("angle", "speed"))
+    return next(filter(None, found), None)
 
 
 def _family(name: Name) -> str:

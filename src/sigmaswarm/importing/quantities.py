@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import polars as pl
 
-from sigmaswarm.importing.names import Name
+from sigmaswarm.importing.names import Name, read_name
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.times import TimeExpression, column_numbers, median_of, quoted_column, unknown_unit
 from sigmaswarm.importing.units import COUNTS, UnitDimension, in_si
@@ -91,6 +91,11 @@ def quantity(columns: Columns, what: str, role: Role) -> TimeExpression:
         return TimeExpression(
             "", note=f"{seen}; map the column: {example} if it is in mm, *1e-2 if it is in cm"
         )
+    if (
+        name.unit is None and what == "speed" and read_name(name.column).meaning is None
+    ):  # in another language
+        other = _maps(columns, role, ["speed"], "{}/3.6")
+        return TimeExpression(text, f"{text} is read as m/s; if it is in km/h, write {other}")
     if name.unit is None and what == "y" and (note := _web_mercator(columns, role)):
         return TimeExpression(text, note)
     if name.unit is None:

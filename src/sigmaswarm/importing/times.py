@@ -114,10 +114,13 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 
 
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
-    """Return the first column without a known name that increases from row to row, in s; else "COLUMN"."""
+    """Return the first column without a known name that increases from row to row, in s; else "COLUMN".
+
+    A counter of rows, which increases by 1, is no time.
+    """
     for name in read_names(frame.columns):
         steps = column_numbers(frame[name.column]).diff().drop_nulls()
-        if name.meaning is None and len(steps) and (steps > 0).all():
+        if name.meaning is None and len(steps) and (steps > 0).all() and not (steps == 1).all():
             return column_time(name, frame, role).expression or quoted_column(name.column)
     return "COLUMN"
 
@@ -261,7 +264,7 @@ def _dates_and_times(names: Sequence[Name], frame: pl.DataFrame) -> list[tuple[N
     ]
     finest = max((frame[clock.column].n_unique() for clock, *_ in pairs), default=0)
     pairs.sort(key=lambda pair: (frame[pair[0].column].n_unique() * 2 <= finest, not pair[1]))
-    return [(clock, known, _of_text([day, clock.column], frame)) for clock, known, day in pairs]
+    return [(clock, known, date_time([day, clock.column], frame)) for clock, known, day in pairs]
 
 
 def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
@@ -311,7 +314,7 @@ def column_time(name: Name, frame: pl.DataFrame, role: Role) -> TimeExpression:
     """Read the time in one column: dates in text, or numbers, by the unit in the name or by their size and steps."""
     values, text = frame[name.column], quoted_column(name.column)
     if _of_words(values):
-        return _of_text([name.column], frame)
+        return date_time([name.column], frame)
     if values.dtype.is_temporal():
         return TimeExpression(text)
     if name.is_one("sample_?time_?fine"):
@@ -337,7 +340,7 @@ def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
     return f'{message}; specify the factor to SI units, for example --map "{role}.{column}={text}"'
 
 
-def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> TimeExpression:
+def date_time(columns: Sequence[str], frame: pl.DataFrame) -> TimeExpression:
     """Read dates in text by the format that fits most of them; refuse texts that fit two formats, or no format well."""
     texts = frame.select(as_text(columns).alias("date"))["date"].drop_nulls()
     texts = texts.filter(texts.str.contains(r"\d")).unique(maintain_order=True)  # a placeholder counts once

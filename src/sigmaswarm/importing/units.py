@@ -72,6 +72,7 @@ _MORE: tuple[tuple[UnitDimension, float, str], ...] = (
     ("speed", 0.3048, "fps"),
     ("speed", 0.01, "cmps"),
     ("speed", 1e-3, "mmps"),
+    ("angle", math.pi / 2**31, "semicircle semicircles"),
     ("angle", _DEGREE * 1e-7, "dege7 deg_e7 1e-7deg deg1e-7 1e7deg deg1e7 deg*1e7 deg*1e-7 e7"),
 )
 _WORDS: dict[str, tuple[UnitDimension, float]] = {
@@ -114,6 +115,9 @@ def parse_unit(text: str) -> Unit | None:
         return Unit(text, None, 0.0)
     if (word := _WORDS.get(re.sub(r"[\s^]", "", plain))) is not None:
         return Unit(text, *word)
+    if scaled := re.fullmatch(r"(\d+(?:\.\d+)?(?:e-?\d+)?) +(\D.*)", plain):  # 0.001 s
+        whole = parse_unit(scaled[2])
+        return whole and Unit(text, whole.dimension, float(scaled[1]) * whole.factor)
     powers, factor, sign, at = {"L": 0, "T": 0, "A": 0}, 1.0, 1, 0
     while at < len(plain):
         token = _TOKEN.match(plain, at)

@@ -11,7 +11,7 @@ from sigmaswarm.drives.tables import Array
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.quantities import MAX_QUARTILE_RATIO, PER_G
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.times import column_time, median_of, quoted_column
+from sigmaswarm.importing.times import column_time, date_time, median_of, quoted_column
 from sigmaswarm.importing.units import G
 
 UNNAMED = re.compile(r"(?:c|.*_)\d+|.*\[\d+\]")
@@ -20,6 +20,7 @@ TIMES = ("received", "stamp")  # of a message
 GRAVITY = (G, *PER_G, 1.0)
 TOLERANCE = 0.05  # relative deviation of the median specific force from gravity
 MIN_SPREAD = 1e-3  # smallest relative spread of the specific force; a quaternion's magnitude is constant
+DATE_AND_CLOCK = r"^\d+[-/.]\d+[-/.]\d+$", r"^\d+:\d+:\d+"  # in two columns
 MAX_DEGREES = 2.0  # largest range of latitude and longitude in a log
 
 
@@ -39,6 +40,11 @@ def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
 def _times(frame: pl.DataFrame) -> Iterator[str]:
     """Yield time expressions of increasing columns and of texts; row numbers come last."""
     found: list[tuple[bool, str]] = []
+    texts = {name: frame[name].drop_nulls() for name in frame.columns if frame.schema[name] == pl.String}
+    for day, clock in pairwise(frame.columns):
+        pair = [texts.get(name, pl.Series([], dtype=pl.String)) for name in (day, clock)]
+        if all(len(v) and v.str.contains(form).all() for v, form in zip(pair, DATE_AND_CLOCK, strict=True)):
+            yield date_time([day, clock], frame).expression
     for name in frame.columns:
         time = column_time(read_name(name), frame, "imu")
         steps = frame[name].cast(pl.Float64, strict=False).diff().drop_nulls()

@@ -1,0 +1,106 @@
+"""Check times that are computed from row numbers: rows that a logger lost shift all later times."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.sensors import white_noise
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.expressions import compile_expression
+from sigmaswarm.importing.gather import ROW
+from sigmaswarm.importing.names import read_name
+from sigmaswarm.importing.source import Log, Part, Role
+from sigmaswarm.importing.times import quoted_column
+from sigmaswarm.wording import count_of, printable
+
+MIN_CLOCK_STEPS, MIN_REGULAR_SHARE = (
+    20,
+    0.9,
+)  # of a column that is a clock: changes, and the share of usual changes
+MIN_LOST = 0.3  # s, smallest total length of gaps that is reported
+NEIGHBORS, MIN_RATIO = (
+    5,
+    1.8,
+)  # steps on each side of a gap between fixes; smallest ratio of its length to theirs
+
+
+def rows_as_clock(part: Part, log: Log) -> bool:
+    """Return True if the time of a part is computed from the row numbers of its table alone."""
+    columns = log.tables[part.table].columns if part.table in log.tables else ()
+    try:
+        used = compile_expression(part.columns.get("t", ""), (*columns, ROW)).columns
+    except InputError:
+        return False
+    return used == frozenset((ROW,)) and ROW not in columns
+
+
+def gaps_by_clock(parts: Sequence[tuple[Role, Part]], log: Log) -> list[str]:
+    """Report rows that are missing according to another column of the table with row numbers as times."""
+    notes: list[str] = []
+    for role, part in parts:
+        if part.table not in log.tables and len(log.tables) == 1:
+            part = replace(part, table=next(iter(log.tables)))
+        if not rows_as_clock(part, log):
+            continue
+        table, text = part.table, part.columns["t"]
+        wanted = {table: [c for c in log.tables[table].columns if read_name(c).meaning in (None, "t")]}
+        read = [frame for name, frame, _ in log.batches(wanted) if name == table] if wanted[table] else []
+        frame = pl.concat(read, how="vertical_relaxed") if read else pl.DataFrame()
+        rows = pl.DataFrame({ROW: np.arange(len(frame))})
+        time = (
+            rows.select(compile_expression(text, (ROW,)).polars.alias("t"))["t"].cast(pl.Float64).to_numpy()
+        )
+        where, note = f"{role}: {printable(table)}", "times from row numbers do not show gaps of the logger"
+        for column in frame.columns:
+            if (found := _gaps_of(frame[column].cast(pl.Float64, strict=False), time)) is None:
+                continue
+            (unit, lost, row), clock, note = found, quoted_column(column), ""
+            if lost > MIN_LOST:
+                notes.append(
+                    f"{where}: according to column {clock}, rows for {lost:.3g} s are missing, for example after row "
+                    f"{row}, so the times {text} are too early after these; instead, write --map "
+                    f'"{role}.t={clock}*{unit:.6g}"'
+                )
+            break
+        notes += [f"{where}: {note}, after which all times would be too early"] if note else []
+    return notes
+
+
+def _gaps_of(clock: pl.Series, time: Array) -> tuple[float, float, int] | None:
+    """Return the unit of a clock, s, the total length of its gaps, s, and the row before the largest gap.
+
+    Return None if the column is no clock, which increases by a constant amount. ``time`` (n,): times from row numbers.
+    """
+    values = clock.fill_null(np.nan).to_numpy()
+    new = np.flatnonzero(np.diff(values)) + 1
+    if len(new) <= MIN_CLOCK_STEPS or not (np.diff(values) >= 0).all():
+        return None
+    steps, rows = np.diff(values[new]), np.diff(new)
+    usual, gap = float(np.median(steps)), int(np.argmax(steps))
+    if np.mean(np.abs(steps - usual) <= 0.5 * usual) < MIN_REGULAR_SHARE:
+        return None
+    unit = float(np.median(rows)) * float(time[-1] - time[0]) / (len(time) - 1) / usual
+    return unit, unit * float(np.sum((steps - usual)[steps > MIN_RATIO * usual])), int(new[gap + 1])
+
+
+def gaps_by_distance(drive: Drive) -> str:
+    """Report fixes that are missing, since two fixes are much farther apart than those before and after; else ""."""
+    position = drive.gps.x + 1j * drive.gps.y
+    steps, noise = np.abs(np.diff(position)), white_noise(position)
+    if len(steps) < 4 * NEIGHBORS:
+        return ""
+    sides = np.lib.stride_tricks.sliding_window_view(steps, NEIGHBORS)
+    before, after = (np.median(side, axis=1) for side in (sides[: -NEIGHBORS - 1], sides[NEIGHBORS + 1 :]))
+    inner, usual = steps[NEIGHBORS:-NEIGHBORS], np.maximum(before, after)
+    gaps = np.flatnonzero(inner > MIN_RATIO * usual + 6 * noise)
+    if not len(gaps):
+        return ""
+    lost = float(np.sum(inner[gaps] / usual[gaps] - 1))
+    return (
+        f"gps: {count_of(len(gaps), 'step')} from fix to fix, for example after fix {gaps[0] + NEIGHBORS + 1}, "
+        f"{'is' if len(gaps) == 1 else 'are'} much longer than the steps around, so about {lost:.0f} fixes are "
+        "missing, and the times from row numbers are too early after these; use the receiver's time instead"
+    )
