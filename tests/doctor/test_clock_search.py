@@ -10,6 +10,7 @@ import sigmaswarm
 from sigmaswarm import Drive, Gps, Imu
 from sigmaswarm.doctor.clock_search import search_offset
 from sigmaswarm.doctor.fixes import Course
+from sigmaswarm.doctor.repairs import repair
 from support import DRIVES, needs_shared, quickly
 
 
@@ -29,6 +30,33 @@ def test_an_offset_of_seconds_is_found_and_mended(offset: float):
     mended = sigmaswarm.repair(late, found)
     assert mended.gps.time[0] == pytest.approx(drive().gps.time[0], abs=0.2)
     np.testing.assert_array_equal(mended.imu.ax, drive().imu.ax)
+    assert not sigmaswarm.diagnose(mended).serious
+
+
+@pytest.mark.parametrize(
+    ("offset", "columns", "factor"),
+    quickly(
+        [
+            (7.0, {"gx": "gx", "gy": "gy", "gz": "gz"}, 0.5),
+            (-12.0, {"gx": "gx", "gy": "gy", "gz": "gz"}, -1.6),
+            (18.0, {"gx": "gz", "gz": "gx"}, 1.0),
+            (-7.5, {"gx": "gz", "gz": "gx"}, -1.0),
+        ],
+        lambda offset, columns, factor: offset in (7.0, -7.5),
+    ),
+)
+def test_an_offset_and_a_wrong_scale_or_axis_are_both_mended(
+    offset: float, columns: dict[str, str], factor: float
+):
+    imu = drive().imu
+    wrong = {n: getattr(imu, of) * (factor if of == "gz" else abs(factor)) for n, of in columns.items()}
+    late = replace(
+        drive(), imu=replace(imu, **wrong), gps=replace(drive().gps, time=drive().gps.time + offset)
+    )
+    mended = repair(late, sigmaswarm.diagnose(late))
+    assert mended.gps.time[0] == pytest.approx(drive().gps.time[0], abs=0.2)
+    np.testing.assert_allclose(mended.imu.gz, imu.gz, rtol=0.03, atol=1e-9)
+    np.testing.assert_allclose(mended.imu.gx, imu.gx, rtol=0.03, atol=1e-9)
     assert not sigmaswarm.diagnose(mended).serious
 
 

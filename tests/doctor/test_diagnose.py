@@ -16,6 +16,7 @@ from sigmaswarm import Diagnosis, Drive, Gps, Imu, split_time
 from sigmaswarm.doctor import diagnose
 from sigmaswarm.doctor.checks.timing import clock_jumps
 from sigmaswarm.doctor.fixes import mark_jumps
+from sigmaswarm.doctor.repairs import repair
 from sigmaswarm.doctor.verdicts import yaw_of
 from sigmaswarm.doctor.yaw_fit import YawFit
 from sigmaswarm.drives.split import clip
@@ -246,6 +247,18 @@ def test_a_wrong_scale_of_the_gyro_is_named_with_its_factor_and_repaired(scale: 
     assert not {"gyro-scale", "gyro-sign", "unseen-yaw"} & sigmaswarm.diagnose(fixed).codes
 
 
+@pytest.mark.parametrize("gps", ["white-1m", "ublox-m8"])
+@pytest.mark.parametrize("scale", quickly([(s,) for s in (0.5, 1.25, 2.0, 57.3)], lambda s: s > 1.9))
+def test_a_scale_of_gz_alone_is_repaired_alone(scale: float, gps: str):
+    """On a hilly road, the roll of gravity shows that gx and gy are correct."""
+    drive = sigmaswarm.simulate("urban", run=1, duration=150, gps=gps, terrain="hilly", vibration=True)
+    for names in (["gz"], ["gx", "gy", "gz"])[: 1 if scale == 1.25 else 2]:
+        wrong = replace(drive, imu=replace(drive.imu, **{n: scale * getattr(drive.imu, n) for n in names}))
+        fixed = repair(wrong, sigmaswarm.diagnose(wrong)).imu
+        for name in ("gx", "gy", "gz"):
+            np.testing.assert_allclose(getattr(fixed, name), getattr(drive.imu, name), rtol=0.04)
+
+
 def test_the_rate_about_a_tilted_axis_has_no_wrong_scale():
     """An IMU on its edge measures half of the yaw rate."""
     drive = simulated("icm-20602", 90.0)
@@ -397,13 +410,32 @@ def found_of(drive: Drive, code: str) -> str:
     return next((f.what for f in sigmaswarm.diagnose(drive).findings if f.code == code), "")
 
 
-def test_a_statement_of_the_user_is_not_reduced_to_the_scatter():
-    """A receiver that smooths scatters less than it errs; a remedy of `tune` asks for the statement."""
-    drive = simulated("mpu-6050")
-    silent = replace(drive, gps=replace(drive.gps, std_x=None, std_y=None))
-    own = replace(silent, metadata={**drive.metadata, "gps_std_m": 9.0})
-    assert not found_of(own, "gps-noise")
-    assert "9 m is stated" in found_of(own, "gps-correlated")
+@pytest.mark.parametrize(
+    ("stated", "code", "severity", "repaired"),
+    [
+        (None, "gps-noise", "note", None),
+        (0.2, "gps-noise", "warning", 1.0),
+        (0.8, "", "", None),
+        (2.0, "", "", None),
+        (9.0, "gps-noise", "warning", None),
+    ],
+)
+def test_a_statement_of_the_user_is_compared_with_the_scatter(
+    stated: float | None, code: str, severity: str, repaired: float | None
+):
+    """A larger value is not replaced: a receiver that smooths scatters less than it errs."""
+    drive = simulated("mpu-6050")  # 1 m of white noise
+    silent = replace(drive, gps=replace(drive.gps, std_x=None, std_y=None), metadata={})
+    own = silent if stated is None else replace(silent, metadata={"gps_std_m": stated})
+    found = [f for f in sigmaswarm.diagnose(own).findings if f.code == "gps-noise"]
+    assert [(f.code, f.severity) for f in found] == [(code, severity)] * bool(code)
+    for finding in found:
+        shown = re.findall(r"scatter \(?(?:by )?([\d.]+) m", finding.what)
+        assert float(shown[0]) == pytest.approx(1.0, rel=0.2)
+        assert ("takes R from this value" in finding.what) == (severity == "warning")
+        assert (finding.repair is not None) == (repaired is not None)
+    if repaired:
+        assert repair(own, sigmaswarm.diagnose(own)).metadata["gps_std_m"] == pytest.approx(repaired, rel=0.2)
 
 
 @pytest.mark.long

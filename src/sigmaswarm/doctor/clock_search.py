@@ -6,7 +6,7 @@ from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.mounting import level_rotation, rotate_imu
 from sigmaswarm.doctor.verdicts import DEGREE
 from sigmaswarm.doctor.windows import integral
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Array, Drive
 
 MAX_OFFSET = 40.0  # s; GPS time minus UTC (18 s) and the start-up of most receivers are shorter
 STEP = 0.1  # s
@@ -21,8 +21,11 @@ MIN_PAIRS = 20
 MIN_TURN = 0.15  # rad, smallest RMS change of the course within `TURN_INTERVAL`
 
 
-def search_offset(drive: Drive, course: Course) -> float | None:
-    """Find the delay of the fixes, s; None if no delay is significant."""
+def search_offset(drive: Drive, course: Course, *, scaled: bool = False) -> float | None:
+    """Find the delay of the fixes, s; None if no delay is significant.
+
+    ``scaled``: also accept any factor of the yaw rate, and a yaw rate in column gx or gy.
+    """
     imu, at = drive.imu, course.time
     first, last = _pairs(course)
     if len(first) < MIN_PAIRS:
@@ -33,9 +36,12 @@ def search_offset(drive: Drive, course: Course) -> float | None:
         return None
     # The rate about the vertical for any mounting, or gz if the IMU lacks one of the six axes.
     planar = imu.az is None or imu.gx is None or imu.gy is None
-    total = integral(imu.time, imu.gz if planar else rotate_imu(imu, level_rotation(imu)).gz)
+    rates = [imu.gz if planar else rotate_imu(imu, level_rotation(imu)).gz]
+    if scaled and not planar:
+        rates += [rate for rate in (imu.gx, imu.gy) if rate is not None]
+    totals = [integral(imu.time, rate) for rate in rates]
 
-    def explained(lag: float) -> float:
+    def explained(lag: float, total: Array) -> float:
         start, end = at[first] - lag, at[last] - lag
         inside = (start >= imu.time[0]) & (end <= imu.time[-1])
         if np.count_nonzero(inside) < max(MIN_PAIRS, len(turn) / 3):
@@ -45,10 +51,11 @@ def search_offset(drive: Drive, course: Course) -> float | None:
         power = float(true @ true)
         if power < 0.3 * whole:
             return 0.0
-        return max(1 - float(np.sum((true - k * seen) ** 2)) / power for k in (1.0, -1.0, DEGREE, -DEGREE))
+        factors = [float(true @ seen) / float(seen @ seen)] if scaled else [1.0, -1.0, DEGREE, -DEGREE]
+        return max(1 - float(np.sum((true - k * seen) ** 2)) / power for k in factors)
 
     lags = np.arange(-MAX_OFFSET, MAX_OFFSET + STEP / 2, STEP)
-    found = np.array([explained(lag) for lag in lags])
+    found = np.array([max(explained(lag, total) for total in totals) for lag in lags])
     best = int(np.argmax(found))
     others = found[np.abs(lags - lags[best]) > PEAK_WIDTH]
     clearly = min(others.max() + MIN_LEAD, 1 - (1 - others.max()) / MIN_UNEXPLAINED_RATIO)

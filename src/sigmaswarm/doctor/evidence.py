@@ -110,7 +110,8 @@ def _read(drive: Drive) -> Evidence:
     if fits or fit.course_change < MIN_TURN:  # only a large offset would contradict this interpretation
         if delay is None or abs(delay) < MAX_FIT_OFFSET:
             return evidence
-    elif delay is None:  # no axis can be interpreted without a common clock
+    elif delay is None and (delay := search_offset(drive, course, scaled=True)) is None:
+        # no axis can be interpreted without a common clock
         return replace(evidence, yaw=Yaw(), mount=None, clock=ClockOffset())
     rest = 0.0
     for _ in range(2):  # the fits determine the remaining offset

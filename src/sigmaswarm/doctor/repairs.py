@@ -51,8 +51,9 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
 
 def _applied(drive: Drive, repairs: Sequence[Repair]) -> Drive:
     for action, apply in ACTIONS.items():
-        # The latest jump is closed first, which does not change the times of earlier jumps.
-        for values in sorted((r.values for r in repairs if r.action == action), reverse=True):
+        # The latest jump is closed first, which does not change the times of earlier jumps. The gyro's columns (0, 1)
+        # are exchanged before its gz (2) is scaled.
+        for values in sorted((r.values for r in repairs if r.action == action), reverse=action != "gyro"):
             drive = apply(drive, *values)
     return drive
 
@@ -101,12 +102,19 @@ def _rotate(drive: Drive, *rotation: float) -> Drive:
     return replace(drive, imu=rotate_imu(drive.imu, np.reshape(rotation, (3, 3))))
 
 
-def _gyro(drive: Drive, column: float, factor: float) -> Drive:
-    """Use a column (0, 1, 2: gx, gy, gz) times a factor as gz; multiply the other columns by the factor's magnitude."""
+def _gyro(drive: Drive, column: float, factor: float, alone: float = 0.0) -> Drive:
+    """Use a column (0, 1, 2: gx, gy, gz) times a factor as gz.
+
+    The other columns are multiplied by the factor's magnitude, unless ``alone`` is 1.
+    """
     name = ("gx", "gy", "gz")[int(column)]
     rates = {n: getattr(drive.imu, n) for n in ("gx", "gy", "gz")}
     rates["gz"], rates[name] = rates[name], rates["gz"]
-    changed = {n: v * (factor if n == "gz" else abs(factor)) for n, v in rates.items() if v is not None}
+    changed = {
+        n: v * (factor if n == "gz" else 1.0 if alone else abs(factor))
+        for n, v in rates.items()
+        if v is not None
+    }
     return _with("imu", drive, **changed)
 
 

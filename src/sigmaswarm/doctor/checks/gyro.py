@@ -2,16 +2,18 @@
 
 Within half a second, the direction of the specific force in body axes rotates opposite to the body (g' = -w x g). The
 car's acceleration also rotates this direction, but a body on springs leans with the force: in a left turn, the force
-points to the left, and the left side rises. So the signs are visible on flat roads too, but the scales are not.
+points to the left, and the left side rises. So the signs are visible on flat roads too. The scale is visible for the
+roll rate alone, after the part that the lateral acceleration explains is removed.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from sigmaswarm.doctor.acceleration_fit import gyro_drift
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
+from sigmaswarm.doctor.fixes import Mask
 from sigmaswarm.doctor.verdicts import DEGREE, MIN_GAIN_ERROR
 from sigmaswarm.doctor.windows import integral, moving_mean, smoothed
 from sigmaswarm.doctor.yaw_fit import yaw_windows
@@ -30,6 +32,13 @@ MEAN_WINDOW, LAG = 0.3, 0.5
 MIN_SIGNIFICANCE = 7.0
 MIN_SIGNIFICANCE_RATIO = 2.0  # smallest ratio of the significance of a column to that of the other column
 OUTLIER_SIGMAS = 3.0  # standard deviations; larger changes are outliers
+
+# s; on eleven drives with correct scales, the estimated scale of the roll rate was 0.96 to 2.1 and 0.54 to 1.24
+SCALE_LAGS = (1.0, 2.0)
+MAX_SCALE_ERROR, MIN_SCALE_LEAD = (
+    0.25,
+    0.1,
+)  # of the estimate, relative; of one scale over another, in the logarithm
 
 # Column that a direction follows (0: gx, 1: gy), its sign, and its significance in standard deviations
 RateMatch = tuple[int, float, float]
@@ -50,8 +59,9 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     where, confidence = f"imu.csv, {yaw.column}", confidence_of(fit.gain / fit.std / 6 * 3)
     seen = f"course = {fit.gain:.3g} x integral of {yaw.column}, standard deviation {fit.std:.2g}"
     column, unit = float("xyz".index(yaw.column[1])), abs(yaw.factor)
+    alone = _only_yaw_is_wrong(evidence)
+    columns = "gz" if alone else "gx, gy, gz"
     turns = "the car turns {:.3g} times as far as the gyro measures".format
-    scaling = "multiply gx, gy, gz by {:.3g}".format
     for wrong, code, what, remedy, repair in (
         (
             yaw.column != "gz",
@@ -63,11 +73,19 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
         (
             unit == DEGREE,
             "gyro-unit",
-            "the angular rates are in deg/s",
-            "multiply gx, gy, gz by pi/180",
-            (2.0, DEGREE),
+            "gz is in deg/s; gravity shows that gx and gy are in rad/s"
+            if alone
+            else "the angular rates are in deg/s",
+            f"multiply {columns} by pi/180",
+            (2.0, DEGREE, float(alone)),
         ),
-        (unit not in (1, DEGREE), "gyro-scale", turns(unit), scaling(unit), (2.0, unit)),
+        (
+            unit not in (1, DEGREE),
+            "gyro-scale",
+            f"{turns(unit)}{'; gravity shows that gx and gy are correct' if alone else ''}",
+            f"multiply {columns} by {unit:.3g}",
+            (2.0, unit, float(alone)),
+        ),
         (
             yaw.factor < 0,
             "gyro-sign",
@@ -82,10 +100,8 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     off = fit.gain / yaw.factor - 1
     clear = fit.course_change > MIN_TURN and abs(off) > max(MIN_GAIN_ERROR, 4 * fit.std / abs(yaw.factor))
     if clear and abs(_whole_gain(evidence) - 1) > MIN_GAIN_ERROR / 2:
-        repair = Repair("gyro", (2.0, 1 + off))
-        yield Finding(
-            "gyro-scale", "warning", turns(1 + off), where, span, confidence_of(4), scaling(1 + off), repair
-        )
+        repair, remedy = Repair("gyro", (2.0, 1 + off, 1.0)), f"multiply gz by {1 + off:.3g}"
+        yield Finding("gyro-scale", "warning", turns(1 + off), where, span, confidence_of(4), remedy, repair)
     bias = -gyro_drift(imu.time, course, yaw.factor * getattr(imu, yaw.column), evidence.clock.delay)
     if abs(bias) > BIAS_LIMITS[0]:
         severity = "warning" if abs(bias) > BIAS_LIMITS[1] else "note"
@@ -106,6 +122,26 @@ def _whole_gain(evidence: Evidence) -> float:
     total = integral(imu.time, yaw.factor * getattr(imu, yaw.column))
     measured = np.diff(smoothed(imu.time, total, course.time - fit.delay, course.span)[ends])
     return float(np.sum(np.diff(course.angle[ends]) * measured) / max(np.sum(measured**2), 1e-12))
+
+
+def _only_yaw_is_wrong(evidence: Evidence) -> bool:
+    """Return True if the roll of gravity shows that gx has the right scale, and not that of gz."""
+    read, course, unit = _force_and_rates(evidence), evidence.course, abs(evidence.yaw.factor)
+    if read is None or course is None or unit == 1 or evidence.yaw.column != "gz":
+        return False
+    (force, rates), time = read, evidence.drive.imu.time
+    at = course.time - (evidence.yaw_fit.delay if evidence.yaw_fit else 0.0)
+    speed = np.interp(time, at, np.abs(course.velocity))
+    change = np.interp(time, at, np.gradient(np.abs(course.velocity), course.time))
+    moving = np.interp(time, at, course.moving) == 1
+    for lag in SCALE_LAGS:
+        fits = _regressions(time, force, rates, lag, (speed * rates[2], change), moving)
+        scale, std = (abs(float(values[0])) for values in fits[0]) if fits else (0.0, 1.0)
+        # In `rates`, gx has the factor of gz, so a scale of 1 shows that gx needs this factor.
+        lead = abs(np.log(scale)) - abs(np.log(scale * unit)) if std < MAX_SCALE_ERROR * scale else 0.0
+        if lead < MIN_SCALE_LEAD:
+            return False
+    return True
 
 
 def check_tilt(evidence: Evidence) -> Iterator[Finding]:
@@ -181,36 +217,54 @@ def _force_and_rates(evidence: Evidence) -> tuple[Array, Array] | None:
 
 def _follows(time: Array, force: Array, rates: Array) -> list[RateMatch | None]:
     """Find the rate that the force's direction follows in roll, and in pitch; None where it is unclear."""
+    fits = _regressions(time, force, rates, LAG)
+    roll, pitch = [factors / std for factors, std in fits] or [np.zeros(2), np.zeros(2)]
+    return [_clear(roll), _clear(-pitch)]
+
+
+def _regressions(
+    time: Array,
+    force: Array,
+    rates: Array,
+    lag: float,
+    others: Sequence[Array] = (),
+    used: Mask | None = None,
+) -> list[tuple[Array, Array]]:
+    """Fit the change of the force's direction y and x within ``lag`` s to the turns about x and y; [] if it is short.
+
+    Return the two coefficients and their standard deviations. The turn about z is also a regressor, since this turn
+    changes the direction if the sensor is tilted or the car corners, and so are the changes of ``others`` (k, n).
+    ``used`` (n,): samples between which changes are used, by default all.
+    """
     interval = float(np.median(np.diff(time)))
-    count, lag = (max(round(seconds / interval), 1) for seconds in (MEAN_WINDOW, LAG))
-    first = np.arange(0, len(time) - lag, max(lag // 2, 1))
-    first = first[time[first + lag] - time[first] < 2 * LAG]  # the rates within a gap are unknown
+    count, step = (max(round(seconds / interval), 1) for seconds in (MEAN_WINDOW, lag))
+    first = np.arange(0, len(time) - step, max(step // 2, 1))
+    first = first[time[first + step] - time[first] < 2 * lag]  # the rates within a gap are unknown
+    first = first if used is None else first[used[first] & used[first + step]]
     if len(first) < 20:
-        return [None, None]
+        return []
     mean = moving_mean(force, count)
     direction = mean / np.maximum(np.linalg.norm(mean, axis=0), 0.1 * GRAVITY)
-    turned = moving_mean(np.array([integral(time, rate) for rate in rates]), count)
-    change, angle = (values[:, first + lag] - values[:, first] for values in (direction, turned))
-    return [_clear(_deviations(angle, change[1])), _clear(-_deviations(angle, change[0]))]
+    seen = moving_mean(np.array([*(integral(time, rate) for rate in rates), *others]), count)
+    change, turned = (values[:, first + step] - values[:, first] for values in (direction, seen))
+    return [_robust_fit(turned, change[1]), _robust_fit(turned, change[0])]
 
 
-def _deviations(angle: Array, change: Array) -> Array:
-    """Return the coefficients of the turns about x and y, in standard deviations, by robust least squares.
-
-    The turn about z is also a regressor, since this turn changes the direction if the sensor is tilted or the car
-    corners.
-    """
-    columns = np.column_stack([*angle, np.ones(len(change))])
+def _robust_fit(regressors: Array, change: Array) -> tuple[Array, Array]:
+    """Return the first two coefficients of robust least squares with a constant, and their standard deviations."""
+    columns = np.column_stack([*regressors, np.ones(len(change))])
     scale = np.linalg.norm(columns, axis=0)
-    columns = columns / np.where(scale > 0, scale, 1.0)
-    factors, left, kept = np.zeros(4), np.zeros(len(change)), np.ones(len(change), dtype=np.bool_)
+    scale = np.where(scale > 0, scale, 1.0)
+    columns = columns / scale
+    factors, left, kept = np.zeros(len(scale)), np.zeros(len(change)), np.ones(len(change), dtype=np.bool_)
     for _ in range(3):
         # the first round keeps all
         kept = np.abs(left) <= OUTLIER_SIGMAS * float(np.median(np.abs(left))) / 0.6745 + 1e-9
         factors = np.asarray(np.linalg.lstsq(columns[kept], change[kept], rcond=None)[0], np.float64)
         left = change - columns @ factors
     covariance = np.linalg.pinv(columns[kept].T @ columns[kept]) * (np.var(left[kept]) + 1e-18)
-    return factors[:2] / np.sqrt(np.maximum(np.diag(covariance)[:2], 1e-30))
+    std = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
+    return (factors / scale)[:2], (std / scale)[:2]
 
 
 def _clear(deviations: Array) -> RateMatch | None:

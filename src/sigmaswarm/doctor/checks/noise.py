@@ -10,7 +10,7 @@ import numpy as np
 from sigmaswarm.doctor.acceleration_fit import MIN_NOISE
 from sigmaswarm.doctor.evidence import MAX_SCATTER_RATIO, Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
-from sigmaswarm.drives.sensors import motion_in_noise, stated_std
+from sigmaswarm.drives.sensors import motion_in_noise, receiver_std, stated_std
 
 MAX_OBSERVED_RATIO = 2.0  # largest ratio of observed noise to stated noise
 # m, standard deviation that no receiver reaches in motion (data sheets of RTK state 0.006 to 0.01 m). A smaller
@@ -18,6 +18,7 @@ MAX_OBSERVED_RATIO = 2.0  # largest ratio of observed noise to stated noise
 MIN_STATED_STD = 0.003
 # Largest ratio of stated noise to observed white noise; high, since slow errors are not observed
 MAX_STATED_RATIO = 6.5
+MAX_TYPED_RATIO = 3.0  # the same for a value in drive.toml
 # m, distance of the first fix from the others; a farther outlier displaces the drive's origin
 MAX_FIRST_DISTANCE = 1000.0
 # Ratio of the noise from fix to fix to the scatter about a path of 10 s; larger ratios show white noise (ratio 1)
@@ -83,9 +84,23 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
 def _stated(evidence: Evidence) -> Iterator[Finding]:
     gps, known = evidence.drive.gps, stated_std(evidence.drive)
     noise, scatter, span = evidence.noise, max(evidence.scatter, evidence.noise), evidence.span
-    if known is None or not scatter:
+    if not scatter:
         return
-    stated = float(np.mean(known))
+    if known is None:
+        assumed = float(np.mean(receiver_std(evidence.drive)))
+        what = (
+            f"the receiver states no accuracy. The fixes scatter by {scatter:.2g} m per axis, which is a lower limit "
+            "of their standard deviation, since slow errors do not scatter. A tuning without truth assumes "
+            f"{assumed:.2g} m"
+        )
+        remedy = "if you know a better value, write gps_std_m at the top of drive.toml"
+        yield Finding("gps-noise", "note", what, "drive.toml, gps_std_m", span, 0.95, remedy)
+        return
+    stated, typed = float(np.mean(known)), evidence.drive.metadata.get("gps_std_m", np.nan)
+    if gps.std_x is not None and abs(np.log(typed / stated)) > np.log(MAX_OBSERVED_RATIO):  # false for NaN
+        what = f"gps_std_m = {typed:g} is not used, since gps.csv states {stated:.2g} m (median)"
+        remedy = "remove the columns std_x and std_y if they are wrong"
+        yield Finding("gps-noise", "note", what, "drive.toml, gps_std_m", span, 1.0, remedy)
     where = "drive.toml, gps_std_m" if gps.std_x is None else "gps.csv, std_x, std_y"
     unseen = motion_in_noise(float(np.median(np.diff(gps.time))))
     if stated < MIN_STATED_STD:
@@ -94,7 +109,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
     white = noise > MIN_WHITE_RATIO * scatter and scatter > MIN_NOISE
     if noise - unseen > MAX_OBSERVED_RATIO * stated:
         how, confidence = "smaller", confidence_of(3 + noise / stated / MAX_OBSERVED_RATIO)
-    elif white and stated > MAX_STATED_RATIO * scatter and gps.std_x is not None:
+    elif white and stated > (MAX_TYPED_RATIO if gps.std_x is None else MAX_STATED_RATIO) * scatter:
         how, confidence = "larger", confidence_of(2 * stated / MAX_STATED_RATIO / scatter)
     else:
         if stated > MAX_SCATTER_RATIO * max(scatter, MIN_NOISE) or (
@@ -119,6 +134,9 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         f"({scatter:.2g} m per axis)"
     )
     remedy = f"state {scatter:.2g} m; state more if you know of slow errors, which a log without truth does not show"
-    yield Finding(
-        "gps-noise", "warning", what, where, span, confidence, remedy, Repair("state-noise", (scatter,))
-    )
+    repair = Repair("state-noise", (scatter,))
+    if gps.std_x is None:
+        what += ". A tuning without truth takes R from this value: with a smaller value the filter follows the fixes "
+        what += "more closely, with a larger value it trusts the IMU for longer"
+        repair = repair if how == "smaller" else None  # a user may know of slow errors
+    yield Finding("gps-noise", "warning", what, where, span, confidence, remedy, repair)
