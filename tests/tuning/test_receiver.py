@@ -89,6 +89,7 @@ def test_errors_that_are_only_assumed_to_be_correlated_are_reported():
     (said,) = noise_warnings(p, [FixNoise(np.nan, 0.1)])
     assert said.startswith("TO DO: write the line `gps_std_m = 1.5` at the top of drive.toml")
     assert "correlated errors with a standard deviation of 2.1 m per axis" in said
+    assert "m per axis (at least their scatter of 0.1 m)" in said
     assert noise_warnings(p, [FixNoise(2.0, 0.1)]) == noise_warnings(p, [FixNoise(np.nan, 1.0)]) == []
 
 

@@ -26,6 +26,9 @@ class DriveRecord(BaseModel):
     has_truth: bool | None = None
     imu_mounting_deg: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     imu_axes: dict[str, str] = Field(default_factory=dict)
+    receiver_std_m: float | None = (
+        None  # standard deviation of the fixes per axis, stated or from their noise
+    )
     sha256: str = ""
     # Of an evaluated drive: fraction of the scored time with known truth; start of filters and scores, s after the
     # first sample; duration of the part that training drives contain, s
@@ -46,6 +49,11 @@ def drive_record(drive: Drive) -> dict[str, Any]:
         **({AXES_KEY: axes} if (axes := axes_of(drive.metadata)) else {}),
         "sha256": fingerprint(drive),
     }
+
+
+def rounded(std: float) -> float:
+    """Round a standard deviation to three digits, for `DriveRecord.receiver_std_m`."""
+    return float(f"{std:.3g}")
 
 
 def fingerprint(drive: Drive) -> str:

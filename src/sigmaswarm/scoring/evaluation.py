@@ -13,10 +13,11 @@ from sigmaswarm import notebook
 from sigmaswarm.datasets.dataset import make_datasets
 from sigmaswarm.doctor.diagnose import finding_sentences
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.fingerprint import DriveRecord, drive_record
+from sigmaswarm.drives.fingerprint import DriveRecord, drive_record, rounded
 from sigmaswarm.drives.gaps import share_known
 from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.drives.sensors import receiver_std
 from sigmaswarm.errors import InputError, warn_deprecated
 from sigmaswarm.files import write_atomically, write_json
 from sigmaswarm.filters.bank.run import BankRun
@@ -417,6 +418,7 @@ def _evaluated(
         picture=tracker.picture(drive.name),
         record=DriveRecord(
             **drive_record(drive),
+            receiver_std_m=rounded(max(receiver_std(drive))),
             scored_from_s=round(start - float(drive.imu.time[0]), 3),
             truth_share=share_known(drive.truth, start, end),
         ),

@@ -18,6 +18,9 @@ MIN_INFORMATIVE_NIS = 1.0  # mean NIS below which predicted fixes do not measure
 # Ratio to the tuned filter's error below which a method without tuning is reported as better
 MAX_ERROR_RATIO = 0.9
 
+# Properties of sensors, and their ratios to those of the training drives that show other sensors
+SENSORS = ("IMU", "Hz", 1.5), ("fixes", "Hz", 1.5), ("standard deviation of the fixes", "m", 2.5)
+
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:
     restarts = {
@@ -42,6 +45,27 @@ def describe_drives(data: Sequence[DriveRecord]) -> str:
         partly = "PARTLY " if len(training) < len(data) else ""
         return f"{called} ({partly}TRAINING DATA: {'; '.join(training)})"
     return called + " that the tuning did not use" * all(drive.seen_s is not None for drive in data)
+
+
+def other_sensors(drive: DriveRecord, training: Sequence[DriveRecord]) -> str:
+    """Describe sensors of an evaluated drive that clearly differ from those of all training drives; else ""."""
+    differences: list[str] = []
+    for (name, unit, ratio), here, *known in zip(SENSORS, *map(_sensors, (drive, *training)), strict=True):
+        others = [value for value in known if value]
+        if others and here and not min(others) / ratio < here < max(others) * ratio:
+            differences.append(f"{name} {here:.3g} {unit} instead of {np.median(others):.3g} {unit}")
+    if not differences:
+        return ""
+    return (
+        f"the sensors of {drive.name} differ from those of the training drives ({', '.join(differences)}). On other "
+        "sensors a filter can be far less accurate; tune on drives with these sensors, and compare with --against"
+    )
+
+
+def _sensors(drive: DriveRecord) -> tuple[float, ...]:
+    """Return the values of `SENSORS`; 0 for unknown ones."""
+    duration = drive.duration_s or np.inf
+    return (drive.imu_samples or 0) / duration, (drive.fixes or 0) / duration, drive.receiver_std_m or 0.0
 
 
 def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sigmaswarm.datasets.dataset import Dataset, LocalDataset
 from sigmaswarm.drives.alignment_fit import InitialState
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.fingerprint import drive_record
+from sigmaswarm.drives.fingerprint import drive_record, rounded
 from sigmaswarm.drives.overlap import Landmarks, landmarks
 from sigmaswarm.drives.sensors import LogProperties, enough_for_fix_error, log_properties
 from sigmaswarm.errors import InputError
@@ -60,6 +60,11 @@ class Problem(ABC, Generic[P]):
     config: SearchConfig
     space: Bounds
     data: list[dict[str, Any]]
+
+    @property
+    def described(self) -> list[dict[str, Any]]:
+        """``data`` with properties that do not identify a drive, for tuning.toml."""
+        return self.data
 
     @property
     def seen(self) -> Iterable[Landmarks]:
@@ -135,6 +140,11 @@ class CarProblem(Problem[FilterParameters]):
     @cached_property
     def _receiver_std(self) -> Array:  # in meters, shape (m, 2)
         return np.array([one.receiver_std for one in self.sensors])
+
+    @property
+    def described(self) -> list[dict[str, Any]]:
+        pairs = zip(self.data, self._receiver_std.max(axis=1).tolist(), strict=True)
+        return [{**entry, "receiver_std_m": rounded(std)} for entry, std in pairs]
 
     @cached_property
     def _weight_of_typical(self) -> float:

@@ -97,9 +97,9 @@ def noise_warnings(
             "the receiver states no accuracy, so the filter assumes correlated errors with a standard deviation of "
             f"{UNSTATED_GPS_STD:g} m per axis"
         )
-        return [to_do(STATE_REMEDY, why)] if np.isnan(stated) and scatter < MIN_SCATTER else []
+        return [to_do(_state_remedy(scatter), why)] if np.isnan(stated) and scatter < MIN_SCATTER else []
     lasting = stated > MAX_SCATTER_RATIO * scatter
-    remedy = STATE_REMEDY if np.isnan(stated) else f"tune with --use {' '.join([*use, 'accuracy'])}"
+    remedy = _state_remedy(scatter) if np.isnan(stated) else f"tune with --use {' '.join([*use, 'accuracy'])}"
     remedy += ", or evaluate with the truth of a reference receiver"
     if r * MAX_STD_RATIO < stated:
         why = f"the receiver states a standard deviation of {stated:.2g} m"
@@ -122,6 +122,12 @@ def noise_warnings(
     copied = "the filter copies the fixes, since its R corresponds to a standard deviation of"
     message = f"{copied} {r:.2g} m per axis, but {why}"
     return [to_do(remedy, f"{message}. Predictions of the fixes do not show correlated errors. {UNKNOWN}")]
+
+
+def _state_remedy(scatter: float) -> str:
+    """Return the remedy with the scatter of the fixes, m per axis, which is a lower limit; NaN if unknown."""
+    limit = f" (at least their scatter of {scatter:.2g} m)" if np.isfinite(scatter) else ""
+    return STATE_REMEDY.replace(", m per axis", f", m per axis{limit}")
 
 
 def prior_warnings(
@@ -150,7 +156,7 @@ def prior_warnings(
                 f"{name} does not state the accuracy of its fixes. {compromise} the {std:.2g} m of a typical receiver. "
                 "If the receiver smooths its fixes, NIS will be low"
             )
-            return [to_do(f"if you know the receiver, {STATE_REMEDY}", why)]
+            return [to_do(f"if you know the receiver, {_state_remedy(one.scatter)}", why)]
         return [f"{name}: {compromise} the {std:.2g} m of white noise that the fixes show"]
     return []
 

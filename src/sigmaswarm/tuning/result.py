@@ -26,7 +26,7 @@ from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.record import NOT_VALIDATED, TuningRecord, training_data_of, tuning_file
 from sigmaswarm.tuning.search import Trial, saved_trials
 from sigmaswarm.tuning.sensitivity import MAX_INCREASE, NOISE_SCALE, Sensitivity
-from sigmaswarm.tuning.space import search_space
+from sigmaswarm.tuning.space import SCALING, search_space
 from sigmaswarm.versions import versions
 from sigmaswarm.wording import count_of, sort_remarks, to_do
 
@@ -321,9 +321,12 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
                 f"position and velocity by {root}"
             )
         yield INFLATION_REMARK.format(inflated)
-    for touched in t.touched_bounds:
-        if touched.parameter not in t.unidentified:
-            yield f"{touched}, so the optimum may lie beyond the bounds"
+    fixed = {*t.unidentified, *(dimension.name for dimension in SCALING)}
+    for touched in () if car else t.touched_bounds:  # users choose the bounds of their own models
+        if touched.parameter not in fixed:
+            yield to_do(
+                "widen the bounds in your model", f"{touched}, so the optimum may lie beyond the bounds"
+            )
     if names := ", ".join(name for name in t.unidentified if name != NOISE_SCALE):
         yield (
             f"the tuned values of {names} are arbitrary, since any other value within the bounds raises the cost by "

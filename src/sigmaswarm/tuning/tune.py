@@ -281,7 +281,7 @@ def tune_problem(
         failures=sum(trial.failures for trial in trials),
         steps=sum(int(trial.steps[-1]) for trial in trials),
         full_steps=int(problem.steps.sum()) * evaluations,
-        data=problem.data,
+        data=problem.described,
         warnings=tuple(problem.warnings(point)) if diagnose else (),
         fixes_alone=noise,
         forecasts=tuple(problem.forecasts(point, noise)) if noise else (),
